@@ -15,6 +15,7 @@ from warp_plate import PlateSolver
 from warp_plate.modal.energy import energies, gram_matrices
 from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.motion import fields, trace, unit_motion
+from warp_plate.modal.waveforms import WaveformEnergies
 from warp_plate.optimize.quadratic import quadratic_forms
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
 from warp_plate.reference import series
@@ -216,6 +217,15 @@ def test_resting_load_on_a_point_is_static_in_the_end():
     assert np.allclose(motion, forces / edge.angular_frequencies**2, rtol=0, atol=1e-9 * abs(motion).max())
 
 
+def with_channels(scene, folder):
+    """Return the scene with tones under a window for each of three actuators, sampled at 4 kHz."""
+    times = np.arange(48) / 4000
+    waves = np.hanning(48)[:, None] * np.sin(2 * math.pi * times[:, None] * [150.0, 220.0, 350.0])
+    np.savetxt(folder / "channels.csv", waves, delimiter=",")
+    signal = {"file": "channels.csv", "rate": 4000.0, "per_actuator": True}
+    return scene.with_tables(drive={"frequency": 400.0, "signal": signal}).in_folder(folder)
+
+
 def with_file(scene, folder):
     """Return the scene with a signal of 220 and 350 Hz, sampled at 4 kHz."""
     times = np.arange(48) / 4000
@@ -237,13 +247,34 @@ STEPPED = {
     "tone": (TONE, 4, 0.02),
     "burst": (SMOOTH, 4, 0.005),
     "sweep": (CHIRP, 4, 0.01),
-    "file": (None, 4, 0.005),
+    "file": (with_file, 4, 0.005),
+    "file, a channel each": (with_channels, 2, 0.06),
     "moving load": (MOVING, 2, 0.06),
 }
 
 
+def test_each_actuator_has_a_channel(tmp_path):
+    """Energies of a search are those of the motion, and actuators move the plate as one-channel files would."""
+    scene = with_channels(scene_of(damping=88.0, window=(0.004, 0.014)), tmp_path)
+    plate, phasors, times = (
+        solve_modes(scene, density=0.4),
+        np.array([[1, 0.5 - 0.5j, -0.8j]]),
+        np.array([0.006, 0.012]),
+    )
+    regions, forces = [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)], plate.actuator_forces()[None]
+    found = WaveformEnergies(plate, regions).energies(phasors, np.full((1, 3), 400.0), forces, np.zeros((1, 3)))
+    assert np.allclose(found, energies(plate, regions, phasors), rtol=1e-5)
+    motion = trace(plate, phasors, [(0.05, 0.1)], times)
+    for actuator, wave in enumerate(np.loadtxt(tmp_path / "channels.csv", delimiter=",").T):
+        np.savetxt(tmp_path / f"{actuator}.csv", wave)
+        drive = {"frequency": 400.0, "signal": {"file": f"{actuator}.csv", "rate": 4000.0}}
+        alone = solve_modes(scene.with_tables(drive=drive), density=0.4)
+        motion -= trace(alone, phasors * np.eye(3)[actuator], [(0.05, 0.1)], times)
+    assert np.abs(motion).max() < 1e-9 * np.abs(trace(plate, phasors, [(0.05, 0.1)], times)).max()
+
+
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) if name == "file" else name for name in STEPPED]
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name.startswith("file") else name for name in STEPPED]
 )
 @pytest.mark.parametrize("nodes", [(21, 41), pytest.param((41, 81), marks=pytest.mark.slow)])
 def test_stepping_converges_to_the_motion(name, nodes, tmp_path):
@@ -252,7 +283,7 @@ def test_stepping_converges_to_the_motion(name, nodes, tmp_path):
     tables, order, bound = STEPPED[name]
     phasors, points = np.array([[1, 0.5 - 0.5j, -0.8j]]), [(0.05, 0.1), (0.15, 0.06)]
     scene = scene_of(damping=88.0, window=(0.004, 0.014))
-    scene = with_file(scene, tmp_path) if tables is None else scene.with_tables(**tables)
+    scene = tables(scene, tmp_path) if callable(tables) else scene.with_tables(**tables)
     plate, errors = solve_modes(scene, density=0.7 if nodes[0] == 21 else 1.4), []
     energy = energies(plate, [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)], phasors)[0]
     for count in nodes:

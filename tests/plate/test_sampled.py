@@ -120,6 +120,24 @@ def test_csv_of_one_and_two_columns(tmp_path):
     assert read(tmp_path, rounded).rate == pytest.approx(44100, rel=1e-5)
 
 
+@pytest.mark.parametrize("bits", [16, 24])
+def test_a_channel_for_each_actuator(tmp_path, bits):
+    """From interleaved WAV, and from CSV with and without times; ``start`` delays all of them."""
+    values = np.array([[0.0, 0.5, -0.5], [-1.0, 0.25, 0.125]])
+    whole = (values.T * 2 ** (bits - 1)).astype(int).ravel().tolist()
+    data = b"".join(number.to_bytes(bits // 8, "little", signed=True) for number in whole)
+    (tmp_path / "a.wav").write_bytes(wav(data, bits=bits, channels=2))
+    np.savetxt(tmp_path / "b.csv", values.T, delimiter=",")
+    np.savetxt(tmp_path / "c.csv", np.column_stack([[0.1, 0.2, 0.3], values.T]), delimiter=",")
+    for name, rate, start in (("a.wav", None, 0.5), ("b.csv", 10.0, 0.5), ("c.csv", None, 0.6)):
+        table = SampledSignal(file=name, per_actuator=True, rate=rate, start=0.5)
+        samples = read_samples(table, tmp_path, 2)
+        np.testing.assert_array_equal(samples.values, values)
+        assert samples.start == pytest.approx(start)
+    with pytest.raises(SceneError, match="2 columns instead of 4, one for each actuator"):
+        read_samples(SampledSignal(file="b.csv", per_actuator=True, rate=10.0), tmp_path, 4)
+
+
 @pytest.mark.parametrize(
     ("name", "content", "keys", "why"),
     [
@@ -127,6 +145,8 @@ def test_csv_of_one_and_two_columns(tmp_path):
         ("a.csv", "1\n2\n", {}, "drive.signal.rate"),
         ("a.csv", "0,1\n1,2\n", {"rate": 10.0}, "delete drive.signal.rate"),
         ("a.csv", "0,1,2\n1,2,3\n", {}, "3 columns instead of time and value"),
+        ("a.csv", "0,1,2\n1,2,3\n", {"per_actuator": True}, "3 columns instead of time"),
+        ("a.wav", wav(bytes(8), channels=2), {"per_actuator": True}, "write 1, one for each actuator"),
         ("a.csv", "0,1\n1,two\n", {}, "line 2 is not made of numbers"),
         ("a.csv", "0,1_0\n1,2\n2,3\n", {}, "line 1 is not made of numbers"),
         ("a.csv", "time, s;value\n0;1,05\n1;2\n", {}, "line 2 has a comma in a number; write a decimal point"),

@@ -7,6 +7,7 @@ from oracle import check_run, reference
 
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.plate.scheme import make_scheme
+from warp_plate.plate.signals import make_signals
 from warp_plate.scene.dump import dump_scene
 from warp_plate.studies.localize import localize
 
@@ -43,6 +44,27 @@ def test_one_carrier_takes_the_paths_of_a_tone(device, path, name, order, phasor
     tone = PlateSolver(driven(order=order, damping=60.0), device, path)
     assert solver.specialized.effects == tone.specialized.effects
     check_run(solver.run(drives, TIMES), made, reference(made, drives))
+
+
+@pytest.mark.parametrize("square", [{}, {"electrostatic": {"bias": 2.0, "gain": 0.5}}])
+def test_a_waveform_for_each_actuator(phasors, tmp_path, square):
+    """The pressures that the plates in float64 take are those of one-channel files, each at its actuator."""
+    times, drives = np.arange(0, 0.012, 1 / 8000), phasors(2, 3)
+    waves = np.exp(-300 * times) * np.sin(np.outer([1500.0, 2600.0, 3300.0], times))
+    np.savetxt(tmp_path / "all.csv", waves.T, delimiter=",")
+    signal = {"file": "all.csv", "per_actuator": True, "rate": 8000.0, "start": 0.001}
+    made = driven(signal=signal, **square).in_folder(tmp_path)
+    step = make_scheme(made).time_step
+    expected = []
+    for actuator, wave in enumerate(waves):
+        np.savetxt(tmp_path / f"{actuator}.csv", wave)
+        alone = driven(signal={"file": f"{actuator}.csv", "rate": 8000.0, "start": 0.001}, **square)
+        signals = make_signals(alone, step, 80, tmp_path)
+        expected.append(np.einsum("nt,pt->pn", signals.wave, signals.coefficients(drives)[:, :, actuator]))
+    signals = make_signals(made, step, 80, tmp_path)
+    found = np.einsum("nt,ptk->kpn", signals.wave, signals.coefficients(drives))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(found).max())
+    check_run(PlateSolver(made, "cpu").run(drives, TIMES), made, reference(made, drives))
 
 
 def test_square_of_the_voltage(device, path, phasors):

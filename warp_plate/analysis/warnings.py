@@ -290,7 +290,10 @@ def _overlap(scene: Scene) -> Finding:
 
 
 def _signal(scene: Scene, signal: SampledSignal) -> Finding:
-    highest, stated = read_samples(signal, scene.folder).highest_frequency(), scene.drive.frequency
+    highest, stated = (
+        read_samples(signal, scene.folder, len(scene.actuators)).highest_frequency(),
+        scene.drive.frequency,
+    )
     fact = (
         f"99 % of the energy in {signal.file!r} lies below {highest:.4g} Hz, and drive.frequency is {stated:g} Hz "
         f"(threshold {MOST_BEYOND:g} times that)"

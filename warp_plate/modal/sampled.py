@@ -80,7 +80,7 @@ def sampled_loads(scene: Scene, frequency: np.ndarray, delay: np.ndarray, end: f
     highest = max(float(frequency.max()), highest_frequency(scene))
     carrier: Callable[[np.ndarray], np.ndarray]
     if scene.drive.signal is not None:
-        samples = read_samples(scene.drive.signal, scene.folder)
+        samples = read_samples(scene.drive.signal, scene.folder, delay.size)
         highest, longest = max(highest, samples.highest_frequency()), 1 / samples.rate
 
         def carrier(times: np.ndarray) -> np.ndarray:

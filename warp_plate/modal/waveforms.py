@@ -88,12 +88,14 @@ class WaveformEnergies:
         searched = scene.search.frequency
         tones = {*actuator_frequencies(scene).tolist(), *(searched.range if searched is not None else ())}
         end, energy = scene.window.end, np.zeros(len(forces))
-        poles = make_poles(plate, end)
+        poles, delay = make_poles(plate, end), actuator_delays(scene)
+        columns = delay.size if scene.drive.signal is not None and scene.drive.signal.per_actuator else 1
+        shared, drives = np.repeat(forces[:, None], columns, axis=1), np.eye(columns)
         for tone in tones:
-            excitation = _excitation(scene, poles, forces[:, None], np.array([tone]), actuator_delays(scene)[:1])
+            excitation = _excitation(scene, poles, shared, np.full(columns, tone), delay[:columns])
             times, gains = np.linspace(0, end, TRIALS), excitation.gains
             states = _states(excitation, times, self._velocity)
-            size = (_rates(excitation, gains, np.ones((1, 1)), times, self._velocity, states) ** 2).sum(axis=(1, 2))
+            size = (_rates(excitation, gains, drives, times, self._velocity, states) ** 2).sum(axis=(1, 2))
             energy = np.maximum(energy, size / (size.sum() or 1.0))
         order = np.argsort(energy)
         return np.sort(order[np.cumsum(energy[order]) > NEGLIGIBLE])

@@ -101,6 +101,8 @@ def carrier_frequencies(scene: Scene) -> tuple[float, ...]:
 
 def waves_apart(scene: Scene) -> int:
     """Return the number of different carriers, each with its burst."""
+    if scene.drive.signal is not None and scene.drive.signal.per_actuator:
+        return len(scene.actuators)
     return len(set(zip(actuator_frequencies(scene).tolist(), actuator_delays(scene).tolist(), strict=True)))
 
 
@@ -205,9 +207,13 @@ def _envelope(
 def _shared_carriers(scene: Scene, time_step: float, steps: int, folder: Path | None) -> list[_Carrier]:
     """Return each different carrier with each different start of its burst."""
     frequencies, starts, file = actuator_frequencies(scene), actuator_delays(scene), None
-    if scene.drive.signal is not None:
+    if (signal := scene.drive.signal) is not None:
         # Squaring doubles the band of a file, so only half of it may be filled.
-        file = resample(read_samples(scene.drive.signal, folder), time_step, steps, 1 / _square(scene))
+        file = resample(read_samples(signal, folder, starts.size), time_step, steps, 1 / _square(scene))
+        if signal.per_actuator:
+            shaped = [_envelope(scene, time_step, steps, start) for start in starts.tolist()]
+            channels = enumerate(zip(file, np.eye(starts.size), shaped, strict=True), 1)
+            return [_Carrier(*channel, 0.0, number) for number, channel in channels]
         frequencies = np.zeros(starts.size)
     carriers = []
     for start in dict.fromkeys(starts.tolist()):
@@ -259,7 +265,7 @@ def _terms(scene: Scene, steps: int, carriers: list[_Carrier]) -> _Terms:
         squared = envelope(2)
         # Only a file changes in magnitude.
         size = flat if frequency and not shaped else flat * squared * np.abs(wave) ** 2
-        key = (2 * shaped, group if shaped else 0.0, 0.0, 0 if frequency else -1)
+        key = (2 * shaped, group if shaped or not frequency else 0.0, 0.0, 0 if frequency else -1)
         add(key, size, "|Z|²", square.gain / 2 * driven)
         key = (2 * shaped, group, 2 * frequency, 2 * power)
         add(key, squared * wave**2, "Re Z²", square.gain / 2 * driven)

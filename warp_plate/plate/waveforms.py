@@ -104,34 +104,41 @@ def step_means(integral: Callable[[np.ndarray], np.ndarray], time_step: float, s
 class Samples:
     """A sampled signal."""
 
-    values: np.ndarray  # (samples,) real, with the gain
+    values: np.ndarray  # (samples,) real, with the gain; (channels, samples) with a channel for each actuator
     rate: float  # Samples per second
     start: float  # Time of the first sample [s]
     repeat: bool  # Repeat the signal instead of silence after its end
 
     def analytic(self) -> np.ndarray:
-        """Return (samples,) complex analytic signal, padded with silence unless it repeats."""
-        count = self.values.size
+        """Return the complex analytic signal, shaped as the values, padded with silence unless it repeats."""
+        count = self.values.shape[-1]
         padded = count if self.repeat else scipy.fft.next_fast_len(2 * count)
-        analytic: np.ndarray = scipy.signal.hilbert(self.values, padded)[:count]
+        analytic: np.ndarray = scipy.signal.hilbert(self.values, padded)[..., :count]
         return analytic
 
     def highest_frequency(self) -> float:
         """Return the frequency [Hz] below which 99 % of the energy lies; the rest may stem from the file's ends."""
-        energy = np.cumsum(np.abs(np.fft.rfft(self.values)) ** 2)
-        return float(np.searchsorted(energy, 0.99 * energy[-1]) * self.rate / self.values.size)
+        energy = np.cumsum((np.abs(np.fft.rfft(np.atleast_2d(self.values))) ** 2).sum(axis=0))
+        return float(np.searchsorted(energy, 0.99 * energy[-1]) * self.rate / self.values.shape[-1])
 
 
-def read_samples(table: SampledSignal, folder: Path | None) -> Samples:
+def read_samples(table: SampledSignal, folder: Path | None, actuators: int = 1) -> Samples:
     """Return the signal of the file that ``[drive.signal]`` names in the scene's folder.
+
+    Args:
+        actuators: Number of channels of a file with ``per_actuator``.
 
     Raises:
         SceneError: There is no such file, it is too large, or it is not what its ending says.
     """
     data = read_beside("drive.signal.file", table.file, folder)
     try:
-        values, rate, start = _csv(data, table.rate) if table.file.lower().endswith(".csv") else (*_wav(data), 0.0)
-        if not 2 <= values.size <= MOST_SAMPLES:
+        channels = actuators if table.per_actuator else 1
+        if table.file.lower().endswith(".csv"):
+            values, rate, start = _csv(data, table.rate, channels)
+        else:
+            values, rate, start = *_wav(data, channels, table.per_actuator), 0.0
+        if values.shape[1] < 2 or values.size > MOST_SAMPLES:
             raise ValueError(f"{values.size} samples; 2 to {MOST_SAMPLES} are possible")
         if not np.isfinite(values).all() or np.abs(values).max() > LOUDEST:
             raise ValueError(f"a sample is no number, or larger than {LOUDEST:g}")
@@ -141,11 +148,12 @@ def read_samples(table: SampledSignal, folder: Path | None) -> Samples:
             raise ValueError(f"{rate:g} samples a second; {SLOWEST:g} to {FASTEST:g} are possible")
     except ValueError as error:
         raise SceneError(f"drive.signal.file = {table.file!r}: {error}") from None
-    return Samples(values * table.gain, rate, start, table.repeat)
+    values = values * table.gain
+    return Samples(values if table.per_actuator else values[0], rate, start + table.start, table.repeat)
 
 
 def resample(samples: Samples, time_step: float, steps: int, band: float = 1.0) -> np.ndarray:
-    """Return (steps,) analytic signal at t = n·time_step, low-passed to ``band`` times the steps' Nyquist frequency.
+    """Return (..., steps) analytic signal at t = n·time_step, low-passed to ``band`` of the steps' Nyquist frequency.
 
     Each value is the sum of the samples around it under a sinc with a Kaiser window, as wide as the slower rate asks.
     Frequencies up to 0.9 of the lower band limit pass within 1e-3; those above the limit are 80 dB down.
@@ -162,7 +170,7 @@ def resample(samples: Samples, time_step: float, steps: int, band: float = 1.0) 
 
 
 def sample_at(samples: Samples, times: np.ndarray, band: float = 1.0) -> np.ndarray:
-    """Return (times,) analytic signal at times from 0 on [s], low-passed to ``band`` times its own Nyquist frequency.
+    """Return (..., times) analytic signal at times from 0 on [s], low-passed to ``band`` of its own Nyquist frequency.
 
     See :func:`resample`.
     """
@@ -171,24 +179,24 @@ def sample_at(samples: Samples, times: np.ndarray, band: float = 1.0) -> np.ndar
     distance = np.linspace(0, HALF_WIDTH, HALF_WIDTH * TABLE_STEPS + 1)
     window = np.i0(BETA * np.sqrt(1 - (distance / HALF_WIDTH) ** 2)) / np.i0(BETA)
     table = PASSED * band * np.sinc(PASSED * distance) * window
-    carrier = np.zeros(times.size, dtype=complex)
-    block = max(1, BLOCK // reach.size)
+    *channels, count = analytic.shape
+    carrier = np.zeros((*channels, times.size), dtype=complex)
+    block = max(1, BLOCK // (reach.size * math.prod(channels)))
     for first in range(0, times.size, block):
         index_of = np.arange(first, min(first + block, times.size))
         place = (times[index_of] - samples.start) * samples.rate
-        heard = place >= 0 if samples.repeat else (place > reach[0]) & (place < analytic.size + reach[-1])
+        heard = place >= 0 if samples.repeat else (place > reach[0]) & (place < count + reach[-1])
         index_of, place = index_of[heard], place[heard]
         index = np.floor(place).astype(np.int64)[:, None] + reach
         weight = np.interp(np.abs(place[:, None] - index) * band, distance, table, right=0.0)
         if not samples.repeat:
-            weight *= (index >= 0) & (index < analytic.size)
-        near = analytic[index % analytic.size]
-        carrier[index_of] = np.einsum("nm,nm->n", near, weight)
+            weight *= (index >= 0) & (index < count)
+        carrier[..., index_of] = np.einsum("...nm,nm->...n", analytic[..., index % count], weight)
     return carrier
 
 
-def _wav(data: bytes) -> tuple[np.ndarray, float]:
-    """Return values and rate of a RIFF WAVE file of integers of 8 to 32 bits or floating point."""
+def _wav(data: bytes, channels: int, per_actuator: bool) -> tuple[np.ndarray, float]:
+    """Return values (channels, samples) and rate of a RIFF WAVE file of integers of 8 to 32 bits or floating point."""
     if data[:4] != b"RIFF" or data[8:12] != b"WAVE":
         raise ValueError("not a WAV file")
     chunks: dict[bytes, bytes] = {}
@@ -203,34 +211,41 @@ def _wav(data: bytes) -> tuple[np.ndarray, float]:
     form, body = chunks.get(b"fmt ", b""), chunks.get(b"data", b"")
     if len(form) < 16:
         raise ValueError("a WAV file without its format")
-    code, channels, rate, _, _, bits = struct.unpack_from("<HHIIHH", form)
+    code, stored, rate, _, _, bits = struct.unpack_from("<HHIIHH", form)
     if code == 0xFFFE and len(form) >= 26:  # extensible format
         (code,) = struct.unpack_from("<H", form, 24)
     if (code, bits) not in _WIDTHS:
         raise ValueError(f"a WAV file of format {code} with {bits} bits; write PCM or floating point")
-    if channels != 1:
-        raise ValueError(f"{channels} channels; write one")
-    raw = np.frombuffer(body[: len(body) // (bits // 8) * (bits // 8)], dtype=_WIDTHS[code, bits])
-    if code == 3:
-        return raw.astype(float), float(rate)
+    if stored != channels:
+        wanted = f"{channels}, one for each actuator" if per_actuator else "one, or per_actuator = true"
+        raise ValueError(f"{stored} channels; write {wanted}")
+    frame = channels * (bits // 8)
+    raw = np.frombuffer(body[: len(body) // frame * frame], dtype=_WIDTHS[code, bits])
     if bits == 24:
         low, middle, high = raw.reshape(-1, 3).astype(np.int32).T
         raw = (low + (middle << 8) + (high << 16) + 2**23) % 2**24 - 2**23
-    return (raw.astype(float) - 128 * (bits == 8)) / 2.0 ** (bits - 1), float(rate)
+    values = raw.reshape(-1, channels).T.astype(float)
+    return values if code == 3 else (values - 128 * (bits == 8)) / 2.0 ** (bits - 1), float(rate)
 
 
-def _csv(data: bytes, rate: float | None) -> tuple[np.ndarray, float, float]:
-    """Return values, rate and start of a text table."""
+def _csv(data: bytes, rate: float | None, channels: int) -> tuple[np.ndarray, float, float]:
+    """Return values (channels, samples), rate and start of a text table."""
     rows = number_rows(data)
     if len(rows) < 2:
         raise ValueError(f"{len(rows)} samples; at least 2 are needed")
     table = np.array([row for _, row in rows])
-    if table.shape[1] > 2:
-        raise ValueError(f"{table.shape[1]} columns instead of time and value, or one value")
-    if table.shape[1] == 1:
+    columns = table.shape[1]
+    if columns not in (channels, channels + 1):
+        each = (
+            "time and value, one value, or per_actuator = true"
+            if channels == 1
+            else f"{channels}, one for each actuator, or time first"
+        )
+        raise ValueError(f"{columns} columns instead of {each}")
+    if columns == channels:
         if rate is None:
-            raise ValueError("one column, so no times; write drive.signal.rate, the samples a second")
-        return table[:, 0], rate, 0.0
+            raise ValueError("no column of times; write drive.signal.rate, the samples a second")
+        return table.T, rate, 0.0
     if rate is not None:
         raise ValueError("has a column of times; delete drive.signal.rate")
     times = table[:, 0]
@@ -244,4 +259,4 @@ def _csv(data: bytes, rate: float | None) -> tuple[np.ndarray, float, float]:
         raise ValueError(f"times are not evenly spaced (sample {int(off.argmax()) + 1}); write one step throughout")
     if times[0] < 0:
         raise ValueError(f"starts at {times[0]:g} s; the run starts at 0")
-    return table[:, 1], 1 / step, float(times[0])
+    return table[:, 1:].T, 1 / step, float(times[0])

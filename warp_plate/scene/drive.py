@@ -47,8 +47,11 @@ class Chirp(Table):
 class SampledSignal(Table):
     """A carrier that is read from a file beside the scene file."""
 
-    file: str  # name of a WAV file with one channel, or of a CSV file with one column, or two with time [s] first
-    rate: Annotated[float, Field(ge=1e-3, le=1e7)] | None = None  # sampling rate of a CSV file with one column [1/s]
+    file: str  # name of a WAV file, or of a CSV file with a column for each channel, after a column of times [s] or not
+    # True if the file has a channel for each actuator, in the order of the scene; false if one channel drives them all
+    per_actuator: Flag = False
+    rate: Annotated[float, Field(ge=1e-3, le=1e7)] | None = None  # sampling rate of a CSV file without times [1/s]
+    start: Instant = 0.0  # time at which the file begins [s]; added to the times of a CSV file
     gain: Gain = 1.0  # factor on the samples; integer samples of a WAV file are scaled to −1 ... 1 before
     repeat: Flag = False  # true to start again at the end of the file instead of falling silent
 

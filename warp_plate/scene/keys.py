@@ -24,7 +24,7 @@ NAMED = ("actuators", "targets")
 UNITS = {
     **dict.fromkeys(("size", "thickness", "area", "clearance", "disc", "polygon", "points", "start", "place"), "m"),
     **dict.fromkeys(("time", "end", "duration", "ramp", "period", "delay", "delay.range"), "s"),
-    **dict.fromkeys(("time_step", "times", "from_time", "to_time", "window.start", "burst.start"), "s"),
+    **dict.fromkeys(("time_step", "times", "from_time", "to_time", "window.start", "burst.start", "signal.start"), "s"),
     **dict.fromkeys(("frequency", "end_frequency", "frequency.range"), "Hz"),
     **dict.fromkeys(("variation.thickness", "variation.young_modulus", "variation.density"), "1"),
     **dict.fromkeys(("robust.thickness", "robust.young_modulus", "robust.damping"), "1"),
