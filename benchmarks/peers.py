@@ -39,7 +39,7 @@ def main() -> int:
     """Run the contest that the command line asks for; 1 if no peer could run or one failed."""
     options = parse()
     record = {
-        "date": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
+        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "device": options.device,
         "seed": options.seed,
         "rounds": options.rounds,

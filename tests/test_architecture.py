@@ -2,15 +2,10 @@
 
 import ast
 import re
-import sys
+import tomllib
 from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 ROOT = Path(__file__).parents[1]
 # From the ground up. A room may import itself and the rooms of the floors below it.

@@ -139,7 +139,7 @@ class ExplorerPage:
                 self._answered.clear()
                 try:
                     await asyncio.wait_for(self._answered.wait(), ANSWER_TIMEOUT)
-                except asyncio.TimeoutError:
+                except TimeoutError:
                     self._taken = self._sent
 
     def _fit(self) -> bool:

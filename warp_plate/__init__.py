@@ -15,7 +15,7 @@ import os
 import sys
 from typing import TYPE_CHECKING
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # In a bare checkout the folders `kernels` and `viz` lie beside this package instead of inside it.
 if not os.path.isdir(os.path.join(__path__[0], "kernels")):

@@ -222,7 +222,8 @@ def matrices(scene, along_x, along_y):
         value, slope = side.ends[end]
         across = edge.translation * np.outer(value, value) + edge.rotation * np.outer(slope, slope)
         along = (other.values[0] * other.weights) @ other.values[0].T
-        support = support + scipy.sparse.kron(*((along, across) if axis == 0 else (across, along)))
+        factors = (along, across) if axis == 0 else (across, along)
+        support = support + scipy.sparse.kron(*map(scipy.sparse.csr_array, factors))
     for oscillator in effects.oscillators:
         x0, x1, y0, y1 = oscillator.area
         pull = np.zeros(support.shape[0])

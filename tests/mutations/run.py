@@ -15,12 +15,8 @@ import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 from pathlib import Path
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 HERE = Path(__file__).parent
 PRODUCT = ("kernels", "viz", "warp_plate")

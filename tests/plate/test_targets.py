@@ -206,6 +206,7 @@ def test_the_first_of_several_targets_is_the_target(tmp_path):
 
 
 def test_outlines(scene, tmp_path):
+    pytest.importorskip("contourpy", reason="contourpy is missing: pip install matplotlib")
     np.savetxt(tmp_path / "mask.csv", [[0, 0, 0, 0], [0, 1, 1, 0], [0, 0, 0, 0], [1, 1, 1, 1]], delimiter=",")
     disc, bent = {"disc": (0.1, 0.07, 0.05)}, {"polygon": L_SHAPE.tolist()}
     for target, length in (({"area": (0.0, 0.1, 0.0, 0.05)}, 0.3), (disc, 0.1 * math.pi), (bent, 0.5)):

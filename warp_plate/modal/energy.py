@@ -156,7 +156,8 @@ class _Motion:
                 (self.forced.conj(), columns.conj(), turn.conj()) if conjugate else (self.forced, columns, turn)
             )
             means = (rates.mT, turn), (decay, turn), (decay, poles.values)
-            sides.append((conjugate, forced.mT, free, *(mean_exponential(*pair, window) for pair in means)))
+            of_forced, across, of_free = (mean_exponential(*pair, window) for pair in means)
+            sides.append((conjugate, forced.mT, free, of_forced, across, of_free))
         found = []
         for region in regions:
             moved, shapes = multiply_modes(as_sparse(region), self.forced), poles.moved(region)

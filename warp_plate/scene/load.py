@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import re
-import sys
+import tomllib
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from warp_plate.scene.errors import SceneError
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 # A scene is about a page long; a larger file is something else. Maps belong in files of their own.
 MOST_BYTES = 2**22

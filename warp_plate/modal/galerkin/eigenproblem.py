@@ -71,7 +71,7 @@ def _parity_bases(galerkin: Galerkin) -> list[Matrix]:
     along_y, along_x = (
         _parities(count) if same else [np.eye(count)] for count, same in zip((rows, columns), alike, strict=True)
     )
-    return [Matrix(scipy.sparse.kron(y, x)) for y in along_y for x in along_x]
+    return [Matrix(scipy.sparse.kron(Matrix(y), Matrix(x))) for y in along_y for x in along_x]
 
 
 def _parities(count: int) -> list[np.ndarray]:
