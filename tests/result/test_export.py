@@ -9,6 +9,7 @@ import pytest
 from conftest import result_of
 from scipy.io import wavfile
 
+from warp_plate.plate.waveforms import read_samples
 from warp_plate.result import Case
 from warp_plate.result.export.paraview import write_pvd, write_vtkhdf
 from warp_plate.result.export.time_series import (
@@ -20,6 +21,7 @@ from warp_plate.result.export.time_series import (
     write_wav,
 )
 from warp_plate.scene import SceneError
+from warp_plate.scene.drive import SampledSignal
 
 NODES, SIZE, TIMES = (13, 9), (0.3, 0.2), (0.001, 0.0035, 0.012)
 POINTS = ((0.1, 0.05), (0.15, 0.1))
@@ -141,6 +143,18 @@ def test_a_wav_plays_the_drive(result, tmp_path, encoding, rate, share, error):
     comment = content[start : content.index(b"\0", start)].decode()
     assert 'channel 1 = left, "upper", channel 2 = größer & <right>' in comment
     assert comment.endswith(f"290.0 Hz; full scale = {signal.full_scale:.9g} N/m^2")
+
+
+def test_a_wav_of_24_bits_reads_back_as_a_signal(result, tmp_path):
+    """As the channels of ``[drive.signal]``, with an odd number of bytes of samples."""
+    signal = replace(make_drive_signal(result.scene, result.cases["best"], 48000, 0.1), samples=4799)
+    (path,) = write_wav(signal, tmp_path / "drive.wav", "pcm24")
+    read = read_samples(SampledSignal(file="drive.wav", per_actuator=True), tmp_path, 3)
+    expected = played(signal, signal.phasors).T * (1 - 2**-23)
+    np.testing.assert_allclose(read.values, expected, rtol=0, atol=0.51 / 2**23)
+    content = path.read_bytes()
+    assert len(content) == int.from_bytes(content[4:8], "little") + 8
+    assert len(content) % 2 == 0
 
 
 def test_a_drive_csv_plays_the_drive(result, tmp_path):

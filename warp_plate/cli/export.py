@@ -36,7 +36,7 @@ def export(
     rate: int | None = None,
     duration: float | None = None,
     full_scale: float | None = None,
-    encoding: Literal["float32", "pcm16"] | None = None,
+    encoding: Literal["float32", "pcm16", "pcm24"] | None = None,
     out: Path | None = None,
     json: options.Json = False,
 ) -> None:
@@ -59,7 +59,7 @@ def export(
         drive-wav and drive-csv: pressure in N/m² (or voltage) that 1.0 stands for (default: the drive's largest
         magnitude).
     encoding
-        drive-wav: float32 (default) or pcm16.
+        drive-wav: float32 (default), pcm16 or pcm24.
     out
         The file to write (default: RESULT with another ending, in this folder).
     """

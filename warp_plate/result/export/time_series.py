@@ -23,11 +23,11 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
 BLOCK = 2**16  # rows that are composed at once
-Encoding = Literal["float32", "pcm16"]
-FORMATS: dict[Encoding, tuple[int, int]] = {"float32": (3, 4), "pcm16": (1, 2)}  # WAVE_FORMAT and bytes a sample
+Encoding = Literal["float32", "pcm16", "pcm24"]
+# WAVE_FORMAT and bytes a sample.
+FORMATS: dict[Encoding, tuple[int, int]] = {"float32": (3, 4), "pcm16": (1, 2), "pcm24": (1, 3)}
 # Code of WAVE_FORMAT_EXTENSIBLE and the common end of the GUIDs of the formats in it.
 EXTENSIBLE, GUID_END = 0xFFFE, bytes.fromhex("0000 1000 8000 00aa 0038 9b71")
-PCM16_FULL_SCALE = 32767
 MOST_BYTES = 2**32 - 2**20  # a WAV file counts its bytes with 32 bits; 2**20 for the chunks before the samples
 TRIED_PERIODS = 10_000  # lengths that are compared to find the loop whose end is nearest to a sample
 
@@ -138,14 +138,23 @@ def write_wav(signal: DriveSignal, path: Path, encoding: Encoding = "float32") -
     if signal.rate * channels * size >= 2**32:
         raise SceneError(f"--rate {signal.rate}: too many for a WAV file of {channels} channels")
     head, length = _wav_head(signal, code, size), signal.samples * channels * size
+    padding = length % 2  # chunks begin at even bytes
     with atomic_paths(path) as (temporary,), temporary.open("wb") as file:
-        file.write(struct.pack("<4sI4s", b"RIFF", 4 + len(head) + 8 + length, b"WAVE"))
+        file.write(struct.pack("<4sI4s", b"RIFF", 4 + len(head) + 8 + length + padding, b"WAVE"))
         file.write(head + struct.pack("<4sI", b"data", length))
         for block in signal.blocks():
-            values = block[:, 1:]
-            integers = np.rint(values * PCM16_FULL_SCALE).astype("<i2")
-            file.write((integers if encoding == "pcm16" else values.astype("<f4")).tobytes())
+            file.write(_encode(block[:, 1:], encoding))
+        file.write(bytes(padding))
     return [path]
+
+
+def _encode(values: np.ndarray, encoding: Encoding) -> bytes:
+    """Return samples (samples, channels) as little-endian bytes; integers take 1.0 as their largest number."""
+    if encoding == "float32":
+        return values.astype("<f4").tobytes()
+    size = FORMATS[encoding][1]
+    integers = np.rint(values * (2 ** (8 * size - 1) - 1)).astype("<i4")
+    return integers.reshape(-1, 1).view(np.uint8)[:, :size].tobytes()
 
 
 def _wav_head(signal: DriveSignal, code: int, size: int) -> bytes:
