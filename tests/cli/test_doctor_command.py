@@ -4,7 +4,10 @@ import ctypes
 import json
 import os
 import sys
+import tomllib
+from email.message import Message
 from importlib import metadata
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -46,6 +49,29 @@ def machine(monkeypatch, tmp_path):
     nvidia.warn_of_unused_gpu.cache_clear()
 
 
+@pytest.fixture
+def installed(monkeypatch):
+    """A function that installs this checkout and all that it requires, in versions far ahead but for those given."""
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    stated = Message()
+    for extra, requirements in {None: project["dependencies"], **project["optional-dependencies"]}.items():
+        if extra:
+            stated["Provides-Extra"] = extra
+        for requirement in requirements:
+            stated["Requires-Dist"] = f'{requirement}; extra == "{extra}"' if extra else requirement
+
+    def make(**others):
+        def version(name):
+            if (found := others.get(name, "9999.0")) is None:
+                raise metadata.PackageNotFoundError(name)
+            return found
+
+        monkeypatch.setattr(metadata, "metadata", lambda name: stated)
+        monkeypatch.setattr(metadata, "version", version)
+
+    return make
+
+
 def checks(command):
     """The lines of the report by name."""
     status, out, _ = command("doctor", "--json")
@@ -58,9 +84,8 @@ def checks(command):
 def test_this_machine(command):
     found = checks(command)
     assert found["Python"]["text"].startswith(f"{sys.version_info.major}.{sys.version_info.minor}.")
-    assert found["Warp"]["text"].startswith(metadata.version("warp-lang"))
-    assert {"CPU", "kernels", "results", "pictures", "window", "browser", "packages", "extra uff"} <= found.keys()
-    assert found["packages"]["versions"]["numpy"] == metadata.version("numpy")
+    assert found["Warp"]["text"].startswith(wp.config.version)
+    assert {"CPU", "kernels", "results", "pictures", "window", "browser", "packages"} <= found.keys()
     for device in wp.get_cuda_devices():
         assert found[device.alias]["plates"] > 1000
         assert nvidia.driver_version() == wp.get_cuda_driver_version()
@@ -149,16 +174,24 @@ def test_a_device_that_warp_cannot_compile_for_is_refused(command, machine, monk
     assert "device = 'cuda:1': GTX 1080 has compute capability 6.1" in err
 
 
-def test_what_lacks_has_its_remedy(command, monkeypatch, tmp_path):
+def test_versions_of_installed_packages(command, installed):
+    installed(numpy="2.4.6")
+    found = checks(command)
+    assert found["packages"]["versions"].items() >= {"numpy": "2.4.6", "warp-lang": "9999.0"}.items()
+    assert found["extra test"]["versions"].keys() >= {"pytest", "pyuff", "trame", "vtk"}  # those of its extras too
+
+
+def test_a_checkout_that_is_not_installed(command, monkeypatch):
+    def missing(name):
+        raise metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(metadata, "metadata", missing)
+    assert checks(command)["packages"]["text"] == "warp-plate is not installed, only found: pip install -e ."
+
+
+def test_what_lacks_has_its_remedy(command, installed, monkeypatch, tmp_path):
     """Folders that cannot be written, and packages that are old or missing; kernels and requirements are needed."""
-    real = metadata.version
-
-    def version(name):
-        if name == "pyuff":
-            raise metadata.PackageNotFoundError(name)
-        return {"cma": "3.9.9", "h5py": "1.0"}.get(name) or real(name)
-
-    monkeypatch.setattr(metadata, "version", version)
+    installed(pyuff=None, cma="3.9.9", h5py="1.0")
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path / "gone"))
     found = checks(command)
     assert "WARP_CACHE_PATH" in found["kernels"]["text"]

@@ -80,7 +80,7 @@ def _check_devices() -> Iterator[Diagnosis]:
     except SceneError as error:  # Warp makes the folder when it starts
         yield Diagnosis("kernels", "error", str(error))
         return
-    version, toolkit = metadata.version("warp-lang"), nvidia.toolkit_version()
+    version, toolkit = nvidia.warp_version(), nvidia.toolkit_version()
     yield Diagnosis("Warp", "ok", f"{version}, {f'for CUDA {nvidia.dotted(toolkit)}' if toolkit else 'without CUDA'}")
     if devices.can_compile_for_cpu():
         yield Diagnosis("CPU", "ok", f"{devices.processor_of(cpu)}, {devices.cpu_threads()} threads")

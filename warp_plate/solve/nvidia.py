@@ -25,6 +25,11 @@ def cuda_devices() -> list[wp.Device]:
     return list(wp.get_cuda_devices())
 
 
+def warp_version() -> str:
+    """Return the version of Warp, which has metadata only where pip installed it."""
+    return str(wp.config.version)
+
+
 def toolkit_version() -> tuple[int, int] | None:
     """Return the version of CUDA that Warp is built with; None without CUDA."""
     version: tuple[int, int] | None = wp.get_cuda_toolkit_version()
