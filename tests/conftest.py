@@ -45,6 +45,9 @@ wp.config.log_level = wp.LOG_WARNING
 hypothesis.settings.register_profile("fixed", deadline=None, derandomize=True)
 hypothesis.settings.register_profile("seeded", deadline=None)
 
+# Whether attacks take an hour, by ``-m hour``, not a minute.
+HOUR = False
+
 # The plate of the source paper.
 MATERIAL = {"thickness": 5e-4, "young_modulus": 1e9, "poisson_ratio": 0.33, "density": 1000.0}
 PAPER = preset_text("paper")
@@ -139,7 +142,21 @@ def pytest_addoption(parser):
     parser.addoption("--seed", type=int, help="seed of the tests' random inputs (default: 0)")
 
 
+def examples(count):
+    """Return the settings of an attack of ``count`` examples, or of sixty times as many with ``-m hour``."""
+    return hypothesis.settings(
+        max_examples=count * (60 if HOUR else 1), suppress_health_check=[hypothesis.HealthCheck.function_scoped_fixture]
+    )
+
+
+def pytest_collection_modifyitems(items):
+    for item in items if HOUR else ():
+        item.add_marker(pytest.mark.timeout(7200))
+
+
 def pytest_configure(config):
+    global HOUR
+    HOUR = "hour" in config.getoption("markexpr")
     seed = config.getoption("seed")
     hypothesis.settings.load_profile("fixed" if seed is None else "seeded")
     hypothesis.core.global_force_seed = seed

@@ -4,14 +4,13 @@ import json
 
 import numpy as np
 import pytest
-from conftest import scene_of
+from conftest import examples, scene_of
 from forged import ARRAYS, VALUES, forge, places, set_attribute, set_dataset
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from warp_plate import CheckpointFile, SceneError, load_checkpoint, localize, resume
 
-KEPT = settings(max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture])
 SEARCHES = {
     "pso": {"particles": 4, "iterations": 3},
     "gradient": {"method": "gradient", "particles": 4, "iterations": 3},
@@ -43,7 +42,8 @@ def resume_or_refuse(path):
             assert 0 <= case.localization_factor <= 1
 
 
-@KEPT
+@pytest.mark.hour
+@examples(10)
 @given(place=st.integers(0, 10**6), value=st.sampled_from(VALUES), way=st.sampled_from(list(ARRAYS)))
 def test_any_value_in_any_place(place, value, way, saved):
     known = places(saved.with_suffix(".right"))
@@ -59,7 +59,8 @@ def test_any_value_in_any_place(place, value, way, saved):
     resume_or_refuse(saved)
 
 
-@KEPT
+@pytest.mark.hour
+@examples(10)
 @given(data=st.data())
 def test_any_value_in_the_numbers_of_a_state(data, saved):
 

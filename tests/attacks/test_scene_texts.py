@@ -6,8 +6,8 @@ What is quadratic takes hours for these lengths, which the time limit of all tes
 from pathlib import Path
 
 import pytest
-from conftest import PAPER
-from hypothesis import example, given, settings
+from conftest import PAPER, examples
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from warp_plate import Scene, SceneError
@@ -17,11 +17,12 @@ FRAGMENTS = ['\\"', '"', "'", '"""', "'''", '\\"""\n', "\\", "a.", '"a".', "a ",
 FRAGMENTS += ["\n", "\r\n", "\t", "1_", "0x", "a=1\n", 'a="x\n', "\0", "é", "title=", PAPER[:300], PAPER]
 
 
+@pytest.mark.hour
 @given(st.lists(st.sampled_from(FRAGMENTS), max_size=4), st.lists(st.sampled_from(FRAGMENTS), min_size=1, max_size=3))
 @example([], ['\\"'])
 @example([], ['\\"""\n'])
 @example(['title = "'], ['\\"'])
-@settings(max_examples=60)
+@examples(60)
 def test_repeated_fragments(start, repeated):
     piece = "".join(repeated)
     text = "".join(start) + piece * max(1, 2**18 // len(piece)) + "\\"
