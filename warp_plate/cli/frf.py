@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from warp_plate.result.frequency_response import FrequencyResponse
     from warp_plate.scene.model import Scene
+    from warp_plate.studies.impulse_response import ImpulseResponse
 
 PICTURES = (".png", ".svg", ".pdf")
 Format = Literal["csv", "uff", "hdf5"]
@@ -37,6 +38,8 @@ def frf(
     at: Annotated[list[str] | None, Parameter(negative="", allow_leading_hyphen=True)] = None,
     range: str | None = None,
     quantity: Quantity = "mobility",
+    impulse: float | None = None,
+    rate: int = 48000,
     to: Annotated[list[Format] | None, Parameter(negative="")] = None,
     out: Path | None = None,
     force: options.Force = False,
@@ -60,6 +63,11 @@ def frf(
         drive's frequency if that is lower, to twice the drive's frequency, and at least to the sixth mode).
     quantity
         Displacement (receptance), velocity (mobility) or acceleration (accelerance) per force.
+    impulse
+        Write responses to an impulse of 1 N·s over so many seconds instead, as CSV (default: SCENE-impulse.csv in this
+        folder), from the modes up to HIGH of --range; there is no picture.
+    rate
+        Samples a second of --impulse.
     to
         File with the numbers; may be repeated: csv; uff, dataset 58 of the universal file format (needs the extra uff);
         hdf5, which xarray opens.
@@ -69,8 +77,11 @@ def frf(
     """
     from warp_plate.result.export.frequency_response import WRITERS, missing_uff
 
+    if impulse is not None and to:
+        raise SceneError(f"--to {to[0]}: --impulse writes CSV alone; leave it out")
     by_ending = {ending: name for name, (ending, _) in WRITERS.items()}
-    target = output.output_file(out, f"{Path(scene).stem}-frf.png", (*PICTURES, *by_ending))
+    default, endings = ("frf.png", (*PICTURES, *by_ending)) if impulse is None else ("impulse.csv", (".csv",))
+    target = output.output_file(out, f"{Path(scene).stem}-{default}", endings)
     formats = [*(to or ()), *([by_ending[target.suffix.lower()]] if target.suffix.lower() in by_ending else ())]
     if "uff" in formats and (problem := missing_uff()) is not None:
         raise SceneError(f"--to uff: {problem}")
@@ -84,6 +95,15 @@ def frf(
     sources = [_source(loaded, text) for text in inputs or ()]
     check_on_plate(loaded, points, "--at")
     check_on_plate(loaded, sources, "--from")
+    if impulse is not None:
+        from warp_plate.studies.impulse_response import compute_impulse_response
+
+        highest = None if limits is None else limits[1]
+        with output.scene_errors(scene), _errors_of_range(range):
+            impulses = compute_impulse_response(loaded, sources, points, impulse, rate, highest, quantity)
+        written = _write_impulses(impulses, target), None
+        output.report(json, partial(_impulses_as_json, impulses), partial(_print_impulses, impulses), written)
+        return
     with output.scene_errors(scene), _errors_of_range(range):
         found = compute_frequency_response(loaded, sources, points, limits, quantity)
     written = _write(found, target, formats, pictures)
@@ -147,6 +167,27 @@ def _write(found: FrequencyResponse, target: Path, formats: list[Format], pictur
     with atomic_paths(picture) as (temporary,):
         draw_frequency_response(found, temporary)
     return [*written, picture], None
+
+
+def _write_impulses(found: ImpulseResponse, path: Path) -> list[Path]:
+    from warp_plate.result.export.time_series import write_table
+
+    heading = ["time [s]", *(f"{label} [{found.unit}]" for label in found.labels)]
+    return write_table(path, heading, [np.column_stack([found.times, *found.responses.reshape(len(found.labels), -1)])])
+
+
+def _impulses_as_json(found: ImpulseResponse) -> dict[str, object]:
+    return output.attributes(found, "unit", "labels", "times", "responses", "highest", "modes")
+
+
+def _print_impulses(found: ImpulseResponse, console: Console) -> None:
+    console.print(f"Responses to 1 N·s by {found.modes} modes up to {found.highest:g} Hz\n")
+    made = output.table("response", f"largest ({found.unit})", "at (ms)")
+    rows = found.responses.reshape(len(found.labels), -1)
+    for label, values in list(zip(found.labels, rows, strict=True))[:MOST_ROWS]:
+        peak = int(np.abs(values).argmax())
+        made.add_row(label, f"{values[peak]:.4g}", f"{1e3 * found.times[peak]:.4g}")
+    console.print(made)
 
 
 def _as_json(found: FrequencyResponse) -> dict[str, object]:

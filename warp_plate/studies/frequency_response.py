@@ -56,12 +56,12 @@ def compute_frequency_response(
     """
     scene = Scene.load(scene)
     inputs = inputs or [actuator.name for actuator in scene.actuators]
-    points = points or scene.record.points or _target_middles(scene)
-    _check(scene, frequency_range)
+    points = points or scene.record.points or target_middles(scene)
+    check_linear(scene, frequency_range)
     check_on_plate(scene, [*points, *inputs])
     low, high = frequency_range or default_range(scene)
     plate = solve_modes(scene, high)
-    places, forces = _input_forces(plate, inputs)
+    places, forces = input_forces(plate, inputs)
     frequencies = adaptive_frequencies(*plate.resonances, low, high)
     responses, factor, bound, velocity = _responses(plate, frequencies, forces, plate.at_points(points))
     shown = (plate.frequencies >= low) & (plate.frequencies <= high)
@@ -88,7 +88,7 @@ def respond_to_drive(scene: Scene, frequencies: np.ndarray) -> tuple[np.ndarray,
     Raises:
         SceneError: The scene is not linear, or see :func:`solve_modes`.
     """
-    _check(scene, None)
+    check_linear(scene, None)
     plate = solve_modes(scene, frequencies.max())
     forces = plate.actuator_forces() @ scene_phasors(scene)[:, None]
     nowhere = np.zeros((len(forces), 0))
@@ -104,7 +104,7 @@ def default_range(scene: Scene) -> tuple[float, float]:
     return float(0.5 * min(natural[0], drive)), float(max(2 * drive, 1.05 * natural[-1]))
 
 
-def _target_middles(scene: Scene) -> list[Point]:
+def target_middles(scene: Scene) -> list[Point]:
     """Return the middle of the bounding box of each target [m]; of a mask, the middle of the plate."""
     width, height = scene.plate.size
     middles = []
@@ -125,7 +125,7 @@ def check_on_plate(scene: Scene, places: Sequence[str | Point], label: str = "po
             raise SceneError(f"{label} {x:g},{y:g}: is off the plate of {width:g} × {height:g} m")
 
 
-def _check(scene: Scene, frequency_range: tuple[float, float] | None) -> None:
+def check_linear(scene: Scene, frequency_range: tuple[float, float] | None) -> None:
     """Raise a SceneError unless the scene is linear and the range is one."""
     if scene.nonlinear_table is not None:
         raise SceneError(f"{scene.nonlinear_table}: frequency responses are those of a linear plate without it")
@@ -134,7 +134,7 @@ def _check(scene: Scene, frequency_range: tuple[float, float] | None) -> None:
         raise SceneError(f"range {low:g}:{high:g}: must be two positive frequencies in hertz, the lower one first")
 
 
-def _input_forces(plate: ModalPlate, inputs: Sequence[str | Point]) -> tuple[np.ndarray, np.ndarray]:
+def input_forces(plate: ModalPlate, inputs: Sequence[str | Point]) -> tuple[np.ndarray, np.ndarray]:
     """Return (inputs, 2) middles [m] and (modes, inputs) modal forces [1/√kg] of 1 N on actuators or at points."""
     areas = {actuator.name: actuator.area for actuator in plate.scene.actuators}
     places, columns = [], []

@@ -109,16 +109,16 @@ def write_traces(result: Result, cases: Mapping[str, Case], path: Path) -> list[
         raise SceneError("holds no traces; add record.points = [[x, y], ...] (metres) to its scene and run it again")
     columns = [f"{name} u(x={x!r} y={y!r}) [m]" for name in cases for x, y in points]
     rows = np.column_stack([result.trace_times, *(case.trace.T for case in cases.values())])
-    return _write_table(path, ["time [s]", *columns], [rows])
+    return write_table(path, ["time [s]", *columns], [rows])
 
 
 def write_drive_csv(signal: DriveSignal, path: Path) -> list[Path]:
     """Write the time [s] and each actuator's signal, with the full scale in the header; return the path."""
     heading = ["time [s]", *(f"{name} [1 = {signal.full_scale_text}]" for name in signal.names)]
-    return _write_table(path, heading, signal.blocks())
+    return write_table(path, heading, signal.blocks())
 
 
-def _write_table(path: Path, heading: list[str], blocks: Iterable[np.ndarray]) -> list[Path]:
+def write_table(path: Path, heading: list[str], blocks: Iterable[np.ndarray]) -> list[Path]:
     """Write blocks of rows as comma-separated UTF-8 text, the first column with 15 digits and the others with 9."""
     with atomic_paths(path) as (temporary,), temporary.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n").writerow(heading)
