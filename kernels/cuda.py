@@ -51,6 +51,24 @@ def make_from_lane(real):
 
 
 @cache
+def make_pairs(real):
+    """Make ``read_pair`` and ``write_pair`` of two neighbouring numbers at an address that is a multiple of their size.
+
+    One access instead of two.
+    """
+    Pair = wp.types.vector(length=2, dtype=real)
+    name = "float2" if real is wp.float32 else "double2"
+
+    @wp.func_native(f"\nconst {name} pair = *(const {name}*)address;\nreturn {{pair.x, pair.y}};\n")
+    def read_pair(address: wp.uint64) -> Pair: ...
+
+    @wp.func_native(f"\n*({name}*)address = make_{name}(pair[0], pair[1]);\n")
+    def write_pair(address: wp.uint64, pair: Pair): ...
+
+    return read_pair, write_pair
+
+
+@cache
 def make_thread_part(real, length):
     """Make ``thread_part``: ``length`` numbers of a field from a byte offset on."""
 
@@ -59,6 +77,11 @@ def make_thread_part(real, length):
         return wp.array(ptr=field.ptr + offset, shape=(wp.static(length),), dtype=real)
 
     return thread_part
+
+
+@wp.func_native("\nreturn __any_sync(0xffffffffu, condition);\n")
+def any_lane(condition: bool) -> bool:
+    """Return whether the condition holds in a lane of the warp: the compiler then knows that all take one branch."""
 
 
 @wp.func_native("\n#if defined(__CUDA_ARCH__)\n__syncthreads();\n#endif\n")

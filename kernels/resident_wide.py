@@ -9,10 +9,11 @@ which only the first and the last warp have; all are kernel arguments.
 Rows are walked upwards, the curvature two rows ahead of the displacement, which is overwritten as soon as the curvature
 two rows above, the last to need it, is known. Where a plate takes several warps, the outermost four rows of each strip
 go through shared memory, in two buffers that take turns, so that a step has one barrier; a warp computes the curvature
-of the two rows outside its strip by itself.
+of the two rows outside its strip by itself. Where registers are short, the sums of rate² are in shared memory too.
 """
 
 from functools import cache
+from itertools import product
 
 import warp as wp
 
@@ -31,22 +32,25 @@ BORDER = 4
 def plan_strips(nx, ny, real, shared_bytes):
     """Return the plan with the fewest strips for a plate of this size, or None where it does not fit.
 
+    With the sums in shared memory a multiprocessor has one block, and the most strips are the fastest.
+
     Args:
         shared_bytes: Most shared memory of a block on the device.
     """
     columns = -(-nx // LANES)
     words = 1 if real is wp.float32 else 2
-    for warps in range(1, 33):
+    for squares_shared, warps in [*product([False], range(1, 33)), *product([True], range(32, 0, -1))]:
         rows = -(-ny // warps)
         # The first and the last strip hold all rows with taps of their own.
         if rows > LANES or (warps - 1) * rows > ny - BORDER or rows < BORDER + 1:
             continue
         registers = cuda.most_registers(warps)
-        # Displacement, rate and sums, taps of both passes, rows of curvature, and addresses and the like.
-        needed = words * columns * (3 * rows + 10 + 7) + 30
-        shared = 4 * words * 2 * 2 * BORDER * columns * LANES * (warps + 2)
+        # Displacement, rate and sums (if kept there), taps of both passes, rows of curvature, addresses and the like.
+        needed = words * columns * ((2 if squares_shared else 3) * rows + 10 + 7) + 30
+        squares = rows * warps if squares_shared else 0
+        shared = 4 * words * columns * LANES * (2 * 2 * BORDER * (warps + 2) + squares)
         if needed <= registers and shared <= shared_bytes:
-            return StripPlan(columns, rows, warps, registers)
+            return StripPlan(columns, rows, warps, registers, squares_shared)
     return None
 
 
@@ -82,7 +86,9 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
     # A buffer has 2·BORDER rows for each strip. Strips 0 and warps + 1 are below and above the plate: zeros.
     line = columns * LANES
     buffer = (warps + 2) * 2 * BORDER * line
-    shared_size = 2 * buffer if warps > 1 else 1
+    squares_in_registers, squares_in_shared = summed and not plan.squares_shared, summed and plan.squares_shared
+    shared_size = (2 * buffer if warps > 1 else 1) + (rows * columns * threads if squares_in_shared else 0)
+    squares_at = shared_size - rows * columns * threads
     Taps = wp.types.vector(length=5, dtype=real)
     Row = wp.types.vector(length=columns, dtype=real)
     Around = wp.types.vector(length=columns + 4, dtype=real)
@@ -90,7 +96,7 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
     Displacements = wp.types.matrix(shape=(rows + 2 * BORDER, columns), dtype=real)
     Curvatures = wp.types.matrix(shape=(rows + 4, columns), dtype=real)
     Strip = wp.types.matrix(shape=(rows, columns), dtype=real)
-    Squares = wp.types.matrix(shape=(rows, columns) if summed else (1, 1), dtype=real)
+    Squares = wp.types.matrix(shape=(rows, columns) if squares_in_registers else (1, 1), dtype=real)
     ColumnTaps = wp.types.matrix(shape=(columns, 5), dtype=real)
     # Row j, column c of a thread's part is at j·stride + c, an offset that the compiler knows.
     thread_part = make_thread_part(real, (rows - 1) * stride + columns)
@@ -198,9 +204,9 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
                     if x0 + c < wp.static(nx):
                         strip_u[j + BORDER, c] = global_u[wp.static(j * stride + c)]
                         strip_rate[j, c] = global_rate[wp.static(j * stride + c)]
-                        if wp.static(summed):
+                        if wp.static(squares_in_registers):
                             squared[j, c] = global_squares[wp.static(j * stride + c)]
-        if wp.static(warps > 1):
+        if wp.static(shared_size > 1):
             for m in range(thread, wp.static(shared_size), wp.static(threads)):
                 shared[m] = real(0.0)
             barrier()
@@ -286,8 +292,11 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
                         new = update(strip_rate[r - 4, c], biharmonic[c], load[c], row_stiffness[c], p)
                         strip_rate[r - 4, c] = new
                         strip_u[r, c] = strip_u[r, c] + new
-                        if wp.static(summed):
+                        if wp.static(squares_in_registers):
                             squared[r - 4, c] = squared[r - 4, c] + new * new
+                        if wp.static(squares_in_shared):
+                            slot = wp.static(squares_at + ((r - 4) * columns + c) * threads) + thread
+                            shared[slot] = shared[slot] + new * new
 
         for j in range(wp.static(rows)):
             if y0 + j <= wp.static(ny):
@@ -295,7 +304,11 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
                     if x0 + c < wp.static(nx):
                         global_u[wp.static(j * stride + c)] = strip_u[j + BORDER, c]
                         global_rate[wp.static(j * stride + c)] = strip_rate[j, c]
-                        if wp.static(summed):
+                        if wp.static(squares_in_registers):
                             global_squares[wp.static(j * stride + c)] = squared[j, c]
+                        if wp.static(squares_in_shared):
+                            slot = wp.static(squares_at + (j * columns + c) * threads) + thread
+                            before = global_squares[wp.static(j * stride + c)]
+                            global_squares[wp.static(j * stride + c)] = before + shared[slot]
 
     return run_steps

@@ -10,6 +10,7 @@ import pytest
 import warp as wp
 
 from warp_plate.kernels import (
+    moment_form_blocking,
     moment_form_cuda,
     moment_form_plan,
     resident_lanes,
@@ -41,6 +42,10 @@ def planned(effects, nodes, shared_bytes):
     real, stride = wp.float32, -(-nodes // 16) * 16
     if effects.moments:
         plan = moment_form_plan.plan_block(nodes, nodes, real, effects, 0, few=False, shared_bytes=shared_bytes)
+        if not plan.on_chip:
+            levels, planes = 1 if effects.stretching else 3, moment_form_plan.material_planes(effects)
+            kernel = moment_form_blocking.make_advance_tiles(effects, real, nodes, nodes, stride, planes, levels, True)
+            return kernel, 128
         return moment_form_cuda.make_run_steps(effects, real, nodes, nodes, stride, 0, plan), plan.threads
     if effects.order == 2 and resident_lanes.fits(nodes, nodes):
         return resident_lanes.make_run_steps(effects, real, nodes, 0b11 << 5, True), 32
@@ -48,7 +53,7 @@ def planned(effects, nodes, shared_bytes):
     plan = kind.plan_strips(nodes, nodes, real, shared_bytes)
     if plan is not None:
         return kind.make_run_steps(effects, real, nodes, nodes, stride, plan, True), 32 * plan.warps
-    blocking, levels = (temporal_blocking_wide, 2) if effects.order == 4 else (temporal_blocking, 3)
+    blocking, levels = (temporal_blocking_wide, 2) if effects.order == 4 else (temporal_blocking, 5)
     return blocking.make_advance_tiles(effects, real, nodes, nodes, stride, levels, True), 128
 
 

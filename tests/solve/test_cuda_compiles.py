@@ -14,6 +14,7 @@ from warp_plate.kernels import (
     limits,
     load,
     moment_form,
+    moment_form_blocking,
     moment_form_cuda,
     moment_form_plan,
     resident_lanes,
@@ -70,6 +71,10 @@ def cuda_kernels(effects, real):
             assert plan.on_chip == bool(plan.in_registers) == (nx < HUGE[0])
             kernel = moment_form_cuda.make_run_steps(effects, real, nx, ny, stride, oscillators, plan)
             yield "moment_form_cuda.make_run_steps", kernel
+        planes = moment_form_plan.material_planes(effects)
+        for levels, summed in ((1, False), (1 if effects.stretching else 3, True)):
+            kernel = moment_form_blocking.make_advance_tiles(effects, real, *LARGE, planes, levels, summed)
+            yield "moment_form_blocking.make_advance_tiles", kernel
         return
     yield "streaming.make_compute_curvature", streaming.make_compute_curvature(effects, real)
     yield "streaming.make_update_nodes", streaming.make_update_nodes(effects, real)
@@ -89,7 +94,7 @@ def cuda_kernels(effects, real):
         plan = resident_strips.plan_strips(nx, ny, real, SHARED_BYTES)
         kernel = resident_strips.make_run_steps(effects, real, nx, ny, stride, plan, summed)
         yield "resident_strips.make_run_steps", kernel
-    for levels, summed in ((1, False), (3, True)):
+    for levels, summed in ((1, False), (5, True)):
         kernel = temporal_blocking.make_advance_tiles(effects, real, *LARGE, levels, summed)
         yield "temporal_blocking.make_advance_tiles", kernel
 

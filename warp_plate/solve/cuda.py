@@ -10,25 +10,23 @@ import warp as wp
 from warp_plate.kernels import resident_lanes, resident_strips, resident_wide, temporal_blocking, temporal_blocking_wide
 from warp_plate.kernels.cuda import LANES
 from warp_plate.kernels.resident_strips import StripPlan
-from warp_plate.kernels.streaming import advance_clock, make_record_trace
 from warp_plate.plate.operator import INSIDE
 from warp_plate.scene.errors import SceneError
 from warp_plate.solve import streaming
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import Advance, State
-from warp_plate.solve.streaming import Launcher, repeat
+from warp_plate.solve.streaming import Launcher, several_steps_a_launch, split_at_window
 
 # Threads per block where each warp has its own plate.
 LANES_BLOCK = 32
 # Up to FEW_PLATES per multiprocessor the speed of a plate counts, and the compiler may use FEW_REGISTERS if at most
 # FEW_LOADED_ROWS rows are loaded; beyond, what counts is how many plates run side by side.
 FEW_PLATES, FEW_REGISTERS, FEW_LOADED_ROWS = 12, 160, 16
-# Launches that are recorded together; even, so that buffers that take turns end where they began.
-LAUNCHES = 16
-# Temporal blocking: steps per launch by order, and threads per block, whose warps are independent.
-LEVELS, STREAMING_BLOCK = {2: 3, 4: 2}, 128
-# Warps that keep a large GPU busy, and the fewest rows that pay for a tile with its margins.
-BUSY_WARPS, FEWEST_TILE_ROWS = 4096, 16
+# Temporal blocking: steps per launch by order and precision, and threads per block, whose warps are independent.
+LEVELS = {(2, wp.float32): 5, (2, wp.float64): 2, (4, wp.float32): 2, (4, wp.float64): 1}
+STREAMING_BLOCK = 128
+# Fewest rows of a tile, which must pay for its margins.
+FEWEST_TILE_ROWS = 4
 
 
 def fits_on_chip(specialized: Specialized) -> bool:
@@ -129,7 +127,7 @@ def _cuda_advance(
     specialized.load(*kernels.values(), block_dim=block_dim)
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
-        for low, high, summed in _split_at_window(specialized, start, stop):
+        for low, high, summed in split_at_window(specialized, start, stop):
             wp.launch(
                 kernels[summed],
                 dim=plates * threads,
@@ -145,7 +143,7 @@ def _cuda_advance(
 def streaming_path(specialized: Specialized) -> Advance:
     """Return the path with several steps per launch (one where traces are recorded)."""
     device, scheme = specialized.device, specialized.scheme
-    (nx, ny), most_levels = scheme.nodes, LEVELS[scheme.order]
+    (nx, ny), most_levels = scheme.nodes, LEVELS[scheme.order, specialized.real]
     blocking = temporal_blocking_wide if scheme.order == 4 else temporal_blocking
     kernels = {
         (levels, summed): blocking.make_advance_tiles(
@@ -154,52 +152,43 @@ def streaming_path(specialized: Specialized) -> Advance:
         for levels in (1, most_levels)
         for summed in (False, True)
     }
-    record_trace = make_record_trace(specialized.real)
     specialized.load(*kernels.values(), block_dim=STREAMING_BLOCK)
-    specialized.load(record_trace, advance_clock)
-    if scheme.order == 4:
-        taps = [scheme.aspect * np.array(INSIDE[4]), *specialized.taps]
-    else:
+    constants = {levels: _constants(specialized, blocking, levels) for levels in (1, most_levels)}
+
+    def launch_tiles(
+        launch: Launcher, state: State, plates: int, clock: wp.array, offset: int, levels: int, summed: bool
+    ) -> None:
+        strips = blocking.strips(nx, levels)
+        tiles = tiles_of(specialized, plates * strips, ny - 2)
+        launch(
+            kernels[levels, summed],
+            dim=plates * strips * tiles * LANES,
+            inputs=[*constants[levels], state.wave, clock, offset, tiles, -(-(ny - 2) // tiles)]
+            + [state.in_phase, state.quadrature, state.u, state.rate],
+            outputs=[state.u_next, state.rate_next, state.squares],
+            device=device,
+            block_dim=STREAMING_BLOCK,
+        )
+
+    return several_steps_a_launch(specialized, most_levels, launch_tiles)
+
+
+def tiles_of(specialized: Specialized, strips: int, rows: int) -> int:
+    """Return the tiles of a strip of so many rows, where there are so many strips, that keep the device busy."""
+    busy = temporal_blocking.WARPS * specialized.device.sm_count
+    return max(1, min(busy // strips, rows // FEWEST_TILE_ROWS))
+
+
+def _constants(specialized: Specialized, blocking: Any, levels: int) -> list[Any]:
+    """Return the first arguments of a streaming kernel: parameters, taps and loaded rows, zero beyond the plate."""
+    scheme, margin = specialized.scheme, blocking.REACH * levels
+    taps: list[Any]
+    if scheme.order == 2:
         taps = [specialized.to_device(taps.factors) for taps in (scheme.taps_x, scheme.taps_y)]
-    shared = [specialized.parameters, *taps, specialized.loaded]
-    clock = wp.zeros(1, dtype=int, device=device)
-
-    def launches(launch: Launcher, state: State, plates: int, count: int, levels: int, summed: bool) -> None:
-        strips = plates * blocking.strips(nx, levels)
-        tiles = max(1, min(-(-BUSY_WARPS // strips), (ny - 2) // FEWEST_TILE_ROWS))
-        for index in range(count):
-            launch(
-                kernels[levels, summed],
-                dim=strips * tiles * LANES,
-                inputs=[*shared, state.wave, clock, index * levels, tiles, -(-(ny - 2) // tiles)]
-                + [state.in_phase, state.quadrature, state.u, state.rate],
-                outputs=[state.u_next, state.rate_next, state.squares],
-                device=device,
-                block_dim=STREAMING_BLOCK,
-            )
-            state.u, state.u_next = state.u_next, state.u
-            state.rate, state.rate_next = state.rate_next, state.rate
-            streaming.record_nodes(launch, record_trace, state, plates, clock, index)
-        launch(advance_clock, dim=1, inputs=[clock, count * levels], device=device)
-
-    def advance(state: State, plates: int, start: int, stop: int) -> None:
-        clock.fill_(start)
-        levels = 1 if state.nodes.shape[0] else most_levels  # a trace needs every step
-        for low, high, summed in _split_at_window(specialized, start, stop):
-            blocks, rest = divmod(high - low, levels)
-            runs, blocks = divmod(blocks, LAUNCHES)
-            for _ in range(runs):
-                repeat(device, launches, state, plates, LAUNCHES, levels, summed)
-            if blocks:
-                launches(wp.launch, state, plates, blocks, levels, summed)
-            if rest:
-                launches(wp.launch, state, plates, rest, 1, summed)
-
-    return advance
-
-
-def _split_at_window(specialized: Specialized, start: int, stop: int) -> list[tuple[int, int, bool]]:
-    """Return (first, last + 1, inside) of the runs of steps before, inside and after the window."""
-    first, last = (min(max(step, start), stop) for step in specialized.scheme.window)
-    runs = ((start, first, False), (first, last, True), (last, stop, False))
-    return [run for run in runs if run[1] > run[0]]
+    else:
+        x, y, beyond = scheme.taps_x, scheme.taps_y, 2 * margin + 1
+        rows = [np.pad(scheme.aspect * taps, ((beyond, beyond), (0, 0))) for taps in (y.bend, y.move)]
+        taps = [scheme.aspect * np.array(INSIDE[4])]
+        taps += map(specialized.to_device, (x.bend, rows[0], x.move, rows[1]))
+    ahead = streaming.loaded_ahead(specialized, margin, margin + blocking.ROUND - blocking.REACH)
+    return [specialized.parameters, *taps, ahead]

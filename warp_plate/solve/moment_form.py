@@ -7,13 +7,24 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_plate.kernels import moment_form_cpu, moment_form_cuda, moment_form_plan
+from warp_plate.kernels import (
+    moment_form_blocking,
+    moment_form_cpu,
+    moment_form_cuda,
+    moment_form_plan,
+    temporal_blocking,
+)
+from warp_plate.kernels.cuda import LANES
 from warp_plate.kernels.moment_form import make_passes, make_structs
 from warp_plate.plate.bending import oscillator_shares
+from warp_plate.solve import cuda
 from warp_plate.solve.cpu import compiler_flags, distribute
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import Advance, State
-from warp_plate.solve.streaming import Launcher, step_by_step
+from warp_plate.solve.streaming import Launcher, loaded_ahead, several_steps_a_launch, step_by_step
+
+# Temporal blocking: threads per block, and rows of a tile that adds up sums.
+BLOCKING_BLOCK, SUMMED_ROWS = 128, 64
 
 
 def make_material(specialized: Specialized) -> Any:
@@ -85,7 +96,9 @@ def _make_fields(specialized: Specialized, state: State) -> Any:
 
 
 def streaming_path(specialized: Specialized) -> Advance:
-    """Return the path with a launch for each pass of a step."""
+    """Return the path of several steps per launch on CUDA, where the effects allow it, else with one for each pass."""
+    if specialized.device.is_cuda and takes_blocks(specialized):
+        return _blocking_path(specialized)
     device, (nx, ny), window = specialized.device, specialized.scheme.nodes, wp.vec2i(*specialized.scheme.window)
     kernels = make_passes(specialized.effects, specialized.real)
     specialized.load(*kernels)
@@ -114,6 +127,80 @@ def streaming_path(specialized: Specialized) -> Advance:
         steps(state, plates, start, stop)
 
     return advance
+
+
+def takes_blocks(specialized: Specialized) -> bool:
+    """Return whether temporal blocking has the effects: not those that act on patches at every step."""
+    return not (specialized.effects.oscillators or specialized.effects.moving_load)
+
+
+def _blocking_path(specialized: Specialized) -> Advance:
+    """Return the path of temporal blocking on CUDA."""
+    effects, real, (nx, ny), device = (
+        specialized.effects, specialized.real, specialized.scheme.nodes, specialized.device,
+    )  # fmt: skip
+    # More steps per launch than this cost registers that there are not; stretching needs a sum before each step.
+    most_levels = 1 if effects.stretching or real is wp.float64 else 2 if effects.material_damping else 3
+    names = moment_form_plan.material_planes(effects)
+    kernels = {
+        (levels, summed): moment_form_blocking.make_advance_tiles(
+            effects, real, nx, ny, specialized.stride, names, levels, summed
+        )
+        for levels in (1, most_levels)
+        for summed in (False, True)
+    }
+    specialized.load(*kernels.values(), block_dim=BLOCKING_BLOCK)
+    material = make_material(specialized)
+    planes = np.stack([_material_plane(material, name) for name in names])
+    constants = {levels: [material, *_planes_of_lanes(specialized, planes, levels)] for levels in (1, most_levels)}
+
+    # Sums must not depend on the number of plates.
+    summed_tiles = max(1, ny // SUMMED_ROWS)
+    parts = moment_form_blocking.strips(effects, nx, 1) * summed_tiles if effects.stretching else 0
+
+    def launch_tiles(
+        launch: Launcher, state: State, plates: int, clock: wp.array, offset: int, levels: int, summed: bool
+    ) -> None:
+        strips = plates * moment_form_blocking.strips(effects, nx, levels)
+        tiles = summed_tiles if effects.stretching else cuda.tiles_of(specialized, strips, ny)
+        sums = state.beside[kernels[1, True]]
+        launch(
+            kernels[levels, summed],
+            dim=strips * tiles * LANES,
+            inputs=[*constants[levels], state.wave, state.units, clock, offset, tiles, -(-ny // tiles)]
+            + [state.loads, sums[0], state.u, state.rate],
+            outputs=[sums[1], state.u_next, state.rate_next, state.squares],
+            device=device,
+            block_dim=BLOCKING_BLOCK,
+        )
+        sums.reverse()
+
+    steps = several_steps_a_launch(specialized, most_levels, launch_tiles)
+
+    def advance(state: State, plates: int, start: int, stop: int) -> None:
+        # Not within a launch, which may be recorded.
+        if kernels[1, True] not in state.beside:
+            shape = (state.capacity, parts)
+            state.beside[kernels[1, True]] = [wp.zeros(shape, dtype=real, device=device) for _ in range(2)]
+        if start == 0:
+            for sums in state.beside[kernels[1, True]]:
+                sums.zero_()
+        steps(state, plates, start, stop)
+
+    return advance
+
+
+def _planes_of_lanes(specialized: Specialized, planes: np.ndarray, levels: int) -> list[wp.array]:
+    """Return the material planes by pairs of columns, zero beyond the plate, and the loaded rows, for tiles."""
+    effects, (nx, ny), columns = specialized.effects, specialized.scheme.nodes, temporal_blocking.COLUMNS
+    margin = moment_form_blocking.margin_of(effects, levels)
+    width = moment_form_blocking.plane_width(effects, nx, levels)
+    beyond = 2 * margin + 1
+    padded = np.pad(planes, ((0, 0), (beyond, beyond), (margin, width - nx - margin)))
+    pairs = padded.reshape(len(planes), ny + 2 * beyond, width // columns, columns)
+    Row = wp.types.vector(length=columns, dtype=specialized.real)
+    material: wp.array = wp.array(pairs, dtype=Row, device=specialized.device)
+    return [material, loaded_ahead(specialized, margin, margin + temporal_blocking.ROUND - temporal_blocking.REACH)]
 
 
 def resident_path(specialized: Specialized) -> Advance:

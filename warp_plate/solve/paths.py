@@ -26,10 +26,14 @@ def paths_of(device: wp.Device, plain: bool = True) -> dict[str, MakePath]:
 
 def why_streaming(specialized: Specialized, traced: bool = False) -> str | None:
     """Return why plates (with ``traced`` points) do not run resident, or None if they do."""
-    if specialized.device.is_cpu or not specialized.effects.plain:
+    if specialized.device.is_cpu:
+        return None
+    nx, ny = specialized.scheme.nodes
+    if not specialized.effects.plain:
+        if moment_form.takes_blocks(specialized) and not moment_form.plan_of(specialized, few=False).on_chip:
+            return f"{nx} x {ny} nodes with their moments do not fit on one multiprocessor"
         return None
     if not cuda.fits_on_chip(specialized):
-        nx, ny = specialized.scheme.nodes
         return f"{nx} x {ny} nodes of order {specialized.scheme.order} do not fit on one multiprocessor"
     return "traces of points are taken between launches" if traced else None
 
@@ -39,9 +43,9 @@ def describe_plan(specialized: Specialized) -> str:
     device = specialized.device
     if device.is_cpu:
         return f"all steps of a plate in one launch, on {specialized.threads} threads"
+    if reason := why_streaming(specialized):
+        return f"one or a few steps a launch, for {reason}"
     if specialized.effects.plain:
-        if reason := why_streaming(specialized):
-            return f"one or a few steps a launch, for {reason}"
         plan = None if cuda.takes_lanes(specialized) else cuda.plan_of(specialized)
         return f"all steps in one launch, a plate on {plan.warps if plan else 1} warps of {LANES} threads"
     block = moment_form.plan_of(specialized, few=False)

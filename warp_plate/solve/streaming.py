@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 from warp_plate.kernels import streaming
@@ -13,10 +14,12 @@ from warp_plate.solve.state import Advance, State
 
 # ``wp.launch``, or a function with its arguments that records the launch instead.
 Launcher = Callable[..., Any]
-# Steps whose launches are recorded together.
+# Launches that are recorded together; even, so that buffers that take turns end where they began.
 STEPS = 16
 # (launch, state, plates, clock, offset): make the launches of step clock[0] + offset.
 Step = Callable[[Launcher, State, int, wp.array, int], None]
+# (launch, state, plates, clock, offset, levels, summed): make the launch of ``levels`` steps from clock[0] + offset on.
+LaunchTiles = Callable[[Launcher, State, int, wp.array, int, int, bool], None]
 
 
 def repeat(device: wp.Device, launches: Callable[..., object], state: State, *numbers: int) -> None:
@@ -78,6 +81,54 @@ def step_by_step(specialized: Specialized, step: Step) -> Advance:
         launches(wp.launch, state, plates, rest)
 
     return advance
+
+
+def several_steps_a_launch(specialized: Specialized, most_levels: int, launch_tiles: LaunchTiles) -> Advance:
+    """Return a path of temporal blocking: ``most_levels`` steps a launch, one where traced nodes are recorded."""
+    device, record_trace = specialized.device, streaming.make_record_trace(specialized.real)
+    specialized.load(record_trace, streaming.advance_clock)
+    clock = wp.zeros(1, dtype=int, device=device)
+
+    def launches(launch: Launcher, state: State, plates: int, count: int, levels: int, summed: bool) -> None:
+        for index in range(count):
+            launch_tiles(launch, state, plates, clock, index * levels, levels, summed)
+            state.u, state.u_next = state.u_next, state.u
+            state.rate, state.rate_next = state.rate_next, state.rate
+            record_nodes(launch, record_trace, state, plates, clock, index)
+        launch(streaming.advance_clock, dim=1, inputs=[clock, count * levels], device=device)
+
+    def advance(state: State, plates: int, start: int, stop: int) -> None:
+        clock.fill_(start)
+        levels = 1 if state.nodes.shape[0] else most_levels  # a trace needs every step
+        for low, high, summed in split_at_window(specialized, start, stop):
+            blocks, rest = divmod(high - low, levels)
+            runs, blocks = divmod(blocks, STEPS)
+            for _ in range(runs):
+                repeat(device, launches, state, plates, STEPS, levels, summed)
+            if blocks:
+                launches(wp.launch, state, plates, blocks, levels, summed)
+            if rest:
+                launches(wp.launch, state, plates, rest, 1, summed)
+
+    return advance
+
+
+def split_at_window(specialized: Specialized, start: int, stop: int) -> list[tuple[int, int, bool]]:
+    """Return (first, last + 1, inside) of the runs of steps before, inside and after the window."""
+    first, last = (min(max(step, start), stop) for step in specialized.scheme.window)
+    runs = ((start, first, False), (first, last, True), (last, stop, False))
+    return [run for run in runs if run[1] > run[0]]
+
+
+def loaded_ahead(specialized: Specialized, margin: int, rows: int) -> wp.array:
+    """Return bits of the loaded rows, ``rows`` of them from each on, from 2·margin below the tensor to as many above.
+
+    A round of temporal blocking moves these rows: bit b is set where the row b above is loaded.
+    """
+    padded = np.pad(np.array(specialized.loaded_rows, dtype=np.int32), (2 * margin, 2 * margin + rows))
+    count = specialized.rows + 4 * margin
+    ahead = np.sum([padded[bit : bit + count] << bit for bit in range(rows)], axis=0)
+    return wp.array(ahead.astype(np.int32), dtype=int, device=specialized.device)
 
 
 def streaming_path(specialized: Specialized) -> Advance:
