@@ -101,8 +101,8 @@ def frf(
         highest = None if limits is None else limits[1]
         with output.scene_errors(scene), _errors_of_range(range):
             impulses = compute_impulse_response(loaded, sources, points, impulse, rate, highest, quantity)
-        written = _write_impulses(impulses, target), None
-        output.report(json, partial(_impulses_as_json, impulses), partial(_print_impulses, impulses), written)
+        files = _write_impulses(impulses, target), None
+        output.report(json, partial(_impulses_as_json, impulses), partial(_print_impulses, impulses), files)
         return
     with output.scene_errors(scene), _errors_of_range(range):
         found = compute_frequency_response(loaded, sources, points, limits, quantity)

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 CASE_LABELS = {
     "equal": "all actuators alike",
     "single": "best single actuator",
-    "time_reversal": "time reversal to the target's middle",
-    "inverse_filter": "regularised inverse filter",
+    "time_reversal": "time reversal to the target's middle, at one frequency",
+    "inverse_filter": "regularised inverse filter, at one frequency",
     "nominal": "found without uncertainty",
     "best": "found by the search",
 }
@@ -87,7 +87,7 @@ def localize(
         computes energies from the modes of the plate, for tones and linear scenes (default: direct;
         for a robust search response where it applies).
     baselines
-        Compare with drives that need no search: time reversal and inverse filter.
+        Compare with drives that need no search: time reversal and inverse filter at one frequency.
     spectrum
         After a search for a common frequency, compute the localization factors over its range: of the equal drive, of
         the best single actuator, and the bound at each frequency, with the plate's resonances.

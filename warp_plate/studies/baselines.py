@@ -10,8 +10,7 @@ With H_k(x) the phasor of the steady displacement at x under actuator k alone, d
   Z = (HᴴWH + λ1)⁻¹ HᴴW b minimises Σ W|HZ − b|² + λΣ|Z|², where W are the nodes' areas. (L. Pantera, C. Hudin, IEEE
   Trans. Haptics 13(3), 2020; their control points are the nodes here, with Tikhonov regularisation.)
 
-Both are steady drives of one frequency. The time reversal of a burst would need a signal for each actuator, which a
-scene does not have.
+Both are steady drives of one frequency. The time reversal of a burst, a waveform for each actuator, is not among them.
 """
 
 from __future__ import annotations
