@@ -3,7 +3,7 @@
     python benchmarks/host_share.py [--device cuda:0] [--plates 20 1024 16384 131072] [--generations 9] [--out FILE]
 
 Searches the paper's scene and prints, for swarms of each size, the time of a whole generation, in which the device
-computes, and the part of it that the plates' steps take (the rest: loads, clearing, sums); and the parts of the time in
+computes; and the parts of the time in
 which the device does not compute: the swarm's ask and tell, and the work around the device: designs made of positions,
 loads, copies, statuses. Large swarms are cut into parts, and the host prepares one while the device steps another.
 Prints medians; the first two generations, which allocate memory and compile, do not count.
@@ -32,44 +32,35 @@ PARTS = ("ask", "around the device", "tell")
 
 
 class DeviceTime:
-    """The time that a device computes for a problem's plates, measured by its events; on a CPU the steps alone."""
+    """The time that a device computes for a problem's plates; on a CPU that of the steps."""
 
     def __init__(self, problem: Problem) -> None:
         engine, self._device = problem.drive_solver.engine, problem.drive_solver.device
-        self._marks: list[tuple[wp.Event, wp.Event]] = []
         self._seconds = 0.0
-        self._step, engine.advance = engine.advance, self._advance
-        self._begin()
-
-    def _begin(self) -> None:
         if self._device.is_cuda:
             wp.timing_begin(wp.TIMING_ALL & ~wp.TIMING_MEMCPY)
+        else:
+            self._step, engine.advance = engine.advance, self._advance
 
     def _advance(self, state: object, plates: int, start: int, stop: int) -> None:
         began = time.perf_counter()
-        if self._device.is_cuda:
-            stream = wp.get_stream(self._device)
-            before = stream.record_event(wp.Event(self._device, enable_timing=True))
-            self._step(state, plates, start, stop)
-            self._marks.append((before, stream.record_event(wp.Event(self._device, enable_timing=True))))
-        else:
-            self._step(state, plates, start, stop)
-            self._seconds += time.perf_counter() - began
+        self._step(state, plates, start, stop)
+        self._seconds += time.perf_counter() - began
 
-    def taken(self) -> tuple[float, float]:
-        """Return the seconds of everything computed since the last call, and of the steps among them."""
-        steps = self._seconds + sum(wp.get_event_elapsed_time(*marks) for marks in self._marks) / 1e3
-        computed = sum(one.elapsed for one in wp.timing_end()) / 1e3 if self._device.is_cuda else steps
-        self._seconds, self._marks = 0.0, []
-        self._begin()
-        return computed, steps
+    def taken(self) -> float:
+        """Return the seconds computed since the last call."""
+        if self._device.is_cuda:
+            self._seconds = sum(one.elapsed for one in wp.timing_end()) / 1e3
+            wp.timing_begin(wp.TIMING_ALL & ~wp.TIMING_MEMCPY)
+        seconds, self._seconds = self._seconds, 0.0
+        return seconds
 
 
 def generations(problem: Problem, device: DeviceTime, plates: int, count: int) -> dict[str, object]:
     """Return medians over ``count`` generations of a swarm of ``plates`` particles [s]."""
     search = problem.scene.search.model_copy(update={"particles": plates, "iterations": count + FIRST})
     searcher = make_optimizer(search, problem.space, 0)
-    taken: dict[str, list[float]] = {name: [] for name in ("whole", "device", "steps", *PARTS)}
+    taken: dict[str, list[float]] = {name: [] for name in ("whole", "device", *PARTS)}
     device.taken()
     for _ in range(count + FIRST):
         marks = [time.perf_counter()]
@@ -80,9 +71,9 @@ def generations(problem: Problem, device: DeviceTime, plates: int, count: int) -
         searcher.tell(positions, losses)
         best = searcher.result.fbest  # looked at after each generation, for the progress bar
         marks.append(time.perf_counter())
-        (computed, steps), parts = device.taken(), np.diff(marks)
+        computed, parts = device.taken(), np.diff(marks)
         parts[1] -= computed
-        for name, seconds in zip(taken, (marks[-1] - marks[0], computed, steps, *parts.tolist()), strict=True):
+        for name, seconds in zip(taken, (marks[-1] - marks[0], computed, *parts.tolist()), strict=True):
             taken[name].append(seconds)
     assert np.isfinite(best)
     medians = {name: float(np.median(seconds[FIRST:])) for name, seconds in taken.items()}
@@ -115,13 +106,13 @@ def main() -> None:
     except SceneError as error:
         parser.error(str(error))
     names = "".join(f"{name:>19}" for name in PARTS)
-    print(f"{'plates':>8}{'generation':>13}{'device':>11}{'steps':>11}{'host':>8}{names}")
+    print(f"{'plates':>8}{'generation':>13}{'device':>11}{'host':>8}{names}")
     for row in rows:
         seconds = row["seconds"]
         parts = "".join(f"{1e3 * seconds[name]:16.3f} ms" for name in PARTS)
-        whole, device, steps = (1e3 * seconds[name] for name in ("whole", "device", "steps"))
+        whole, device = (1e3 * seconds[name] for name in ("whole", "device"))
         share = 100 * row["host_share"]
-        print(f"{row['plates']:8}{whole:10.2f} ms{device:8.2f} ms{steps:8.2f} ms{share:6.1f} %{parts}")
+        print(f"{row['plates']:8}{whole:10.2f} ms{device:8.2f} ms{share:6.1f} %{parts}")
     if given.out is not None:
         record = {"machine": asdict(machine), "versions": describe_versions(), "rows": rows}
         given.out.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")

@@ -60,9 +60,14 @@ class PlateBatch(Batch):
     Attributes:
         phasors: (plates, actuators) drives.
         scale: (plates,) pressure that each plate is scaled by [N/m²]; not finite if its drive is not.
+
+    Args:
+        whole: Leave it to ``run_whole`` to load the drives, to clear the plates and to step them.
     """
 
-    def __init__(self, engine: Engine, state: State, phasors: np.ndarray, values: PerPlateValues) -> None:
+    def __init__(
+        self, engine: Engine, state: State, phasors: np.ndarray, values: PerPlateValues, whole: bool = False
+    ) -> None:
         super().__init__(engine, state, len(phasors))
         self.phasors = phasors
         specialized = engine.specialized
@@ -71,7 +76,9 @@ class PlateBatch(Batch):
         sizes = engine.per_plate.put_waves(state, values)
         coefficients = state.host_coefficients.numpy()
         self.scale = scaled_coefficients(specialized.discretization.signals, phasors, sizes, least, coefficients)
-        engine.load_drives(state, len(phasors), values.edges)
+        self.whole = whole
+        if not whole:
+            engine.load_drives(state, len(phasors), values.edges)
         if not specialized.effects.plain:
             with np.errstate(over="ignore", invalid="ignore"):  # of plates whose drive is not finite
                 state.host_units.numpy()[: len(phasors)] = self.scale * specialized.scheme.load_scale
@@ -80,7 +87,13 @@ class PlateBatch(Batch):
             strength = np.zeros(state.capacity)
             strength[: len(phasors)] = least / np.where(self.scale == 0, 1, self.scale)
             state.moving.assign(strength.astype(specialized.scene.grid.precision))
-        state.clear(len(phasors))
+        if not whole:
+            state.clear(len(phasors))
+
+    def run_whole(self) -> None:
+        """Queue all steps, and the sums of the energies."""
+        self.engine.run_whole(self.state, self.plates)
+        self.step = self.engine.specialized.scheme.steps
 
     @property
     def displacement(self) -> np.ndarray:
@@ -114,14 +127,16 @@ class PlateBatch(Batch):
         return trace
 
     def queue_energies(self) -> Callable[[np.ndarray], dict[int, tuple[str, float]]]:
-        """Queue the sums of the energies.
+        """Queue the sums of the energies, unless ``run_whole`` did.
 
         Returns:
             Function that waits for the sums, writes the energies (plates, regions) [J] into an array, and returns the
             faulty plates with fault and time, see ``Run.faults``.
         """
         specialized, scheme = self.engine.specialized, self.engine.specialized.scheme
-        sums = self.engine.queue_region_sums(self.state, len(self.phasors))
+        if not self.whole:
+            self.engine.sums_to_host(self.state, self.plates)
+        sums = self.engine.wait_for_sums(self.state, self.plates)
 
         def finish(energy: np.ndarray) -> dict[int, tuple[str, float]]:
             unit = energy_unit(specialized)

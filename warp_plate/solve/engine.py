@@ -18,6 +18,7 @@ from warp_plate.solve.per_plate import PerPlateKernels
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import State
 from warp_plate.solve.status import largest_rate_per_step
+from warp_plate.solve.streaming import Launcher, repeat
 
 
 class Engine:
@@ -82,16 +83,35 @@ class Engine:
             sum_over_columns, (plates, regions), inputs=[state.column_sums], outputs=[state.energy], device=device
         )
 
-    def queue_region_sums(self, state: State, plates: int) -> Callable[[], np.ndarray]:
-        """Queue the sums of :meth:`sum_regions`, and their copy to the host.
-
-        Returns:
-            Function that waits for the sums and returns them, (plates, regions), as a view that the next run
-            overwrites.
-        """
-        device = self.specialized.device
+    def sums_to_host(self, state: State, plates: int) -> None:
+        """Queue the sums of :meth:`sum_regions`, and their copy to the host."""
         self.sum_regions(state, plates)
         wp.copy(state.host_energy, state.energy, count=plates * state.energy.shape[1])
+
+    def run_whole(self, state: State, plates: int) -> None:
+        """Queue a run from rest to the end of the window, from ``host_coefficients`` to ``host_energy``.
+
+        On CUDA all of it becomes one recorded call when a state takes so many plates for the second time.
+        """
+        key = (self.run_whole, plates, state.has_plate_waves)
+        if key in state.beside:
+            repeat(self.specialized.device, self._queue_whole, state, plates)
+        else:
+            state.beside[key] = True
+            self._queue_whole(wp.launch, state, plates)
+
+    def _queue_whole(self, launch: Launcher, state: State, plates: int) -> None:
+        self.load_drives(state, plates)
+        state.clear(plates)
+        self.advance(state, plates, 0, self.specialized.scheme.steps)
+        self.sums_to_host(state, plates)
+
+    def wait_for_sums(self, state: State, plates: int) -> Callable[[], np.ndarray]:
+        """Return a function that waits for what is queued now.
+
+        It returns the sums, (plates, regions), as a view that the next run overwrites.
+        """
+        device = self.specialized.device
         done = wp.get_stream(device).record_event() if device.is_cuda else None
         energy = state.host_energy  # and not the state, which may be released
 

@@ -87,8 +87,12 @@ class PartRunner:
             part = slice(first, min(first + size, plates))
             if len(queued) == len(states):
                 finish_oldest()
-            batch = PlateBatch(self.engine, state, phasors[part], values[part])
-            self._advance(batch, snapshots, run.displacement[part], partial(report, first * work))
+            whole = not snapshots and not points and self._takes_whole(values, part.stop - first)
+            batch = PlateBatch(self.engine, state, phasors[part], values[part], whole)
+            if whole:
+                batch.run_whole()
+            else:
+                self._advance(batch, snapshots, run.displacement[part], partial(report, first * work))
             queued.append((part, batch.queue_energies()))
             if points:
                 run.trace[part] = batch.trace(shares)
@@ -112,6 +116,12 @@ class PartRunner:
                 if may_grow and batch.check_growth():
                     break
             batch.write_energies(energy[part])
+
+    def _takes_whole(self, values: PerPlateValues, plates: int) -> bool:
+        """Return whether a part can be one call: on a chip, all steps at once, only drives differ, none may grow."""
+        segment, may_grow = segment_steps(self.specialized, plates)
+        resident = self.specialized.device.is_cuda and self.engine.path == "resident"
+        return resident and values.edges is None and not may_grow and segment >= self.specialized.scheme.steps
 
     def states_for(self, plates: int, corners: np.ndarray) -> tuple[list[State], int]:
         """Return the states that take turns, which trace the nodes ``corners``, and how many plates each takes."""
