@@ -3,9 +3,9 @@
     python benchmarks/host_share.py [--device cuda:0] [--plates 20 1024 16384 131072] [--generations 9] [--out FILE]
 
 Searches the paper's scene and prints, for swarms of each size, the time of a whole generation, in which the device
-computes; and the parts of the time in
-which the device does not compute: the swarm's ask and tell, and the work around the device: designs made of positions,
-loads, copies, statuses. Large swarms are cut into parts, and the host prepares one while the device steps another.
+computes; and the parts of the time in which the device does not compute: the swarm's ask and tell, and the work around
+the device: designs made of positions, loads, copies, statuses. Large swarms are cut into parts, and the host prepares
+one while the device steps another.
 Prints medians; the first two generations, which allocate memory and compile, do not count.
 """
 

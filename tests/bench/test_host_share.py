@@ -10,9 +10,9 @@ from warp_plate.studies.driver import search_optimizer
 def test_parts_add_up_and_the_clock_changes_no_bit(scene):
     for row, plates in zip(host_share.measure(scene(nodes=(9, 9)), "cpu", (3, 20), 3), (3, 20), strict=True):
         seconds = row["seconds"]
-        assert (row["plates"], set(seconds)) == (plates, {"whole", "device", "steps", *host_share.PARTS})
+        assert (row["plates"], set(seconds)) == (plates, {"whole", "device", *host_share.PARTS})
         assert 0 < row["host_share"] < 1
-        assert 0 < seconds["steps"] == seconds["device"] < seconds["whole"]
+        assert 0 < seconds["device"] < seconds["whole"]
         assert min(seconds.values()) > 0
     plain, timed = (
         make_problem(scene(nodes=(9, 9), search={"particles": 5, "iterations": 3}), "cpu") for _ in range(2)
@@ -20,4 +20,4 @@ def test_parts_add_up_and_the_clock_changes_no_bit(scene):
     clock = host_share.DeviceTime(timed)
     best, same = (minimize(search_optimizer(one, 0), one.losses).fbest for one in (plain, timed))
     assert best == same
-    assert clock.taken()[1] > 0
+    assert clock.taken() > 0
