@@ -81,7 +81,7 @@ def test_runs_do_not_depend_on_earlier_runs(device, path, order, scene, phasors)
         check_run(run, made, [values[:plates] for values in exact], points)
 
 
-@pytest.mark.parametrize(("nodes", "order"), [((13, 13), 2), ((513, 513), 2), ((105, 105), 4)])
+@pytest.mark.parametrize(("nodes", "order"), [((13, 13), 2), ((513, 513), 2), ((161, 161), 4)])
 def test_streaming_says_why(pairs, scene, nodes, order):
     """Plates stream on CUDA if they do not fit on the chip or are traced; on CPU all run resident."""
     assert {("cpu", "resident"), ("cpu", "streaming")} <= set(pairs)
