@@ -19,9 +19,9 @@ FORBIDDEN_MODULES = {
     "pickle", "marshal", "shelve", "dill", "joblib", "yaml", "code", "codeop", "runpy", "socket", "ssl",
     "http", "urllib", "ftplib", "smtplib", "xmlrpc", "socketserver", "requests", "webbrowser", "asyncio", "subprocess",
 }  # fmt: skip
-# The explorer serves a page on 127.0.0.1 and opens it; others start fixed commands without a shell.
+# The explorer serves a page on 127.0.0.1, reads its key, and opens it; others start fixed commands without a shell.
 ALLOWED = {
-    "viz/explorer_page.py": {"asyncio", "socket"}, "viz/page_guard.py": {"socket"},
+    "viz/explorer_page.py": {"asyncio", "socket"}, "viz/page_guard.py": {"socket", "urllib"},
     "warp_plate/cli/explore.py": {"webbrowser"},
     "viz/availability.py": {"subprocess"}, "viz/pictures.py": {"subprocess"},
 }  # fmt: skip
