@@ -4,9 +4,10 @@ import doctest
 import runpy
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from warp_plate import Scene, compare, frf, load_result, plot, sweep
+from warp_plate import Scene, compare, frf, load_result, plot, simulate, sweep
 from warp_plate.viz.availability import missing_renderer
 
 PICTURES = ("history", "surfaces", "sweep")
@@ -42,6 +43,23 @@ def test_plots_are_those_of_the_commands(tmp_path):
         (tmp_path / "drawn.1.png").unlink()
     with pytest.raises(TypeError, match="Scene: there are pictures of Result, Sweep"):
         plot(Scene.load("paper"), tmp_path / "drawn")
+
+
+def test_results_are_by_case():
+    pytest.importorskip("xarray")
+    scene = Scene.load("paper").with_tables(record={"times": [0.0464, 0.05], "points": [[0.05, 0.06]]})
+    result = simulate(scene, device="cpu", estimate=False)
+    data, case = result.to_xarray(), result.main_case
+    chosen = data.isel(case=0)
+    assert dict(data["displacement"].sizes) == {"case": 1, "time": 2, "y": 27, "x": 27}
+    assert (chosen["displacement"].values == case.displacement).all()
+    assert np.abs(case.displacement).max() > 0
+    assert (chosen["trace"].values == case.trace).all()
+    assert len(data["trace_time"]) == case.trace.shape[1]
+    target, plate = (chosen["energy"].sel(region=name).item() for name in ("target", "plate"))
+    assert target / plate == case.localization_factor == chosen["localization_factor"].item()
+    assert (chosen["magnitude"].values == case.magnitude).all()
+    assert data["x"].values[-1] == scene.plate.size[0]
 
 
 def test_samples_have_one_dimension():

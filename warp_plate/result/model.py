@@ -10,7 +10,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import h5py
 import numpy as np
@@ -22,6 +22,9 @@ from warp_plate.result.targets import crosstalk
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import OBJECTIVE_UNITS, Objective
+
+if TYPE_CHECKING:
+    import xarray
 
 FORMAT = hdf5.FileFormat("result", 4)
 BoundKind = Literal["", "attained", "attained within limits", "bound only"]
@@ -265,6 +268,36 @@ class Result:
     def main_case(self) -> Case:
         """The best drive found, or the drive that was simulated."""
         return self.cases.get("best") or next(iter(self.cases.values()))
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return drives, energies, displacements and traces of all cases as an ``xarray.Dataset``."""
+        import xarray
+
+        cases, (nx, ny), (width, height) = list(self.cases.values()), self.scene.grid.nodes, self.scene.plate.size
+
+        def values(name: str) -> np.ndarray:
+            return np.array([getattr(case, name) for case in cases])
+
+        return xarray.Dataset(
+            {
+                "localization_factor": ("case", values("localization_factor"), {"units": "1"}),
+                "energy": (("case", "region"), [list(case.energy.values()) for case in cases], {"units": "J"}),
+                "magnitude": (("case", "actuator"), values("magnitude"), {"units": self.scene.drive_unit}),
+                "phase": (("case", "actuator"), values("phase"), {"units": "rad"}),
+                "displacement": (("case", "time", "y", "x"), values("displacement"), {"units": "m"}),
+                "trace": (("case", "point", "trace_time"), values("trace"), {"units": "m"}),
+            },
+            {
+                "case": list(self.cases),
+                "region": list(cases[0].energy),
+                "actuator": [actuator.name for actuator in self.scene.actuators],
+                "time": ("time", self.times, {"units": "s"}),
+                "trace_time": ("trace_time", self.trace_times, {"units": "s"}),
+                "x": ("x", np.linspace(0, width, nx), {"units": "m"}),
+                "y": ("y", np.linspace(0, height, ny), {"units": "m"}),
+            },
+            {"title": self.scene.title, "command": self.command},
+        )
 
 
 def save_result(result: Result, path: str | Path) -> Path:
