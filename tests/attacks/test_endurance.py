@@ -1,0 +1,87 @@
+"""Long searches, sweeps and explorers take no more memory, descriptors and threads at their end than early on.
+
+With -m hour these are 20000 generations, 2000 points and 30 minutes of two clients, elsewhere a fiftieth or less.
+"""
+
+import asyncio
+import re
+import sys
+import time
+
+import conftest
+import pytest
+from conftest import scene_of
+from test_explorer_sockets import aiohttp, answers_to, call, served, session  # noqa: F401
+
+from warp_plate import localize, sweep
+
+psutil = pytest.importorskip("psutil")
+linux = pytest.mark.skipif(sys.platform != "linux", reason="counts what Linux counts")
+pytestmark = [pytest.mark.slow, pytest.mark.hour, linux]
+# What memory may grow between the first fifth of a run and its end [bytes].
+ALLOWED = 2**24
+
+
+class Watch:
+    """What a process takes, sampled now and then."""
+
+    def __init__(self, process=None):
+        self.process, self.samples = process or psutil.Process(), []
+
+    def look(self, done, total):
+        if done >= total * (len(self.samples) + 1) // 20:
+            process = self.process
+            self.samples.append((process.memory_info().rss, process.num_fds(), process.num_threads()))
+
+    def assert_flat(self):
+        early, late = self.samples[4], self.samples[-1]
+        print("memory [MiB], descriptors, threads:", [(sample[0] >> 20, *sample[1:]) for sample in (early, late)])
+        assert len(self.samples) >= 19
+        assert late[0] - early[0] < ALLOWED
+        assert late[1:] <= early[1:]
+
+
+def test_generations():
+    watch, total = Watch(), 20000 if conftest.HOUR else 400
+    made = scene_of((9, 9), damping=88.5, search={"particles": 4, "iterations": total})
+    done = []
+
+    def on_progress(*_):
+        done.append(1)
+        watch.look(len(done), total)
+
+    localize(made, device="cpu", evaluator="direct", estimate=False, spectrum=False, on_progress=on_progress)
+    watch.assert_flat()
+
+
+def test_points_of_a_sweep():
+    watch, total = Watch(), 2000 if conftest.HOUR else 40
+    made = scene_of((9, 9), damping=88.5)
+    vary = [f"drive.frequency=200:400:{total}"]
+    found = sweep(made, vary, "simulate", device="cpu", path="resident", on_progress=lambda *at: watch.look(*at[:2]))
+    assert found.plan.coordinates[0].shape == (total,)
+    watch.assert_flat()
+
+
+def test_two_clients_move_sliders(served):  # noqa: F811
+    address, secret = session(served)
+    watch, total = Watch(psutil.Process().children()[-1]), 1800.0 if conftest.HOUR else 15.0
+    begin = time.monotonic()
+
+    async def move(client, number):
+        async with client.ws_connect(address) as opened:
+            await answers_to(opened, call("wslink.hello", {"secret": secret}, rpc="system:1"))
+            page = (await answers_to(opened, call("trame.state.get")))["result"]["state"]["trame__template_main"]
+            trigger = re.search(rf"""<VSlider[^>]*magnitude_{number}[^>]*trigger\(\W*(trigger__\d+)""", page)[1]
+            count = 0
+            while (passed := time.monotonic() - begin) < total:
+                count += 1
+                await answers_to(opened, call("trame.trigger", trigger, [count % 20 / 10], {}))
+                watch.look(passed, total)
+
+    async def both():
+        async with aiohttp.ClientSession() as client:
+            await asyncio.gather(move(client, 0), move(client, 1))
+
+    asyncio.run(both())
+    watch.assert_flat()
