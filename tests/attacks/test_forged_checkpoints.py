@@ -88,6 +88,13 @@ def test_positions_that_are_no_numbers(name, way, saved):
         resume(load_checkpoint(saved))
 
 
+@pytest.mark.parametrize("way", ["inf", "huge"])
+def test_evaluations_that_nobody_can_count(way, saved):
+    forge(saved, lambda file: set_dataset(file, "swarm/history", ARRAYS[way](file["swarm/history"][()])))
+    with pytest.raises(SceneError, match=r"^checkpoint: search state: history: .* numbers of evaluations"):
+        resume(load_checkpoint(saved))
+
+
 def test_an_actuator_that_is_not_there(saved):
     forge(saved, lambda file: set_attribute(file, "single", 3))
     with pytest.raises(SceneError, match="single = 3: must be the index of one of 3 actuators"):

@@ -26,10 +26,13 @@ FRAGMENTS += ["\n", "\r\n", "\t", "1_", "0x", "a=1\n", 'a="x\n', "\0", "é", "ti
 def test_repeated_fragments(start, repeated):
     piece = "".join(repeated)
     text = "".join(start) + piece * max(1, 2**18 // len(piece)) + "\\"
-    with pytest.raises(SceneError) as caught:
-        Scene.parse(text, "x.toml")
-    assert len(str(caught.value).splitlines()) == 1
-    assert len(str(caught.value)) < 1000
+    message = "none"
+    try:
+        Scene.parse(text, "x.toml")  # which may be a scene with a long comment
+    except SceneError as error:
+        message = str(error)
+    assert len(message.splitlines()) == 1
+    assert len(message) < 1000
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,8 @@ from numpy.typing import ArrayLike
 
 from warp_plate.optimize.space import SearchSpace
 
+# Numbers of evaluations that are exact as floats.
+MOST_EVALUATIONS = 2**53
 COLUMNS = ("best", "mean", "evaluations")
 # No search goes so far; squares of such numbers are still finite.
 FARTHEST = 1e150
@@ -176,7 +178,7 @@ class Optimizer(ABC):
     def _restore(self, state: Mapping[str, Any]) -> None:
         history = as_shape(state, "history", (-1, len(COLUMNS)), may_be_nan=True)
         best, counts = history[:, 0], history[:, 2]
-        if np.isnan(best).any() or not np.isfinite(counts).all() or (np.diff(counts, prepend=0) <= 0).any():
+        if np.isnan(best).any() or not (counts < MOST_EVALUATIONS).all() or (np.diff(counts, prepend=0) <= 0).any():
             raise ValueError("search state: history: best losses must be numbers, and numbers of evaluations grow")
         self.rows = history.tolist()
         self.positions = as_shape(state, "positions", (-1, self.space.dimension))
