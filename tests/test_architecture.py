@@ -16,7 +16,7 @@ FLOORS = (
     {"reference", "result"},
     {"solve", "viz"},
     {"modal"},
-    {"accuracy", "bench", "cluster"},
+    {"accuracy", "bench", "cluster", "fitting"},
     {"problem"},
     {"analysis"},
     {"studies"},

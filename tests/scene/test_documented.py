@@ -15,7 +15,7 @@ TEXT = "\n".join(page.read_text(encoding="utf-8") for page in sorted(DOCS.glob("
 UNITLESS = {
     *("poisson_ratio", "nodes", "order", "accuracy", "gain", "weight", "quantile", "without_oscillators"),
     *("particles", "iterations", "restarts", "inertia", "decay", "cognitive", "social", "velocity_limit", "stall"),
-    *("modal_density", "seed", "scenarios", "fresh", "eta", "ratio"),
+    *("modal_density", "seed", "scenarios", "fresh", "eta", "ratio", "starts", "free"),
 }
 
 

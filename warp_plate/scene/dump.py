@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Any
 
 from warp_plate.scene.errors import toml_text
@@ -26,6 +27,7 @@ def _lines(name: str, table: dict[str, Any]) -> list[str]:
     own: list[str] = []
     nested: list[str] = []
     for key, value in table.items():
+        key = key if re.fullmatch(r"[\w-]+", key, re.ASCII) else toml_text(key)
         path = f"{name}.{key}" if name else key
         if isinstance(value, dict):
             lines = _lines(path, value)

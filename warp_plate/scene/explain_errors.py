@@ -25,6 +25,7 @@ _REQUIREMENTS = {
     "greater_than_equal": "{ge} or more",
     "less_than": "less than {lt}",
     "less_than_equal": "{le} or less",
+    "dict_type": "a table",
     "literal_error": "{expected}",
     "string_type": "a text in quotes",
     "string_too_short": "a text of {min_length} or more characters",
@@ -92,7 +93,8 @@ def _key_and_annotation(location: Location, model: type[BaseModel]) -> tuple[str
             name = part if re.fullmatch(r"[\w-]+", part) else repr(part)
             key += f".{name}" if key else name
             field = annotation.model_fields.get(part) if _is_table(annotation) else None
-            annotation = _bare(field.annotation) if field else None
+            ranges = get_args(annotation)[1] if get_origin(annotation) is dict else None
+            annotation = _bare(field.annotation if field else ranges)
     return key, annotation
 
 

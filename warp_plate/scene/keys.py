@@ -118,6 +118,14 @@ def with_values(scene: Scene, values: Mapping[str, float | str]) -> Scene:
     return scene.from_tables(tables).in_folder(scene.folder)
 
 
+def value_of(scene: Scene, key: str) -> Any:
+    """Return the value at one of ``scalar_keys``; None if it is optional and absent."""
+    value: Any = scene
+    for part in _parts(key):
+        value = value[part] if isinstance(part, int) else getattr(value, part)
+    return value
+
+
 def unit_of(scene: Scene, key: str) -> str:
     """Return the unit of the number at one of ``scalar_keys``; "1" if it has none."""
     names = [part for part in _parts(key) if isinstance(part, str)]

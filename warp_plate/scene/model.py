@@ -27,6 +27,7 @@ from warp_plate.scene.fields import (
     Text,
     check_area,
 )
+from warp_plate.scene.fit import Fit
 from warp_plate.scene.grid import DEFAULT_ACCURACY, Grid, grid_by_waves
 from warp_plate.scene.keys import resolved_key, with_values
 from warp_plate.scene.load import parse_toml, read_scene_text
@@ -131,6 +132,7 @@ class Scene(Table):
     record: Record = Record()
     effects: Effects = Effects()
     search: Search = Search()
+    fit: Fit | None = None
     actuators: Annotated[tuple[Actuator, ...], Field(min_length=1)]
     _folder: Path | None = PrivateAttr(default=None)
 
@@ -221,6 +223,8 @@ class Scene(Table):
             self.search.robust.check(self.effects, self.grid.load)
             if len(self.targets) > 1:
                 raise ValueError("search.robust: not with several [[targets]]; write a scene for each target")
+        if self.fit is not None:
+            self.fit.check(self)
         self._check_record()
         return self
 

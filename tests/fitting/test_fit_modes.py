@@ -1,0 +1,167 @@
+"""Numbers of panels from natural frequencies that exact solutions give, with seeded noise; bad input."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import MATERIAL, error_of, output_of, scene_of
+from levy import isotropic, levy_frequencies
+
+from warp_plate import Scene, SceneError
+from warp_plate.fitting.fit_modes import fit_modes
+from warp_plate.fitting.measured_modes import MeasuredModes, read_modes
+from warp_plate.reference.series import wavenumber_squared
+
+SIZE, MODULUS, VISCOUS = (0.23, 0.17), MATERIAL["young_modulus"], 2.0
+SURFACE_DENSITY = MATERIAL["density"] * MATERIAL["thickness"]
+RIGIDITY = MODULUS * MATERIAL["thickness"] ** 3 / 12 / (1 - MATERIAL["poisson_ratio"] ** 2)
+MODULI = {"plate.young_modulus": (0.5 * MODULUS, 1.5 * MODULUS)}
+
+
+def supported(**fit):
+    """Return a supported panel whose own modulus is a tenth too high."""
+    made = scene_of(size=SIZE, edges=("supported",) * 4, damping=1.0, fit={"starts": 1, **fit})
+    return made.replace("plate.young_modulus", 1.1 * MODULUS)
+
+
+def measured(random, noise=1e-3, count=12, damping_noise=None):
+    """Return Navier's frequencies, and damping ratios c/2ρHω, both with relative noise."""
+    waves = [wavenumber_squared((m, n), SIZE) for m in range(1, 9) for n in range(1, 9)]
+    frequencies = np.sort(waves)[:count] * math.sqrt(RIGIDITY / SURFACE_DENSITY) / (2 * math.pi)
+    damping = VISCOUS / SURFACE_DENSITY / (4 * math.pi * frequencies)
+    damping = damping * (1 + damping_noise * random.normal(size=count)) if damping_noise else damping * math.nan
+    return MeasuredModes("data.csv", frequencies * (1 + noise * random.normal(size=count)), damping)
+
+
+def test_rigidity(random):
+    """Five standard deviations of the estimate are 0.3 %; the interval is as wide as the noise makes it."""
+    found = fit_modes(supported(free=MODULI), measured(random))
+    assert found.scene.plate.rigidity == pytest.approx(RIGIDITY, rel=5e-3)
+    assert found.values == pytest.approx([found.scene.plate.young_modulus], rel=1e-12)
+    # 2.2 · 2 · 0.1 % / √12 to either side, and what χ² of 11 numbers leaves open.
+    assert 0.3 * 1.27e-3 < (found.high - found.low)[0] / 2 / MODULUS < 2 * 1.27e-3
+    exact = fit_modes(supported(free=MODULI), measured(random, noise=0))
+    assert exact.values == pytest.approx([MODULUS], rel=2e-5)
+
+
+def test_what_cannot_be_told_apart_is_named(random):
+    """Modulus and density by frequencies alone; an actuator's place; their ratio is still right."""
+    free = {**MODULI, "plate.density": (500.0, 2000.0), "actuators.0.area[0]": (0.0, 0.05)}
+    found = fit_modes(supported(free=free), measured(random))
+    assert found.inseparable == (("plate.young_modulus", "plate.density"), ("actuators[0].area[0]",))
+    assert np.isnan([*found.low, *found.high]).all()
+    assert found.values[0] / found.values[1] == pytest.approx(MODULUS / MATERIAL["density"], rel=5e-3)
+
+
+def test_damping_separates_modulus_and_density(random):
+    """c/2ρHω falls with the density; damping is measured a hundred times worse, and the intervals know it."""
+    free = {**MODULI, "plate.density": (500.0, 2000.0)}
+    data = measured(random, noise=1e-4, damping_noise=1e-2, count=16)
+    found = fit_modes(supported(free=free).replace("effects.damping.viscous", VISCOUS), data)
+    assert found.inseparable == ()
+    assert found.values == pytest.approx([MODULUS, MATERIAL["density"]], rel=0.02)
+    assert (found.high - found.low) / found.values == pytest.approx(2 * 2.13 * 0.01 / 4, rel=0.7)
+    assert found.correlations[0, 1] > 0.99
+
+
+@pytest.mark.parametrize("named", [False, True])
+def test_missing_modes(named, random):
+    """Modes that were not seen are found by the nearest frequencies, or by the numbers of the others."""
+    seen = np.array([1, 2, 4, 5, 8, 9, 11])
+    every = measured(random, noise=3e-4).frequencies[seen - 1]
+    data = MeasuredModes("data.csv", every, np.full(7, math.nan), seen if named else None)
+    found = fit_modes(supported(free=MODULI, pairing="order" if named else "nearest"), data)
+    np.testing.assert_array_equal(found.numbers, seen)
+    assert found.values == pytest.approx([MODULUS], rel=5e-3)
+
+
+@pytest.mark.slow
+def test_intervals_hold_and_a_spring_is_found(random):
+    """Lévy's frequencies of a panel with one edge on springs: 95 % intervals of 20 sets of noise hold seven times
+    in eight, of 19 in 20 on average."""
+    spring, sides = 3e3, ("free", "supported", {"translation": 1e3, "rotation": 0.0}, "supported")
+    exact = levy_frequencies(lambda x: isotropic(**MATERIAL), SIZE, ("free", (spring, 0.0)), 400.0)[:14]
+    free = {**MODULI, "edges.right.translation": (1e2, 1e5)}
+    scene, truth = scene_of(size=SIZE, edges=sides, fit={"free": free, "starts": 4}), (MODULUS, spring)
+    held = []
+    for _ in range(20):
+        noisy = np.sort(exact * (1 + 2e-3 * random.normal(size=14)))
+        found = fit_modes(scene, MeasuredModes("data.csv", noisy, np.full(14, math.nan)))
+        held += [low < value < high for low, value, high in zip(found.low, truth, found.high, strict=True)]
+    assert sum(held) >= 35
+    assert found.values == pytest.approx(truth, rel=0.1)
+
+
+def test_command(command, write_scene, random):
+    write_scene(supported(free=MODULI))
+    Path("data.csv").write_text(
+        "# by hammer\nfrequency [Hz];mode;note\n"
+        + "".join(f"{value};{mode};\n" for mode, value in enumerate(measured(random).frequencies, 1)),
+        encoding="utf-8",
+    )
+    record = json.loads(output_of(command("fit", "panel.toml", "--data", "data.csv", "--json")))
+    parameter = record["parameters"]["plate.young_modulus"]
+    assert parameter["low"] < parameter["value"] < parameter["high"]
+    assert record["files"] == ["panel.fitted.toml"]
+    fitted = Scene.load("panel.fitted.toml")
+    assert fitted.plate.young_modulus == parameter["value"]
+    assert fitted == supported(free=MODULI).replace("plate.young_modulus", parameter["value"])
+    free = "fit.free.plate.density=[500, 2000]"
+    out = output_of(command("fit", "panel.toml", "--data", "data.csv", "--set", free))
+    assert "plate.young_modulus and plate.density: cannot be told apart" in " ".join(out.split())
+    Path("mine.toml").write_text("mine = 1", encoding="utf-8")
+    assert "--force" in error_of(command("fit", "panel.toml", "--data", "data.csv", "--out", "mine.toml"))
+    assert "no.csv: cannot be read" in error_of(command("fit", "panel.toml", "--data", "no.csv"))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "data.csv: is empty; its first line names the columns"),
+        ("f,mode\n1,2\n", "needs 1 to 500 numbers in a column 'frequency'; the columns are: f, mode"),
+        ("frequency\n", "needs 1 to 500 numbers"),
+        ("frequency,damping\n10\n", "line 2 has 1 columns; the first line names 2"),
+        ("frequency,frequency [Hz]\n1,2\n", "line 1 names two columns alike"),
+        ("frequency\n10\n-5\n", "line 3, frequency = '-5': must be a number above 0"),
+        ("frequency\nnan\n", "line 2, frequency = 'nan'"),
+        ("frequency\nten\n", "line 2, frequency = 'ten'"),
+        ("frequency,damping\n10,\n20,2\n", "line 3, damping = '2': must be a ratio above 0 and below 1, or empty"),
+        ("frequency,mode\n10,1\n20,1\n", "line 3, mode = '1': must be a whole number"),
+        ("frequency,mode\n10,1.5\n", "line 2, mode = '1.5'"),
+    ],
+)
+def test_bad_data(text, message, tmp_path):
+    path = tmp_path / "data.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(SceneError) as caught:
+        read_modes(path)
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("fit", "message"),
+    [
+        ({"free": {}}, "fit.free: is empty"),
+        ({"free": {"plate.density": (2, 1)}}, "fit.free: plate.density = [2.0, 1.0]: the lowest value comes first"),
+        ({"free": {"plate.density": [2]}}, "fit.free.'plate.density' = [2]: must be a list of 2 numbers"),
+        ({"free": {"plate.densty": (1, 2)}}, "fit.free: plate.densty: is not a key"),
+        ({"free": {"drive.frequency": (1, 2)}}, "fit.free: drive.frequency: is no real number of the panel"),
+        ({"free": 3}, "fit.free = 3: must be a table"),
+    ],
+)
+def test_bad_tables(fit, message):
+    with pytest.raises(SceneError) as caught:
+        scene_of().with_tables(fit=fit)
+    assert message in str(caught.value)
+
+
+def test_too_few_data_and_ranges_beyond_the_scene(random):
+    free = {**MODULI, "plate.thickness": (1e-4, 1e-3)}
+    with pytest.raises(SceneError, match="2 numbers do not determine 2 free ones"):
+        fit_modes(supported(free=free), measured(random, count=2))
+    with pytest.raises(SceneError, match="fit: is missing"):
+        fit_modes(scene_of(), measured(random))
+    with pytest.raises(SceneError, match="a range reaches too far: plate"):
+        fit_modes(supported(free={"plate.thickness": (0.1, 1.0)}), measured(random))

@@ -1,0 +1,110 @@
+"""``warp-plate fit SCENE --data FILE``: numbers of the panel from what was measured on it."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warp_plate.cli import options, output
+from warp_plate.scene.errors import SceneError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from warp_plate.fitting.fit_modes import ModeFit
+
+# How the file begins; correlations that are worth a line.
+HEADING, STRONG = "# Fitted by warp-plate", 0.9
+
+
+def fit(
+    scene: options.SceneName,
+    /,
+    *,
+    data: Path,
+    assignments: options.Assignments = None,
+    out: Path | None = None,
+    force: options.Force = False,
+    json: options.Json = False,
+) -> None:
+    """Fit numbers of a panel to its measured natural frequencies, with 95 % intervals.
+
+    The table [fit.free] of the scene says which numbers are free, and their ranges, such as
+    "plate.young_modulus" = [6e10, 8e10]. The fitted scene is written as a scene file. Numbers that the data cannot tell
+    apart are named and have no interval.
+
+    Parameters
+    ----------
+    data
+        CSV file whose first line names its columns: frequency (hertz) and, if they are known, damping (damping ratio)
+        and mode (number of the mode, from 1 for the lowest).
+    out
+        The fitted scene (.toml; default: SCENE.fitted.toml in this folder).
+    """
+    target = output.output_file(out, f"{Path(scene).stem}.fitted.toml", (), HEADING, force)
+    loaded, scene = output.load_scene(scene, assignments)
+    from warp_plate.fitting.fit_modes import fit_modes
+    from warp_plate.fitting.measured_modes import read_modes
+    from warp_plate.result.atomic_io import atomic_paths
+
+    if loaded.folder is not None and loaded.folder.resolve() != target.parent.resolve():
+        raise SceneError(f"--out {target}: the scene names files in {loaded.folder}; write the fitted scene there")
+    with output.scene_errors(scene):
+        found = fit_modes(loaded, read_modes(data))
+    with atomic_paths(target) as (temporary,):
+        temporary.write_text(f"{HEADING} to {data.name!r}\n{found.scene.to_toml()}", encoding="utf-8")
+    output.report(json, partial(_as_json, scene, found), partial(_print, scene, found), ([target], None))
+
+
+def _as_json(name: str, found: ModeFit) -> dict[str, object]:
+    rows = zip(found.keys, found.values, found.low, found.high, found.at_limit, strict=True)
+    return {
+        "scene": name,
+        "parameters": {key: dict(zip(("value", "low", "high", "at_limit"), row, strict=True)) for key, *row in rows},
+        **output.attributes(found, "correlations", "inseparable", "evaluations"),
+        "modes": found.numbers,
+        "frequencies_measured": found.measured.frequencies,
+        **output.attributes(found, "frequencies", "errors"),
+        "damping_ratios_measured": found.measured.damping,
+        "damping_ratios": found.damping,
+    }
+
+
+def _print(name: str, found: ModeFit, console: Console) -> None:
+    from warp_plate.scene.keys import unit_of
+
+    rms = np.sqrt(np.mean(found.errors**2))
+    console.print(f"{found.scene.title or name}: {len(found.errors)} frequencies to {100 * rms:.2g} % rms\n")
+    made = output.table("number", "unit", "value", "95 % from", "to")
+    for key, *numbers in zip(found.keys, found.values, found.low, found.high, strict=True):
+        made.add_row(key, unit_of(found.scene, key), *(output.number_text(value, ".5g") for value in numbers))
+    output.print_uncropped(console, made)
+    damped = bool(np.isfinite(found.measured.damping).any())
+    ratios = ("damping measured", "fitted") if damped else ()
+    made = output.table("mode", "measured (Hz)", "fitted (Hz)", "error (%)", *ratios)
+    columns = (found.numbers, found.measured.frequencies, found.frequencies, 100 * found.errors)
+    for number, measured, fitted, error, *pair in zip(*columns, found.measured.damping, found.damping, strict=True):
+        cells = [output.number_text(value, ".3g") for value in pair] if damped else []
+        made.add_row(str(number), f"{measured:.6g}", f"{fitted:.6g}", f"{error:.2g}", *cells)
+    console.print()
+    output.print_uncropped(console, made)
+    for line in _remarks(found):
+        console.print(f"! {line}")
+
+
+def _remarks(found: ModeFit) -> list[str]:
+    """Return lines about what the data do not tell."""
+    lines = []
+    for group in found.inseparable:
+        fault = "cannot be told apart by these data; fix all but one" if len(group) > 1 else "has no influence here"
+        lines.append(f"{' and '.join(group)}: {fault}")
+    for key, limited in zip(found.keys, found.at_limit, strict=True):
+        if limited:
+            lines.append(f"{key}: is at an end of its range, and its interval does not hold; widen the range")
+    for first, second in np.argwhere(np.triu(np.abs(found.correlations) > STRONG, 1)):
+        value = found.correlations[first, second]
+        lines.append(f"{found.keys[first]} and {found.keys[second]}: their errors are correlated by {value:+.3f}")
+    return lines

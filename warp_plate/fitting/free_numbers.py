@@ -1,0 +1,69 @@
+"""The free numbers of a scene, scaled so that the range of each is 0 ... 1.
+
+Ranges above 0 are scaled by logarithms, so that stiffnesses of any size are fitted alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.keys import resolved_key, value_of, with_values
+from warp_plate.scene.model import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class FreeNumbers:
+    """The numbers of ``[fit.free]``.
+
+    Attributes:
+        scene: Scene.
+        keys: (p,) their keys.
+        low: (p,) their lowest values.
+        high: (p,) their highest values.
+    """
+
+    scene: Scene
+    keys: tuple[str, ...]
+    low: np.ndarray
+    high: np.ndarray
+
+    def values(self, fractions: np.ndarray) -> np.ndarray:
+        """Return the values at fractions (p,) of the ranges."""
+        ratio = np.where(self.low > 0, self.high, 1.0) / np.where(self.low > 0, self.low, 1.0)
+        return np.where(self.low > 0, self.low * ratio**fractions, self.low + fractions * (self.high - self.low))
+
+    def scene_at(self, fractions: np.ndarray) -> Scene:
+        """Return the scene with the values at fractions (p,), or raise a SceneError if they do not fit together."""
+        try:
+            return with_values(self.scene, dict(zip(self.keys, self.values(fractions).tolist(), strict=True)))
+        except SceneError as error:
+            raise SceneError(f"fit.free: a range reaches too far: {error}") from None
+
+    def starts(self, count: int, seed: int) -> np.ndarray:
+        """Return (count, p) fractions: those of the scene's own values, then a Latin hypercube."""
+        random = np.random.default_rng(seed)
+        cells = np.tile(np.arange(count - 1), (len(self.keys), 1))
+        drawn = (random.permuted(cells, axis=1).T + random.random((count - 1, len(self.keys)))) / max(count - 1, 1)
+        return np.vstack([self._own(), drawn])
+
+    def _own(self) -> np.ndarray:
+        """Return the fractions of the scene's values within the ranges, and 1/2 for absent ones."""
+        held = [value_of(self.scene, key) for key in self.keys]
+        values = np.array([np.nan if value is None else value for value in held], dtype=float)
+        values = np.clip(values, self.low, self.high)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            logarithmic = np.log(values / self.low) / np.log(self.high / self.low)
+            fractions = np.where(self.low > 0, logarithmic, (values - self.low) / (self.high - self.low))
+        return np.nan_to_num(fractions, nan=0.5)
+
+
+def free_numbers(scene: Scene) -> FreeNumbers:
+    """Return the free numbers of a scene, or raise a SceneError if it has none."""
+    if scene.fit is None:
+        raise SceneError('fit: is missing; write [fit.free] with lines such as "plate.young_modulus" = [6e10, 8e10]')
+    keys = tuple(resolved_key(scene, name) for name in scene.fit.free)
+    low, high = np.array(list(scene.fit.free.values()), dtype=float).T
+    return FreeNumbers(scene, keys, low, high)

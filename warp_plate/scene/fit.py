@@ -1,0 +1,64 @@
+"""The table ``[fit]``: numbers of the scene that ``warp-plate fit`` takes from measurements, and their ranges."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.fields import Moderate, Table
+from warp_plate.scene.keys import resolved_key, scalar_keys
+
+if TYPE_CHECKING:
+    from warp_plate.scene.model import Scene
+
+# Tables whose numbers are properties of the panel.
+PANEL = ("plate", "edges", "effects", "actuators")
+
+
+def _flat(free: Any) -> Any:
+    """Return ``{"plate.density": range}`` for ``{"plate": {"density": range}}``, which TOML makes of unquoted keys."""
+
+    def items(table: dict[str, Any], head: str) -> Iterator[tuple[str, Any]]:
+        for key, value in table.items():
+            if isinstance(value, dict):
+                yield from items(value, f"{head}{key}.")
+            else:
+                yield f"{head}{key}", value
+
+    return dict(items(free, "")) if isinstance(free, dict) else free
+
+
+class Fit(Table):
+    """The free numbers of a fit, and how it is done."""
+
+    free: Annotated[dict[str, tuple[Moderate, Moderate]], BeforeValidator(_flat)]  # lowest and highest value by key
+    # Measured modes are the lowest ones in order, or those with the nearest frequencies; a column ``mode`` goes first
+    pairing: Literal["order", "nearest"] = "order"
+    starts: Annotated[int, Field(ge=1, le=10_000)] = 16
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+
+    @model_validator(mode="after")
+    def _ranges(self) -> Fit:
+        if not self.free:
+            raise ValueError('free: is empty; write a range for a key, such as "plate.young_modulus" = [6e10, 8e10]')
+        for key, (low, high) in self.free.items():
+            if low >= high:
+                raise ValueError(f"free: {key} = {[low, high]}: the lowest value comes first, and they differ")
+        return self
+
+    def check(self, scene: Scene) -> None:
+        """Raise ValueError, naming the key, unless the free keys are different numbers of the scene's panel."""
+        kinds, known = scalar_keys(scene), set()
+        for name in self.free:
+            try:
+                key = resolved_key(scene, name)
+            except SceneError as error:
+                raise ValueError(f"fit.free: {error}") from None
+            if kinds[key] is not float or not key.startswith(PANEL):
+                raise ValueError(f"fit.free: {name}: is no real number of the panel ({', '.join(PANEL)})")
+            if key in known:
+                raise ValueError(f"fit.free: {name}: is there twice")
+            known.add(key)
