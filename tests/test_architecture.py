@@ -31,7 +31,7 @@ OWNERS = {
     **{name: {"cluster"} for name in ("dask", "distributed")},
     **{name: {"cli"} for name in ("cyclopts", "rich")},
     "h5py": {"result"},
-    "pyuff": {"result"},
+    "pyuff": {"result", "fitting"},
     "pydantic": {"scene"},
     "cma": {"optimize"},
 }

@@ -13,8 +13,11 @@ from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
     from warp_plate.fitting.fit_modes import ModeFit
+    from warp_plate.fitting.fit_responses import ResponseFit
+    from warp_plate.scene.model import Scene
 
 # How the file begins; correlations that are worth a line.
 HEADING, STRONG = "# Fitted by warp-plate", 0.9
@@ -30,7 +33,7 @@ def fit(
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
-    """Fit numbers of a panel to its measured natural frequencies, with 95 % intervals.
+    """Fit numbers of a panel to its measured natural frequencies or frequency responses, with 95 % intervals.
 
     The table [fit.free] of the scene says which numbers are free, and their ranges, such as
     "plate.young_modulus" = [6e10, 8e10]. The fitted scene is written as a scene file. Numbers that the data cannot tell
@@ -40,31 +43,55 @@ def fit(
     ----------
     data
         CSV file whose first line names its columns: frequency (hertz) and, if they are known, damping (damping ratio)
-        and mode (number of the mode, from 1 for the lowest).
+        and mode (number of the mode, from 1 for the lowest). For a scene with tables [[measurement]] its frequency
+        responses: CSV with the columns frequency, real and imaginary part of each, or a universal file (.uff, .unv;
+        needs the extra uff) with a dataset 58 for each.
     out
         The fitted scene (.toml; default: SCENE.fitted.toml in this folder).
     """
     target = output.output_file(out, f"{Path(scene).stem}.fitted.toml", (), HEADING, force)
     loaded, scene = output.load_scene(scene, assignments)
-    from warp_plate.fitting.fit_modes import fit_modes
-    from warp_plate.fitting.measured_modes import read_modes
     from warp_plate.result.atomic_io import atomic_paths
 
     if loaded.folder is not None and loaded.folder.resolve() != target.parent.resolve():
         raise SceneError(f"--out {target}: the scene names files in {loaded.folder}; write the fitted scene there")
     with output.scene_errors(scene):
-        found = fit_modes(loaded, read_modes(data))
+        found = _fit(loaded, data)
     with atomic_paths(target) as (temporary,):
         temporary.write_text(f"{HEADING} to {data.name!r}\n{found.scene.to_toml()}", encoding="utf-8")
     output.report(json, partial(_as_json, scene, found), partial(_print, scene, found), ([target], None))
 
 
-def _as_json(name: str, found: ModeFit) -> dict[str, object]:
+def _fit(scene: Scene, data: Path) -> ModeFit | ResponseFit:
+    from warp_plate.fitting.fit_modes import fit_modes
+    from warp_plate.fitting.fit_responses import fit_responses
+    from warp_plate.fitting.measured_modes import read_modes
+    from warp_plate.fitting.measured_responses import read_responses
+
+    if scene.measurement:
+        return fit_responses(scene, read_responses(data, len(scene.measurement)))
+    return fit_modes(scene, read_modes(data))
+
+
+def _as_json(name: str, found: ModeFit | ResponseFit) -> dict[str, object]:
     rows = zip(found.keys, found.values, found.low, found.high, found.at_limit, strict=True)
     return {
         "scene": name,
         "parameters": {key: dict(zip(("value", "low", "high", "at_limit"), row, strict=True)) for key, *row in rows},
         **output.attributes(found, "correlations", "inseparable", "evaluations"),
+        **_compared(found),
+    }
+
+
+def _compared(found: ModeFit | ResponseFit) -> dict[str, object]:
+    """Return what was measured and fitted, for ``--json``."""
+    from warp_plate.fitting.fit_responses import ResponseFit
+
+    if isinstance(found, ResponseFit):
+        record = {"frequencies": found.measured.frequencies, "real": found.responses.real}
+        record |= {"imaginary": found.responses.imag}
+        return record | output.attributes(found, "rms_decibels", "rms_degrees")
+    return {
         "modes": found.numbers,
         "frequencies_measured": found.measured.frequencies,
         **output.attributes(found, "frequencies", "errors"),
@@ -73,15 +100,33 @@ def _as_json(name: str, found: ModeFit) -> dict[str, object]:
     }
 
 
-def _print(name: str, found: ModeFit, console: Console) -> None:
+def _print(name: str, found: ModeFit | ResponseFit, console: Console) -> None:
+    from warp_plate.fitting.fit_responses import ResponseFit
     from warp_plate.scene.keys import unit_of
 
-    rms = np.sqrt(np.mean(found.errors**2))
-    console.print(f"{found.scene.title or name}: {len(found.errors)} frequencies to {100 * rms:.2g} % rms\n")
+    console.print(f"{found.scene.title or name}\n")
     made = output.table("number", "unit", "value", "95 % from", "to")
     for key, *numbers in zip(found.keys, found.values, found.low, found.high, strict=True):
         made.add_row(key, unit_of(found.scene, key), *(output.number_text(value, ".5g") for value in numbers))
     output.print_uncropped(console, made)
+    console.print()
+    output.print_uncropped(console, _responses(found) if isinstance(found, ResponseFit) else _modes(found))
+    for line in _remarks(found):
+        console.print(f"! {line}")
+
+
+def _responses(found: ResponseFit) -> Table:
+    """Return the table of the errors of each response."""
+    made = output.table("response", "rms error (dB)", "rms error (°)")
+    rows = zip(found.scene.measurement, found.rms_decibels, found.rms_degrees, strict=True)
+    for each, decibels, degrees in rows:
+        driven, (x, y) = each.actuator or "{:g},{:g}".format(*each.force_at or ()), each.point
+        made.add_row(f"{driven} → {x:g},{y:g}", f"{decibels:.2g}", f"{degrees:.2g}")
+    return made
+
+
+def _modes(found: ModeFit) -> Table:
+    """Return the table of modes, measured and fitted."""
     damped = bool(np.isfinite(found.measured.damping).any())
     ratios = ("damping measured", "fitted") if damped else ()
     made = output.table("mode", "measured (Hz)", "fitted (Hz)", "error (%)", *ratios)
@@ -89,13 +134,10 @@ def _print(name: str, found: ModeFit, console: Console) -> None:
     for number, measured, fitted, error, *pair in zip(*columns, found.measured.damping, found.damping, strict=True):
         cells = [output.number_text(value, ".3g") for value in pair] if damped else []
         made.add_row(str(number), f"{measured:.6g}", f"{fitted:.6g}", f"{error:.2g}", *cells)
-    console.print()
-    output.print_uncropped(console, made)
-    for line in _remarks(found):
-        console.print(f"! {line}")
+    return made
 
 
-def _remarks(found: ModeFit) -> list[str]:
+def _remarks(found: ModeFit | ResponseFit) -> list[str]:
     """Return lines about what the data do not tell."""
     lines = []
     for group in found.inseparable:

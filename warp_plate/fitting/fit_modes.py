@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
-from warp_plate.fitting.free_numbers import free_numbers
-from warp_plate.fitting.least_squares import fit_least_squares
+from warp_plate.fitting.fitted_panel import FittedPanel, fit_panel
 from warp_plate.fitting.measured_modes import MeasuredModes
 from warp_plate.modal.continuous_modes import linear_part
 from warp_plate.modal.modes import solve_modes
-from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
 # Functions along each side, relative to those of other commands: frequencies are right to 5e-6, in a third of the time.
@@ -21,41 +20,25 @@ DENSITY = 0.5
 RIGID = 3
 # For pairs by nearest frequencies: so many times as many modes as measured, and so many more.
 SPARE = 2, 8
+# Smallest and largest weight of damping ratios against frequencies.
+WEIGHTS = 1e-4, 1e4
 
 
 @dataclass(frozen=True, eq=False)
-class ModeFit:
+class ModeFit(FittedPanel):
     """A scene fitted to measured modes.
 
     Attributes:
-        scene: The scene with the fitted numbers.
         measured: What was measured.
-        keys: (p,) keys of the free numbers.
-        values: (p,) fitted values.
-        low: (p,) lower ends of the 95 % intervals, NaN for numbers that the data do not tell.
-        high: (p,) upper ends.
-        at_limit: (p,) True where a value is an end of its range.
-        correlations: (p, p) correlations of values, or of their logarithms where ranges are above 0; else NaN.
-        inseparable: Keys that these data cannot tell apart, group by group; a key alone has no influence on them.
         numbers: (n,) number of the mode that each frequency was paired with, from 1.
         frequencies: (n,) fitted natural frequencies [Hz].
         damping: (n,) fitted damping ratios ζ.
-        evaluations: Number of plates whose modes were computed.
     """
 
-    scene: Scene
     measured: MeasuredModes
-    keys: tuple[str, ...]
-    values: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    at_limit: np.ndarray
-    correlations: np.ndarray
-    inseparable: tuple[tuple[str, ...], ...]
     numbers: np.ndarray
     frequencies: np.ndarray
     damping: np.ndarray
-    evaluations: int
 
     @property
     def errors(self) -> np.ndarray:
@@ -70,44 +53,40 @@ def fit_modes(scene: Scene, measured: MeasuredModes) -> ModeFit:
     the residuals.
 
     Raises:
-        SceneError: The scene has no ``[fit]``, there are too few data, or a range leads to a scene that is refused.
+        SceneError: See :func:`fit_panel`.
     """
-    free = free_numbers(scene)
-    assert scene.fit is not None
     damped = np.flatnonzero(np.isfinite(measured.damping))
     count = len(measured.frequencies)
-    if count + len(damped) <= len(free.keys):
-        given = f"{count + len(damped)} numbers do not determine {len(free.keys)} free ones and their errors"
-        raise SceneError(f"{measured.source}: {given}; measure more modes, or free fewer keys in [fit.free]")
 
-    def residuals(fractions: np.ndarray) -> np.ndarray:
-        _, frequencies, damping = _paired_modes(free.scene_at(fractions), measured)
+    def residuals(predicted: np.ndarray) -> np.ndarray:
+        _, frequencies, damping = predicted
         errors = damping[damped] / measured.damping[damped] - 1
         return np.append(frequencies / measured.frequencies - 1, errors)
 
-    kinds = [np.arange(count), *([count + np.arange(len(damped))] if len(damped) else [])]
-    found = fit_least_squares(residuals, free.starts(scene.fit.starts, scene.fit.seed), kinds)
-    fitted, width = free.scene_at(found.unknowns), found.student * found.deviations
-    numbers, frequencies, damping = _paired_modes(fitted, measured)
-    return ModeFit(
-        scene=fitted,
-        measured=measured,
-        keys=free.keys,
-        values=free.values(found.unknowns),
-        low=free.values(found.unknowns - width),
-        high=free.values(found.unknowns + width),
-        at_limit=np.abs(found.unknowns - 0.5) > 0.5 - 1e-6,
-        correlations=found.correlations,
-        inseparable=tuple(tuple(free.keys[index] for index in group) for group in found.inseparable),
-        numbers=numbers,
-        frequencies=frequencies,
-        damping=damping,
-        evaluations=found.evaluations,
+    def weigh(errors: np.ndarray, leverage: np.ndarray) -> np.ndarray:
+        """Make errors of damping ratios as large as those of frequencies."""
+        sizes = [
+            math.sqrt(np.sum(errors[rows] ** 2) / max(1.0, np.sum(1 - leverage[rows])))
+            for rows in (slice(count), slice(count, None))
+        ]
+        ratio = sizes[0] / sizes[1] if sizes[1] else 1.0
+        return np.where(np.arange(len(errors)) < count, 1.0, np.clip(ratio, *WEIGHTS))
+
+    found = fit_panel(
+        scene,
+        measured.source,
+        count + len(damped),
+        lambda changed: _paired_modes(changed, measured),
+        [residuals],
+        weigh if len(damped) else None,
     )
+    numbers, frequencies, damping = _paired_modes(found.scene, measured)
+    numbers = numbers.astype(int)
+    return ModeFit(**vars(found), measured=measured, numbers=numbers, frequencies=frequencies, damping=damping)
 
 
-def _paired_modes(scene: Scene, measured: MeasuredModes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the number, frequency [Hz] and damping ratio of the mode for each measured one."""
+def _paired_modes(scene: Scene, measured: MeasuredModes) -> np.ndarray:
+    """Return (3, n) number, frequency [Hz] and damping ratio of the mode for each measured one."""
     assert scene.fit is not None
     count = len(measured.frequencies)
     nearest = measured.numbers is None and scene.fit.pairing == "nearest"
@@ -119,4 +98,4 @@ def _paired_modes(scene: Scene, measured: MeasuredModes) -> tuple[np.ndarray, np
     if nearest:
         distances = np.abs(np.log(measured.frequencies[:, None] / frequencies))
         numbers = 1 + scipy.optimize.linear_sum_assignment(distances)[1]
-    return numbers, frequencies[numbers - 1], plate.damping_ratios[moving][numbers - 1]
+    return np.stack([numbers, frequencies[numbers - 1], plate.damping_ratios[moving][numbers - 1]])

@@ -16,14 +16,20 @@ import scipy
 
 # Step of central differences and the number of best starts that are followed to the end.
 STEP, FOLLOWED = 1e-4, 3
+# Relative changes of the unknowns at which a stage, and the whole, are at an optimum.
+COARSE, FINE = 1e-2, 1e-6
 # Residuals that change by less over a whole range do not depend on an unknown; smaller singular values are zero.
 NO_INFLUENCE, RANK = 1e-6, 1e-4
-# Parts of a direction above MEMBER belong to it.
-MEMBER = 0.02
-# Rounds that estimate the weights of the kinds of residuals, and the smallest and largest of them.
-ROUNDS, WEIGHTS = 3, (1e-4, 1e4)
+# Parts of a direction without a singular value above MEMBER belong to it; unknowns whose parts change together by a
+# cosine above LINKED form one group.
+MEMBER, LINKED = 1e-3, 0.1
+# Predictions that are kept.
+MOST_KEPT = 128
+# Rounds in which residuals are weighed anew.
+ROUNDS = 3
 LEVEL = 0.95
 Function = Callable[[np.ndarray], np.ndarray]
+Weigh = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,41 +53,47 @@ class LeastSquaresFit:
     evaluations: int
 
 
-def fit_least_squares(residuals: Function, starts: np.ndarray, kinds: Sequence[np.ndarray]) -> LeastSquaresFit:
+def fit_least_squares(
+    predict: Function, residuals: Sequence[Function], starts: np.ndarray, weigh: Weigh | None = None
+) -> LeastSquaresFit:
     """Return the unknowns within 0 ... 1 that minimise the squares of residuals.
 
     Args:
-        residuals: Function of (p,) unknowns that returns (n,) residuals.
-        starts: (starts, p) unknowns; the best of them are followed.
-        kinds: Indices of the residuals of each kind; errors are estimated for each kind, from the residuals.
+        predict: Function of (p,) unknowns, which takes the time.
+        residuals: Functions that return (n,) residuals of what it returns, from the smoothest to the one that counts;
+            the optimum of each is the start of the next.
+        starts: (starts, p) unknowns; the best of them are followed through the first stage.
+        weigh: Function that returns (n,) weights for residuals (n,) and the leverage (n,) of each, which is the number
+            of unknowns that it determines (default: all weights are 1).
     """
-    kept = lru_cache(maxsize=None)(lambda point: residuals(np.array(point)))
-
-    def function(unknowns: np.ndarray) -> np.ndarray:
-        return kept(tuple(unknowns.tolist()))
-
-    costs = [np.sum(function(start) ** 2) for start in starts]
-    weights = np.ones(len(function(starts[0])))
-    best = starts[np.argsort(costs, kind="stable")[:FOLLOWED]]
-    solved = [_solve(function, weights, start) for start in best]
-    unknowns = min(solved, key=lambda found: np.sum(function(found) ** 2))
-    for _ in range(ROUNDS if len(kinds) > 1 else 0):
-        weights = _weights(function(unknowns), weights[:, None] * _jacobian(function, unknowns), kinds)
-        unknowns = _solve(function, weights, unknowns)
+    kept = lru_cache(MOST_KEPT)(lambda point: predict(np.array(point)))
+    stages = [lambda unknowns, stage=stage: stage(kept(tuple(unknowns.tolist()))) for stage in residuals]
+    costs = [np.sum(stages[0](start) ** 2) for start in starts]
+    weights = np.ones(len(stages[0](starts[0])))
+    best = np.argsort(costs, kind="stable")[:FOLLOWED]
+    solved = [_solve(stages[0], weights, starts[index], COARSE) for index in best]
+    unknowns, function = min(solved, key=lambda found: np.sum(stages[0](found) ** 2)), stages[-1]
+    for stage in stages[1:-1]:
+        unknowns = _solve(stage, weights, unknowns, COARSE)
+    unknowns = _solve(function, weights, unknowns, FINE)
+    if weigh is not None:
+        for _ in range(ROUNDS):
+            weights = weigh(function(unknowns), _leverage(weights[:, None] * _jacobian(function, unknowns)))
+            unknowns = _solve(function, weights, unknowns, FINE)
     jacobian = weights[:, None] * _jacobian(function, unknowns)
     return _judge(unknowns, weights * function(unknowns), jacobian, kept.cache_info().misses)
 
 
-def _solve(function: Function, weights: np.ndarray, start: np.ndarray) -> np.ndarray:
+def _solve(function: Function, weights: np.ndarray, start: np.ndarray, tolerance: float) -> np.ndarray:
     """Return the (p,) unknowns of a local optimum."""
     found = scipy.optimize.least_squares(
         lambda point: weights * function(point),
         start,
         lambda point: weights[:, None] * _jacobian(function, point),
         bounds=(0, 1),
-        xtol=1e-7,
-        ftol=1e-10,
-        gtol=1e-12,
+        xtol=tolerance,
+        ftol=tolerance**2,
+        gtol=None,
     )
     return np.asarray(found.x)
 
@@ -95,16 +107,10 @@ def _jacobian(function: Function, unknowns: np.ndarray) -> np.ndarray:
     return np.stack(columns, axis=1)
 
 
-def _weights(residuals: np.ndarray, jacobian: np.ndarray, kinds: Sequence[np.ndarray]) -> np.ndarray:
-    """Return (n,) weights that make all kinds of residuals as large as the first, by their degrees of freedom."""
+def _leverage(jacobian: np.ndarray) -> np.ndarray:
+    """Return (n,) leverages, the diagonal of J J⁺."""
     directions, values, _ = np.linalg.svd(jacobian, full_matrices=False)
-    leverage = np.sum(directions[:, values > RANK * values[0]] ** 2, axis=1)
-    freedom = [max(1.0, len(rows) - leverage[rows].sum()) for rows in kinds]
-    sizes = [np.sqrt(np.sum(residuals[rows] ** 2) / free) for rows, free in zip(kinds, freedom, strict=True)]
-    weights = np.ones(len(residuals))
-    for rows, size in zip(kinds, sizes, strict=True):
-        weights[rows] = np.clip(sizes[0] / size if size else 1.0, *WEIGHTS)
-    return weights
+    return np.asarray(np.sum(directions[:, values > RANK * values[0]] ** 2, axis=1))
 
 
 def _judge(unknowns: np.ndarray, residuals: np.ndarray, jacobian: np.ndarray, evaluations: int) -> LeastSquaresFit:
@@ -117,11 +123,13 @@ def _judge(unknowns: np.ndarray, residuals: np.ndarray, jacobian: np.ndarray, ev
     scaled = directions[kept] / values[kept, None]
     covariance = (residuals @ residuals / freedom) * (scaled.T @ scaled)
     lost = np.eye(len(unknowns)) - directions[kept].T @ directions[kept]
-    told = np.diag(lost) < MEMBER
+    parts = np.sqrt(np.maximum(np.diag(lost), 0))
+    told = parts < MEMBER
     deviations = np.where(told, np.sqrt(np.diag(covariance)), np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
         correlations = covariance / np.outer(deviations, deviations)
-    count, labels = scipy.sparse.csgraph.connected_components(np.abs(lost) > MEMBER)
+    linked = (np.abs(lost) > LINKED * np.outer(parts, parts)) & ~told & ~told[:, None]
+    count, labels = scipy.sparse.csgraph.connected_components(linked)
     groups = (tuple(np.flatnonzero((labels == label) & ~told).tolist()) for label in range(count))
     student = float(scipy.special.stdtrit(freedom, (1 + LEVEL) / 2))
     inseparable = tuple(group for group in groups if group)

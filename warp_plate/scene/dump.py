@@ -18,7 +18,7 @@ def dump_scene(scene: Scene) -> str:
         data["grid"] = {"accuracy": scene.grid.accuracy}
     if scene.targets and scene.target == scene.targets[0].unnamed:
         del data["target"]
-    data |= {key: data.pop(key) for key in ("targets", "actuators")}  # at the end
+    data |= {key: data.pop(key) for key in ("targets", "actuators", "measurement")}  # at the end
     return "\n".join(_lines("", data)) + "\n"
 
 

@@ -1,4 +1,4 @@
-"""The table ``[fit]``: numbers of the scene that ``warp-plate fit`` takes from measurements, and their ranges."""
+"""The tables ``[fit]``, numbers that ``warp-plate fit`` takes from measurements, and ``[[measurement]]``."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.fields import Moderate, Table
+from warp_plate.scene.fields import Coordinate, Gain, Moderate, Name, Table
 from warp_plate.scene.keys import resolved_key, scalar_keys
 
 if TYPE_CHECKING:
     from warp_plate.scene.model import Scene
 
 # Tables whose numbers are properties of the panel.
-PANEL = ("plate", "edges", "effects", "actuators")
+PANEL = ("plate", "edges", "effects", "actuators", "measurement")
 
 
 def _flat(free: Any) -> Any:
@@ -29,6 +29,32 @@ def _flat(free: Any) -> Any:
                 yield f"{head}{key}", value
 
     return dict(items(free, "")) if isinstance(free, dict) else free
+
+
+class Measurement(Table):
+    """A frequency response that was measured: what drove the panel, and where its motion was sensed."""
+
+    actuator: Name | None = None  # driven actuator, or
+    force_at: tuple[Coordinate, Coordinate] | None = None  # point x, y of a hammer or shaker [m]
+    point: tuple[Coordinate, Coordinate]  # sensor's x, y [m]
+    quantity: Literal["receptance", "mobility", "accelerance"] = "accelerance"
+    gain: Gain = 1.0  # what was measured, over the true response in SI units
+
+    @model_validator(mode="after")
+    def _driven_once(self) -> Measurement:
+        if (self.actuator is None) == (self.force_at is None):
+            raise ValueError("actuator: write an actuator's name, or force_at = [x, y], and not both")
+        return self
+
+    def check(self, key: str, scene: Scene) -> None:
+        """Raise ValueError, beginning with ``key``, unless the actuator is there and the points are on the plate."""
+        names = [actuator.name for actuator in scene.actuators]
+        if self.actuator is not None and self.actuator not in names:
+            raise ValueError(f"{key}.actuator: {self.actuator!r} is not one of {', '.join(names)}")
+        width, height = scene.plate.size
+        for name, (x, y) in {"point": self.point, "force_at": self.force_at or (0.0, 0.0)}.items():
+            if not (0 <= x <= width and 0 <= y <= height):
+                raise ValueError(f"{key}.{name}: {[x, y]} is off the plate of {[width, height]} m")
 
 
 class Fit(Table):

@@ -23,6 +23,7 @@ NAMED = ("actuators", "targets")
 # "drive" stands for the unit of the actuators' magnitudes.
 UNITS = {
     **dict.fromkeys(("size", "thickness", "area", "clearance", "disc", "polygon", "points", "start", "place"), "m"),
+    **dict.fromkeys(("point", "force_at"), "m"),
     **dict.fromkeys(("time", "end", "duration", "ramp", "period", "delay", "delay.range"), "s"),
     **dict.fromkeys(("time_step", "times", "from_time", "to_time", "window.start", "burst.start", "signal.start"), "s"),
     **dict.fromkeys(("frequency", "end_frequency", "frequency.range"), "Hz"),
@@ -53,7 +54,7 @@ UNITS = {
 }
 # Names of the indices that follow a name.
 INDEX_NAMES = {
-    **dict.fromkeys(("size", "nodes", "velocity", "start"), ("x", "y")),
+    **dict.fromkeys(("size", "nodes", "velocity", "start", "point", "force_at"), ("x", "y")),
     "area": ("x0", "x1", "y0", "y1"),
     "disc": ("x", "y", "radius"),
     "range": ("smallest", "largest"),

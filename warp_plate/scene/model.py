@@ -27,7 +27,7 @@ from warp_plate.scene.fields import (
     Text,
     check_area,
 )
-from warp_plate.scene.fit import Fit
+from warp_plate.scene.fit import Fit, Measurement
 from warp_plate.scene.grid import DEFAULT_ACCURACY, Grid, grid_by_waves
 from warp_plate.scene.keys import resolved_key, with_values
 from warp_plate.scene.load import parse_toml, read_scene_text
@@ -133,6 +133,7 @@ class Scene(Table):
     effects: Effects = Effects()
     search: Search = Search()
     fit: Fit | None = None
+    measurement: tuple[Measurement, ...] = ()
     actuators: Annotated[tuple[Actuator, ...], Field(min_length=1)]
     _folder: Path | None = PrivateAttr(default=None)
 
@@ -223,6 +224,8 @@ class Scene(Table):
             self.search.robust.check(self.effects, self.grid.load)
             if len(self.targets) > 1:
                 raise ValueError("search.robust: not with several [[targets]]; write a scene for each target")
+        for index, row in enumerate(self.measurement):
+            row.check(f"measurement[{index}]", self)
         if self.fit is not None:
             self.fit.check(self)
         self._check_record()

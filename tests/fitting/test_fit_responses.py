@@ -1,0 +1,152 @@
+"""Numbers of panels from frequency responses by Navier's series, with seeded noise, in CSV and universal files."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import MATERIAL, error_of, output_of, scene_of
+
+from warp_plate import SceneError
+from warp_plate.fitting.fit_responses import fit_responses
+from warp_plate.fitting.measured_responses import MeasuredResponses, read_responses
+from warp_plate.result.export.frequency_response import write_csv, write_uff
+from warp_plate.studies.frequency_response import compute_frequency_response
+
+SIZE, ETA, HIT = (0.23, 0.17), 0.02, (0.05, 0.06)
+MODULUS, SURFACE_DENSITY = MATERIAL["young_modulus"], MATERIAL["density"] * MATERIAL["thickness"]
+RIGIDITY = MODULUS * MATERIAL["thickness"] ** 3 / 12 / (1 - MATERIAL["poisson_ratio"] ** 2)
+POINTS = (0.1, 0.05), (0.17, 0.12), (0.03, 0.13)
+MODULI = {"plate.young_modulus": (0.7 * MODULUS, 1.4 * MODULUS)}
+FREE = {**MODULI, "effects.loss_factor.eta": (0.002, 0.2)}
+
+
+def supported(rows=None, free=FREE, density=0.5, **fit):
+    """Return a panel whose own modulus and loss factor are wrong."""
+    return scene_of(
+        size=SIZE,
+        edges=("supported",) * 4,
+        effects={"loss_factor": {"eta": 0.05}},
+        fit={"starts": 1, **fit, "free": free},
+        measurement=rows or [{"force_at": HIT, "point": point} for point in POINTS],
+    ).with_tables(plate={"size": SIZE, **MATERIAL, "young_modulus": 0.85 * MODULUS}, grid={"modal_density": density})
+
+
+def navier(frequencies, points=POINTS, waves=80):
+    """Return (points, n) accelerances of a point force."""
+    numbers = np.arange(1, waves + 1) * math.pi
+    along = [numbers / side for side in SIZE]
+
+    def shapes(point):
+        return np.outer(*(np.sin(k * place) for k, place in zip(along, point, strict=True)))
+
+    stiffness = RIGIDITY * (1 + 1j * ETA) * (along[0][:, None] ** 2 + along[1] ** 2) ** 2
+    omega = 2 * math.pi * frequencies
+    motion = 4 / math.prod(SIZE) * shapes(HIT) / (stiffness - SURFACE_DENSITY * omega[:, None, None] ** 2)
+    return np.array([-(omega**2) * (motion * shapes(point)).sum(axis=(1, 2)) for point in points])
+
+
+def noisy(random, noise=0.01, frequencies=None):
+    """Return responses with complex noise relative to each."""
+    frequencies = np.linspace(6, 80, 75) if frequencies is None else frequencies
+    exact = navier(frequencies)
+    errors = (random.normal(size=exact.shape) + 1j * random.normal(size=exact.shape)) * noise / math.sqrt(2)
+    return MeasuredResponses("data.csv", frequencies, exact * (1 + errors))
+
+
+def test_command(command, write_scene, random):
+    """An outlier does no harm."""
+    write_scene(supported(free=MODULI).replace("effects.loss_factor.eta", ETA))
+    data = noisy(random)
+    data.responses[1, 30] *= -20
+    parts = np.stack([data.responses.real, data.responses.imag], axis=1).reshape(6, -1)
+    np.savetxt("data.csv", np.column_stack([data.frequencies, *parts]), delimiter=",", header="f")
+    record = json.loads(output_of(command("fit", "panel.toml", "--data", "data.csv", "--json")))
+    fitted = {key: row["value"] for key, row in record["parameters"].items()}
+    assert fitted["plate.young_modulus"] == pytest.approx(MODULUS, rel=5e-3)
+    assert max(record["rms_decibels"][::2]) < 0.3 < record["rms_decibels"][1]
+    Path("data.csv").write_text("f,re,im\n10,1,2\n20,1,2\n", encoding="utf-8")
+    message = "data.csv: has 1 responses; the scene has 3 tables [[measurement]]"
+    assert message in error_of(command("fit", "panel.toml", "--data", "data.csv"))
+
+
+@pytest.mark.slow
+def test_intervals_hold_from_far_starts(random):
+    """Intervals of 12 sets of noise; the sensors whose gains are known tell modulus and density apart."""
+    free = {**FREE, "plate.density": (700.0, 1400.0), "measurement[0].gain": (0.5, 2.0)}
+    scene, truth, held = supported(free=free, starts=8), (MODULUS, ETA, MATERIAL["density"], 1.3), []
+    for _ in range(12):
+        data = noisy(random)
+        data.responses[0] *= 1.3
+        found = fit_responses(scene, data)
+        assert found.inseparable == ()
+        assert found.values == pytest.approx(truth, rel=0.01)
+        held += [low < value < high for low, value, high in zip(found.low, truth, found.high, strict=True)]
+    assert sum(held) >= 41
+
+
+@pytest.mark.slow
+def test_gains_of_all_sensors_hide_the_density(random):
+    rows = [{"force_at": HIT, "point": POINTS[0]}]
+    free = {**MODULI, "plate.density": (700.0, 1400.0), "measurement[0].gain": (0.5, 2.0)}
+    data = noisy(random, frequencies=np.linspace(6, 30, 20))
+    scene = supported(rows, free).replace("effects.loss_factor.eta", ETA)
+    found = fit_responses(scene, MeasuredResponses("data.csv", data.frequencies, data.responses[:1]))
+    assert found.inseparable == (tuple(free),)
+
+
+@pytest.mark.parametrize(("ending", "write"), [("csv", write_csv), ("uff", write_uff)])
+def test_files_of_frf(ending, write, tmp_path):
+    """What ``frf`` writes is read to the digits written, the universal file to the last bit."""
+    if ending == "uff":
+        pytest.importorskip("pyuff")
+    exact = compute_frequency_response(supported(), [HIT], POINTS[:2], (5.0, 40.0), "accelerance")
+    write(exact, tmp_path / f"data.{ending}")
+    found = read_responses(tmp_path / f"data.{ending}", 2)
+    tolerance = 1e-8 if ending == "csv" else 0
+    np.testing.assert_allclose(found.frequencies, exact.frequencies, rtol=tolerance)
+    np.testing.assert_allclose(found.responses, exact.responses, rtol=tolerance)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("a.csv", "f,re\n1,2\n", "needs the columns frequency, real and imaginary part of each response"),
+        ("a.csv", "1,1,1\n1,1,1\n", "frequencies must rise, from 0 hertz or above"),
+        ("a.csv", "0,0,0\n1,1,1\n", "1 frequencies; 2 to 4000 can be fitted"),
+        ("a.csv", "1,1,1\n2,0,0\n", "response 1 at 2 Hz is 0+0j; must be a complex number other than 0"),
+        ("a.csv", "1,1,x\n", "line 1 is not made of numbers"),
+        ("a.uff", "nothing", "a.uff: "),
+    ],
+)
+def test_bad_files(name, text, message, tmp_path):
+    if name.endswith("uff"):
+        pytest.importorskip("pyuff")
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    with pytest.raises(SceneError) as caught:
+        read_responses(tmp_path / name, 1)
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [
+        (
+            {"point": (0.1, 0.1)},
+            "measurement[0].actuator: write an actuator's name, or force_at = [x, y]",
+        ),
+        ({"actuator": "0", "point": (0.1, 0.3)}, "measurement[0].point: [0.1, 0.3] is off the plate"),
+        ({"actuator": "x", "point": (0.1, 0.1)}, "measurement[0].actuator: 'x' is not one of 0, 1, 2"),
+        ({"force_at": (1, 0), "point": (0, 0)}, "measurement[0].force_at: [1.0, 0.0] is off the plate"),
+    ],
+)
+def test_bad_tables(row, message):
+    with pytest.raises(SceneError) as caught:
+        supported().with_tables(measurement=[row])
+    assert message in str(caught.value)
+
+
+def test_a_panel_without_damping_is_refused(random):
+    with pytest.raises(SceneError, match="effects: responses of a panel without damping"):
+        fit_responses(supported(free={"plate.density": (700.0, 1400.0)}).with_tables(effects={}), noisy(random))

@@ -1,0 +1,114 @@
+"""Fit a scene's free numbers to measured frequency responses.
+
+Residuals are log(H / Hₘ): the real part is the ratio of amplitudes, the imaginary part the difference of phases. Sharp
+resonances give them many local minima, so that responses, computed and measured alike, are first averaged over
+frequencies around each, with the weights of a resonance curve that becomes narrower from stage to stage.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from warp_plate.fitting.fitted_panel import FittedPanel, fit_panel
+from warp_plate.fitting.least_squares import Function
+from warp_plate.fitting.measured_responses import MeasuredResponses
+from warp_plate.modal.continuous_modes import linear_part
+from warp_plate.modal.modes import ModalPlate, solve_modes
+from warp_plate.result.frequency_response import DERIVATIVES
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.fit import Measurement
+from warp_plate.scene.model import Scene
+
+# Half-widths of the averages relative to the frequency; 0 for none.
+WIDTHS = 0.2, 0.05, 0.01, 0.0
+# Residuals beyond so many times their usual size count less, as the absolute value and not the square.
+USUAL = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseFit(FittedPanel):
+    """A scene fitted to measured frequency responses.
+
+    Attributes:
+        measured: What was measured.
+        responses: (measurements, n) fitted responses.
+    """
+
+    measured: MeasuredResponses
+    responses: np.ndarray
+
+    @property
+    def errors(self) -> np.ndarray:
+        """(measurements, n) log(H / Hₘ)."""
+        return np.log(self.responses / self.measured.responses)
+
+    @property
+    def rms_decibels(self) -> np.ndarray:
+        """(measurements,) root mean square errors of the levels [dB]."""
+        return 20 / np.log(10) * np.sqrt(np.mean(self.errors.real**2, axis=1))
+
+    @property
+    def rms_degrees(self) -> np.ndarray:
+        """(measurements,) root mean square errors of the phases [°]."""
+        return np.degrees(np.sqrt(np.mean(self.errors.imag**2, axis=1)))
+
+
+def fit_responses(scene: Scene, measured: MeasuredResponses) -> ResponseFit:
+    """Return the scene whose numbers under ``[fit.free]`` make its responses those that were measured.
+
+    Raises:
+        SceneError: The panel has no damping, or see :func:`fit_panel`.
+    """
+    stages = [_residuals(measured, width) for width in WIDTHS]
+    count = 2 * measured.responses.size
+    found = fit_panel(scene, measured.source, count, lambda each: _responses(each, measured), stages, _weigh)
+    return ResponseFit(**vars(found), measured=measured, responses=_responses(found.scene, measured))
+
+
+def _residuals(measured: MeasuredResponses, width: float) -> Function:
+    """Return the function of (measurements, n) responses that returns (2 · measurements · n,) residuals."""
+    average = _average(measured.frequencies, width).T if width else 1.0
+    smooth = np.dot(measured.responses, average)
+
+    def residuals(responses: np.ndarray) -> np.ndarray:
+        errors = np.log(np.dot(responses, average) / smooth).ravel()
+        return np.concatenate([errors.real, errors.imag])
+
+    return residuals
+
+
+def _average(frequencies: np.ndarray, width: float) -> np.ndarray:
+    """Return (n, n) weights of the average over frequencies around each, for a half-width relative to it."""
+    distance = (frequencies - frequencies[:, None]) / (width * frequencies[:, None])
+    weights = np.gradient(frequencies) / (1 + distance**2)
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+
+
+def _weigh(residuals: np.ndarray, leverage: np.ndarray) -> np.ndarray:
+    """Return Huber's weights of residuals, amplitude and phase of each response together."""
+    sizes = np.hypot(*residuals.reshape(2, -1))
+    usual = USUAL * np.median(sizes)
+    return np.tile(np.sqrt(usual / np.maximum(sizes, usual)) if usual else np.ones_like(sizes), 2)
+
+
+def _responses(scene: Scene, measured: MeasuredResponses) -> np.ndarray:
+    """Return (measurements, n) responses of a scene."""
+    plate = solve_modes(linear_part(scene), highest=measured.frequencies[-1])
+    if not plate.loss_factors.any():
+        raise SceneError("effects: responses of a panel without damping are not finite; write [effects.loss_factor]")
+    forces = np.stack([_force(plate, each) for each in scene.measurement], axis=1)
+    shapes = plate.at_points([each.point for each in scene.measurement])
+    amplitudes = plate.respond(measured.frequencies, forces)
+    turn, powers = 2j * np.pi * measured.frequencies, [DERIVATIVES[each.quantity] for each in scene.measurement]
+    gains = np.array([each.gain for each in scene.measurement])[:, None] * turn ** np.array(powers)[:, None]
+    return gains * np.einsum("fmk,mk->kf", amplitudes, shapes)
+
+
+def _force(plate: ModalPlate, measurement: Measurement) -> np.ndarray:
+    """Return the (modes,) modal forces [1/√kg] of 1 N, evenly over an actuator or at a point."""
+    if measurement.force_at is not None:
+        return plate.at_points([measurement.force_at])[:, 0]
+    area = next(each.area for each in plate.scene.actuators if each.name == measurement.actuator)
+    return plate.patch_forces([area])[:, 0] / ((area[1] - area[0]) * (area[3] - area[2]))

@@ -1,0 +1,82 @@
+"""A scene with fitted numbers, and what they are worth; what is common to all kinds of measurements."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from warp_plate.fitting.free_numbers import free_numbers
+from warp_plate.fitting.least_squares import Function, Weigh, fit_least_squares
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class FittedPanel:
+    """A scene with fitted numbers.
+
+    Attributes:
+        scene: The scene with the fitted numbers.
+        keys: (p,) keys of the free numbers.
+        values: (p,) fitted values.
+        low: (p,) lower ends of the 95 % intervals, NaN for numbers that the data do not tell.
+        high: (p,) upper ends.
+        at_limit: (p,) True where a value is an end of its range.
+        correlations: (p, p) correlations of values, or of their logarithms where ranges are above 0; else NaN.
+        inseparable: Keys that these data cannot tell apart, group by group; a key alone has no influence on them.
+        evaluations: Number of plates that were computed.
+    """
+
+    scene: Scene
+    keys: tuple[str, ...]
+    values: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    at_limit: np.ndarray
+    correlations: np.ndarray
+    inseparable: tuple[tuple[str, ...], ...]
+    evaluations: int
+
+
+def fit_panel(
+    scene: Scene,
+    source: str,
+    count: int,
+    predict: Callable[[Scene], np.ndarray],
+    residuals: Sequence[Function],
+    weigh: Weigh | None,
+) -> FittedPanel:
+    """Return the scene whose predictions are nearest to measurements.
+
+    Args:
+        scene: Scene with the table ``[fit]``.
+        source: File of the measurements, for errors.
+        count: Number of residuals.
+        predict: Function of a scene that returns what is measured.
+        residuals: Functions of predictions, see :func:`fit_least_squares`.
+        weigh: Weights, see the same.
+
+    Raises:
+        SceneError: The scene has no ``[fit]``, there are too few data, or a range leads to a scene that is refused.
+    """
+    free = free_numbers(scene)
+    assert scene.fit is not None
+    if count <= len(free.keys):
+        given = f"{count} numbers do not determine {len(free.keys)} free ones and their errors"
+        raise SceneError(f"{source}: {given}; measure more, or free fewer keys in [fit.free]")
+    starts = free.starts(scene.fit.starts, scene.fit.seed)
+    found = fit_least_squares(lambda unknowns: predict(free.scene_at(unknowns)), residuals, starts, weigh)
+    width = found.student * found.deviations
+    return FittedPanel(
+        scene=free.scene_at(found.unknowns),
+        keys=free.keys,
+        values=free.values(found.unknowns),
+        low=free.values(found.unknowns - width),
+        high=free.values(found.unknowns + width),
+        at_limit=np.abs(found.unknowns - 0.5) > 0.5 - 1e-6,
+        correlations=found.correlations,
+        inseparable=tuple(tuple(free.keys[index] for index in group) for group in found.inseparable),
+        evaluations=found.evaluations,
+    )
