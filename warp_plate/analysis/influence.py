@@ -30,7 +30,7 @@ from warp_plate.scene.effects import (
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Edges, ElasticEdge, Scene
-from warp_plate.solve.peak import peak_of, sample_times
+from warp_plate.solve.peak import sample_times
 from warp_plate.solve.solver import PlateSolver
 
 # Loss factor at the drive's frequency of all kinds of damping, typical of plastics and glued joints.
@@ -93,8 +93,8 @@ def measure_influence(
     solvers = {"": base} | {name: solver for name, (solver, _) in others.items() if solver is not None}
     results = {}
     for name, solver in solvers.items():
-        run = solver.run(scene_phasors(solver.scene)[None], sample_times(solver.scene))
-        results[name] = float(localization_factor(run.energy)[0]), peak_of(run.displacement)
+        run = solver.run(scene_phasors(solver.scene)[None], peak_times=sample_times(solver.scene))
+        results[name] = float(localization_factor(run.energy)[0]), float(run.peak.max())
     seconds = seconds_a_step({**solvers, "bare": PlateSolver(bare_scene(scene), device)}, device, ROUNDS)
     bare_step = float(np.median(seconds["bare"]))
     toggles = []

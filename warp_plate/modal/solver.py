@@ -150,8 +150,9 @@ class ModalSolver:
         times: Sequence[float] = (),
         points: Sequence[tuple[float, float]] = (),
         progress: Progress | None = None,
+        peak_times: Sequence[float] = (),
     ) -> Run:
-        """Return energies, displacements at ``times`` and traces at ``points``, as :meth:`PlateSolver.run` does."""
+        """Return energies, displacements at ``times``, their peak and traces, as :meth:`PlateSolver.run` does."""
         designs = drives if isinstance(drives, Designs) else Designs(as_phasors(drives, len(self.scene.actuators)))
         check_designs(designs, self.scene, self.discretization.per_plate, self.scheme.time_step)
         energy = self._energies(designs)
@@ -163,6 +164,7 @@ class ModalSolver:
             masses=self._masses,
             displacement=displacement,
             times=np.asarray(times, dtype=float),
+            peak=self._peak(designs.drives, np.asarray(peak_times, dtype=float)),
             trace=trace,
             trace_times=trace_times,
             node_steps=0,
@@ -255,6 +257,16 @@ class ModalSolver:
         if len(points):
             trace[:] = displacement_at(self.plate, phasors, points, trace_times)
         return displacement, trace, trace_times
+
+    def _peak(self, phasors: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """Return (plates, ny, nx) largest magnitudes of the displacement [m] at ``times``, a part of them at a time."""
+        x, y = node_positions(self.scene)
+        largest = np.zeros((len(phasors), y.size, x.size))
+        some = max(1, BLOCK_NUMBERS // max(1, largest.size))
+        for first in range(0, times.size, some):
+            displacement = fields(self.plate, phasors, times[first : first + some], x, y)
+            np.maximum(largest, np.abs(displacement, out=displacement).max(axis=1), out=largest)
+        return largest
 
 
 def make_solver(

@@ -77,6 +77,7 @@ class PlateBatch(Batch):
         coefficients = state.host_coefficients.numpy()
         self.scale = scaled_coefficients(specialized.discretization.signals, phasors, sizes, least, coefficients)
         self.whole = whole
+        self._largest: wp.array | None = None
         if not whole:
             engine.load_drives(state, len(phasors), values.edges)
         if not specialized.effects.plain:
@@ -99,6 +100,18 @@ class PlateBatch(Batch):
     def displacement(self) -> np.ndarray:
         """(plates, ny, nx) displacement [m]."""
         return self._field(self.state.u, self.engine.specialized.scheme.load_scale)
+
+    def sample_peak(self) -> None:
+        """Compare the displacement of each node with the largest one sampled before; on CUDA the work is queued."""
+        if self._largest is None:
+            self._largest = wp.zeros_like(self.state.u[: self.plates])
+        self.engine.keep_largest(self.state.u[: self.plates], self._largest)
+
+    @property
+    def peak(self) -> np.ndarray:
+        """(plates, ny, nx) largest magnitude of the displacements that were sampled [m]."""
+        assert self._largest is not None
+        return self._field(self._largest, self.engine.specialized.scheme.load_scale)
 
     @property
     def velocity(self) -> np.ndarray:

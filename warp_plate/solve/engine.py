@@ -12,6 +12,7 @@ import warp as wp
 
 from warp_plate.kernels.energy import make_sum_over_rows, sum_over_columns
 from warp_plate.kernels.load import make_write_loads
+from warp_plate.kernels.peak import make_keep_largest
 from warp_plate.scene.errors import SceneError
 from warp_plate.solve.paths import choose_path, paths_of
 from warp_plate.solve.per_plate import PerPlateKernels
@@ -43,6 +44,7 @@ class Engine:
         if self.path not in paths:
             raise SceneError(f"path = {path!r}: no such path; there are: auto, {', '.join(paths)}")
         self._write_loads, self._sum_over_rows = make_write_loads(real), make_sum_over_rows(real)
+        self._keep_largest = make_keep_largest(real)
         specialized.load(self._write_loads, self._sum_over_rows, sum_over_columns)
         self.advance = paths[self.path](specialized)
         self.per_plate = PerPlateKernels(specialized)
@@ -72,6 +74,12 @@ class Engine:
             outputs=[state.loads],
             device=specialized.device,
         )
+
+    def keep_largest(self, u: wp.array, largest: wp.array) -> None:
+        """Queue that ``largest`` keeps the largest magnitudes of u; both are (plates, rows, columns)."""
+        device = self.specialized.device
+        self.specialized.load(self._keep_largest)
+        wp.launch(self._keep_largest, dim=u.shape, inputs=[u], outputs=[largest], device=device)
 
     def sum_regions(self, state: State, plates: int) -> None:
         """Queue the weighted sums of rate² over the window for the first plates, into ``state.energy``."""

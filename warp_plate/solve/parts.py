@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from functools import partial
 from itertools import cycle
 
@@ -62,10 +62,13 @@ class PartRunner:
         phasors: np.ndarray,
         values: PerPlateValues,
         snapshots: list[int],
+        samples: Set[int],
         points: Sequence[tuple[float, float]],
         progress: Progress,
     ) -> None:
-        """Step plates part by part, and write their energies, displacements, traces and faults into ``run``.
+        """Step plates part by part, and write their energies, records and faults into ``run``.
+
+        Displacements are kept at the steps ``snapshots``, and sampled for their peak at the steps ``samples``.
 
         Parts take turns on the states: while the device steps one, the host prepares the next.
         """
@@ -87,12 +90,14 @@ class PartRunner:
             part = slice(first, min(first + size, plates))
             if len(queued) == len(states):
                 finish_oldest()
-            whole = not snapshots and not points and self._takes_whole(values, part.stop - first)
+            whole = not (snapshots or samples or points) and self._takes_whole(values, part.stop - first)
             batch = PlateBatch(self.engine, state, phasors[part], values[part], whole)
             if whole:
                 batch.run_whole()
             else:
-                self._advance(batch, snapshots, run.displacement[part], partial(report, first * work))
+                self._advance(batch, snapshots, run.displacement[part], samples, partial(report, first * work))
+                if samples:
+                    run.peak[part] = batch.peak if batch.step == self.specialized.scheme.steps else np.nan
             queued.append((part, batch.queue_energies()))
             if points:
                 run.trace[part] = batch.trace(shares)
@@ -145,21 +150,29 @@ class PartRunner:
         return self.states[:turns], size
 
     def _advance(
-        self, batch: PlateBatch, snapshots: list[int], displacement: np.ndarray, report: Callable[[int], None]
+        self,
+        batch: PlateBatch,
+        snapshots: list[int],
+        displacement: np.ndarray,
+        samples: Set[int],
+        report: Callable[[int], None],
     ) -> None:
         """Take plates to the end of the window, or until all grow without bound; on CUDA the last steps are queued.
 
-        The displacement (plates, times, ny, nx) is written at the steps ``snapshots``.
+        The displacement (plates, times, ny, nx) is written at the steps ``snapshots``, and sampled at ``samples``.
         """
         steps, plates = self.specialized.scheme.steps, len(batch.phasors)
         segment, may_grow = segment_steps(self.specialized, plates)
-        for stop in sorted({*range(segment, steps, segment), *snapshots, steps}):
+        waits = {*range(segment, steps, segment), *snapshots}
+        for stop in sorted({*waits, *samples, steps}):
             batch.advance(stop)
             all_grown = may_grow and batch.check_growth()
+            if stop in samples:
+                batch.sample_peak()
             for index, snapshot in enumerate(snapshots):
                 if snapshot == stop:
                     displacement[:, index] = batch.displacement
-            if stop < steps:
+            if stop < steps and (stop in waits or self.specialized.device.is_cpu):
                 wp.synchronize_device(self.specialized.device)
                 report(stop * plates * self.specialized.interior_nodes)
                 check_interrupt()

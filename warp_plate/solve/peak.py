@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -13,9 +12,8 @@ from warp_plate.scene.fields import SMALLEST
 from warp_plate.scene.model import Scene
 from warp_plate.solve.run import PlateRunner, Progress, Run
 
-# Samples in a period of the highest frequency (between two, a sine rises by 2 % at most), in a run at most and at
-# least, and the bytes that they take at most.
-SAMPLES_A_PERIOD, MOST_SAMPLES, FEWEST_SAMPLES, SAMPLES_BYTES = 16, 320, 2, 2**28
+# Samples in a period of the highest frequency (between two, a sine rises by 2 % at most), and in a run at most.
+SAMPLES_A_PERIOD, MOST_SAMPLES = 16, 320
 # Samples too few for every period are shifted by multiples of the golden ratio, so as never to keep in step with the
 # motion.
 GOLDEN = (math.sqrt(5) - 1) / 2
@@ -29,13 +27,10 @@ def run_with_peaks(
     Returns:
         The run, and the largest displacements (plates, 2) [m] in the target and in the rest; 0 for an empty region.
     """
-    scene = solver.scene
+    scene, target = solver.scene, _target_nodes(solver.scene)
     recorded = record_times(scene)
-    run = solver.run(phasors, (*recorded, *sample_times(scene, len(phasors))), scene.record.points, progress)
-    kept, target = len(recorded), _target_nodes(scene)
-    largest = np.maximum(run.displacement.max(axis=1), -run.displacement.min(axis=1))
-    peaks = np.stack([largest[:, nodes].max(axis=1, initial=0.0) for nodes in (target, ~target)], axis=1)
-    return replace(run, displacement=run.displacement[:, :kept], times=run.times[:kept]), peaks
+    run = solver.run(phasors, recorded, scene.record.points, progress, (*recorded, *sample_times(scene)))
+    return run, np.stack([run.peak[:, nodes].max(axis=1, initial=0.0) for nodes in (target, ~target)], axis=1)
 
 
 def _target_nodes(scene: Scene) -> np.ndarray:
@@ -50,16 +45,15 @@ def record_times(scene: Scene) -> tuple[float, ...]:
     return scene.record.times or (scene.window.end / 2, scene.window.end)
 
 
-def sample_times(scene: Scene, plates: int = 1) -> tuple[float, ...]:
-    """Return the times [s] at which to sample the displacement of ``plates`` plates for their peak.
+def sample_times(scene: Scene) -> tuple[float, ...]:
+    """Return the times [s] at which to sample the displacement for its peak.
 
     If all periods of the run take too many samples, the first burst and a moving load's passage get as many samples as
     the whole run.
     """
-    end, (nx, ny) = scene.window.end, scene.grid.nodes
+    end = scene.window.end
     wanted = math.ceil(SAMPLES_A_PERIOD * highest_frequency(scene) * end)
-    most = min(MOST_SAMPLES, max(FEWEST_SAMPLES, SAMPLES_BYTES // (8 * nx * ny * plates)))
-    if wanted <= most:
+    if wanted <= MOST_SAMPLES:
         return tuple((end * np.arange(1, wanted + 1) / wanted).tolist())
     spans = [(0.0, end)]
     burst, load = scene.drive.burst, scene.effects.moving_load
@@ -67,12 +61,7 @@ def sample_times(scene: Scene, plates: int = 1) -> tuple[float, ...]:
         spans.append((burst.start, min(burst.start + burst.duration, end)))
     if load is not None and load.from_time < end:
         spans.append((load.from_time, min(load.to_time or end, end)))
-    count = max(1, most // len(spans))
+    count = MOST_SAMPLES // len(spans)
     place = np.arange(1, count + 1)
     share = (place - place * GOLDEN % 1) / count
     return tuple(start + (stop - start) * part for start, stop in spans for part in share.tolist())
-
-
-def peak_of(displacement: np.ndarray) -> float:
-    """Return the largest magnitude; NaN if some displacement is."""
-    return float(np.maximum(displacement.max(), -displacement.min()))

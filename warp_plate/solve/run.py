@@ -24,7 +24,7 @@ class PlateRunner(Protocol):
     def scene(self) -> Scene:
         """The scene."""
 
-    def run(self, drives: Any, times: Any = ..., points: Any = ..., progress: Any = ...) -> Run:
+    def run(self, drives: Any, times: Any = ..., points: Any = ..., progress: Any = ..., peak_times: Any = ...) -> Run:
         """Return energies and records of a batch of plates."""
 
 
@@ -39,6 +39,7 @@ class Run:
     masses: np.ndarray  # (regions,) masses [kg]
     displacement: np.ndarray  # (plates, times, ny, nx) [m]
     times: np.ndarray  # (times,) times of the grid nearest to those asked for [s]
+    peak: np.ndarray  # (plates, ny, nx) largest magnitude of the displacement at ``peak_times`` [m]; 0 for none
     trace: np.ndarray  # (plates, points, steps) displacement [m]
     trace_times: np.ndarray  # (steps,) [s]
     node_steps: int  # Nodes updated × steps × plates

@@ -148,6 +148,7 @@ class PlateSolver:
         times: Sequence[float] = (),
         points: Sequence[tuple[float, float]] = (),
         progress: Progress | None = None,
+        peak_times: Sequence[float] = (),
     ) -> Run:
         """Simulate one plate for each drive, from rest to the end of the window.
 
@@ -158,17 +159,18 @@ class PlateSolver:
             times: Times at which to keep the displacement [s].
             points: Points (x, y) [m] at which to keep the displacement of every step, bilinear between nodes.
             progress: Called with (node-steps done, node-steps in all) between launches.
+            peak_times: Times at which to sample the displacement for its peak [s].
 
         Raises:
             SceneError: Drives have another shape or kind, ``check_designs`` refuses them, a time is outside the run, a
                 point is off the plate, or times or points are asked of a solver of displacements.
         """
         phasors, values = self._check_drives(drives)
-        self._check_records(times, points)
+        self._check_records((*times, *peak_times), points)
         if points and self.device.is_cuda and self.path == "resident":  # where plates show nothing between launches
             streaming = PlateSolver(self.discretization, self.device.alias, "streaming", self._chunk, areas=self._areas)
             self.compile_seconds += streaming.compile_seconds
-            run = streaming.run(drives, times, points, progress)
+            run = streaming.run(drives, times, points, progress, peak_times)
             self.node_steps += run.node_steps
             return run
         scheme, plates = self.specialized.scheme, len(phasors)
@@ -179,13 +181,15 @@ class PlateSolver:
             masses=self.specialized.masses,
             displacement=np.full((plates, len(snapshots), *scheme.nodes[::-1]), np.nan),
             times=np.array(snapshots) * scheme.time_step,
+            peak=np.zeros((plates, *scheme.nodes[::-1])),
             trace=np.empty((plates, len(points), scheme.steps)),
             trace_times=scheme.time_step * np.arange(1, scheme.steps + 1) if points else np.empty(0),
             node_steps=plates * self.node_steps_per_plate,
             faults={},
         )
         try:
-            self.parts.run(run, phasors, values, snapshots, points, progress or (lambda done, total: None))
+            samples = {scheme.step_of(time_asked) for time_asked in peak_times}
+            self.parts.run(run, phasors, values, snapshots, samples, points, progress or (lambda done, total: None))
         except BaseException:  # an interrupted run leaves no work that uses its states
             wp.synchronize_device(self.device)
             raise
