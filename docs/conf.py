@@ -1,6 +1,11 @@
 """Sphinx settings of the documentation site: ``sphinx-build -W docs build/site``."""
 
+import sys
+from pathlib import Path
+
 import warp_plate
+
+sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
 project = "warp-plate"
 author = "the warp-plate authors"
@@ -8,7 +13,11 @@ copyright = f"2026, {author}"
 version = release = warp_plate.__version__
 
 extensions = [
-    "myst_parser",
+    "myst_nb",
+    "reference_pages",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.napoleon",
     "sphinx_copybutton",
     "sphinx_design",
 ]
@@ -16,6 +25,12 @@ exclude_patterns = ["examples/*.md"]
 
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 4
+autodoc_default_options = {"members": True, "exclude-members": "model_config"}
+autosummary_generate = ["reference/python-api.rst"]
+autodoc_typehints = "signature"
+maximum_signature_line_length = 80
+napoleon_numpy_docstring = False
+
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 

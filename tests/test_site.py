@@ -11,8 +11,13 @@ ROOT = Path(__file__).parent.parent
 
 @pytest.mark.slow
 def test_site_builds_without_warnings(tmp_path):
-    pytest.importorskip("sphinx_gallery", reason="needs the extra docs")
+    for needed in ("sphinx_gallery", "myst_nb"):
+        pytest.importorskip(needed, reason="needs the extra docs")
     build = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "docs", str(tmp_path)]
     run = subprocess.run(build, cwd=ROOT, capture_output=True, text=True)
     assert run.returncode == 0, run.stderr
     assert (tmp_path / "index.html").is_file()
+    keys, commands = ((tmp_path / "reference" / f"{name}.html").read_text() for name in ("scene-keys", "command-line"))
+    assert "[effects.foundation]" in keys
+    assert "Stiffness k" in keys
+    assert "--range" in commands

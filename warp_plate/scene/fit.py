@@ -37,7 +37,7 @@ class Measurement(Table):
     actuator: Name | None = None  # driven actuator, or
     force_at: tuple[Coordinate, Coordinate] | None = None  # point x, y of a hammer or shaker [m]
     point: tuple[Coordinate, Coordinate]  # sensor's x, y [m]
-    quantity: Literal["receptance", "mobility", "accelerance"] = "accelerance"
+    quantity: Literal["receptance", "mobility", "accelerance"] = "accelerance"  # response per force
     gain: Gain = 1.0  # what was measured, over the true response in SI units
 
     @model_validator(mode="after")
@@ -63,8 +63,8 @@ class Fit(Table):
     free: Annotated[dict[str, tuple[Moderate, Moderate]], BeforeValidator(_flat)]  # lowest and highest value by key
     # Measured modes are the lowest ones in order, or those with the nearest frequencies; a column ``mode`` goes first
     pairing: Literal["order", "nearest"] = "order"
-    starts: Annotated[int, Field(ge=1, le=10_000)] = 16
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    starts: Annotated[int, Field(ge=1, le=10_000)] = 16  # points from which the fit may begin
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0  # random seed of the starts
 
     @model_validator(mode="after")
     def _ranges(self) -> Fit:

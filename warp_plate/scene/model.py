@@ -62,10 +62,10 @@ class Plate(Table):
     """Geometry and material of the plate."""
 
     size: tuple[Positive, Positive]  # sides along x and y [m]
-    thickness: Positive  # [m]
-    young_modulus: Annotated[float, Field(ge=1e3, le=1e13)]  # [Pa]
-    poisson_ratio: Annotated[float, Field(ge=-0.99, lt=0.5)]
-    density: Annotated[float, Field(ge=1, le=1e5)]  # [kg/m³]
+    thickness: Positive  # thickness H, at most a fifth of the shorter side [m]
+    young_modulus: Annotated[float, Field(ge=1e3, le=1e13)]  # Young's modulus E [Pa]
+    poisson_ratio: Annotated[float, Field(ge=-0.99, lt=0.5)]  # Poisson's ratio ν
+    density: Annotated[float, Field(ge=1, le=1e5)]  # density ρ [kg/m³]
 
     @property
     def rigidity(self) -> float:
@@ -88,10 +88,10 @@ class Edges(Table):
     """The four edges, each "clamped" (no displacement, no slope), "supported" (no displacement, no bending moment),
     "free" (no moment, no shear force) or on springs."""
 
-    left: Edge = "clamped"
-    bottom: Edge = "clamped"
-    right: Edge = "clamped"
-    top: Edge = "clamped"
+    left: Edge = "clamped"  # x = 0
+    bottom: Edge = "clamped"  # y = 0
+    right: Edge = "clamped"  # x = size[0]
+    top: Edge = "clamped"  # y = size[1]
 
 
 class Window(Table):
@@ -121,7 +121,7 @@ class Scene(Table):
     ``target`` is one of ``targets`` if the scene has several, by default the first.
     """
 
-    title: Text = ""
+    title: Text = ""  # title of tables and pictures
     plate: Plate
     edges: Edges = Edges()
     grid: Grid = Grid(accuracy=DEFAULT_ACCURACY)

@@ -23,8 +23,8 @@ Tolerance = Annotated[float, Field(ge=0, lt=1)]
 
 
 class _Range(Table):
-    range: tuple[float, float]
-    actuators: Names | None = None
+    range: tuple[float, float]  # smallest and largest value
+    actuators: Names | None = None  # names of those that vary (default: all)
 
     @model_validator(mode="after")
     def _ordered(self) -> _Range:
@@ -37,7 +37,7 @@ class _Range(Table):
 class FreePhase(Table):
     """Phases vary; they wrap at 2π."""
 
-    actuators: Names | None = None
+    actuators: Names | None = None  # names of those that vary (default: all)
 
 
 class FreeMagnitude(_Range):
@@ -50,14 +50,14 @@ class FreeFrequency(_Range):
     """The frequency varies within ``range`` [Hz], one for all actuators or, with ``own``, one for each."""
 
     range: tuple[Positive, Positive]
-    own: Flag = False
+    own: Flag = False  # true for a value of its own for each actuator
 
 
 class FreePosition(Table):
     """Actuators move, and stay entirely within ``area`` x0, x1, y0, y1 [m] (default: the plate)."""
 
-    area: Area | None = None
-    actuators: Names | None = None
+    area: Area | None = None  # rectangle x0, x1, y0, y1 [m]
+    actuators: Names | None = None  # names of those that move (default: all)
     clearance: NotNegative = 0.0  # least distance between the edges of two actuators, along x or along y [m]
 
 
@@ -65,7 +65,7 @@ class FreeDelay(_Range):
     """The start of the burst varies within ``range`` [s], one for all actuators or, with ``own``, one for each."""
 
     range: tuple[Instant, Instant]
-    own: Flag = False
+    own: Flag = False  # true for a value of its own for each actuator
 
 
 OBJECTIVE_UNITS = {"localization": "1", "contrast": "dB", "velocity": "m/s", "displacement": "m", "uniformity": "1"}
@@ -78,8 +78,8 @@ class Objective(Table):
     over that of the rest [dB]. "velocity", "displacement": RMS over target and window. "uniformity": 1 for an even one.
     """
 
-    kind: Literal["localization", "contrast", "velocity", "displacement", "uniformity"] = "localization"
-    weight: Annotated[float, Field(gt=0, le=1e30)] = 1.0
+    kind: Literal["localization", "contrast", "velocity", "displacement", "uniformity"] = "localization"  # see above
+    weight: Annotated[float, Field(gt=0, le=1e30)] = 1.0  # factor in the sum, in 1 over the unit of the kind
     rest_limit: Positive | None = None  # limit of the RMS over the rest of the plate, for "velocity" and "displacement"
 
     @model_validator(mode="after")
@@ -103,7 +103,7 @@ class Robust(Table):
     scenarios: Annotated[int, Field(ge=1, le=100_000)] = 16  # number of plates for each drive
     # Mean loss, largest loss, or the loss that only 1 − ``quantile`` of the scenarios exceed
     measure: Literal["mean", "worst", "quantile"] = "mean"
-    quantile: Annotated[float, Field(gt=0, lt=1)] = 0.9
+    quantile: Annotated[float, Field(gt=0, lt=1)] = 0.9  # of the measure "quantile"
     young_modulus: Tolerance = 0.0  # fraction of the nominal value, like the following three
     thickness: Tolerance = 0.0
     damping: Tolerance = 0.0
@@ -111,7 +111,7 @@ class Robust(Table):
     place: NotNegative = 0.0  # largest displacement of each actuator along x and along y [m]
     without_oscillators: Annotated[float, Field(ge=0, le=1)] = 0.0  # probability that oscillators are absent
     fresh: Annotated[int, Field(ge=1, le=100_000)] = 200  # other scenarios, to compare the robust and nominal optimum
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0  # random seed of the scenarios
 
     def check(self, effects: Effects, load: str) -> None:
         """Raise ValueError, naming the key, if nothing varies or a key does not apply to the scene."""
@@ -141,16 +141,18 @@ class Search(Table):
     # Method (default: "exact" where nothing is searched but drives without limits, for the localization factor of a
     # linear scene, and no key of a swarm is given; else "pso")
     method: Literal["pso", "constriction", "ring", "cma", "gradient", "exact"] | None = None
-    particles: Annotated[int, Field(ge=2, le=10_000_000)] = 20
-    iterations: Annotated[int, Field(ge=1, le=1_000_000_000)] = 80
-    restarts: Annotated[int, Field(ge=0, le=10_000)] = 0
-    inertia: Weight = 0.4
-    decay: Annotated[float, Field(gt=0, le=1)] = 0.99
-    cognitive: Weight = 2.0
-    social: Weight = 2.0
+    particles: Annotated[int, Field(ge=2, le=10_000_000)] = 20  # candidates in each iteration
+    iterations: Annotated[int, Field(ge=1, le=1_000_000_000)] = 80  # iterations, the first evaluation included
+    restarts: Annotated[int, Field(ge=0, le=10_000)] = 0  # restarts of a search that stalls
+    inertia: Weight = 0.4  # w, of "pso"
+    decay: Annotated[float, Field(gt=0, le=1)] = 0.99  # κ, by which w is multiplied in each iteration
+    cognitive: Weight = 2.0  # c₁, pull of the best position of the particle
+    social: Weight = 2.0  # c₂, pull of the best position of all
+    # Largest magnitude of a velocity component of a swarm (default: none)
     velocity_limit: Annotated[float, Field(gt=0, le=1e100)] | None = None
+    # Iterations without improvement after which the search restarts or stops (default: never)
     stall: Annotated[int, Field(ge=1)] | None = None
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0  # random seed of the search
     magnitude: FreeMagnitude | None = None
     phase: FreePhase | None = None
     frequency: FreeFrequency | None = None
