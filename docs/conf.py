@@ -18,10 +18,11 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "sphinx.ext.napoleon",
+    "sphinx_gallery.gen_gallery",
     "sphinx_copybutton",
     "sphinx_design",
 ]
-exclude_patterns = ["examples/*.md"]
+exclude_patterns = ["examples/**", "gallery/**/*.ipynb", "**/sg_execution_times.rst", "sg_execution_times.rst"]
 
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 4
@@ -30,6 +31,19 @@ autosummary_generate = ["reference/python-api.rst"]
 autodoc_typehints = "signature"
 maximum_signature_line_length = 80
 napoleon_numpy_docstring = False
+
+sphinx_gallery_conf = {
+    "examples_dirs": "examples/gallery",
+    "gallery_dirs": "gallery",
+    "image_scrapers": ("matplotlib", "gallery_pictures.scrape"),
+    "subsection_order": [f"examples/gallery/{name}" for name in ("plates", "drives", "searches", "results")],
+    "capture_repr": (),
+    "remove_config_comments": True,
+    "show_memory": False,
+    "show_signature": False,
+    "download_all_examples": False,
+    "abort_on_example_error": True,
+}
 
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
