@@ -2,8 +2,8 @@
 Edges on springs
 ================
 
-A gasket is neither free nor a support. With soft springs under its edges the panel moves as a whole; with stiff ones the
-frequencies reach those of a supported panel.
+A gasket is neither free nor a support. With soft springs under its edges the panel moves as a whole; with stiff ones
+the frequencies reach those of a supported panel.
 """
 
 import matplotlib.pyplot as plt

@@ -2,8 +2,8 @@
 A fingertip on a touch panel
 ============================
 
-A finger is a mass on a soft spring with a damper. It takes energy out of the panel, so the peaks of the response are lower
-and wider than without it.
+A finger is a mass on a soft spring with a damper. It takes energy out of the panel, so the peaks of the response are
+lower and wider than without it.
 """
 
 import matplotlib.pyplot as plt

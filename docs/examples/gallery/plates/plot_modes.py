@@ -2,8 +2,8 @@
 Modes of a plate
 ================
 
-The six lowest modes of a plate that is clamped along its edges. Two of them come in pairs: on a square, turning a mode by
-a right angle gives another one of the same frequency.
+The six lowest modes of a plate that is clamped along its edges. Two of them come in pairs: on a square, turning a
+mode by a right angle gives another one of the same frequency.
 """
 
 import matplotlib.pyplot as plt

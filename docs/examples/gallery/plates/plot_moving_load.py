@@ -2,8 +2,8 @@
 A moving load
 =============
 
-A force crosses the plate along x at 40 m/s. The plate's long waves are slower and its short ones faster, so that ripples run
-ahead and a wake opens behind, like that of a boat.
+A force crosses the plate along x at 40 m/s. The plate's long waves are slower and its short ones faster, so that
+ripples run ahead and a wake opens behind, like that of a boat.
 """
 
 import matplotlib.pyplot as plt

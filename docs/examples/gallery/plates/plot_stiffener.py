@@ -2,8 +2,8 @@
 A stiffening rib
 ================
 
-A strip of steel on a clamped glass panel adds stiffness and mass. The first mode bends it little, so that its mass wins and
-the frequency falls; shorter waves along the strip bend it more, and their frequencies rise.
+A strip of steel on a clamped glass panel adds stiffness and mass. The first mode bends it little, so that its mass
+wins and the frequency falls; shorter waves along the strip bend it more, and their frequencies rise.
 """
 
 import matplotlib.pyplot as plt

@@ -2,8 +2,8 @@
 Large amplitude
 ===============
 
-A thin film pulls itself tight as it moves by more than its thickness. Near its resonance it then moves far less than a
-linear plate, and the amplitude is no longer proportional to the drive.
+A thin film pulls itself tight as it moves by more than its thickness. Near its resonance it then moves far less than
+a linear plate, and the amplitude is no longer proportional to the drive.
 """
 
 import matplotlib.pyplot as plt

@@ -2,8 +2,8 @@
 A plate that gets thinner
 =========================
 
-The thickness falls along x from the nominal one to 40 % of it. Waves become slower and shorter as they run into the thin
-part, where they gather.
+The thickness falls along x from the nominal one to 40 % of it. Waves become slower and shorter as they run into the
+thin part, where they gather.
 """
 
 import matplotlib.pyplot as plt
