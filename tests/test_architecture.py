@@ -16,7 +16,7 @@ FLOORS = (
     {"reference", "result"},
     {"solve", "viz"},
     {"modal"},
-    {"accuracy", "bench", "cluster", "fitting"},
+    {"accuracy", "bench", "cluster", "fitting", "focusing"},
     {"problem"},
     {"analysis"},
     {"studies"},

@@ -39,6 +39,7 @@ _HOME = {
     "Window": "warp_plate.scene.model:Window",
     "check": "warp_plate.analysis.check:check",
     "compare": "warp_plate.studies.compare:compare",
+    "focus": "warp_plate.focusing.focus:focus",
     "frf": "warp_plate.studies.frequency_response:compute_frequency_response",
     "load_checkpoint": "warp_plate.result.checkpoint:load_checkpoint",
     "load_result": "warp_plate.result.model:load_result",
@@ -72,6 +73,7 @@ __all__ = [
     "__version__",
     "check",
     "compare",
+    "focus",
     "frf",
     "load_checkpoint",
     "load_result",
@@ -90,6 +92,7 @@ __all__ = [
 if TYPE_CHECKING:
     from warp_plate.accuracy.report import measure_configurations as measure_accuracy
     from warp_plate.analysis.check import check
+    from warp_plate.focusing.focus import focus
     from warp_plate.modal.modes import solve_modes as modes
     from warp_plate.notebook import plot, view
     from warp_plate.result.checkpoint import load_checkpoint

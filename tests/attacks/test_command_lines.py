@@ -14,6 +14,7 @@ OPTIONS = {
     "localize": "--baselines --checkpoint-every --evaluator --no-estimate --no-spectrum --resume --seed --devices",
     "modes": "--count --no-grid --grid",
     "frf": "--at --from --quantity --range --to",
+    "focus": "",
     "check": "--allow-unstable",
     "sweep": "--count --evaluator --frequencies --resume --samples --seed --vary --what",
     "compare": "--evaluations --evaluator --methods --seeds",
@@ -23,7 +24,7 @@ OPTIONS = {
     "render": "--case --end --field --frames --heights --modes --plan --rate --start --time --width",
     "export": "--case --duration --encoding --end --frames --full-scale --rate --start --to",
 }
-DRAW = {"simulate", "localize", "modes", "frf", "sweep", "compare", "accuracy"}
+DRAW = {"simulate", "localize", "modes", "frf", "focus", "sweep", "compare", "accuracy"}
 NAMES = [*["panel.toml"] * 3, "none", "", "-", ".", "text.h5", "\x1b[2J.toml", "caf\udce9.toml", "a\nb"]
 PLAIN = """
     0 1 2 -1 1.5 nan inf -inf 1e400 1% 0% 1e-300 ² ٣ 1,2 cpu cuda:9 equal single 1,0,0 1@90,nan,0 1:2:3 modal

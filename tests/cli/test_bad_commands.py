@@ -50,6 +50,7 @@ COMMANDS = {
     "compare": (".h5", ["methods", "seeds", "evaluations"]),
     "modes": (".png", ["count", "out"]),
     "frf": (".png", ["out"]),
+    "focus": (".h5", ["out"]),
     "effects": ("", ["device"]),
     "accuracy": (".json", ["device", "budget", "out"]),
     "bench": (".json", ["plates", "nodes", "precision", "device", "quick"]),

@@ -16,7 +16,7 @@ from ritz_polynomials import extrapolated_frequencies, ritz_frequencies
 
 from warp_plate import SceneError
 from warp_plate.modal.galerkin import eigenproblem
-from warp_plate.modal.modes import solve_modes
+from warp_plate.modal.modes import modes_below, solve_modes
 
 SIZE = (0.23, 0.17)
 RIGIDITY, COUPLING, _, TWIST, MASS = isotropic(**MATERIAL)
@@ -315,3 +315,13 @@ def test_lanczos_finds_what_dense_matrices_find(mix, monkeypatch):
     every = solve_modes(scene, highest=0.0, count=COUNT, density=1.6).frequencies
     assert COUNT < len(few) < len(every) / 5
     assert few == pytest.approx(every[: len(few)], rel=1e-7)
+
+
+@pytest.mark.parametrize(("size", "edge", "highest"), [(SIZE, "supported", 400.0), ((0.3, 0.02), "free", 2000.0)])
+def test_modes_below_a_frequency_are_all_there(size, edge, highest):
+    """Against twice as many modes, which reach beyond; a slender free plate has many more than Weyl's law counts."""
+    scene = scene_of(size=size, edges=(edge,) * 4)
+    found = modes_below(scene, highest).frequencies
+    expected = solve_modes(scene, 0.0, 2 * found.size + 50).frequencies
+    assert expected[-1] > highest
+    np.testing.assert_allclose(found, expected[expected <= highest], rtol=1e-5, atol=1e-3)

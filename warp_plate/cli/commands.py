@@ -20,7 +20,8 @@ app = cyclopts.App(
     suppress_keyboard_interrupt=False,
 )
 COMMANDS = (
-    "localize compare sweep simulate check modes fit frf effects accuracy view explore render export init bench doctor"
+    "localize compare sweep simulate check modes fit frf focus effects accuracy view explore render export init bench "
+    "doctor"
 )
 for name in COMMANDS.split():
     app.command(getattr(import_module(f"warp_plate.cli.{name}"), name))

@@ -273,6 +273,24 @@ def solve_modes(scene: SceneSource, highest: float | None = None, count: int = 0
     return ModalPlate(galerkin, frequencies, vectors, damping, hysteretic, highest)
 
 
+def modes_below(scene: SceneSource, highest: float) -> ModalPlate:
+    """Return the modes of a linear scene up to a natural frequency [Hz], without those above, which cost most.
+
+    Raises:
+        SceneError: There is none, or see :func:`solve_modes`.
+    """
+    scene = Scene.load(scene)
+    count = math.ceil(math.pi / 4 * math.prod(scene.plate.size) * highest / _wave_frequency(scene))  # Weyl's law
+    plate = solve_modes(scene, 0.0, count)
+    while plate.frequencies[-1] < highest and plate.frequencies.size < plate.vectors.shape[0]:
+        count = 2 * plate.frequencies.size
+        plate = solve_modes(scene, 0.0, count)
+    plate = plate.part(np.flatnonzero(plate.frequencies <= highest))
+    if not plate.frequencies.size:
+        raise SceneError(f"highest frequency {highest:g}: the plate has no mode up to it; take a higher one")
+    return plate
+
+
 def _viscous(galerkin: Galerkin, vectors: np.ndarray) -> np.ndarray:
     """Return Φᵀ C Φ [1/s] without the damping of the material, diagonal for a multiple of the mass."""
     factor = galerkin.damping.trace() / galerkin.mass.trace()

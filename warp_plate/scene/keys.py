@@ -26,7 +26,7 @@ UNITS = {
     **dict.fromkeys(("point", "force_at"), "m"),
     **dict.fromkeys(("time", "end", "duration", "ramp", "period", "delay", "delay.range"), "s"),
     **dict.fromkeys(("time_step", "times", "from_time", "to_time", "window.start", "burst.start", "signal.start"), "s"),
-    **dict.fromkeys(("frequency", "end_frequency", "frequency.range"), "Hz"),
+    **dict.fromkeys(("frequency", "end_frequency", "frequency.range", "lowest", "highest"), "Hz"),
     **dict.fromkeys(("variation.thickness", "variation.young_modulus", "variation.density"), "1"),
     **dict.fromkeys(("robust.thickness", "robust.young_modulus", "robust.damping"), "1"),
     **dict.fromkeys(("Dx", "Dy", "D1", "Dxy"), "N·m"),
@@ -35,7 +35,7 @@ UNITS = {
     "density": "kg/m³",
     "translation": "N/m²",
     "rotation": "N·m/(rad·m)",
-    "signal.rate": "1/s",
+    **dict.fromkeys(("signal.rate", "focus.rate"), "1/s"),
     "electrostatic.bias": "V",
     "electrostatic.gain": "N/(m²·V²)",
     "viscous": "N·s/m³",
@@ -51,6 +51,8 @@ UNITS = {
     "magnitude.range": "drive",
     "power": "(drive)²",
     "objectives.rest_limit": "m/s or m",
+    "focus.peak": "N/m²",
+    "focus.energy": "(N/m²)²·s",
 }
 # Names of the indices that follow a name.
 INDEX_NAMES = {

@@ -28,6 +28,7 @@ from warp_plate.scene.fields import (
     check_area,
 )
 from warp_plate.scene.fit import Fit, Measurement
+from warp_plate.scene.focus import Focus
 from warp_plate.scene.grid import DEFAULT_ACCURACY, Grid, grid_by_waves
 from warp_plate.scene.keys import resolved_key, with_values
 from warp_plate.scene.load import parse_toml, read_scene_text
@@ -132,6 +133,7 @@ class Scene(Table):
     record: Record = Record()
     effects: Effects = Effects()
     search: Search = Search()
+    focus: Focus | None = None
     fit: Fit | None = None
     measurement: tuple[Measurement, ...] = ()
     actuators: Annotated[tuple[Actuator, ...], Field(min_length=1)]
@@ -228,6 +230,8 @@ class Scene(Table):
             row.check(f"measurement[{index}]", self)
         if self.fit is not None:
             self.fit.check(self)
+        if self.focus is not None:
+            self.focus.check(size, len(actuators))
         self._check_record()
         return self
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warp_plate.modal.modes import solve_modes
+from warp_plate.modal.modes import modes_below
 from warp_plate.modal.poles import make_poles
 from warp_plate.result.frequency_response import DERIVATIVES, Quantity
 from warp_plate.scene.errors import SceneError
@@ -84,10 +84,7 @@ def compute_impulse_response(
     check_linear(scene, (highest / 2, highest))
     check_on_plate(scene, [*points, *inputs])
     _check(scene, quantity, duration, rate, MOST_NUMBERS // (len(inputs) * len(points)))
-    plate = solve_modes(scene, highest)
-    plate = plate.part(np.flatnonzero(plate.frequencies <= highest))
-    if not plate.frequencies.size:
-        raise SceneError(f"highest frequency {highest:g}: the plate has no mode up to it; take a higher one")
+    plate = modes_below(scene, highest)
     poles, times = make_poles(plate, duration), np.arange(math.ceil(duration * rate)) / rate
     shapes = poles.moved(plate.at_points(points).T) * poles.values ** DERIVATIVES[quantity]
     pairs = (poles.gains(input_forces(plate, inputs)[1]).T[:, None] * shapes).reshape(-1, poles.values.size)

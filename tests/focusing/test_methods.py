@@ -1,0 +1,69 @@
+"""Methods of focusing over any responses: against random waveforms, convex duality and the definition."""
+
+import numpy as np
+import pytest
+
+from warp_plate.focusing.focus import respond
+from warp_plate.focusing.methods import keep_above, optimum, scale_to_limits, time_reversal
+
+SHAPE = (3, 2, 40)  # actuators, foci, samples
+ENERGY, PEAK = 30.0, 0.8
+LIMITS = [(ENERGY, None), (None, PEAK), (ENERGY, PEAK), (1e3, PEAK)]
+
+
+@pytest.fixture
+def h(random):
+    return random.normal(size=SHAPE) * np.exp(-np.arange(40) / 10)
+
+
+def test_time_reversal_is_the_motion_at_the_moment(h, random):
+    """Against the sum that defines the motion, sample by sample."""
+    waveforms = random.normal(size=(1, 3, 40))
+    moved = [
+        [sum(h[a, f, m - n] * waveforms[0, a, n] for a in range(3) for n in range(m + 1)) for m in range(40)]
+        for f in range(2)
+    ]
+    np.testing.assert_allclose(respond(h, waveforms)[0], moved, atol=1e-12)
+    np.testing.assert_allclose(np.einsum("fan,an->f", time_reversal(h), waveforms[0]), np.array(moved)[:, -1])
+
+
+@pytest.mark.parametrize(("energy", "peak"), LIMITS)
+def test_no_random_waveforms_beat_the_optimum(h, random, energy, peak):
+    """10⁵ of them at the limits: half at random, half near the optimum."""
+    gains = time_reversal(h)[0]
+    best, bound = optimum(gains, energy, peak)
+    reached = float((gains * best).sum())
+    assert abs(bound - reached) < 1e-6 * bound
+    assert (best**2).sum() <= (energy or np.inf) * (1 + 1e-9)
+    assert np.abs(best).max() <= (peak or np.inf) * (1 + 1e-12)
+    for near in (0.0, 1.0):
+        for _ in range(10):
+            tried = near * best + random.normal(size=(5000, *best.shape)) * 10.0 ** random.uniform(-6, 1)
+            tried = scale_to_limits(np.clip(tried, -(peak or np.inf), peak or np.inf), energy, peak)
+            assert (tried * gains).sum(axis=(1, 2)).max() <= bound * (1 + 1e-12)
+
+
+def test_one_limit_alone_gives_time_reversal_or_its_signs(h):
+    gains = time_reversal(h)
+    by_energy, by_peak = (
+        scale_to_limits(tried, *limits) for tried, limits in zip((gains, np.sign(gains)), LIMITS, strict=False)
+    )
+    for focus, g in enumerate(gains):
+        np.testing.assert_allclose(optimum(g, ENERGY, None)[0], by_energy[focus])
+        np.testing.assert_allclose(optimum(g, None, PEAK)[0], by_peak[focus])
+    assert (by_energy[0] ** 2).sum() == pytest.approx(ENERGY)
+    assert np.abs(by_peak).max() == PEAK
+
+
+def test_what_moves_nothing_is_silent():
+    silent = np.zeros((2, 5))
+    assert optimum(silent, 1.0, None) == (pytest.approx(silent), 0.0)
+    assert not scale_to_limits(np.zeros((1, 2, 5)), 1.0, 2.0).any()
+
+
+def test_low_frequencies_are_left_out():
+    """Of two tones of whole periods, within what the ends of the record spread."""
+    times = np.arange(4800) / 48000
+    low, high = np.sin(2 * np.pi * 100 * times), np.sin(2 * np.pi * 3000 * times)
+    inside = slice(1000, -1000)
+    np.testing.assert_allclose(keep_above(low + high, 48000, 1000.0)[inside], high[inside], atol=0.02)

@@ -1,0 +1,105 @@
+"""``warp-plate focus SCENE``: waveforms of all actuators that focus motion at points of the plate."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warp_plate.cli import options, output
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from warp_plate.result.focus import FocusResult
+
+FIGURES = ("peak", "focus_area", "contrast_db", "energy", "gap", "limits", "crosstalk_db")
+HOLDS = "a focus"
+
+
+def focus(
+    scene: options.SceneName,
+    /,
+    *,
+    assignments: options.Assignments = None,
+    out: Path | None = None,
+    force: options.Force = False,
+    pictures: options.Pictures = True,
+    json: options.Json = False,
+) -> None:
+    """Compute a waveform for each actuator, so that the plate moves most at a point and a moment.
+
+    The scene's table [focus] has the points, the moment and the limits of the waveforms; see docs/focusing.md. Methods
+    are time reversal, one-bit time reversal, and the optimum of all waveforms within the limits.
+
+    Parameters
+    ----------
+    out
+        The .h5 file with waveforms, responses and fields (default: SCENE-focus.h5 in this folder).
+    """
+    target = output.output_file(out, f"{Path(scene).stem}-focus.h5", holds=HOLDS, force=force)
+    loaded, scene = output.load_scene(scene, assignments)
+    from warp_plate.focusing.focus import focus as compute
+    from warp_plate.result.focus import save_focus
+
+    with output.scene_errors(scene):
+        found = compute(loaded)
+    files, missing = [save_focus(found, target)], None
+    if pictures:
+        drawn, missing = _draw(found, target.with_suffix(".png"))
+        files += drawn
+    output.report(json, partial(_as_json, found), partial(_print, scene, found), (files, missing))
+
+
+def _draw(found: FocusResult, path: Path) -> output.Drawn:
+    from warp_plate.result.atomic_io import atomic_paths
+    from warp_plate.viz.availability import missing_plots
+    from warp_plate.viz.plots.focus import draw_focus
+
+    if (problem := missing_plots()) is not None:
+        return [], problem
+    with atomic_paths(path) as (temporary,):
+        draw_focus(found, temporary)
+    return [path], None
+
+
+def _as_json(found: FocusResult) -> dict[str, object]:
+    assert found.scene.focus is not None
+    return {
+        **output.attributes(found.scene.focus, "points", "quantity", "time", "rate", "highest"),
+        **output.attributes(found, "unit", "modes", "bound", "seconds"),
+        "methods": {name: output.attributes(method, *FIGURES) for name, method in found.methods.items()},
+    }
+
+
+def _print(name: str, found: FocusResult, console: Console) -> None:
+    table = found.scene.focus
+    assert table is not None
+    console.print(
+        f"{found.scene.title or name}: {table.quantity} at {1e3 * table.time:g} ms, {len(found.scene.actuators)} "
+        f"waveforms of {table.samples} samples, {found.modes} modes up to {table.highest:g} Hz\n"
+    )
+    for index, (x, y) in enumerate(table.points):
+        made = output.table(
+            f"at {x:g},{y:g}", f"peak ({found.unit})", "area (mm²)", "contrast (dB)", "energy", "gap", "limited by"
+        )
+        for method, reached in found.methods.items():
+            made.add_row(
+                method.replace("_", " "),
+                f"{reached.peak[index]:.4g}",
+                f"{1e6 * reached.focus_area[index]:.4g}",
+                f"{reached.contrast_db[index]:.1f}",
+                f"{reached.energy[index]:.4g}",
+                f"{max(reached.gap[index], 0):.2g}",
+                reached.limits[index],
+            )
+        console.print(made)
+        console.print()
+    console.print("Energy in (N/m²)²·s. Gap: part of the bound of all waveforms that the peak lacks.")
+    if len(table.points) > 1:
+        for method, reached in found.methods.items():
+            others = ~np.eye(len(table.points), dtype=bool)
+            worst = reached.crosstalk_db[others].max()
+            console.print(f"{method.replace('_', ' ')}: crosstalk at most {worst:.1f} dB")

@@ -1,0 +1,65 @@
+"""Responses of points to held samples of the actuators' pressures, exact in time.
+
+A pressure of 1 N/m² during one sample, Δ = 1/rate long, moves a point at the end of sample l + 1 by
+
+    h[l] = Σ_p ψ_p (χ_p f) (exp(s_p Δ) − 1)/s_p exp(s_p l Δ)
+
+over the poles of :mod:`warp_plate.modal.poles`. So sums over samples are exact for pressures that are constant between
+samples, as a converter without a reconstruction filter holds them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from warp_plate.modal.modes import ModalPlate
+from warp_plate.modal.poles import Poles, make_poles
+
+# Numbers of an array of poles and samples, to limit memory.
+BLOCK = 2**20
+
+
+class HeldResponses:
+    """Responses of a plate to samples of its actuators' pressures.
+
+    Args:
+        plate: Modes.
+        rate: Samples a second.
+        samples: Number of samples after which motion is wanted.
+        velocity: Whether motion is velocity, not displacement.
+    """
+
+    def __init__(self, plate: ModalPlate, rate: int, samples: int, velocity: bool) -> None:
+        every = make_poles(plate, samples / rate)
+        # Of two conjugate poles one is enough, twice: motion is real.
+        self._poles: Poles = every.part(np.flatnonzero(every.values.imag >= 0))
+        s, self._samples, self._step = self._poles.values, samples, 1 / rate
+        one_sample = np.expm1(s * self._step) / (1 if velocity else s)
+        self._gains = self._poles.gains(plate.actuator_forces()) * (one_sample * np.where(s.imag > 0, 2, 1))[:, None]
+        self._plate = plate
+
+    def at_points(self, points: Sequence[tuple[float, float]]) -> np.ndarray:
+        """Return h (actuators, points, samples) [m or m/s per N/m²] at points (x, y) [m]."""
+        shapes = self._poles.moved(self._plate.at_points(points).T)
+        pairs = (self._gains.T[:, None] * shapes).reshape(-1, self._poles.values.size)
+        blocks = [pairs.real @ decays.real - pairs.imag @ decays.imag for decays in self._decays(self._samples)]
+        return np.hstack(blocks).reshape(self._gains.shape[1], len(points), -1)
+
+    def amplitudes(self, waveforms: np.ndarray) -> np.ndarray:
+        """Return (sets, modes) modal amplitudes at the end of sets of waveforms (sets, actuators, samples) [N/m²]."""
+        sets, actuators, samples = waveforms.shape
+        rows, first, states = waveforms[..., ::-1].reshape(-1, samples).T, 0, np.zeros((self._gains.shape[0], sets))
+        for decays in self._decays(samples):
+            part = rows[first : first + decays.shape[1]]
+            first += decays.shape[1]
+            moved = (decays.real @ part + 1j * (decays.imag @ part)).reshape(-1, sets, actuators)
+            states = states + np.einsum("psa,pa->ps", moved, self._gains)
+        return (self._poles.vectors @ states).real.T
+
+    def _decays(self, samples: int) -> Iterator[np.ndarray]:
+        """Yield exp(s l Δ) (poles, block) of l = 0 ... samples − 1, block by block."""
+        values = self._poles.values[:, None] * self._step
+        for block in np.array_split(np.arange(samples), -(-samples * len(values) // BLOCK)):
+            yield np.exp(values * block)
