@@ -1,0 +1,11 @@
+"""
+Methods side by side
+====================
+
+Every method from three seeds with the same number of evaluations. Dashed: the bound that no drive passes.
+"""
+
+import warp_plate as wpl
+
+compared = wpl.compare("paper", ["pso", "constriction", "gradient", "exact"], seeds=3)
+wpl.plot(compared, "methods")
