@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from warp_plate import Scene, compare, frf, load_result, plot, simulate, sweep
+from warp_plate import Scene, compare, frf, load_result, localize, plot, simulate, sweep
 from warp_plate.viz.availability import missing_renderer
 
 PICTURES = ("history", "surfaces", "sweep")
@@ -36,7 +36,10 @@ def test_script_finds_and_saves_a_drive(tmp_path, monkeypatch):
 
 def test_plots_are_those_of_the_commands(tmp_path):
     pytest.importorskip("matplotlib")
-    responses, compared = frf("paper", frequency_range=(200, 300)), compare("paper", ["exact"], seeds=1, device="cpu")
+    responses, compared = (
+        frf("paper", frequency_range=(200, 300)),
+        compare("paper", methods=["exact"], seeds=1, device="cpu"),
+    )
     for shown in (responses, compared):
         assert plot(shown, tmp_path / "drawn.1") == [tmp_path / "drawn.1.png"]
         assert (tmp_path / "drawn.1.png").read_bytes().startswith(b"\x89PNG")
@@ -60,6 +63,14 @@ def test_results_are_by_case():
     assert target / plate == case.localization_factor == chosen["localization_factor"].item()
     assert (chosen["magnitude"].values == case.magnitude).all()
     assert data["x"].values[-1] == scene.plate.size[0]
+
+
+def test_results_without_traces_are_by_case():
+    pytest.importorskip("xarray")
+    result = localize("paper", device="cpu", estimate=False, spectrum=False)
+    data = result.to_xarray()
+    assert data.sizes["trace_time"] == 0
+    assert (data["phase"].sel(case="best").values == result.main_case.phase).all()
 
 
 def test_samples_have_one_dimension():

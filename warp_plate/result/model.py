@@ -278,6 +278,7 @@ class Result:
         def values(name: str) -> np.ndarray:
             return np.array([getattr(case, name) for case in cases])
 
+        traces = values("trace")[..., : len(self.trace_times)]  # without points there are no times
         return xarray.Dataset(
             {
                 "localization_factor": ("case", values("localization_factor"), {"units": "1"}),
@@ -285,7 +286,7 @@ class Result:
                 "magnitude": (("case", "actuator"), values("magnitude"), {"units": self.scene.drive_unit}),
                 "phase": (("case", "actuator"), values("phase"), {"units": "rad"}),
                 "displacement": (("case", "time", "y", "x"), values("displacement"), {"units": "m"}),
-                "trace": (("case", "point", "trace_time"), values("trace"), {"units": "m"}),
+                "trace": (("case", "point", "trace_time"), traces, {"units": "m"}),
             },
             {
                 "case": list(self.cases),

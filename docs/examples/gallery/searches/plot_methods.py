@@ -7,5 +7,5 @@ Every method from three seeds with the same number of evaluations. Dashed: the b
 
 import warp_plate as wpl
 
-compared = wpl.compare("paper", ["pso", "constriction", "gradient", "exact"], seeds=3)
+compared = wpl.compare("paper", methods=["pso", "constriction", "gradient", "exact"], seeds=3)
 wpl.plot(compared, "methods")
