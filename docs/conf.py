@@ -1,11 +1,15 @@
 """Sphinx settings of the documentation site: ``sphinx-build -W docs build/site``."""
 
+import os
 import sys
 from pathlib import Path
 
 import warp_plate
 
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
+# Commands in tutorials are those of this environment.
+os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+os.environ["COLUMNS"] = "80"
 
 project = "warp-plate"
 author = "the warp-plate authors"
@@ -31,6 +35,12 @@ autosummary_generate = ["reference/python-api.rst"]
 autodoc_typehints = "signature"
 maximum_signature_line_length = 80
 napoleon_numpy_docstring = False
+
+nb_execution_mode = "cache"
+nb_execution_in_temp = True
+nb_execution_raise_on_error = True
+nb_execution_timeout = 120
+nb_merge_streams = True
 
 sphinx_gallery_conf = {
     "examples_dirs": "examples/gallery",

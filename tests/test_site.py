@@ -13,8 +13,8 @@ ROOT = Path(__file__).parent.parent
 def test_site_builds_without_warnings(tmp_path):
     for needed in ("sphinx_gallery", "myst_nb"):
         pytest.importorskip(needed, reason="needs the extra docs")
-    # Scripts of the gallery run in their own tests.
-    options = ["-q", "-W", "--keep-going", "-D", "plot_gallery=0"]
+    # Scripts of the gallery run in their own tests, tutorials where the whole site is built.
+    options = ["-q", "-W", "--keep-going", "-D", "plot_gallery=0", "-D", "nb_execution_mode=off"]
     build = [sys.executable, "-m", "sphinx", *options, "docs", str(tmp_path)]
     run = subprocess.run(build, cwd=ROOT, capture_output=True, text=True)
     assert run.returncode == 0, run.stderr
