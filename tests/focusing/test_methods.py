@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+import scipy
 
-from warp_plate.focusing.focus import respond
-from warp_plate.focusing.methods import keep_above, optimum, scale_to_limits, time_reversal
+from warp_plate.focusing.convolution import Convolution
+from warp_plate.focusing.methods import inverse_filter, keep_above, optimum, scale_to_limits
 
 SHAPE = (3, 2, 40)  # actuators, foci, samples
 ENERGY, PEAK = 30.0, 0.8
@@ -16,21 +17,34 @@ def h(random):
     return random.normal(size=SHAPE) * np.exp(-np.arange(40) / 10)
 
 
-def test_time_reversal_is_the_motion_at_the_moment(h, random):
+@pytest.fixture
+def gains(h):
+    """The gains (foci, actuators, samples) of the motion of each focus at the last sample."""
+    return Convolution(h, 40).reverse(np.eye(2)[:, :, None] * np.eye(40)[-1])
+
+
+def matrix_of(h):
+    """Return the matrix of the convolution, (foci · samples, actuators · samples)."""
+    return np.block([[scipy.linalg.toeplitz(h[a, f], np.zeros(40)) for a in range(3)] for f in range(2)])
+
+
+def test_motion_and_gains_follow_the_definition(h, gains, random):
     """Against the sum that defines the motion, sample by sample."""
     waveforms = random.normal(size=(1, 3, 40))
     moved = [
         [sum(h[a, f, m - n] * waveforms[0, a, n] for a in range(3) for n in range(m + 1)) for m in range(40)]
         for f in range(2)
     ]
-    np.testing.assert_allclose(respond(h, waveforms)[0], moved, atol=1e-12)
-    np.testing.assert_allclose(np.einsum("fan,an->f", time_reversal(h), waveforms[0]), np.array(moved)[:, -1])
+    np.testing.assert_allclose(Convolution(h, 40).move(waveforms)[0], moved, atol=1e-12)
+    np.testing.assert_allclose(np.einsum("fan,an->f", gains, waveforms[0]), np.array(moved)[:, -1])
+    wished = random.normal(size=(1, 2, 40))
+    np.testing.assert_allclose(Convolution(h, 40).reverse(wished).ravel(), matrix_of(h).T @ wished.ravel())
 
 
 @pytest.mark.parametrize(("energy", "peak"), LIMITS)
-def test_no_random_waveforms_beat_the_optimum(h, random, energy, peak):
+def test_no_random_waveforms_beat_the_optimum(gains, random, energy, peak):
     """10⁵ of them at the limits: half at random, half near the optimum."""
-    gains = time_reversal(h)[0]
+    gains = gains[0]
     best, bound = optimum(gains, energy, peak)
     reached = float((gains * best).sum())
     assert abs(bound - reached) < 1e-6 * bound
@@ -43,8 +57,7 @@ def test_no_random_waveforms_beat_the_optimum(h, random, energy, peak):
             assert (tried * gains).sum(axis=(1, 2)).max() <= bound * (1 + 1e-12)
 
 
-def test_one_limit_alone_gives_time_reversal_or_its_signs(h):
-    gains = time_reversal(h)
+def test_one_limit_alone_gives_time_reversal_or_its_signs(gains):
     by_energy, by_peak = (
         scale_to_limits(tried, *limits) for tried, limits in zip((gains, np.sign(gains)), LIMITS, strict=False)
     )
@@ -67,3 +80,15 @@ def test_low_frequencies_are_left_out():
     low, high = np.sin(2 * np.pi * 100 * times), np.sin(2 * np.pi * 3000 * times)
     inside = slice(1000, -1000)
     np.testing.assert_allclose(keep_above(low + high, 48000, 1000.0)[inside], high[inside], atol=0.02)
+
+
+@pytest.mark.parametrize("condition", [3.0, 1000.0])
+def test_inverse_filter_is_the_regularised_least_squares_solution(h, random, condition):
+    """Of 30 samples that move the foci for 40, against dense matrices; singular values at their frequencies."""
+    wished, responses = random.normal(size=(2, 2, 40)), Convolution(h, 30)
+    dense = matrix_of(h).reshape(80, 3, 40)[..., :30].reshape(80, -1)
+    largest = np.linalg.svd(np.moveaxis(np.fft.rfft(h, 80), -1, 0), compute_uv=False).max()
+    normal = dense.T @ dense + (largest / condition) ** 2 * np.eye(dense.shape[1])
+    expected = np.linalg.solve(normal, dense.T @ wished.reshape(2, -1).T).T.reshape(2, 3, 30)
+    found = inverse_filter(responses, wished, condition)
+    np.testing.assert_allclose(found, expected, atol=1e-3 * np.abs(expected).max())

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from warp_plate.result.focus import FocusResult
 
-FIGURES = ("peak", "focus_area", "contrast_db", "energy", "gap", "limits", "crosstalk_db")
+FIGURES = ("peak", "focus_area", "contrast_db", "energy", "gap", "limits", "crosstalk_db", "misfit")
 HOLDS = "a focus"
 
 
@@ -32,7 +32,8 @@ def focus(
     """Compute a waveform for each actuator, so that the plate moves most at a point and a moment.
 
     The scene's table [focus] has the points, the moment and the limits of the waveforms; see docs/focusing.md. Methods
-    are time reversal, one-bit time reversal, and the optimum of all waveforms within the limits.
+    are time reversal, one-bit time reversal, the inverse filter, which keeps the other points still, and the optimum of
+    all waveforms within the limits. With [focus.burst] each point follows a burst.
 
     Parameters
     ----------
@@ -68,7 +69,7 @@ def _draw(found: FocusResult, path: Path) -> output.Drawn:
 def _as_json(found: FocusResult) -> dict[str, object]:
     assert found.scene.focus is not None
     return {
-        **output.attributes(found.scene.focus, "points", "quantity", "time", "rate", "highest"),
+        **output.attributes(found.scene.focus, "points", "quantity", "time", "rate", "lowest", "highest"),
         **output.attributes(found, "unit", "modes", "bound", "seconds"),
         "methods": {name: output.attributes(method, *FIGURES) for name, method in found.methods.items()},
     }
@@ -98,8 +99,10 @@ def _print(name: str, found: FocusResult, console: Console) -> None:
         console.print(made)
         console.print()
     console.print("Energy in (N/m²)²·s. Gap: part of the bound of all waveforms that the peak lacks.")
-    if len(table.points) > 1:
-        for method, reached in found.methods.items():
-            others = ~np.eye(len(table.points), dtype=bool)
-            worst = reached.crosstalk_db[others].max()
-            console.print(f"{method.replace('_', ' ')}: crosstalk at most {worst:.1f} dB")
+    others = ~np.eye(len(table.points), dtype=bool)
+    for method, reached in found.methods.items():
+        remarks = [f"crosstalk at most {reached.crosstalk_db[others].max():.1f} dB"] if others.any() else []
+        if reached.misfit is not None:
+            remarks.append(f"bursts followed within {100 * reached.misfit.max():.2g} %")
+        if remarks:
+            console.print(f"{method.replace('_', ' ')}: {', '.join(remarks)}")

@@ -5,19 +5,18 @@ from __future__ import annotations
 import time
 
 import numpy as np
-import scipy
 
 from warp_plate.focusing import methods
+from warp_plate.focusing.convolution import Convolution
 from warp_plate.focusing.figures import PICTURED, field_at_end, measure_focus
 from warp_plate.focusing.responses import HeldResponses
-from warp_plate.modal.modes import ModalPlate, modes_below
+from warp_plate.focusing.wishes import wished_motion, wished_pulse
+from warp_plate.modal.modes import modes_below
 from warp_plate.result.focus import FocusedWaveforms, FocusResult
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.focus import Focus
 from warp_plate.scene.model import Scene, SceneSource
 
-# Part of the waveforms' duration for which responses go on after the focus.
-AFTER = 0.2
 # A limit is attained to this part of it.
 ATTAINED = 1e-9
 
@@ -35,38 +34,25 @@ def focus(scene: SceneSource) -> FocusResult:
     scene, started = Scene.load(scene), time.perf_counter()
     table = _table(scene)
     plate = modes_below(scene, table.highest)
-    samples, found = table.samples, time.perf_counter()
-    later = round(samples * (1 + AFTER))
-    responses = HeldResponses(plate, table.rate, later, table.quantity == "velocity")
-    h = responses.at_points(table.points)
-    wanted = methods.keep_above(h[..., :samples], table.rate, table.lowest) if table.lowest else h[..., :samples]
-    gains = methods.time_reversal(wanted)
-    made, bound = _waveforms(gains, table)
     solved = time.perf_counter()
+    responses = HeldResponses(plate, table.rate, table.recorded, table.quantity == "velocity")
+    h = responses.at_points(table.points)
+    convolution = Convolution(h, table.samples)
+    gains, made, bound = _waveforms(h, convolution, table)
+    ended = time.perf_counter()
     reached = {
-        name: _reached(responses, plate, table, waveforms, respond(h, waveforms), _gap(gains, waveforms, bound))
+        name: _reached(responses, table, waveforms, convolution.move(waveforms), _gap(gains, waveforms, bound))
         for name, waveforms in made.items()
     }
-    seconds = {"modes": found - started, "waveforms": solved - found, "figures": time.perf_counter() - solved}
+    seconds = {"modes": solved - started, "waveforms": ended - solved, "figures": time.perf_counter() - ended}
     return FocusResult(
         scene=scene,
         modes=plate.frequencies.size,
-        times=np.arange(1, later + 1) / table.rate,
+        times=np.arange(1, table.recorded + 1) / table.rate,
         bound=bound,
         methods=reached,
         seconds=seconds,
     )
-
-
-def respond(h: np.ndarray, waveforms: np.ndarray) -> np.ndarray:
-    """Return motion (sets, foci, samples of h) under sets of waveforms (sets, actuators, samples).
-
-    Args:
-        h: (actuators, foci, samples) responses to one sample.
-    """
-    length = scipy.fft.next_fast_len(h.shape[-1] + waveforms.shape[-1] - 1, real=True)
-    spectra = np.einsum("saw,afw->sfw", scipy.fft.rfft(waveforms, length), scipy.fft.rfft(h, length), optimize=True)
-    return np.asarray(scipy.fft.irfft(spectra, length)[..., : h.shape[-1]])
 
 
 def _table(scene: Scene) -> Focus:
@@ -80,13 +66,23 @@ def _table(scene: Scene) -> Focus:
     return scene.focus
 
 
-def _waveforms(gains: np.ndarray, table: Focus) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Return the waveforms of each method, shaped as the gains (foci, actuators, samples), and (foci,) upper bounds."""
+def _waveforms(
+    h: np.ndarray, convolution: Convolution, table: Focus
+) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
+    """Return the gains and each method's waveforms, (foci, actuators, samples), and (foci,) bounds of their product."""
     energy, peak = None if table.energy is None else table.energy * table.rate, table.peak_limit
+    foci, banded = np.eye(len(table.points))[:, :, None], convolution
+    if table.lowest:
+        banded = Convolution(methods.keep_above(h, table.rate, table.lowest), table.samples)
+    gains = banded.reverse(foci * wished_motion(table))
     best, bounds = zip(*(methods.optimum(g, energy, peak) for g in gains), strict=True)
-    plain = {"time_reversal": gains, "one_bit": np.sign(gains)}
-    scaled = {name: methods.scale_to_limits(waveforms, energy, peak) for name, waveforms in plain.items()}
-    return {**scaled, "optimum": np.stack(best)}, np.array(bounds)
+    unscaled = {
+        "time_reversal": gains,
+        "one_bit": np.sign(gains),
+        "inverse_filter": methods.inverse_filter(convolution, foci * wished_pulse(table), table.condition),
+    }
+    scaled = {name: methods.scale_to_limits(waveforms, energy, peak) for name, waveforms in unscaled.items()}
+    return gains, {**scaled, "optimum": np.stack(best)}, np.array(bounds)
 
 
 def _gap(gains: np.ndarray, waveforms: np.ndarray, bound: np.ndarray) -> np.ndarray:
@@ -97,17 +93,19 @@ def _gap(gains: np.ndarray, waveforms: np.ndarray, bound: np.ndarray) -> np.ndar
 
 def _reached(
     responses: HeldResponses,
-    plate: ModalPlate,
     table: Focus,
     waveforms: np.ndarray,
     motion: np.ndarray,
     gap: np.ndarray,
 ) -> FocusedWaveforms:
     """Return what waveforms (foci, actuators, samples) reach, whose motion at the foci is (foci, foci, samples)."""
-    size, foci = plate.scene.plate.size, np.arange(len(table.points))
-    peak = motion[foci, foci, table.samples - 1]
+    plate, foci = responses.plate, np.arange(len(table.points))
+    size, at_focus = plate.scene.plate.size, motion[foci, foci]
+    peak = at_focus[:, table.moment]
     fields, areas, contrasts = [], [], []
-    for amplitudes, point, reached in zip(responses.amplitudes(waveforms), table.points, peak.tolist(), strict=True):
+    for amplitudes, point, reached in zip(
+        responses.amplitudes(waveforms[..., : table.moment + 1]), table.points, peak.tolist(), strict=True
+    ):
         fine = field_at_end(plate, amplitudes)
         area, contrast = measure_focus(fine, size, point, reached)
         fields.append(fine[PICTURED // 2 :: PICTURED, PICTURED // 2 :: PICTURED])
@@ -124,7 +122,15 @@ def _reached(
         energy=energy,
         gap=gap,
         limits=tuple(_attained(table, *each) for each in zip(energy, np.abs(waveforms).max(axis=(1, 2)), strict=True)),
+        misfit=None if table.burst is None else _misfit(at_focus, wished_motion(table)),
     )
+
+
+def _misfit(motion: np.ndarray, wished: np.ndarray) -> np.ndarray:
+    """Return (foci,) relative differences of motion (foci, samples) from the multiples of a waveform nearest to it."""
+    nearest = np.outer(motion @ wished / (wished @ wished), wished)
+    size = np.linalg.norm(nearest, axis=1)
+    return np.divide(np.linalg.norm(motion - nearest, axis=1), size, out=np.full_like(size, np.nan), where=size > 0)
 
 
 def _attained(table: Focus, energy: float, peak: float) -> str:

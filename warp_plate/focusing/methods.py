@@ -1,12 +1,13 @@
-"""Waveforms of actuators that focus at a moment: plain NumPy over impulse responses.
+"""Waveforms of actuators that focus: plain NumPy over impulse responses.
 
-A waveform w of samples n = 0 ... N − 1, held between them, moves focus f at the moment t = N/rate by
+Waveforms w of samples n = 0 ... N − 1, held between them, move the foci by u = A w, for some time after them too,
 
-    u_f(T) = Σ_a Σ_n h[a, f, N − 1 − n] w[a, n] = g_f · w
+    u[f, m] = Σ_a Σ_n h[a, f, m − n] w[a, n]
 
-with h[a, f, l] the response l + 1 samples after the beginning of one sample. Time reversal plays g_f itself, which of
-all waveforms of one energy moves the focus most (Cauchy and Schwarz); one-bit time reversal plays its signs, which do
-so of all waveforms of one peak.
+with h[a, f, l] the response l + 1 samples after the beginning of one sample. A wished motion d of the foci has the
+gains g = Aᵀ d: how well motion goes with it is d · A w = g · w. For a pulse, d = 1 at one focus and moment, that is the
+motion there. Time reversal plays g, which of all waveforms of one energy goes best with d (Cauchy and Schwarz); one-bit
+time reversal plays its signs, which do so of all waveforms of one peak.
 """
 
 from __future__ import annotations
@@ -16,25 +17,27 @@ import math
 import numpy as np
 import scipy
 
+from warp_plate.focusing.convolution import Convolution
+
 # Halvings of the interval of the multiplier.
 HALVINGS = 200
-
-
-def time_reversal(h: np.ndarray) -> np.ndarray:
-    """Return g (foci, actuators, samples): responses (actuators, foci, samples), the last sample first."""
-    return np.moveaxis(h, 1, 0)[..., ::-1]
+# Relative residual at which the inverse filter's iteration ends, and its most steps.
+RESIDUAL, STEPS = 1e-4, 1000
 
 
 def keep_above(h: np.ndarray, rate: int, lowest: float) -> np.ndarray:
-    """Return responses (..., samples) without frequencies below ``lowest`` [Hz], by a Fourier transform with zeros."""
+    """Return responses (..., samples) without frequencies below half of ``lowest`` [Hz], those above it unchanged.
+
+    The gain between the two is sin², so that the filter rings for few periods.
+    """
     length = scipy.fft.next_fast_len(2 * h.shape[-1], real=True)
-    spectrum = scipy.fft.rfft(h, length)
-    spectrum[..., scipy.fft.rfftfreq(length, 1 / rate) < lowest] = 0.0
+    above = np.clip(2 * scipy.fft.rfftfreq(length, 1 / rate) / lowest - 1, 0, 1)
+    spectrum = scipy.fft.rfft(h, length) * np.sin(math.pi / 2 * above) ** 2
     return np.asarray(scipy.fft.irfft(spectrum, length)[..., : h.shape[-1]])
 
 
 def scale_to_limits(waveforms: np.ndarray, energy: float | None, peak: float | None) -> np.ndarray:
-    """Return waveforms (foci, actuators, samples), those of each focus times the largest factor within the limits."""
+    """Return waveforms (sets, actuators, samples), each set times the largest factor within the limits."""
     axes = (1, 2)
     largest, squares = np.abs(waveforms).max(axis=axes, keepdims=True), (waveforms**2).sum(axis=axes, keepdims=True)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -66,7 +69,46 @@ def optimum(gains: np.ndarray, energy: float | None, peak: float | None) -> tupl
         middle = (low + high) / 2
         spent = float((np.minimum(np.abs(gains) / (2 * middle), limit) ** 2).sum())
         low, high = (middle, high) if spent > energy else (low, middle)
-        if middle in (low, high) and high - low <= np.spacing(high):
+        if high - low <= np.spacing(high):
             break
     best = np.clip(gains / (2 * high), -limit, limit)
     return best, high * energy + float((gains * best - high * best**2).sum())
+
+
+def inverse_filter(responses: Convolution, wished: np.ndarray, condition: float) -> np.ndarray:
+    """Return the waveforms w (sets, actuators, played) of least |A w − d|² + μ |w|².
+
+    μ is the largest squared singular value of the responses at any frequency, over condition². With w = Aᵀ y that is
+    (A Aᵀ + μ) y = d, solved by conjugate gradients: unlike a division of spectra it knows that waveforms neither begin
+    before the first sample nor go on after the last. The division is its preconditioner.
+
+    Args:
+        responses: A.
+        wished: (sets, foci, samples) d.
+        condition: Ratio of the largest singular value to those that are damped to a half.
+    """
+    gram = responses.gram()
+    weight = float(np.linalg.eigvalsh(gram).max()) / condition**2
+    nearly = np.linalg.inv(gram + weight * np.eye(gram.shape[1])) if weight else gram
+    solution, rest = np.zeros_like(wished), wished
+    step = divided = responses.invert(responses.transform(rest) @ nearly)
+    product, end = _dot(rest, divided), RESIDUAL**2 * _dot(wished, wished)
+    for _ in range(STEPS):
+        if (_dot(rest, rest) <= end).all() or not product.any():
+            break
+        image = responses.move(responses.reverse(step)) + weight * step
+        length = _ratio(product, _dot(step, image))
+        solution, rest = solution + length * step, rest - length * image
+        divided = responses.invert(responses.transform(rest) @ nearly)
+        before, product = product, _dot(rest, divided)
+        step = divided + _ratio(product, before) * step
+    return responses.reverse(solution)
+
+
+def _dot(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the products of sets (sets, rows, samples), shaped to multiply them."""
+    return np.einsum("sfn,sfn->s", first, second)[:, None, None]
+
+
+def _ratio(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    return np.divide(first, second, out=np.zeros_like(first), where=second > 0)

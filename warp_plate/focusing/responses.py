@@ -38,11 +38,11 @@ class HeldResponses:
         s, self._samples, self._step = self._poles.values, samples, 1 / rate
         one_sample = np.expm1(s * self._step) / (1 if velocity else s)
         self._gains = self._poles.gains(plate.actuator_forces()) * (one_sample * np.where(s.imag > 0, 2, 1))[:, None]
-        self._plate = plate
+        self.plate = plate
 
     def at_points(self, points: Sequence[tuple[float, float]]) -> np.ndarray:
         """Return h (actuators, points, samples) [m or m/s per N/m²] at points (x, y) [m]."""
-        shapes = self._poles.moved(self._plate.at_points(points).T)
+        shapes = self._poles.moved(self.plate.at_points(points).T)
         pairs = (self._gains.T[:, None] * shapes).reshape(-1, self._poles.values.size)
         blocks = [pairs.real @ decays.real - pairs.imag @ decays.imag for decays in self._decays(self._samples)]
         return np.hstack(blocks).reshape(self._gains.shape[1], len(points), -1)

@@ -22,7 +22,7 @@ class FocusedWaveforms:
     """Waveforms of one method, a set for each focus, and what they reach.
 
     Peak, area and contrast are those of the quantity of the scene's ``[focus]``, in m or m/s, at the moment of the
-    focus. The gap is that of its part from ``focus.lowest`` on.
+    focus. The gap is that of its part from ``focus.lowest`` on; of a burst, that of the motion's product with it.
 
     Attributes:
         limits: Limits that the waveforms for each focus attain: "energy", "peak", "energy, peak" or "".
@@ -47,6 +47,7 @@ class FocusedWaveforms:
     energy: Annotated[np.ndarray, Dataset("(N/m²)²·s", "sum over actuators of the integral of pressure²", FOCI)]
     gap: Annotated[np.ndarray, Dataset("1", "part of the bound of all waveforms that the peak lacks", FOCI)]
     limits: tuple[str, ...]
+    misfit: Annotated[np.ndarray | None, Dataset("1", "part of the burst that the focus does not follow", FOCI)] = None
 
     @property
     def crosstalk_db(self) -> np.ndarray:
@@ -62,7 +63,7 @@ class FocusResult:
     Attributes:
         scene: The scene, with its ``[focus]``.
         modes: Number of modes up to ``focus.highest``.
-        methods: Waveforms by method: "time_reversal", "one_bit", "optimum".
+        methods: Waveforms by method: "time_reversal", "one_bit", "inverse_filter", "optimum".
         seconds: Wall time of the modes, the waveforms and the figures [s].
     """
 

@@ -10,6 +10,20 @@ from warp_plate.scene.fields import Coordinate, NotNegative, Positive, Table
 
 # Samples of all waveforms and responses together.
 MOST_NUMBERS = 2**24
+# Part of the waveforms' duration for which motion is recorded after them.
+AFTER = 0.2
+
+
+class FocusBurst(Table):
+    """A tone under a Hann window, whose middle is at the moment of the focus."""
+
+    frequency: Positive  # frequency of the tone [Hz]
+    cycles: Annotated[float, Field(ge=1, le=1e6)] = 5.0  # periods from end to end
+
+    @property
+    def half(self) -> float:
+        """Half of the duration [s]."""
+        return self.cycles / self.frequency / 2
 
 
 class Focus(Table):
@@ -19,16 +33,28 @@ class Focus(Table):
     points: Annotated[tuple[tuple[Coordinate, Coordinate], ...], Field(min_length=1, max_length=64)]
     highest: Positive  # natural frequency up to which modes take part [Hz]
     lowest: NotNegative = 0.0  # frequency from which on motion is focused [Hz]
-    time: Positive = 0.05  # moment of the focus, and end of the waveforms, which begin at 0 [s]
+    time: Positive = 0.05  # moment of the focus, from the beginning of the waveforms on [s]
     rate: Annotated[int, Field(ge=1, le=10_000_000)] = 48000  # samples a second
     quantity: Literal["displacement", "velocity"] = "displacement"  # quantity that is focused
     peak: Positive | None = None  # largest pressure of an actuator [N/m²] (default: 1 without an energy, else none)
+    condition: Annotated[float, Field(ge=1, le=1e7)] = 1000.0  # largest singular value over those that are damped
+    burst: FocusBurst | None = None  # wished motion of a focus (default: a pulse)
     energy: Positive | None = None  # largest sum over actuators of the integral of pressure² [(N/m²)²·s]
 
     @property
     def samples(self) -> int:
-        """Number of samples of a waveform."""
-        return round(self.time * self.rate)
+        """Number of samples of a waveform; a burst is in its middle."""
+        return (self.moment + 1) * (1 if self.burst is None else 2)
+
+    @property
+    def recorded(self) -> int:
+        """Number of samples of the motion, which goes on after the waveforms."""
+        return round(self.samples * (1 + AFTER))
+
+    @property
+    def moment(self) -> int:
+        """Index of the sample at whose end is the moment of the focus."""
+        return round(self.time * self.rate) - 1
 
     @property
     def peak_limit(self) -> float | None:
@@ -43,6 +69,9 @@ class Focus(Table):
             )
         if self.lowest >= self.highest:
             raise ValueError(f"lowest: {self.lowest:g} Hz must be below highest = {self.highest:g} Hz")
+        if self.burst is not None and not (self.burst.frequency <= self.highest and self.burst.half <= self.time):
+            limits = f"at most highest = {self.highest:g} Hz, and half of the burst within time = {self.time:g} s"
+            raise ValueError(f"burst: {self.burst.cycles:g} cycles of {self.burst.frequency:g} Hz: must be {limits}")
         if not 2 <= self.time * self.rate <= MOST_NUMBERS:
             raise ValueError(f"time: {self.time:g} s at rate = {self.rate}: must be 2 to {MOST_NUMBERS} samples")
         return self
