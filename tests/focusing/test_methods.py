@@ -91,4 +91,4 @@ def test_inverse_filter_is_the_regularised_least_squares_solution(h, random, con
     normal = dense.T @ dense + (largest / condition) ** 2 * np.eye(dense.shape[1])
     expected = np.linalg.solve(normal, dense.T @ wished.reshape(2, -1).T).T.reshape(2, 3, 30)
     found = inverse_filter(responses, wished, condition)
-    np.testing.assert_allclose(found, expected, atol=1e-3 * np.abs(expected).max())
+    np.testing.assert_allclose(found, expected, atol=3e-3 * np.abs(expected).max())

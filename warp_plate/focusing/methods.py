@@ -22,7 +22,7 @@ from warp_plate.focusing.convolution import Convolution
 # Halvings of the interval of the multiplier.
 HALVINGS = 200
 # Relative residual at which the inverse filter's iteration ends, and its most steps.
-RESIDUAL, STEPS = 1e-4, 1000
+RESIDUAL, STEPS = 1e-3, 1000
 
 
 def keep_above(h: np.ndarray, rate: int, lowest: float) -> np.ndarray:

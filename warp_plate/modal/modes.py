@@ -222,7 +222,9 @@ class ModalPlate:
         return self.vectors[: self._plate_unknowns]
 
 
-def solve_modes(scene: SceneSource, highest: float | None = None, count: int = 0, density: float = 1.0) -> ModalPlate:
+def solve_modes(
+    scene: SceneSource, highest: float | None = None, count: int = 0, density: float = 1.0, alone: bool = False
+) -> ModalPlate:
     """Return the modes of a linear scene.
 
     Args:
@@ -231,6 +233,7 @@ def solve_modes(scene: SceneSource, highest: float | None = None, count: int = 0
         count: Number of modes, from the lowest, that must be accurate.
         density: Factor of the number of functions along each side, besides ``grid.modal_density`` (default: 1, whose
             errors docs/modal.md lists).
+        alone: Leave out modes above ``highest``, which responses up to it need, but for a few.
 
     Raises:
         SceneError: The scene is not linear, its plate buckles, too many modes are wanted, or a file that it names
@@ -254,8 +257,11 @@ def solve_modes(scene: SceneSource, highest: float | None = None, count: int = 0
     galerkin = make_galerkin(scene, intervals)
     # Weyl's law, and a margin for its boundary term.
     wanted = 1.1 * math.pi / 4 * area * max(REACH * highest, counted) / wave + (FURTHER if highest else SPARE)
+    least = 0.0
+    if alone:
+        wanted, least = math.pi / 4 * area * highest / wave, (2 * math.pi * highest) ** 2
     lowest = wave / max(scene.plate.size) ** 2
-    squares, vectors = solve_eigenproblem(galerkin, math.ceil(wanted), (2 * math.pi * lowest) ** 2)
+    squares, vectors = solve_eigenproblem(galerkin, math.ceil(wanted), (2 * math.pi * lowest) ** 2, least)
     frequencies = np.sqrt(np.maximum(squares, 0.0)) / (2 * math.pi)
     frequencies[frequencies < STILL * lowest] = 0.0
     damping, hysteretic = _viscous(galerkin, vectors), np.zeros((squares.size, squares.size))
@@ -279,12 +285,7 @@ def modes_below(scene: SceneSource, highest: float) -> ModalPlate:
     Raises:
         SceneError: There is none, or see :func:`solve_modes`.
     """
-    scene = Scene.load(scene)
-    count = math.ceil(math.pi / 4 * math.prod(scene.plate.size) * highest / _wave_frequency(scene))  # Weyl's law
-    plate = solve_modes(scene, 0.0, count)
-    while plate.frequencies[-1] < highest and plate.frequencies.size < plate.vectors.shape[0]:
-        count = 2 * plate.frequencies.size
-        plate = solve_modes(scene, 0.0, count)
+    plate = solve_modes(scene, highest, alone=True)
     plate = plate.part(np.flatnonzero(plate.frequencies <= highest))
     if not plate.frequencies.size:
         raise SceneError(f"highest frequency {highest:g}: the plate has no mode up to it; take a higher one")

@@ -37,7 +37,7 @@ class Focus(Table):
     rate: Annotated[int, Field(ge=1, le=10_000_000)] = 48000  # samples a second
     quantity: Literal["displacement", "velocity"] = "displacement"  # quantity that is focused
     peak: Positive | None = None  # largest pressure of an actuator [N/m²] (default: 1 without an energy, else none)
-    condition: Annotated[float, Field(ge=1, le=1e7)] = 1000.0  # largest singular value over those that are damped
+    condition: Annotated[float, Field(ge=1, le=1e7)] = 100.0  # largest singular value over those that are damped
     burst: FocusBurst | None = None  # wished motion of a focus (default: a pulse)
     energy: Positive | None = None  # largest sum over actuators of the integral of pressure² [(N/m²)²·s]
 

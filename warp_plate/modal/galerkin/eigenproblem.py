@@ -31,13 +31,16 @@ BUCKLED = 1e-8
 INTERVALS = 18
 
 
-def solve_eigenproblem(galerkin: Galerkin, wanted: int, scale: float) -> tuple[np.ndarray, np.ndarray]:
+def solve_eigenproblem(
+    galerkin: Galerkin, wanted: int, scale: float, least: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
     """Return ω² [1/s²], rising, and mass-normalised vectors (unknowns, modes) of so many modes at least.
 
     Args:
         galerkin: Matrices.
         wanted: Number of modes, from the lowest.
         scale: Size of the lowest ω² [1/s²].
+        least: ω² that all modes up to are found, by Weyl's law ``wanted`` [1/s²] (default: the number counts alone).
 
     Raises:
         SceneError: The plate buckles, or the matrices do not fit into memory.
@@ -45,7 +48,11 @@ def solve_eigenproblem(galerkin: Galerkin, wanted: int, scale: float) -> tuple[n
     bases = _parity_bases(galerkin)
     # Of the modes up to a frequency, nearly as many have each parity; the difference grows as the plate's perimeter.
     share = math.ceil(wanted / len(bases) + (len(bases) - 1) * math.sqrt(wanted) / 2)
-    parts = [_solve(galerkin, basis, share, scale) for basis in bases]
+    if least:
+        share = math.ceil(
+            wanted / len(bases) + (2 / len(bases) + 0.25) * math.sqrt(wanted) * _freedom(galerkin.scene) + 5
+        )
+    parts = [_solve_up_to(galerkin, basis, share, scale, least) for basis in bases]
     sizes = [squares.size for squares, _ in parts]
     highest = min((squares[-1] for squares, _ in parts if squares.size == share), default=math.inf)
     squares, parity = np.concatenate([squares for squares, _ in parts]), np.repeat(range(len(parts)), sizes)
@@ -57,6 +64,11 @@ def solve_eigenproblem(galerkin: Galerkin, wanted: int, scale: float) -> tuple[n
     if squares[order[0]] < -BUCKLED * scale:
         raise _buckled(galerkin.scene)
     return squares[order], vectors[:, order]
+
+
+def _freedom(scene: Scene) -> float:
+    """Return the part of the edges that are neither clamped nor supported, which add modes to those of Weyl's law."""
+    return sum(not isinstance(edge, str) or edge == "free" for _, edge in scene.edges) / 4
 
 
 def _parity_bases(galerkin: Galerkin) -> list[Matrix]:
@@ -79,6 +91,17 @@ def _parities(count: int) -> list[np.ndarray]:
     identity = np.eye(count)
     even, odd = identity + identity[::-1], identity - identity[::-1]
     return [part / np.linalg.norm(part, axis=0) for part in (even[:, : (count + 1) // 2], odd[:, : count // 2])]
+
+
+def _solve_up_to(
+    galerkin: Galerkin, basis: Matrix, share: int, scale: float, least: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return ω² and vectors of ``share`` modes, or of more if they do not reach ``least``; see :func:`_solve`."""
+    squares, vectors = _solve(galerkin, basis, share, scale)
+    while squares.size == share and squares[-1] < least:
+        share += math.ceil(share / 4)
+        squares, vectors = _solve(galerkin, basis, share, scale)
+    return squares, vectors
 
 
 def _solve(galerkin: Galerkin, basis: Matrix, wanted: int, scale: float) -> tuple[np.ndarray, np.ndarray]:
