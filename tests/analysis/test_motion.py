@@ -45,6 +45,20 @@ def test_frames_are_steps_of_the_run(scene, pairs):
         assert motion.localization_factor == case.localization_factor
 
 
+def test_a_plate_without_time_steps_moves_by_its_modes():
+    """The frames repeat the displacement that the result recorded a whole number of periods before."""
+    made = scene_of(window=(0.01, 0.05), effects={"loss_factor": {"eta": 0.05}}, record={"times": [0.04]})
+    result = simulate(made, device="cpu", estimate=False)
+    case, moment = result.cases["drive"], float(result.times[0])
+    first = moment - 4 / 290
+    (motion,) = motions(made, {"drive": case}, span=(first, first + 1 / 290), frames=30, device="cpu")
+    lag = (motion.times[0] - first) * 2 * math.pi * 290
+    assert abs(lag) < 0.3
+    amplitude = np.abs(motion.displacement).max()
+    assert amplitude > 0
+    assert np.abs(motion.displacement[0] - case.displacement[0]).max() < 1.1 * abs(lag) * amplitude + 1e-5 * amplitude
+
+
 def test_velocities_are_differences_of_displacements_and_have_the_results_energy(result):
     (motion,) = motions(result.scene, result.cases, device="cpu")
     made, step = result.scene, make_scheme(result.scene).time_step

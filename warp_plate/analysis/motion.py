@@ -1,6 +1,7 @@
 """Plates in motion: the scene of a result is run again under its drives, and every frame is a time step of that run.
 
-The run is bit-identical on the same device, so nothing is interpolated and results need not store frames.
+The run is bit-identical on the same device, so nothing is interpolated and results need not store frames. Scenes that
+have no time steps are run by modes, with frames at the same times.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from warp_plate.modal.continuous_modes import continuous_modes
+from warp_plate.modal.solver import MODAL, make_solver
 from warp_plate.plate.discretization import Discretization, discretize
 from warp_plate.plate.section import make_section
 from warp_plate.plate.signals import highest_frequency
@@ -19,7 +21,6 @@ from warp_plate.result.motion import Motion
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Record, Scene
 from warp_plate.solve.run import Progress
-from warp_plate.solve.solver import PlateSolver
 
 # Default frames of a period, and most default frames of a longer span.
 FRAMES_A_PERIOD, MOST_FRAMES = 60, 600
@@ -52,7 +53,7 @@ def motions(
         SceneError: see :class:`PlateSolver`; the span is outside the run; or there are too few or too many frames.
     """
     scene = scene.model_copy(update={"record": Record()})
-    discretization = discretize(scene)
+    discretization = discretize(scene, stepped=scene.modal_only_key is None)
     scheme = discretization.scheme
     scenes = {name: case_scene(scene, case) for name, case in cases.items()}
     end = scheme.steps * scheme.time_step
@@ -116,7 +117,8 @@ def _displacements(
         if first in fields:
             continue
         group = [name for name, other in scenes.items() if other == scene]
-        solver = PlateSolver(discretization if scene == discretization.scene else scene, device)
+        path = "auto" if scene.modal_only_key is None else MODAL
+        solver = make_solver(discretization if scene == discretization.scene else scene, device, path)
         plate_steps, before = solver.node_steps_per_plate, len(fields)
 
         def on_progress(done: int, total: int, plate_steps: int = plate_steps, before: int = before) -> None:
