@@ -2,7 +2,7 @@
 Better places for the actuators
 ===============================
 
-The four actuators may also move. The places decide more than the drive: with those found here, three quarters of the
+The four actuators may also move. The places decide more than the drive: with those found here, two thirds of the
 energy become nearly all.
 """
 
