@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from conftest import output_of, scene_of
 
-from warp_plate import PlateSolver, SceneError, load_result
+from warp_plate import PlateSolver, SceneError, load_result, localize
 from warp_plate.plate.weights import REGIONS, region_weights
 from warp_plate.studies.baselines import (
     REGULARISATION,
@@ -83,6 +83,14 @@ def test_other_scenes_are_refused_by_name(tables, reason):
     actuators = [*(actuator.model_dump() for actuator in plain.actuators), *tables.get("actuators", ())]
     with pytest.raises(SceneError, match=reason):
         transfer_functions(PlateSolver(plain.with_tables(**{**tables, "actuators": actuators}), "cpu"))
+
+
+def test_modes_have_the_baselines_of_time_steps():
+    made = scene_of((27, 27), damping=130.0, window=(0.06, 0.1), order=4, load="moments", search={"iterations": 2})
+    settings = {"device": "cpu", "baselines": True, "estimate": False, "spectrum": False}
+    stepped, by_modes = (localize(made, evaluator=name, **settings).cases for name in ("direct", "modal"))
+    for name in ("time_reversal", "inverse_filter"):
+        assert by_modes[name].localization_factor == pytest.approx(stepped[name].localization_factor, rel=1e-2)
 
 
 def test_localize_shows_them_beside_the_drive_found(command, write_scene):

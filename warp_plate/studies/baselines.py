@@ -18,6 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from warp_plate.analysis.superposition import LINEAR_ORDERS, LINEAR_SAMPLES, last_period, motions_of
+from warp_plate.modal.solver import ModalSolver, make_solver
 from warp_plate.plate.signals import carrier_frequencies
 from warp_plate.plate.weights import REGIONS, bilinear, node_positions
 from warp_plate.problem.evaluate_cases import cases_from_run
@@ -33,7 +34,7 @@ from warp_plate.solve.solver import PlateSolver
 REGULARISATION = 0.1
 
 
-def baseline_phasors(solver: PlateSolver) -> dict[str, np.ndarray]:
+def baseline_phasors(solver: PlateSolver | ModalSolver) -> dict[str, np.ndarray]:
     """Return the phasors (actuators,) of "time_reversal" and "inverse_filter", of largest magnitude one."""
     transfer = transfer_functions(solver)
     return {"time_reversal": time_reversal(solver, transfer), "inverse_filter": inverse_filter(solver, transfer)}
@@ -42,7 +43,7 @@ def baseline_phasors(solver: PlateSolver) -> dict[str, np.ndarray]:
 def baseline_cases(problem: Problem) -> tuple[dict[str, Case], int]:
     """Simulate the baselines of a problem's scene; return their cases by name, and the node-steps."""
     plates, regions = problem.drive_solver, problem.objectives.regions
-    solver = PlateSolver(plates.discretization, plates.device.alias, problem.path, areas=regions)
+    solver = make_solver(plates.discretization, plates.device.alias, problem.path, areas=regions)
     phasors = baseline_phasors(solver)
     run, peaks = run_with_peaks(solver, np.array(list(phasors.values())))
     return cases_from_run(phasors, run, problem.scene, peaks), solver.node_steps
@@ -61,14 +62,14 @@ def check_baselines(scene: Scene) -> None:
         raise SceneError(f"baselines: {reasons[0]}; {needed}")
 
 
-def transfer_functions(solver: PlateSolver) -> np.ndarray:
+def transfer_functions(solver: PlateSolver | ModalSolver) -> np.ndarray:
     """Return the complex displacements (actuators, ny, nx) H [m per N/m²] in the last period, Re(H Z exp(iωt))."""
     scene = solver.scene
     check_baselines(scene)
     (frequency,) = carrier_frequencies(scene)
     # ``superposition`` reads the frequency of the drive, which the actuators may override.
     tone = scene.model_copy(update={"drive": scene.drive.model_copy(update={"frequency": frequency})})
-    times = last_period(tone, solver.specialized.scheme.time_step, LINEAR_SAMPLES)
+    times = last_period(tone, solver.discretization.scheme.time_step, LINEAR_SAMPLES)
     count = len(scene.actuators)
     run = solver.run(np.concatenate([np.eye(count), -1j * np.eye(count)]), times)
     motions = np.stack([motion.amplitudes[0] for motion in motions_of(run, tone, LINEAR_ORDERS)])
@@ -76,7 +77,7 @@ def transfer_functions(solver: PlateSolver) -> np.ndarray:
     return np.asarray((motions[:count] + 1j * motions[count:]) / 2)
 
 
-def time_reversal(solver: PlateSolver, transfer: np.ndarray) -> np.ndarray:
+def time_reversal(solver: PlateSolver | ModalSolver, transfer: np.ndarray) -> np.ndarray:
     """Return the phasors (actuators,) that focus on the centroid of the target, from (actuators, ny, nx) H."""
     scene = solver.scene
     target = solver.discretization.region_weights[REGIONS.index("target")]
@@ -87,7 +88,7 @@ def time_reversal(solver: PlateSolver, transfer: np.ndarray) -> np.ndarray:
     return _normalised((transfer[:, rows, columns] @ shares[0]).conj())
 
 
-def inverse_filter(solver: PlateSolver, transfer: np.ndarray) -> np.ndarray:
+def inverse_filter(solver: PlateSolver | ModalSolver, transfer: np.ndarray) -> np.ndarray:
     """Return the phasors (actuators,) whose motion is closest to one in the target and zero elsewhere."""
     weights = solver.discretization.region_weights
     plate, target = (weights[REGIONS.index(name)] for name in ("plate", "target"))
