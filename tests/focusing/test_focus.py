@@ -68,6 +68,22 @@ def test_inverse_filter_makes_foci_follow_bursts_of_their_own():
         np.testing.assert_allclose(motion / peak, burst, atol=0.02)
 
 
+def test_four_fingers_feel_bursts_of_their_own():
+    inverse = focus("four-fingers").methods["inverse_filter"]
+    assert inverse.crosstalk_db[~np.eye(4, dtype=bool)].max() < -20
+    assert inverse.misfit.max() < 0.05
+
+
+@pytest.mark.slow
+def test_focusing_glass_has_the_published_area():
+    """20 mm², within 20 %; the optimum moves the points further, and the inverse filter's focus is smaller."""
+    methods = focus("focusing-glass").methods
+    assert methods["time_reversal"].focus_area == pytest.approx(20e-6, rel=0.2)
+    assert (methods["optimum"].peak > 2 * methods["time_reversal"].peak).all()
+    assert (methods["inverse_filter"].focus_area < methods["time_reversal"].focus_area).all()
+    assert np.abs(methods["optimum"].gap).max() < 1e-6
+
+
 @pytest.mark.parametrize("quantity", ["displacement", "velocity"])
 @pytest.mark.slow
 def test_time_stepping_agrees_and_converges(tmp_path, quantity):

@@ -13,7 +13,8 @@ def init(name: str, /, *, out: Path | None = None) -> None:
     Parameters
     ----------
     name
-        The preset: paper, paper-supported, touch-panel, cantilever-display, composite-panel or large-amplitude.
+        The preset: paper, paper-supported, touch-panel, cantilever-display, composite-panel, large-amplitude,
+        focusing-glass or four-fingers.
     out
         The file to write (default: NAME.toml in this folder). An existing file is never overwritten.
     """
