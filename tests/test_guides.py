@@ -1,0 +1,28 @@
+"""The commands that begin the how-to guides run as printed."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+DOCS = Path(__file__).parents[1] / "docs"
+GUIDES = [DOCS / f"{name}.md" for name in re.findall(r"^([a-z-]+)$", (DOCS / "guides.md").read_text(), re.M)]
+
+
+def first_commands(page):
+    """Return the commands of the first block of a page, if it has no code before."""
+    block = re.search(r"\n\n((?: {4}.*\n)+)", page.read_text(encoding="utf-8").partition("\n## ")[0])
+    return re.findall(r"^    warp-plate (.*)$", block[1], re.M) if block else []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [page for page in GUIDES if first_commands(page)], ids=lambda page: page.stem)
+def test_first_commands_run(page, tmp_path):
+    if page.stem == "exploring":
+        pytest.skip("its command serves a page until Ctrl-C")
+    for command in first_commands(page):
+        line = f"{sys.executable} -m warp_plate {command}"
+        run = subprocess.run(["bash", "-c", line], cwd=tmp_path, capture_output=True, text=True)
+        assert run.returncode == 0, f"{command}\n{run.stderr}"
