@@ -143,9 +143,9 @@ def _errors_of_range(text: str | None) -> Iterator[None]:
     try:
         yield
     except SceneError as error:
-        if text is None or not str(error).startswith(key := "drive.frequency: "):
+        if text is None or (key := re.match(r"drive\.frequency: |highest frequency [^:]*: ", str(error))) is None:
             raise
-        raise SceneError(f"--range {text}: {str(error).removeprefix(key)}") from None
+        raise SceneError(f"--range {text}: {str(error).removeprefix(key[0])}") from None
 
 
 def _write(found: FrequencyResponse, target: Path, formats: list[Format], pictures: bool) -> output.Drawn:

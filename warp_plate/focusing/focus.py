@@ -33,7 +33,7 @@ def focus(scene: SceneSource) -> FocusResult:
     """
     scene, started = Scene.load(scene), time.perf_counter()
     table = _table(scene)
-    plate = modes_below(scene, table.highest)
+    plate = modes_below(scene, table.highest, "focus.highest")
     solved = time.perf_counter()
     responses = HeldResponses(plate, table.rate, table.recorded, table.quantity == "velocity")
     h = responses.at_points(table.points)

@@ -11,6 +11,7 @@ large one those that matter below a frequency.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -279,16 +280,19 @@ def solve_modes(
     return ModalPlate(galerkin, frequencies, vectors, damping, hysteretic, highest)
 
 
-def modes_below(scene: SceneSource, highest: float) -> ModalPlate:
+def modes_below(scene: SceneSource, highest: float, key: str = "highest frequency") -> ModalPlate:
     """Return the modes of a linear scene up to a natural frequency [Hz], without those above, which cost most.
 
     Raises:
-        SceneError: There is none, or see :func:`solve_modes`.
+        SceneError: There is none, which the error says of ``key``, or see :func:`solve_modes`.
     """
-    plate = solve_modes(scene, highest, alone=True)
+    try:
+        plate = solve_modes(scene, highest, alone=True)
+    except SceneError as error:
+        raise SceneError(re.sub("^drive.frequency:", f"{key} {highest:g}:", str(error))) from None
     plate = plate.part(np.flatnonzero(plate.frequencies <= highest))
     if not plate.frequencies.size:
-        raise SceneError(f"highest frequency {highest:g}: the plate has no mode up to it; take a higher one")
+        raise SceneError(f"{key} {highest:g}: the plate has no mode up to it; take a higher one")
     return plate
 
 

@@ -72,6 +72,9 @@ class Focus(Table):
         if self.burst is not None and not (self.burst.frequency <= self.highest and self.burst.half <= self.time):
             limits = f"at most highest = {self.highest:g} Hz, and half of the burst within time = {self.time:g} s"
             raise ValueError(f"burst: {self.burst.cycles:g} cycles of {self.burst.frequency:g} Hz: must be {limits}")
+        if self.burst is None and self.time * (self.highest - self.lowest) < 1:
+            shortest = 1 / (self.highest - self.lowest)
+            raise ValueError(f"time: {self.time:g} s is shorter than a pulse from lowest to highest, {shortest:.3g} s")
         if not 2 <= self.time * self.rate <= MOST_NUMBERS:
             raise ValueError(f"time: {self.time:g} s at rate = {self.rate}: must be 2 to {MOST_NUMBERS} samples")
         return self
