@@ -3,11 +3,15 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from conftest import error_of, output_of
+from scipy.io import wavfile
 
 from warp_plate import focus
+from warp_plate.plate.waveforms import read_samples
 from warp_plate.result.focus import load_focus
+from warp_plate.scene.drive import SampledSignal
 
 TABLE = {"points": [(0.07, 0.06), (0.13, 0.12)], "highest": 200.0, "time": 0.01, "rate": 4000}
 
@@ -28,6 +32,29 @@ def test_json_and_files(command, write_scene):
     again = output_of(command("focus", "panel.toml", "--set", "focus.energy=0.001", "--no-pictures"))
     for words in ("one bit", "peak (m)", "energy", "crosstalk at most", "wrote panel-focus.h5"):
         assert words in again
+
+
+def test_waveforms_are_exported_for_the_amplifier(command, write_scene):
+    """A file for each point, which [drive.signal] reads back as pressures."""
+    write_scene(damping=10.0, focus=TABLE)
+    output_of(command("focus", "panel.toml", "--no-pictures"))
+    out = output_of(command("export", "panel-focus.h5", "--to", "drive-wav", "--case", "time_reversal"))
+    assert out.splitlines()[1:] == ["wrote panel-focus-drive-1.wav", "wrote panel-focus-drive-2.wav"]
+    rate, stored = wavfile.read("panel-focus-drive-2.wav")
+    waveforms = load_focus("panel-focus.h5").methods["time_reversal"].waveforms
+    assert rate == TABLE["rate"]
+    np.testing.assert_allclose(stored.T, waveforms[1] / abs(waveforms).max(), atol=1e-7)
+    read = read_samples(SampledSignal(file="panel-focus-drive-1.wav", per_actuator=True), Path(), 3)
+    np.testing.assert_allclose(read.values * abs(waveforms).max(), waveforms[0], atol=1e-6)
+    csv = json.loads(output_of(command("export", "panel-focus.h5", "--to", "drive-csv", "--full-scale", "2", "--json")))
+    assert (csv["case"], csv["full_scale"]) == ("optimum", 2.0)
+    for words in (
+        ("--to", "drive-wav", "--case", "best"),
+        ("--to", "drive-wav", "--rate", "8000"),
+        ("--to", "drive-wav", "--full-scale", "0.5"),
+        ("--to", "pvd"),
+    ):
+        assert " ".join(words[-2:]) in error_of(command("export", "panel-focus.h5", *words))
 
 
 def test_what_cannot_be_focused_is_one_line(command, write_scene):

@@ -11,6 +11,7 @@ from warp_plate.cli import motion_options, options, output
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
+    from warp_plate.result.export.time_series import Encoding
     from warp_plate.result.model import Case, Result
 
 Format = Literal["pvd", "vtkhdf", "traces-csv", "drive-wav", "drive-csv"]
@@ -41,6 +42,8 @@ def export(
     json: options.Json = False,
 ) -> None:
     """Write a result for ParaView, a spreadsheet or the amplifier. (MATLAB reads the result file itself.)
+
+    Of a file of focus, drive-wav and drive-csv write the waveforms of --case METHOD, a file for each point.
 
     --start, --end, --frames and --device are for pvd and vtkhdf: they run the scene again and write displacements and
     velocities at evenly spaced times instead of the recorded displacements.
@@ -73,7 +76,18 @@ def export(
     if shown.device is not None and shown.start is shown.end is shown.frames is None:
         raise SceneError(f"--device {shown.device}: nothing is run without --frames, --start or --end; leave it out")
     from warp_plate.result import load_result
+    from warp_plate.result.hdf5 import describe_file
 
+    if describe_file(result) == "a focus":
+        if to not in ("drive-wav", "drive-csv") or (name := next((key for key in SIGNAL[:2] if signal[key]), "")):
+            what = f"--to {to}" if to not in ("drive-wav", "drive-csv") else f"--{name} {signal[name]}"
+            raise SceneError(
+                f"{what}: {result} has waveforms of a given rate and duration, for drive-wav and drive-csv"
+            )
+        files, record = _write_waveforms(result, shown.case or [], target, full_scale, encoding)
+        answer = {"result": result, "to": to, **record, "files": files}
+        line = f"{record['case']}: 1.0 stands for {record['full_scale']:.6g} N/m² in every channel"
+        return output.report(json, lambda: answer, lambda console: console.print(line), (files, None))
     loaded = load_result(result)
     cases = motion_options.select_cases(loaded, result, shown.case)
     try:
@@ -138,6 +152,33 @@ def _write_drive(
         "seconds": signal.samples / signal.rate,
         "seam_degrees": signal.seam,
     }
+
+
+def _write_waveforms(
+    file: Path, methods: list[str], target: Path, full_scale: float | None, encoding: Encoding | None
+) -> tuple[list[Path], dict[str, Any]]:
+    """Write the waveforms of a method for each point of a file of ``focus``; return files and record."""
+    from warp_plate.result.export.time_series import WaveformSignal, write_drive_csv, write_wav
+    from warp_plate.result.focus import load_focus
+
+    found = load_focus(file)
+    table = found.scene.focus
+    assert table is not None
+    name = methods[0] if methods else "optimum" if table.burst is None else "inverse_filter"
+    if len(methods) > 1 or name not in found.methods:
+        raise SceneError(f"--case {' '.join(methods)}: name one of {', '.join(found.methods)}")
+    waveforms = found.methods[name].waveforms
+    largest = float(abs(waveforms).max())
+    full_scale = largest if full_scale is None else full_scale
+    if not 0 < largest <= full_scale < float("inf"):
+        raise SceneError(f"--full-scale {full_scale:g}: must be at least the largest pressure, {largest!r} N/m²")
+    names, files = tuple(actuator.name for actuator in found.scene.actuators), []
+    for index, ((x, y), each) in enumerate(zip(table.points, waveforms, strict=True), 1):
+        path = target if len(table.points) == 1 else target.with_name(f"{target.stem}-{index}{target.suffix}")
+        signal = WaveformSignal(names, each, full_scale, table.rate, f"{name} at {x:g},{y:g} m")
+        wav = target.suffix.lower() == ".wav"
+        files += write_wav(signal, path, encoding or "float32") if wav else write_drive_csv(signal, path)
+    return files, {"case": name, "rate": table.rate, "full_scale": full_scale, "unit": "N/m²", "channels": names}
 
 
 def _print(files: list[Path], to: Format, record: Mapping[str, Any]) -> None:

@@ -50,12 +50,39 @@ class DriveSignal:
     def full_scale_text(self) -> str:
         return f"{self.full_scale:.9g} {self.unit.replace('²', '^2')}"
 
+    @property
+    def about(self) -> str:
+        return f"{self.frequency!r} Hz"
+
     def blocks(self) -> Iterator[np.ndarray]:
         """Yield (samples, 1 + actuators) blocks of the time [s] and the signals."""
         for start in range(0, self.samples, BLOCK):
             time = np.arange(start, min(start + BLOCK, self.samples)) / self.rate
             turns = np.exp(2j * np.pi * np.mod(self.frequency * time, 1))
             yield np.column_stack([time, (turns[:, None] * self.phasors).real])
+
+
+@dataclass(frozen=True)
+class WaveformSignal:
+    """Waveforms of all actuators, of any shape."""
+
+    names: tuple[str, ...]
+    waveforms: np.ndarray  # (actuators, samples) [N/m²]
+    full_scale: float  # value of 1.0 [N/m²]
+    rate: int  # [1/s]
+    about: str  # for the comment of a WAV file
+
+    @property
+    def samples(self) -> int:
+        return self.waveforms.shape[1]
+
+    @property
+    def full_scale_text(self) -> str:
+        return f"{self.full_scale:.9g} N/m^2"
+
+    def blocks(self) -> Iterator[np.ndarray]:
+        """Yield the (samples, 1 + actuators) times [s] and waveforms over the full scale."""
+        yield np.column_stack([np.arange(self.samples) / self.rate, self.waveforms.T / self.full_scale])
 
 
 def make_drive_signal(
@@ -112,7 +139,7 @@ def write_traces(result: Result, cases: Mapping[str, Case], path: Path) -> list[
     return write_table(path, ["time [s]", *columns], [rows])
 
 
-def write_drive_csv(signal: DriveSignal, path: Path) -> list[Path]:
+def write_drive_csv(signal: DriveSignal | WaveformSignal, path: Path) -> list[Path]:
     """Write the time [s] and each actuator's signal, with the full scale in the header; return the path."""
     heading = ["time [s]", *(f"{name} [1 = {signal.full_scale_text}]" for name in signal.names)]
     return write_table(path, heading, signal.blocks())
@@ -127,10 +154,10 @@ def write_table(path: Path, heading: list[str], blocks: Iterable[np.ndarray]) ->
     return [path]
 
 
-def write_wav(signal: DriveSignal, path: Path, encoding: Encoding = "float32") -> list[Path]:
+def write_wav(signal: DriveSignal | WaveformSignal, path: Path, encoding: Encoding = "float32") -> list[Path]:
     """Write a WAV file with a channel for each actuator, without loudspeaker positions; return its path.
 
-    Its comment (LIST INFO ICMT) names the channels, the frequency and the full scale.
+    Its comment (LIST INFO ICMT) names the channels, the frequency or point, and the full scale.
     """
     (code, size), channels = FORMATS[encoding], len(signal.names)
     if channels * size >= 2**16:
@@ -157,13 +184,13 @@ def _encode(values: np.ndarray, encoding: Encoding) -> bytes:
     return integers.reshape(-1, 1).view(np.uint8)[:, :size].tobytes()
 
 
-def _wav_head(signal: DriveSignal, code: int, size: int) -> bytes:
+def _wav_head(signal: DriveSignal | WaveformSignal, code: int, size: int) -> bytes:
     """Return the chunks before the samples: format, number of samples, comment."""
     frame = len(signal.names) * size
     layout = struct.pack("<HHIIHH", EXTENSIBLE, len(signal.names), signal.rate, signal.rate * frame, frame, 8 * size)
     layout += struct.pack("<HHII", 22, 8 * size, 0, code) + GUID_END
     channels = ", ".join(f"channel {number} = {name}" for number, name in enumerate(signal.names, 1))
-    comment = f"{channels}; {signal.frequency!r} Hz; full scale = {signal.full_scale_text}\0"
+    comment = f"{channels}; {signal.about}; full scale = {signal.full_scale_text}\0"
     fact, about = _chunk(b"fact", struct.pack("<I", signal.samples)), _chunk(b"ICMT", comment.encode())
     return _chunk(b"fmt ", layout) + fact + _chunk(b"LIST", b"INFO" + about)
 
