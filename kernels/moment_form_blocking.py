@@ -196,13 +196,12 @@ def make_advance_tiles(effects, real, nx, ny, stride, planes, levels, summed):
                         y = start + turn
                         above = ahead_u[turn]
                         above_rate = ahead_rate[turn]
-                        before = ahead_squares[turn]
-                        total = Row()
+                        total = ahead_squares[turn]  # of the row that level 1 moves
                         next_u = at + wp.static((margin + ROUND + turn) * stride)
-                        next_squares = at + wp.static((margin + ROUND - REACH * levels + turn) * stride)
+                        next_squares = at + wp.static((margin + ROUND - REACH + turn) * stride)
                         if wp.static(body == 1):
                             next_u = row_at(y + wp.static(ROUND))
-                            next_squares = row_at(y + wp.static(ROUND - REACH * levels))
+                            next_squares = row_at(y + wp.static(ROUND - REACH))
                         ahead_u[turn] = read_row(lane_u, next_u)
                         ahead_rate[turn] = read_row(lane_rate, next_u)
                         if wp.static(summed):
@@ -308,7 +307,7 @@ def make_advance_tiles(effects, real, nx, ny, stride, planes, levels, summed):
                                 if wp.static(summed and level > 0):
                                     partial = kept_sum[third, c]
                                     kept_sum[newest, c] = total[c]
-                                    total[c] = partial + old * old
+                                    total[c] = fused(old, old, partial)
                             kept_u[newest] = above
                             kept_rate[newest] = above_rate
                             kept_mx[second] = mx
@@ -349,7 +348,7 @@ def make_advance_tiles(effects, real, nx, ny, stride, planes, levels, summed):
                             write_row(lane_rate_next, to, above_rate)
                             if wp.static(summed):
                                 for c in range(wp.static(columns)):
-                                    total[c] = (before[c] + total[c]) + above_rate[c] * above_rate[c]
+                                    total[c] = fused(above_rate[c], above_rate[c], total[c])
                                 write_row(lane_squares, to, total)
 
         if wp.static(effects.stretching):

@@ -13,6 +13,7 @@ from functools import cache
 
 import warp as wp
 
+from warp_plate.kernels.arithmetic import make_fused
 from warp_plate.kernels.cuda import LANES, cuda_kernel, make_from_lane
 from warp_plate.kernels.stencil import make_laplacian
 from warp_plate.kernels.update import make_parameters, make_update
@@ -33,7 +34,7 @@ def make_run_steps(effects, real, ny, loaded, summed, registers=None):
     """
     laplacian = make_laplacian(effects.square_cells, real)
     update = make_update(effects, real)
-    from_lane = make_from_lane(real)
+    from_lane, fused = make_from_lane(real), make_fused(real)
     Parameters = make_parameters(real)
     moving = ny - 2
     Column = wp.types.vector(length=moving, dtype=real)
@@ -91,17 +92,22 @@ def make_run_steps(effects, real, ny, loaded, summed, registers=None):
         bottom = factor_y[0]
         top = factor_y[wp.static(ny - 1)]
         plate_wave = wave[k]
+        next_cosine = plate_wave[start, 0]
+        next_sine = plate_wave[start, 1]
         for n in range(start, stop):
-            wave_cosine = plate_wave[n, 0]
-            wave_sine = plate_wave[n, 1]
-            below = bottom * lane_u[0]
+            # Requested a step ahead, so that memory has time to answer.
+            wave_cosine = next_cosine
+            wave_sine = next_sine
+            next_cosine = plate_wave[wp.min(n + 1, stop - 1), 0]
+            next_sine = plate_wave[wp.min(n + 1, stop - 1), 1]
+            below = fused(bottom, lane_u[0], real(0.0))
             here = laplacian(
                 lane_u[0], from_lane(lane_u[0], west), from_lane(lane_u[0], east), real(0.0), lane_u[1], p.aspect
             )
             for j in range(wp.static(moving)):
                 above = real(0.0)
                 if wp.static(j == moving - 1):
-                    above = top * lane_u[j]
+                    above = fused(top, lane_u[j], real(0.0))
                 elif wp.static(j == moving - 2):
                     above = laplacian(
                         lane_u[j + 1], from_lane(lane_u[j + 1], west), from_lane(lane_u[j + 1], east),
@@ -115,7 +121,7 @@ def make_run_steps(effects, real, ny, loaded, summed, registers=None):
                 biharmonic = laplacian(here, from_lane(here, west), from_lane(here, east), below, above, p.aspect)
                 load = real(0.0)
                 if wp.static(loaded >> j & 1):
-                    load = wave_cosine * cosine[j] + wave_sine * sine[j]
+                    load = fused(wave_cosine, cosine[j], wave_sine * sine[j])
                 new = update(lane_rate[j], biharmonic, load, stiffness, p)
                 lane_rate[j] = new
                 lane_u[j] = lane_u[j] + new

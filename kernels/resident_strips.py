@@ -5,16 +5,18 @@ neighbours are the lane's own or come from the next lane; along y, the outermost
 shared memory, in two buffers that take turns, so that a step has one barrier. With two rows beyond its strip, a warp
 computes the curvature just outside the strip by itself.
 
-Where registers are short, the sums of rate² are in shared memory instead, each thread's numbers a block apart. Loads
-are read from the cache, in the few rows that have any.
+Where registers are short, loads are read from the cache instead, each row of them while the row below moves, and the
+sums of rate² are in shared memory, each thread's numbers a block apart.
 """
 
 from dataclasses import dataclass
 from functools import cache
+from itertools import product
 
 import warp as wp
 
 from warp_plate.kernels import cuda
+from warp_plate.kernels.arithmetic import make_fused
 from warp_plate.kernels.cuda import LANES, barrier, make_from_lane, make_thread_part, shared_memory
 from warp_plate.kernels.stencil import make_laplacian
 from warp_plate.kernels.update import make_parameters, make_update
@@ -28,33 +30,51 @@ class StripPlan:
     rows: int  # Rows per warp
     warps: int  # Warps of the block
     registers: int  # Most registers per thread
+    loads_kept: bool  # The loads are in registers, else they are read from the cache
     squares_shared: bool = False  # The sums of rate² are in shared memory, else in registers
 
+    @property
+    def fields(self):
+        """Fields of the strip in registers: displacement and rate, sums and both loads."""
+        return 2 + (not self.squares_shared) + 2 * self.loads_kept
 
-# Rows per warp that were fastest on an H200, first choice first, by columns per lane.
-ROWS = {1: (13, 20, 9), 2: (13, 20, 9, 7), 3: (13, 20, 9), 4: (9, 13, 11), 5: (20, 16)}
+
+# Warps of a block: first those that the quarters of a multiprocessor share evenly.
+EVEN, UNEVEN = (1, 4, 8, 12, 16), (2, 3, 5, 6, 7, 9, 10, 11, 13, 14, 15)
+
+
+def distribute(rows, columns, warps, loads_kept, squares_shared):
+    """Return the plan of a block of at most so many warps, whether or not it fits."""
+    strip = -(-rows // warps)
+    used = -(-rows // strip)
+    return StripPlan(columns, strip, used, cuda.most_registers(used), loads_kept, squares_shared)
+
+
+def plan_few(nx, ny):
+    """Return the plan of the fewest plates, of a size that a warp can have: so many warps that a step is short."""
+    return distribute(ny - 2, 1, max(1, min(8, (ny - 2) // 2)), loads_kept=True, squares_shared=False)
 
 
 def plan_strips(nx, ny, real, shared_bytes):
     """Return the plan for a plate of this size, or None where it does not fit on a multiprocessor.
+
+    The first that fits is the fastest on an H200.
 
     Args:
         shared_bytes: Most shared memory of a block on the device.
     """
     columns = -(-(nx - 2) // LANES)
     words = 1 if real is wp.float32 else 2
-    for rows in ROWS.get(columns, ()):
-        warps = -(-(ny - 2) // rows)
-        squares_shared = columns > 2
-        # Displacement, rate and sums (if kept there), three rows of curvature, and addresses and the like.
-        needed = words * ((2 if squares_shared else 3) * rows * columns + 6 * columns) + 24
-        registers = cuda.most_registers(warps)
-        squares = rows * warps if squares_shared else 0
-        shared = 4 * words * columns * LANES * (2 * 4 * (warps + 2) + squares)
-        if needed <= registers and shared <= shared_bytes:
-            # More gains nothing, and fewer registers let more blocks share the multiprocessor.
-            registers = registers if squares_shared else min(registers, 168 * words)
-            return StripPlan(columns, rows, warps, registers, squares_shared)
+    for choice, squares_shared, loads_kept in product((EVEN, UNEVEN), (False, True), (True, False)):
+        for warps in choice:
+            plan = distribute(ny - 2, columns, warps, loads_kept, squares_shared)
+            # What is kept, three rows of curvature, and addresses and the like.
+            needed = words * columns * (plan.fields * plan.rows + 6) + 24
+            squares = plan.rows * plan.warps if squares_shared else 0
+            shared = 4 * words * columns * LANES * (2 * 4 * (plan.warps + 2) + squares)
+            # Which rows are loaded is in the bits of a word.
+            if 1 < plan.rows < LANES and needed <= plan.registers and shared <= shared_bytes:
+                return plan
     return None
 
 
@@ -63,7 +83,7 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
     """Make the kernel of steps ``start`` … ``stop`` − 1, in the window if ``summed``, for blocks of 32 × warps."""
     laplacian = make_laplacian(effects.square_cells, real)
     update = make_update(effects, real)
-    from_lane = make_from_lane(real)
+    from_lane, fused = make_from_lane(real), make_fused(real)
     Parameters = make_parameters(real)
     columns, rows, warps = plan.columns, plan.rows, plan.warps
     threads = LANES * warps
@@ -79,6 +99,8 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
     Row = wp.types.vector(length=columns, dtype=real)
     Strip = wp.types.matrix(shape=(rows, columns), dtype=real)
     Squares = wp.types.matrix(shape=(rows, columns) if squares_in_registers else (1, 1), dtype=real)
+    Loads = wp.types.matrix(shape=(rows, columns) if plan.loads_kept else (1, 1), dtype=real)
+    LoadRow = wp.types.matrix(shape=(2, columns), dtype=real)
     # Row j, column c of a thread's part is at j·stride + c, an offset that the compiler knows.
     thread_part = make_thread_part(real, (rows - 1) * stride + columns)
 
@@ -101,6 +123,17 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
                 right = centre[c + 1]
             curvature[c] = laplacian(centre[c], left, right, south[c], north[c], aspect)
         return curvature
+
+    @wp.func
+    def read_loads(in_phase: wp.array[real], quadrature: wp.array[real], at: int, wanted: bool, lane: int):
+        """Read a lane's part of a row of both loads; zeros if it is not wanted."""
+        row = LoadRow()
+        if wanted:
+            for c in range(wp.static(columns)):
+                if lane < wp.static(last_lane + (c <= last_column)):
+                    row[0, c] = in_phase[at + c]
+                    row[1, c] = quadrature[at + c]
+        return row
 
     @cuda.cuda_kernel(plan.registers, max_unroll=64)
     def run_steps(
@@ -140,8 +173,13 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
         strip_u = Strip()
         strip_rate = Strip()
         squared = Squares()
+        cosine = Loads()
+        sine = Loads()
         stiffness = Row()
         loads = int(0)
+        if wp.static(squares_in_shared):
+            for m in range(wp.static(rows * columns)):
+                shared[wp.static(2 * buffer + m * threads) + thread] = real(0.0)
         for c in range(wp.static(columns)):
             if lane < wp.static(last_lane + (c <= last_column)):
                 stiffness[c] = p.stiffness
@@ -152,13 +190,16 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
                     if lane < wp.static(last_lane + (c <= last_column)):
                         strip_u[j, c] = global_u[wp.static(j * stride + c)]
                         strip_rate[j, c] = global_rate[wp.static(j * stride + c)]
+                        if wp.static(plan.loads_kept):
+                            cosine[j, c] = global_in_phase[wp.static(j * stride + c)]
+                            sine[j, c] = global_quadrature[wp.static(j * stride + c)]
                         if wp.static(squares_in_registers):
                             squared[j, c] = global_squares[wp.static(j * stride + c)]
+                        if wp.static(squares_in_shared):
+                            slot = wp.static(2 * buffer + (j * columns + c) * threads) + thread
+                            shared[slot] = global_squares[wp.static(j * stride + c)]
         if lane > wp.static(last_lane):
             loads = int(0)
-        if wp.static(squares_in_shared):
-            for m in range(wp.static(rows * columns)):
-                shared[wp.static(2 * buffer + m * threads) + thread] = real(0.0)
         if warp == 0:
             for m in range(wp.static(4 * columns)):
                 for b in range(2):
@@ -170,15 +211,23 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
         bottom_factor = factor_y[0]
         top_factor = factor_y[wp.static(ny - 1)]
         plate_wave = wave[k]
+        next_cosine = plate_wave[start, 0]
+        next_sine = plate_wave[start, 1]
         for n in range(start, stop):
-            wave_cosine = plate_wave[n, 0]
-            wave_sine = plate_wave[n, 1]
+            # Requested a step ahead, so that memory has time to answer.
+            wave_cosine = next_cosine
+            wave_sine = next_sine
+            next_cosine = plate_wave[wp.min(n + 1, stop - 1), 0]
+            next_sine = plate_wave[wp.min(n + 1, stop - 1), 1]
             at = (n & 1) * wp.static(buffer) + (warp + 1) * wp.static(4 * line) + lane
             for c in range(wp.static(columns)):
                 shared[at + c * LANES] = strip_u[0, c]
                 shared[at + wp.static(1 * line) + c * LANES] = strip_u[1, c]
                 shared[at + wp.static(2 * line) + c * LANES] = strip_u[wp.static(rows - 2), c]
                 shared[at + wp.static(3 * line) + c * LANES] = strip_u[wp.static(rows - 1), c]
+            load_row = LoadRow()
+            if wp.static(not plan.loads_kept):
+                load_row = read_loads(global_in_phase, global_quadrature, 0, (loads & 1) != 0, lane)
             barrier()
             below_1 = Row()
             below_2 = Row()
@@ -214,15 +263,17 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
                 east = from_lane(here[0], lane + 1)
                 if lane == 0:
                     west = left_factor * strip_u[j, 0]
-                # All reads of a row in one branch, so that they overlap.
                 load = Row()
-                if (loads & wp.static(1 << j)) != 0:
-                    for c in range(wp.static(columns)):
-                        i = wp.static(j * stride + c)
-                        load[c] = wave_cosine * global_in_phase[i] + wave_sine * global_quadrature[i]
-                        if wp.static(c > last_column):
-                            if lane == wp.static(last_lane):
-                                load[c] = real(0.0)
+                for c in range(wp.static(columns)):
+                    if wp.static(plan.loads_kept):
+                        load[c] = fused(wave_cosine, cosine[j, c], wave_sine * sine[j, c])
+                    else:
+                        load[c] = fused(wave_cosine, load_row[0, c], wave_sine * load_row[1, c])
+                if wp.static(not plan.loads_kept and j < rows - 1):
+                    loaded_next = (loads & wp.static(1 << j + 1)) != 0
+                    load_row = read_loads(
+                        global_in_phase, global_quadrature, wp.static((j + 1) * stride), loaded_next, lane
+                    )
                 for c in range(wp.static(columns)):
                     left = west
                     right = east
@@ -258,6 +309,6 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
                     if wp.static(squares_in_registers):
                         global_squares[i] = squared[j, c]
                     if wp.static(squares_in_shared):
-                        global_squares[i] += shared[wp.static(2 * buffer + (j * columns + c) * threads) + thread]
+                        global_squares[i] = shared[wp.static(2 * buffer + (j * columns + c) * threads) + thread]
 
     return run_steps

@@ -9,7 +9,8 @@ which only the first and the last warp have; all are kernel arguments.
 Rows are walked upwards, the curvature two rows ahead of the displacement, which is overwritten as soon as the curvature
 two rows above, the last to need it, is known. Where a plate takes several warps, the outermost four rows of each strip
 go through shared memory, in two buffers that take turns, so that a step has one barrier; a warp computes the curvature
-of the two rows outside its strip by itself. Where registers are short, the sums of rate² are in shared memory too.
+of the two rows outside its strip by itself. Where registers are short, loads and sums of rate² are kept elsewhere, as
+in ``resident_strips``.
 """
 
 from functools import cache
@@ -18,8 +19,9 @@ from itertools import product
 import warp as wp
 
 from warp_plate.kernels import cuda
+from warp_plate.kernels.arithmetic import make_fused
 from warp_plate.kernels.cuda import LANES, barrier, make_from_lane, make_thread_part, shared_memory
-from warp_plate.kernels.resident_strips import StripPlan
+from warp_plate.kernels.resident_strips import UNEVEN, distribute
 from warp_plate.kernels.stencil import make_symmetric_weighted_sum, make_weighted_sum
 from warp_plate.kernels.update import make_parameters, make_update
 
@@ -30,27 +32,28 @@ BORDER = 4
 
 
 def plan_strips(nx, ny, real, shared_bytes):
-    """Return the plan with the fewest strips for a plate of this size, or None where it does not fit.
+    """Return the plan for a plate of this size, or None where it does not fit on a multiprocessor.
 
-    With the sums in shared memory a multiprocessor has one block, and the most strips are the fastest.
+    The first that fits is the fastest on an H200: of few warps, whose margins are few, and with registers to spare.
 
     Args:
         shared_bytes: Most shared memory of a block on the device.
     """
     columns = -(-nx // LANES)
     words = 1 if real is wp.float32 else 2
-    for squares_shared, warps in [*product([False], range(1, 33)), *product([True], range(32, 0, -1))]:
-        rows = -(-ny // warps)
-        # The first and the last strip hold all rows with taps of their own.
-        if rows > LANES or (warps - 1) * rows > ny - BORDER or rows < BORDER + 1:
-            continue
-        registers = cuda.most_registers(warps)
-        # Displacement, rate and sums (if kept there), taps of both passes, rows of curvature, addresses and the like.
-        needed = words * columns * ((2 if squares_shared else 3) * rows + 10 + 7) + 30
-        squares = rows * warps if squares_shared else 0
-        shared = 4 * words * columns * LANES * (2 * 2 * BORDER * (warps + 2) + squares)
-        if needed <= registers and shared <= shared_bytes:
-            return StripPlan(columns, rows, warps, registers, squares_shared)
+    for choice, spare, squares_shared in product(((1, 2, 4, 8, 12, 16), UNEVEN), (40, 0), (False, True)):
+        for warps, loads_kept in product(choice, (True, False)):
+            plan = distribute(ny, columns, warps, loads_kept, squares_shared)
+            # The first and the last strip hold all rows with taps of their own.
+            few = plan.rows <= BORDER or (plan.warps - 1) * plan.rows > ny - BORDER
+            if plan.rows >= LANES or (few and plan.warps > 1):
+                continue
+            # What is kept, taps of both passes, rows of curvature, and addresses and the like.
+            needed = words * columns * (plan.fields * plan.rows + 10 + 7) + 30
+            squares = plan.rows * plan.warps if squares_shared else 0
+            shared = 4 * words * columns * LANES * (2 * 2 * BORDER * (plan.warps + 2) + squares)
+            if needed + spare <= plan.registers and shared <= shared_bytes:
+                return plan
     return None
 
 
@@ -77,7 +80,7 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
     weighted_sum = make_weighted_sum(real)
     symmetric_weighted_sum = make_symmetric_weighted_sum(real)
     update = make_update(effects, real)
-    from_lane = make_from_lane(real)
+    from_lane, fused = make_from_lane(real), make_fused(real)
     Parameters, RowTaps = make_parameters(real), make_row_taps(real)
     columns, rows, warps = plan.columns, plan.rows, plan.warps
     threads = LANES * warps
@@ -97,6 +100,8 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
     Curvatures = wp.types.matrix(shape=(rows + 4, columns), dtype=real)
     Strip = wp.types.matrix(shape=(rows, columns), dtype=real)
     Squares = wp.types.matrix(shape=(rows, columns) if squares_in_registers else (1, 1), dtype=real)
+    Loads = wp.types.matrix(shape=(rows, columns) if plan.loads_kept else (1, 1), dtype=real)
+    LoadRow = wp.types.matrix(shape=(2, columns), dtype=real)
     ColumnTaps = wp.types.matrix(shape=(columns, 5), dtype=real)
     # Row j, column c of a thread's part is at j·stride + c, an offset that the compiler knows.
     thread_part = make_thread_part(real, (rows - 1) * stride + columns)
@@ -136,6 +141,17 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
         for k in range(wp.static(columns)):
             sums[k] = weighted_sum(real(0.0), taps, a[k], b[k], c[k], d[k], e[k])
         return sums
+
+    @wp.func
+    def read_loads(in_phase: wp.array[real], quadrature: wp.array[real], at: int, wanted: bool, x0: int):
+        """Read a lane's part of a row of both loads; zeros if it is not wanted."""
+        row = LoadRow()
+        if wanted:
+            for c in range(wp.static(columns)):
+                if x0 + c < wp.static(nx):
+                    row[0, c] = in_phase[at + c]
+                    row[1, c] = quadrature[at + c]
+        return row
 
     def near_low(j):
         """Return whether row j of the first strip has taps of its own."""
@@ -186,10 +202,16 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
         strip_u = Displacements()
         strip_rate = Strip()
         squared = Squares()
+        cosine = Loads()
+        sine = Loads()
         stiffness = Row()
         bend_taps = ColumnTaps()
         move_taps = ColumnTaps()
         loads = int(0)
+        if wp.static(shared_size > 1):
+            for m in range(thread, wp.static(shared_size), wp.static(threads)):
+                shared[m] = real(0.0)
+            barrier()
         for c in range(wp.static(columns)):
             if x0 + c < wp.static(nx):
                 if x0 + c > 0 and x0 + c < wp.static(nx - 1):
@@ -204,17 +226,24 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
                     if x0 + c < wp.static(nx):
                         strip_u[j + BORDER, c] = global_u[wp.static(j * stride + c)]
                         strip_rate[j, c] = global_rate[wp.static(j * stride + c)]
+                        if wp.static(plan.loads_kept):
+                            cosine[j, c] = global_in_phase[wp.static(j * stride + c)]
+                            sine[j, c] = global_quadrature[wp.static(j * stride + c)]
                         if wp.static(squares_in_registers):
                             squared[j, c] = global_squares[wp.static(j * stride + c)]
-        if wp.static(shared_size > 1):
-            for m in range(thread, wp.static(shared_size), wp.static(threads)):
-                shared[m] = real(0.0)
-            barrier()
+                        if wp.static(squares_in_shared):
+                            slot = wp.static(squares_at + (j * columns + c) * threads) + thread
+                            shared[slot] = global_squares[wp.static(j * stride + c)]
 
         plate_wave = wave[k]
+        next_cosine = plate_wave[start, 0]
+        next_sine = plate_wave[start, 1]
         for n in range(start, stop):
-            wave_cosine = plate_wave[n, 0]
-            wave_sine = plate_wave[n, 1]
+            # Requested a step ahead, so that memory has time to answer.
+            wave_cosine = next_cosine
+            wave_sine = next_sine
+            next_cosine = plate_wave[wp.min(n + 1, stop - 1), 0]
+            next_sine = plate_wave[wp.min(n + 1, stop - 1), 1]
             if wp.static(warps > 1):
                 at = (n & 1) * wp.static(buffer) + (warp + 1) * wp.static(2 * BORDER * line) + lane
                 for j in range(wp.static(BORDER)):
@@ -229,6 +258,9 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
                             at + wp.static((2 * BORDER + j) * line + c * LANES)
                         ]
 
+            load_row = LoadRow()
+            if wp.static(not plan.loads_kept):
+                load_row = read_loads(global_in_phase, global_quadrature, 0, (loads & 1) != 0, x0)
             curvature = Curvatures()
             for r in range(wp.static(rows + 4)):
                 # The curvature of row r − 2 of the strip; a single strip needs none outside it.
@@ -281,13 +313,17 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
                     if wp.static(r - 4 >= last_row):
                         if warp == wp.static(warps - 1):
                             row_stiffness = Row()
-                    # All reads of a row in one branch, so that they overlap.
                     load = Row()
-                    if (loads & wp.static(1 << r - 4)) != 0:
-                        for c in range(wp.static(columns)):
-                            if x0 + c < wp.static(nx):
-                                i = wp.static((r - 4) * stride + c)
-                                load[c] = wave_cosine * global_in_phase[i] + wave_sine * global_quadrature[i]
+                    for c in range(wp.static(columns)):
+                        if wp.static(plan.loads_kept):
+                            load[c] = fused(wave_cosine, cosine[r - 4, c], wave_sine * sine[r - 4, c])
+                        else:
+                            load[c] = fused(wave_cosine, load_row[0, c], wave_sine * load_row[1, c])
+                    if wp.static(not plan.loads_kept and r < rows + 3):
+                        loaded_next = (loads & wp.static(1 << r - 3)) != 0
+                        load_row = read_loads(
+                            global_in_phase, global_quadrature, wp.static((r - 3) * stride), loaded_next, x0
+                        )
                     for c in range(wp.static(columns)):
                         new = update(strip_rate[r - 4, c], biharmonic[c], load[c], row_stiffness[c], p)
                         strip_rate[r - 4, c] = new
@@ -308,7 +344,6 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
                             global_squares[wp.static(j * stride + c)] = squared[j, c]
                         if wp.static(squares_in_shared):
                             slot = wp.static(squares_at + (j * columns + c) * threads) + thread
-                            before = global_squares[wp.static(j * stride + c)]
-                            global_squares[wp.static(j * stride + c)] = before + shared[slot]
+                            global_squares[wp.static(j * stride + c)] = shared[slot]
 
     return run_steps

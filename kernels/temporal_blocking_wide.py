@@ -13,6 +13,7 @@ from functools import cache
 
 import warp as wp
 
+from warp_plate.kernels.arithmetic import make_fused
 from warp_plate.kernels.cuda import LANES, any_lane, cuda_kernel, make_from_lane, most_registers, opaque
 from warp_plate.kernels.resident_wide import SPECIAL
 from warp_plate.kernels.temporal_blocking import COLUMNS, make_row_access
@@ -33,6 +34,7 @@ def strips(nx, levels):
 def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
     """Make the kernel of ``levels`` steps, in the window if ``summed``; launch over (plates · strips · tiles · 32,)."""
     update, from_lane, Parameters = make_update(effects, real), make_from_lane(real), make_parameters(real)
+    fused = make_fused(real)
     read_row, write_row, row_at = make_row_access(real, ny, stride)
     size = wp.types.type_size_in_bytes(real)
     columns, margin, strip_count = COLUMNS, REACH * levels, strips(nx, levels)
@@ -185,19 +187,16 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
                         y = start + turn
                         above = ahead_u[turn]
                         moved = ahead_rate[turn]
-                        before = ahead_squares[turn]
-                        total = Row()
+                        total = ahead_squares[turn]  # of the row that level 1 moves
                         next_u = at + wp.static((margin + ROUND + turn) * stride)
                         next_rate = at + wp.static((margin + turn) * stride)
-                        next_squares = at + wp.static((ROUND + turn) * stride)
                         if wp.static(body == 1):
                             next_u = row_at(y + wp.static(ROUND))
                             next_rate = row_at(y)
-                            next_squares = row_at(y + wp.static(ROUND - margin))
                         ahead_u[turn] = zero_if(beside, read_row(lane_u, next_u))
                         ahead_rate[turn] = zero_if(beside, read_row(lane_rate, next_rate))
                         if wp.static(summed):
-                            ahead_squares[turn] = read_row(lane_squares, next_squares)
+                            ahead_squares[turn] = read_row(lane_squares, next_rate)
 
                         for level in range(wp.static(levels)):
                             # ``above`` is row y − 4·level of this level; ``here`` is the row that it moves.
@@ -231,7 +230,7 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
                                     if wp.static(summed):
                                         partial = kept_sum[oldest, c]
                                         kept_sum[oldest, c] = total[c]
-                                        total[c] = partial + old * old
+                                        total[c] = fused(old, old, partial)
                                 stiffness_here = stiffness[c]
                                 if wp.static(body == 1):
                                     stiffness_here = wp.where(moves, stiffness[c], real(0.0))
@@ -253,7 +252,7 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
                             write_row(lane_rate_next, to, moved)
                             if wp.static(summed):
                                 for c in range(wp.static(columns)):
-                                    total[c] = (before[c] + total[c]) + moved[c] * moved[c]
+                                    total[c] = fused(moved[c], moved[c], total[c])
                                 write_row(lane_squares, to, total)
 
     return advance_tiles

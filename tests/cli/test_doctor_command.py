@@ -222,14 +222,14 @@ def test_what_a_gpu_holds(command, machine, monkeypatch):
     machine(driver=(13, 1), devices=[SimpleNamespace(**vars(TURING), **memory), PASCAL])
     monkeypatch.setattr(capacity, "plates_in_memory", lambda scene, device: 123_456)
     found = checks(command)
-    assert found["cuda:0"]["resident_sides"] == {"order 2": 98, "order 4": 96, "free edges": 60}
-    for part in ("RTX 2080, sm_75, driver for CUDA 13.1, 7 of 8 GiB free", "98² (order 2)", "in memory 123456"):
+    assert found["cuda:0"]["resident_sides"] == {"order 2": 130, "order 4": 96, "free edges": 60}
+    for part in ("RTX 2080, sm_75, driver for CUDA 13.1, 7 of 8 GiB free", "130² (order 2)", "in memory 123456"):
         assert part in found["cuda:0"]["text"]
     assert found["cuda:1"]["state"] == "missing"
     assert "GTX 1080 has compute capability 6.1" in found["cuda:1"]["text"]
 
 
-@pytest.mark.parametrize(("kib", "sides"), [(99, (106, 104, 75)), (227, (162, 128, 115))])
+@pytest.mark.parametrize(("kib", "sides"), [(99, (130, 104, 75)), (227, (162, 128, 115))])
 def test_largest_plates_on_a_chip(kib, sides):
     device = SimpleNamespace(max_shared_memory_per_block=kib * 1024)
     assert tuple(capacity.largest_resident_sides(device).values()) == sides

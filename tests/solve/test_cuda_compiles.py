@@ -17,6 +17,7 @@ from warp_plate.kernels import (
     moment_form_blocking,
     moment_form_cuda,
     moment_form_plan,
+    peak,
     resident_lanes,
     resident_strips,
     resident_wide,
@@ -57,6 +58,7 @@ def cuda_kernels(effects, real):
     yield "energy.make_sum_over_rows", energy.make_sum_over_rows(real)
     yield "energy.sum_over_columns", energy.sum_over_columns
     yield "energy.write_energies", energy.write_energies
+    yield "peak.make_keep_largest", peak.make_keep_largest(real)
     yield "limits.make_multiply_adds", limits.make_multiply_adds(real, block=1, depth=64, rounds=100, compiler_flags="")
     yield "streaming.advance_clock", streaming.advance_clock
     for kernel in TONES:
@@ -90,8 +92,10 @@ def cuda_kernels(effects, real):
     for summed in (False, True):
         kernel = resident_lanes.make_run_steps(effects, real, SMALL[1], 0b1100110000, summed)
         yield "resident_lanes.make_run_steps", kernel
-    for (nx, ny, stride), summed in ((LARGEST, True), (LARGE, False), (LARGE, True)):
+    for (nx, ny, stride), summed in ((SMALL, True), (LARGEST, True), (LARGE, False), (LARGE, True)):
         plan = resident_strips.plan_strips(nx, ny, real, SHARED_BYTES)
+        if (nx, ny, stride) == SMALL:
+            plan = resident_strips.plan_few(nx, ny)
         kernel = resident_strips.make_run_steps(effects, real, nx, ny, stride, plan, summed)
         yield "resident_strips.make_run_steps", kernel
     for levels, summed in ((1, False), (5, True)):

@@ -30,7 +30,7 @@ def test_drives_of_any_size(device, path, precision, tolerance, scene, phasors):
     np.testing.assert_allclose(run.displacement[1], 2 * run.displacement[0], rtol=1e-14, atol=0)
 
 
-@pytest.mark.parametrize(("precision", "order"), [("float32", 2), ("float64", 4)])
+@pytest.mark.parametrize(("precision", "order"), [("float32", 2), ("float32", 4), ("float64", 4)])
 def test_a_plate_does_not_depend_on_its_batch(device, path, precision, order, scene, phasors):
     """Alone, at any place of a batch, in groups or chunks of any size, again: the same bits.
 

@@ -19,7 +19,7 @@ from warp_plate.solve.streaming import Launcher, several_steps_a_launch, split_a
 
 # Threads per block where each warp has its own plate.
 LANES_BLOCK = 32
-# Up to FEW_PLATES per multiprocessor the speed of a plate counts, and the compiler may use FEW_REGISTERS if at most
+# From 2 to FEW_PLATES per multiprocessor the speed of a plate counts, and the compiler may use FEW_REGISTERS if at most
 # FEW_LOADED_ROWS rows are loaded; beyond, what counts is how many plates run side by side.
 FEW_PLATES, FEW_REGISTERS, FEW_LOADED_ROWS = 12, 160, 16
 # Temporal blocking: steps per launch by order and precision, and threads per block, whose warps are independent.
@@ -79,8 +79,11 @@ def _wide_path(specialized: Specialized, plan: StripPlan) -> Advance:
 
 
 def _lanes_path(specialized: Specialized) -> Advance:
-    """Return the path with a warp per plate, compiled with many registers for few plates and with few for many."""
-    effects, real, ny = specialized.effects, specialized.real, specialized.scheme.nodes[1]
+    """Return the path with a warp per plate, or a block where multiprocessors would be idle; both give the same bits.
+
+    Between the two, the compiler may use many registers.
+    """
+    effects, real, (nx, ny) = specialized.effects, specialized.real, specialized.scheme.nodes
     loaded = sum(1 << j for j, row in enumerate(specialized.loaded_rows[2:-2]) if row)
 
     def compiled(registers: int | None) -> Advance:
@@ -90,12 +93,14 @@ def _lanes_path(specialized: Specialized) -> Advance:
         }
         return _cuda_advance(specialized, kernels, _edge_factors(specialized), LANES, LANES_BLOCK)
 
-    if real is wp.float64 or loaded.bit_count() > FEW_LOADED_ROWS:
-        return compiled(None)  # the numbers of a column leave no choice
-    few, many = compiled(FEW_REGISTERS), compiled(None)
+    fewest, few = _strips_path(specialized, resident_strips.plan_few(nx, ny)), compiled(None)
+    many = few
+    if real is wp.float32 and loaded.bit_count() <= FEW_LOADED_ROWS:  # else the numbers of a column leave no choice
+        few = compiled(FEW_REGISTERS)
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
-        (few if plates <= FEW_PLATES * specialized.device.sm_count else many)(state, plates, start, stop)
+        each = -(-plates // specialized.device.sm_count)
+        (fewest if each <= 1 else few if each <= FEW_PLATES else many)(state, plates, start, stop)
 
     return advance
 
