@@ -166,7 +166,8 @@ class PlateSolver:
                 point is off the plate, or times or points are asked of a solver of displacements.
         """
         phasors, values = self._check_drives(drives)
-        self._check_records((*times, *peak_times), points)
+        self._check_records(times, points)
+        self._check_records(peak_times, ())
         if points and self.device.is_cuda and self.path == "resident":  # where plates show nothing between launches
             streaming = PlateSolver(self.discretization, self.device.alias, "streaming", self._chunk, areas=self._areas)
             self.compile_seconds += streaming.compile_seconds
