@@ -25,7 +25,7 @@ def saved(request, tmp_path_factory):
     scene = scene_of((9, 9), damping=88.5, search=SEARCHES[request.param])
     evaluator = "direct" if request.param == "pso" else "modal"
     options = {"estimate": False, "spectrum": False, "checkpoints": CheckpointFile(path, 0)}
-    localize(scene, "panel", "cpu", evaluator=evaluator, **options)
+    localize(scene, source="panel", device="cpu", evaluator=evaluator, **options)
     path.with_suffix(".right").write_bytes(path.read_bytes())
     return path
 

@@ -51,7 +51,7 @@ def written(tmp_path_factory):
     folder = tmp_path_factory.mktemp("written")
     scene = scene_of((9, 9), damping=88.5, search={"particles": 4, "iterations": 2})
     file = CheckpointFile(folder / "a.checkpoint.h5", 0)
-    save_result(localize(scene, "panel", "cpu", estimate=False, checkpoints=file), folder / "a.h5")
+    save_result(localize(scene, source="panel", device="cpu", estimate=False, checkpoints=file), folder / "a.h5")
     for path in (file.path, folder / "a.h5"):
         path.with_suffix(".right").write_bytes(path.read_bytes())
     return {"checkpoint": file.path, "result": folder / "a.h5"}

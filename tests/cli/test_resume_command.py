@@ -33,7 +33,7 @@ def panel(write_scene):
 def left(panel):
     """The checkpoint of a search of the panel that Ctrl-C ended."""
     file = CheckpointFile(FILE, np.inf)
-    localize(panel, "panel.toml", "cpu", on_progress=stop_after(5), estimate=False, checkpoints=file)
+    localize(panel, source="panel.toml", device="cpu", on_progress=stop_after(5), estimate=False, checkpoints=file)
     return file.path
 
 
@@ -59,7 +59,7 @@ def test_what_would_change_the_result_is_refused_by_name(command, panel, left, w
 def test_the_command_resumes(command, panel, left):
     """With or without the same scene; the result is beside the checkpoint, which is deleted."""
     kept = left.read_bytes()
-    full = localize(panel, "panel.toml", "cpu", estimate=False)
+    full = localize(panel, source="panel.toml", device="cpu", estimate=False)
     for more in ([], ["panel.toml", "--seed", "0", "--path", "auto", "--device", "cpu"]):
         left.write_bytes(kept)
         record = json.loads(output_of(command("localize", "--resume", left, *more, *QUICK, "--json")))
@@ -116,7 +116,7 @@ def test_killed_at_random_moments(kills, panel, random, write_scene):
         arguments = ["localize", "--resume", str(FILE), *QUICK, "--checkpoint-every", "0"]
     assert reached == sorted(reached)
     found = resume(checkpoint, estimate=False)
-    assert_same(replace(found, source="panel.toml"), localize(panel, "panel.toml", "cpu", estimate=False))
+    assert_same(replace(found, source="panel.toml"), localize(panel, source="panel.toml", device="cpu", estimate=False))
     CheckpointFile(FILE, resumes=True).remove()
     assert [path.name for path in Path().iterdir()] == ["panel.toml"]
 
@@ -143,13 +143,13 @@ def test_files_that_the_scene_names_must_be_the_same(command, panel):
     Path("scenes/map.csv").write_text("1.0, 1.1\n0.9, 1.0\n", encoding="utf-8")
     scene = Scene.load("scenes/panel.toml")
     checkpoints = CheckpointFile(FILE, np.inf)
-    localize(scene, "panel", "cpu", on_progress=stop_after(55), estimate=False, checkpoints=checkpoints)
+    localize(scene, source="panel", device="cpu", on_progress=stop_after(55), estimate=False, checkpoints=checkpoints)
     kept, resuming = FILE.read_bytes(), ["localize", "--resume", FILE, *QUICK]
     assert "effects.variation.thickness = 'map.csv': no such file beside the" in error_of(command(*resuming))
     Path("map.csv").write_text("1.0, 1.2\n0.9, 1.0\n", encoding="utf-8")
     assert "effects.variation.thickness: the file has changed since the search" in error_of(command(*resuming))
     assert FILE.read_bytes() == kept
-    full = localize(scene, "panel", "cpu", estimate=False)
+    full = localize(scene, source="panel", device="cpu", estimate=False)
     assert command(*resuming, "scenes/panel.toml")[0] == 0
     assert load_result("panel-localize.h5").cases["best"].energy == full.cases["best"].energy
     FILE.write_bytes(kept)

@@ -142,7 +142,10 @@ def test_searches_give_the_same_on_workers(pool, scene, random):
     scenarios, phasors = draw_scenarios(robust, 3, 0), random_phasors(random)
     here, there = (simulate_scenarios(scenarios, "cpu", pool=run_by) for run_by in (None, pool))
     assert there.losses(Designs(phasors)).tobytes() == here.losses(Designs(phasors)).tobytes()
-    one, two = (compare(small_search(scene), "", ["pso"], 1, "cpu", "auto", "direct", pool=run) for run in (None, pool))
+    one, two = (
+        compare(small_search(scene), methods=["pso"], seeds=1, device="cpu", evaluator="direct", pool=run)
+        for run in (None, pool)
+    )
     assert [trial.loss.tobytes() for trial in one.trials] == [trial.loss.tobytes() for trial in two.trials]
 
 

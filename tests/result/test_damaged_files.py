@@ -21,7 +21,9 @@ def written(tmp_path_factory):
     """A checkpoint and a result, as bytes by kind, with the function that reads each."""
     folder = tmp_path_factory.mktemp("written")
     file = CheckpointFile(folder / "a.checkpoint.h5", 0)
-    result = localize(scene_of((9, 9), damping=88.5, **SMALL), "panel", "cpu", estimate=False, checkpoints=file)
+    result = localize(
+        scene_of((9, 9), damping=88.5, **SMALL), source="panel", device="cpu", estimate=False, checkpoints=file
+    )
     save_result(result, folder / "a.h5")
     return {
         "checkpoint": (file.path.read_bytes(), load_checkpoint),

@@ -42,5 +42,5 @@ def test_examples_reach_the_documented_results(path):
         few = scene.search.robust.model_copy(update={"fresh": 2})
         scene = scene.model_copy(update={"search": scene.search.model_copy(update={"robust": few})})
     evaluator = "response" if parametrization_of(with_common_step(scene)).quadratic else "direct"
-    result = localize(scene, path.name, device="cpu", estimate=False, spectrum=False, evaluator=evaluator)
+    result = localize(scene, source=path.name, device="cpu", estimate=False, spectrum=False, evaluator=evaluator)
     assert result.objective_values.get("sum", result.main_case.localization_factor) >= LEAST[path.stem]

@@ -38,7 +38,7 @@ def test_on_any_number_of_threads_in_pieces_of_any_size(name, evaluator, device,
         monkeypatch.setattr(
             "warp_plate.solve.parts.SEGMENT_NODE_STEPS", {"cpu": node_steps, "cuda": max(1e5, node_steps)}
         )
-        result = localize(made, "", device, None, evaluator, path, estimate=False)
+        result = localize(made, device=device, evaluator=evaluator, path=path, estimate=False)
         assert np.isfinite(result.history["best"]).all()
         found.add(digest(result))
     assert len(found) == 1
@@ -47,7 +47,7 @@ def test_on_any_number_of_threads_in_pieces_of_any_size(name, evaluator, device,
 ONCE = """
 from test_reproducible import digest
 from warp_plate import Scene, localize
-print(digest(localize(Scene.load("panel.toml"), "", "cpu", None, "response", estimate=False)))
+print(digest(localize(Scene.load("panel.toml"), device="cpu", evaluator="response", estimate=False)))
 """
 
 
@@ -59,4 +59,4 @@ def test_in_another_process(tmp_path, scene):
     path = os.pathsep.join([str(Path(__file__).parent), os.environ["PYTHONPATH"]])
     environment = {**os.environ, **threads, "PYTHONPATH": path}
     answer = subprocess.check_output([sys.executable, "-c", ONCE], cwd=tmp_path, text=True, env=environment)
-    assert answer.split() == [digest(localize(made, "", "cpu", None, "response", estimate=False))]
+    assert answer.split() == [digest(localize(made, device="cpu", evaluator="response", estimate=False))]

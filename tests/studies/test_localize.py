@@ -18,7 +18,15 @@ PANEL = scene_of(damping=88.5, precision="float32", search=SEARCH)
 def test_contents_of_a_result(device, path, evaluator):
     scene = PANEL.with_tables(record={"times": (0.005, 0.012), "points": ((0.1, 0.1),)})
     progress, estimate = [], evaluator == "direct"
-    result = localize(scene, "mine", device, None, evaluator, path, lambda *news: progress.append(news), estimate)
+    result = localize(
+        scene,
+        source="mine",
+        device=device,
+        evaluator=evaluator,
+        path=path,
+        on_progress=lambda *news: progress.append(news),
+        estimate=estimate,
+    )
     assert (result.command, result.source, result.scene, result.seed) == ("localize", "mine", scene, 3)
     assert list(result.cases) == ["equal", "single", "best"]
     factors = {name: case.localization_factor for name, case in result.cases.items()}
@@ -47,14 +55,16 @@ def test_contents_of_a_result(device, path, evaluator):
 
 
 def test_the_seed_determines_every_bit(device, path):
-    first, again, other = (localize(PANEL, "", device, seed, path=path, estimate=False) for seed in (5, 5, 6))
+    first, again, other = (localize(PANEL, device=device, seed=seed, path=path, estimate=False) for seed in (5, 5, 6))
     assert_same(first, again)
     assert not np.array_equal(first.history["best"], other.history["best"])
 
 
 def test_both_evaluators_find_the_same():
     scene = scene_of(damping=88.5, search=SEARCH)
-    direct, response = (localize(scene, "", "cpu", None, name, estimate=False) for name in ("direct", "response"))
+    direct, response = (
+        localize(scene, device="cpu", evaluator=name, estimate=False) for name in ("direct", "response")
+    )
     np.testing.assert_allclose(direct.history["best"], response.history["best"], rtol=1e-9)
     np.testing.assert_allclose(direct.cases["best"].phasors, response.cases["best"].phasors, rtol=1e-6)
 
@@ -63,7 +73,10 @@ def test_both_evaluators_find_the_same():
 def test_the_paper_s_search_comes_close_to_the_bound(preset):
     """Within 0.002 of the bound for at least 9 of 10 seeds."""
     scene = Scene.load(preset)
-    results = [localize(scene, preset, "cpu", seed, "response", estimate=False) for seed in range(10)]
+    results = [
+        localize(scene, source=preset, device="cpu", seed=seed, evaluator="response", estimate=False)
+        for seed in range(10)
+    ]
     gaps = np.array([result.bound - result.cases["best"].localization_factor for result in results])
     assert np.all(gaps > -1e-5)
     assert np.count_nonzero(gaps < 0.002) >= 9
@@ -88,11 +101,11 @@ def test_drives_of_simulate():
     """ "scene" takes the file's magnitudes and phases; "equal" and "single" are the references of a search."""
     found = localize(PANEL, device="cpu", estimate=False)
     for drive in ("equal", "single"):
-        run = simulate(PANEL, "mine", drive, "cpu", estimate=False)
+        run = simulate(PANEL, source="mine", drive=drive, device="cpu", estimate=False)
         assert run.cases["drive"].energy == found.cases[drive].energy
     changes = ({"magnitude": 1.0, "phase": 0.0}, {"magnitude": -0.5, "phase": 1.0}, {"magnitude": 2.0, "phase": -2.0})
     actuators = tuple(one.model_copy(update=new) for one, new in zip(PANEL.actuators, changes, strict=True))
-    written = simulate(PANEL.model_copy(update={"actuators": actuators}), "mine", device="cpu", estimate=False)
+    written = simulate(PANEL.model_copy(update={"actuators": actuators}), source="mine", device="cpu", estimate=False)
     expected = [1, -0.5 * np.exp(-1j), 2 * np.exp(2j)]
     np.testing.assert_allclose(written.cases["drive"].phasors, expected, rtol=1e-14)
     assert written.bound is None

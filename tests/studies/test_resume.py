@@ -30,11 +30,11 @@ def stop_after(iterations):
     return on_progress
 
 
-def stopped(folder, scene, *options, after=None):
+def stopped(folder, scene, after=None, **options):
     """Search until so many iterations are done or the solver raises KeyboardInterrupt; return result and checkpoint."""
     file = CheckpointFile(folder / "one.checkpoint.h5", np.inf)
     on_progress = None if after is None else stop_after(after)
-    result = localize(scene, "mine", *options, on_progress=on_progress, estimate=False, checkpoints=file)
+    result = localize(scene, source="mine", on_progress=on_progress, estimate=False, checkpoints=file, **options)
     assert result.interrupted
     return result, load_checkpoint(file.path)
 
@@ -42,10 +42,10 @@ def stopped(folder, scene, *options, after=None):
 @pytest.mark.parametrize(("evaluator", "iterations"), [("direct", 8), ("response", 4)])
 def test_bit_identical_from_any_iteration(evaluator, iterations, device, path, tmp_path):
     scene = scene_of(damping=88.5, precision="float32", **SEARCH)
-    options = (device, None, evaluator, path)
-    result, checkpoint = stopped(tmp_path, scene, *options, after=iterations)
+    options = {"device": device, "evaluator": evaluator, "path": path}
+    result, checkpoint = stopped(tmp_path, scene, after=iterations, **options)
     assert (checkpoint.iterations, checkpoint.progress) == (iterations, f"{iterations} of 9 iterations")
-    full = localize(scene, "mine", *options, estimate=False)
+    full = localize(scene, source="mine", estimate=False, **options)
     assert (result.evaluations, result.bound) == (8 * iterations, full.bound)
     np.testing.assert_array_equal(result.history["best"], full.history["best"][:iterations])
     assert result.cases["best"].localization_factor == pytest.approx(result.history["best"][-1], abs=2e-6)
@@ -55,7 +55,7 @@ def test_bit_identical_from_any_iteration(evaluator, iterations, device, path, t
 def test_interrupted_between_ask_and_tell(tmp_path, monkeypatch):
     """Positions are new and their losses unknown; nothing is lost or counted twice."""
     scene = scene_of(damping=88.5, **SEARCH)
-    full = localize(scene, "mine", "cpu", estimate=False)
+    full = localize(scene, source="mine", device="cpu", estimate=False)
     run, calls = PlateSolver.run, []
 
     def interrupted(self, *arguments, **options):
@@ -66,7 +66,7 @@ def test_interrupted_between_ask_and_tell(tmp_path, monkeypatch):
         return answer
 
     monkeypatch.setattr(PlateSolver, "run", interrupted)
-    _, checkpoint = stopped(tmp_path, scene, "cpu")
+    _, checkpoint = stopped(tmp_path, scene, device="cpu")
     assert checkpoint.iterations == 7  # after the response and the single actuators
     assert_same(resume(checkpoint, estimate=False), full)
 
@@ -75,20 +75,20 @@ def test_the_chosen_grid_is_kept(tmp_path, monkeypatch):
     """The choice depends on timings, so it is kept in the checkpoint; it serves all frequencies of the search."""
     search = {**SEARCH["search"], "frequency": {"range": [100.0, 400.0]}}
     written = scene_of(damping=88.5, search=search).model_copy(update={"grid": Grid(accuracy=0.3)})
-    options = ("cpu", None, "direct")
-    _, checkpoint = stopped(tmp_path, written, *options, after=2)
+    options = {"device": "cpu", "evaluator": "direct"}
+    _, checkpoint = stopped(tmp_path, written, after=2, **options)
     assert checkpoint.scene_as_written == written
     assert checkpoint.scene.drive == written.drive
     assert checkpoint.scene.grid.time_step <= 1 / 20 / 400
     monkeypatch.setattr(grid_choice, "choose", None)
     found = resume(checkpoint, estimate=False)
-    assert_same(found, localize(checkpoint.scene, "mine", *options, estimate=False))
+    assert_same(found, localize(checkpoint.scene, source="mine", estimate=False, **options))
     assert found.accuracy == checkpoint.accuracy
     assert found.accuracy["asked"] == 0.3
 
 
 def test_another_device_must_be_named(tmp_path):
-    _, checkpoint = stopped(tmp_path, scene_of(**SEARCH), "cpu", after=2)
+    _, checkpoint = stopped(tmp_path, scene_of(**SEARCH), device="cpu", after=2)
     elsewhere = replace(checkpoint, device="cuda:7", processor="another one")
     with pytest.raises(SceneError, match=r"^the search began on cuda:7 \(another one\).*--device \S+$"):
         resume(elsewhere)
@@ -111,7 +111,7 @@ def test_checkpoints_while_a_search_runs(every, expected, tmp_path):
         if file.path.exists():
             saved.append(load_checkpoint(file.path).iterations)
 
-    localize(scene_of(**SEARCH), "", "cpu", on_progress=on_progress, estimate=False, checkpoints=file)
+    localize(scene_of(**SEARCH), device="cpu", on_progress=on_progress, estimate=False, checkpoints=file)
     assert saved == expected
     if expected:
         assert load_checkpoint(previous_path(file.path)).iterations == expected[-2]
@@ -121,7 +121,7 @@ def test_checkpoints_while_a_search_runs(every, expected, tmp_path):
 
 def test_files_of_other_searches_are_left_alone(tmp_path):
     """A previous checkpoint of another search, and a file that another process writes meanwhile."""
-    (_, checkpoint), lines = stopped(tmp_path, scene_of(**SEARCH), "cpu", after=2), []
+    (_, checkpoint), lines = stopped(tmp_path, scene_of(**SEARCH), device="cpu", after=2), []
     path, other = tmp_path / "a.checkpoint.h5", replace(checkpoint, seed=99)
     save_checkpoint(other, path)
     save_checkpoint(other, previous_path(path))

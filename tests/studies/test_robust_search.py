@@ -86,8 +86,8 @@ def test_what_is_not_quadratic_is_simulated(scene):
 def test_an_interrupted_search_resumes_bit_identically(tmp_path):
     """The resumed result holds the comparison, and so does its file."""
     scene = robust(precision="float32", fresh=4)
-    full = localize(scene, "mine", "cpu", estimate=False)
-    cut, checkpoint = stopped(tmp_path, scene, "cpu", after=5)
+    full = localize(scene, source="mine", device="cpu", estimate=False)
+    cut, checkpoint = stopped(tmp_path, scene, device="cpu", after=5)
     assert cut.robust is None
     again = resume(checkpoint, estimate=False)
     assert again.evaluator == "response"

@@ -78,15 +78,17 @@ def test_the_scene_found_simulates_to_the_result(name, tmp_path):
 def test_an_interrupted_search_resumes_bit_identically(name, method, tmp_path):
     scene = searched(name)
     scene = scene.with_tables(search={**scene.search.model_dump(), "method": method})
-    _, checkpoint = stopped(tmp_path, scene, "cpu", after=2)
-    assert_same(resume(checkpoint, estimate=False), localize(scene, "mine", "cpu", estimate=False))
+    _, checkpoint = stopped(tmp_path, scene, device="cpu", after=2)
+    assert_same(resume(checkpoint, estimate=False), localize(scene, source="mine", device="cpu", estimate=False))
 
 
 def test_history_holds_the_weighted_sum_of_other_objectives():
     scene = searched("magnitude")
     objectives = [{"kind": "velocity", "weight": 1e3}, {"kind": "displacement", "weight": 1e5}]
     scene = scene.with_tables(search={**scene.search.model_dump(), "objectives": objectives})
-    direct, by_matrices = (localize(scene, "", "cpu", None, name, estimate=False) for name in ("direct", "response"))
+    direct, by_matrices = (
+        localize(scene, device="cpu", evaluator=name, estimate=False) for name in ("direct", "response")
+    )
     assert direct.bound is None
     assert not direct.only_localization
     np.testing.assert_allclose(direct.history["best"], by_matrices.history["best"], rtol=1e-3)

@@ -40,7 +40,7 @@ def single_target(scene, index):
 @pytest.fixture(scope="module")
 def found():
     """The result of an uninterrupted search."""
-    return localize(panel(), "mine", "cpu", estimate=False)
+    return localize(panel(), source="mine", device="cpu", estimate=False)
 
 
 def test_each_search_equals_that_of_a_single_target(found):
@@ -51,7 +51,7 @@ def test_each_search_equals_that_of_a_single_target(found):
     # Gram matrices once; for each target single actuators, the swarm and three cases.
     assert found.node_steps == 11 * 11 * make_scheme(found.scene).steps * (21 + 3 * (3 + 72 + 3))
     for index, case in enumerate(target_cases(scene).values()):
-        single = localize(single_target(scene, index), "mine", "cpu", estimate=False)
+        single = localize(single_target(scene, index), source="mine", device="cpu", estimate=False)
         search, best = found.target_searches[index], single.cases["best"]
         np.testing.assert_array_equal(found.cases[case].phasors, best.phasors)
         np.testing.assert_array_equal(found.cases[case].displacement, best.displacement)
@@ -79,15 +79,15 @@ def test_gram_matrices_are_measured_once(kind, measured, monkeypatch):
     monkeypatch.setattr(make_problem, "measure_response", lambda *given: calls.append(1) or measure(*given))
     limits = {"magnitude": 2.0} if kind == "displacement" else {}
     scene = panel(search={**SEARCH, "objectives": [{"kind": kind}], "limits": limits}, nodes=(17, 17))
-    several = localize(scene, "mine", "cpu", evaluator="response", estimate=False)
+    several = localize(scene, source="mine", device="cpu", evaluator="response", estimate=False)
     assert len(calls) == measured
-    single = localize(single_target(scene, 2), "mine", "cpu", evaluator="response", estimate=False)
+    single = localize(single_target(scene, 2), source="mine", device="cpu", evaluator="response", estimate=False)
     np.testing.assert_array_equal(several.cases["best three corners"].phasors, single.cases["best"].phasors)
 
 
 @pytest.mark.parametrize(("count", "index", "iterations"), [(9, 0, 9), (25, 2, 7)])
 def test_an_interrupted_search_resumes_bit_identically(count, index, iterations, found, tmp_path):
-    left, checkpoint = stopped(tmp_path, panel(), "cpu", after=count)
+    left, checkpoint = stopped(tmp_path, panel(), device="cpu", after=count)
     assert len(left.target_searches) == index + 1
     shares = crosstalk(left)
     assert np.isfinite(shares[: index + 1]).all()

@@ -89,6 +89,7 @@ class AccuracyReport:
 
 def measure_configurations(
     scene: SceneSource,
+    *,
     source: str = "",
     device: str = "auto",
     path: str = "auto",

@@ -66,7 +66,7 @@ def accuracy(
     name = find_device(device).alias
     machine = describe_machine([name])
     with output.scene_errors(scene), output.progress_bar("measuring", shown=not json) as show:
-        report = measure_configurations(loaded, scene, name, path, budget, show)
+        report = measure_configurations(loaded, source=scene, device=name, path=path, budget=budget, on_progress=show)
     record = {**report.as_json(), "machine": vars(machine), "versions": describe_versions()}
     written = output.write_measurements(target, record, draw_accuracy, pictures)
     output.report(json, lambda: record, lambda console: _print(report, machine.devices[name], console), written)

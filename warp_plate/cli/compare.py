@@ -71,7 +71,18 @@ def compare(
         workers.open_pool() as pool,
         output.progress_bar("comparing", not json, loaded) as show,
     ):
-        result = run(loaded, scene, names, seeds, on, path, evaluator, evaluations, show, pool)
+        result = run(
+            loaded,
+            source=scene,
+            methods=names,
+            seeds=seeds,
+            device=on,
+            path=path,
+            evaluator=evaluator,
+            evaluations=evaluations,
+            on_progress=show,
+            pool=pool,
+        )
     draw = partial(save_plots, draw_comparison, result)
     written = output.write_files(target, partial(save_comparison, result), draw, pictures)
     output.report(json, partial(_as_json, result), partial(_print, result), written)

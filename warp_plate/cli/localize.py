@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from warp_plate.cli import clock, options, output, tables
 from warp_plate.scene.errors import SceneError
@@ -144,13 +144,16 @@ def localize(
 
         if pool is not None:
             pool.on_progress = lambda done, total: show(*latest[:2], f"{latest[2]} block {done}/{total}")
-        common = (on_progress, estimate, file, spectrum, pool, baselines)
+        common: dict[str, Any] = {"on_progress": on_progress, "estimate": estimate, "checkpoints": file}
+        common |= {"spectrum": spectrum, "pool": pool, "baselines": baselines}
         if checkpoint is not None:
-            result = run_resume(checkpoint, local, *common)
+            result = run_resume(checkpoint, local, **common)
         else:
             assert loaded is not None
             on, path = "auto" if local is None else local, workers.path or "auto"
-            result = run_localize(loaded, scene or "", on, seed, evaluator, path, *common)
+            result = run_localize(
+                loaded, source=scene or "", device=on, seed=seed, evaluator=evaluator, path=path, **common
+            )
     written = _write(result, target, pictures, file)
     record = partial(_as_json, result, file.path if result.interrupted and file.saved else None)
     output.report(json, record, partial(_print, result, resume is not None), written)

@@ -51,7 +51,16 @@ def simulate(
         def on_progress(done: int, total: int) -> None:
             show(done, total, f"{done:.2g} node-steps")
 
-        result = run(loaded, scene, drive, device, path, on_progress, estimate, allow_unstable)
+        result = run(
+            loaded,
+            source=scene,
+            drive=drive,
+            device=device,
+            path=path,
+            progress=on_progress,
+            estimate=estimate,
+            allow_unstable=allow_unstable,
+        )
     written = output.write_result(result, target, pictures)
     output.report(json, partial(_as_json, result), partial(_print, result), written)
 

@@ -31,6 +31,7 @@ OnTrialProgress = Callable[[int, int, str], object]
 
 def compare(
     scene: SceneSource,
+    *,
     source: str = "",
     methods: Sequence[str] | None = None,
     seeds: int = 10,

@@ -49,6 +49,7 @@ class _Options:
 
 def localize(
     scene: SceneSource,
+    *,
     source: str = "",
     device: str = "auto",
     seed: int | None = None,

@@ -28,6 +28,7 @@ from warp_plate.studies.provenance import device_name, run_fields, versions
 
 def simulate(
     scene: SceneSource,
+    *,
     source: str = "",
     drive: str = "scene",
     device: str = "auto",
