@@ -57,6 +57,20 @@ def test_waveforms_are_exported_for_the_amplifier(command, write_scene):
         assert " ".join(words[-2:]) in error_of(command("export", "panel-focus.h5", *words))
 
 
+def test_focus_is_rendered(command, write_scene):
+    """Seen from above, which needs no renderer."""
+    pytest.importorskip("matplotlib")
+    write_scene(damping=10.0, focus=TABLE)
+    output_of(command("focus", "panel.toml", "--no-pictures"))
+    shown = ("--case", "optimum", "--case", "one_bit", "--out", "plan.svg")
+    assert output_of(command("render", "panel-focus.h5", *shown)).strip() == "wrote plan.svg"
+    drawn = Path("plan.svg").read_text(encoding="utf-8")
+    assert "optimum" in drawn
+    assert "one bit" in drawn
+    for words in (("--case", "best"), ("--modes", "2"), ("--start", "0.5")):
+        assert words[-1] in error_of(command("render", "panel-focus.h5", *shown, *words))
+
+
 def test_what_cannot_be_focused_is_one_line(command, write_scene):
     write_scene()
     assert "panel.toml: focus: there is no such table" in error_of(command("focus", "panel.toml"))

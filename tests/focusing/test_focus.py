@@ -8,6 +8,7 @@ from conftest import scene_of
 
 from warp_plate import PlateSolver, SceneError, focus
 from warp_plate.focusing.figures import measure_focus
+from warp_plate.focusing.motion import focus_motions
 from warp_plate.result.focus import load_focus, save_focus
 
 TABLE = {"points": [(0.07, 0.06), (0.13, 0.12)], "highest": 600.0, "time": 0.02, "rate": 16000}
@@ -42,6 +43,26 @@ def test_field_and_responses_agree_at_the_focus(found):
         for field, peak, (x, y) in zip(method.fields, method.peak, TABLE["points"], strict=True):
             ny, nx = field.shape
             assert field[int(y / 0.2 * ny), int(x / 0.2 * nx)] == pytest.approx(peak, rel=0.05)
+
+
+def test_motion_passes_through_the_field_at_the_moment(found):
+    """Frames come by recursion from sample to sample; their velocity is the slope of the displacement."""
+    shown = focus_motions(found, ["optimum", "one_bit"], (0.015, 0.022), 200)
+    for motion, name in zip(shown, ("optimum", "one_bit"), strict=True):
+        method, at = found.methods[name], int(np.abs(motion.times - 0.02).argmin())
+        assert motion.times[at] == pytest.approx(0.02)
+        ny, nx = motion.displacement.shape[1:]
+        largest = float(motion.name.split()[-2]) * 1e-9
+        for point, index in zip(TABLE["points"], (0, 1), strict=True):
+            row, column = (round(share / 0.2 * (count - 1)) for share, count in zip(point[::-1], (ny, nx), strict=True))
+            expected = method.responses[0, index, round(0.02 * TABLE["rate"]) - 1]
+            assert motion.displacement[at, row, column] * largest == pytest.approx(
+                expected, rel=0.05, abs=0.03 * largest
+            )
+        slope = np.gradient(motion.displacement, motion.times, axis=0)[1:-1]
+        assert np.abs(slope - motion.velocity[1:-1]).max() < 0.15 * np.abs(motion.velocity).max()
+    with pytest.raises(SceneError, match="must lie within the motion"):
+        focus_motions(found, span=(0.0, 1.0))
 
 
 def test_files_read_back(found, tmp_path):

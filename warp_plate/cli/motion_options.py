@@ -16,6 +16,7 @@ from warp_plate.scene.errors import SceneError
 if TYPE_CHECKING:
     from warp_plate.result.model import Case, Result
     from warp_plate.result.motion import Motion
+    from warp_plate.scene.model import Scene
 
 # Limits of the frames a second.
 RATES = (1, 120)
@@ -98,6 +99,23 @@ def select_motions(
             return motions(result.scene, cases, span, options.frames, options.device or "auto", show)
         except SceneError as error:
             raise SceneError(f"{file}: {error}") from None
+
+
+def select_focus_motions(file: Path, options: FrameOptions, playback: PlaybackOptions) -> tuple[Scene, list[Motion]]:
+    """Return the scene and the motions to show of a file of ``focus``."""
+    from warp_plate.focusing.motion import FRAMES, focus_motions
+    from warp_plate.result.focus import load_focus
+
+    if playback.modes:
+        raise SceneError(f"--modes {playback.modes}: {file} holds waveforms; leave it out")
+    found, span = load_focus(file), None
+    if options.start is not None or options.end is not None:
+        end = float(found.times[-1]) if options.end is None else options.end
+        span = (options.start or 0.0, end)
+    try:
+        return found.scene, focus_motions(found, options.case or (), span, options.frames or FRAMES)
+    except SceneError as error:
+        raise SceneError(f"{file}: {error}") from None
 
 
 def _mode_shapes(result: Result, frames: int | None, playback: PlaybackOptions) -> list[Motion]:

@@ -15,6 +15,7 @@ from warp_plate.scene.errors import SceneError
 if TYPE_CHECKING:
     from warp_plate.result.model import Result
     from warp_plate.result.motion import Motion
+    from warp_plate.scene.model import Scene
     from warp_plate.viz.pictures import PictureStyle
 
 PLOTS, MOVIES = (".svg", ".pdf"), (".gif", ".mp4")
@@ -36,7 +37,8 @@ def render(
 ) -> None:
     """Draw pictures, movies and pages of a result; needs no display.
 
-    A result holds few displacements, so its scene is run again under its drives for the frames.
+    A result holds few displacements, so its scene is run again under its drives for the frames. Of a file of focus the
+    plate is shown around the moment of its first point, with methods as cases.
 
     Parameters
     ----------
@@ -57,21 +59,29 @@ def render(
     targets = [output.output_file(path, ".png", ENDINGS) for path in given]
     playback.check()
     from warp_plate.result import load_result
+    from warp_plate.result.hdf5 import describe_file
     from warp_plate.viz.availability import DrawingUnavailable
     from warp_plate.viz.pictures import PictureStyle
 
-    loaded = load_result(result)
     files: list[Path] = []
     try:
-        if figures == "paper":
-            files += _paper_figures(loaded, result)
-        if targets:
+        if describe_file(result) == "a focus" and figures is None:
             _check_drawable(targets, plan)
-            motions = motion_options.select_motions(loaded, result, frames_around(loaded, time, shown), playback, json)
+            scene, motions = motion_options.select_focus_motions(result, shown, playback)
+        else:
+            loaded = load_result(result)
+            scene = loaded.scene
+            if figures == "paper":
+                files += _paper_figures(loaded, result)
+            if targets:
+                _check_drawable(targets, plan)
+                around = frames_around(loaded, time, shown)
+                motions = motion_options.select_motions(loaded, result, around, playback, json)
+        if targets:
             frame, rate = frame_at(motions, time, playback.field), playback.frame_rate(motions)
             style = PictureStyle(playback.field, width, playback.heights)
             for target in targets:
-                _draw(loaded, motions, target, style, frame, plan, rate, json)
+                _draw(scene, motions, target, style, frame, plan, rate, json)
                 files.append(target)
     except DrawingUnavailable as problem:
         raise SceneError(str(problem)) from None
@@ -122,7 +132,7 @@ def frame_at(motions: list[Motion], time: float | None, field: str) -> int:
 
 
 def _draw(
-    result: Result, motions: list[Motion], target: Path, style: PictureStyle, frame: int, plan: bool, rate: float,
+    scene: Scene, motions: list[Motion], target: Path, style: PictureStyle, frame: int, plan: bool, rate: float,
     quiet: bool,
 ) -> None:  # fmt: skip
     from warp_plate.result.atomic_io import atomic_paths
@@ -134,13 +144,13 @@ def _draw(
     progress = output.progress_bar(f"drawing {target.name}", shown=not quiet)
     with atomic_paths(target) as (path,), progress as show:
         if ending in PLOTS or (plan and ending == ".png"):
-            draw_plan(result.scene, motions, path, style.quantity, frame)
+            draw_plan(scene, motions, path, style.quantity, frame)
         elif ending == ".png":
-            draw_picture(result.scene, motions, path, style, frame)
+            draw_picture(scene, motions, path, style, frame)
         elif ending == ".html":
-            write_page(result.scene, motions, path, style.quantity, rate, style.heights)
+            write_page(scene, motions, path, style.quantity, rate, style.heights)
         else:
-            draw_movie(result.scene, motions, path, style, rate, show)
+            draw_movie(scene, motions, path, style, rate, show)
 
 
 def _paper_figures(result: Result, name: Path) -> list[Path]:

@@ -103,9 +103,8 @@ def _reached(
     size, at_focus = plate.scene.plate.size, motion[foci, foci]
     peak = at_focus[:, table.moment]
     fields, areas, contrasts = [], [], []
-    for amplitudes, point, reached in zip(
-        responses.amplitudes(waveforms[..., : table.moment + 1]), table.points, peak.tolist(), strict=True
-    ):
+    states = responses.states(waveforms[..., : table.moment + 1])
+    for amplitudes, point, reached in zip(responses.amplitudes(states), table.points, peak.tolist(), strict=True):
         fine = field_at_end(plate, amplitudes)
         area, contrast = measure_focus(fine, size, point, reached)
         fields.append(fine[PICTURED // 2 :: PICTURED, PICTURED // 2 :: PICTURED])

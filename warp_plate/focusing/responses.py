@@ -47,8 +47,8 @@ class HeldResponses:
         blocks = [pairs.real @ decays.real - pairs.imag @ decays.imag for decays in self._decays(self._samples)]
         return np.hstack(blocks).reshape(self._gains.shape[1], len(points), -1)
 
-    def amplitudes(self, waveforms: np.ndarray) -> np.ndarray:
-        """Return (sets, modes) modal amplitudes at the end of sets of waveforms (sets, actuators, samples) [N/m²]."""
+    def states(self, waveforms: np.ndarray) -> np.ndarray:
+        """Return the states of the poles (poles, sets) at the end of waveforms (sets, actuators, samples) [N/m²]."""
         sets, actuators, samples = waveforms.shape
         rows, first, states = waveforms[..., ::-1].reshape(-1, samples).T, 0, np.zeros((self._gains.shape[0], sets))
         for decays in self._decays(samples):
@@ -56,7 +56,16 @@ class HeldResponses:
             first += decays.shape[1]
             moved = (decays.real @ part + 1j * (decays.imag @ part)).reshape(-1, sets, actuators)
             states = states + np.einsum("psa,pa->ps", moved, self._gains)
-        return (self._poles.vectors @ states).real.T
+        return states
+
+    def next_states(self, states: np.ndarray, pressures: np.ndarray) -> np.ndarray:
+        """Return the states after another sample of pressures (sets, actuators) [N/m²]."""
+        return np.asarray(np.exp(self._poles.values * self._step)[:, None] * states + self._gains @ pressures.T)
+
+    def amplitudes(self, states: np.ndarray, rates: bool = False) -> np.ndarray:
+        """Return the modal amplitudes (sets, modes) of states, or their rates of change."""
+        turned = self._poles.values[:, None] * states if rates else states
+        return np.asarray((self._poles.vectors @ turned).real.T)
 
     def _decays(self, samples: int) -> Iterator[np.ndarray]:
         """Yield exp(s l Δ) (poles, block) of l = 0 ... samples − 1, block by block."""

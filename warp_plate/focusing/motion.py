@@ -1,0 +1,92 @@
+"""Plates in motion around the moment of their focus, for pictures and movies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from warp_plate.focusing.responses import HeldResponses
+from warp_plate.modal.galerkin.integrals import Integrals
+from warp_plate.modal.modes import modes_below
+from warp_plate.result.focus import FocusResult
+from warp_plate.result.motion import Motion
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.focus import Focus
+
+# Points of a picture between two lines of the plate's splines; periods of the highest frequency that are shown on both
+# sides of a pulse; frames, and most bytes of them.
+POINTS, PERIODS, FRAMES, MOST_BYTES = 2, 10, 60, 2**30
+
+
+def focus_motions(
+    found: FocusResult, methods: Sequence[str] = (), span: tuple[float, float] | None = None, frames: int = FRAMES
+) -> list[Motion]:
+    """Return the motion of the plate under the waveforms for the first point, over its largest displacement, which is
+    in the name.
+
+    Args:
+        found: What ``focus`` found.
+        methods: Names of methods (default: all).
+        span: Start and end [s] (default: ten periods of ``focus.highest`` around the moment, or the burst).
+        frames: Frames in the span, at the samples nearest to even times, one of them at the moment.
+
+    Raises:
+        SceneError: A method is unknown, or the span holds fewer than two samples or lies outside the responses.
+    """
+    table, names = found.scene.focus, list(methods or found.methods)
+    assert table is not None
+    if unknown := [name for name in names if name not in found.methods]:
+        raise SceneError(f"case {unknown[0]}: there are {', '.join(found.methods)}")
+    plate = modes_below(found.scene, table.highest, "focus.highest")
+    x, y = (
+        np.linspace(0, side, POINTS * count + 1)
+        for side, count in zip(found.scene.plate.size, plate.galerkin.shape[::-1], strict=True)
+    )
+    steps = _samples(table, span or _usual_span(table), frames)
+    if (size := 8 * len(names) * steps.size * x.size * y.size) > MOST_BYTES:
+        raise SceneError(f"frames = {steps.size}: take {size} bytes; at most {MOST_BYTES} are possible")
+    responses = HeldResponses(plate, table.rate, table.recorded, velocity=False)
+    played = np.stack([found.methods[name].waveforms[0] for name in names])
+    pressures = np.concatenate([played, np.zeros((*played.shape[:2], table.recorded - table.samples))], axis=2)
+    states, fields = responses.states(pressures[..., : steps[0] + 1]), []
+    for sample in range(steps[0], steps[-1] + 1):
+        if sample > steps[0]:
+            states = responses.next_states(states, pressures[..., sample])
+        if sample in steps:
+            both = [plate.displacement(responses.amplitudes(states, rates), x, y) for rates in (False, True)]
+            fields.append(np.stack(both).astype(np.float32))
+    displacement, velocity = np.stack(fields, axis=2)
+    largest = [float(np.abs(each).max()) or 1.0 for each in displacement]
+    mass = Integrals(found.scene, plate.galerkin.along_x, plate.galerkin.along_y).fields_at(x, y)[4]
+    return [
+        Motion(
+            name=f"{name.replace('_', ' ')}: {1e9 * largest[index]:.3g} nm",
+            frequency=table.burst.frequency if table.burst else (table.lowest + table.highest) / 2,
+            span=(float(steps[0] + 1) / table.rate, float(steps[-1] + 2) / table.rate),
+            times=(steps + 1) / table.rate,
+            displacement=displacement[index] / largest[index],
+            velocity=velocity[index] / largest[index],
+            surface_density=mass,
+        )
+        for index, name in enumerate(names)
+    ]
+
+
+def _usual_span(table: Focus) -> tuple[float, float]:
+    half = PERIODS / table.highest if table.burst is None else table.burst.half
+    return max(table.time - half, 0.0), min(table.time + half, table.recorded / table.rate)
+
+
+def _samples(table: Focus, span: tuple[float, float], frames: int) -> np.ndarray:
+    """Return rising indices of the samples at whose ends frames are; a moment of the focus inside is one of them."""
+    if not 0 <= span[0] < span[1] <= table.recorded / table.rate * (1 + 1e-9):
+        end = table.recorded / table.rate
+        raise SceneError(f"start = {span[0]:g}, end = {span[1]:g}: must lie within the motion, from 0 to {end:g} s")
+    wanted = np.rint(np.linspace(*span, frames) * table.rate).astype(int) - 1
+    steps = np.unique(np.clip(wanted, 0, table.recorded - 1))
+    if steps[0] < table.moment < steps[-1]:
+        steps[np.abs(steps - table.moment).argmin()] = table.moment
+    if steps.size < 2:
+        raise SceneError(f"{span[0]:g} ... {span[1]:g} s: contains fewer than two samples at {table.rate} Hz")
+    return steps
