@@ -30,11 +30,13 @@ exclude_patterns = ["examples/**", "gallery/**/*.ipynb", "**/sg_execution_times.
 
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 4
-autodoc_default_options = {"members": True, "exclude-members": "model_config"}
+autodoc_default_options = {"members": True, "exclude-members": "model_config, model_post_init"}
+templates_path = ["_templates"]
 autosummary_generate = ["reference/python-api.rst"]
 autodoc_typehints = "signature"
 maximum_signature_line_length = 80
 napoleon_numpy_docstring = False
+napoleon_use_ivar = True
 
 nb_execution_mode = "cache"
 nb_execution_in_temp = True

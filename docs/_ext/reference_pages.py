@@ -2,6 +2,7 @@
 
 import inspect
 import re
+from dataclasses import is_dataclass
 from pathlib import Path
 from typing import get_args
 
@@ -14,6 +15,40 @@ from warp_plate.scene.model import Scene
 
 DOCS = Path(__file__).parents[1]
 SCHEMA = Scene.model_json_schema()
+RETURNED = (
+    "result.model.Case",
+    "result.model.RegionMotion",
+    "solve.run.Run",
+    "modal.modes.ModalPlate",
+    "result.frequency_response.FrequencyResponse",
+    "result.sweep.Sweep",
+    "result.comparison.MethodComparison",
+    "result.robust.RobustComparison",
+    "result.focus.FocusResult",
+    "result.focus.FocusedWaveforms",
+    "accuracy.report.AccuracyReport",
+    "analysis.check.Check",
+)
+FITS = (
+    "fit_modes.fit_modes",
+    "fit_responses.fit_responses",
+    "measured_modes.read_modes",
+    "measured_modes.MeasuredModes",
+    "measured_responses.read_responses",
+    "measured_responses.MeasuredResponses",
+    "fitted_panel.FittedPanel",
+)
+EXPORTS = (
+    "paraview.write_pvd",
+    "paraview.write_vtkhdf",
+    "time_series.make_drive_signal",
+    "time_series.write_wav",
+    "time_series.write_drive_csv",
+    "time_series.write_traces",
+    "frequency_response.write_csv",
+    "frequency_response.write_uff",
+    "frequency_response.write_hdf5",
+)
 BOUNDS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
 FIELD = re.compile(r"    (\w+): [^#\n]*(?:\"[^\"]*\"[^#\n]*)*(?:# (.*))?")
 
@@ -26,7 +61,32 @@ def setup(app):
         path.parent.mkdir(exist_ok=True)
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             path.write_text(text, encoding="utf-8")
+    app.setup_extension("sphinx.ext.autodoc")
+    app.connect("autodoc-process-signature", short_signature)
+    app.connect("autodoc-process-docstring", add_fields)
     return {"parallel_read_safe": True}
+
+
+def short_signature(app, what, name, kind, options, signature, returned):
+    """Return the signature without the limits of numbers; none for tables of a scene and other plain data."""
+    if what == "class" and (issubclass(kind, Table) or is_dataclass(kind)):
+        return "", None
+    while signature and (start := signature.find("Annotated[")) >= 0:
+        depth, end, comma = 1, start + len("Annotated["), 0
+        while depth:
+            depth += {"[": 1, "]": -1}.get(signature[end], 0)
+            comma = comma or end * (depth == 1 and signature[end] == ",")
+            end += 1
+        signature = signature[:start] + signature[start + len("Annotated[") : comma] + signature[end:]
+    return signature, returned
+
+
+def add_fields(app, what, name, kind, options, lines):
+    """Add where the keys of a table of a scene are listed, and the comments beside the fields of a data class."""
+    if what == "class" and issubclass(kind, Table):
+        lines += ["", "Arguments are its keys, see :doc:`/reference/scene-keys`."]
+    elif what == "class" and is_dataclass(kind) and not any(line.startswith(":ivar") for line in lines):
+        lines += ["", *(f":ivar {field}: {text}" for field, text in comments(kind).items() if text), ""]
 
 
 def command_line():
@@ -40,9 +100,16 @@ def python_api():
     public = [name for name in warp_plate.__all__ if not name.startswith("_")]
     classes = [name for name in public if name[0].isupper()]
     text = "Python API\n==========\n\n``import warp_plate as wpl`` imports a name when it is first used.\n"
-    for heading, names in {"Functions": sorted(set(public) - set(classes)), "Classes": classes}.items():
-        rows = "\n".join(f"   warp_plate.{name}" for name in names)
-        text += f"\n{heading}\n---------\n\n.. autosummary::\n   :toctree: api\n   :nosignatures:\n\n{rows}\n"
+    sections = {
+        "Functions": [f"warp_plate.{name}" for name in sorted(set(public) - set(classes))],
+        "Classes": [f"warp_plate.{name}" for name in classes],
+        "What functions return": [f"warp_plate.{name}" for name in RETURNED],
+        "Fits": [f"warp_plate.fitting.{name}" for name in FITS],
+        "Files for other programs": [f"warp_plate.result.export.{name}" for name in EXPORTS],
+    }
+    for heading, names in sections.items():
+        rows = "\n".join(f"   {name}" for name in names)
+        text += f"\n{heading}\n{25 * '-'}\n\n.. autosummary::\n   :toctree: api\n   :nosignatures:\n\n{rows}\n"
     return text
 
 
@@ -100,7 +167,7 @@ def tables(model=Table):
 def comments(model):
     """Return the comment beside or above each field of a model."""
     found = {}
-    for each in reversed([each for each in model.__mro__ if issubclass(each, Table)]):
+    for each in reversed([each for each in model.__mro__ if each.__module__.startswith("warp_plate")]):
         above = []
         for line in inspect.getsource(each).splitlines():
             if line.startswith("    # "):

@@ -356,7 +356,7 @@ class Scene(Table):
 
     @property
     def drive_unit(self) -> str:
-        """Unit of all magnitudes: N/m², or V for electrostatic actuators."""
+        """Unit of all magnitudes, N/m² or, for electrostatic actuators, V."""
         return "N/m²" if self.drive.electrostatic is None else "V"
 
     @property
