@@ -31,10 +31,10 @@ from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.cli.main import main
 from warp_plate.plate.operator import LARGEST
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.result import Result
+from warp_plate.result.model import Result
 from warp_plate.result.motion import Motion
-from warp_plate.scene import preset_text
 from warp_plate.scene.dump import dump_scene
+from warp_plate.scene.load import preset_text
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.paths import paths_of
 

@@ -11,8 +11,8 @@ from conftest import error_of, output_of, scene_of, start_program
 
 import warp_plate
 from warp_plate import Scene, load_result
-from warp_plate.scene import preset_names, preset_text
 from warp_plate.scene.dump import dump_scene
+from warp_plate.scene.load import preset_names, preset_text
 
 QUICK = ("--device", "cpu", "--no-pictures", "--no-estimate")
 

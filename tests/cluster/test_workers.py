@@ -26,7 +26,7 @@ from warp_plate.cluster.scheduler import ATTEMPTS, Task, run_tasks
 from warp_plate.plate.designs import Designs, per_plate_of
 from warp_plate.problem.scenario_losses import simulate_scenarios
 from warp_plate.problem.uncertainty import draw_scenarios
-from warp_plate.result import save_result
+from warp_plate.result.model import save_result
 from warp_plate.scene.dump import dump_scene
 from warp_plate.studies.compare import compare
 

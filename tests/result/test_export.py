@@ -10,7 +10,6 @@ from conftest import result_of
 from scipy.io import wavfile
 
 from warp_plate.plate.waveforms import read_samples
-from warp_plate.result import Case
 from warp_plate.result.export.paraview import write_pvd, write_vtkhdf
 from warp_plate.result.export.time_series import (
     BLOCK,
@@ -20,8 +19,9 @@ from warp_plate.result.export.time_series import (
     write_traces,
     write_wav,
 )
-from warp_plate.scene import SceneError
+from warp_plate.result.model import Case
 from warp_plate.scene.drive import SampledSignal
+from warp_plate.scene.errors import SceneError
 
 NODES, SIZE, TIMES = (13, 9), (0.3, 0.2), (0.001, 0.0035, 0.012)
 POINTS = ((0.1, 0.05), (0.15, 0.1))

@@ -7,11 +7,11 @@ import h5py
 import numpy as np
 import pytest
 
-from warp_plate.result import Case, Result, load_result, save_result
 from warp_plate.result.atomic_io import make_seal
-from warp_plate.result.model import TargetSearch
+from warp_plate.result.model import Case, Result, TargetSearch, load_result, save_result
 from warp_plate.result.robust import RobustComparison
-from warp_plate.scene import Scene, SceneError
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
 
 LINKED = ("times", "cases", "cases/best", "cases/best/energy", "objectives/sum", "objectives_of/equal", "searches/0")
 

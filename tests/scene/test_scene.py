@@ -12,10 +12,9 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from warp_plate import PlateSolver, Scene, SceneError
-from warp_plate.scene import preset_names
 from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.keys import with_values
-from warp_plate.scene.load import parse_toml
+from warp_plate.scene.load import parse_toml, preset_names
 
 TESTS = Path(__file__).parents[1]
 LAYER = "{ area = [0.0, 0.1, 0.0, 0.1], thickness = 0.05, young_modulus = 1e9, density = 1e3 }"

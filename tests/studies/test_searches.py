@@ -12,8 +12,8 @@ from test_resume import assert_same, stopped
 from warp_plate import PlateSolver, Scene, load_result, localize, resume
 from warp_plate.analysis.motion import motions
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.result import save_result
 from warp_plate.result.export.time_series import make_drive_signal
+from warp_plate.result.model import save_result
 from warp_plate.solve.response import largest_ratio, measure_response
 from warp_plate.studies.simulate import simulate
 from warp_plate.studies.spectrum import factors_over, resonances

@@ -12,8 +12,9 @@ import pytest
 from conftest import pixels, result_of, start_program
 
 from warp_plate import view, viz
-from warp_plate.result import Case, save_result
-from warp_plate.scene import Scene, SceneError
+from warp_plate.result.model import Case, save_result
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
 from warp_plate.viz import availability, notebook
 from warp_plate.viz.notebook import result_html, scene_html
 from warp_plate.viz.plots.search import plot_history

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from conftest import motion_of
 
-from warp_plate.scene import Scene
+from warp_plate.scene.model import Scene
 from warp_plate.scene.target import NamedTarget
 from warp_plate.viz.captions import caption, case_label, frame_caption, ordered_cases
 from warp_plate.viz.fields import FIELDS, DrawingScale, drawing_scale

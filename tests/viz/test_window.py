@@ -12,7 +12,7 @@ import pytest
 from conftest import error_of, motion_of, pixels, start_program, until
 
 from warp_plate.analysis.motion import mode_motions
-from warp_plate.result import save_result
+from warp_plate.result.model import save_result
 from warp_plate.studies.localize import localize
 from warp_plate.viz.availability import missing_window
 from warp_plate.viz.meshes import SCALARS

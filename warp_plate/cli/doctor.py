@@ -96,7 +96,7 @@ def _check_devices() -> Iterator[Diagnosis]:
 
 def _diagnose_gpu(device: wp.Device) -> Diagnosis:
     from warp_plate.bench import capacity
-    from warp_plate.scene import Scene
+    from warp_plate.scene.model import Scene
     from warp_plate.solve import nvidia
 
     if device not in nvidia.usable_devices():

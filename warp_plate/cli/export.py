@@ -75,8 +75,8 @@ def export(
             raise SceneError(f"--{name} {value}: has no effect with --to {to}; leave it out")
     if shown.device is not None and shown.start is shown.end is shown.frames is None:
         raise SceneError(f"--device {shown.device}: nothing is run without --frames, --start or --end; leave it out")
-    from warp_plate.result import load_result
     from warp_plate.result.hdf5 import describe_file
+    from warp_plate.result.model import load_result
 
     if describe_file(result) == "a focus":
         if to not in ("drive-wav", "drive-csv") or (name := next((key for key in SIGNAL[:2] if signal[key]), "")):

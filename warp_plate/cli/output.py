@@ -194,7 +194,7 @@ def load_scene(source: str, assignments: Sequence[str] | None = None, accuracy: 
     Returns:
         The scene, and its name with the options that changed it: what the command calls it from then on.
     """
-    from warp_plate.scene import Scene
+    from warp_plate.scene.model import Scene
 
     scene = Scene.load(source, assignments or ())
     name = " ".join([source, *(f"--set {shlex.quote(assignment)}" for assignment in assignments or ())])
@@ -213,7 +213,7 @@ def with_accuracy_option(scene: Scene, accuracy: str) -> Scene:
 @contextmanager
 def scene_errors(source: str | None) -> Iterator[None]:
     """Prefix errors that begin with a key of the scene with the scene's file."""
-    from warp_plate.scene import Scene
+    from warp_plate.scene.model import Scene
 
     try:
         yield
@@ -387,7 +387,7 @@ def write_measurements(path: Path, record: Mapping[str, object], draw: Callable[
 
 def write_result(result: Result, path: Path, pictures: bool) -> Drawn:
     """Save a result and draw its pictures."""
-    from warp_plate.result import save_result
+    from warp_plate.result.model import save_result
     from warp_plate.viz import draw_all
 
     return write_files(path, partial(save_result, result), lambda _: draw_all(result, path.with_suffix("")), pictures)

@@ -58,8 +58,8 @@ def render(
     given = out or ([] if figures else [Path(f"{result.stem}.png")])
     targets = [output.output_file(path, ".png", ENDINGS) for path in given]
     playback.check()
-    from warp_plate.result import load_result
     from warp_plate.result.hdf5 import describe_file
+    from warp_plate.result.model import load_result
     from warp_plate.viz.availability import DrawingUnavailable
     from warp_plate.viz.pictures import PictureStyle
 

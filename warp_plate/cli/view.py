@@ -20,7 +20,7 @@ def view(
     A result holds few displacements, so its scene is run again under its drives for the frames.
     """
     playback.check()
-    from warp_plate.result import load_result
+    from warp_plate.result.model import load_result
     from warp_plate.viz.availability import missing_window
 
     loaded = load_result(result)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
-from warp_plate.scene.model import Scene
+if TYPE_CHECKING:
+    from warp_plate.scene.model import Scene
 
 
 def amplitudes_as_given(scene: Scene, magnitudes: Iterable[float]) -> list[tuple[str, float, str]]:

@@ -14,8 +14,7 @@ from warp_plate.modal.solver import MODAL, ModalSolver
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.problem.evaluate_cases import cases_from_run, reference_phasors
 from warp_plate.problem.parametrization import magnitude_unit
-from warp_plate.result import load_result
-from warp_plate.result.model import Result
+from warp_plate.result.model import Result, load_result
 from warp_plate.result.targets import target_regions
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene, SceneSource
