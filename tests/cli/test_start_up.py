@@ -6,8 +6,20 @@ import sys
 import pytest
 
 # Heavy libraries, those whose parts are heavy by part.
-HEAVY = "dask h5py IPython matplotlib PIL pydantic pyvista rich.progress scipy vtkmodules warp".split()
-PARTS = "scipy.interpolate scipy.optimize scipy.signal scipy.spatial scipy.stats".split()
+HEAVY = [
+    "dask",
+    "h5py",
+    "IPython",
+    "matplotlib",
+    "PIL",
+    "pydantic",
+    "pyvista",
+    "rich.progress",
+    "scipy",
+    "vtkmodules",
+    "warp",
+]
+PARTS = ["scipy.interpolate", "scipy.optimize", "scipy.signal", "scipy.spatial", "scipy.stats"]
 STEPS = {"pydantic", "warp", "scipy"}
 RUN = """
 import contextlib, io, sys
