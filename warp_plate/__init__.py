@@ -42,6 +42,7 @@ _HOME = {
     "focus": "warp_plate.focusing.focus:focus",
     "frf": "warp_plate.studies.frequency_response:compute_frequency_response",
     "load_checkpoint": "warp_plate.result.checkpoint:load_checkpoint",
+    "load_focus": "warp_plate.result.focus:load_focus",
     "load_result": "warp_plate.result.model:load_result",
     "load_sweep": "warp_plate.result.sweep:load_sweep",
     "localize": "warp_plate.studies.localize:localize",
@@ -76,6 +77,7 @@ __all__ = [
     "focus",
     "frf",
     "load_checkpoint",
+    "load_focus",
     "load_result",
     "load_sweep",
     "localize",
@@ -96,6 +98,7 @@ if TYPE_CHECKING:
     from warp_plate.modal.modes import solve_modes as modes
     from warp_plate.notebook import plot, view
     from warp_plate.result.checkpoint import load_checkpoint
+    from warp_plate.result.focus import load_focus
     from warp_plate.result.model import Result, load_result, save_result
     from warp_plate.result.sweep import load_sweep
     from warp_plate.scene.actuator import Actuator

@@ -21,6 +21,7 @@ from xml.etree.ElementTree import Element, tostring
 
 if TYPE_CHECKING:
     from warp_plate.result.comparison import MethodComparison
+    from warp_plate.result.focus import FocusResult
     from warp_plate.result.frequency_response import FrequencyResponse
     from warp_plate.result.model import Result
     from warp_plate.result.sweep import Sweep
@@ -59,11 +60,11 @@ class NotebookPlayer:
         return tostring(frame, encoding="unicode", short_empty_elements=False)
 
 
-def plot(shown: Result | Sweep | FrequencyResponse | MethodComparison, stem: str | Path) -> list[Path]:
+def plot(shown: Result | Sweep | FrequencyResponse | MethodComparison | FocusResult, stem: str | Path) -> list[Path]:
     """Draw what a function has returned, as its command does, and return the files.
 
     Args:
-        shown: result of ``localize`` or ``simulate``, of ``sweep``, of ``frf``, or of ``compare``.
+        shown: result of ``localize`` or ``simulate``, of ``sweep``, of ``frf``, ``compare`` or ``focus``.
         stem: path of the pictures without an ending: a result makes STEM-history.png, STEM-surfaces.png and so on, all
             others STEM.png.
 
@@ -72,12 +73,14 @@ def plot(shown: Result | Sweep | FrequencyResponse | MethodComparison, stem: str
         TypeError: there are no pictures of such an object.
     """
     from warp_plate.result.comparison import MethodComparison
+    from warp_plate.result.focus import FocusResult
     from warp_plate.result.frequency_response import FrequencyResponse
     from warp_plate.result.model import Result
     from warp_plate.result.sweep import Sweep
     from warp_plate.viz.availability import DrawingUnavailable, missing_plots
     from warp_plate.viz.figures import draw_all
     from warp_plate.viz.plots.compare import draw_comparison
+    from warp_plate.viz.plots.focus import draw_focus
     from warp_plate.viz.plots.frequency_response import draw_frequency_response
     from warp_plate.viz.plots.sweep import draw_sweep
 
@@ -90,6 +93,7 @@ def plot(shown: Result | Sweep | FrequencyResponse | MethodComparison, stem: str
         Sweep: draw_sweep,
         FrequencyResponse: draw_frequency_response,
         MethodComparison: draw_comparison,
+        FocusResult: draw_focus,
     }
     if type(shown) not in drawings:
         names = ", ".join(each.__name__ for each in (Result, *drawings))

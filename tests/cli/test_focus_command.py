@@ -8,9 +8,8 @@ import pytest
 from conftest import error_of, output_of
 from scipy.io import wavfile
 
-from warp_plate import focus
+from warp_plate import focus, load_focus, plot
 from warp_plate.plate.waveforms import read_samples
-from warp_plate.result.focus import load_focus
 from warp_plate.scene.drive import SampledSignal
 
 TABLE = {"points": [(0.07, 0.06), (0.13, 0.12)], "highest": 200.0, "time": 0.01, "rate": 4000}
@@ -29,6 +28,7 @@ def test_json_and_files(command, write_scene):
             expected = getattr(found.methods[name], figure).tolist()
             assert method[figure] == pytest.approx(expected, rel=1e-6, abs=1e-12)
             assert getattr(read.methods[name], figure).tolist() == method[figure]
+    assert plot(read, "again") == [Path("again.png")]
     again = output_of(command("focus", "panel.toml", "--set", "focus.energy=0.001", "--no-pictures"))
     for words in ("one bit", "peak (m)", "energy", "crosstalk at most", "wrote panel-focus.h5"):
         assert words in again
