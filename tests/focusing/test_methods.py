@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import scipy
 
+from warp_plate.focusing import methods
 from warp_plate.focusing.convolution import Convolution
 from warp_plate.focusing.methods import inverse_filter, keep_above, optimum, scale_to_limits
 
@@ -80,6 +81,12 @@ def test_low_frequencies_are_left_out():
     low, high = np.sin(2 * np.pi * 100 * times), np.sin(2 * np.pi * 3000 * times)
     inside = slice(1000, -1000)
     np.testing.assert_allclose(keep_above(low + high, 48000, 1000.0)[inside], high[inside], atol=0.02)
+
+
+def test_an_inverse_filter_that_does_not_converge_says_so(h, caplog, monkeypatch):
+    monkeypatch.setattr(methods, "STEPS", 2)
+    inverse_filter(Convolution(h, 30), np.ones((1, 2, 40)), 1e4)
+    assert "ended after 2 steps; a smaller focus.condition" in caplog.text
 
 
 @pytest.mark.parametrize("condition", [3.0, 1000.0])

@@ -12,6 +12,7 @@ time reversal plays its signs, which do so of all waveforms of one peak.
 
 from __future__ import annotations
 
+import logging
 import math
 
 import numpy as np
@@ -102,6 +103,9 @@ def inverse_filter(responses: Convolution, wished: np.ndarray, condition: float)
         divided = responses.invert(responses.transform(rest) @ nearly)
         before, product = product, _dot(rest, divided)
         step = divided + _ratio(product, before) * step
+    else:
+        words = "the inverse filter's iteration ended after %d steps; a smaller focus.condition takes fewer"
+        logging.getLogger("warp_plate").warning(words, STEPS)
     return responses.reverse(solution)
 
 

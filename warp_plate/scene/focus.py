@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from warp_plate.scene.fields import Coordinate, NotNegative, Positive, Table
 
 # Samples of all waveforms and responses together.
-MOST_NUMBERS = 2**24
+MOST_NUMBERS = 2**22
 # Part of the waveforms' duration for which motion is recorded after them.
 AFTER = 0.2
 
