@@ -4,7 +4,7 @@ import json
 import math
 
 import pytest
-from conftest import output_of, scene_of
+from conftest import error_of, output_of, scene_of
 
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.analysis import influence
@@ -113,6 +113,13 @@ def test_a_plate_that_becomes_non_finite_is_reported_with_the_cause(command, wri
         causes = [line for line in warnings if "grew without bound by t = " in line]
         assert len(causes) == (part == 1)
         assert all(f"{step:.3g} s" in cause for cause in causes)
+
+
+@pytest.mark.parametrize("grid", ["grid.accuracy=0.01", "grid.nodes=[13, 13]"])
+def test_scenes_without_time_steps_are_refused_by_their_effect(grid, command, write_scene):
+    write_scene(scene_of())
+    line = error_of(command("effects", "panel.toml", "--set", grid, "--set", "effects.modal_damping.ratio=0.01"))
+    assert "effects.modal_damping: cannot be stepped in time" in line
 
 
 @pytest.mark.parametrize("name", EFFECTS_OF_PRESETS)

@@ -334,6 +334,13 @@ class Scene(Table):
         tables = ("loss_factor", "modal_damping")
         return next((f"effects.{name}" for name in tables if getattr(self.effects, name) is not None), None)
 
+    def check_stepped(self) -> None:
+        """Raise a SceneError if only the modal engine knows the scene's effects."""
+        if (key := self.modal_only_key) is not None:
+            raise SceneError(
+                f'{key}: cannot be stepped in time; use the evaluator "modal", or write [effects.damping] instead'
+            )
+
     @property
     def steady(self) -> bool:
         """True if the response is the steady one: energies are means over all time, and ``window`` is not read."""

@@ -95,10 +95,7 @@ class PlateSolver:
         self.device = find_device(device)
         discretization = discretize(scene, per_plate, allow_unstable) if isinstance(scene, Scene) else scene
         self.scene = discretization.scene
-        if (key := self.scene.modal_only_key) is not None:
-            raise SceneError(
-                f'{key}: cannot be stepped in time; use the evaluator "modal", or write [effects.damping] instead'
-            )
+        self.scene.check_stepped()
         self.engine = Engine(Specialized(discretization, self.device, threads, areas, quantity), path)
         self.path = self.engine.path
         self.parts = PartRunner(self.engine, chunk, memory_share)

@@ -67,6 +67,8 @@ def resolve_grid(
     """
     if scene.grid.accuracy is None:
         return ResolvedGrid(scene, accuracy=_by_waves(scene))
+    if engine == "steps":
+        scene.check_stepped()
     started, asked = time.perf_counter(), scene.grid.accuracy
     compared: list[MoreFunctions] = []
 
