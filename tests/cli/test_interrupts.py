@@ -121,7 +121,7 @@ def test_a_command_that_starts_ends_in_one_line(module, panel):
     assert [path.name for path in Path().iterdir()] == ["panel.toml"]
 
 
-@pytest.mark.parametrize("target", ["warp_plate.result.save_result", "matplotlib.figure.Figure.savefig"])
+@pytest.mark.parametrize("target", ["warp_plate.result.model.save_result", "matplotlib.figure.Figure.savefig"])
 def test_files_are_written_whole_or_not_at_all(target, panel, write_scene, command, monkeypatch):
     """With Ctrl-C when the result is about to be written, or the first picture."""
     pytest.importorskip("matplotlib")

@@ -127,7 +127,7 @@ def test_a_result_that_cannot_be_written_leaves_the_checkpoint(command, panel, m
 
     write_scene(panel.with_tables(search={"particles": 6, "iterations": 3}))
     with monkeypatch.context() as patch:
-        patch.setattr("warp_plate.result.save_result", full_disk)
+        patch.setattr("warp_plate.result.model.save_result", full_disk)
         err = error_of(command(*COMMAND, "--checkpoint-every", "0"))
     assert "there is a checkpoint after 3 of 3 iterations" in err
     assert err.endswith(f"warp-plate localize --resume {FILE}\n")
