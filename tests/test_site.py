@@ -22,4 +22,5 @@ def test_site_builds_without_warnings(tmp_path):
     keys, commands = ((tmp_path / "reference" / f"{name}.html").read_text() for name in ("scene-keys", "command-line"))
     assert "[effects.foundation]" in keys
     assert "Stiffness k" in keys
+    assert "foam of 0.1 MPa" in keys
     assert "--range" in commands

@@ -1,8 +1,11 @@
 """Sphinx extension that writes the pages under docs/reference from the code: commands, scene keys, Python names."""
 
 import inspect
+import operator
 import re
+import tomllib
 from dataclasses import is_dataclass
+from functools import reduce
 from pathlib import Path
 from typing import get_args
 
@@ -144,7 +147,7 @@ def section(name, paths):
     heading = ", ".join(f"`{each}`" if each.startswith("[") else each for each in paths)
     head = "| key | type | unit | default | range | meaning |\n| --- | --- | --- | --- | --- | --- |\n"
     description = re.sub(r":\w+:`([^`]+)`", r"`\1`", inspect.cleandoc(model.__doc__ or "").replace("``", "`"))
-    return f"\n## {heading}\n\n{description}\n\n{head + ''.join(rows) if rows else ''}{example(paths[0])}"
+    return f"\n## {heading}\n\n{description}\n\n{head + ''.join(rows) if rows else ''}{example(paths[0], model)}"
 
 
 def row(path, field, info, meaning):
@@ -214,10 +217,13 @@ def unit(key):
     return UNITS.get(next((end for end in ends if end in UNITS), ""), "").replace("drive", "N/m²").removesuffix("1")
 
 
-def example(heading):
-    """Return a table of a preset or of an example scene as TOML, if one has it."""
-    places = DOCS.parent / "warp_plate" / "scene" / "presets", DOCS / "examples"
+def example(heading, model):
+    """Return a table of a preset, of an example scene or of tables.toml as TOML, if one has it and it is valid."""
+    pattern = re.compile(rf"^{re.escape(heading)}(?: *#.*)?\n(?:[^\n\[].*\n)+", re.M)
+    places = DOCS.parent / "warp_plate" / "scene" / "presets", DOCS / "examples", Path(__file__).parent
     for path in (path for place in places for path in sorted(place.glob("*.toml"))):
-        if match := re.search(rf"^{re.escape(heading)}\n(?:[^\n\[].*\n)+", path.read_text(encoding="utf-8"), re.M):
+        if match := pattern.search(path.read_text(encoding="utf-8")):
+            values = reduce(operator.getitem, heading.strip("[]").split("."), tomllib.loads(match[0]))
+            model.model_validate(values[0] if isinstance(values, list) else values)
             return f"\n```toml\n{match[0]}```\n"
     return ""
