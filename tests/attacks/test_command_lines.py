@@ -14,7 +14,7 @@ OPTIONS = {
     "localize": "--baselines --checkpoint-every --evaluator --no-estimate --no-spectrum --resume --seed --devices",
     "modes": "--count --no-grid --grid",
     "frf": "--at --from --quantity --range --to",
-    "focus": "",
+    "focus": "--waveforms",
     "check": "--allow-unstable",
     "sweep": "--count --evaluator --frequencies --resume --samples --seed --vary --what",
     "compare": "--evaluations --evaluator --methods --seeds",

@@ -57,6 +57,19 @@ def test_waveforms_are_exported_for_the_amplifier(command, write_scene):
         assert " ".join(words[-2:]) in error_of(command("export", "panel-focus.h5", *words))
 
 
+def test_waveforms_of_a_file_are_played_on_another_panel(command, write_scene):
+    write_scene(damping=10.0, focus=TABLE)
+    output_of(command("focus", "panel.toml", "--no-pictures"))
+    other = ("--set", "effects.damping.viscous=30", "--waveforms", "panel-focus.h5", "--out", "other.h5")
+    output_of(command("focus", "panel.toml", "--no-pictures", *other))
+    made, played = (load_focus(name).methods["optimum"] for name in ("panel-focus.h5", "other.h5"))
+    np.testing.assert_array_equal(made.waveforms, played.waveforms)
+    assert (played.peak < made.peak).all()
+    line = error_of(command("focus", "panel.toml", "--set", "focus.time=0.02", *other[2:]))
+    assert "panel.toml --set focus.time=0.02: focus.time: the waveforms were made with another one, 0.01" in line
+    assert "none.h5: no such file" in error_of(command("focus", "panel.toml", "--waveforms", "none.h5"))
+
+
 def test_focus_is_rendered(command, write_scene):
     """Seen from above, which needs no renderer."""
     pytest.importorskip("matplotlib")

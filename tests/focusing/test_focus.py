@@ -89,6 +89,22 @@ def test_inverse_filter_makes_foci_follow_bursts_of_their_own():
         np.testing.assert_allclose(motion / peak, burst, atol=0.02)
 
 
+def test_waveforms_of_another_panel_are_played(found):
+    """On their own panel they reach the same; with more damping less, and the gap is to the optimum of that panel."""
+    again = focus(found.scene, found)
+    harder = focus(found.scene.replace("effects.damping.viscous", 40.0), found)
+    for name, method in found.methods.items():
+        np.testing.assert_allclose(again.methods[name].peak, method.peak, rtol=1e-12)
+        np.testing.assert_array_equal(harder.methods[name].waveforms, method.waveforms)
+        assert (harder.methods[name].peak < method.peak).all()
+    assert (harder.methods["optimum"].gap > 1e-4).all()
+    np.testing.assert_allclose(harder.bound, focus(harder.scene).bound)
+    with pytest.raises(SceneError, match=r"focus.rate: the waveforms were made with another one, 16000"):
+        focus(found.scene.replace("focus.rate", 32000), found)
+    with pytest.raises(SceneError, match="actuators: the waveforms were made for others, 0, 1, 2"):
+        focus(found.scene.with_tables(actuators=found.scene.actuators[:2]), found)
+
+
 def test_four_fingers_feel_bursts_of_their_own():
     inverse = focus("four-fingers").methods["inverse_filter"]
     assert inverse.crosstalk_db[~np.eye(4, dtype=bool)].max() < -20

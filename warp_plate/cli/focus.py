@@ -24,6 +24,7 @@ def focus(
     /,
     *,
     assignments: options.Assignments = None,
+    waveforms: Path | None = None,
     out: Path | None = None,
     force: options.Force = False,
     pictures: options.Pictures = True,
@@ -37,16 +38,20 @@ def focus(
 
     Parameters
     ----------
+    waveforms
+        File of focus whose waveforms, made for another panel, are played on this one: what is left of the focus where a
+        finger touches or the damping differs.
     out
         The .h5 file with waveforms, responses and fields (default: SCENE-focus.h5 in this folder).
     """
     target = output.output_file(out, f"{Path(scene).stem}-focus.h5", holds=HOLDS, force=force)
     loaded, scene = output.load_scene(scene, assignments)
     from warp_plate.focusing.focus import focus as compute
-    from warp_plate.result.focus import save_focus
+    from warp_plate.result.focus import load_focus, save_focus
 
+    played = None if waveforms is None else load_focus(waveforms)
     with output.scene_errors(scene):
-        found = compute(loaded)
+        found = compute(loaded, played)
     files, missing = [save_focus(found, target)], None
     if pictures:
         drawn, missing = _draw(found, target.with_suffix(".png"))
@@ -96,7 +101,7 @@ def _print(name: str, found: FocusResult, console: Console) -> None:
                 f"{max(reached.gap[index], 0):.2g}",
                 reached.limits[index],
             )
-        console.print(made)
+        output.print_uncropped(console, made)
         console.print()
     console.print("Energy in (N/m²)²·s. Gap: part of the bound of all waveforms that the peak lacks.")
     others = ~np.eye(len(table.points), dtype=bool)

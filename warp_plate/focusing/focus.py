@@ -21,24 +21,27 @@ from warp_plate.scene.model import Scene, SceneSource
 ATTAINED = 1e-9
 
 
-def focus(scene: SceneSource) -> FocusResult:
+def focus(scene: SceneSource, played: FocusResult | None = None) -> FocusResult:
     """Return the waveforms that focus motion at each point of ``[focus]``, by all methods.
 
     Args:
         scene: Linear scene with a table ``[focus]``; its grid, window and drive play no part.
+        played: Waveforms made for another panel, which are played on this one (default: they are made for this one).
 
     Raises:
         SceneError: There is no ``[focus]``, the scene has no motion in time by modes, or no mode up to
-            ``focus.highest``.
+            ``focus.highest``; or the waveforms do not fit the scene.
     """
     scene, started = Scene.load(scene), time.perf_counter()
     table = _table(scene)
+    if played is not None:
+        _check_fit(scene, table, played)
     plate = modes_below(scene, table.highest, "focus.highest")
     solved = time.perf_counter()
     responses = HeldResponses(plate, table.rate, table.recorded, table.quantity == "velocity")
     h = responses.at_points(table.points)
     convolution = Convolution(h, table.samples)
-    gains, made, bound = _waveforms(h, convolution, table)
+    gains, made, bound = _waveforms(h, convolution, table, played)
     ended = time.perf_counter()
     reached = {
         name: _reached(responses, table, waveforms, convolution.move(waveforms), _gap(gains, waveforms, bound))
@@ -66,8 +69,20 @@ def _table(scene: Scene) -> Focus:
     return scene.focus
 
 
+def _check_fit(scene: Scene, table: Focus, played: FocusResult) -> None:
+    """Raise a SceneError unless waveforms that were made for another scene can be played in this one."""
+    assert played.scene.focus is not None
+    kept = {"points": table.points, "time": table.time, "rate": table.rate, "burst": table.burst}
+    for key, value in kept.items():
+        if (other := getattr(played.scene.focus, key)) != value:
+            raise SceneError(f"focus.{key}: the waveforms were made with another one, {other}")
+    names, others = ([actuator.name for actuator in each.actuators] for each in (scene, played.scene))
+    if names != others:
+        raise SceneError(f"actuators: the waveforms were made for others, {', '.join(others)}")
+
+
 def _waveforms(
-    h: np.ndarray, convolution: Convolution, table: Focus
+    h: np.ndarray, convolution: Convolution, table: Focus, played: FocusResult | None
 ) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
     """Return the gains and each method's waveforms, (foci, actuators, samples), and (foci,) bounds of their product."""
     energy, peak = None if table.energy is None else table.energy * table.rate, table.peak_limit
@@ -76,6 +91,8 @@ def _waveforms(
         banded = Convolution(methods.keep_above(h, table.rate, table.lowest), table.samples)
     gains = banded.reverse(foci * wished_motion(table))
     best, bounds = zip(*(methods.optimum(g, energy, peak) for g in gains), strict=True)
+    if played is not None:
+        return gains, {name: method.waveforms for name, method in played.methods.items()}, np.array(bounds)
     unscaled = {
         "time_reversal": gains,
         "one_bit": np.sign(gains),
