@@ -60,6 +60,9 @@ sphinx_gallery_conf = {
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 
+# Options such as --help keep their dashes.
+smartquotes = False
+
 html_theme = "pydata_sphinx_theme"
 html_title = "warp-plate"
 html_static_path = ["_static"]
