@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import warp_plate as wpl
 
 touched = wpl.Scene.load("touch-panel")
-alone = touched.with_tables(effects=touched.effects.model_copy(update={"oscillators": ()}))
+alone = wpl.Scene.load("touch-panel", ["effects.oscillators=[]"])
 
 figure, axis = plt.subplots(figsize=(7, 4.5), layout="constrained")
 for name, scene in {"without finger": alone, "with finger": touched}.items():
