@@ -113,7 +113,7 @@ def test_command(command, write_scene, random):
     assert "plate.young_modulus and plate.density: cannot be told apart" in " ".join(out.split())
     Path("mine.toml").write_text("mine = 1", encoding="utf-8")
     assert "--force" in error_of(command("fit", "panel.toml", "--data", "data.csv", "--out", "mine.toml"))
-    assert "no.csv: cannot be read" in error_of(command("fit", "panel.toml", "--data", "no.csv"))
+    assert "no.csv: no such file" in error_of(command("fit", "panel.toml", "--data", "no.csv"))
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,8 @@
 
 import json
 import math
+import os
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,7 @@ from conftest import MATERIAL, error_of, output_of, scene_of
 
 from warp_plate import SceneError
 from warp_plate.fitting.fit_responses import fit_responses
+from warp_plate.fitting.measured_modes import read_modes
 from warp_plate.fitting.measured_responses import MeasuredResponses, read_responses
 from warp_plate.result.export.frequency_response import write_csv, write_uff
 from warp_plate.studies.frequency_response import compute_frequency_response
@@ -150,3 +153,18 @@ def test_bad_tables(row, message):
 def test_a_panel_without_damping_is_refused(random):
     with pytest.raises(SceneError, match="effects: responses of a panel without damping"):
         fit_responses(supported(free={"plate.density": (700.0, 1400.0)}).with_tables(effects={}), noisy(random))
+
+
+def test_a_sensor_on_a_held_edge_is_refused(random):
+    rows = [{"force_at": HIT, "point": point} for point in (POINTS[0], (0.0, 0.1), POINTS[2])]
+    with pytest.raises(SceneError, match=r"measurement\[1\]: an edge holds the panel"):
+        fit_responses(supported(rows), noisy(random))
+
+
+@pytest.mark.parametrize("read", [read_modes, partial(read_responses, count=1)])
+@pytest.mark.parametrize("name", ["pipe.csv", "missing.csv", "."])
+def test_what_is_no_file_is_refused(read, name, tmp_path):
+    """A pipe would be waited for, a device read without end."""
+    os.mkfifo(tmp_path / "pipe.csv")
+    with pytest.raises(SceneError, match="no such file"):
+        read(tmp_path / name)

@@ -103,7 +103,10 @@ def _responses(scene: Scene, measured: MeasuredResponses) -> np.ndarray:
     amplitudes = plate.respond(measured.frequencies, forces)
     turn, powers = 2j * np.pi * measured.frequencies, [DERIVATIVES[each.quantity] for each in scene.measurement]
     gains = np.array([each.gain for each in scene.measurement])[:, None] * turn ** np.array(powers)[:, None]
-    return gains * np.einsum("fmk,mk->kf", amplitudes, shapes)
+    responses = gains * np.einsum("fmk,mk->kf", amplitudes, shapes)
+    for row in np.flatnonzero(~responses.any(axis=1))[:1].tolist():
+        raise SceneError(f"measurement[{row}]: an edge holds the panel where it is driven or sensed; move the point")
+    return responses
 
 
 def _force(plate: ModalPlate, measurement: Measurement) -> np.ndarray:

@@ -33,7 +33,8 @@ class FreeNumbers:
     def values(self, fractions: np.ndarray) -> np.ndarray:
         """Return the values at fractions (p,) of the ranges."""
         ratio = np.where(self.low > 0, self.high, 1.0) / np.where(self.low > 0, self.low, 1.0)
-        return np.where(self.low > 0, self.low * ratio**fractions, self.low + fractions * (self.high - self.low))
+        with np.errstate(over="ignore"):  # of the intervals' ends
+            return np.where(self.low > 0, self.low * ratio**fractions, self.low + fractions * (self.high - self.low))
 
     def scene_at(self, fractions: np.ndarray) -> Scene:
         """Return the scene with the values at fractions (p,), or raise a SceneError if they do not fit together."""

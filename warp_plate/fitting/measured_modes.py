@@ -62,6 +62,8 @@ def read_modes(path: Path) -> MeasuredModes:
 def read_columns(path: Path) -> dict[str, Cells]:
     """Return the cells of each column of a CSV file, by the names in its first line without their units."""
     try:
+        if not path.is_file():
+            raise SceneError(f"{path}: no such file")
         if path.stat().st_size > MOST_BYTES:
             raise SceneError(f"{path}: {path.stat().st_size} bytes; at most {MOST_BYTES} are read")
         text = path.read_text(encoding="utf-8-sig")

@@ -43,6 +43,8 @@ def read_responses(path: Path, count: int) -> MeasuredResponses:
         SceneError: The file cannot be read, or holds no such responses.
     """
     try:
+        if not path.is_file():
+            raise SceneError(f"{path}: no such file")
         if path.stat().st_size > MOST_BYTES:
             raise SceneError(f"{path}: {path.stat().st_size} bytes; at most {MOST_BYTES} are read")
         columns = _universal(path) if path.suffix.lower() in UNIVERSAL else _csv(path.read_bytes())
