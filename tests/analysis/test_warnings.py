@@ -142,3 +142,11 @@ def test_targets_without_energy_are_reported():
     assert target_warnings(paper, 0.25) == []
     assert "next to no energy in the target" in target_warnings(paper, 0.0024)[0]
     assert "Nothing moves" in target_warnings(paper, math.nan)[0]
+
+
+def test_a_window_that_opens_later_also_ends_later():
+    made = Scene.load("paper").with_tables(effects={"modal_damping": {"ratio": 0.002}})
+    found = left(made)
+    start, end = (float(part.split()[0]) for part in found.sentence.split(" = ")[1:])
+    assert end > start > made.window.end
+    assert not left(made.with_tables(window={"start": start, "end": end})).exceeded

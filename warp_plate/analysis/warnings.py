@@ -224,7 +224,9 @@ def _left_at_start(scene: Scene) -> Finding:
     bad, good = "it never decays; name [effects.damping].", "the motion is steady."
     if rate > 0:
         start = _rounded_up(-math.log(MOST_LEFT) / rate)
-        bad = f"the motion is not steady; start the window later, at window.start = {start:.3g} s."
+        end = _rounded_up(start + scene.window.end - scene.window.start)
+        later = f" and window.end = {end:.3g} s" if start >= scene.window.end else ""
+        bad = f"the motion is not steady; start the window later, at window.start = {start:.3g} s{later}."
     return _finding(name, value, MOST_LEFT, value > MOST_LEFT, fact, bad, good)
 
 
