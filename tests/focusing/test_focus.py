@@ -210,6 +210,7 @@ def test_only_motion_above_the_lowest_frequency_is_focused():
         ({"focus": {**TABLE, "lowest": 560.0}}, "time: 0.02 s is shorter than a pulse from lowest to highest, 0.025 s"),
         ({"focus": {**TABLE, "points": [(0.07, 0.3)]}}, r"focus.points\[0\]: \[0.07, 0.3\] is off the plate"),
         ({"focus": {**TABLE, "points": []}}, "focus.points"),
+        ({"focus": {**TABLE, "points": [(0.07, 0.05), (0.0, 0.1)]}}, r"focus.points\[1\]: nothing moves at 0, 0.1"),
         ({"focus": {**TABLE, "rate": 1000}}, "rate: 1000 samples a second; highest = 600 Hz takes at least twice"),
         ({"focus": {**TABLE, "lowest": 600.0}}, "lowest: 600 Hz must be below highest"),
         ({"focus": {**TABLE, "time": 1e-5}}, "time: 1e-05 s is shorter than a pulse"),

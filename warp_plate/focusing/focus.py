@@ -30,7 +30,7 @@ def focus(scene: SceneSource, played: FocusResult | None = None) -> FocusResult:
 
     Raises:
         SceneError: There is no ``[focus]``, the scene has no motion in time by modes, or no mode up to
-            ``focus.highest``; or the waveforms do not fit the scene.
+            ``focus.highest``; a point does not move; or the waveforms do not fit the scene.
     """
     scene, started = Scene.load(scene), time.perf_counter()
     table = _table(scene)
@@ -40,6 +40,9 @@ def focus(scene: SceneSource, played: FocusResult | None = None) -> FocusResult:
     solved = time.perf_counter()
     responses = HeldResponses(plate, table.rate, table.recorded, table.quantity == "velocity")
     h = responses.at_points(table.points)
+    for still in np.flatnonzero(~h.any(axis=(0, 2)))[:1].tolist():
+        x, y = table.points[still]
+        raise SceneError(f"focus.points[{still}]: nothing moves at {x:g}, {y:g}, where an edge holds the plate")
     convolution = Convolution(h, table.samples)
     gains, made, bound = _waveforms(h, convolution, table, played)
     ended = time.perf_counter()
