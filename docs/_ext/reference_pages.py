@@ -220,7 +220,7 @@ def unit(key):
 def example(heading, model):
     """Return a table of a preset, of an example scene or of tables.toml as TOML, if one has it and it is valid."""
     pattern = re.compile(rf"^{re.escape(heading)}(?: *#.*)?\n(?:[^\n\[].*\n)+", re.M)
-    places = DOCS.parent / "warp_plate" / "scene" / "presets", DOCS / "examples", Path(__file__).parent
+    places = Path(warp_plate.__file__).parent / "scene" / "presets", DOCS / "examples", Path(__file__).parent
     for path in (path for place in places for path in sorted(place.glob("*.toml"))):
         if match := pattern.search(path.read_text(encoding="utf-8")):
             values = reduce(operator.getitem, heading.strip("[]").split("."), tomllib.loads(match[0]))
