@@ -1,4 +1,4 @@
-"""The commands that begin the how-to guides run as printed."""
+"""The commands that begin the how-to guides, and those of the README, run as printed."""
 
 import re
 import subprocess
@@ -26,3 +26,24 @@ def test_first_commands_run(page, tmp_path):
         line = f"{sys.executable} -m warp_plate {command}"
         run = subprocess.run(["bash", "-c", line], cwd=tmp_path, capture_output=True, text=True)
         assert run.returncode == 0, f"{command}\n{run.stderr}"
+
+
+README = (DOCS.parent / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", re.findall(r"`warp-plate ((?:localize|focus|frf|sweep) .*?)`", README))
+def test_commands_of_the_readme_run(command, tmp_path):
+    (tmp_path / "docs").symlink_to(DOCS)
+    run = subprocess.run(
+        [sys.executable, "-m", "warp_plate", *command.split()], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert run.returncode == 0, run.stderr
+
+
+@pytest.mark.slow
+def test_the_panel_of_the_readme(tmp_path):
+    (code,) = re.findall(r"```python\n(.*?)```", README, re.S)
+    answer = subprocess.check_output([sys.executable, "-c", code], cwd=tmp_path, text=True)
+    assert answer.strip() == re.search(r"# (<Result .*>)", code)[1]
+    assert (tmp_path / "panel-surfaces.png").exists()
