@@ -112,6 +112,7 @@ def test_only_the_page_may_open_a_socket(served):
             urllib.request.urlopen(f"http://{url.removeprefix('http://')}", timeout=PATIENCE)
 
 
+@pytest.mark.slow
 def test_what_clients_send_is_neither_printed_nor_obeyed(served):
     address, secret = session(served)
 
