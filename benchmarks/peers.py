@@ -20,15 +20,15 @@ from peer_codes.machine import machine, usable_cores, versions
 from peer_codes.problem import Problem
 
 PEERS = (
-    Peer("warp-plate", "warp_plate_peer", ("cpu", "cuda"), threaded=True),
+    Peer("warp-plate", "warp_plate_peer", ("cpu", "cuda"), threaded=True, orders=(2, 4)),
     Peer("numpy", "numpy_slices", ("cpu",)),
     Peer("numpy-plates-last", "numpy_slices", ("cpu",), function="make_plates_last"),
     Peer("scipy", "scipy_sparse", ("cpu",)),
     Peer("numba", "numba_loops", ("cpu",), threaded=True),
     Peer("numba-lanes", "numba_lanes", ("cpu",), threaded=True),
     Peer("c", "c_plate", ("cpu",), threaded=True),
-    Peer("jax", "jax_loop", ("cuda",)),
-    Peer("cupy", "cupy_raw", ("cuda",)),
+    Peer("jax", "jax_loop", ("cuda",), orders=(2, 4)),
+    Peer("cupy", "cupy_raw", ("cuda",), orders=(2, 4)),
     Peer("torch", "torch_compiled", ("cuda",)),
 )
 CASES = {"cpu": "20x27,256x27,1x257", "cuda": "20x27,1024x27,8192x27,65536x27,1x513,1x1025"}
@@ -51,7 +51,7 @@ def main() -> int:
     for precision in options.precision:
         for plates, nodes in options.cases:
             steps = options.steps or default_steps(nodes)
-            problem = Problem(plates, nodes, steps, precision, options.seed, options.device)
+            problem = Problem(plates, nodes, steps, precision, options.seed, options.device, options.order)
             entries, absent = prepare_all(options.only, problem, options.threads, options.seconds)
             timings = time_in_turn(entries, options.rounds)
             cases.append(as_record(problem, timings, absent))
@@ -85,6 +85,7 @@ def as_record(problem: Problem, timings: Sequence[Timing], absent: dict[str, str
         "nodes": problem.nodes,
         "steps": problem.steps,
         "precision": problem.precision,
+        "order": problem.order,
         "results": [
             {
                 "peer": timing.entry.peer.name,
@@ -104,7 +105,7 @@ def as_record(problem: Problem, timings: Sequence[Timing], absent: dict[str, str
 def show(problem: Problem, timings: Sequence[Timing], absent: dict[str, str]) -> None:
     """Print one case as a table, with rich where it is installed, and the peers that are absent below it."""
     size = f"{problem.plates} x {problem.nodes}^2, {problem.steps} steps"
-    title = f"{size}, {problem.precision}, {problem.device}; times in ns for an interior node and step"
+    title = f"{size}, order {problem.order}, {problem.precision}, {problem.device}; times in ns for an interior node and step"
     rows = [cells(timing, timings) for timing in sorted(timings, key=lambda timing: timing.median)]
     if not rows:
         print(f"{title}: none")
@@ -157,6 +158,7 @@ def parse() -> argparse.Namespace:
     option("--cases", type=read_cases, metavar="PxN,...", help=f"plates x nodes a side (by device: {CASES})")
     option("--threads", type=read_counts, metavar="T,...", help="CPU threads (1,2 where there are two cores)")
     option("--precision", type=read_precisions, default=["float32"], metavar="P,...", help="float32, float64")
+    option("--order", type=int, choices=(2, 4), default=2, help="of the differences (2)")
     option("--rounds", type=int, default=7, help="timed runs of each peer (7)")
     option("--seconds", type=float, default=0.3, help="of a run; slow peers take fewer steps (0.3)")
     option("--steps", type=int, help="of a full run (1250, fewer on large grids)")
@@ -169,6 +171,7 @@ def parse() -> argparse.Namespace:
     options.cases = options.cases or read_cases(CASES[options.device])
     options.threads = options.threads or ([1, 2] if usable_cores() > 1 else [1])
     options.only = options.only or [peer for peer in PEERS if options.device in peer.devices]
+    options.only = [peer for peer in options.only if options.order in peer.orders]
     options.seed = secrets.randbelow(2**32) if options.seed is None else options.seed
     return options
 

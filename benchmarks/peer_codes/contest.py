@@ -26,6 +26,7 @@ class Peer:
     devices: tuple[str, ...]  # where it runs unless asked for by name
     threaded: bool = False  # whether it heeds `threads` on a CPU
     function: str = "make"
+    orders: tuple[int, ...] = (2,)
 
 
 @dataclass(frozen=True)

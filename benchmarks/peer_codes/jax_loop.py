@@ -26,12 +26,14 @@ def make(problem: Problem, threads: int) -> Run:
     arrays = (problem.in_phase[inside], problem.quadrature[inside], problem.cosine, problem.sine)
     constants = (20 + problem.edges_touched, problem.weights[inside])
     inputs = [jax.device_put(np.ascontiguousarray(array), device) for array in (*arrays, *constants)]
+    taps = [jax.device_put(tap.astype(problem.dtype), device) for tap in problem.taps] if problem.order == 4 else []
 
     @jax.jit
     def solve(in_phase, quadrature, cosine, sine, diagonal, weights):
         def update(m, u, q):
             load = cosine[m] * in_phase + sine[m] * quadrature
-            q = problem.decay * q - problem.stiffness * biharmonic(u, diagonal) + load
+            bent = two_passes(u, *taps) if taps else biharmonic(u, diagonal)
+            q = problem.decay * q - problem.stiffness * bent + load
             return u + q, q
 
         def before(m, state):
@@ -68,3 +70,18 @@ def biharmonic(u, diagonal):
         + 2 * (at(-1, -1) + at(-1, 1) + at(1, -1) + at(1, 1))
         + (at(-2, 0) + at(2, 0) + at(0, -2) + at(0, 2))
     )
+
+
+def two_passes(u, bend, move):
+    """The fourth-order biharmonic of u (plates, n, n) at interior nodes: taps (n + 2, 5) along each axis, twice."""
+    curvature = one_pass(jnp.pad(u, ((0, 0), (1, 1), (1, 1))), bend)
+    return one_pass(curvature, move)[:, 1:-1, 1:-1]
+
+
+def one_pass(field, taps):
+    """The sum of taps (nodes, 5) of a field (plates, nodes, nodes) along both axes."""
+    nodes = len(taps)
+    padded = jnp.pad(field, ((0, 0), (2, 2), (2, 2)))
+    along_x = [taps[:, k] * padded[:, 2:-2, k : k + nodes] for k in range(5)]
+    along_y = [taps[:, k, None] * padded[:, k : k + nodes, 2:-2] for k in range(5)]
+    return sum(along_x + along_y)

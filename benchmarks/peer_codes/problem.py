@@ -7,7 +7,8 @@ Everything is dimensionless. On every plate, for step m = 0 .. steps - 1, at the
     squares  <-  squares + q^2         only when m >= first
 
 where B is the 13-point biharmonic with unit spacing (20, -8, 2, 1). The edge nodes stay at zero; the edges
-are clamped, so the ghost node outside an edge mirrors the first node inside it. The answer is
+are clamped, so the ghost node outside an edge mirrors the first node inside it. Fourth order: B is two passes of
+five taps along each axis, curvature from u and force from curvature, which `Problem.taps` holds. The answer is
 
     energy[plate, region] = sum over nodes of weights[region] squares
 
@@ -21,10 +22,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
+
+from warp_plate.plate.operator import make_taps
 
 Run = Callable[[], NDArray[np.float64]]
 """Does the whole work from zero state; returns energies, shape (plates, 2), float64, on the host."""
@@ -44,8 +47,8 @@ class Problem:
     precision: str = "float32"  # or "float64"
     seed: int = 0
     device: str = "cpu"  # or "cuda"
+    order: int = 2  # or 4
 
-    stiffness = 0.24**2  # (kappa dt / h^2)^2; 1/16 is the stability limit
     decay = 0.98  # of the velocity in one step
     omega = 2 * math.pi * 290 * 8e-5  # drive phase in one step, rad
 
@@ -53,8 +56,21 @@ class Problem:
         """Refuse sizes for which the scheme has no meaning."""
         if self.plates < 1 or self.nodes < 5 or self.steps < 2:
             raise ValueError(f"need plates >= 1, nodes >= 5 and steps >= 2, got {self}")
+        if self.order not in (2, 4) or (self.order == 4 and self.nodes < 9):
+            raise ValueError(f"order must be 2, or 4 on at least 9 nodes, got {self}")
         if self.precision not in ("float32", "float64"):
             raise ValueError(f"precision must be float32 or float64, not {self.precision!r}")
+
+    @property
+    def stiffness(self) -> float:
+        """(kappa dt / h^2)^2; the stability limit is 1/16 at second and 9/256 at fourth order."""
+        return 0.24**2 if self.order == 2 else 0.18**2
+
+    @cached_property
+    def taps(self) -> tuple[NDArray, NDArray]:
+        """Weights at fourth order of each node's neighbours from -2 to 2 in both passes, shape (nodes, 5) each."""
+        taps = make_taps(self.nodes, "clamped", "clamped", 4)
+        return taps.bend / 12, taps.move / 12
 
     @property
     def first(self) -> int:
@@ -141,27 +157,39 @@ def reference(problem: Problem, plates: Sequence[int]) -> NDArray[np.float64]:
     chosen = np.asarray(plates)
     in_phase = problem.in_phase[chosen, 1:-1, 1:-1].astype(np.float64)
     quadrature = problem.quadrature[chosen, 1:-1, 1:-1].astype(np.float64)
-    # node (j, i) is u[:, j + 1, i + 1]; the outermost ring holds the ghosts
-    u = np.zeros((len(chosen), problem.nodes + 2, problem.nodes + 2))
+    u = np.zeros((len(chosen), problem.nodes, problem.nodes))
     q = np.zeros_like(in_phase)
     squares = np.zeros_like(in_phase)
+    biharmonic = clamped_biharmonic if problem.order == 2 else partial(two_passes, taps=problem.taps)
+    for m in range(problem.steps):
+        load = math.cos(problem.omega * m) * in_phase + math.sin(problem.omega * m) * quadrature
+        q = problem.decay * q - problem.stiffness * biharmonic(u) + load
+        u[:, 1:-1, 1:-1] += q
+        if m >= problem.first:
+            squares += q * q
+    return np.einsum("pji,rji->pr", squares, problem.weights[:, 1:-1, 1:-1].astype(np.float64))
+
+
+def clamped_biharmonic(u: NDArray) -> NDArray:
+    """The 13-point sum at the inner nodes of u (plates, nodes, nodes), with mirror nodes outside the edges."""
+    u = np.pad(u, ((0, 0), (1, 1), (1, 1)))
+    u[:, 0], u[:, -1] = u[:, 2], u[:, -3]
+    u[:, :, 0], u[:, :, -1] = u[:, :, 2], u[:, :, -3]
 
     def at(down: int, right: int) -> NDArray:
         rows, columns = u.shape[1:]
         return u[:, 2 + down : rows - 2 + down, 2 + right : columns - 2 + right]
 
-    for m in range(problem.steps):
-        u[:, 0], u[:, -1] = u[:, 2], u[:, -3]
-        u[:, :, 0], u[:, :, -1] = u[:, :, 2], u[:, :, -3]
-        biharmonic = (
-            20 * at(0, 0)
-            - 8 * (at(-1, 0) + at(1, 0) + at(0, -1) + at(0, 1))
-            + 2 * (at(-1, -1) + at(-1, 1) + at(1, -1) + at(1, 1))
-            + (at(-2, 0) + at(2, 0) + at(0, -2) + at(0, 2))
-        )
-        load = math.cos(problem.omega * m) * in_phase + math.sin(problem.omega * m) * quadrature
-        q = problem.decay * q - problem.stiffness * biharmonic + load
-        at(0, 0)[...] += q
-        if m >= problem.first:
-            squares += q * q
-    return np.einsum("pji,rji->pr", squares, problem.weights[:, 1:-1, 1:-1].astype(np.float64))
+    return (
+        20 * at(0, 0)
+        - 8 * (at(-1, 0) + at(1, 0) + at(0, -1) + at(0, 1))
+        + 2 * (at(-1, -1) + at(-1, 1) + at(1, -1) + at(1, 1))
+        + (at(-2, 0) + at(2, 0) + at(0, -2) + at(0, 2))
+    )
+
+
+def two_passes(u: NDArray, taps: tuple[NDArray, NDArray]) -> NDArray:
+    """The fourth-order biharmonic at the inner nodes of u (plates, nodes, nodes)."""
+    bend, move = (sum(np.diag(tap[max(0, -k) : len(tap) - max(0, k), k + 2], k) for k in range(-2, 3)) for tap in taps)
+    curvature = u @ bend.T + bend @ u
+    return (curvature @ move.T + move @ curvature)[:, 1:-1, 1:-1]

@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 from peer_codes.problem import PeerMissing, Problem, Run, loaded_nodes
 from warp_plate import Scene
 from warp_plate.plate.discretization import discretize
+from warp_plate.plate.operator import DIVISOR
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.engine import Engine
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import State
+from warp_plate.solve.streaming import repeat
 
 
 def make(problem: Problem, threads: int) -> Run:
@@ -31,10 +33,17 @@ def make(problem: Problem, threads: int) -> Run:
         padded[inner] = load
         field.assign(padded)
 
+    def whole(_launch: object, state: State, plates: int) -> None:
+        state.clear(plates)
+        engine.advance(state, plates, 0, problem.steps)
+        engine.sums_to_host(state, plates)
+
     def run() -> NDArray[np.float64]:
-        state.clear(problem.plates)
-        engine.advance(state, problem.plates, 0, problem.steps)
-        return engine.queue_region_sums(state, problem.plates)().copy()
+        if problem.device == "cuda" and engine.path == "resident":
+            repeat(specialized.device, whole, state, problem.plates)
+        else:
+            whole(None, state, problem.plates)
+        return engine.wait_for_sums(state, problem.plates)().copy()
 
     return run
 
@@ -43,10 +52,10 @@ def specialize_as(problem: Problem, threads: int) -> Specialized:
     """A clamped, damped scene of the problem's size, with the problem's numbers put in their places."""
     scene = Scene.load("paper").model_dump()
     scene["grid"] |= {"nodes": (problem.nodes,) * 2, "precision": problem.precision, "time_step": None}
-    scene["grid"]["load"] = "overlap"
+    scene["grid"] |= {"load": "overlap", "order": problem.order}
     device = find_device(problem.device)
     made = Specialized(discretize(Scene.model_validate(scene)), device, threads)
-    made.parameters.stiffness = problem.stiffness
+    made.parameters.stiffness = problem.stiffness / DIVISOR[problem.order] ** 2
     made.parameters.decay = problem.decay
     covered = loaded_nodes(problem.nodes) + [1, 0]
     weights = np.zeros(made.weights.shape)

@@ -12,6 +12,7 @@ import warp as wp
 from warp_plate.bench import cases, limits, machine, measure
 from warp_plate.bench.cases import BenchCase, filling_plates, make_cases
 from warp_plate.bench.measure import BenchRow, TimingBudget, measure_all, paper_like, prepare
+from warp_plate.kernels.cuda import THREAD_REGISTERS
 from warp_plate.kernels.limits import make_multiply_adds
 from warp_plate.plate.discretization import discretize
 from warp_plate.plate.scheme import make_scheme
@@ -79,6 +80,8 @@ def test_figures_are_consistent(device, path):
         if path != "streaming":
             needs, limit = limits.operations_a_node_step(specialized), "arithmetic"
             most = bound.flops[one.precision] / 2
+        assert all(0 < kernel.registers <= THREAD_REGISTERS for kernel in one.kernels)
+        assert bool(one.kernels) == (device != "cpu")
         assert (one.limit, one.share) == (limit, pytest.approx(one.node_steps_per_second * needs / most))
 
 

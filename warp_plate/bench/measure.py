@@ -54,6 +54,15 @@ QUICK = {"cpu": TimingBudget(0.2, 3), "cuda": TimingBudget(0.1, 5)}
 
 
 @dataclass(frozen=True)
+class KernelSize:
+    """What a compiled kernel takes of a CUDA device, per thread."""
+
+    name: str
+    registers: int
+    local_bytes: int  # memory for what exceeds the registers (spills) and for arrays
+
+
+@dataclass(frozen=True)
 class BenchRow:
     """Timing of one case, with the path that it ran on; None where it was skipped."""
 
@@ -72,6 +81,7 @@ class BenchRow:
     share: float | None = None  # share of this limit
     status: str = "measured"  # or "skipped: ..."
     kind: Kind = "plain"
+    kernels: Sequence[KernelSize] = ()  # that the case loads; none on CPU
 
     @property
     def measured(self) -> bool:
@@ -163,7 +173,20 @@ def measure_case(case: BenchCase, limits: DeviceLimits, pace: TimingBudget) -> B
         bytes_per_plate=bytes_per_plate(ready.specialized, 0),
         limit=limit,
         share=share,
+        kernels=kernel_sizes(ready.specialized),
     )
+
+
+def kernel_sizes(specialized: Specialized) -> list[KernelSize]:
+    """Return what each kernel that a scene has loaded takes of a CUDA device; an empty list on CPU."""
+    if specialized.device.is_cpu:
+        return []
+    sizes = []
+    for kernel, block_dim in specialized.loaded_kernels.items():
+        found = wp.get_cuda_kernel_properties(kernel, specialized.device, block_dim)
+        name = f"{kernel.func.__module__.rpartition('.')[2]}.{kernel.func.__name__}"
+        sizes.append(KernelSize(name, found["register_count"], found["local_memory_size"]))
+    return sizes
 
 
 def time_runs(run: Callable[[], float], pace: TimingBudget) -> list[float]:

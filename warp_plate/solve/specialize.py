@@ -53,6 +53,7 @@ class Specialized:
         self.scene, self.scheme = discretization.scene, discretization.scheme
         _check_quantity(self.scene, quantity)
         self.threads = threads or cpu_threads()
+        self.loaded_kernels: dict[wp.Kernel, int | None] = {}  # with their threads per block
         self.effects = kernel_effects(discretization)  # Compile key of the kernels
         self.real = {"float32": wp.float32, "float64": wp.float64}[self.scene.grid.precision]
         (nx, ny), line = self.scheme.nodes, LINE_BYTES // wp.types.type_size_in_bytes(self.real)
@@ -146,6 +147,7 @@ class Specialized:
         """Compile kernels for the device, or load them from Warp's cache."""
         for kernel in kernels:
             load_kernel(kernel, self.device, block_dim)
+            self.loaded_kernels[kernel] = block_dim
 
     def to_device(self, values: np.ndarray) -> wp.array:
         """Return a copy on the device in the scene's precision.
