@@ -105,7 +105,8 @@ def as_record(problem: Problem, timings: Sequence[Timing], absent: dict[str, str
 def show(problem: Problem, timings: Sequence[Timing], absent: dict[str, str]) -> None:
     """Print one case as a table, with rich where it is installed, and the peers that are absent below it."""
     size = f"{problem.plates} x {problem.nodes}^2, {problem.steps} steps"
-    title = f"{size}, order {problem.order}, {problem.precision}, {problem.device}; times in ns for an interior node and step"
+    work = f"{size}, order {problem.order}, {problem.precision}, {problem.device}"
+    title = f"{work}; times in ns for an interior node and step"
     rows = [cells(timing, timings) for timing in sorted(timings, key=lambda timing: timing.median)]
     if not rows:
         print(f"{title}: none")

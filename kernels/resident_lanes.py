@@ -51,9 +51,11 @@ def make_run_steps(effects, real, ny, loaded, summed, registers=None):
         # inputs; all fields are (plates, rows, columns)
         in_phase: wp.array3d[real],
         quadrature: wp.array3d[real],
-        # outputs
         u: wp.array3d[real],
         rate: wp.array3d[real],
+        # outputs; the new fields may be the old ones
+        new_u: wp.array3d[real],
+        new_rate: wp.array3d[real],
         squares: wp.array3d[real],
     ):
         k = wp.tid() // LANES
@@ -132,8 +134,8 @@ def make_run_steps(effects, real, ny, loaded, summed, registers=None):
 
         if lane < nx:
             for j in range(wp.static(moving)):
-                u[k, j + 2, lane] = lane_u[j]
-                rate[k, j + 2, lane] = lane_rate[j]
+                new_u[k, j + 2, lane] = lane_u[j]
+                new_rate[k, j + 2, lane] = lane_rate[j]
                 if wp.static(summed):
                     squares[k, j + 2, lane] = squared[j]
 

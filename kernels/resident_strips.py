@@ -19,6 +19,7 @@ from warp_plate.kernels import cuda
 from warp_plate.kernels.arithmetic import make_fused
 from warp_plate.kernels.cuda import LANES, barrier, make_from_lane, make_thread_part, shared_memory
 from warp_plate.kernels.stencil import make_laplacian
+from warp_plate.kernels.tiles import make_place
 from warp_plate.kernels.update import make_parameters, make_update
 
 
@@ -32,6 +33,14 @@ class StripPlan:
     registers: int  # Most registers per thread
     loads_kept: bool  # The loads are in registers, else they are read from the cache
     squares_shared: bool = False  # The sums of rate² are in shared memory, else in registers
+
+    @property
+    def latency(self):
+        """Time of a step of a block that has a multiprocessor to itself, in about 15 clocks.
+
+        Each row takes what a quarter's warps do in turn, and no less than four nodes' time for its chain of exchanges.
+        """
+        return self.rows * max(4, self.columns * -(-self.warps // cuda.QUARTERS))
 
     @property
     def fields(self):
@@ -55,10 +64,10 @@ def plan_few(nx, ny):
     return distribute(ny - 2, 1, max(1, min(8, (ny - 2) // 2)), loads_kept=True, squares_shared=False)
 
 
-def plan_strips(nx, ny, real, shared_bytes):
-    """Return the plan for a plate of this size, or None where it does not fit on a multiprocessor.
+def plans(nx, ny, real, shared_bytes):
+    """Yield the plans for a plate of this size that fit on a multiprocessor.
 
-    The first that fits is the fastest on an H200.
+    The first is the fastest on an H200 where plates are many.
 
     Args:
         shared_bytes: Most shared memory of a block on the device.
@@ -74,13 +83,17 @@ def plan_strips(nx, ny, real, shared_bytes):
             shared = 4 * words * columns * LANES * (2 * 4 * (plan.warps + 2) + squares)
             # Which rows are loaded is in the bits of a word.
             if 1 < plan.rows < LANES and needed <= plan.registers and shared <= shared_bytes:
-                return plan
-    return None
+                yield plan
 
 
 @cache
-def make_run_steps(effects, real, nx, ny, stride, plan, summed):
-    """Make the kernel of steps ``start`` … ``stop`` − 1, in the window if ``summed``, for blocks of 32 × warps."""
+def make_run_steps(effects, real, across, along, stride, plan, summed):
+    """Make the kernel of steps ``start`` … ``stop`` − 1, in the window if ``summed``, for blocks of 32 × warps.
+
+    ``across`` and ``along`` are the cuts of a plate along x and y, with a block for each tile.
+    """
+    nx, ny = across.length, along.length
+    place_x, place_y = make_place(across), make_place(along)
     laplacian = make_laplacian(effects.square_cells, real)
     update = make_update(effects, real)
     from_lane, fused = make_from_lane(real), make_fused(real)
@@ -148,12 +161,17 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
         # inputs; all fields are (plates, rows, stride)
         in_phase: wp.array3d[real],
         quadrature: wp.array3d[real],
-        # outputs
         u: wp.array3d[real],
         rate: wp.array3d[real],
+        # outputs; where a plate is one tile, the new fields may be the old ones
+        new_u: wp.array3d[real],
+        new_rate: wp.array3d[real],
         squares: wp.array3d[real],
     ):
-        k = wp.tid() // threads
+        tile = wp.tid() // threads
+        k = tile // wp.static(across.count * along.count)
+        tile_x, first_x, end_x = place_x(tile % wp.static(across.count))
+        tile_y, first_y, end_y = place_y(tile // wp.static(across.count) % wp.static(along.count))
         thread = wp.tid() % threads
         warp = thread // LANES
         lane = thread % LANES
@@ -162,9 +180,12 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
         reserved = wp.tile_empty(shape=(wp.static(shared_size),), dtype=real, storage="shared")
         shared = wp.array(ptr=shared_memory(), shape=(wp.static(shared_size),), dtype=real)
 
-        offset = wp.uint64((k * wp.static(ny + 2) + y0) * wp.static(stride) + x0) * wp.uint64(wp.static(size))
+        origin = (k * wp.static(along.nodes + 2) + y0 + tile_y) * wp.static(stride) + x0 + tile_x
+        offset = wp.uint64(origin) * wp.uint64(wp.static(size))
         global_u = thread_part(u, offset)
         global_rate = thread_part(rate, offset)
+        global_new_u = thread_part(new_u, offset)
+        global_new_rate = thread_part(new_rate, offset)
         global_squares = thread_part(squares, offset)
         global_in_phase = thread_part(in_phase, offset)
         global_quadrature = thread_part(quadrature, offset)
@@ -185,7 +206,8 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
                 stiffness[c] = p.stiffness
         for j in range(wp.static(rows)):
             if y0 + j < wp.static(ny):
-                loads = loads | (loaded[y0 + j] << j)
+                loads = loads | (loaded[y0 + tile_y + j] << j)
+                written = y0 + j > first_y and y0 + j <= end_y
                 for c in range(wp.static(columns)):
                     if lane < wp.static(last_lane + (c <= last_column)):
                         strip_u[j, c] = global_u[wp.static(j * stride + c)]
@@ -193,11 +215,13 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
                         if wp.static(plan.loads_kept):
                             cosine[j, c] = global_in_phase[wp.static(j * stride + c)]
                             sine[j, c] = global_quadrature[wp.static(j * stride + c)]
-                        if wp.static(squares_in_registers):
-                            squared[j, c] = global_squares[wp.static(j * stride + c)]
-                        if wp.static(squares_in_shared):
-                            slot = wp.static(2 * buffer + (j * columns + c) * threads) + thread
-                            shared[slot] = global_squares[wp.static(j * stride + c)]
+                        if wp.static(summed):
+                            if written and x0 + c >= first_x and x0 + c < end_x:
+                                if wp.static(squares_in_registers):
+                                    squared[j, c] = global_squares[wp.static(j * stride + c)]
+                                else:
+                                    slot = wp.static(2 * buffer + (j * columns + c) * threads) + thread
+                                    shared[slot] = global_squares[wp.static(j * stride + c)]
         if lane > wp.static(last_lane):
             loads = int(0)
         if warp == 0:
@@ -301,11 +325,13 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
                 here = above
 
         for j in range(wp.static(rows)):
+            kept = y0 + j < wp.static(ny) and y0 + j > first_y and y0 + j <= end_y
             for c in range(wp.static(columns)):
-                if y0 + j < wp.static(ny) and lane < wp.static(last_lane + (c <= last_column)):
+                inside = lane < wp.static(last_lane + (c <= last_column)) and x0 + c >= first_x and x0 + c < end_x
+                if kept and inside:
                     i = wp.static(j * stride + c)
-                    global_u[i] = strip_u[j, c]
-                    global_rate[i] = strip_rate[j, c]
+                    global_new_u[i] = strip_u[j, c]
+                    global_new_rate[i] = strip_rate[j, c]
                     if wp.static(squares_in_registers):
                         global_squares[i] = squared[j, c]
                     if wp.static(squares_in_shared):

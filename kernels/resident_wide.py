@@ -22,7 +22,7 @@ from warp_plate.kernels import cuda
 from warp_plate.kernels.arithmetic import make_fused
 from warp_plate.kernels.cuda import LANES, barrier, make_from_lane, make_thread_part, shared_memory
 from warp_plate.kernels.resident_strips import UNEVEN, distribute
-from warp_plate.kernels.stencil import make_symmetric_weighted_sum, make_weighted_sum
+from warp_plate.kernels.tiles import make_place
 from warp_plate.kernels.update import make_parameters, make_update
 
 # Rows next to an edge that may have taps of their own along y.
@@ -31,10 +31,11 @@ SPECIAL = 3
 BORDER = 4
 
 
-def plan_strips(nx, ny, real, shared_bytes):
-    """Return the plan for a plate of this size, or None where it does not fit on a multiprocessor.
+def plans(nx, ny, real, shared_bytes):
+    """Yield the plans for a plate of this size that fit on a multiprocessor.
 
-    The first that fits is the fastest on an H200: of few warps, whose margins are few, and with registers to spare.
+    The first is the fastest on an H200 where plates are many: of few warps, whose margins are few, and with registers
+    to spare.
 
     Args:
         shared_bytes: Most shared memory of a block on the device.
@@ -53,8 +54,7 @@ def plan_strips(nx, ny, real, shared_bytes):
             squares = plan.rows * plan.warps if squares_shared else 0
             shared = 4 * words * columns * LANES * (2 * 2 * BORDER * (plan.warps + 2) + squares)
             if needed + spare <= plan.registers and shared <= shared_bytes:
-                return plan
-    return None
+                yield plan
 
 
 @cache
@@ -75,13 +75,57 @@ def make_row_taps(real):
 
 
 @cache
-def make_run_steps(effects, real, nx, ny, stride, plan, summed):
-    """Make the kernel of steps ``start`` … ``stop`` − 1, in the window if ``summed``, for blocks of 32 × warps."""
-    weighted_sum = make_weighted_sum(real)
-    symmetric_weighted_sum = make_symmetric_weighted_sum(real)
+def make_apply_taps(real, columns):
+    """Make ``apply_taps``: the sum of taps along x and y for a lane's part of a row, from its own and four rows more.
+
+    a … e are the rows from the lowest on; the newest, e, is added last. All 32 lanes must call it together.
+    """
+    from_lane = make_from_lane(real)
+    Taps = wp.types.vector(length=5, dtype=real)
+    ColumnTaps = wp.types.matrix(shape=(columns, 5), dtype=real)
+    Row = wp.types.vector(length=columns, dtype=real)
+    Around = wp.types.vector(length=columns + 4, dtype=real)
+
+    @wp.func
+    def apply_taps(a: Row, b: Row, centre: Row, d: Row, e: Row, taps_x: ColumnTaps, taps_y: Taps, lane: int):
+        around = Around()
+        if wp.static(columns == 1):
+            around[0] = from_lane(centre[0], lane - 2)
+            around[1] = from_lane(centre[0], lane - 1)
+            around[3] = from_lane(centre[0], lane + 1)
+            around[4] = from_lane(centre[0], lane + 2)
+        else:
+            around[0] = from_lane(centre[wp.static(columns - 2)], lane - 1)
+            around[1] = from_lane(centre[wp.static(columns - 1)], lane - 1)
+            around[wp.static(columns + 2)] = from_lane(centre[0], lane + 1)
+            around[wp.static(columns + 3)] = from_lane(centre[wp.static(min(1, columns - 1))], lane + 1)
+        for c in range(wp.static(columns)):
+            around[c + 2] = centre[c]
+        total = Row()
+        for c in range(wp.static(columns)):
+            for tap in range(5):
+                total[c] = taps_x[c, tap] * around[c + tap] + total[c]
+            total[c] = taps_y[0] * a[c] + total[c]
+            total[c] = taps_y[1] * b[c] + total[c]
+            total[c] = taps_y[2] * centre[c] + total[c]
+            total[c] = taps_y[3] * d[c] + total[c]
+            total[c] = taps_y[4] * e[c] + total[c]
+        return total
+
+    return apply_taps
+
+
+@cache
+def make_run_steps(effects, real, across, along, stride, plan, summed):
+    """Make the kernel of steps ``start`` … ``stop`` − 1, in the window if ``summed``, for blocks of 32 × warps.
+
+    ``across`` and ``along`` are the cuts of a plate along x and y, with a block for each tile.
+    """
+    nx, ny = across.length, along.length
+    place_x, place_y = make_place(across), make_place(along)
+    apply_taps = make_apply_taps(real, plan.columns)
     update = make_update(effects, real)
-    from_lane, fused = make_from_lane(real), make_fused(real)
-    Parameters, RowTaps = make_parameters(real), make_row_taps(real)
+    fused, Parameters, RowTaps = make_fused(real), make_parameters(real), make_row_taps(real)
     columns, rows, warps = plan.columns, plan.rows, plan.warps
     threads = LANES * warps
     size = wp.types.type_size_in_bytes(real)
@@ -92,9 +136,7 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
     squares_in_registers, squares_in_shared = summed and not plan.squares_shared, summed and plan.squares_shared
     shared_size = (2 * buffer if warps > 1 else 1) + (rows * columns * threads if squares_in_shared else 0)
     squares_at = shared_size - rows * columns * threads
-    Taps = wp.types.vector(length=5, dtype=real)
     Row = wp.types.vector(length=columns, dtype=real)
-    Around = wp.types.vector(length=columns + 4, dtype=real)
     # Row j of the strip is row j + BORDER of the displacements, and row j + 2 of the curvatures.
     Displacements = wp.types.matrix(shape=(rows + 2 * BORDER, columns), dtype=real)
     Curvatures = wp.types.matrix(shape=(rows + 4, columns), dtype=real)
@@ -105,42 +147,6 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
     ColumnTaps = wp.types.matrix(shape=(columns, 5), dtype=real)
     # Row j, column c of a thread's part is at j·stride + c, an offset that the compiler knows.
     thread_part = make_thread_part(real, (rows - 1) * stride + columns)
-
-    @wp.func
-    def add_along_x(total: Row, row: Row, taps: ColumnTaps, lane: int):
-        around = Around()
-        if wp.static(columns == 1):
-            around[0] = from_lane(row[0], lane - 2)
-            around[1] = from_lane(row[0], lane - 1)
-            around[3] = from_lane(row[0], lane + 1)
-            around[4] = from_lane(row[0], lane + 2)
-        else:
-            around[0] = from_lane(row[wp.static(columns - 2)], lane - 1)
-            around[1] = from_lane(row[wp.static(columns - 1)], lane - 1)
-            around[wp.static(columns + 2)] = from_lane(row[0], lane + 1)
-            around[wp.static(columns + 3)] = from_lane(row[wp.static(min(1, columns - 1))], lane + 1)
-        for c in range(wp.static(columns)):
-            around[c + 2] = row[c]
-        sums = Row()
-        for c in range(wp.static(columns)):
-            sums[c] = weighted_sum(
-                total[c], taps[c], around[c], around[c + 1], around[c + 2], around[c + 3], around[c + 4]
-            )
-        return sums
-
-    @wp.func
-    def sum_along_y_inside(a: Row, b: Row, c: Row, d: Row, e: Row, taps: Taps):
-        sums = Row()
-        for k in range(wp.static(columns)):
-            sums[k] = symmetric_weighted_sum(real(0.0), taps, a[k], b[k], c[k], d[k], e[k])
-        return sums
-
-    @wp.func
-    def sum_along_y_at_edge(a: Row, b: Row, c: Row, d: Row, e: Row, taps: Taps):
-        sums = Row()
-        for k in range(wp.static(columns)):
-            sums[k] = weighted_sum(real(0.0), taps, a[k], b[k], c[k], d[k], e[k])
-        return sums
 
     @wp.func
     def read_loads(in_phase: wp.array[real], quadrature: wp.array[real], at: int, wanted: bool, x0: int):
@@ -175,12 +181,17 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
         # inputs; all fields are (plates, rows, stride)
         in_phase: wp.array3d[real],
         quadrature: wp.array3d[real],
-        # outputs
         u: wp.array3d[real],
         rate: wp.array3d[real],
+        # outputs; where a plate is one tile, the new fields may be the old ones
+        new_u: wp.array3d[real],
+        new_rate: wp.array3d[real],
         squares: wp.array3d[real],
     ):
-        k = wp.tid() // threads
+        tile = wp.tid() // threads
+        k = tile // wp.static(across.count * along.count)
+        tile_x, first_x, end_x = place_x(tile % wp.static(across.count))
+        tile_y, first_y, end_y = place_y(tile // wp.static(across.count) % wp.static(along.count))
         thread = wp.tid() % threads
         warp = int(0)
         if wp.static(warps > 1):
@@ -191,9 +202,12 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
         reserved = wp.tile_empty(shape=(wp.static(shared_size),), dtype=real, storage="shared")
         shared = wp.array(ptr=shared_memory(), shape=(wp.static(shared_size),), dtype=real)
 
-        offset = wp.uint64((k * wp.static(ny + 2) + y0) * wp.static(stride) + x0) * wp.uint64(wp.static(size))
+        origin = (k * wp.static(along.nodes + 2) + y0 + tile_y) * wp.static(stride) + x0 + tile_x
+        offset = wp.uint64(origin) * wp.uint64(wp.static(size))
         global_u = thread_part(u, offset)
         global_rate = thread_part(rate, offset)
+        global_new_u = thread_part(new_u, offset)
+        global_new_rate = thread_part(new_rate, offset)
         global_squares = thread_part(squares, offset)
         global_in_phase = thread_part(in_phase, offset)
         global_quadrature = thread_part(quadrature, offset)
@@ -221,7 +235,8 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
                     move_taps[c, tap] = move_x[x0 + c, tap]
         for j in range(wp.static(rows)):
             if y0 + j <= wp.static(ny) and x0 < wp.static(nx):
-                loads = loads | (loaded[y0 + j] << j)
+                loads = loads | (loaded[y0 + tile_y + j] << j)
+                written = y0 + j > first_y and y0 + j <= end_y
                 for c in range(wp.static(columns)):
                     if x0 + c < wp.static(nx):
                         strip_u[j + BORDER, c] = global_u[wp.static(j * stride + c)]
@@ -229,11 +244,13 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
                         if wp.static(plan.loads_kept):
                             cosine[j, c] = global_in_phase[wp.static(j * stride + c)]
                             sine[j, c] = global_quadrature[wp.static(j * stride + c)]
-                        if wp.static(squares_in_registers):
-                            squared[j, c] = global_squares[wp.static(j * stride + c)]
-                        if wp.static(squares_in_shared):
-                            slot = wp.static(squares_at + (j * columns + c) * threads) + thread
-                            shared[slot] = global_squares[wp.static(j * stride + c)]
+                        if wp.static(summed):
+                            if written and x0 + c >= first_x and x0 + c < end_x:
+                                if wp.static(squares_in_registers):
+                                    squared[j, c] = global_squares[wp.static(j * stride + c)]
+                                else:
+                                    slot = wp.static(squares_at + (j * columns + c) * threads) + thread
+                                    shared[slot] = global_squares[wp.static(j * stride + c)]
 
         plate_wave = wave[k]
         next_cosine = plate_wave[start, 0]
@@ -265,47 +282,33 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
             for r in range(wp.static(rows + 4)):
                 # The curvature of row r − 2 of the strip; a single strip needs none outside it.
                 if wp.static(warps > 1 or 2 <= r < rows + 2):
-                    along_y = Row()
-                    if wp.static(near_low(r - 2) or near_high(r - 2)):
-                        taps = taps_y.inside
-                        if wp.static(near_low(r - 2)):
-                            if warp == 0:
-                                taps = taps_y.bend_low[wp.static(r - 2)]
-                        if wp.static(near_high(r - 2)):
-                            if warp == wp.static(warps - 1):
-                                taps = taps_y.bend_high[wp.static(last_row - (r - 2))]
-                        along_y = sum_along_y_at_edge(
-                            strip_u[r], strip_u[r + 1], strip_u[r + 2], strip_u[r + 3], strip_u[r + 4], taps
-                        )
-                    else:
-                        along_y = sum_along_y_inside(
-                            strip_u[r], strip_u[r + 1], strip_u[r + 2], strip_u[r + 3], strip_u[r + 4], taps_y.inside
-                        )
-                    curvature_row = add_along_x(along_y, strip_u[r + 2], bend_taps, lane)
+                    bend_y = taps_y.inside
+                    if wp.static(near_low(r - 2)):
+                        if warp == 0:
+                            bend_y = taps_y.bend_low[wp.static(r - 2)]
+                    if wp.static(near_high(r - 2)):
+                        if warp == wp.static(warps - 1):
+                            bend_y = taps_y.bend_high[wp.static(last_row - (r - 2))]
+                    curvature_row = apply_taps(
+                        strip_u[r], strip_u[r + 1], strip_u[r + 2], strip_u[r + 3], strip_u[r + 4],
+                        bend_taps, bend_y, lane,
+                    )  # fmt: skip
                     for c in range(wp.static(columns)):
                         curvature[r, c] = curvature_row[c]
 
                 # With it, all that moves row r − 4 is known.
                 if wp.static(r >= 4):
-                    across = Row()
-                    if wp.static(near_low(r - 4) or near_high(r - 4)):
-                        weights = taps_y.inside
-                        if wp.static(near_low(r - 4)):
-                            if warp == 0:
-                                weights = taps_y.move_low[wp.static(r - 4)]
-                        if wp.static(near_high(r - 4)):
-                            if warp == wp.static(warps - 1):
-                                weights = taps_y.move_high[wp.static(last_row - (r - 4))]
-                        across = sum_along_y_at_edge(
-                            curvature[r - 4], curvature[r - 3], curvature[r - 2], curvature[r - 1], curvature[r],
-                            weights,
-                        )
-                    else:
-                        across = sum_along_y_inside(
-                            curvature[r - 4], curvature[r - 3], curvature[r - 2], curvature[r - 1], curvature[r],
-                            taps_y.inside,
-                        )
-                    biharmonic = add_along_x(across, curvature[r - 2], move_taps, lane)
+                    move_y = taps_y.inside
+                    if wp.static(near_low(r - 4)):
+                        if warp == 0:
+                            move_y = taps_y.move_low[wp.static(r - 4)]
+                    if wp.static(near_high(r - 4)):
+                        if warp == wp.static(warps - 1):
+                            move_y = taps_y.move_high[wp.static(last_row - (r - 4))]
+                    biharmonic = apply_taps(
+                        curvature[r - 4], curvature[r - 3], curvature[r - 2], curvature[r - 1], curvature[r],
+                        move_taps, move_y, lane,
+                    )  # fmt: skip
                     row_stiffness = stiffness
                     if wp.static(r == 4):
                         if warp == 0:
@@ -335,11 +338,11 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
                             shared[slot] = shared[slot] + new * new
 
         for j in range(wp.static(rows)):
-            if y0 + j <= wp.static(ny):
+            if y0 + j <= wp.static(ny) and y0 + j > first_y and y0 + j <= end_y:
                 for c in range(wp.static(columns)):
-                    if x0 + c < wp.static(nx):
-                        global_u[wp.static(j * stride + c)] = strip_u[j + BORDER, c]
-                        global_rate[wp.static(j * stride + c)] = strip_rate[j, c]
+                    if x0 + c < wp.static(nx) and x0 + c >= first_x and x0 + c < end_x:
+                        global_new_u[wp.static(j * stride + c)] = strip_u[j + BORDER, c]
+                        global_new_rate[wp.static(j * stride + c)] = strip_rate[j, c]
                         if wp.static(squares_in_registers):
                             global_squares[wp.static(j * stride + c)] = squared[j, c]
                         if wp.static(squares_in_shared):

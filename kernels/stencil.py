@@ -40,15 +40,3 @@ def make_weighted_sum(real):
         return taps[0] * a + (taps[1] * b + (taps[2] * c + (taps[3] * d + (taps[4] * e + total))))
 
     return weighted_sum
-
-
-@cache
-def make_symmetric_weighted_sum(real):
-    """Make ``symmetric_weighted_sum``: the same for taps that are symmetric about the middle node."""
-    Taps = wp.types.vector(length=5, dtype=real)
-
-    @wp.func
-    def symmetric_weighted_sum(total: real, taps: Taps, a: real, b: real, c: real, d: real, e: real):
-        return taps[0] * (a + e) + (taps[1] * (b + d) + (taps[2] * c + total))
-
-    return symmetric_weighted_sum

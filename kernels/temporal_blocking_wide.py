@@ -14,8 +14,8 @@ from functools import cache
 import warp as wp
 
 from warp_plate.kernels.arithmetic import make_fused
-from warp_plate.kernels.cuda import LANES, any_lane, cuda_kernel, make_from_lane, most_registers, opaque
-from warp_plate.kernels.resident_wide import SPECIAL
+from warp_plate.kernels.cuda import LANES, any_lane, cuda_kernel, most_registers, opaque
+from warp_plate.kernels.resident_wide import SPECIAL, make_apply_taps
 from warp_plate.kernels.temporal_blocking import COLUMNS, make_row_access
 from warp_plate.kernels.update import make_parameters, make_update
 
@@ -33,8 +33,8 @@ def strips(nx, levels):
 @cache
 def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
     """Make the kernel of ``levels`` steps, in the window if ``summed``; launch over (plates · strips · tiles · 32,)."""
-    update, from_lane, Parameters = make_update(effects, real), make_from_lane(real), make_parameters(real)
-    fused = make_fused(real)
+    update, Parameters = make_update(effects, real), make_parameters(real)
+    fused, apply_taps = make_fused(real), make_apply_taps(real, COLUMNS)
     read_row, write_row, row_at = make_row_access(real, ny, stride)
     size = wp.types.type_size_in_bytes(real)
     columns, margin, strip_count = COLUMNS, REACH * levels, strips(nx, levels)
@@ -42,7 +42,6 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
     Taps = wp.types.vector(length=5, dtype=real)
     ColumnTaps = wp.types.matrix(shape=(columns, 5), dtype=real)
     Row = wp.types.vector(length=columns, dtype=real)
-    Around = wp.types.vector(length=columns + 4, dtype=real)
     Rows = wp.types.matrix(shape=(levels * ROUND, columns), dtype=real)
     Waves = wp.types.matrix(shape=(levels, 2), dtype=real)
     Round = wp.types.matrix(shape=(ROUND, columns), dtype=real)
@@ -53,27 +52,6 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
         for c in range(wp.static(columns)):
             values[c] = wp.where(zero, real(0.0), row[c])
         return values
-
-    @wp.func
-    def apply_taps(a: Row, b: Row, centre: Row, d: Row, e: Row, taps_x: ColumnTaps, taps_y: Taps, lane: int):
-        """Return Σ taps · neighbours of five rows from the lowest on; the newest, e, is added last."""
-        around = Around()
-        around[0] = from_lane(centre[0], lane - 1)
-        around[1] = from_lane(centre[1], lane - 1)
-        around[2] = centre[0]
-        around[3] = centre[1]
-        around[4] = from_lane(centre[0], lane + 1)
-        around[5] = from_lane(centre[1], lane + 1)
-        total = Row()
-        for c in range(wp.static(columns)):
-            for tap in range(5):
-                total[c] = taps_x[c, tap] * around[c + tap] + total[c]
-            total[c] = taps_y[0] * a[c] + total[c]
-            total[c] = taps_y[1] * b[c] + total[c]
-            total[c] = taps_y[2] * centre[c] + total[c]
-            total[c] = taps_y[3] * d[c] + total[c]
-            total[c] = taps_y[4] * e[c] + total[c]
-        return total
 
     @cuda_kernel(most_registers(WARPS[real]), max_unroll=32)
     def advance_tiles(
@@ -181,8 +159,8 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
                                 for level in range(wp.static(levels)):
                                     for c in range(wp.static(columns)):
                                         slot = wp.static(ROUND * level + turn)
-                                        loads[slot, c] = waves[level, 0] * cosines[slot, c]
-                                        loads[slot, c] += waves[level, 1] * sines[slot, c]
+                                        quadrature_part = waves[level, 1] * sines[slot, c]
+                                        loads[slot, c] = fused(waves[level, 0], cosines[slot, c], quadrature_part)
                     for turn in range(wp.static(ROUND)):
                         y = start + turn
                         above = ahead_u[turn]

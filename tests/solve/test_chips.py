@@ -21,6 +21,7 @@ from warp_plate.kernels import (
 )
 from warp_plate.kernels.cuda import RESERVED_BYTES
 from warp_plate.kernels.effects import KernelEffects
+from warp_plate.kernels.tiles import whole
 
 # Shared memory that a block can have [KiB] by compute capability, and the registers of each quarter of a multiprocessor
 # (CUDA C++ Programming Guide, technical specifications per compute capability).
@@ -50,9 +51,9 @@ def planned(effects, nodes, shared_bytes):
     if effects.order == 2 and resident_lanes.fits(nodes, nodes):
         return resident_lanes.make_run_steps(effects, real, nodes, 0b11 << 5, True), 32
     kind = resident_wide if effects.order == 4 else resident_strips
-    plan = kind.plan_strips(nodes, nodes, real, shared_bytes)
+    plan = next(kind.plans(nodes, nodes, real, shared_bytes), None)
     if plan is not None:
-        return kind.make_run_steps(effects, real, nodes, nodes, stride, plan, True), 32 * plan.warps
+        return kind.make_run_steps(effects, real, whole(nodes), whole(nodes), stride, plan, True), 32 * plan.warps
     blocking, levels = (temporal_blocking_wide, 2) if effects.order == 4 else (temporal_blocking, 5)
     return blocking.make_advance_tiles(effects, real, nodes, nodes, stride, levels, True), 128
 
@@ -107,7 +108,7 @@ def test_less_shared_memory_takes_smaller_plates(kind):
             ]
         else:
             strips = resident_wide if effects.order == 4 else resident_strips
-            plans = [strips.plan_strips(nodes, nodes, wp.float32, shared_bytes) is not None for nodes in range(9, 162)]
+            plans = [next(strips.plans(nodes, nodes, wp.float32, shared_bytes), None) for nodes in range(9, 162)]
         fits.append({nodes for nodes, plan in enumerate(plans, 9) if plan})
     assert all(less <= more for less, more in pairwise(fits))
     assert set() < fits[0] < fits[-1]

@@ -28,6 +28,7 @@ from warp_plate.kernels import (
     wave,
 )
 from warp_plate.kernels.effects import KernelEffects
+from warp_plate.kernels.tiles import cut, whole
 
 # Shared memory of a block that kernels may take on sm_90.
 SHARED_BYTES = 224 * 1024
@@ -82,9 +83,12 @@ def cuda_kernels(effects, real):
     yield "streaming.make_update_nodes", streaming.make_update_nodes(effects, real)
     if effects.order == 4:
         for (nx, ny, stride), summed in ((LARGE, True), (SMALL, False)):
-            plan = resident_wide.plan_strips(nx, ny, real, SHARED_BYTES)
-            kernel = resident_wide.make_run_steps(effects, real, nx, ny, stride, plan, summed)
+            plan = next(resident_wide.plans(nx, ny, real, SHARED_BYTES))
+            kernel = resident_wide.make_run_steps(effects, real, whole(nx), whole(ny), stride, plan, summed)
             yield "resident_wide.make_run_steps", kernel
+        axes = cut(HUGE[0], 7, 12), cut(HUGE[1], 3, 12)
+        plan = next(resident_wide.plans(axes[0].length, axes[1].length, real, SHARED_BYTES))
+        yield "resident_wide.make_run_steps", resident_wide.make_run_steps(effects, real, *axes, HUGE[2], plan, True)
         for levels, summed in ((1, False), (2, True)):
             kernel = temporal_blocking_wide.make_advance_tiles(effects, real, *LARGE, levels, summed)
             yield "temporal_blocking_wide.make_advance_tiles", kernel
@@ -93,11 +97,14 @@ def cuda_kernels(effects, real):
         kernel = resident_lanes.make_run_steps(effects, real, SMALL[1], 0b1100110000, summed)
         yield "resident_lanes.make_run_steps", kernel
     for (nx, ny, stride), summed in ((SMALL, True), (LARGEST, True), (LARGE, False), (LARGE, True)):
-        plan = resident_strips.plan_strips(nx, ny, real, SHARED_BYTES)
+        plan = next(resident_strips.plans(nx, ny, real, SHARED_BYTES))
         if (nx, ny, stride) == SMALL:
             plan = resident_strips.plan_few(nx, ny)
-        kernel = resident_strips.make_run_steps(effects, real, nx, ny, stride, plan, summed)
+        kernel = resident_strips.make_run_steps(effects, real, whole(nx), whole(ny), stride, plan, summed)
         yield "resident_strips.make_run_steps", kernel
+    axes = cut(HUGE[0], 5, 16), cut(HUGE[1], 3, 16)
+    plan = next(resident_strips.plans(axes[0].length, axes[1].length, real, SHARED_BYTES))
+    yield "resident_strips.make_run_steps", resident_strips.make_run_steps(effects, real, *axes, HUGE[2], plan, True)
     for levels, summed in ((1, False), (5, True)):
         kernel = temporal_blocking.make_advance_tiles(effects, real, *LARGE, levels, summed)
         yield "temporal_blocking.make_advance_tiles", kernel
@@ -151,7 +158,7 @@ def test_a_quarter_of_a_multiprocessor_has_room_for_its_warps(real):
     for nx, ny in itertools.product((9, 28, 33, 53, 81, 105, 113, 160), repeat=2):
         blocks = [moment_form_plan.plan_block(nx, ny, real, effects, 0, few, SHARED_BYTES) for few in (False, True)]
         assert all(plan.threads * plan.nodes >= nx * ny for plan in blocks)
-        strips = [module.plan_strips(nx, ny, real, SHARED_BYTES) for module in (resident_strips, resident_wide)]
+        strips = [next(module.plans(nx, ny, real, SHARED_BYTES), None) for module in (resident_strips, resident_wide)]
         shares = [(plan.threads, plan.registers) for plan in blocks]
         shares += [(32 * plan.warps, plan.registers) for plan in strips if plan]
         for threads, registers in shares:

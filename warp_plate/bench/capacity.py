@@ -6,11 +6,10 @@ from collections.abc import Callable
 
 import warp as wp
 
+from warp_plate.kernels import resident_strips, resident_wide
 from warp_plate.kernels.cuda import RESERVED_BYTES
 from warp_plate.kernels.effects import KernelEffects
 from warp_plate.kernels.moment_form_plan import plan_block
-from warp_plate.kernels.resident_strips import plan_strips
-from warp_plate.kernels.resident_wide import plan_strips as plan_wide_strips
 from warp_plate.plate.discretization import discretize
 from warp_plate.scene.model import Scene
 from warp_plate.solve.parts import CUDA_MEMORY_SHARE
@@ -26,8 +25,8 @@ def largest_resident_sides(device: wp.Device) -> dict[str, int]:
     shared = device.max_shared_memory_per_block - RESERVED_BYTES
     free_edges = KernelEffects(moments=True)
     kinds: dict[str, Callable[[int], object]] = {
-        "order 2": lambda side: plan_strips(side, side, wp.float32, shared),
-        "order 4": lambda side: plan_wide_strips(side, side, wp.float32, shared),
+        "order 2": lambda side: next(resident_strips.plans(side, side, wp.float32, shared), None),
+        "order 4": lambda side: next(resident_wide.plans(side, side, wp.float32, shared), None),
         "free edges": lambda side: plan_block(side, side, wp.float32, free_edges, 0, False, shared).on_chip,
     }
     return {kind: max(filter(fits, SIDES), default=0) for kind, fits in kinds.items()}

@@ -90,9 +90,9 @@ def make_taps(nodes: int, low: object, high: object, order: int) -> Taps:
     return Taps(bend, move)
 
 
-def plain_taps(scene: Scene) -> tuple[Taps, Taps]:
-    """Return the taps along x and y of a plain plate."""
-    edges, (nx, ny), order = scene.edges, scene.grid.nodes, scene.grid.order
+def plain_taps(scene: Scene, nodes: tuple[int, int] | None = None) -> tuple[Taps, Taps]:
+    """Return the taps along x and y of a plain plate, or of one with as many nodes."""
+    edges, (nx, ny), order = scene.edges, nodes or scene.grid.nodes, scene.grid.order
     return make_taps(nx, edges.left, edges.right, order), make_taps(ny, edges.bottom, edges.top, order)
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
@@ -59,6 +59,11 @@ class Signals:
         """Number of waves."""
         return self.wave.shape[1]
 
+    @cached_property
+    def _entries(self) -> list[tuple[int, int, int, float]]:
+        """Term, feature, actuator and factor of the entries of ``mixing`` that are not zero."""
+        return [(t, f, a, float(self.mixing[t, f, a])) for t, f, a in np.argwhere(self.mixing).tolist()]
+
     def coefficients(self, phasors: np.ndarray) -> np.ndarray:
         """Return (plates, terms, actuators) real factors of the waves for phasors Z (plates, actuators)."""
         features = [phasors.real, -phasors.imag]
@@ -66,8 +71,8 @@ class Signals:
             if self.linear:
                 # Powers of two and zeros: exact in any order. Plates innermost: NumPy is slow along short rows.
                 columns = np.zeros((self.terms, phasors.shape[1], len(phasors)))
-                for term, feature, actuator in np.argwhere(self.mixing):
-                    columns[term, actuator] += self.mixing[term, feature, actuator] * features[feature][:, actuator]
+                for term, feature, actuator, factor in self._entries:
+                    columns[term, actuator] += factor * features[feature][:, actuator]
                 return columns.transpose(2, 0, 1)
             squared = phasors**2
             features += [np.ones(phasors.shape), np.abs(phasors) ** 2, squared.real, -squared.imag]

@@ -78,6 +78,7 @@ class PlateBatch(Batch):
         self.scale = scaled_coefficients(specialized.discretization.signals, phasors, sizes, least, coefficients)
         self.whole = whole
         self._largest: wp.array | None = None
+        self._samplers: dict[int, Callable[[], None]] = {}
         if not whole:
             engine.load_drives(state, len(phasors), values.edges)
         if not specialized.effects.plain:
@@ -105,7 +106,10 @@ class PlateBatch(Batch):
         """Compare the displacement of each node with the largest one sampled before; on CUDA the work is queued."""
         if self._largest is None:
             self._largest = wp.zeros_like(self.state.u[: self.plates])
-        self.engine.keep_largest(self.state.u[: self.plates], self._largest)
+        u = self.state.u
+        if u.ptr not in self._samplers:  # fields of some paths take turns
+            self._samplers[u.ptr] = self.engine.keep_largest(u[: self.plates], self._largest)
+        self._samplers[u.ptr]()
 
     @property
     def peak(self) -> np.ndarray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -10,7 +12,8 @@ import warp as wp
 from warp_plate.kernels import resident_lanes, resident_strips, resident_wide, temporal_blocking, temporal_blocking_wide
 from warp_plate.kernels.cuda import LANES
 from warp_plate.kernels.resident_strips import StripPlan
-from warp_plate.plate.operator import INSIDE
+from warp_plate.kernels.tiles import Cut, cut, whole
+from warp_plate.plate.operator import INSIDE, plain_taps
 from warp_plate.scene.errors import SceneError
 from warp_plate.solve import streaming
 from warp_plate.solve.specialize import Specialized
@@ -29,6 +32,10 @@ STREAMING_BLOCK = 128
 FEWEST_TILE_ROWS = 4
 
 
+# Tiles of few large plates: steps per launch by order, and the longest step that is faster so.
+TILE_LEVELS, MOST_LATENCY = {2: 8, 4: 3}, 72
+
+
 def fits_on_chip(specialized: Specialized) -> bool:
     """Return whether the resident path can take plates of this size."""
     return takes_lanes(specialized) or plan_of(specialized) is not None
@@ -36,8 +43,8 @@ def fits_on_chip(specialized: Specialized) -> bool:
 
 def plan_of(specialized: Specialized) -> StripPlan | None:
     """Return the distribution of a plate over a block of the device, or None where it does not fit."""
-    kind = resident_wide if specialized.scheme.order == 4 else resident_strips
-    return kind.plan_strips(*specialized.scheme.nodes, specialized.real, specialized.shared_bytes)
+    plans = _kind(specialized).plans(*specialized.scheme.nodes, specialized.real, specialized.shared_bytes)
+    return next(plans, None)
 
 
 def takes_lanes(specialized: Specialized) -> bool:
@@ -57,25 +64,7 @@ def resident_path(specialized: Specialized) -> Advance:
     if plan is None:
         nx, ny = specialized.scheme.nodes
         raise SceneError(f"path = 'resident': {nx} x {ny} nodes do not fit on one multiprocessor; write 'streaming'")
-    return (_wide_path if specialized.scheme.order == 4 else _strips_path)(specialized, plan)
-
-
-def _wide_path(specialized: Specialized, plan: StripPlan) -> Advance:
-    """Return the fourth-order path: a block per plate."""
-    effects, real, scheme = specialized.effects, specialized.real, specialized.scheme
-    kernels = {
-        summed: resident_wide.make_run_steps(effects, real, *scheme.nodes, specialized.stride, plan, summed)
-        for summed in (False, True)
-    }
-    taps_y = resident_wide.make_row_taps(real)()
-    y, special = scheme.taps_y, resident_wide.SPECIAL
-    taps_y.inside = scheme.aspect * np.array(INSIDE[4])
-    taps_y.bend_low, taps_y.move_low = scheme.aspect * y.bend[:special], scheme.aspect * y.move[:special]
-    taps_y.bend_high = scheme.aspect * y.bend[: -special - 1 : -1]
-    taps_y.move_high = scheme.aspect * y.move[: -special - 1 : -1]
-    bend_x, _, move_x, _ = specialized.taps
-    inputs = [specialized.parameters, taps_y, bend_x, move_x, specialized.loaded]
-    return _cuda_advance(specialized, kernels, inputs, LANES * plan.warps, LANES * plan.warps)
+    return _blocks_path(specialized, _whole(specialized), plan)
 
 
 def _lanes_path(specialized: Specialized) -> Advance:
@@ -85,16 +74,17 @@ def _lanes_path(specialized: Specialized) -> Advance:
     """
     effects, real, (nx, ny) = specialized.effects, specialized.real, specialized.scheme.nodes
     loaded = sum(1 << j for j, row in enumerate(specialized.loaded_rows[2:-2]) if row)
+    inputs = _inputs(specialized, _whole(specialized))[:-1]
 
     def compiled(registers: int | None) -> Advance:
         kernels = {
             summed: resident_lanes.make_run_steps(effects, real, ny, loaded, summed, registers)
             for summed in (False, True)
         }
-        return _cuda_advance(specialized, kernels, _edge_factors(specialized), LANES, LANES_BLOCK)
+        return _cuda_advance(specialized, kernels, inputs, LANES, LANES_BLOCK)
 
-    fewest, few = _strips_path(specialized, resident_strips.plan_few(nx, ny)), compiled(None)
-    many = few
+    fewest = _blocks_path(specialized, _whole(specialized), resident_strips.plan_few(nx, ny))
+    few = many = compiled(None)
     if real is wp.float32 and loaded.bit_count() <= FEW_LOADED_ROWS:  # else the numbers of a column leave no choice
         few = compiled(FEW_REGISTERS)
 
@@ -105,48 +95,127 @@ def _lanes_path(specialized: Specialized) -> Advance:
     return advance
 
 
-def _strips_path(specialized: Specialized, plan: StripPlan) -> Advance:
-    """Return the second-order path with a block per plate."""
-    effects, real, nodes = specialized.effects, specialized.real, specialized.scheme.nodes
-    kernels = {
-        summed: resident_strips.make_run_steps(effects, real, *nodes, specialized.stride, plan, summed)
-        for summed in (False, True)
-    }
-    inputs = [*_edge_factors(specialized), specialized.loaded]
-    return _cuda_advance(specialized, kernels, inputs, LANES * plan.warps, LANES * plan.warps)
+def _blocks_path(
+    specialized: Specialized, axes: Sequence[Cut], plan: StripPlan, most_steps: int | None = None
+) -> Advance:
+    """Return the path with a block per tile of a plate, which is whole unless ``axes`` cut it along x and y."""
+    effects, real, stride = specialized.effects, specialized.real, specialized.stride
+    make_run_steps, threads = _kind(specialized).make_run_steps, LANES * plan.warps
+    kernels = {summed: make_run_steps(effects, real, *axes, stride, plan, summed) for summed in (False, True)}
+    tiles = axes[0].count * axes[1].count
+    return _cuda_advance(specialized, kernels, _inputs(specialized, axes), tiles * threads, threads, most_steps)
 
 
-def _edge_factors(specialized: Specialized) -> list[Any]:
-    """Return the first arguments of the resident kernels of second order: parameters, and factors on the edges."""
-    scheme = specialized.scheme
-    # Along y these kernels take an edge's curvature from its inner neighbour alone: ∇²u there is aspect·u.
-    factors = [specialized.to_device(f) for f in (scheme.taps_x.factors, scheme.aspect * scheme.taps_y.factors)]
-    return [specialized.parameters, *factors]
+def _kind(specialized: Specialized) -> Any:
+    """Return the kernels' module of plates with a block each."""
+    return resident_wide if specialized.scheme.order == 4 else resident_strips
+
+
+def _whole(specialized: Specialized) -> list[Cut]:
+    return [whole(nodes) for nodes in specialized.scheme.nodes]
+
+
+def _inputs(specialized: Specialized, axes: Sequence[Cut]) -> list[Any]:
+    """Return the first arguments of the resident kernels: parameters, taps or factors of a tile, loaded rows."""
+    aspect = specialized.scheme.aspect
+    x, y = plain_taps(specialized.scene, (axes[0].length, axes[1].length))
+    if specialized.scheme.order == 2:
+        # Along y these kernels take an edge's curvature from its inner neighbour alone: ∇²u there is aspect·u.
+        taps = [specialized.to_device(factors) for factors in (x.factors, aspect * y.factors)]
+    else:
+        special, taps_y = resident_wide.SPECIAL, resident_wide.make_row_taps(specialized.real)()
+        taps_y.inside = aspect * np.array(INSIDE[4])
+        taps_y.bend_low, taps_y.move_low = aspect * y.bend[:special], aspect * y.move[:special]
+        taps_y.bend_high = aspect * y.bend[: -special - 1 : -1]
+        taps_y.move_high = aspect * y.move[: -special - 1 : -1]
+        taps = [taps_y, specialized.to_device(x.bend), specialized.to_device(x.move)]
+    return [specialized.parameters, *taps, specialized.loaded]
 
 
 def _cuda_advance(
-    specialized: Specialized, kernels: dict[bool, wp.Kernel], inputs: list[Any], threads: int, block_dim: int
+    specialized: Specialized,
+    kernels: dict[bool, wp.Kernel],
+    inputs: list[Any],
+    threads: int,
+    block_dim: int,
+    most_steps: int | None = None,
 ) -> Advance:
-    """Return launches of a resident kernel, split where the window begins and ends: outside it sums cost nothing."""
-    device = specialized.device
+    """Return launches of a resident kernel, split where the window begins and ends: outside it sums cost nothing.
+
+    With ``most_steps`` per launch the fields take turns. Launches are recorded with the state, which saves Python time.
+    """
     specialized.load(*kernels.values(), block_dim=block_dim)
+    first_at = len(inputs) + 1  # place of the first step among the arguments
+
+    def record(state: State, plates: int, summed: bool) -> wp.Launch:
+        new = [state.u, state.rate] if most_steps is None else [state.u_next, state.rate_next]
+        return wp.launch(
+            kernels[summed],
+            dim=plates * threads,
+            inputs=[*inputs, state.wave, 0, 0, state.in_phase, state.quadrature, state.u, state.rate],
+            outputs=[*new, state.squares],
+            device=specialized.device,
+            block_dim=block_dim,
+            record_cmd=True,
+        )
+
+    def launch(state: State, plates: int, first: int, end: int, summed: bool) -> None:
+        key = (kernels[summed], plates, state.has_plate_waves, state.u.ptr)
+        if key not in state.beside:
+            state.beside[key] = record(state, plates, summed)
+        command = state.beside[key]
+        command.set_param_at_index(first_at, first)
+        command.set_param_at_index(first_at + 1, end)
+        command.launch()
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
         for low, high, summed in split_at_window(specialized, start, stop):
-            wp.launch(
-                kernels[summed],
-                dim=plates * threads,
-                inputs=[*inputs, state.wave, low, high, state.in_phase, state.quadrature],
-                outputs=[state.u, state.rate, state.squares],
-                device=device,
-                block_dim=block_dim,
-            )
+            for first in range(low, high, most_steps or high - low):
+                launch(state, plates, first, min(first + (most_steps or high), high), summed)
+                if most_steps is not None:
+                    state.take_turns()
 
     return advance
 
 
 def streaming_path(specialized: Specialized) -> Advance:
-    """Return the path with several steps per launch (one where traces are recorded)."""
+    """Return the path of plates that no multiprocessor holds: tiles where they are few, else temporal blocking.
+
+    All give the same bits. Traces are recorded after each step, for which only temporal blocking is made.
+    """
+    blocking = _blocking_path(specialized)
+
+    @cache
+    def tiled(plates: int) -> Advance | None:
+        found = plan_tiles(specialized, plates)
+        return found and _blocks_path(specialized, *found, TILE_LEVELS[specialized.scheme.order])
+
+    def advance(state: State, plates: int, start: int, stop: int) -> None:
+        ((None if state.nodes.shape[0] else tiled(plates)) or blocking)(state, plates, start, stop)
+
+    return advance
+
+
+def plan_tiles(specialized: Specialized, plates: int) -> tuple[list[Cut], StripPlan] | None:
+    """Return a cut of each plate into tiles, at most one for each multiprocessor; None where they are too large.
+
+    The best cut has the shortest step.
+    """
+    kind, order = _kind(specialized), specialized.scheme.order
+    margin, tiles = order * TILE_LEVELS[order], specialized.device.sm_count // max(1, plates)
+    best, shortest = None, MOST_LATENCY + 1
+    for count in range(1, tiles + 1):
+        axes = [
+            cut(nodes, n, margin) for nodes, n in zip(specialized.scheme.nodes, (count, tiles // count), strict=True)
+        ]
+        for plan in kind.plans(axes[0].length, axes[1].length, specialized.real, specialized.shared_bytes):
+            if plan.latency < shortest:
+                best, shortest = (axes, plan), plan.latency
+    return best
+
+
+def _blocking_path(specialized: Specialized) -> Advance:
+    """Return the path of temporal blocking, with several steps per launch (one where traces are recorded)."""
     device, scheme = specialized.device, specialized.scheme
     (nx, ny), most_levels = scheme.nodes, LEVELS[scheme.order, specialized.real]
     blocking = temporal_blocking_wide if scheme.order == 4 else temporal_blocking

@@ -75,11 +75,15 @@ class Engine:
             device=specialized.device,
         )
 
-    def keep_largest(self, u: wp.array, largest: wp.array) -> None:
-        """Queue that ``largest`` keeps the largest magnitudes of u; both are (plates, rows, columns)."""
-        device = self.specialized.device
-        self.specialized.load(self._keep_largest)
-        wp.launch(self._keep_largest, dim=u.shape, inputs=[u], outputs=[largest], device=device)
+    def keep_largest(self, u: wp.array, largest: wp.array) -> Callable[[], None]:
+        """Return a function that queues that ``largest`` keeps the largest magnitudes of u.
+
+        Both are (plates, rows, columns).
+        """
+        kernel, device = self._keep_largest, self.specialized.device
+        self.specialized.load(kernel)
+        launch = wp.launch(kernel, dim=u.shape, inputs=[u], outputs=[largest], device=device, record_cmd=True)
+        return launch.launch
 
     def sum_regions(self, state: State, plates: int) -> None:
         """Queue the weighted sums of rate² over the window for the first plates, into ``state.energy``."""

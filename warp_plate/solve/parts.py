@@ -73,7 +73,9 @@ class PartRunner:
         Parts take turns on the states: while the device steps one, the host prepares the next.
         """
         plates, work = len(phasors), self.specialized.node_steps_per_plate
-        corners, shares = bilinear(points, self.specialized.scheme.nodes, self.specialized.scene.plate.size)
+        corners, shares = np.empty((0, 4, 2), np.int32), np.empty((0, 4))
+        if len(points):
+            corners, shares = bilinear(points, self.specialized.scheme.nodes, self.specialized.scene.plate.size)
         states, size = self.states_for(plates, corners.reshape(-1, 2))
         queued: deque[tuple[slice, Callable[[np.ndarray], Faults]]] = deque()
 
@@ -99,7 +101,7 @@ class PartRunner:
                 if samples:
                     run.peak[part] = batch.peak if batch.step == self.specialized.scheme.steps else np.nan
             queued.append((part, batch.queue_energies()))
-            if points:
+            if len(points):
                 run.trace[part] = batch.trace(shares)
         while queued:
             finish_oldest()

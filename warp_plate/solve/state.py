@@ -77,6 +77,11 @@ class State:
         """True if each plate of the current run has a wave of its own."""
         return self.wave is self.plate_waves
 
+    def take_turns(self) -> None:
+        """Exchange the fields with those that the last launch wrote."""
+        self.u, self.u_next = self.u_next, self.u
+        self.rate, self.rate_next = self.rate_next, self.rate
+
     def clear(self, plates: int) -> None:
         """Put the first plates, and the number beyond them, at rest; the load fields stay."""
         if CLEAR_SHARE * plates >= self.capacity:

@@ -80,6 +80,8 @@ def find_faults(
     """
     with np.errstate(invalid="ignore", over="ignore"):
         energy[:] = sums * unit * scale[:, None] ** 2
+        if (grown < 0).all() and sums.max(initial=0.0) <= largest_sum and ((energy > 0) & (energy < np.inf)).all():
+            return {}
         grew = (grown >= 0) | ~_all_in_row(sums <= largest_sum)
     sound = _all_in_row(np.isfinite(energy) & ~((sums > 0) & (energy == 0)))
     faults = np.where(grew & np.isfinite(scale), FAULTS.index(GREW), ~sound)  # indices into FAULTS

@@ -92,8 +92,7 @@ def several_steps_a_launch(specialized: Specialized, most_levels: int, launch_ti
     def launches(launch: Launcher, state: State, plates: int, count: int, levels: int, summed: bool) -> None:
         for index in range(count):
             launch_tiles(launch, state, plates, clock, index * levels, levels, summed)
-            state.u, state.u_next = state.u_next, state.u
-            state.rate, state.rate_next = state.rate_next, state.rate
+            state.take_turns()
             record_nodes(launch, record_trace, state, plates, clock, index)
         launch(streaming.advance_clock, dim=1, inputs=[clock, count * levels], device=device)
 
