@@ -39,6 +39,8 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
     size = wp.types.type_size_in_bytes(real)
     columns, margin, strip_count = COLUMNS, REACH * levels, strips(nx, levels)
     useful = LANES * columns - 2 * margin
+    # Rows by which sums are read later than rates: the first level has nothing to add to them.
+    delay = REACH if levels > 1 else 0
     Taps = wp.types.vector(length=5, dtype=real)
     ColumnTaps = wp.types.matrix(shape=(columns, 5), dtype=real)
     Row = wp.types.vector(length=columns, dtype=real)
@@ -165,7 +167,7 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
                         y = start + turn
                         above = ahead_u[turn]
                         moved = ahead_rate[turn]
-                        total = ahead_squares[turn]  # of the row that level 1 moves
+                        total = ahead_squares[turn]  # of the row that the second level moves, or the only one
                         next_u = at + wp.static((margin + ROUND + turn) * stride)
                         next_rate = at + wp.static((margin + turn) * stride)
                         if wp.static(body == 1):
@@ -174,7 +176,10 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
                         ahead_u[turn] = zero_if(beside, read_row(lane_u, next_u))
                         ahead_rate[turn] = zero_if(beside, read_row(lane_rate, next_rate))
                         if wp.static(summed):
-                            ahead_squares[turn] = read_row(lane_squares, next_rate)
+                            next_squares = next_rate - wp.static(delay * stride)
+                            if wp.static(body == 1):
+                                next_squares = row_at(y - delay)
+                            ahead_squares[turn] = read_row(lane_squares, next_squares)
 
                         for level in range(wp.static(levels)):
                             # ``above`` is row y − 4·level of this level; ``here`` is the row that it moves.
@@ -206,8 +211,10 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
                                     old = kept_rate[oldest, c]
                                     kept_rate[oldest, c] = moved[c]
                                     if wp.static(summed):
-                                        partial = kept_sum[oldest, c]
-                                        kept_sum[oldest, c] = total[c]
+                                        partial = total[c]
+                                        if wp.static(level > 1):
+                                            partial = kept_sum[oldest, c]
+                                            kept_sum[oldest, c] = total[c]
                                         total[c] = fused(old, old, partial)
                                 stiffness_here = stiffness[c]
                                 if wp.static(body == 1):
