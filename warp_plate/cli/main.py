@@ -13,6 +13,8 @@ from warp_plate.interrupts import interrupt_on_termination, remember_lost_interr
 def main(arguments: list[str] | None = None) -> None:
     """Run a command and exit: status 0; 2 after one line about bad input; 130 after Ctrl-C or SIGTERM."""
     clock.restart()
+    # Threads of linear algebra sleep soon while they wait for a task: commands have small ones, far apart.
+    os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")
     _prepare_streams()
     interrupt_on_termination()
     remember_lost_interrupts()
