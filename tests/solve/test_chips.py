@@ -5,6 +5,7 @@ import struct
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import SimpleNamespace
 
 import pytest
 import warp as wp
@@ -22,6 +23,7 @@ from warp_plate.kernels import (
 from warp_plate.kernels.cuda import RESERVED_BYTES
 from warp_plate.kernels.effects import KernelEffects
 from warp_plate.kernels.tiles import whole
+from warp_plate.solve.cuda import plan_tiles
 
 # Shared memory that a block can have [KiB] by compute capability, and the registers of each quarter of a multiprocessor
 # (CUDA C++ Programming Guide, technical specifications per compute capability).
@@ -93,6 +95,23 @@ def test_compiled_plans_fit_the_chip(arch, kind, nodes):
     registers, shared = compiled_needs(kernel, arch)
     assert 8 <= registers <= 255
     assert -(-threads // 128) * 32 * registers <= QUARTER_REGISTERS
+    assert shared <= limit
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("order", [2, 4])
+@pytest.mark.parametrize("real", [wp.float32, wp.float64])
+@pytest.mark.parametrize("arch", SHARED_KIB)
+def test_compiled_tiles_fit_the_chip(arch, order, real):
+    """Of one plate of 161² on 40 multiprocessors, as many as the smallest of these chips have."""
+    limit, nodes = 1024 * SHARED_KIB[arch], (161, 161)
+    scheme, device = SimpleNamespace(order=order, nodes=nodes), SimpleNamespace(sm_count=40)
+    plate = SimpleNamespace(scheme=scheme, real=real, shared_bytes=limit - RESERVED_BYTES, device=device)
+    axes, plan = plan_tiles(plate, 1)
+    kind = resident_wide if order == 4 else resident_strips
+    kernel = kind.make_run_steps(KernelEffects(True, True, order), real, *axes, 176, plan, True)
+    registers, shared = compiled_needs(kernel, arch)
+    assert -(-plan.warps // 4) * 32 * registers <= QUARTER_REGISTERS
     assert shared <= limit
 
 
