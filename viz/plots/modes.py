@@ -45,7 +45,7 @@ def draw_modes(scene: Scene, frequencies: np.ndarray, shapes: np.ndarray, path: 
         bar = made.colorbar(mesh, ax=panels, shrink=min(1.0, 1.2 / rows + 0.2), aspect=18, pad=0.02)
         bar.set_label("displacement over its largest")
         handles = [*edge_handles(scene), line_handle("nodal line", color=INK, linewidth=0.9)]
-        if scene.effects.layers:
+        if scene.layers:
             handles.append(line_handle("layer", color=TARGET, linewidth=0.9))
         if scene.effects.oscillators:
             handles.append(line_handle("oscillator", color=TARGET, linewidth=0.9, linestyle=":"))
@@ -75,7 +75,7 @@ def _draw_shape(axes: Axes, scene: Scene, shape: np.ndarray) -> object:
     fine_x, fine_y, field = nodal_field(scene, shape)
     if np.nanmin(field) < 0 < np.nanmax(field):
         axes.contour(fine_x, fine_y, field, levels=[0.0], colors=INK, linewidths=0.9)
-    for layer in scene.effects.layers:
+    for layer in scene.layers:
         draw_outline(axes, layer.area, TARGET)
     for oscillator in scene.effects.oscillators:
         draw_outline(axes, oscillator.area, TARGET, ":")

@@ -62,7 +62,7 @@ def draw_layout(scene: Scene, path: Path) -> None:
         axes, handles = made.subplots(), _outline_handles(scene)
         layers = [
             axes.fill(*zip(*rectangle(layer.area), strict=True), color=LAYER, alpha=0.3, label="layer")[0]
-            for layer in scene.effects.layers
+            for layer in scene.layers
         ]
         handles += layers[:1]
         for oscillator in scene.effects.oscillators:

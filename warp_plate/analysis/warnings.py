@@ -179,8 +179,8 @@ def _points(scene: Scene) -> Finding:
 
 
 def _added_mass(scene: Scene) -> Finding:
-    plate, named, added = scene.plate, bool(scene.effects.layers), 0.0
-    for layer in scene.effects.layers or film(scene):
+    plate, named, added = scene.plate, bool(scene.layers), 0.0
+    for layer in scene.layers or film(scene):
         x0, x1, y0, y1 = layer.area
         added += (2 if layer.both else 1) * (x1 - x0) * (y1 - y0) * layer.thickness * layer.density
     value = added / (plate.size[0] * plate.size[1] * plate.thickness * plate.density)

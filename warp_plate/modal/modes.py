@@ -20,7 +20,7 @@ import numpy as np
 
 from warp_plate.modal.galerkin.eigenproblem import bending_energies, solve_eigenproblem
 from warp_plate.modal.galerkin.integrals import Integrals
-from warp_plate.modal.galerkin.matrices import Galerkin, make_galerkin, patch_integrals
+from warp_plate.modal.galerkin.matrices import Galerkin, load_integrals, make_galerkin, patch_integrals
 from warp_plate.modal.galerkin.regions import region_matrix
 from warp_plate.modal.galerkin.splines import gauss, make_splines
 from warp_plate.modal.steady import CoupledModes
@@ -139,8 +139,12 @@ class ModalPlate:
         return np.asarray(self._plate_vectors.T @ integrals.T)
 
     def actuator_forces(self) -> np.ndarray:
-        """Return (modes, actuators) modal forces of a pressure of 1 N/m² on each actuator of the scene."""
-        return self.patch_forces([actuator.area for actuator in self.scene.actuators])
+        """Return (modes, actuators) modal forces of 1 N/m², or of 1 V on piezo patches, for the scene's actuators."""
+        return self.drive_forces([actuator.area for actuator in self.scene.actuators])
+
+    def drive_forces(self, areas: Sequence[Area] | np.ndarray) -> np.ndarray:
+        """Return (modes, areas) the same of the actuators in places (..., actuators, 4) x0, x1, y0, y1 [m]."""
+        return np.asarray(self._plate_vectors.T @ load_integrals(self.galerkin, np.asarray(areas, dtype=float)).T)
 
     def displacement(self, amplitudes: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return displacements (..., ny, nx) [m] of modal amplitudes (..., modes) on the grid of x and y [m]."""

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from warp_plate.modal.energy import lasting_poles, mean_exponential, mean_exponential_with_time
-from warp_plate.modal.galerkin.matrices import patch_integrals
+from warp_plate.modal.galerkin.matrices import load_integrals
 from warp_plate.modal.loads import ExponentialLoads, exponential_loads
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.poles import Poles, make_poles, poles_apart, rates_apart
@@ -104,7 +104,7 @@ def _patch_forces(plate: ModalPlate, areas: np.ndarray) -> np.ndarray:
     across = (along_x.values(x1) - along_x.values(x0)).T, (along_y.values(y1) - along_y.values(y0)).T
     by_x = along_y.integrals(y0, y1).T[:, :, None] * across[0][:, None, :]
     by_y = across[1][:, :, None] * along_x.integrals(x0, x1).T[:, None, :]
-    integrals = np.stack([patch_integrals(along_x, along_y, areas), *(by.reshape(len(x0), -1) for by in (by_x, by_y))])
+    integrals = np.stack([load_integrals(plate.galerkin, areas), *(by.reshape(len(x0), -1) for by in (by_x, by_y))])
     forces = integrals @ plate.vectors[: integrals.shape[2]]
     return np.asarray(forces.reshape(3, *areas.shape[:2], -1).swapaxes(2, 3))
 

@@ -119,7 +119,7 @@ class ModalSolver:
         """Return (plates, regions, 2M, 2M) Gram matrices of designs, whose drives play no part."""
         if self.scene.drive.waveform_key is not None:
             return self._waveforms.matrices(*self._loads(designs))
-        if self.device.is_cuda and self.plate.proportional:
+        if self.device.is_cuda and self.plate.proportional and not self.scene.piezo:
             return self._device_tones.matrices(*self._parameters(designs)[:2])
         frequency, forces, _ = self._loads(designs)
         matrices = []
@@ -200,7 +200,7 @@ class ModalSolver:
     def _loads(self, designs: Designs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return frequencies (plates, M) [Hz], modal forces (plates or 1, modes, M) and delays (plates, M) [s]."""
         frequency, areas, delay = self._parameters(designs)
-        forces = self.plate.patch_forces(areas.reshape(-1, 4))
+        forces = self.plate.drive_forces(areas)
         return frequency, np.moveaxis(forces.reshape(len(forces), *areas.shape[:2]), 0, 1), delay
 
     def _matrices(self, forces: np.ndarray, frequency: np.ndarray) -> np.ndarray:

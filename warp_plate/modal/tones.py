@@ -120,6 +120,8 @@ class ToneMatrices:
 def trial_forces(plate: ModalPlate) -> np.ndarray:
     """Return (modes, trials) modal forces of the actuators where they are, and wherever a search may place them."""
     scene = plate.scene
+    if scene.piezo:
+        return plate.actuator_forces()
     areas = np.array([actuator.area for actuator in scene.actuators])
     half = np.stack([areas[:, 1] - areas[:, 0], areas[:, 3] - areas[:, 2]], axis=1) / 2
     spaces = actuator_spaces(scene, per_plate_of(scene))

@@ -81,6 +81,8 @@ def carriers_of(scene: Scene, per_plate: PerPlate) -> int:
         raise SceneError(
             'grid.load = "nodes": actuators would jump from node to node; to move them write "overlap" or "moments"'
         )
+    if per_plate.centre and scene.piezo:
+        raise SceneError('actuators: piezo patches (kind = "piezo") cannot be moved from plate to plate')
     if per_plate.areas is not None and len(per_plate.areas) != len(scene.actuators):
         raise SceneError(f"per_plate.areas: {len(per_plate.areas)} instead of {len(scene.actuators)}, one an actuator")
     if per_plate.delay and scene.drive.burst is None:

@@ -52,7 +52,7 @@ def check_grid_memory(scene: Scene, moment_form: bool) -> None:
     each = PLAIN + 16.0 * (len(scene.actuators) + CASES * len(scene.record.times))
     if moment_form:
         each += MOMENT_FORM + 32 * len(effects.oscillators)
-        each += MATRICES * bool(effects.layers or effects.oscillators)
+        each += MATRICES * bool(scene.layers or effects.oscillators)
         each += FACTORISED * (effects.tension is not None and min(effects.tension.x, effects.tension.y) < 0)
     times = f" and {len(scene.record.times)} record.times" if scene.record.times else ""
     what = f"grid.nodes = {list(scene.grid.nodes)} with {len(scene.actuators)} actuators{times}"

@@ -64,7 +64,7 @@ class _Parts(NamedTuple):
 
 def make_section(scene: Scene) -> Section:
     """Return the section of a scene's plate at the nodes of its grid."""
-    plate, (nx, ny), layers = scene.plate, scene.grid.nodes, scene.effects.layers
+    plate, (nx, ny), layers = scene.plate, scene.grid.nodes, scene.layers
     along_x = _parts(plate.size[0], nx, [place for layer in layers for place in layer.area[:2]])
     along_y = _parts(plate.size[1], ny, [place for layer in layers for place in layer.area[2:]])
     at_parts = np.ix_(along_y.node, along_x.node)
@@ -154,7 +154,7 @@ def laminates(
     # A sheet of rigidity D and thickness H resists stretching with 12 D/H².
     membrane = 12 * factors["young_modulus"] * factors["thickness"] / plate.thickness**2
     along_x, along_y = orthotropic.Dx * membrane, orthotropic.Dy * membrane
-    if scene.effects.layers:
+    if scene.layers:
         added, layers, mass = _with_layers(scene, x, y, thickness, factors["young_modulus"], mass)
         bend_xx, bend_xy, bend_yy = bend_xx + added, bend_xy + ratio * added, bend_yy + added
         twist, along_x, along_y = twist + (1 - ratio) / 2 * added, along_x + layers, along_y + layers
@@ -171,7 +171,7 @@ def _with_layers(
     first, second = np.zeros_like(stretch), stretch * thickness**2 / 12  # moments of E about the plate's middle
     bare = second / (1 - plate.poisson_ratio**2)
     top = {1: thickness / 2, -1: thickness / 2}
-    for layer in scene.effects.layers:
+    for layer in scene.layers:
         x0, x1, y0, y1 = layer.area
         covered = np.outer((y > y0) & (y < y1), (x > x0) & (x < x1))
         height = covered * layer.thickness

@@ -18,6 +18,7 @@ from warp_plate.plate.shapes import shape_weights
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene, Target
+from warp_plate.scene.piezo import piezo_moments
 
 REGIONS = ("plate", "target")
 # x0, x1, y0, y1 [m] of a rectangle; a shape; or weights (ny, nx) in cells.
@@ -63,15 +64,40 @@ def moments(positions: np.ndarray, low: float, high: float) -> np.ndarray:
 CUBICS = np.vander([-1.5, -0.5, 0.5, 1.5], 4, increasing=True).T
 
 
+def slopes(positions: np.ndarray, at: float) -> np.ndarray:
+    """Return (nodes,) weights of the derivative at a place [m] of the cubic through the four nodes around it [1/m]."""
+    spacing = positions[1] - positions[0]
+    place = (at - positions[0]) / spacing
+    first = min(max(int(place) - 1, 0), positions.size - 4)
+    weights, since = np.zeros(positions.size), place - first - 1.5
+    weights[first : first + 4] = np.linalg.solve(CUBICS, [0.0, 1.0, 2 * since, 3 * since**2]) / spacing
+    return weights
+
+
+def curvatures(x: np.ndarray, y: np.ndarray, area: Area) -> np.ndarray:
+    """Return (ny, nx) weights of ∫∇²u dA over a rectangle, in cells: zero for every u linear in x and y."""
+    x0, x1, y0, y1 = area
+    along_x = np.outer(moments(y, y0, y1), slopes(x, x1) - slopes(x, x0)) / (x[1] - x[0])
+    along_y = np.outer(slopes(y, y1) - slopes(y, y0), moments(x, x0, x1)) / (y[1] - y[0])
+    return along_x + along_y
+
+
 def patches(scene: Scene) -> np.ndarray:
-    """Return (actuators, ny, nx) share of each node's cell that each actuator loads; held nodes take none.
+    """Return (actuators, ny, nx) load of each node's cell per unit of each actuator's drive; held nodes take none.
+
+    That is the share of the cell which a patch presses on, or the load per volt of a piezo patch, −M ∇² of its area in
+    the weak sense [N/m² per V].
 
     Raises:
         SceneError: An actuator touches no node that can move.
     """
     weigh = {"overlap": overlap, "nodes": inside, "moments": moments}[scene.grid.load]
     x, y = node_positions(scene)
-    fields = np.stack([_rectangle(weigh, x, y, actuator.area) for actuator in scene.actuators])
+    if scene.piezo:
+        pairs = zip(piezo_moments(scene), scene.actuators, strict=True)
+        fields = np.stack([-moment * curvatures(x, y, actuator.area) for moment, actuator in pairs])
+    else:
+        fields = np.stack([_rectangle(weigh, x, y, actuator.area) for actuator in scene.actuators])
     fields[:, ~moving_nodes(scene)] = 0
     for index, field in enumerate(fields):
         if not field.any():

@@ -28,6 +28,7 @@ from numpy.polynomial import legendre
 
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
+from warp_plate.scene.piezo import piezo_moments
 
 # A span of time in which the fastest v² turns by PANEL_TURN [rad] takes PANEL_POINTS of Gauss's points: exact to
 # rounding.
@@ -110,14 +111,19 @@ def _decays(time: np.ndarray, squared: np.ndarray, gamma: float) -> tuple[np.nda
 
 
 def patch_pressures(scene: Scene, drive: np.ndarray, terms: int) -> np.ndarray:
-    """Return (terms, terms) Z [N/m²] of the modes, n by row and m by column, under phasors (actuators,) [N/m²]."""
+    """Return (terms, terms) Z [N/m²] of the modes, n by row and m by column, under phasors (actuators,) of the scene.
+
+    ∇² of a mode is −k² times it, which makes a piezo patch of moment M press as M k² on its area.
+    """
     (width, height), orders = scene.plate.size, np.arange(1, terms + 1)
     pressures = np.zeros((terms, terms), dtype=complex)
-    for phasor, actuator in zip(drive, scene.actuators, strict=True):
+    squares = np.add.outer((orders * math.pi / height) ** 2, (orders * math.pi / width) ** 2)
+    units = [moment * squares for moment in piezo_moments(scene)] if scene.piezo else [1.0] * len(scene.actuators)
+    for phasor, unit, actuator in zip(drive, units, scene.actuators, strict=True):
         x0, x1, y0, y1 = actuator.area
         along = _sine_integral(orders * math.pi / width, x0, x1)
         across = _sine_integral(orders * math.pi / height, y0, y1)
-        pressures += 4 * phasor / (width * height) * np.outer(across, along)
+        pressures += 4 * phasor / (width * height) * unit * np.outer(across, along)
     return pressures
 
 

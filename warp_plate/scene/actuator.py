@@ -1,16 +1,19 @@
-"""The table ``[[actuators]]``: the patches that press on the plate."""
+"""The table ``[[actuators]]``: the patches that press on the plate or bend it."""
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from warp_plate.scene.fields import LARGEST, SMALLEST, Area, Instant, Moderate, Name, Positive, Table
+from warp_plate.scene.fields import LARGEST, SMALLEST, Area, Gain, Instant, Moderate, Name, Positive, Table
+
+# Keys that a piezo patch must have, and those that it may have.
+PIEZO, PIEZO_OPTIONS = ("d31", "thickness", "young_modulus"), ("density", "capacitance")
 
 
 class Actuator(Table):
-    """A patch that presses on the plate.
+    """A patch that presses on the plate, or a piezo patch on its upper face that bends it.
 
     A file gives ``magnitude`` or ``force``. With a force ``magnitude`` is force / area; the force is what is written
     back, so that it also holds after the patch has another size.
@@ -18,11 +21,18 @@ class Actuator(Table):
 
     name: Name  # name, different for each actuator
     area: Area  # rectangle x0, x1, y0, y1 [m]
-    magnitude: Moderate = 1.0  # amplitude of the pressure [N/m²], or of the voltage [V] under ``[drive.electrostatic]``
+    magnitude: Moderate = 1.0  # amplitude of the pressure [N/m²], or of the voltage [V], see ``Scene.drive_unit``
     force: Moderate | None = None  # amplitude of the patch's total force [N], in place of the magnitude
     phase: Moderate = 0.0  # phase lag [rad]
     frequency: Positive | None = None  # frequency [Hz] (default: that of the drive)
     delay: Instant | None = None  # start of the burst [s] (default: that of the drive)
+    kind: Literal["pressure", "piezo"] = "pressure"  # how the patch acts; the following are of a piezo patch
+    d31: Gain | None = None  # transverse charge coefficient [m/V], negative for ceramics
+    thickness: Positive | None = None  # thickness of the patch [m]
+    young_modulus: Annotated[float, Field(ge=1e3, le=1e13)] | None = None  # Young's modulus of the patch [Pa]
+    # Density of the patch, whose mass and stiffness then count as a layer's [kg/m³] (default: neither counts)
+    density: Annotated[float, Field(ge=1, le=1e5)] | None = None
+    capacitance: Positive | None = None  # capacitance, for electrical energies [F]
 
     @property
     def amplitude_key(self) -> Literal["magnitude", "force"]:
@@ -34,6 +44,20 @@ class Actuator(Table):
         """Ratio of the number under ``amplitude_key`` to the magnitude: the patch's area [m²] for a force, else 1."""
         x0, x1, y0, y1 = self.area
         return 1.0 if self.force is None else (x1 - x0) * (y1 - y0)
+
+    @model_validator(mode="after")
+    def _keys_of_kind(self) -> Actuator:
+        if self.kind == "piezo":
+            for key in PIEZO:
+                if getattr(self, key) is None:
+                    raise ValueError(f'{key}: missing; kind = "piezo" takes {", ".join(PIEZO)}')
+            if self.force is not None:
+                raise ValueError(f"force: {self.force:g} N, but a piezo patch takes volts; write magnitude")
+            return self
+        for key in (*PIEZO, *PIEZO_OPTIONS):
+            if (value := getattr(self, key)) is not None:
+                raise ValueError(f'{key}: {value:g}, but the patch presses; write kind = "piezo", or delete the key')
+        return self
 
     @model_validator(mode="after")
     def _magnitude_of_force(self) -> Actuator:

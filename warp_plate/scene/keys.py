@@ -33,6 +33,8 @@ UNITS = {
     **dict.fromkeys(("tension.x", "tension.y"), "N/m"),
     "young_modulus": "Pa",
     "density": "kg/m³",
+    "d31": "m/V",
+    "capacitance": "F",
     "translation": "N/m²",
     "rotation": "N·m/(rad·m)",
     **dict.fromkeys(("signal.rate", "focus.rate"), "1/s"),

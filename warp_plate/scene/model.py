@@ -14,7 +14,7 @@ from warp_plate.scene.actuator import Actuator
 from warp_plate.scene.assignments import assign
 from warp_plate.scene.drive import Drive, check_drive
 from warp_plate.scene.dump import dump_scene
-from warp_plate.scene.effects import Effects, check_modal_tables
+from warp_plate.scene.effects import Effects, Layer, check_modal_tables
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.explain_errors import explain_error
 from warp_plate.scene.fields import (
@@ -32,6 +32,7 @@ from warp_plate.scene.focus import Focus
 from warp_plate.scene.grid import DEFAULT_ACCURACY, Grid, grid_by_waves
 from warp_plate.scene.keys import resolved_key, with_values
 from warp_plate.scene.load import parse_toml, read_scene_text
+from warp_plate.scene.piezo import check_piezo, piezo_layers
 from warp_plate.scene.search import Search
 from warp_plate.scene.target import NamedTarget, Target
 
@@ -219,6 +220,7 @@ class Scene(Table):
             raise ValueError("target: there are [[targets]] too, and it is none of them; write one of the two")
         for index, layer in enumerate(self.effects.layers):
             self.plate.check_thin(layer.thickness, f"effects.layers[{index}].thickness: ")
+        check_piezo(self)
         check_drive(self.drive, actuators, self.window.end)
         check_modal_tables(self.effects, self.drive)
         self.search.check_limits([actuator.name for actuator in actuators])
@@ -245,9 +247,19 @@ class Scene(Table):
                 raise ValueError(f"record.points[{index}]: {[x, y]} is off the plate of {[width, height]} m")
 
     @property
+    def piezo(self) -> bool:
+        """True if the actuators are piezo patches, driven by voltages."""
+        return any(actuator.kind == "piezo" for actuator in self.actuators)
+
+    @property
+    def layers(self) -> tuple[Layer, ...]:
+        """Layers of the plate, those of piezo patches included."""
+        return (*self.effects.layers, *piezo_layers(self.actuators))
+
+    @property
     def uniform(self) -> bool:
         """True if the plate is isotropic, homogeneous, and clamped or supported along all edges."""
-        varied = self.effects.orthotropic or self.effects.variation or self.effects.layers
+        varied = self.effects.orthotropic or self.effects.variation or self.layers
         return not varied and all(edge in ("clamped", "supported") for _, edge in self.edges)
 
     @property
@@ -363,8 +375,8 @@ class Scene(Table):
 
     @property
     def drive_unit(self) -> str:
-        """Unit of all magnitudes, N/m² or, for electrostatic actuators, V."""
-        return "N/m²" if self.drive.electrostatic is None else "V"
+        """Unit of all magnitudes, N/m² or, for electrostatic actuators and piezo patches, V."""
+        return "V" if self.piezo or self.drive.electrostatic is not None else "N/m²"
 
     @property
     def drive_angular_frequency(self) -> float:

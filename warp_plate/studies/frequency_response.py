@@ -138,6 +138,8 @@ def input_forces(plate: ModalPlate, inputs: Sequence[str | Point]) -> tuple[np.n
     """Return (inputs, 2) middles [m] and (modes, inputs) modal forces [1/√kg] of 1 N on actuators or at points."""
     areas = {actuator.name: actuator.area for actuator in plate.scene.actuators}
     places, columns = [], []
+    if plate.scene.piezo and any(isinstance(name, str) for name in inputs):
+        raise SceneError("inputs: piezo patches take volts; name points x,y that a force of 1 N acts on")
     for name in inputs:
         if not isinstance(name, str):
             places.append(name)

@@ -77,7 +77,7 @@ def _parity_bases(galerkin: Galerkin) -> list[Matrix]:
     The modes of a plate whose opposite edges are alike, and that is the same everywhere, are one or the other.
     """
     effects, edges = galerkin.scene.effects, galerkin.scene.edges
-    if effects.layers or effects.variation or effects.oscillators:
+    if galerkin.scene.layers or effects.variation or effects.oscillators:
         return [scipy.sparse.eye_array(galerkin.mass.shape[0], format="csr")]
     alike, (rows, columns) = (edges.bottom == edges.top, edges.left == edges.right), galerkin.shape
     along_y, along_x = (

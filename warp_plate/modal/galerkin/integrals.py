@@ -46,7 +46,7 @@ class Integrals:
     ) -> None:
         """Prepare the rule; ``cuts`` are further breaks along x and y [m]."""
         self.scene, self.along = scene, (along_x, along_y)
-        self._varied = bool(scene.effects.layers or scene.effects.variation)
+        self._varied = bool(scene.layers or scene.effects.variation)
         self.breaks = tuple(
             np.unique(np.clip([*splines.breaks, *(place for place, _ in lines(scene, axis)), *cuts[axis]], 0, side))
             for axis, (splines, side) in enumerate(zip(self.along, scene.plate.size, strict=True))

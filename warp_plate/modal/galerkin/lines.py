@@ -54,7 +54,7 @@ def lines(scene: Scene, axis: int, degree: int = DEGREE) -> list[tuple[float, in
     if len(scene.effects.oscillators) <= MOST_PATCHES:
         for oscillator in scene.effects.oscillators:
             found += [(position, degree - 2) for position in oscillator.area[2 * axis : 2 * axis + 2]]
-    for layer in scene.effects.layers:
+    for layer in scene.layers:
         found += [(position, 1) for position in layer.area[2 * axis : 2 * axis + 2]]
     kinks = _kinks(scene)
     followed = _most(kinks) <= MOST_KINKS
@@ -81,7 +81,7 @@ def _most(kinks: tuple[dict[float, bool], dict[float, bool]]) -> int:
 def _degree(scene: Scene) -> int:
     """Return the degree of a scene's splines."""
     most = _most(_kinks(scene))
-    if scene.effects.layers or 0 < most <= FEW_KINKS or most > MOST_KINKS:
+    if scene.layers or 0 < most <= FEW_KINKS or most > MOST_KINKS:
         return DEGREE_OF_JUMPS
     return DEGREE_OF_KINKS if most else DEGREE
 
@@ -93,7 +93,7 @@ def _near_layers(scene: Scene, axis: int, interval: float) -> list[float]:
         SceneError: Two edges nearly coincide.
     """
     edges = [
-        {place for layer in scene.effects.layers for place in layer.area[2 * i : 2 * i + 2] if 0 < place < side}
+        {place for layer in scene.layers for place in layer.area[2 * i : 2 * i + 2] if 0 < place < side}
         for i, side in enumerate(scene.plate.size)
     ]
     found, parts = [], LAYER_INTERVALS[: max(1, 4 - len(edges[axis]) // 2)] if all(edges) else ()

@@ -27,6 +27,7 @@ from warp_plate.modal.galerkin.splines import Splines
 from warp_plate.scene.effects import Oscillator
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import ElasticEdge, Scene
+from warp_plate.scene.piezo import piezo_moments
 
 
 @dataclass(frozen=True)
@@ -106,6 +107,30 @@ def make_galerkin(scene: Scene, intervals: tuple[int, int]) -> Galerkin:
         damping=_padded(damping, len(masses)) + _links(effects.oscillators, means, "damping"),
         plate_mass=integrals.integral(density),
     )
+
+
+def load_integrals(galerkin: Galerkin, areas: np.ndarray) -> np.ndarray:
+    """Return (rectangles, unknowns of the plate) loads of unit drives of the scene's actuators.
+
+    Args:
+        galerkin: Plate.
+        areas: (..., actuators, 4) rectangles x0, x1, y0, y1 [m] of the actuators.
+    """
+    scene, along = galerkin.scene, (galerkin.along_x, galerkin.along_y)
+    if not scene.piezo:
+        return patch_integrals(*along, areas)
+    rectangles = np.asarray(areas, dtype=float).reshape(-1, 4)
+    moments = np.resize(piezo_moments(scene), len(rectangles))
+    return -moments[:, None] * curvature_integrals(*along, rectangles)
+
+
+def curvature_integrals(along_x: Splines, along_y: Splines, areas: np.ndarray) -> np.ndarray:
+    """Return (areas, unknowns of the plate) ∫ ∇²(X_i Y_j) dA over rectangles (areas, 4) x0, x1, y0, y1 [m]."""
+    x0, x1, y0, y1 = areas.T
+    bent_x, bent_y = along_x.values(x1, 1) - along_x.values(x0, 1), along_y.values(y1, 1) - along_y.values(y0, 1)
+    products = along_y.integrals(y0, y1).T[:, :, None] * bent_x.T[:, None, :]
+    products = products + bent_y.T[:, :, None] * along_x.integrals(x0, x1).T[:, None, :]
+    return np.asarray(products.reshape(len(areas), -1))
 
 
 def patch_integrals(along_x: Splines, along_y: Splines, areas: np.ndarray) -> np.ndarray:
