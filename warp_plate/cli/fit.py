@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
+from cyclopts import Parameter
 
 from warp_plate.cli import options, output
 from warp_plate.scene.errors import SceneError
@@ -27,7 +29,7 @@ def fit(
     scene: options.SceneName,
     /,
     *,
-    data: Path,
+    data: Annotated[list[Path], Parameter(negative="")],
     assignments: options.Assignments = None,
     out: Path | None = None,
     force: options.Force = False,
@@ -42,10 +44,12 @@ def fit(
     Parameters
     ----------
     data
-        CSV file whose first line names its columns: frequency (hertz) and, if they are known, damping (damping ratio)
-        and mode (number of the mode, from 1 for the lowest). For a scene with tables [[measurement]] its frequency
-        responses: CSV with the columns frequency, real and imaginary part of each, or a universal file (.uff, .unv;
-        needs the extra uff) with a dataset 58 for each.
+        CSV file whose first line names its columns: frequency (hertz) and, if they are known, damping (damping ratio),
+        mode (number of the mode, from 1 for the lowest) and shapes (shape X Y for each point); or a universal file
+        (.uff, .unv; needs the extra uff) with a dataset 55 for each mode. For a scene with tables [[measurement]] its
+        frequency responses: CSV with the columns frequency, real and imaginary part of each; a universal file with a
+        dataset 58 for each; .mat, .h5 or .nc with the arrays frequency and response; or time signals, as .wav, or as
+        .csv with the table [fit.signals]. May be repeated, for files with as many responses each.
     out
         The fitted scene (.toml; default: SCENE.fitted.toml in this folder).
     """
@@ -58,19 +62,23 @@ def fit(
     with output.scene_errors(scene):
         found = _fit(loaded, data)
     with atomic_paths(target) as (temporary,):
-        temporary.write_text(f"{HEADING} to {data.name!r}\n{found.scene.to_toml()}", encoding="utf-8")
+        temporary.write_text(
+            f"{HEADING} to {', '.join(repr(path.name) for path in data)}\n{found.scene.to_toml()}", encoding="utf-8"
+        )
     output.report(json, partial(_as_json, scene, found), partial(_print, scene, found), ([target], None))
 
 
-def _fit(scene: Scene, data: Path) -> ModeFit | ResponseFit:
+def _fit(scene: Scene, data: Sequence[Path]) -> ModeFit | ResponseFit:
     from warp_plate.fitting.fit_modes import fit_modes
     from warp_plate.fitting.fit_responses import fit_responses
     from warp_plate.fitting.measured_modes import read_modes
     from warp_plate.fitting.measured_responses import read_responses
 
     if scene.measurement:
-        return fit_responses(scene, read_responses(data, len(scene.measurement)))
-    return fit_modes(scene, read_modes(data))
+        return fit_responses(scene, read_responses(data, len(scene.measurement), scene.fit))
+    if len(data) > 1:
+        raise SceneError(f"--data {data[1]}: several files hold responses of tables [[measurement]]; there is none")
+    return fit_modes(scene, read_modes(data[0]))
 
 
 def _as_json(name: str, found: ModeFit | ResponseFit) -> dict[str, object]:

@@ -1,20 +1,26 @@
-"""Frequency responses that were measured, from CSV and universal files (dataset 58)."""
+"""Frequency responses that were measured: from tables, arrays, universal files, and time signals."""
 
 from __future__ import annotations
 
 import re
-import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from warp_plate.fitting.signals import estimate_responses, read_signals
+from warp_plate.fitting.universal import UNIVERSAL, universal_responses
 from warp_plate.plate.files import number_rows
-from warp_plate.result.export.frequency_response import RESPONSE_FUNCTION, missing_uff
+from warp_plate.result.arrays import HDF5, MAT, read_arrays
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.fit import Fit, Signals
 
-UNIVERSAL = (".uff", ".unv")
 MOST_BYTES, MOST_FREQUENCIES = 2**27, 4000
+# Names in MAT and HDF5 files.
+ARRAYS = "frequency", "response", "real", "imaginary", "coherence"
+# (1 + responses, n) frequencies and responses, and (responses, n) coherences.
+Columns = tuple[np.ndarray, np.ndarray | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,48 +28,87 @@ class MeasuredResponses:
     """Frequency responses of a panel, in the order of ``[[measurement]]``.
 
     Attributes:
-        source: File that they come from.
+        source: Files that they come from.
         frequencies: (n,) [Hz], rising, above 0.
         responses: (measurements, n) complex responses, for motion that turns as exp(iωt).
+        coherence: (measurements, n) coherence γ², NaN for responses without; None if there is none at all.
     """
 
     source: str
     frequencies: np.ndarray
     responses: np.ndarray
+    coherence: np.ndarray | None = None
 
 
-def read_responses(path: Path, count: int) -> MeasuredResponses:
-    """Return ``count`` responses of a file; a line at 0 Hz is left out.
+def read_responses(paths: Path | Sequence[Path], count: int, fit: Fit | None = None) -> MeasuredResponses:
+    """Return ``count`` responses of a file, or of several files with as many each; a line at 0 Hz is left out.
 
     A CSV file has the columns frequency [Hz], real and imaginary part of the first response, those of the second and so
     on; further columns are skipped, and names in the first line do not matter. A universal file (.uff, .unv) has a
-    dataset 58 for each response, all at the same frequencies.
+    dataset 58 for each response, all at the same frequencies. MAT files (.mat) and HDF5 files (.h5, .hdf5, .nc) have
+    the arrays ``frequency`` and ``response``, or ``real`` and ``imaginary``, and maybe ``coherence``. WAV files have
+    time signals, and so have CSV files where there is ``fit.signals``.
+
+    Args:
+        paths: Files.
+        count: Number of responses.
+        fit: Range of frequencies that count, and how signals are read (default: all frequencies).
 
     Raises:
-        SceneError: The file cannot be read, or holds no such responses.
+        SceneError: A file cannot be read, or holds no such responses.
     """
+    paths = [paths] if isinstance(paths, Path) else list(paths)
+    if not paths or count % len(paths):
+        raise SceneError(f"{len(paths)} files of data for {count} tables [[measurement]]; each file holds as many")
+    parts = [_read(path, count // len(paths), fit.signals if fit else None) for path in paths]
+    for path, (columns, _) in zip(paths, parts, strict=True):
+        if not np.array_equal(columns[0], parts[0][0][0]):
+            raise SceneError(f"{path}: is at other frequencies than {paths[0]}")
+    source = ", ".join(map(str, paths))
+    frequencies, responses = parts[0][0][0].real, np.vstack([columns[1:] for columns, _ in parts])
+    coherence = np.vstack([np.full(of[1:].shape, np.nan) if known is None else known for of, known in parts])
+    low, high = fit.range if fit and fit.range else (-np.inf, np.inf)
+    kept = (frequencies != 0) & ~((frequencies < low) | (frequencies > high))
+    frequencies, responses, coherence = frequencies[kept], responses[:, kept], coherence[:, kept]
+    _check(source, frequencies, responses)
+    return MeasuredResponses(source, frequencies, responses, None if np.isnan(coherence).all() else coherence)
+
+
+def _read(path: Path, count: int, signals: Signals | None) -> Columns:
+    """Return the first ``count`` responses of a file."""
+    ending = path.suffix.lower()
     try:
         if not path.is_file():
             raise SceneError(f"{path}: no such file")
         if path.stat().st_size > MOST_BYTES:
             raise SceneError(f"{path}: {path.stat().st_size} bytes; at most {MOST_BYTES} are read")
-        columns = _universal(path) if path.suffix.lower() in UNIVERSAL else _csv(path.read_bytes())
+        if ending in UNIVERSAL:
+            columns, coherence = universal_responses(path)
+        elif ending in (*MAT, *HDF5):
+            columns, coherence = _arrays(path)
+        elif ending == ".wav" or signals is not None:
+            columns, coherence = estimate_responses(*read_signals(path), signals or Signals())
+        else:
+            columns, coherence = _csv(path.read_bytes()), None
     except (OSError, ValueError) as error:
         raise SceneError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
-    frequencies, responses = columns[0].real, columns[1:]
-    universal = path.suffix.lower() in UNIVERSAL
-    if len(responses) < count or (universal and len(responses) > count):
-        raise SceneError(f"{path}: has {len(responses)} responses; the scene has {count} tables [[measurement]]")
-    moving = frequencies != 0
-    frequencies, responses = frequencies[moving], responses[:count, moving]
+    table = ending not in (*UNIVERSAL, *MAT, *HDF5, ".wav") and signals is None  # with columns that are skipped
+    if len(columns) <= count or (not table and len(columns) > 1 + count):
+        each = f"the scene has {count} tables [[measurement]] for it"
+        raise SceneError(f"{path}: has {len(columns) - 1} responses; {each}")
+    return columns[: 1 + count], None if coherence is None else coherence[:count]
+
+
+def _check(source: str, frequencies: np.ndarray, responses: np.ndarray) -> None:
+    """Raise a SceneError unless the frequencies rise and all responses are numbers other than 0."""
     if not 2 <= len(frequencies) <= MOST_FREQUENCIES:
-        raise SceneError(f"{path}: {len(frequencies)} frequencies; 2 to {MOST_FREQUENCIES} can be fitted")
+        most = f"2 to {MOST_FREQUENCIES} can be fitted"
+        raise SceneError(f"{source}: {len(frequencies)} frequencies; {most}, and fit.range = [LOW, HIGH] chooses")
     if not (frequencies[0] > 0 and np.all(np.diff(frequencies) > 0) and np.isfinite(frequencies[-1])):
-        raise SceneError(f"{path}: frequencies must rise, from 0 hertz or above")
+        raise SceneError(f"{source}: frequencies must rise, from 0 hertz or above")
     for row, column in np.argwhere(~np.isfinite(responses) | (responses == 0))[:1].tolist():
         value, where = responses[row, column], f"response {row + 1} at {frequencies[column]:g} Hz"
-        raise SceneError(f"{path}: {where} is {value:g}; must be a complex number other than 0")
-    return MeasuredResponses(str(path), frequencies, responses)
+        raise SceneError(f"{source}: {where} is {value:g}; must be a complex number other than 0")
 
 
 def _csv(data: bytes) -> np.ndarray:
@@ -76,22 +121,24 @@ def _csv(data: bytes) -> np.ndarray:
     return np.vstack([table[:, 0], table[:, 1 : 2 * pairs : 2].T + 1j * table[:, 2 : 2 * pairs + 1 : 2].T])
 
 
-def _universal(path: Path) -> np.ndarray:
-    """Return (1 + responses, n) frequencies and responses."""
-    if (problem := missing_uff()) is not None:
-        raise ValueError(problem)
-    import pyuff
+def _arrays(path: Path) -> Columns:
+    """Return the responses of a MAT or HDF5 file."""
+    found = read_arrays(path, ARRAYS)
+    if "frequency" not in found or not ("response" in found or {"real", "imaginary"} <= set(found)):
+        raise ValueError(f"needs the arrays frequency, and response or real and imaginary; has {', '.join(found)}")
+    frequencies = found["frequency"].ravel()
+    shaped = {name: _along(name, values, len(frequencies)) for name, values in found.items() if name != "frequency"}
+    if len({values.shape for values in shaped.values()}) > 1:
+        raise ValueError(f"the arrays {', '.join(shaped)} have different numbers of responses")
+    responses = shaped["response"] if "response" in shaped else shaped["real"] + 1j * shaped["imaginary"]
+    return np.vstack([frequencies, responses]), shaped.get("coherence")
 
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # pyuff leaves files for Python to close
-            found = pyuff.UFF(str(path)).read_sets()
-    except Exception as error:  # of many kinds, for files of any content
-        raise ValueError(f"cannot be read as a universal file: {error}") from None
-    sets = [item for item in (found if isinstance(found, list) else [found]) if item.get("type") == 58]
-    sets = [item for item in sets if item["func_type"] == RESPONSE_FUNCTION]
-    if not sets:
-        raise ValueError("has no frequency response (dataset 58 of function type 4)")
-    if any(not np.array_equal(item["x"], sets[0]["x"]) for item in sets):
-        raise ValueError("its frequency responses are at different frequencies")
-    return np.vstack([sets[0]["x"], *(item["data"] for item in sets)]).astype(complex)
+
+def _along(name: str, values: np.ndarray, count: int) -> np.ndarray:
+    """Return (responses, count) values, the axis of whose length is moved to the end."""
+    axes = [axis for axis, length in enumerate(values.shape) if length == count]
+    if len(axes) != 1:
+        raise ValueError(
+            f"{name} has shape {values.shape}; one axis, and no other, must be as long as frequency, {count}"
+        )
+    return np.moveaxis(values, axes[0], -1).reshape(-1, count)

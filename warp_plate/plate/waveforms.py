@@ -137,7 +137,10 @@ def read_samples(table: SampledSignal, folder: Path | None, actuators: int = 1) 
         if table.file.lower().endswith(".csv"):
             values, rate, start = _csv(data, table.rate, channels)
         else:
-            values, rate, start = *_wav(data, channels, table.per_actuator), 0.0
+            values, rate, start = *wav_channels(data), 0.0
+            if len(values) != channels:
+                wanted = f"{channels}, one for each actuator" if table.per_actuator else "one, or per_actuator = true"
+                raise ValueError(f"{len(values)} channels; write {wanted}")
         if values.shape[1] < 2 or values.size > MOST_SAMPLES:
             raise ValueError(f"{values.size} samples; 2 to {MOST_SAMPLES} are possible")
         if not np.isfinite(values).all() or np.abs(values).max() > LOUDEST:
@@ -195,8 +198,12 @@ def sample_at(samples: Samples, times: np.ndarray, band: float = 1.0) -> np.ndar
     return carrier
 
 
-def _wav(data: bytes, channels: int, per_actuator: bool) -> tuple[np.ndarray, float]:
-    """Return values (channels, samples) and rate of a RIFF WAVE file of integers of 8 to 32 bits or floating point."""
+def wav_channels(data: bytes) -> tuple[np.ndarray, float]:
+    """Return values (channels, samples) and rate of a RIFF WAVE file of integers of 8 to 32 bits or floating point.
+
+    Raises:
+        ValueError: It is no such file, or is damaged.
+    """
     if data[:4] != b"RIFF" or data[8:12] != b"WAVE":
         raise ValueError("not a WAV file")
     chunks: dict[bytes, bytes] = {}
@@ -211,14 +218,13 @@ def _wav(data: bytes, channels: int, per_actuator: bool) -> tuple[np.ndarray, fl
     form, body = chunks.get(b"fmt ", b""), chunks.get(b"data", b"")
     if len(form) < 16:
         raise ValueError("a WAV file without its format")
-    code, stored, rate, _, _, bits = struct.unpack_from("<HHIIHH", form)
+    code, channels, rate, _, _, bits = struct.unpack_from("<HHIIHH", form)
     if code == 0xFFFE and len(form) >= 26:  # extensible format
         (code,) = struct.unpack_from("<H", form, 24)
     if (code, bits) not in _WIDTHS:
         raise ValueError(f"a WAV file of format {code} with {bits} bits; write PCM or floating point")
-    if stored != channels:
-        wanted = f"{channels}, one for each actuator" if per_actuator else "one, or per_actuator = true"
-        raise ValueError(f"{stored} channels; write {wanted}")
+    if not channels:
+        raise ValueError("a WAV file without channels")
     frame = channels * (bits // 8)
     raw = np.frombuffer(body[: len(body) // frame * frame], dtype=_WIDTHS[code, bits])
     if bits == 24:
@@ -249,14 +255,20 @@ def _csv(data: bytes, rate: float | None, channels: int) -> tuple[np.ndarray, fl
     if rate is not None:
         raise ValueError("has a column of times; delete drive.signal.rate")
     times = table[:, 0]
+    step = even_step(times)
+    if times[0] < 0:
+        raise ValueError(f"starts at {times[0]:g} s; the run starts at 0")
+    return table[:, 1:].T, 1 / step, float(times[0])
+
+
+def even_step(times: np.ndarray) -> float:
+    """Return the distance [s] of sampling times (samples,), or raise a ValueError unless they are evenly spaced."""
     if not np.isfinite(times).all() or np.abs(times).max() > LOUDEST:
         raise ValueError("a time is no number")
-    step = (times[-1] - times[0]) / (times.size - 1)
+    step = float(times[-1] - times[0]) / (times.size - 1)
     if not step > 1e-30:
         raise ValueError("times do not rise")
     off = np.abs(times - times[0] - step * np.arange(times.size))
     if off.max() > UNEVEN * step:
         raise ValueError(f"times are not evenly spaced (sample {int(off.argmax()) + 1}); write one step throughout")
-    if times[0] < 0:
-        raise ValueError(f"starts at {times[0]:g} s; the run starts at 0")
-    return table[:, 1:].T, 1 / step, float(times[0])
+    return step

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.fields import Coordinate, Gain, Moderate, Name, Table
+from warp_plate.scene.fields import Coordinate, Gain, Moderate, Name, Positive, Table
 from warp_plate.scene.keys import resolved_key, scalar_keys
 
 if TYPE_CHECKING:
@@ -57,6 +57,16 @@ class Measurement(Table):
                 raise ValueError(f"{key}.{name}: {[x, y]} is off the plate of {[width, height]} m")
 
 
+class Signals(Table):
+    """Time signals for responses: one channel has the force, the others the sensors in order."""
+
+    force_channel: Annotated[int, Field(ge=1, le=256)] = 1  # counted from 1
+    force_gain: Gain = 1.0  # what was recorded over the true force in N
+    estimator: Literal["H1", "H2", "Hv"] = "H1"
+    segment: Positive = 1.0  # duration of the segments that are averaged [s]; frequencies are multiples of 1/segment
+    window: Literal["hann", "boxcar"] = "hann"  # of segments that overlap by half, or that follow one another
+
+
 class Fit(Table):
     """The free numbers of a fit, and how it is done."""
 
@@ -65,6 +75,8 @@ class Fit(Table):
     pairing: Literal["order", "nearest"] = "order"
     starts: Annotated[int, Field(ge=1, le=10_000)] = 16  # points from which the fit may begin
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0  # random seed of the starts
+    range: tuple[Positive, Positive] | None = None  # lowest and highest frequency of responses that counts [Hz]
+    signals: Signals | None = None  # the data are time signals
 
     @model_validator(mode="after")
     def _ranges(self) -> Fit:
@@ -73,6 +85,8 @@ class Fit(Table):
         for key, (low, high) in self.free.items():
             if low >= high:
                 raise ValueError(f"free: {key} = {[low, high]}: the lowest value comes first, and they differ")
+        if self.range is not None and self.range[0] >= self.range[1]:
+            raise ValueError(f"range: {list(self.range)}: the lowest frequency comes first, and they differ")
         return self
 
     def check(self, scene: Scene) -> None:

@@ -25,8 +25,10 @@ UNITS = {
     **dict.fromkeys(("size", "thickness", "area", "clearance", "disc", "polygon", "points", "start", "place"), "m"),
     **dict.fromkeys(("point", "force_at"), "m"),
     **dict.fromkeys(("time", "end", "duration", "ramp", "period", "delay", "delay.range"), "s"),
-    **dict.fromkeys(("time_step", "times", "from_time", "to_time", "window.start", "burst.start", "signal.start"), "s"),
-    **dict.fromkeys(("frequency", "end_frequency", "frequency.range", "lowest", "highest"), "Hz"),
+    **dict.fromkeys(
+        ("time_step", "times", "from_time", "to_time", "segment", "window.start", "burst.start", "signal.start"), "s"
+    ),
+    **dict.fromkeys(("frequency", "end_frequency", "frequency.range", "fit.range", "lowest", "highest"), "Hz"),
     **dict.fromkeys(("variation.thickness", "variation.young_modulus", "variation.density"), "1"),
     **dict.fromkeys(("robust.thickness", "robust.young_modulus", "robust.damping"), "1"),
     **dict.fromkeys(("Dx", "Dy", "D1", "Dxy"), "N·m"),

@@ -1,0 +1,234 @@
+"""Measurements in files of other programs: arrays, universal files, time signals whose filter is known."""
+
+import json
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import scipy
+from conftest import error_of, output_of, scene_of
+
+from warp_plate import SceneError
+from warp_plate.fitting.measured_modes import read_modes
+from warp_plate.fitting.measured_responses import read_responses
+from warp_plate.scene.fit import Fit
+from warp_plate.studies.frequency_response import compute_frequency_response
+
+RATE = 2000
+# A resonator, and a second sensor of four times the gain and opposite sign.
+FILTER = [0.05, 0.02], [1.0, -1.6, 0.9]
+FREE = {"plate.density": (1.0, 2.0)}
+
+
+@pytest.fixture
+def responses(random):
+    """Return 5 frequencies, (3, 5) responses and their coherence."""
+    values = random.normal(size=(3, 5)) + 1j * random.normal(size=(3, 5))
+    return np.linspace(10, 50, 5), values, random.uniform(0.5, 1, (3, 5))
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_mat_files(turned, responses, tmp_path):
+    """Responses lie in rows, or in columns as MATLAB likes them."""
+    frequencies, values, coherence = responses
+    arrays = (
+        {"response": values.T, "coherence": coherence.T} if turned else {"response": values, "coherence": coherence}
+    )
+    scipy.io.savemat(tmp_path / "data.mat", {"frequency": frequencies, **arrays}, do_compression=turned)
+    found = read_responses(tmp_path / "data.mat", 3)
+    np.testing.assert_array_equal(found.frequencies, frequencies)
+    np.testing.assert_array_equal(found.responses, values)
+    np.testing.assert_array_equal(found.coherence, coherence)
+
+
+def test_hdf5_files(responses, tmp_path):
+    """Complex numbers as h5py and as MATLAB's names have them, two parts, compressed chunks, an axis of inputs."""
+    frequencies, values, _ = responses
+    pairs = np.empty(values.shape, dtype=[("real", "f8"), ("imag", "f8")])
+    pairs["real"], pairs["imag"] = values.real, values.imag
+    parts = {"real": values.real[None], "imaginary": values.imag[None]}
+    for index, arrays in enumerate(({"response": values}, {"response": pairs}, parts)):
+        with h5py.File(tmp_path / f"{index}.h5", "w") as file:
+            for name, content in {"frequency": frequencies, **arrays}.items():
+                file.create_dataset(name, data=content, compression="gzip")
+        np.testing.assert_array_equal(read_responses(tmp_path / f"{index}.h5", 3).responses, values)
+
+
+def test_xarray_files(responses, tmp_path):
+    xarray = pytest.importorskip("xarray")
+    pytest.importorskip("h5netcdf")
+    frequencies, values, coherence = responses
+    data = {"real": values.real, "imaginary": values.imag, "coherence": coherence}
+    dataset = xarray.Dataset({name: (("sensor", "frequency"), each) for name, each in data.items()})
+    dataset.assign_coords(frequency=frequencies).to_netcdf(tmp_path / "data.nc", engine="h5netcdf")
+    found = read_responses(tmp_path / "data.nc", 3, Fit(free=FREE, range=(15, 45)))
+    np.testing.assert_array_equal(found.frequencies, frequencies[1:4])
+    np.testing.assert_array_equal(found.responses, values[:, 1:4])
+    np.testing.assert_array_equal(found.coherence, coherence[:, 1:4])
+
+
+def test_several_files(responses, tmp_path):
+    frequencies, values, _ = responses
+    paths = [tmp_path / f"{index}.mat" for index in range(3)]
+    for path, value in zip(paths, values, strict=True):
+        scipy.io.savemat(path, {"frequency": frequencies, "response": value})
+    np.testing.assert_array_equal(read_responses(paths, 3).responses, values)
+    scipy.io.savemat(paths[1], {"frequency": frequencies + 1, "response": values[1]})
+    with pytest.raises(SceneError, match=r"1.mat: is at other frequencies than .*0.mat"):
+        read_responses(paths, 3)
+    with pytest.raises(SceneError, match=r"2 files of data for 3 tables \[\[measurement\]\]"):
+        read_responses(paths[:2], 3)
+
+
+def signals(random, of_force=0.0, of_motion=0.0, seconds=100):
+    """Return (3, samples) of a force and two sensors, with noise relative to each."""
+    force = random.normal(size=seconds * RATE)
+    motion = scipy.signal.lfilter(*FILTER, force)
+    channels = np.stack([force, motion, -4 * motion])
+    noise = random.normal(size=channels.shape) * channels.std(axis=1, keepdims=True)
+    return channels + noise * [[of_force], [of_motion], [of_motion]]
+
+
+@pytest.mark.parametrize(
+    ("estimator", "of_force", "of_motion", "coherent"),
+    [("H1", 0.0, 0.3, 1), ("H2", 0.3, 0.0, 1), ("Hv", 0.0, 0.0, 1), ("H1", 0.5, 0.0, 1 / 1.25)],
+)
+def test_estimators(estimator, of_force, of_motion, coherent, random, tmp_path):
+    """The estimator that fits the noise is unbiased; noise of a half of the force makes H1 too small by 1.25."""
+    values = signals(random, of_force, of_motion)
+    scipy.io.wavfile.write(tmp_path / "data.wav", RATE, (values.T / 60).astype(np.float32))
+    table = {"estimator": estimator, "segment": 0.5, "force_gain": 1 / 60}
+    found = read_responses(tmp_path / "data.wav", 2, Fit(free=FREE, range=(100, 800), signals=table))
+    _, exact = scipy.signal.freqz(*FILTER, worN=found.frequencies, fs=RATE)
+    biased = coherent / 60 * np.stack([exact, -4 * exact])
+    errors = (found.responses - biased) / np.sqrt(np.mean(np.abs(biased) ** 2, axis=1, keepdims=True))
+    assert np.sqrt(np.mean(np.abs(errors) ** 2)) < 0.06
+    assert abs(np.mean(errors)) < 0.01
+    assert found.coherence.max() <= 1
+    if of_force:
+        assert np.mean(found.coherence[:, :50]) == pytest.approx(1 / (1 + of_force**2), abs=0.02)
+
+
+def test_signals_in_text(random, tmp_path):
+    """One segment without a window has the exact response of a periodic signal, and no coherence."""
+    times = np.arange(RATE) / RATE
+    force = np.cos(2 * np.pi * 40 * times) + np.cos(2 * np.pi * 60 * times)
+    motion = 3 * np.cos(2 * np.pi * 40 * times + 0.5) + 2 * np.sin(2 * np.pi * 60 * times)
+    np.savetxt(tmp_path / "data.csv", np.column_stack([times, motion, force]), delimiter=",", fmt="%.12g")
+    table = {"force_channel": 2, "window": "boxcar"}
+    found = read_responses(tmp_path / "data.csv", 1, Fit(free=FREE, range=(40, 60), signals=table))
+    np.testing.assert_allclose(found.responses[0, [0, -1]], [3 * np.exp(0.5j), -2j], rtol=1e-8)
+    assert found.coherence is None
+
+
+def test_modes_of_universal_files(random, tmp_path):
+    """Normal and complex modes; the rigid one is left out."""
+    pyuff = pytest.importorskip("pyuff")
+    nodes = {"type": 15, "node_nums": [7, 9], "x": [0.1, 0.02], "y": [0.05, 0.06], "z": [0.0, 0.0]}
+    shared = {"type": 55, "data_ch": 2, "spec_data_type": 8, "load_case": 0, "node_nums": [9, 7]}
+    zero = np.zeros(2)
+    modes = [
+        {
+            **shared,
+            "analysis_type": 2,
+            "mode_n": 1,
+            "freq": freq,
+            "modal_damp_vis": zeta,
+            "r1": zero,
+            "r2": zero,
+            "r3": r,
+        }
+        for freq, zeta, r in ((0.0, 0.0, [1, 1]), (80.0, 0.02, [0.5, -1.0]))
+    ]
+    pole = 2 * np.pi * 30 * (-0.01 + 1j * np.sqrt(1 - 0.01**2))
+    shapes = {"r1": zero + 0j, "r2": zero + 0j, "r3": np.array([1 + 1j, 2.0])}
+    modes.append({**shared, "analysis_type": 3, "mode_n": 2, "eig": pole, **shapes})
+    pyuff.UFF(str(tmp_path / "data.uff")).write_sets([nodes, *modes], mode="overwrite")
+    found = read_modes(tmp_path / "data.uff")
+    np.testing.assert_allclose(found.frequencies, [30, 80], rtol=1e-5)
+    np.testing.assert_allclose(found.damping, [0.01, 0.02], rtol=1e-4)
+    np.testing.assert_allclose(found.shapes, [[1 + 1j, 2], [0.5, -1]], rtol=1e-5)
+    np.testing.assert_allclose(found.points, [[0.02, 0.06], [0.1, 0.05]])
+
+
+def test_shapes_in_text(tmp_path):
+    (tmp_path / "data.csv").write_text("frequency,shape 0.1 0.05,shape 0.02 0.06\n20,1,-2\n10,3,4\n", encoding="utf-8")
+    found = read_modes(tmp_path / "data.csv")
+    np.testing.assert_array_equal(found.shapes, [[3, 4], [1, -2]])
+    np.testing.assert_array_equal(found.points, [[0.1, 0.05], [0.02, 0.06]])
+    (tmp_path / "data.csv").write_text("frequency,shape 0.1\n20,1\n", encoding="utf-8")
+    with pytest.raises(SceneError, match=r"column 'shape 0.1': write 'shape X Y'"):
+        read_modes(tmp_path / "data.csv")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.mat", {"f": [1.0, 2.0]}, "has none of the arrays frequency, response"),
+        ("a.mat", {"frequency": [1.0, 2.0]}, "needs the arrays frequency, and response or real and imaginary"),
+        ("a.mat", {"frequency": [1.0, 2.0], "response": np.eye(2)}, "one axis, and no other, must be as long"),
+        ("a.mat", {"frequency": [1.0, 2.0], "response": "no"}, "response is not an array of numbers"),
+        ("a.mat", {"frequency": [1.0, 2.0], "response": [{"a": 1}, {}]}, "response is not an array of numbers"),
+        ("a.mat", {"frequency": [1.0, 2.0], "response": np.ones((3, 2))}, "has 3 responses; the scene has 1 tables"),
+        ("a.mat", b"MATLAB 5.0 MAT-file" * 20, "cannot be read as a MAT file"),
+        ("a.h5", b"\x89HDF\r\n\x1a\n" * 20, "cannot be read as a HDF5 file"),
+        ("a.wav", b"RIFF", "not a WAV file"),
+    ],
+)
+def test_bad_files(name, content, message, tmp_path):
+    if isinstance(content, dict):
+        scipy.io.savemat(tmp_path / name, content)
+    else:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(SceneError) as caught:
+        read_responses(tmp_path / name, 1)
+    assert message in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_compressed_files_are_bounded(tmp_path, monkeypatch):
+    """Small files that unpack to more than is read."""
+    monkeypatch.setattr("warp_plate.result.arrays.MOST_EXPANDED", 2**20)
+    scipy.io.savemat(tmp_path / "a.mat", {"frequency": np.zeros(2**18)}, do_compression=True)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("frequency", (2**40,), "f8", chunks=(2**20,), compression="gzip")
+    for name, message in (("a.mat", "bytes when unpacked"), ("a.h5", "frequency has 1099511627776 numbers; at most")):
+        with pytest.raises(SceneError, match=message):
+            read_responses(tmp_path / name, 1)
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ({"segment": 9.0}, "fit.signals.segment = 9 s must have 2 to 8000 samples"),
+        ({"force_channel": 4}, "has 3 channels; fit.signals.force_channel = 4"),
+        ({"window": "hamming"}, "must be"),
+        ({"estimator": "H3"}, "must be"),
+    ],
+)
+def test_bad_signals(table, message, random, tmp_path):
+    scipy.io.wavfile.write(tmp_path / "data.wav", RATE, signals(random, seconds=4).T.astype(np.float32))
+    with pytest.raises(SceneError) as caught:
+        read_responses(tmp_path / "data.wav", 2, Fit(free=FREE, signals=table))
+    assert message in str(caught.value)
+
+
+def test_command(command, write_scene):
+    """Several files of one command; a fit of modes takes one."""
+    rows = [{"force_at": (0.05, 0.06), "point": point} for point in ((0.1, 0.05), (0.12, 0.1))]
+    fit = {"starts": 1, "free": {"plate.density": (900.0, 1100.0)}, "range": (11, 40)}
+    scene = scene_of(effects={"loss_factor": {"eta": 0.05}}, fit=fit, measurement=rows, grid={"modal_density": 0.5})
+    write_scene(scene)
+    exact = compute_frequency_response(scene, [(0.05, 0.06)], [row["point"] for row in rows], (10, 40), "accelerance")
+    for index, values in enumerate(exact.responses):
+        scipy.io.savemat(f"{index}.mat", {"frequency": exact.frequencies, "response": values})
+    record = json.loads(output_of(command("fit", "panel.toml", "--data", "0.mat", "--data", "1.mat", "--json")))
+    assert min(record["frequencies"]) > 11
+    assert max(record["rms_decibels"]) < 0.1
+    assert (
+        Path("panel.fitted.toml").read_text(encoding="utf-8").startswith("# Fitted by warp-plate to '0.mat', '1.mat'")
+    )
+    write_scene(scene.with_tables(measurement=()))
+    message = "--data b.csv: several files hold responses of tables [[measurement]]; there is none"
+    assert message in error_of(command("fit", "panel.toml", "--data", "a.csv", "--data", "b.csv", "--force"))
