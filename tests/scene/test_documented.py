@@ -16,7 +16,7 @@ UNITLESS = {
     *("poisson_ratio", "nodes", "order", "accuracy", "gain", "weight", "quantile", "without_oscillators"),
     *("particles", "iterations", "restarts", "inertia", "decay", "cognitive", "social", "velocity_limit", "stall"),
     *("modal_density", "seed", "scenarios", "fresh", "eta", "ratio", "starts", "free"),
-    *("condition", "cycles"),
+    *("condition", "cycles", "force_channel"),
 }
 
 

@@ -14,7 +14,7 @@ from warp_plate.fitting.universal import UNIVERSAL, universal_responses
 from warp_plate.plate.files import number_rows
 from warp_plate.result.arrays import HDF5, MAT, read_arrays
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.fit import Fit, Signals
+from warp_plate.scene.fit import Fit, TimeSignals
 
 MOST_BYTES, MOST_FREQUENCIES = 2**27, 4000
 # Names in MAT and HDF5 files.
@@ -74,7 +74,7 @@ def read_responses(paths: Path | Sequence[Path], count: int, fit: Fit | None = N
     return MeasuredResponses(source, frequencies, responses, None if np.isnan(coherence).all() else coherence)
 
 
-def _read(path: Path, count: int, signals: Signals | None) -> Columns:
+def _read(path: Path, count: int, signals: TimeSignals | None) -> Columns:
     """Return the first ``count`` responses of a file."""
     ending = path.suffix.lower()
     try:
@@ -87,7 +87,7 @@ def _read(path: Path, count: int, signals: Signals | None) -> Columns:
         elif ending in (*MAT, *HDF5):
             columns, coherence = _arrays(path)
         elif ending == ".wav" or signals is not None:
-            columns, coherence = estimate_responses(*read_signals(path), signals or Signals())
+            columns, coherence = estimate_responses(*read_signals(path), signals or TimeSignals())
         else:
             columns, coherence = _csv(path.read_bytes()), None
     except (OSError, ValueError) as error:

@@ -16,7 +16,7 @@ import numpy as np
 
 from warp_plate.plate.files import number_rows
 from warp_plate.plate.waveforms import MOST_SAMPLES, even_step, wav_channels
-from warp_plate.scene.fit import Signals
+from warp_plate.scene.fit import TimeSignals
 
 
 def read_signals(path: Path) -> tuple[np.ndarray, float]:
@@ -39,7 +39,7 @@ def read_signals(path: Path) -> tuple[np.ndarray, float]:
     return values, rate
 
 
-def estimate_responses(values: np.ndarray, rate: float, table: Signals) -> tuple[np.ndarray, np.ndarray | None]:
+def estimate_responses(values: np.ndarray, rate: float, table: TimeSignals) -> tuple[np.ndarray, np.ndarray | None]:
     """Return (1 + sensors, n) frequencies [Hz] and responses, and their (sensors, n) coherence.
 
     Args:

@@ -57,7 +57,7 @@ class Measurement(Table):
                 raise ValueError(f"{key}.{name}: {[x, y]} is off the plate of {[width, height]} m")
 
 
-class Signals(Table):
+class TimeSignals(Table):
     """Time signals for responses: one channel has the force, the others the sensors in order."""
 
     force_channel: Annotated[int, Field(ge=1, le=256)] = 1  # counted from 1
@@ -76,7 +76,7 @@ class Fit(Table):
     starts: Annotated[int, Field(ge=1, le=10_000)] = 16  # points from which the fit may begin
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0  # random seed of the starts
     range: tuple[Positive, Positive] | None = None  # lowest and highest frequency of responses that counts [Hz]
-    signals: Signals | None = None  # the data are time signals
+    signals: TimeSignals | None = None  # the data are time signals
 
     @model_validator(mode="after")
     def _ranges(self) -> Fit:

@@ -55,6 +55,7 @@ UNITS = {
     "magnitude.range": "drive",
     "power": "(drive)²",
     "objectives.rest_limit": "m/s or m",
+    "signals.force_gain": "1/N",
     "focus.peak": "N/m²",
     "focus.energy": "(N/m²)²·s",
 }
