@@ -1,4 +1,4 @@
-"""The commands that begin the how-to guides, and those of the README, run as printed."""
+"""The commands that begin the how-to guides, those of the README, and the code of some pages run as printed."""
 
 import re
 import subprocess
@@ -47,3 +47,14 @@ def test_the_panel_of_the_readme(tmp_path):
     answer = subprocess.check_output([sys.executable, "-c", code], cwd=tmp_path, text=True)
     assert answer.strip() == re.search(r"# (<Result .*>)", code)[1]
     assert (tmp_path / "panel-surfaces.png").exists()
+
+
+COMING_FROM = (DOCS / "coming-from.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("code", re.findall(r"```python\n(.*?)```", COMING_FROM, re.S))
+def test_code_for_those_who_come_from_other_programs(code, tmp_path):
+    run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.strip()
