@@ -82,7 +82,10 @@ def cases_from_run(phasors: dict[str, np.ndarray], run: Run, scene: Scene, peaks
     """Return the plates of a run as cases, by the names of their phasors; ``peaks``: see ``run_with_peaks``."""
     motions = region_motions(scene, run, peaks)
     with np.errstate(over="ignore"):  # beyond float32's range a displacement becomes infinite
-        displacement, trace = run.displacement.astype(np.float32), run.trace.astype(np.float32)
+        displacement, trace = (
+            run.displacement.astype(np.float32),
+            run.trace[..., : run.trace_times.size].astype(np.float32),
+        )
     return {
         name: Case(
             phasors=values,

@@ -25,9 +25,9 @@ class Trial:
 
     method: Annotated[str, ELSEWHERE]
     seed: Annotated[int, ELSEWHERE]
-    evaluations: Annotated[np.ndarray, Dataset("1", "positions tried so far, after each iteration", ("iterations",))]
-    seconds: Annotated[np.ndarray, Dataset("s", "time of the method and its evaluations so far", ("iterations",))]
-    loss: Annotated[np.ndarray, Dataset("1", "smallest loss so far, after each iteration", ("iterations",))]
+    evaluations: Annotated[np.ndarray, Dataset("1", "positions tried so far, after each iteration", ("iteration",))]
+    seconds: Annotated[np.ndarray, Dataset("s", "time of the method and its evaluations so far", ("iteration",))]
+    loss: Annotated[np.ndarray, Dataset("1", "smallest loss so far, after each iteration", ("iteration",))]
 
     @property
     def best_loss(self) -> float:

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import numpy as np
 
-from warp_plate.result.hdf5 import Dataset, FileFormat, read_fields, write_fields
+from warp_plate.result.hdf5 import Dataset, FileFormat, read_fields, write_along, write_fields
 from warp_plate.scene.model import Scene
 
 FORMAT = FileFormat("focus", 1)
@@ -31,7 +31,7 @@ class FocusedWaveforms:
     waveforms: Annotated[
         np.ndarray,
         Dataset(
-            "N/m²", "pressures, held between samples, of the actuators for each focus", ("foci", "actuators", "samples")
+            "N/m²", "pressures, held between samples, of the actuators for each focus", ("foci", "actuator", "samples")
         ),
     ]
     responses: Annotated[
@@ -39,7 +39,7 @@ class FocusedWaveforms:
     ]
     fields: Annotated[
         np.ndarray,
-        Dataset("m or m/s", "plate at the moment of each focus, in middles of cells", ("foci", "ny_", "nx_")),
+        Dataset("m or m/s", "plate at the moment of each focus, in middles of cells", ("foci", "cell_y", "cell_x")),
     ]
     peak: Annotated[np.ndarray, Dataset("m or m/s", "motion at the focus at its moment", FOCI)]
     focus_area: Annotated[np.ndarray, Dataset("m²", "area around the focus that moves half as far", FOCI)]
@@ -86,6 +86,8 @@ class FocusResult:
 def save_focus(found: FocusResult, path: str | Path) -> Path:
     """Write the waveforms and what they reach as an HDF5 file, and return its path."""
     with FORMAT.create(path) as file:
+        names = [actuator.name for actuator in found.scene.actuators]
+        write_along(file, "actuator", names, "1", "names of the actuators")
         write_fields(file, found)
     return Path(path)
 

@@ -10,7 +10,8 @@ The annotation of a field says how it is stored:
     X | None                           absent if None
 
 Fields with another layout, all arrays among them, or with another name in the file say so in their annotation:
-``Annotated[np.ndarray, Dataset("s", "times of the traces", ("steps",)), "trace_times"]``.
+``Annotated[np.ndarray, Dataset("s", "times of the traces", ("trace_times",))]``. Dimensions are stored as netCDF-4
+stores them, as scales: datasets of the same name in the group of the dataset or in one above.
 
 Files are written atomically with a checksum, and their content is checked on reading: links, data in other files and
 datasets larger than their file are refused, as is a file whose parts take far more memory than itself; a missing or
@@ -180,7 +181,7 @@ class SceneText(Layout):
         path, text = group.file.filename, Attribute(str).read(group, name, sizes)
         scene = Scene.parse(text, f"{path}: its scene").in_folder(Path(path).parent)
         (nx, ny), actuators = scene.grid.nodes, len(scene.actuators)
-        sizes.update(actuators=actuators, parts=2 * actuators, nx=nx, ny=ny)
+        sizes.update(actuator=actuators, parts=2 * actuators, x=nx, y=ny, axis=2, drive=2)
         return scene
 
 
@@ -195,6 +196,9 @@ class Dataset(Layout):
     def write(self, group: h5py.Group, name: str, value: Any) -> None:
         group[name] = np.asarray(value)
         group[name].attrs.update({"units": self.units, "long_name": self.long_name})
+        for axis, dimension in enumerate(self.shape):
+            if isinstance(dimension, str):  # netCDF gives no two axes of a dataset the same name
+                _attach_scale(group[name], axis, dimension + "_2" * (dimension in self.shape[:axis]))
 
     def read(self, group: h5py.Group, name: str, sizes: Sizes) -> Any:
         values = read_array(group, name, tuple(sizes.get(n) if isinstance(n, str) else n for n in self.shape))
@@ -210,7 +214,8 @@ class Datasets(Layout):
     names: tuple[str, ...] = ()  # datasets that must be there
 
     def write(self, group: h5py.Group, name: str, value: Mapping[str, Any], prefix: str = "") -> None:
-        for key, content in value.items():
+        for key in [name for name in self.names if name in value] or value:  # dimensions are the first
+            content = value[key]
             if isinstance(content, Mapping):
                 self.write(group, f"{name}/{key}", content, f"{prefix}{key}/")
             else:
@@ -282,8 +287,24 @@ def _default_layout(kind: Any) -> Layout:
     return Groups(classes[0], get_origin(kind)) if classes else Attribute(kind)
 
 
-def write_along(file: h5py.File, name: str, values: Any, unit: str, meaning: str, axes: Iterable[str] = ()) -> None:
+def _attach_scale(dataset: h5py.Dataset, axis: int, name: str) -> None:
+    """Name a dimension: it is the dataset's own, or that of a scale in the group or above, or a numbered new one."""
+    if dataset.name.rpartition("/")[2] == name:
+        return dataset.make_scale(name)
+    group, length = dataset.parent, dataset.shape[axis]
+    while name not in group and group.name != "/":
+        group = group.parent
+    if name not in group:
+        group = dataset.parent
+        write_along(group, name, np.arange(length), "1", f"number of the {name}")
+    if group[name].shape == (length,):
+        dataset.dims[axis].attach_scale(group[name])
+
+
+def write_along(file: h5py.Group, name: str, values: Any, unit: str, meaning: str, axes: Iterable[str] = ()) -> None:
     """Write values along dimensions; without any, as a dimension itself."""
+    if isinstance(values, list):  # of texts
+        values = np.array(values, dtype=h5py.string_dtype())
     Dataset(unit, meaning).write(file, name, values)
     if not axes:
         file[name].make_scale(name)

@@ -41,16 +41,16 @@ def _columns(**columns: hdf5.Dataset) -> hdf5.Datasets:
 
 
 HISTORY = _columns(
-    evaluations=hdf5.Dataset("1", "drives tried so far, after each iteration", ("iterations",)),
-    best=hdf5.Dataset("1", "largest localization factor so far, after each iteration", ("iterations",)),
-    mean=hdf5.Dataset("1", "mean localization factor of the iteration, after each iteration", ("iterations",)),
+    evaluations=hdf5.Dataset("1", "drives tried so far, after each iteration", ("iteration",)),
+    best=hdf5.Dataset("1", "largest localization factor so far, after each iteration", ("iteration",)),
+    mean=hdf5.Dataset("1", "mean localization factor of the iteration, after each iteration", ("iteration",)),
 )
 SPECTRUM = _columns(
-    frequency=hdf5.Dataset("Hz", "where the localization factors were taken", ("frequencies",)),
-    equal=hdf5.Dataset("1", "localization factor of all actuators alike", ("frequencies",)),
-    single=hdf5.Dataset("1", "localization factor of the best single actuator", ("frequencies",)),
-    best=hdf5.Dataset("1", "largest localization factor that the drives may reach", ("frequencies",)),
-    resonances=hdf5.Dataset("Hz", "natural frequencies of the plate", (None,)),
+    frequency=hdf5.Dataset("Hz", "where the localization factors were taken", ("frequency",)),
+    equal=hdf5.Dataset("1", "localization factor of all actuators alike", ("frequency",)),
+    single=hdf5.Dataset("1", "localization factor of the best single actuator", ("frequency",)),
+    best=hdf5.Dataset("1", "largest localization factor that the drives may reach", ("frequency",)),
+    resonances=hdf5.Dataset("Hz", "natural frequencies of the plate", ("resonances",)),
 )
 
 
@@ -61,8 +61,8 @@ def _phase_lag(phasors: np.ndarray) -> np.ndarray:
 class _Phasors(hdf5.Layout):
     """Complex amplitudes as the datasets ``magnitude`` and ``phase``."""
 
-    magnitude = hdf5.Dataset("", "drive magnitude of each actuator", ("actuators",))  # its unit depends on the scene
-    phase = hdf5.Dataset("rad", "drive phase lag of each actuator", ("actuators",))
+    magnitude = hdf5.Dataset("", "drive magnitude of each actuator", ("actuator",))  # its unit depends on the scene
+    phase = hdf5.Dataset("rad", "drive phase lag of each actuator", ("actuator",))
 
     def write(self, group: h5py.Group, name: str, value: np.ndarray) -> None:
         self.magnitude.write(group, "magnitude", np.abs(value))
@@ -79,7 +79,10 @@ class _Energies(hdf5.Layout):
     values = hdf5.Dataset("J", "kinetic energy averaged over the window, for each region")
 
     def write(self, group: h5py.Group, name: str, value: Mapping[str, float]) -> None:
-        self.values.write(group, name, list(value.values()))
+        hdf5.write_along(group, "region", list(value), "1", "names of the regions")
+        hdf5.write_along(
+            group, name, np.array(list(value.values())), self.values.units, self.values.long_name, ["region"]
+        )
         group[name].attrs["regions"] = json.dumps(list(value))
 
     def read(self, group: h5py.Group, name: str, sizes: hdf5.Sizes) -> dict[str, float]:
@@ -132,12 +135,16 @@ class Case:
 
     phasors: Annotated[np.ndarray, _Phasors()]
     energy: Annotated[Mapping[str, float], _Energies()]
-    displacement: Annotated[np.ndarray, hdf5.Dataset("m", "displacement (times, y, x)", ("times", "ny", "nx"))]
-    trace: Annotated[np.ndarray, hdf5.Dataset("m", "displacement at the recorded points (points, steps)", (None, None))]
+    displacement: Annotated[np.ndarray, hdf5.Dataset("m", "displacement (times, y, x)", ("times", "y", "x"))]
+    trace: Annotated[
+        np.ndarray, hdf5.Dataset("m", "displacement at the recorded points (points, steps)", ("point", None))
+    ]
     status: Annotated[str, "energy/status"] = "ok"
-    frequency: Annotated[np.ndarray | None, hdf5.Dataset("Hz", "frequency of each actuator", ("actuators",))] = None
-    centre: Annotated[np.ndarray | None, hdf5.Dataset("m", "x, y of each actuator's middle", ("actuators", 2))] = None
-    delay: Annotated[np.ndarray | None, hdf5.Dataset("s", "start of each actuator's burst", ("actuators",))] = None
+    frequency: Annotated[np.ndarray | None, hdf5.Dataset("Hz", "frequency of each actuator", ("actuator",))] = None
+    centre: Annotated[np.ndarray | None, hdf5.Dataset("m", "x, y of each actuator's middle", ("actuator", "axis"))] = (
+        None
+    )
+    delay: Annotated[np.ndarray | None, hdf5.Dataset("s", "start of each actuator's burst", ("actuator",))] = None
 
     motion: Annotated[RegionMotion | None, hdf5.ELSEWHERE] = None
 
@@ -178,7 +185,7 @@ class TargetSearch:
         position: (dimension,) best position; None if there is a single actuator or no position has finite energies.
     """
 
-    position: Annotated[np.ndarray | None, hdf5.Dataset("1", "best position in the search space", (None,))]
+    position: Annotated[np.ndarray | None, hdf5.Dataset("1", "best position in the search space", ("position",))]
     single_actuator: Annotated[int, "single"]
     bound: float | None
     bound_kind: BoundKind
@@ -217,7 +224,7 @@ class Result:
     seed: int
     effects: tuple[str, ...]
     times: Annotated[np.ndarray, hdf5.Dataset("s", "times of the displacements", ("times",))]
-    trace_times: Annotated[np.ndarray, hdf5.Dataset("s", "times of the traces", (None,))]
+    trace_times: Annotated[np.ndarray, hdf5.Dataset("s", "times of the traces", ("trace_times",))]
     cases: Mapping[str, Case]
     seconds: Mapping[str, float]
     node_steps: int
@@ -305,23 +312,33 @@ def save_result(result: Result, path: str | Path) -> Path:
     """Write a result file atomically and return its path, or raise a SceneError."""
     scene, robust = result.scene, result.robust
     with FORMAT.create(path) as file:
+        for axis, side, count in zip("xy", scene.plate.size, scene.grid.nodes, strict=True):
+            hdf5.write_along(file, axis, np.linspace(0, side, count), "m", f"position of the nodes along {axis}")
+        names = [actuator.name for actuator in scene.actuators]
+        hdf5.write_along(file, "actuator", names, "1", "names of the actuators")
         hdf5.write_fields(file, result)
         for name, case in result.cases.items():
             file[f"cases/{name}/magnitude"].attrs["units"] = scene.drive_unit.replace("²", "^2")
             share = hdf5.Dataset("1", "share of the plate's kinetic energy in the target")
             share.write(file, f"localization_factor/{name}", case.localization_factor)
+            if case.trace.shape[-1] == len(result.trace_times):  # without points there are no times
+                file[f"cases/{name}/trace"].dims[1].attach_scale(file["trace_times"])
         if robust is not None and not robust.localization:
-            for dataset in file["robust"].values():
-                dataset.attrs["units"] = "weighted"
+            for name in ("bound", "searched", "nominal_plate", "fresh"):
+                if name in file["robust"]:
+                    file[f"robust/{name}"].attrs["units"] = "weighted"
         file.attrs["title"] = scene.title
-        for axis, side, count in zip("xy", scene.plate.size, scene.grid.nodes, strict=True):
-            hdf5.Dataset("m", f"position of the nodes along {axis}").write(file, axis, np.linspace(0, side, count))
         if result.bound is not None:
             file["localization_factor/bound"].attrs["about"] = BOUND_DESCRIPTIONS[result.bound_kind]
         if result.target_searches:
-            shares = hdf5.Dataset("1", "share of the plate's energy in each target, by each's drive")
-            shares.write(file, "crosstalk", crosstalk(result))
-            file["crosstalk"].attrs["targets"] = json.dumps([target.name for target in scene.targets])
+            names, meaning = (
+                [t.name for t in scene.targets],
+                "share of the plate's energy in each target, by each's drive",
+            )
+            hdf5.write_along(file, "target", names, "1", "names of the targets")
+            hdf5.write_along(file, "best_for", names, "1", "targets that the drives are best for")
+            hdf5.write_along(file, "crosstalk", crosstalk(result), "1", meaning, ["best_for", "target"])
+            file["crosstalk"].attrs["targets"] = json.dumps(names)
     return Path(path)
 
 

@@ -34,9 +34,11 @@ class RobustComparison:
     scenarios: int
     localization: bool
     bound: Annotated[float | None, Dataset("1", "of the measure: no drive comes above it")]
-    searched: Annotated[np.ndarray, Dataset("1", f"measure {_ROWS} over the scenarios of the search", (2,))]
-    nominal_plate: Annotated[np.ndarray, Dataset("1", f"value {_ROWS} without scatter", (2,))]
-    validation: Annotated[np.ndarray, Dataset("1", f"value {_ROWS} in each fresh scenario", (2, None)), "fresh"]
+    searched: Annotated[np.ndarray, Dataset("1", f"measure {_ROWS} over the scenarios of the search", ("drive",))]
+    nominal_plate: Annotated[np.ndarray, Dataset("1", f"value {_ROWS} without scatter", ("drive",))]
+    validation: Annotated[
+        np.ndarray, Dataset("1", f"value {_ROWS} in each fresh scenario", ("drive", "scenario")), "fresh"
+    ]
 
     @property
     def failed(self) -> np.ndarray:

@@ -1,0 +1,101 @@
+"""Files name their dimensions as netCDF-4 does, so that xarray opens them with coordinates and without any setting."""
+
+import warnings
+
+import h5py
+import numpy as np
+import pytest
+from conftest import scene_of
+
+import warp_plate as wpl
+from warp_plate.result.atomic_io import SEAL_BYTES, make_seal
+from warp_plate.result.comparison import save_comparison
+from warp_plate.result.focus import save_focus
+from warp_plate.result.hdf5 import write_along
+from warp_plate.result.sweep import save_sweep
+from warp_plate.scene.errors import SceneError
+
+xarray = pytest.importorskip("xarray")
+pytest.importorskip("h5netcdf")
+SEARCH = {"particles": 4, "iterations": 3}
+
+
+def opened(path):
+    """Return the groups of a file by path; every axis of every dataset must have a name."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        return xarray.open_datatree(path, engine="h5netcdf").to_dict()
+
+
+def small_result():
+    record = {"points": [(0.05, 0.06), (0.1, 0.1)]}
+    return wpl.localize(scene_of((9, 9), search=SEARCH, record=record), device="cpu", estimate=False)
+
+
+def test_a_result_opens_by_names_of_actuators_regions_and_places(tmp_path):
+    result = small_result()
+    groups = opened(wpl.save_result(result, tmp_path / "a.h5"))
+    case = groups["/cases/best"]
+    best = result.cases["best"]
+    assert float(case.energy.sel(region="target")) == best.energy["target"]
+    name = result.scene.actuators[1].name
+    assert float(case.magnitude.sel(actuator=name)) == pytest.approx(best.magnitude[1], rel=1e-15)
+    assert case.displacement.dims == ("times", "y", "x")
+    assert case.trace.dims == ("point", "trace_times")
+    np.testing.assert_allclose(case.x, np.linspace(0, result.scene.plate.size[0], 9))
+    assert groups["/history"].best.dims == ("iteration",)
+
+
+def test_a_comparison_opens(tmp_path):
+    found = wpl.compare(scene_of((9, 9), search=SEARCH), methods=["pso"], seeds=1, device="cpu")
+    groups = opened(save_comparison(found, tmp_path / "a.h5"))
+    assert groups["/trials/pso/0"].loss.dims == ("iteration",)
+
+
+def test_a_sweep_opens(tmp_path):
+    found = wpl.sweep(scene_of((9, 9)), ["drive.frequency=200,300"], what="modes", count=2)
+    groups = opened(save_sweep(found, tmp_path / "a.h5"))
+    assert groups["/"].status.dims == ("drive.frequency",)
+
+
+def test_focusing_opens(tmp_path):
+    found = wpl.focus("four-fingers")
+    groups = opened(save_focus(found, tmp_path / "a.h5"))
+    group = groups["/methods/optimum"]
+    assert group.waveforms.dims == ("foci", "actuator", "samples")
+    assert group.responses.dims == ("foci", "foci_2", "times")
+    assert wpl.load_focus(tmp_path / "a.h5").modes == found.modes
+
+
+def reopened(path, change):
+    """Load a result after a change to its file, under a right seal."""
+    path.write_bytes(path.read_bytes()[:-SEAL_BYTES])
+    with h5py.File(path, "r+") as file:
+        change(file)
+    content = path.read_bytes()
+    path.write_bytes(content + make_seal(content))
+    return wpl.load_result(path)
+
+
+def remove_names(file):
+    """Make of a file one without dimensions, as they were before."""
+    for path in ("actuator", *(f"cases/{case}/{name}" for case in file["cases"] for name in ("region", "point"))):
+        del file[path]
+
+
+def test_a_file_without_names_is_read(tmp_path):
+    result = small_result()
+    read = reopened(wpl.save_result(result, tmp_path / "a.h5"), remove_names)
+    assert read.cases["best"].energy == result.cases["best"].energy
+
+
+def test_a_scale_of_another_length_names_no_shape(tmp_path):
+    """What is read is held to the scene, not to the scales."""
+
+    def change(file):
+        del file["cases/best/phase"]
+        write_along(file["cases/best"], "longer", np.arange(5), "1", "forged")
+        write_along(file["cases/best"], "phase", np.arange(5.0), "rad", "forged", ["longer"])
+
+    with pytest.raises(SceneError, match=r"cases/best/phase has shape \(5,\) instead of \(3,\)"):
+        reopened(wpl.save_result(small_result(), tmp_path / "a.h5"), change)
