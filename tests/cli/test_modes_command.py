@@ -11,7 +11,7 @@ from conftest import output_of
 from warp_plate.modal.continuous_modes import continuous_modes
 from warp_plate.modal.modes import solve_modes
 from warp_plate.plate.modes import natural_modes
-from warp_plate.viz.plots.modes import draw_modes, frequency_text, nodal_field
+from warp_plate.viz.plots.modes import draw_modes, frequency_text, nodal_field, refined
 
 EDGES = ("clamped", {"translation": 100.0, "rotation": 0.1}, "free", "supported")
 EFFECTS = {
@@ -119,9 +119,9 @@ def test_nodal_lines(scene, tmp_path):
     corners, where its sign changes by a part in thousands."""
     clamped = scene((21, 21), (0.2, 0.2))
     modes = natural_modes(clamped, 2)
-    first, second = (nodal_field(clamped, shape) for shape in modes.shapes)
-    assert (first[2][np.isfinite(first[2])] > 0).all()
-    x, y, field = second
+    (x, y, _), *_ = fine = [refined(clamped, shape) for shape in modes.shapes]
+    first, field = (nodal_field(clamped, values, (21, 21)) for _, _, values in fine)
+    assert (first[np.isfinite(first)] > 0).all()
     assert field.shape == (y.size, x.size)
     below, above = (np.sign(part[np.isfinite(part)]) for part in (field[y < 0.0999], field[y > 0.1001]))
     assert (below == below[0]).all()

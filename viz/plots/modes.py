@@ -70,9 +70,10 @@ def frequency_text(frequency: float) -> str:
 
 def _draw_shape(axes: Axes, scene: Scene, shape: np.ndarray) -> object:
     width, height = scene.plate.size
-    x, y = np.linspace(0, width, shape.shape[1]), np.linspace(0, height, shape.shape[0])
-    mesh = axes.pcolormesh(x, y, shape, cmap=CMAP, vmin=-1, vmax=1, shading="gouraud", rasterized=True)
-    fine_x, fine_y, field = nodal_field(scene, shape)
+    fine_x, fine_y, fine = refined(scene, shape)
+    extent = (0.0, width, 0.0, height)
+    mesh = axes.imshow(fine, cmap=CMAP, vmin=-1, vmax=1, origin="lower", extent=extent, interpolation="bilinear")
+    field = nodal_field(scene, fine, shape.shape)
     if np.nanmin(field) < 0 < np.nanmax(field):
         axes.contour(fine_x, fine_y, field, levels=[0.0], colors=INK, linewidths=0.9)
     for layer in scene.layers:
@@ -83,23 +84,33 @@ def _draw_shape(axes: Axes, scene: Scene, shape: np.ndarray) -> object:
     return mesh
 
 
-def nodal_field(scene: Scene, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return x and y [m] and the shape (y, x) of a mode, interpolated for its nodal lines.
-
-    It is NaN along held edges, where the shape vanishes anyway, and in spots of one sign that hardly rise.
-    """
+def refined(scene: Scene, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return x and y [m] and the shape (y, x) of a mode, interpolated between nodes."""
     from scipy.interpolate import RectBivariateSpline
-    from scipy.ndimage import label, maximum
 
     nodes = shape.shape[::-1]
-    refine_x, refine_y = refine = [math.ceil(FINE / (count - 1)) for count in nodes]
+    refine = _refinement(nodes)
     x, y = map(np.linspace, (0, 0), scene.plate.size, nodes)
     fine = ((count - 1) * times + 1 for count, times in zip(nodes, refine, strict=True))
     fine_x, fine_y = map(np.linspace, (0, 0), scene.plate.size, fine)
     # Rounding errors on a nodal line along grid nodes would make the contour jump from side to side.
     clean = np.where(np.abs(shape) < ROUNDING, 0.0, shape)
-    field = RectBivariateSpline(y, x, clean)(fine_y, fine_x)
-    field[np.abs(field) < ROUNDING] = 0.0
+    return fine_x, fine_y, RectBivariateSpline(y, x, clean)(fine_y, fine_x)
+
+
+def _refinement(nodes: Sequence[int]) -> list[int]:
+    return [math.ceil(FINE / (count - 1)) for count in nodes]
+
+
+def nodal_field(scene: Scene, fine: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Return the refined shape (y, x) of a mode with (ny, nx) nodes, to be contoured for its nodal lines.
+
+    It is NaN along held edges, where the shape vanishes anyway, and in spots of one sign that hardly rise.
+    """
+    from scipy.ndimage import label, maximum
+
+    refine_x, refine_y = _refinement(shape[::-1])
+    field = np.where(np.abs(fine) < ROUNDING, 0.0, fine)
     for sign in (1, -1):
         spots, count = label(sign * field > 0)
         heights = maximum(sign * field, spots, range(1, count + 1))
@@ -109,4 +120,4 @@ def nodal_field(scene: Scene, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray
     for edge, strip in strips.items():
         if getattr(scene.edges, edge) in ("clamped", "supported"):
             field[strip] = math.nan
-    return fine_x, fine_y, field
+    return field
