@@ -114,6 +114,20 @@ def test_peaks_of_a_focus_are_per_volt_and_proportional_to_the_moment():
     assert peaks[1] == pytest.approx(2 * peaks[0])
 
 
+def test_electrical_energy_is_that_of_each_rise_of_the_voltage():
+    """½ C V² at each change of sign of one-bit waveforms, and ∫ C V dV wherever |V| rises of others."""
+    table = {"points": [(0.12, 0.1)], "highest": 1000.0, "time": 0.02, "rate": 16000}
+    methods = focus(piezo_scene(damping=50.0, focus=table, patch={"capacitance": 2e-9})).methods
+    signs = methods["one_bit"].waveforms[0, 0]
+    assert methods["one_bit"].electrical_energy == pytest.approx(1e-9 * (1 + np.count_nonzero(np.diff(signs))))
+    waveform = np.r_[0, methods["time_reversal"].waveforms[0, 0]]
+    steps = np.arange(1000 * (waveform.size - 1) + 1) / 1000
+    magnitude = np.abs(np.interp(steps, np.arange(waveform.size), waveform))
+    rising = np.diff(magnitude) > 0
+    expected = 2e-9 * (np.diff(magnitude) * (magnitude[1:] + magnitude[:-1]) / 2)[rising].sum()  # ∫ C V dV
+    assert methods["time_reversal"].electrical_energy == pytest.approx(expected, rel=1e-4)
+
+
 @pytest.mark.parametrize(
     ("patch", "words"),
     [

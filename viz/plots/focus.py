@@ -54,7 +54,7 @@ def _draw_waveforms(axes: Axes, found: FocusResult, method: FocusedWaveforms) ->
     times = 1e3 * np.arange(table.samples) / table.rate
     for index, waveform in enumerate(waveforms):
         axes.plot(times, index + 0.5 * waveform / largest, color="black", linewidth=0.4, rasterized=True)
-    axes.set(xlim=(0, 1e3 * found.times[-1]), ylabel=f"actuator, ±{largest:.3g} N/m²")
+    axes.set(xlim=(0, 1e3 * found.times[-1]), ylabel=f"actuator, ±{largest:.3g} {found.scene.drive_unit}")
 
 
 def _draw_foci(axes: Axes, found: FocusResult, method: FocusedWaveforms) -> None:

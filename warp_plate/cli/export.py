@@ -86,7 +86,7 @@ def export(
             )
         files, record = _write_waveforms(result, shown.case or [], target, full_scale, encoding)
         answer = {"result": result, "to": to, **record, "files": files}
-        line = f"{record['case']}: 1.0 stands for {record['full_scale']:.6g} N/m² in every channel"
+        line = f"{record['case']}: 1.0 stands for {record['full_scale']:.6g} {record['unit']} in every channel"
         return output.report(json, lambda: answer, lambda console: console.print(line), (files, None))
     loaded = load_result(result)
     cases = motion_options.select_cases(loaded, result, shown.case)
@@ -162,7 +162,7 @@ def _write_waveforms(
     from warp_plate.result.focus import load_focus
 
     found = load_focus(file)
-    table = found.scene.focus
+    table, unit = found.scene.focus, found.scene.drive_unit
     assert table is not None
     name = methods[0] if methods else "optimum" if table.burst is None else "inverse_filter"
     if len(methods) > 1 or name not in found.methods:
@@ -171,14 +171,14 @@ def _write_waveforms(
     largest = float(abs(waveforms).max())
     full_scale = largest if full_scale is None else full_scale
     if not 0 < largest <= full_scale < float("inf"):
-        raise SceneError(f"--full-scale {full_scale:g}: must be at least the largest pressure, {largest!r} N/m²")
+        raise SceneError(f"--full-scale {full_scale:g}: must be at least the largest drive, {largest!r} {unit}")
     names, files = tuple(actuator.name for actuator in found.scene.actuators), []
     for index, ((x, y), each) in enumerate(zip(table.points, waveforms, strict=True), 1):
         path = target if len(table.points) == 1 else target.with_name(f"{target.stem}-{index}{target.suffix}")
         signal = WaveformSignal(names, each, full_scale, table.rate, f"{name} at {x:g},{y:g} m")
         wav = target.suffix.lower() == ".wav"
         files += write_wav(signal, path, encoding or "float32") if wav else write_drive_csv(signal, path)
-    return files, {"case": name, "rate": table.rate, "full_scale": full_scale, "unit": "N/m²", "channels": names}
+    return files, {"case": name, "rate": table.rate, "full_scale": full_scale, "unit": unit, "channels": names}
 
 
 def _print(files: list[Path], to: Format, record: Mapping[str, Any]) -> None:

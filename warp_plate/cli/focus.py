@@ -15,7 +15,17 @@ if TYPE_CHECKING:
 
     from warp_plate.result.focus import FocusResult
 
-FIGURES = ("peak", "focus_area", "contrast_db", "energy", "gap", "limits", "crosstalk_db", "misfit")
+FIGURES = (
+    "peak",
+    "focus_area",
+    "contrast_db",
+    "energy",
+    "gap",
+    "limits",
+    "crosstalk_db",
+    "misfit",
+    "electrical_energy",
+)
 HOLDS = "a focus"
 
 
@@ -103,11 +113,15 @@ def _print(name: str, found: FocusResult, console: Console) -> None:
             )
         output.print_uncropped(console, made)
         console.print()
-    console.print("Energy in (N/m²)²·s. Gap: part of the bound of all waveforms that the peak lacks.")
+    console.print(
+        f"Energy in ({found.scene.drive_unit})²·s. Gap: part of the bound of all waveforms that the peak lacks."
+    )
     others = ~np.eye(len(table.points), dtype=bool)
     for method, reached in found.methods.items():
         remarks = [f"crosstalk at most {reached.crosstalk_db[others].max():.1f} dB"] if others.any() else []
         if reached.misfit is not None:
             remarks.append(f"bursts followed within {100 * reached.misfit.max():.2g} %")
+        if reached.electrical_energy is not None:
+            remarks.append(f"electrical energy at most {reached.electrical_energy.max():.3g} J")
         if remarks:
             console.print(f"{method.replace('_', ' ')}: {', '.join(remarks)}")

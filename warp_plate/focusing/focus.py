@@ -142,7 +142,23 @@ def _reached(
         gap=gap,
         limits=tuple(_attained(table, *each) for each in zip(energy, np.abs(waveforms).max(axis=(1, 2)), strict=True)),
         misfit=None if table.burst is None else _misfit(at_focus, wished_motion(table)),
+        electrical_energy=_electrical_energy(plate.scene, waveforms),
     )
+
+
+def _electrical_energy(scene: Scene, waveforms: np.ndarray) -> np.ndarray | None:
+    """Return (foci,) energies [J] of voltages (foci, actuators, samples) on capacitors from 0; None without these.
+
+    That is Σ ∫ C V dV/dt dt over the times at which |V| rises, ½ C V² for each rise from 0 to V: no amplifier gets back
+    what capacitors return while |V| falls.
+    """
+    capacitances = [actuator.capacitance for actuator in scene.actuators if actuator.capacitance is not None]
+    if len(capacitances) < len(scene.actuators):
+        return None
+    before = np.concatenate([np.zeros_like(waveforms[..., :1]), waveforms[..., :-1]], axis=2)
+    left = np.where(before * waveforms > 0, before**2, 0.0)  # through 0, where the sign changes
+    rises = np.maximum(waveforms**2 - left, 0)
+    return np.asarray(rises.sum(axis=2) @ np.array(capacitances) / 2)
 
 
 def _misfit(motion: np.ndarray, wished: np.ndarray) -> np.ndarray:

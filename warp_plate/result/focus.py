@@ -31,7 +31,9 @@ class FocusedWaveforms:
     waveforms: Annotated[
         np.ndarray,
         Dataset(
-            "N/m²", "pressures, held between samples, of the actuators for each focus", ("foci", "actuator", "samples")
+            "N/m² or V",
+            "drives, held between samples, of the actuators for each focus",
+            ("foci", "actuator", "samples"),
         ),
     ]
     responses: Annotated[
@@ -44,10 +46,13 @@ class FocusedWaveforms:
     peak: Annotated[np.ndarray, Dataset("m or m/s", "motion at the focus at its moment", FOCI)]
     focus_area: Annotated[np.ndarray, Dataset("m²", "area around the focus that moves half as far", FOCI)]
     contrast_db: Annotated[np.ndarray, Dataset("dB", "peak over the root mean square of the rest", FOCI)]
-    energy: Annotated[np.ndarray, Dataset("(N/m²)²·s", "sum over actuators of the integral of pressure²", FOCI)]
+    energy: Annotated[np.ndarray, Dataset("(N/m²)²·s or V²·s", "sum over actuators of the integral of drive²", FOCI)]
     gap: Annotated[np.ndarray, Dataset("1", "part of the bound of all waveforms that the peak lacks", FOCI)]
     limits: tuple[str, ...]
     misfit: Annotated[np.ndarray | None, Dataset("1", "part of the burst that the focus does not follow", FOCI)] = None
+    electrical_energy: Annotated[
+        np.ndarray | None, Dataset("J", "½ C ∫ d(V²)/dt dt over the times at which |V| rises", FOCI)
+    ] = None
 
     @property
     def crosstalk_db(self) -> np.ndarray:

@@ -36,10 +36,10 @@ class Focus(Table):
     time: Positive = 0.05  # moment of the focus, from the beginning of the waveforms on [s]
     rate: Annotated[int, Field(ge=1, le=10_000_000)] = 48000  # samples a second
     quantity: Literal["displacement", "velocity"] = "displacement"  # quantity that is focused
-    peak: Positive | None = None  # largest pressure of an actuator [N/m²] (default: 1 without an energy, else none)
+    peak: Positive | None = None  # largest drive of an actuator [N/m² or V] (default: 1 without an energy, else none)
     condition: Annotated[float, Field(ge=1, le=1e7)] = 100.0  # largest singular value over those that are damped
     burst: FocusBurst | None = None  # wished motion of a focus (default: a pulse)
-    energy: Positive | None = None  # largest sum over actuators of the integral of pressure² [(N/m²)²·s]
+    energy: Positive | None = None  # largest sum over actuators of the integral of drive² [drive²·s]
 
     @property
     def samples(self) -> int:
@@ -58,7 +58,7 @@ class Focus(Table):
 
     @property
     def peak_limit(self) -> float | None:
-        """Largest pressure of an actuator [N/m²]; None for no limit."""
+        """Largest drive of an actuator [N/m² or V]; None for no limit."""
         return 1.0 if self.peak is None and self.energy is None else self.peak
 
     @model_validator(mode="after")

@@ -56,8 +56,8 @@ UNITS = {
     "power": "(drive)²",
     "objectives.rest_limit": "m/s or m",
     "signals.force_gain": "1/N",
-    "focus.peak": "N/m²",
-    "focus.energy": "(N/m²)²·s",
+    "focus.peak": "drive",
+    "focus.energy": "(drive)²·s",
 }
 # Names of the indices that follow a name.
 INDEX_NAMES = {
