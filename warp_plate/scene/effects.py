@@ -42,14 +42,18 @@ PerMode = Annotated[
 class LossFactor(Table):
     """Hysteretic damping: the bending stiffness times 1 + iη, a loss factor that no frequency changes.
 
-    It is defined for steady tones alone. A list gives the loss factor of each mode as a whole.
+    It is defined for steady tones alone, and needs the modal engine: ``[window]`` is not read, and energies are means
+    over all time. A list gives the loss factor of each mode in order; the last one holds for all higher modes.
     """
 
     eta: PerMode  # loss factor η
 
 
 class ModalDamping(Table):
-    """Viscous damping of each mode, 2ζω on its velocity, added to all other damping."""
+    """Viscous damping of each mode, 2ζω on its velocity, added to all other damping. It needs the modal engine.
+
+    A list gives the damping ratio of each mode in order; the last one holds for all higher modes.
+    """
 
     ratio: PerMode  # damping ratio ζ
 
@@ -61,7 +65,7 @@ def per_mode(values: float | tuple[float, ...], count: int) -> np.ndarray:
 
 
 class Tension(Table):
-    """In-plane tension, −(Tx u_xx + Ty u_yy) on the left of the equation of motion."""
+    """In-plane tension, −(Tx u_xx + Ty u_yy) on the left of the equation of motion; a plate that buckles is refused."""
 
     x: Moderate = 0.0  # force per length along x, positive in tension [N/m]
     y: Moderate = 0.0  # force per length along y [N/m]
@@ -81,10 +85,10 @@ class Orthotropic(Table):
     Dxy = (1 − ν)D/2.
     """
 
-    Dx: Positive
-    Dy: Positive
-    D1: Moderate
-    Dxy: Positive
+    Dx: Positive  # bending rigidity along x [N·m]
+    Dy: Positive  # bending rigidity along y [N·m]
+    D1: Moderate  # coupling of both directions [N·m]; D1² below Dx Dy
+    Dxy: Positive  # twisting rigidity [N·m]
 
     @model_validator(mode="after")
     def _positive_definite(self) -> Orthotropic:
@@ -114,11 +118,13 @@ class Variation(Table):
 
     Each is an array, or the name of a CSV file beside the scene file with one: rows along y, columns along x, evenly
     spaced from edge to edge, with bilinear interpolation. A single row holds for all y, a single column for all x.
+    Columns are separated by commas, semicolons or tabs, with decimal points. An array finer than the grid is sampled
+    at its nodes, not averaged. Layers lie on the local thickness; ``[effects.orthotropic]`` is multiplied as well.
     """
 
-    thickness: Factors | None = None
-    young_modulus: Factors | None = None
-    density: Factors | None = None
+    thickness: Factors | None = None  # factor on the thickness
+    young_modulus: Factors | None = None  # factor on Young's modulus
+    density: Factors | None = None  # factor on the density
 
     @model_validator(mode="after")
     def _consistent(self) -> Variation:

@@ -62,7 +62,7 @@ class TimeSignals(Table):
 
     force_channel: Annotated[int, Field(ge=1, le=256)] = 1  # counted from 1
     force_gain: Gain = 1.0  # what was recorded over the true force in N
-    estimator: Literal["H1", "H2", "Hv"] = "H1"
+    estimator: Literal["H1", "H2", "Hv"] = "H1"  # H1 for noise in the response, H2 in the force, Hv in both
     segment: Positive = 1.0  # duration of the segments that are averaged [s]; frequencies are multiples of 1/segment
     window: Literal["hann", "boxcar"] = "hann"  # of segments that overlap by half, or that follow one another
 

@@ -31,8 +31,8 @@ class Focus(Table):
 
     # Points (x, y) [m], each the focus of waveforms of its own
     points: Annotated[tuple[tuple[Coordinate, Coordinate], ...], Field(min_length=1, max_length=64)]
-    highest: Positive  # natural frequency up to which modes take part [Hz]
-    lowest: NotNegative = 0.0  # frequency from which on motion is focused [Hz]
+    highest: Positive  # natural frequency up to which modes take part, at most rate / 2 [Hz]
+    lowest: NotNegative = 0.0  # frequency from which on motion is focused; lower ones fade out down to its half [Hz]
     time: Positive = 0.05  # moment of the focus, from the beginning of the waveforms on [s]
     rate: Annotated[int, Field(ge=1, le=10_000_000)] = 48000  # samples a second
     quantity: Literal["displacement", "velocity"] = "displacement"  # quantity that is focused

@@ -22,7 +22,7 @@ class Grid(Table):
     order: Literal[2, 4] = 2  # spatial order of accuracy
     # Weights of loads and regions: "overlap" of their area with cells, "nodes" inside, or by "moments"
     load: Literal["overlap", "nodes", "moments"] = "overlap"
-    time_step: Positive | None = None  # time step [s] (default: chosen below the stability limit)
+    time_step: Positive | None = None  # time step [s] (default: 0.9 of the stability limit, at most 1/20 of a period)
     precision: Literal["float32", "float64"] = "float32"  # precision of the time steps
     # Functions of modes along each side, relative to the default; time steps do not read it
     modal_density: Annotated[float, Field(ge=0.25, le=4)] = 1.0

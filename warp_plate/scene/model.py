@@ -88,7 +88,8 @@ class Plate(Table):
 
 class Edges(Table):
     """The four edges, each "clamped" (no displacement, no slope), "supported" (no displacement, no bending moment),
-    "free" (no moment, no shear force) or on springs."""
+    "free" (no moment, no shear force) or on springs, such as ``{ translation = 1e6, rotation = 1e2 }`` with stiffnesses
+    per length in N/m² and N·m/(rad·m)."""
 
     left: Edge = "clamped"  # x = 0
     bottom: Edge = "clamped"  # y = 0

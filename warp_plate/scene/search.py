@@ -104,10 +104,10 @@ class Robust(Table):
     # Mean loss, largest loss, or the loss that only 1 − ``quantile`` of the scenarios exceed
     measure: Literal["mean", "worst", "quantile"] = "mean"
     quantile: Annotated[float, Field(gt=0, lt=1)] = 0.9  # of the measure "quantile"
-    young_modulus: Tolerance = 0.0  # fraction of the nominal value, like the following three
-    thickness: Tolerance = 0.0
-    damping: Tolerance = 0.0
-    gain: Tolerance = 0.0  # of each actuator
+    young_modulus: Tolerance = 0.0  # fraction of the nominal value
+    thickness: Tolerance = 0.0  # fraction of the nominal value
+    damping: Tolerance = 0.0  # fraction of all damping of the plate and its bed
+    gain: Tolerance = 0.0  # fraction of the magnitude, for each actuator
     place: NotNegative = 0.0  # largest displacement of each actuator along x and along y [m]
     without_oscillators: Annotated[float, Field(ge=0, le=1)] = 0.0  # probability that oscillators are absent
     fresh: Annotated[int, Field(ge=1, le=100_000)] = 200  # other scenarios, to compare the robust and nominal optimum

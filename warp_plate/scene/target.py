@@ -26,7 +26,7 @@ class Target(Table):
     disc: tuple[Coordinate, Coordinate, Positive] | None = None  # centre x, y and radius [m]
     # Corners x, y [m] in either direction; sides meet only there
     polygon: Annotated[tuple[Corner, ...], Field(min_length=3, max_length=1000)] | None = None
-    mask: str | None = None  # file name
+    mask: str | None = None  # name of a CSV file
 
     @model_validator(mode="after")
     def _one_shape(self) -> Target:
@@ -92,7 +92,7 @@ class Target(Table):
 class NamedTarget(Target):
     """A target of several. Its name is part of the names of datasets, so it has no slash."""
 
-    name: PartName
+    name: PartName  # name without "/", different for each target
 
     @property
     def unnamed(self) -> Target:
