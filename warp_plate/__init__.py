@@ -48,6 +48,7 @@ _HOME = {
     "localize": "warp_plate.studies.localize:localize",
     "measure_accuracy": "warp_plate.accuracy.report:measure_configurations",
     "modes": "warp_plate.modal.modes:solve_modes",
+    "plan_measurement": "warp_plate.fitting.plan_measurement:plan_measurement",
     "plot": "warp_plate.notebook:plot",
     "resume": "warp_plate.studies.localize:resume",
     "save_result": "warp_plate.result.model:save_result",
@@ -83,6 +84,7 @@ __all__ = [
     "localize",
     "measure_accuracy",
     "modes",
+    "plan_measurement",
     "plot",
     "resume",
     "save_result",
@@ -94,6 +96,7 @@ __all__ = [
 if TYPE_CHECKING:
     from warp_plate.accuracy.report import measure_configurations as measure_accuracy
     from warp_plate.analysis.check import check
+    from warp_plate.fitting.plan_measurement import plan_measurement
     from warp_plate.focusing.focus import focus
     from warp_plate.modal.modes import solve_modes as modes
     from warp_plate.notebook import plot, view

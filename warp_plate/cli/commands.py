@@ -20,11 +20,12 @@ app = cyclopts.App(
     suppress_keyboard_interrupt=False,
 )
 COMMANDS = (
-    "localize compare sweep simulate check modes fit frf focus effects accuracy view explore render export init bench "
-    "doctor"
+    "localize compare sweep simulate check modes fit plan-measurement frf focus effects accuracy view explore render "
+    "export init bench doctor"
 )
 for name in COMMANDS.split():
-    app.command(getattr(import_module(f"warp_plate.cli.{name}"), name))
+    module = name.replace("-", "_")
+    app.command(getattr(import_module(f"warp_plate.cli.{module}"), module))
 
 
 class _OneLine(logging.Handler):
