@@ -45,3 +45,23 @@ def test_type_checkers_see_the_same_names():
 def test_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="no attribute 'localise'"):
         _ = warp_plate.localise
+
+
+def test_modes_are_as_many_as_asked_for():
+    few, many = warp_plate.modes("paper", count=6), warp_plate.modes("paper")
+    assert len(few.frequencies) == 6 < len(many.frequencies)
+    assert few.frequencies == pytest.approx(many.frequencies[:6], rel=1e-6)
+    assert few.shapes(few.frequencies[:0], few.frequencies[:0]).shape == (6, 0, 0)
+    with pytest.raises(warp_plate.SceneError, match="count = 0: must be at least 1"):
+        warp_plate.modes("paper", count=0)
+
+
+def test_fit_reads_files_as_its_command(tmp_path):
+    file = tmp_path / "bench.csv"
+    frequencies = warp_plate.modes("paper", count=4).frequencies
+    file.write_text("frequency\n" + "\n".join(str(1.1 * value) for value in frequencies))
+    scene = warp_plate.Scene.load("paper", ["fit.free.plate.young_modulus=[5e8, 2e9]", "fit.starts=1"])
+    found = warp_plate.fit(scene, str(file))
+    assert found.scene.plate.young_modulus == pytest.approx(1.21 * scene.plate.young_modulus, rel=1e-4)
+    with pytest.raises(warp_plate.SceneError, match="must be one file"):
+        warp_plate.fit(scene, [file, file])

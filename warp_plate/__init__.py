@@ -39,6 +39,7 @@ _HOME = {
     "Window": "warp_plate.scene.model:Window",
     "check": "warp_plate.analysis.check:check",
     "compare": "warp_plate.studies.compare:compare",
+    "fit": "warp_plate.fitting.fit:fit",
     "focus": "warp_plate.focusing.focus:focus",
     "frf": "warp_plate.studies.frequency_response:compute_frequency_response",
     "load_checkpoint": "warp_plate.result.checkpoint:load_checkpoint",
@@ -47,7 +48,7 @@ _HOME = {
     "load_sweep": "warp_plate.result.sweep:load_sweep",
     "localize": "warp_plate.studies.localize:localize",
     "measure_accuracy": "warp_plate.accuracy.report:measure_configurations",
-    "modes": "warp_plate.modal.modes:solve_modes",
+    "modes": "warp_plate.modal.continuous_modes:modes",
     "plan_measurement": "warp_plate.fitting.plan_measurement:plan_measurement",
     "plot": "warp_plate.notebook:plot",
     "resume": "warp_plate.studies.localize:resume",
@@ -75,6 +76,7 @@ __all__ = [
     "__version__",
     "check",
     "compare",
+    "fit",
     "focus",
     "frf",
     "load_checkpoint",
@@ -96,9 +98,10 @@ __all__ = [
 if TYPE_CHECKING:
     from warp_plate.accuracy.report import measure_configurations as measure_accuracy
     from warp_plate.analysis.check import check
+    from warp_plate.fitting.fit import fit
     from warp_plate.fitting.plan_measurement import plan_measurement
     from warp_plate.focusing.focus import focus
-    from warp_plate.modal.modes import solve_modes as modes
+    from warp_plate.modal.continuous_modes import modes
     from warp_plate.notebook import plot, view
     from warp_plate.result.checkpoint import load_checkpoint
     from warp_plate.result.focus import load_focus

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
 
     from warp_plate.fitting.fit_modes import ModeFit
     from warp_plate.fitting.fit_responses import ResponseFit
-    from warp_plate.scene.model import Scene
 
 # How the file begins; correlations that are worth a line.
 HEADING, STRONG = "# Fitted by warp-plate", 0.9
@@ -55,30 +53,20 @@ def fit(
     """
     target = output.output_file(out, f"{Path(scene).stem}.fitted.toml", (), HEADING, force)
     loaded, scene = output.load_scene(scene, assignments)
+    from warp_plate.fitting.fit import fit as fit_files
     from warp_plate.result.atomic_io import atomic_paths
 
     if loaded.folder is not None and loaded.folder.resolve() != target.parent.resolve():
         raise SceneError(f"--out {target}: the scene names files in {loaded.folder}; write the fitted scene there")
     with output.scene_errors(scene):
-        found = _fit(loaded, data)
+        if len(data) > 1 and not loaded.measurement:
+            raise SceneError(f"--data {data[1]}: several files hold responses of tables [[measurement]]; there is none")
+        found = fit_files(loaded, data)
     with atomic_paths(target) as (temporary,):
         temporary.write_text(
             f"{HEADING} to {', '.join(repr(path.name) for path in data)}\n{found.scene.to_toml()}", encoding="utf-8"
         )
     output.report(json, partial(_as_json, scene, found), partial(_print, scene, found), ([target], None))
-
-
-def _fit(scene: Scene, data: Sequence[Path]) -> ModeFit | ResponseFit:
-    from warp_plate.fitting.fit_modes import fit_modes
-    from warp_plate.fitting.fit_responses import fit_responses
-    from warp_plate.fitting.measured_modes import read_modes
-    from warp_plate.fitting.measured_responses import read_responses
-
-    if scene.measurement:
-        return fit_responses(scene, read_responses(data, len(scene.measurement), scene.fit))
-    if len(data) > 1:
-        raise SceneError(f"--data {data[1]}: several files hold responses of tables [[measurement]]; there is none")
-    return fit_modes(scene, read_modes(data[0]))
 
 
 def _as_json(name: str, found: ModeFit | ResponseFit) -> dict[str, object]:

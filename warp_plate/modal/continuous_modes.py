@@ -4,16 +4,34 @@ from __future__ import annotations
 
 import numpy as np
 
-from warp_plate.modal.modes import solve_modes
+from warp_plate.modal.modes import ModalPlate, solve_modes
 from warp_plate.plate.modes import NaturalModes, normalised_shapes, separated
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Scene
+from warp_plate.scene.model import Scene, SceneSource
 
 # Points along the longer and least along the shorter side at which shapes are returned.
 LONGER, SHORTER = 121, 31
 # Further modes that are solved for, so that no group of equal frequencies is cut.
 SPARE = 4
 MOST_MODES = 1000
+
+
+def modes(scene: SceneSource, count: int | None = None, highest: float | None = None) -> ModalPlate:
+    """Return the lowest modes of a linear scene, with their frequencies, damping and shapes.
+
+    Args:
+        scene: Scene; its grid, time steps and drive play no part.
+        count: Number of modes (default: all that responses up to ``highest`` need, which are many more).
+        highest: Frequency up to which responses are accurate [Hz] (default: the highest of the scene's drive).
+
+    Raises:
+        SceneError: ``count`` is below 1, or see :func:`solve_modes`.
+    """
+    if count is None:
+        return solve_modes(scene, highest)
+    if count < 1:
+        raise SceneError(f"count = {count}: must be at least 1")
+    return solve_modes(scene, 0.0 if highest is None else highest, count).part(np.arange(count))
 
 
 def continuous_modes(scene: Scene, count: int, nodes: tuple[int, int] | None = None) -> NaturalModes:
