@@ -47,6 +47,7 @@ def fit_panel(
     predict: Callable[[Scene], np.ndarray],
     residuals: Sequence[Function],
     weigh: Weigh | None,
+    exact: Callable[[Scene], np.ndarray] | None = None,
 ) -> FittedPanel:
     """Return the scene whose predictions are nearest to measurements.
 
@@ -57,6 +58,7 @@ def fit_panel(
         predict: Function of a scene that returns what is measured.
         residuals: Functions of predictions, see :func:`fit_least_squares`.
         weigh: Weights, see the same.
+        exact: Function as ``predict``, which takes more time, see the same.
 
     Raises:
         SceneError: The scene has no ``[fit]``, there are too few data, or a range leads to a scene that is refused.
@@ -67,7 +69,12 @@ def fit_panel(
         given = f"{count} numbers do not determine {len(free.keys)} free ones and their errors"
         raise SceneError(f"{source}: {given}; measure more, or free fewer keys in [fit.free]")
     starts = free.starts(scene.fit.starts, scene.fit.seed)
-    found = fit_least_squares(lambda unknowns: predict(free.scene_at(unknowns)), residuals, starts, weigh)
+
+    def of_scene(function: Callable[[Scene], np.ndarray]) -> Function:
+        return lambda unknowns: function(free.scene_at(unknowns))
+
+    slower = of_scene(exact) if exact else None
+    found = fit_least_squares(of_scene(predict), residuals, starts, weigh, slower)
     width = found.student * found.deviations
     return FittedPanel(
         scene=free.scene_at(found.unknowns),

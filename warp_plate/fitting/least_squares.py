@@ -54,7 +54,11 @@ class LeastSquaresFit:
 
 
 def fit_least_squares(
-    predict: Function, residuals: Sequence[Function], starts: np.ndarray, weigh: Weigh | None = None
+    predict: Function,
+    residuals: Sequence[Function],
+    starts: np.ndarray,
+    weigh: Weigh | None = None,
+    exact: Function | None = None,
 ) -> LeastSquaresFit:
     """Return the unknowns within 0 ... 1 that minimise the squares of residuals.
 
@@ -65,6 +69,8 @@ def fit_least_squares(
         starts: (starts, p) unknowns; the best of them are followed through the first stage.
         weigh: Function that returns (n,) weights for residuals (n,) and the leverage (n,) of each, which is the number
             of unknowns that it determines (default: all weights are 1).
+        exact: Function as ``predict`` that is right, and takes more time. Predictions are multiplied by a factor each,
+            such that they agree with it at the optimum (default: ``predict`` is right).
     """
     kept = lru_cache(MOST_KEPT)(lambda point: predict(np.array(point)))
     stages = [lambda unknowns, stage=stage: stage(kept(tuple(unknowns.tolist()))) for stage in residuals]
@@ -75,13 +81,17 @@ def fit_least_squares(
     unknowns, function = min(solved, key=lambda found: np.sum(stages[0](found) ** 2)), stages[-1]
     for stage in stages[1:-1]:
         unknowns = _solve(stage, weights, unknowns, COARSE)
-    unknowns = _solve(function, weights, unknowns, FINE)
-    if weigh is not None:
-        for _ in range(ROUNDS):
+    unknowns, corrections = _solve(function, weights, unknowns, COARSE if exact else FINE), 0
+    for _ in range(ROUNDS if weigh or exact else 0):
+        if exact is not None:
+            factor, corrections = exact(unknowns) / kept(tuple(unknowns.tolist())), corrections + 1
+            function = lambda point, factor=factor: residuals[-1](factor * kept(tuple(point.tolist())))  # noqa: E731
+        if weigh is not None:
             weights = weigh(function(unknowns), _leverage(weights[:, None] * _jacobian(function, unknowns)))
-            unknowns = _solve(function, weights, unknowns, FINE)
+        unknowns = _solve(function, weights, unknowns, FINE)
     jacobian = weights[:, None] * _jacobian(function, unknowns)
-    return _judge(unknowns, weights * function(unknowns), jacobian, kept.cache_info().misses)
+    evaluations = kept.cache_info().misses + corrections
+    return _judge(unknowns, weights * function(unknowns), jacobian, evaluations)
 
 
 def _solve(function: Function, weights: np.ndarray, start: np.ndarray, tolerance: float) -> np.ndarray:
