@@ -99,6 +99,21 @@ def test_gains_of_all_sensors_hide_the_density(random):
     assert found.inseparable == (tuple(free),)
 
 
+@pytest.mark.slow
+def test_coarse_plates_leave_no_error():
+    """Springs without losses couple the modes; of coarse plates alone, the loss factor is wrong by 3e-5."""
+    edge = {"translation": 1e5, "rotation": 0.05}
+    free = {**FREE, "edges.left.rotation": (0.005, 0.5)}
+    scene = supported(density=1.0).with_tables(edges=dict.fromkeys(("left", "bottom", "right", "top"), edge))
+    truth = scene.replace("plate.young_modulus", MODULUS).replace("effects.loss_factor.eta", ETA)
+    exact = compute_frequency_response(truth, [HIT], POINTS, (5.0, 80.0), "accelerance")
+    kept = np.linspace(0, len(exact.frequencies) - 1, 60).astype(int)
+    data = MeasuredResponses("data.csv", exact.frequencies[kept], exact.responses[:, kept])
+    found = fit_responses(scene.with_tables(fit={"starts": 1, "free": free}), data)
+    assert found.values[:2] == pytest.approx((MODULUS, ETA), rel=5e-6)
+    assert found.values[2] == pytest.approx(0.05, rel=1e-4)
+
+
 @pytest.mark.parametrize(("ending", "write"), [("csv", write_csv), ("uff", write_uff)])
 def test_files_of_frf(ending, write, tmp_path):
     """What ``frf`` writes is read to the digits written, the universal file to the last bit."""

@@ -69,8 +69,8 @@ def fit_least_squares(
         starts: (starts, p) unknowns; the best of them are followed through the first stage.
         weigh: Function that returns (n,) weights for residuals (n,) and the leverage (n,) of each, which is the number
             of unknowns that it determines (default: all weights are 1).
-        exact: Function as ``predict`` that is right, and takes more time. Predictions are multiplied by a factor each,
-            such that they agree with it at the optimum (default: ``predict`` is right).
+        exact: Function as ``predict`` that is right, and takes more time. What predictions lack near the optimum is
+            added to them (default: ``predict`` is right).
     """
     kept = lru_cache(MOST_KEPT)(lambda point: predict(np.array(point)))
     stages = [lambda unknowns, stage=stage: stage(kept(tuple(unknowns.tolist()))) for stage in residuals]
@@ -78,20 +78,26 @@ def fit_least_squares(
     weights = np.ones(len(stages[0](starts[0])))
     best = np.argsort(costs, kind="stable")[:FOLLOWED]
     solved = [_solve(stages[0], weights, starts[index], COARSE) for index in best]
-    unknowns, function = min(solved, key=lambda found: np.sum(stages[0](found) ** 2)), stages[-1]
+    function: Function = stages[-1]
+    unknowns = min(solved, key=lambda found: np.sum(stages[0](found) ** 2))
     for stage in stages[1:-1]:
         unknowns = _solve(stage, weights, unknowns, COARSE)
     unknowns, corrections = _solve(function, weights, unknowns, COARSE if exact else FINE), 0
     for _ in range(ROUNDS if weigh or exact else 0):
         if exact is not None:
-            factor, corrections = exact(unknowns) / kept(tuple(unknowns.tolist())), corrections + 1
-            function = lambda point, factor=factor: residuals[-1](factor * kept(tuple(point.tolist())))  # noqa: E731
+            lacking, corrections = exact(unknowns) - kept(tuple(unknowns.tolist())), corrections + 1
+            function = _corrected(lacking, kept, residuals[-1])
         if weigh is not None:
             weights = weigh(function(unknowns), _leverage(weights[:, None] * _jacobian(function, unknowns)))
         unknowns = _solve(function, weights, unknowns, FINE)
     jacobian = weights[:, None] * _jacobian(function, unknowns)
     evaluations = kept.cache_info().misses + corrections
     return _judge(unknowns, weights * function(unknowns), jacobian, evaluations)
+
+
+def _corrected(lacking: np.ndarray, kept: Callable[[tuple[float, ...]], np.ndarray], residual: Function) -> Function:
+    """Return the residuals of predictions to which ``lacking`` is added."""
+    return lambda unknowns: residual(kept(tuple(unknowns.tolist())) + lacking)
 
 
 def _solve(function: Function, weights: np.ndarray, start: np.ndarray, tolerance: float) -> np.ndarray:
