@@ -59,18 +59,26 @@ def _phase_lag(phasors: np.ndarray) -> np.ndarray:
 
 
 class _Phasors(hdf5.Layout):
-    """Complex amplitudes as the datasets ``magnitude`` and ``phase``."""
+    """Complex amplitudes as the datasets ``magnitude`` and ``phase``, and to the bit as ``real`` and ``imaginary``."""
 
     magnitude = hdf5.Dataset("", "drive magnitude of each actuator", ("actuator",))  # its unit depends on the scene
     phase = hdf5.Dataset("rad", "drive phase lag of each actuator", ("actuator",))
+    real = hdf5.Dataset("", "real part of the complex amplitude of each actuator", ("actuator",))
+    imaginary = hdf5.Dataset("", "imaginary part of the complex amplitude of each actuator", ("actuator",))
 
     def write(self, group: h5py.Group, name: str, value: np.ndarray) -> None:
         self.magnitude.write(group, "magnitude", np.abs(value))
         self.phase.write(group, "phase", _phase_lag(value))
+        self.real.write(group, "real", np.real(value))
+        self.imaginary.write(group, "imaginary", np.imag(value))
 
     def read(self, group: h5py.Group, name: str, sizes: hdf5.Sizes) -> np.ndarray:
         magnitude, phase = self.magnitude.read(group, "magnitude", sizes), self.phase.read(group, "phase", sizes)
-        return np.asarray(magnitude * np.exp(-1j * phase))
+        if "real" not in group:  # a file of an earlier version
+            return np.asarray(magnitude * np.exp(-1j * phase))
+        phasors = self.real.read(group, "real", sizes).astype(complex)
+        phasors.imag = self.imaginary.read(group, "imaginary", sizes)
+        return phasors
 
 
 class _Energies(hdf5.Layout):
@@ -318,7 +326,8 @@ def save_result(result: Result, path: str | Path) -> Path:
         hdf5.write_along(file, "actuator", names, "1", "names of the actuators")
         hdf5.write_fields(file, result)
         for name, case in result.cases.items():
-            file[f"cases/{name}/magnitude"].attrs["units"] = scene.drive_unit.replace("²", "^2")
+            for part in ("magnitude", "real", "imaginary"):
+                file[f"cases/{name}/{part}"].attrs["units"] = scene.drive_unit.replace("²", "^2")
             share = hdf5.Dataset("1", "share of the plate's kinetic energy in the target")
             share.write(file, f"localization_factor/{name}", case.localization_factor)
             if case.trace.shape[-1] == len(result.trace_times):  # without points there are no times
