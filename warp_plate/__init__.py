@@ -55,6 +55,7 @@ _HOME = {
     "save_result": "warp_plate.result.model:save_result",
     "simulate": "warp_plate.studies.simulate:simulate",
     "sweep": "warp_plate.studies.sweep:sweep",
+    "verify": "warp_plate.studies.verify:verify",
     "view": "warp_plate.notebook:view",
 }
 __all__ = [
@@ -92,6 +93,7 @@ __all__ = [
     "save_result",
     "simulate",
     "sweep",
+    "verify",
     "view",
 ]
 
@@ -122,6 +124,7 @@ if TYPE_CHECKING:
     from warp_plate.studies.localize import localize, resume
     from warp_plate.studies.simulate import simulate
     from warp_plate.studies.sweep import sweep
+    from warp_plate.studies.verify import verify
 else:
 
     def __getattr__(name):

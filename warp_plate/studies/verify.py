@@ -1,0 +1,186 @@
+"""A drive measured on the panel against what its result promised.
+
+With squares s = v² of the measured root mean square velocities, interpolated by thin-plate splines, the energies of the
+target and of the plate are sums a_T·s and a_P·s over the measured points, so that the localization factor is
+
+    LF = a_T·s / a_P·s,     var LF = Σ_k (a_T − LF a_P)_k² (2 v_k σ_k)² / (a_P·s)²
+
+with the standard deviations σ of the velocities. Noise adds σ² to each square, which is subtracted. How wrong the
+factor of so few points is, the promised field tells, whose factor is known: twice that error counts.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import scipy
+
+from warp_plate.analysis.motion import motions
+from warp_plate.fitting.measured_modes import read_columns
+from warp_plate.plate.weights import region_weights
+from warp_plate.result.model import Result
+from warp_plate.scene.errors import SceneError
+
+MOST_POINTS = 2000
+NORMAL = 1.96  # half-width of 95 % intervals in standard deviations
+COLUMNS = "x", "y", "velocity", "uncertainty"
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredField:
+    """Velocities of a panel under a drive.
+
+    Attributes:
+        source: File that they come from.
+        points: (n, 2) x, y [m].
+        velocity: (n,) root mean square velocities [m/s], or anything in proportion to them.
+        uncertainty: (n,) their standard deviations; None if not known.
+    """
+
+    source: str
+    points: np.ndarray
+    velocity: np.ndarray
+    uncertainty: np.ndarray | None
+
+
+@dataclass(frozen=True, eq=False)
+class Verification:
+    """What was measured against what was promised.
+
+    Attributes:
+        case: Name of the drive.
+        measured: What was measured, points with several readings averaged.
+        promised: (n,) root mean square velocities of the result at the points [m/s].
+        promised_factor: Localization factor of the result.
+        localization_factor: Measured localization factor.
+        deviation: Its standard deviation from the noise; NaN if that is not known.
+        sampling: What these points see of the promised field, less its true localization factor.
+        scale: Measured over promised velocity, by least squares.
+        correlation: Cosine between the measured and the promised velocities.
+    """
+
+    case: str
+    measured: MeasuredField
+    promised: np.ndarray
+    promised_factor: float
+    localization_factor: float
+    deviation: float
+    sampling: float
+    scale: float
+    correlation: float
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Lowest and highest localization factor: 95 % for the noise, and twice the error of sampling."""
+        width = NORMAL * float(np.nan_to_num(self.deviation)) + 2 * abs(self.sampling)
+        return self.localization_factor - width, self.localization_factor + width
+
+    @property
+    def kept(self) -> bool:
+        """True if the promised localization factor is not above the interval."""
+        return self.promised_factor <= self.interval[1]
+
+
+def verify(result: Result, data: Path | MeasuredField, case: str | None = None) -> Verification:
+    """Compare the velocities that were measured under a drive with those of its result.
+
+    Args:
+        result: Result of ``localize`` or ``simulate``.
+        data: Measured velocities, or a CSV file with the columns x, y, velocity and maybe uncertainty.
+        case: Name of the drive (default: the best one, or the one that was simulated).
+
+    Raises:
+        SceneError: The file is not as it should be, or the points do not lie on the panel or on one line alone.
+    """
+    name = next(key for key, each in result.cases.items() if each is result.main_case) if case is None else case
+    if name not in result.cases:
+        raise SceneError(f"case {name!r}: is not one of {', '.join(result.cases)}")
+    scene = result.case_scene(result.cases[name])
+    measured = average_readings(read_field(data) if isinstance(data, Path) else data)
+    (motion,) = motions(result.scene, {name: result.cases[name]})
+    field = motion.rms_velocity.astype(float)
+    weights = region_weights(scene) * motion.surface_density
+    axes = [np.linspace(0, side, count) for side, count in zip(scene.plate.size, scene.grid.nodes, strict=True)]
+    x, y = measured.points.T
+    if np.any((measured.points < 0) | (measured.points > scene.plate.size)):
+        raise SceneError(f"{measured.source}: a point is off the plate of {list(scene.plate.size)} m")
+    promised = scipy.interpolate.RegularGridInterpolator(axes[::-1], field)(np.stack([y, x], axis=1))
+    plate, target = _quadrature(measured, axes, weights)
+    squares, noise = measured.velocity**2, measured.uncertainty
+    seen = (target @ promised**2) / (plate @ promised**2)
+    true = np.sum(weights[1] * field**2) / np.sum(weights[0] * field**2)
+    whole = plate @ (squares if noise is None else squares - noise**2)
+    factor = target @ (squares if noise is None else squares - noise**2) / whole
+    deviation = math.nan
+    if noise is not None:
+        deviation = float(np.linalg.norm((target - factor * plate) * 2 * measured.velocity * noise) / whole)
+    product, size = measured.velocity @ promised, promised @ promised
+    return Verification(
+        case=name,
+        measured=measured,
+        promised=promised,
+        promised_factor=result.cases[name].localization_factor,
+        localization_factor=float(factor),
+        deviation=deviation,
+        sampling=float(seen - true),
+        scale=float(product / size),
+        correlation=float(product / math.sqrt(size * (measured.velocity @ measured.velocity))),
+    )
+
+
+def read_field(path: Path) -> MeasuredField:
+    """Return the velocities of a CSV file with the columns x, y [m], velocity [m/s] and maybe uncertainty [m/s].
+
+    Raises:
+        SceneError: The file cannot be read, or holds no such table.
+    """
+    columns = read_columns(path)
+    if missing := [name for name in COLUMNS[:3] if name not in columns]:
+        raise SceneError(f"{path}: has no column {missing[0]!r}; the columns are: {', '.join(columns)}")
+    found = {}
+    for name in (name for name in COLUMNS if name in columns):
+        values = []
+        for line, cell in columns[name]:
+            try:
+                values.append(float(cell))
+            except ValueError:
+                values.append(math.nan)
+            if not math.isfinite(values[-1]) or values[-1] < 0:
+                raise SceneError(f"{path}: line {line}, {name} = {cell[:40]!r}: must be a number, 0 or more")
+        found[name] = np.array(values)
+    if not any(found["velocity"]):
+        raise SceneError(f"{path}: needs velocities that are not all 0")
+    points = np.stack([found["x"], found["y"]], axis=1)
+    return MeasuredField(str(path), points, found["velocity"], found.get("uncertainty"))
+
+
+def average_readings(field: MeasuredField) -> MeasuredField:
+    """Average the readings of each point; where all have several and no uncertainty, it is that of their mean."""
+    points, which, counts = np.unique(field.points, axis=0, return_inverse=True, return_counts=True)
+    which = which.ravel()
+    if not 4 <= len(points) <= MOST_POINTS:
+        raise SceneError(f"{field.source}: {len(points)} points; 4 to {MOST_POINTS} are possible")
+    mean = np.bincount(which, field.velocity) / counts
+    if field.uncertainty is not None:
+        return MeasuredField(field.source, points, mean, np.sqrt(np.bincount(which, field.uncertainty**2)) / counts)
+    if counts.min() < 2:
+        return MeasuredField(field.source, points, mean, None)
+    spread = np.bincount(which, (field.velocity - mean[which]) ** 2) / (counts - 1)
+    return MeasuredField(field.source, points, mean, np.sqrt(spread / counts))
+
+
+def _quadrature(measured: MeasuredField, axes: list[np.ndarray], weights: np.ndarray) -> np.ndarray:
+    """Return (2, n) weights of the squares at the points in the energies of the plate and of the target."""
+    x, y = np.meshgrid(*axes)
+    nodes, identity = np.stack([x.ravel(), y.ravel()], axis=1), np.eye(len(measured.points))
+    try:
+        spline = scipy.interpolate.RBFInterpolator(measured.points, identity, kernel="thin_plate_spline")
+        total = np.zeros((2, len(identity)))
+        for part in np.array_split(np.arange(len(nodes)), -(-nodes.shape[0] * len(identity) // 2**22)):
+            total += weights.reshape(2, -1)[:, part] @ spline(nodes[part])
+    except np.linalg.LinAlgError:
+        raise SceneError(f"{measured.source}: all points lie on one line; measure over the panel") from None
+    return total
