@@ -9,7 +9,10 @@ from conftest import scene_of
 from warp_plate import PlateSolver, Scene, SceneError, focus
 from warp_plate.focusing.figures import measure_focus
 from warp_plate.focusing.motion import focus_motions
+from warp_plate.focusing.responses import HeldResponses
+from warp_plate.modal.modes import modes_below
 from warp_plate.result.focus import load_focus, save_focus
+from warp_plate.scene.target import Target
 
 TABLE = {"points": [(0.07, 0.06), (0.13, 0.12)], "highest": 600.0, "time": 0.02, "rate": 16000}
 OVERSAMPLED = 8
@@ -131,6 +134,38 @@ def test_four_fingers_feel_them_in_time_steps_too(tmp_path):
     nearest = (motion[0] @ burst) / (burst @ burst) * burst
     assert np.linalg.norm(motion[0] - nearest) < 0.05 * np.linalg.norm(nearest)
     assert np.abs(motion[1:]).max() < 0.1 * np.abs(motion[0]).max()
+
+
+def test_quiet_waveforms_keep_the_rest_within_its_bound():
+    """Against random waveforms near them: none within the bound and the energy moves the point further."""
+    rest = {"contrast": 15.0, "radius": 0.03}
+    scene = scene_of(damping=20.0, focus={**TABLE, "energy": 0.02, "rest": rest})
+    found = focus(scene)
+    quiet, plain = found.methods["quiet"], found.methods["time_reversal"]
+    assert quiet.limits == ("energy, rest",) * 2
+    assert (quiet.peak < plain.peak).all()
+    plate = modes_below(scene, 600.0)
+    responses = HeldResponses(plate, TABLE["rate"], scene.focus.recorded, velocity=False)
+    inside = [plate.kinetic_matrix(Target(disc=(*point, 0.03))) for point in TABLE["points"]]
+    mass = plate.galerkin.plate_mass * (1 - math.pi * 0.03**2 / 0.04)
+
+    def figures(waveforms, focus):
+        amplitudes = responses.amplitudes(responses.states(waveforms))
+        squares = (amplitudes @ (plate.kinetic_matrix() - inside[focus]) * amplitudes).sum(axis=1) / mass
+        moved = (amplitudes @ plate.at_points([TABLE["points"][focus]]))[:, 0]
+        return moved, moved / np.sqrt(squares)
+
+    random, least = np.random.default_rng(3), 10 ** (15 / 20)
+    for focus_index in range(2):
+        best = quiet.waveforms[focus_index]
+        moved, contrast = figures(best[None], focus_index)
+        assert contrast[0] == pytest.approx(least)
+        tilted = best + random.normal(size=(60, 1, 1)) * (plain.waveforms[focus_index] - best)
+        noisy = tilted + 0.01 * best.std() * random.normal(size=(60, *best.shape))
+        noisy *= np.linalg.norm(best) / np.linalg.norm(noisy, axis=(1, 2), keepdims=True)
+        others, contrasts = figures(noisy, focus_index)
+        assert (contrasts > least).any()
+        assert others[contrasts > least].max() < moved[0]
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from warp_plate.focusing import methods
 from warp_plate.focusing.convolution import Convolution
 from warp_plate.focusing.figures import PICTURED, field_at_end, measure_focus
 from warp_plate.focusing.responses import HeldResponses
+from warp_plate.focusing.rest import quiet_optimum
 from warp_plate.focusing.wishes import wished_motion, wished_pulse
 from warp_plate.modal.modes import modes_below
 from warp_plate.result.focus import FocusedWaveforms, FocusResult
@@ -45,11 +47,19 @@ def focus(scene: SceneSource, played: FocusResult | None = None) -> FocusResult:
         raise SceneError(f"focus.points[{still}]: nothing moves at {x:g}, {y:g}, where an edge holds the plate")
     convolution = Convolution(h, table.samples)
     gains, made, bound = _waveforms(h, convolution, table, played)
+    quiet = [False] * len(table.points)
+    if table.rest is not None and played is None:
+        waveforms, quiet = quiet_optimum(responses, table, gains)
+        made["quiet"] = methods.scale_to_limits(waveforms, *_limits(table))
     ended = time.perf_counter()
     reached = {
         name: _reached(responses, table, waveforms, convolution.move(waveforms), _gap(gains, waveforms, bound))
         for name, waveforms in made.items()
     }
+    if "quiet" in reached:
+        pairs = zip(reached["quiet"].limits, quiet, strict=True)
+        limits = tuple(", ".join([*filter(None, [others]), *["rest"] * bound]) for others, bound in pairs)
+        reached["quiet"] = replace(reached["quiet"], limits=limits)
     seconds = {"modes": solved - started, "waveforms": ended - solved, "figures": time.perf_counter() - ended}
     return FocusResult(
         scene=scene,
@@ -88,7 +98,7 @@ def _waveforms(
     h: np.ndarray, convolution: Convolution, table: Focus, played: FocusResult | None
 ) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
     """Return the gains and each method's waveforms, (foci, actuators, samples), and (foci,) bounds of their product."""
-    energy, peak = None if table.energy is None else table.energy * table.rate, table.peak_limit
+    energy, peak = _limits(table)
     foci, banded = np.eye(len(table.points))[:, :, None], convolution
     if table.lowest:
         banded = Convolution(methods.keep_above(h, table.rate, table.lowest), table.samples)
@@ -103,6 +113,11 @@ def _waveforms(
     }
     scaled = {name: methods.scale_to_limits(waveforms, energy, peak) for name, waveforms in unscaled.items()}
     return gains, {**scaled, "optimum": np.stack(best)}, np.array(bounds)
+
+
+def _limits(table: Focus) -> tuple[float | None, float | None]:
+    """Return the largest Σ w² and |w|."""
+    return None if table.energy is None else table.energy * table.rate, table.peak_limit
 
 
 def _gap(gains: np.ndarray, waveforms: np.ndarray, bound: np.ndarray) -> np.ndarray:

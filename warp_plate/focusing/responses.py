@@ -58,6 +58,33 @@ class HeldResponses:
             states = states + np.einsum("psa,pa->ps", moved, self._gains)
         return states
 
+    def end_motions(self, samples: int, waveforms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the modal amplitudes (sets, modes) at the end of waveforms (sets, actuators, samples), and B Bᵀ.
+
+        B is the matrix (modes, actuators · samples) of the amplitudes at the end under each sample.
+        """
+        modes = self.plate.frequencies.size
+        gram = np.zeros((modes, modes))
+        for _, _, motions in self._end_blocks(samples):
+            gram += motions @ motions.T
+        return self.amplitudes(self.states(waveforms)), gram
+
+    def reversed_motions(self, amplitudes: np.ndarray, samples: int) -> np.ndarray:
+        """Return Bᵀ times amplitudes (sets, modes), as waveforms (sets, actuators, samples)."""
+        waveforms = np.empty((len(amplitudes), self._gains.shape[1], samples))
+        for actuator, since_end, motions in self._end_blocks(samples):
+            waveforms[:, actuator, samples - 1 - since_end] = amplitudes @ motions
+        return waveforms
+
+    def _end_blocks(self, samples: int) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+        """Yield actuators, samples before the last (block,) and the columns of B (modes, block)."""
+        first = 0
+        for decays in self._decays(samples):
+            since_end = np.arange(first, first + decays.shape[1])
+            first += decays.shape[1]
+            for actuator, gains in enumerate(self._gains.T):
+                yield actuator, since_end, np.asarray((self._poles.vectors @ (gains[:, None] * decays)).real)
+
     def next_states(self, states: np.ndarray, pressures: np.ndarray) -> np.ndarray:
         """Return the states after another sample of pressures (sets, actuators) [N/m²]."""
         return np.asarray(np.exp(self._poles.values * self._step)[:, None] * states + self._gains @ pressures.T)

@@ -26,6 +26,13 @@ class FocusBurst(Table):
         return self.cycles / self.frequency / 2
 
 
+class FocusRest(Table):
+    """A bound on the motion of the rest of the plate at the moment of the focus."""
+
+    contrast: Annotated[float, Field(ge=0, le=200)]  # least motion of the point over the root mean square outside [dB]
+    radius: Positive  # radius of the disc around the point, outside which the rest lies [m]
+
+
 class Focus(Table):
     """Points where waveforms of the actuators focus, and the limits of the waveforms."""
 
@@ -39,6 +46,7 @@ class Focus(Table):
     peak: Positive | None = None  # largest drive of an actuator [N/m² or V] (default: 1 without an energy, else none)
     condition: Annotated[float, Field(ge=1, le=1e7)] = 100.0  # largest singular value over those that are damped
     burst: FocusBurst | None = None  # wished motion of a focus (default: a pulse)
+    rest: FocusRest | None = None  # bound on the rest of the plate, for the method "quiet" (default: none)
     energy: Positive | None = None  # largest sum over actuators of the integral of drive² [drive²·s]
 
     @property
@@ -67,6 +75,8 @@ class Focus(Table):
             raise ValueError(
                 f"rate: {self.rate} samples a second; highest = {self.highest:g} Hz takes at least twice it"
             )
+        if self.rest is not None and self.burst is not None:
+            raise ValueError("rest: bounds motion at one moment, not that of a burst; delete one of them")
         if self.lowest >= self.highest:
             raise ValueError(f"lowest: {self.lowest:g} Hz must be below highest = {self.highest:g} Hz")
         if self.burst is not None and not (self.burst.frequency <= self.highest and self.burst.half <= self.time):
@@ -85,6 +95,8 @@ class Focus(Table):
         for index, (x, y) in enumerate(self.points):
             if not (0 <= x <= width and 0 <= y <= height):
                 raise ValueError(f"focus.points[{index}]: {[x, y]} is off the plate of {[width, height]} m")
+        if self.rest is not None and self.rest.radius > min(size) / 2:
+            raise ValueError(f"focus.rest.radius: {self.rest.radius:g} m is above half of a side of the plate")
         if (numbers := self.samples * len(self.points) * actuators) > MOST_NUMBERS:
             what = f"{self.samples} samples for {actuators} actuators and {len(self.points)} points"
             raise ValueError(f"focus.time: {what} are {numbers}; at most {MOST_NUMBERS} are possible")

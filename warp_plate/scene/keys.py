@@ -56,6 +56,8 @@ UNITS = {
     "power": "(drive)²",
     "objectives.rest_limit": "m/s or m",
     "signals.force_gain": "1/N",
+    "focus.rest.radius": "m",
+    "focus.rest.contrast": "dB",
     "focus.peak": "drive",
     "focus.energy": "(drive)²·s",
 }
