@@ -43,6 +43,7 @@ _HOME = {
     "focus": "warp_plate.focusing.focus:focus",
     "frf": "warp_plate.studies.frequency_response:compute_frequency_response",
     "load_checkpoint": "warp_plate.result.checkpoint:load_checkpoint",
+    "load_comparison": "warp_plate.result.comparison:load_comparison",
     "load_focus": "warp_plate.result.focus:load_focus",
     "load_result": "warp_plate.result.model:load_result",
     "load_sweep": "warp_plate.result.sweep:load_sweep",
@@ -52,7 +53,10 @@ _HOME = {
     "plan_measurement": "warp_plate.fitting.plan_measurement:plan_measurement",
     "plot": "warp_plate.notebook:plot",
     "resume": "warp_plate.studies.localize:resume",
+    "save_comparison": "warp_plate.result.comparison:save_comparison",
+    "save_focus": "warp_plate.result.focus:save_focus",
     "save_result": "warp_plate.result.model:save_result",
+    "save_sweep": "warp_plate.result.sweep:save_sweep",
     "simulate": "warp_plate.studies.simulate:simulate",
     "sweep": "warp_plate.studies.sweep:sweep",
     "verify": "warp_plate.studies.verify:verify",
@@ -81,6 +85,7 @@ __all__ = [
     "focus",
     "frf",
     "load_checkpoint",
+    "load_comparison",
     "load_focus",
     "load_result",
     "load_sweep",
@@ -90,7 +95,10 @@ __all__ = [
     "plan_measurement",
     "plot",
     "resume",
+    "save_comparison",
+    "save_focus",
     "save_result",
+    "save_sweep",
     "simulate",
     "sweep",
     "verify",
@@ -106,9 +114,10 @@ if TYPE_CHECKING:
     from warp_plate.modal.continuous_modes import modes
     from warp_plate.notebook import plot, view
     from warp_plate.result.checkpoint import load_checkpoint
-    from warp_plate.result.focus import load_focus
+    from warp_plate.result.comparison import load_comparison, save_comparison
+    from warp_plate.result.focus import load_focus, save_focus
     from warp_plate.result.model import Result, load_result, save_result
-    from warp_plate.result.sweep import load_sweep
+    from warp_plate.result.sweep import load_sweep, save_sweep
     from warp_plate.scene.actuator import Actuator
     from warp_plate.scene.drive import Drive
     from warp_plate.scene.effects import Effects

@@ -1,12 +1,14 @@
-"""docs/python.md and the example script run as written."""
+"""The pages on Python and the example script run as written."""
 
 import doctest
+import re
 import runpy
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import warp_plate
 from warp_plate import Scene, compare, frf, load_result, localize, plot, simulate, sweep
 from warp_plate.viz.availability import missing_renderer
 
@@ -17,6 +19,19 @@ DOCS = Path(__file__).parents[2] / "docs"
 def test_examples_of_the_page_hold():
     pytest.importorskip("xarray")
     failed, tried = doctest.testfile(str(DOCS / "python.md"), module_relative=False, encoding="utf-8")
+    assert tried
+    assert not failed
+
+
+@pytest.mark.slow
+def test_every_name_has_an_example_that_runs(tmp_path, monkeypatch):
+    pytest.importorskip("matplotlib")
+    pytest.importorskip("pyvista")
+    page = DOCS / "python-names.md"
+    used = set(re.findall(r"\bwpl\.(\w+)", page.read_text(encoding="utf-8")))
+    assert used == set(warp_plate.__all__)
+    monkeypatch.chdir(tmp_path)
+    failed, tried = doctest.testfile(str(page), module_relative=False, encoding="utf-8")
     assert tried
     assert not failed
 
