@@ -105,7 +105,7 @@ def _solve(function: Function, weights: np.ndarray, start: np.ndarray, tolerance
     found = scipy.optimize.least_squares(
         lambda point: weights * function(point),
         start,
-        lambda point: weights[:, None] * _jacobian(function, point),
+        lambda point: weights[:, None] * _jacobian(function, point, central=tolerance < COARSE),
         bounds=(0, 1),
         xtol=tolerance,
         ftol=tolerance**2,
@@ -114,11 +114,13 @@ def _solve(function: Function, weights: np.ndarray, start: np.ndarray, tolerance
     return np.asarray(found.x)
 
 
-def _jacobian(function: Function, unknowns: np.ndarray) -> np.ndarray:
-    """Return the (n, p) Jacobian by central differences within 0 ... 1."""
+def _jacobian(function: Function, unknowns: np.ndarray, central: bool = True) -> np.ndarray:
+    """Return the (n, p) Jacobian by differences within 0 ... 1, one-sided ones from half as many plates."""
     columns = []
     for step in STEP * np.eye(len(unknowns)):
         above, below = np.minimum(unknowns + step, 1), np.maximum(unknowns - step, 0)
+        if not central:
+            above, below = (above, unknowns) if np.any(above > unknowns) else (unknowns, below)
         columns.append((function(above) - function(below)) / np.sum(above - below))
     return np.stack(columns, axis=1)
 
