@@ -104,7 +104,7 @@ def test_command(command, write_scene, random):
     record = json.loads(output_of(command("fit", "panel.toml", "--data", "data.csv", "--json")))
     parameter = record["parameters"]["plate.young_modulus"]
     assert parameter["low"] < parameter["value"] < parameter["high"]
-    assert record["files"] == ["panel.fitted.toml"]
+    assert record["files"] == ["panel.fitted.toml", "panel.fitted.png", "panel.fitted.svg"]
     fitted = Scene.load("panel.fitted.toml")
     assert fitted.plate.young_modulus == parameter["value"]
     assert fitted == supported(free=MODULI).replace("plate.young_modulus", parameter["value"])

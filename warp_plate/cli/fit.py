@@ -31,6 +31,7 @@ def fit(
     assignments: options.Assignments = None,
     out: Path | None = None,
     force: options.Force = False,
+    pictures: options.Pictures = True,
     json: options.Json = False,
 ) -> None:
     """Fit numbers of a panel to its measured natural frequencies or frequency responses, with 95 % intervals.
@@ -49,7 +50,8 @@ def fit(
         dataset 58 for each; .mat, .h5 or .nc with the arrays frequency and response; or time signals, as .wav, or as
         .csv with the table [fit.signals]. May be repeated, for files with as many responses each.
     out
-        The fitted scene (.toml; default: SCENE.fitted.toml in this folder).
+        The fitted scene (.toml; default: SCENE.fitted.toml in this folder). Pictures of what was measured and fitted
+        (.png and .svg) lie beside it under the same name.
     """
     target = output.output_file(out, f"{Path(scene).stem}.fitted.toml", (), HEADING, force)
     loaded, scene = output.load_scene(scene, assignments)
@@ -66,7 +68,21 @@ def fit(
         temporary.write_text(
             f"{HEADING} to {', '.join(repr(path.name) for path in data)}\n{found.scene.to_toml()}", encoding="utf-8"
         )
-    output.report(json, partial(_as_json, scene, found), partial(_print, scene, found), ([target], None))
+    drawn, missing = _draw(found, target) if pictures else ([], None)
+    written = [target, *drawn], missing
+    output.report(json, partial(_as_json, scene, found), partial(_print, scene, found), written)
+
+
+def _draw(found: ModeFit | ResponseFit, target: Path) -> output.Drawn:
+    from warp_plate.fitting.assurance import assurance
+    from warp_plate.fitting.fit_responses import ResponseFit
+    from warp_plate.viz.plots.fit import draw_mode_fit, draw_response_fit
+    from warp_plate.viz.plots.frame import save_plots
+
+    if isinstance(found, ResponseFit):
+        return save_plots(draw_response_fit, found, target)
+    mac = assurance(found.scene, found.measured, found.numbers)
+    return save_plots(partial(draw_mode_fit, mac=mac), found, target)
 
 
 def _as_json(name: str, found: ModeFit | ResponseFit) -> dict[str, object]:
