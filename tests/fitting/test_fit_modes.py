@@ -55,6 +55,27 @@ def test_what_cannot_be_told_apart_is_named(random):
     assert found.values[0] / found.values[1] == pytest.approx(MODULUS / MATERIAL["density"], rel=5e-3)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "extra",
+    [
+        {"plate.density": (500.0, 2000.0)},
+        {"plate.poisson_ratio": (0.1, 0.45)},
+        {"plate.thickness": (3e-4, 8e-4)},
+        {"plate.density": (500.0, 2000.0), "plate.poisson_ratio": (0.1, 0.45)},
+        {"plate.density": (500.0, 2000.0), "plate.thickness": (3e-4, 8e-4)},
+    ],
+    ids=" and ".join,
+)
+@pytest.mark.parametrize("noise", [1e-4, 1e-2])
+def test_frequencies_of_a_supported_plate_tell_one_number(extra, noise, random):
+    """They are all proportional to √(E H² / ρ (1 − ν²)), whatever the noise."""
+    free = {**MODULI, **extra}
+    found = fit_modes(supported(free=free), measured(random, noise=noise))
+    assert found.inseparable == (tuple(free),)
+    assert np.isnan([*found.low, *found.high]).all()
+
+
 def test_damping_separates_modulus_and_density(random):
     """c/2ρHω falls with the density; damping is measured a hundred times worse, and the intervals know it."""
     free = {**MODULI, "plate.density": (500.0, 2000.0)}
