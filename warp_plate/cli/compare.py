@@ -162,7 +162,7 @@ def _print(result: MethodComparison, console: Console) -> None:
         console.print(f"\n{words[result.bound_kind]}: {value:.6g}, {result.bound_sentence}")
     console.print(LEGEND.format(of="it" if result.localization else "its size"))
     if result.seconds["prepare"] > 0:
-        console.print(f"before the clock: {result.seconds['prepare']:.2g} s for the plates that all methods share.")
+        console.print(f"not timed: {result.seconds['prepare']:.2g} s for the plates that all methods share.")
     for method, reason in result.skipped.items():
         console.print(f"{method}: left out: {reason}")
     options.print_failures(result, console, "the finished trials are shown")

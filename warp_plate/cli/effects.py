@@ -64,7 +64,7 @@ def _print(found: Influence, console: Console) -> None:
     console.print(
         f"\nPrice: time that the effect adds to a step, in % of the bare plate's step ({found.bare_step:.2g} s), "
         "measured. Steps: factor by which it changes the number of steps. Factor (localization) and displacement: with "
-        "the effect switched over, under the scene's own drive:\n"
+        "the effect switched on or off, under the scene's own drive:\n"
     )
     for switch in found.toggles:
         console.print(f"{'without' if switch.on else 'with'} {_words(switch.name)}: {switch.alternative}")

@@ -157,7 +157,7 @@ def _remarks(found: ModeFit | ResponseFit) -> list[str]:
         lines.append(f"{' and '.join(group)}: {fault}")
     for key, limited in zip(found.keys, found.at_limit, strict=True):
         if limited:
-            lines.append(f"{key}: is at an end of its range, and its interval does not hold; widen the range")
+            lines.append(f"{key}: is at an end of its range, so its interval is not valid; widen the range")
     for first, second in np.argwhere(np.triu(np.abs(found.correlations) > STRONG, 1)):
         value = found.correlations[first, second]
         lines.append(f"{found.keys[first]} and {found.keys[second]}: their errors are correlated by {value:+.3f}")

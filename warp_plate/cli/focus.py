@@ -114,7 +114,7 @@ def _print(name: str, found: FocusResult, console: Console) -> None:
         output.print_uncropped(console, made)
         console.print()
     console.print(
-        f"Energy in ({found.scene.drive_unit})²·s. Gap: part of the bound of all waveforms that the peak lacks."
+        f"Energy in ({found.scene.drive_unit})²·s. Gap: relative distance of the peak from the bound for all waveforms."
     )
     others = ~np.eye(len(table.points), dtype=bool)
     for method, reached in found.methods.items():

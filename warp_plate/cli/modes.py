@@ -142,7 +142,7 @@ def _print(
     console.print(made)
     console.print(
         ("" if errors is None else f"\nIn a run: frequencies of time steps of {found.time_step:.3g} s.")
-        + "\nWaves: half-waves, stretches of one sign along x and y."
+        + "\nWaves: number of half-waves along x and y."
         + (" Mass: displacement of the oscillator relative to the largest of the plate." if masses else "")
     )
     if left_out:
