@@ -15,6 +15,7 @@ from warp_plate.scene.errors import toml_text
 from warp_plate.scene.fields import LARGEST, Table
 from warp_plate.scene.keys import UNITS
 from warp_plate.scene.model import Scene
+from warp_plate.scene.schema import field_comments
 
 DOCS = Path(__file__).parents[1]
 SCHEMA = Scene.model_json_schema()
@@ -53,7 +54,6 @@ EXPORTS = (
     "frequency_response.write_hdf5",
 )
 BOUNDS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
-FIELD = re.compile(r"    (\w+): [^#\n]*(?:\"[^\"]*\"[^#\n]*)*(?:# (.*))?")
 
 
 def setup(app):
@@ -89,7 +89,7 @@ def add_fields(app, what, name, kind, options, lines):
     if what == "class" and issubclass(kind, Table):
         lines += ["", "Arguments are its keys, see :doc:`/reference/scene-keys`."]
     elif what == "class" and is_dataclass(kind) and not any(line.startswith(":ivar") for line in lines):
-        lines += ["", *(f":ivar {field}: {text}" for field, text in comments(kind).items() if text), ""]
+        lines += ["", *(f":ivar {field}: {text}" for field, text in field_comments(kind).items() if text), ""]
 
 
 def command_line():
@@ -140,7 +140,7 @@ def definition(name):
 def section(name, paths):
     """Return the heading, the description, the keys and an example of a table."""
     model, path = tables()[name], paths[0].strip("[]")
-    said, rows = comments(model), []
+    said, rows = field_comments(model), []
     for key, field in definition(name)["properties"].items():
         if (path or key == "title") and ("$ref" not in str(field) or "enum" in str(field)):
             rows.append(row(f"{path}.{key}", field, model.model_fields[key], said.get(key, "")))
@@ -165,22 +165,6 @@ def tables(model=Table):
     """Return a model and all its subclasses by their names."""
     below = [tables(each) for each in model.__subclasses__()]
     return {model.__name__: model} | {name: each for found in below for name, each in found.items()}
-
-
-def comments(model):
-    """Return the comment beside or above each field of a model."""
-    found = {}
-    for each in reversed([each for each in model.__mro__ if each.__module__.startswith("warp_plate")]):
-        above = []
-        for line in inspect.getsource(each).splitlines():
-            if line.startswith("    # "):
-                above.append(line[6:])
-                continue
-            if match := FIELD.fullmatch(line):
-                text = match[2] or " ".join(above)
-                found[match[1]] = text or found.get(match[1], "")
-            above = []
-    return found
 
 
 def kind(field):

@@ -52,7 +52,7 @@ class SampledSignal(Table):
     per_actuator: Flag = False
     rate: Annotated[float, Field(ge=1e-3, le=1e7)] | None = None  # sampling rate of a CSV file without times [1/s]
     start: Instant = 0.0  # time at which the file begins [s]; added to the times of a CSV file
-    gain: Gain = 1.0  # factor on the samples; integer samples of a WAV file are scaled to −1 ... 1 before
+    gain: Gain = 1.0  # factor on the samples; integer samples of a WAV file are scaled to −1 ... 1 before [1]
     repeat: Flag = False  # true to start again at the end of the file instead of falling silent
 
     @model_validator(mode="after")

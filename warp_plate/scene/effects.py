@@ -46,7 +46,7 @@ class LossFactor(Table):
     over all time. A list gives the loss factor of each mode in order; the last one holds for all higher modes.
     """
 
-    eta: PerMode  # loss factor η
+    eta: PerMode  # loss factor η [1]
 
 
 class ModalDamping(Table):
@@ -55,7 +55,7 @@ class ModalDamping(Table):
     A list gives the damping ratio of each mode in order; the last one holds for all higher modes.
     """
 
-    ratio: PerMode  # damping ratio ζ
+    ratio: PerMode  # damping ratio ζ [1]
 
 
 def per_mode(values: float | tuple[float, ...], count: int) -> np.ndarray:
@@ -122,9 +122,9 @@ class Variation(Table):
     at its nodes, not averaged. Layers lie on the local thickness; ``[effects.orthotropic]`` is multiplied as well.
     """
 
-    thickness: Factors | None = None  # factor on the thickness
-    young_modulus: Factors | None = None  # factor on Young's modulus
-    density: Factors | None = None  # factor on the density
+    thickness: Factors | None = None  # factor on the thickness [1]
+    young_modulus: Factors | None = None  # factor on Young's modulus [1]
+    density: Factors | None = None  # factor on the density [1]
 
     @model_validator(mode="after")
     def _consistent(self) -> Variation:

@@ -6,8 +6,17 @@ import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeInt, TypeAdapter, ValidationError
-from pydantic_core import PydanticCustomError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetJsonSchemaHandler,
+    NonNegativeInt,
+    TypeAdapter,
+    ValidationError,
+)
+from pydantic_core import CoreSchema, PydanticCustomError
 
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.explain_errors import explain_error
@@ -33,6 +42,18 @@ class Table(BaseModel):
 
         # Pydantic then validates the tables of a file without this constructor, and reports their keys in full.
         __init__.__pydantic_base_init__ = True
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """Return the table's JSON schema, with the comments beside the fields as descriptions."""
+        from warp_plate.scene.schema import field_comments
+
+        schema = handler(core_schema)
+        properties = handler.resolve_ref_schema(schema).get("properties", {})
+        for name, comment in field_comments(cls).items():
+            if comment and name in properties:
+                properties[name]["description"] = comment
+        return schema
 
 
 def _moderate(value: float) -> float:

@@ -38,7 +38,7 @@ class Measurement(Table):
     force_at: tuple[Coordinate, Coordinate] | None = None  # point x, y of a hammer or shaker [m]
     point: tuple[Coordinate, Coordinate]  # sensor's x, y [m]
     quantity: Literal["receptance", "mobility", "accelerance"] = "accelerance"  # response per force
-    gain: Gain = 1.0  # what was measured, over the true response in SI units
+    gain: Gain = 1.0  # what was measured, over the true response in SI units [1]
 
     @model_validator(mode="after")
     def _driven_once(self) -> Measurement:
@@ -61,7 +61,7 @@ class TimeSignals(Table):
     """Time signals for responses: one channel has the force, the others the sensors in order."""
 
     force_channel: Annotated[int, Field(ge=1, le=256)] = 1  # counted from 1
-    force_gain: Gain = 1.0  # what was recorded over the true force in N
+    force_gain: Gain = 1.0  # what was recorded over the true force in N [1/N]
     estimator: Literal["H1", "H2", "Hv"] = "H1"  # H1 for noise in the response, H2 in the force, Hv in both
     segment: Positive = 1.0  # duration of the segments that are averaged [s]; frequencies are multiples of 1/segment
     window: Literal["hann", "boxcar"] = "hann"  # of segments that overlap by half, or that follow one another
@@ -70,7 +70,8 @@ class TimeSignals(Table):
 class Fit(Table):
     """The free numbers of a fit, and how it is done."""
 
-    free: Annotated[dict[str, tuple[Moderate, Moderate]], BeforeValidator(_flat)]  # lowest and highest value by key
+    # Lowest and highest value by key [unit of the key]
+    free: Annotated[dict[str, tuple[Moderate, Moderate]], BeforeValidator(_flat)]
     # Measured modes are the lowest ones in order, or those with the nearest frequencies; a column ``mode`` goes first
     pairing: Literal["order", "nearest"] = "order"
     starts: Annotated[int, Field(ge=1, le=10_000)] = 16  # points from which the fit may begin

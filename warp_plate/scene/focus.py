@@ -18,7 +18,7 @@ class FocusBurst(Table):
     """A tone under a Hann window, whose middle is at the moment of the focus."""
 
     frequency: Positive  # frequency of the tone [Hz]
-    cycles: Annotated[float, Field(ge=1, le=1e6)] = 5.0  # periods from end to end
+    cycles: Annotated[float, Field(ge=1, le=1e6)] = 5.0  # periods from end to end [1]
 
     @property
     def half(self) -> float:
@@ -44,7 +44,7 @@ class Focus(Table):
     rate: Annotated[int, Field(ge=1, le=10_000_000)] = 48000  # samples a second
     quantity: Literal["displacement", "velocity"] = "displacement"  # quantity that is focused
     peak: Positive | None = None  # largest drive of an actuator [N/m² or V] (default: 1 without an energy, else none)
-    condition: Annotated[float, Field(ge=1, le=1e7)] = 100.0  # largest singular value over those that are damped
+    condition: Annotated[float, Field(ge=1, le=1e7)] = 100.0  # largest singular value over those that are damped [1]
     burst: FocusBurst | None = None  # wished motion of a focus (default: a pulse)
     rest: FocusRest | None = None  # bound on the rest of the plate, for the method "quiet" (default: none)
     energy: Positive | None = None  # largest sum over actuators of the integral of drive² [drive²·s]

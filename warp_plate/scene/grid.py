@@ -24,9 +24,9 @@ class Grid(Table):
     load: Literal["overlap", "nodes", "moments"] = "overlap"
     time_step: Positive | None = None  # time step [s] (default: 0.9 of the stability limit, at most 1/20 of a period)
     precision: Literal["float32", "float64"] = "float32"  # precision of the time steps
-    # Functions of modes along each side, relative to the default; time steps do not read it
+    # Functions of modes along each side, relative to the default; time steps do not read it [1]
     modal_density: Annotated[float, Field(ge=0.25, le=4)] = 1.0
-    # Relative error allowed in localization factors, from which all of the above are chosen
+    # Relative error allowed in localization factors, from which all of the above are chosen [1]
     accuracy: Annotated[float, Field(ge=1e-4, le=0.5)] | None = None
 
     @model_validator(mode="after")

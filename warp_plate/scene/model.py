@@ -66,7 +66,7 @@ class Plate(Table):
     size: tuple[Positive, Positive]  # sides along x and y [m]
     thickness: Positive  # thickness H, at most a fifth of the shorter side [m]
     young_modulus: Annotated[float, Field(ge=1e3, le=1e13)]  # Young's modulus E [Pa]
-    poisson_ratio: Annotated[float, Field(ge=-0.99, lt=0.5)]  # Poisson's ratio ν
+    poisson_ratio: Annotated[float, Field(ge=-0.99, lt=0.5)]  # Poisson's ratio ν [1]
     density: Annotated[float, Field(ge=1, le=1e5)]  # density ρ [kg/m³]
 
     @property

@@ -43,13 +43,13 @@ class FreePhase(Table):
 class FreeMagnitude(_Range):
     """Magnitudes vary within ``range`` [N/m², or V under ``[drive.electrostatic]``]."""
 
-    range: tuple[NotNegative, NotNegative]
+    range: tuple[NotNegative, NotNegative]  # smallest and largest value [N/m², or V of an electrostatic drive]
 
 
 class FreeFrequency(_Range):
     """The frequency varies within ``range`` [Hz], one for all actuators or, with ``own``, one for each."""
 
-    range: tuple[Positive, Positive]
+    range: tuple[Positive, Positive]  # smallest and largest value [Hz]
     own: Flag = False  # true for a value of its own for each actuator
 
 
@@ -64,7 +64,7 @@ class FreePosition(Table):
 class FreeDelay(_Range):
     """The start of the burst varies within ``range`` [s], one for all actuators or, with ``own``, one for each."""
 
-    range: tuple[Instant, Instant]
+    range: tuple[Instant, Instant]  # smallest and largest value [s]
     own: Flag = False  # true for a value of its own for each actuator
 
 
@@ -79,8 +79,8 @@ class Objective(Table):
     """
 
     kind: Literal["localization", "contrast", "velocity", "displacement", "uniformity"] = "localization"  # see above
-    weight: Annotated[float, Field(gt=0, le=1e30)] = 1.0  # factor in the sum, in 1 over the unit of the kind
-    rest_limit: Positive | None = None  # limit of the RMS over the rest of the plate, for "velocity" and "displacement"
+    weight: Annotated[float, Field(gt=0, le=1e30)] = 1.0  # factor in the sum, in 1 over the unit of the kind [1/unit]
+    rest_limit: Positive | None = None  # limit of the RMS over the rest, for "velocity" and "displacement" [m/s or m]
 
     @model_validator(mode="after")
     def _limit_fits_kind(self) -> Objective:
@@ -103,13 +103,13 @@ class Robust(Table):
     scenarios: Annotated[int, Field(ge=1, le=100_000)] = 16  # number of plates for each drive
     # Mean loss, largest loss, or the loss that only 1 − ``quantile`` of the scenarios exceed
     measure: Literal["mean", "worst", "quantile"] = "mean"
-    quantile: Annotated[float, Field(gt=0, lt=1)] = 0.9  # of the measure "quantile"
-    young_modulus: Tolerance = 0.0  # fraction of the nominal value
-    thickness: Tolerance = 0.0  # fraction of the nominal value
-    damping: Tolerance = 0.0  # fraction of all damping of the plate and its bed
-    gain: Tolerance = 0.0  # fraction of the magnitude, for each actuator
+    quantile: Annotated[float, Field(gt=0, lt=1)] = 0.9  # of the measure "quantile" [1]
+    young_modulus: Tolerance = 0.0  # fraction of the nominal value [1]
+    thickness: Tolerance = 0.0  # fraction of the nominal value [1]
+    damping: Tolerance = 0.0  # fraction of all damping of the plate and its bed [1]
+    gain: Tolerance = 0.0  # fraction of the magnitude, for each actuator [1]
     place: NotNegative = 0.0  # largest displacement of each actuator along x and along y [m]
-    without_oscillators: Annotated[float, Field(ge=0, le=1)] = 0.0  # probability that oscillators are absent
+    without_oscillators: Annotated[float, Field(ge=0, le=1)] = 0.0  # probability that oscillators are absent [1]
     fresh: Annotated[int, Field(ge=1, le=100_000)] = 200  # other scenarios, to compare the robust and nominal optimum
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0  # random seed of the scenarios
 
@@ -144,11 +144,11 @@ class Search(Table):
     particles: Annotated[int, Field(ge=2, le=10_000_000)] = 20  # candidates in each iteration
     iterations: Annotated[int, Field(ge=1, le=1_000_000_000)] = 80  # iterations, the first evaluation included
     restarts: Annotated[int, Field(ge=0, le=10_000)] = 0  # restarts of a search that stalls
-    inertia: Weight = 0.4  # w, of "pso"
-    decay: Annotated[float, Field(gt=0, le=1)] = 0.99  # κ, by which w is multiplied in each iteration
-    cognitive: Weight = 2.0  # c₁, pull of the best position of the particle
-    social: Weight = 2.0  # c₂, pull of the best position of all
-    # Largest magnitude of a velocity component of a swarm (default: none)
+    inertia: Weight = 0.4  # w, of "pso" [1]
+    decay: Annotated[float, Field(gt=0, le=1)] = 0.99  # κ, by which w is multiplied in each iteration [1]
+    cognitive: Weight = 2.0  # c₁, pull of the best position of the particle [1]
+    social: Weight = 2.0  # c₂, pull of the best position of all [1]
+    # Largest magnitude of a velocity component of a swarm (default: none) [1]
     velocity_limit: Annotated[float, Field(gt=0, le=1e100)] | None = None
     # Iterations without improvement after which the search restarts or stops (default: never)
     stall: Annotated[int, Field(ge=1)] | None = None

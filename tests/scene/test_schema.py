@@ -1,0 +1,44 @@
+"""The JSON schema of the scene, which editors complete and check from, explains every key."""
+
+from warp_plate import Scene
+
+SCHEMA = Scene.model_json_schema()
+TABLES = {"Scene": SCHEMA, **SCHEMA["$defs"]}
+PROPERTIES = [(table, key, entry) for table, each in TABLES.items() for key, entry in each["properties"].items()]
+
+
+def parts(entry):
+    """Yield a schema and those within it; tables by their own."""
+    yield entry
+    inner = [*entry.get("anyOf", ()), *entry.get("oneOf", ()), *entry.get("prefixItems", ())]
+    inner += [entry[name] for name in ("items", "additionalProperties") if isinstance(entry.get(name), dict)]
+    if "$ref" in entry:
+        inner.append(TABLES[entry["$ref"].rpartition("/")[2]])
+    for each in inner:
+        yield from parts(each)
+
+
+def test_every_key_has_a_description():
+    missing = [f"{table}.{key}" for table, key, entry in PROPERTIES if not any(map(described, parts(entry)))]
+    assert not missing
+
+
+def described(entry):
+    return entry.get("description")
+
+
+def test_every_real_number_has_a_unit_in_brackets():
+    numbers = [
+        (f"{table}.{key}", entry.get("description", ""))
+        for table, key, entry in PROPERTIES
+        if any(each.get("type") == "number" for each in parts(without_tables(entry)))
+    ]
+    assert len(numbers) > 80
+    assert not [name for name, description in numbers if "[" not in description]
+
+
+def without_tables(entry):
+    """Return a schema without references to tables, whose numbers have descriptions of their own."""
+    if isinstance(entry, dict):
+        return {key: without_tables(value) for key, value in entry.items() if key != "$ref"}
+    return [without_tables(each) for each in entry] if isinstance(entry, list) else entry

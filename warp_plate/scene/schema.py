@@ -1,0 +1,25 @@
+"""Descriptions of the scene's keys for its JSON schema, from the comments beside the fields."""
+
+from __future__ import annotations
+
+import inspect
+import re
+
+FIELD = re.compile(r"    (\w+): [^#\n]*(?:\"[^\"]*\"[^#\n]*)*(?:# (.*))?")
+
+
+def field_comments(table: type) -> dict[str, str]:
+    """Return the comment of each field of a class, on its line or on those above it, by name; units are in brackets."""
+    found: dict[str, str] = {}
+    for each in reversed(table.__mro__[: table.__mro__.index(object)]):
+        if not each.__module__.startswith("warp_plate."):
+            continue
+        above: list[str] = []
+        for line in inspect.getsource(each).splitlines():
+            if line.startswith("    # "):
+                above.append(line[6:])
+                continue
+            if match := FIELD.fullmatch(line):
+                found[match[1]] = match[2] or " ".join(above) or found.get(match[1], "")
+            above = []
+    return found
