@@ -134,6 +134,8 @@ def test_files_of_frf(ending, write, tmp_path):
         ("a.csv", "1,1,1\n1,1,1\n", "frequencies must rise, from 0 hertz or above"),
         ("a.csv", "0,0,0\n1,1,1\n", "1 frequencies; 2 to 4000 can be fitted"),
         ("a.csv", "1,1,1\n2,0,0\n", "response 1 at 2 Hz is 0+0j; must be a complex number other than 0"),
+        ("a.csv", "1,1,1\n2,1e300,0\n", "response 1 at 2 Hz is 1e+300+0j; must be a complex number other than 0"),
+        ("a.csv", "1e-300,1,1\n2,1,1\n", "frequencies must rise"),
         ("a.csv", "1,1,x\n", "line 1 is not made of numbers"),
         ("a.uff", "nothing", "a.uff: "),
     ],

@@ -10,16 +10,17 @@ import numpy as np
 
 from warp_plate.fitting.universal import UNIVERSAL, universal_modes
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.fields import LARGEST, SMALLEST
 
 MOST_BYTES, MOST_MODES = 2**22, 500
 # Limits of the columns' numbers, excluded, and how they are written.
 LIMITS = {
-    "frequency": (0.0, math.inf, "a number above 0 (hertz)"),
-    "damping": (0.0, 1.0, "a ratio above 0 and below 1, or empty"),
+    "frequency": (SMALLEST, LARGEST, f"a number above {SMALLEST:g} and below {LARGEST:g} (hertz)"),
+    "damping": (SMALLEST, 1.0, f"a ratio above {SMALLEST:g} and below 1, or empty"),
     "mode": (0.0, MOST_MODES + 1, f"a whole number from 1 to {MOST_MODES}, different in each line"),
 }
 # First word of columns with shapes, and the rule for their numbers.
-SHAPE, NUMBER = "shape", (-math.inf, math.inf, "a number")
+SHAPE, NUMBER = "shape", (-LARGEST, LARGEST, f"a number of at most {LARGEST:g}")
 # Cells of a column with the numbers of their lines.
 Cells = list[tuple[int, str]]
 
@@ -92,13 +93,16 @@ def _universal(path: Path) -> MeasuredModes:
         raise SceneError(f"{path}: {error}") from None
     order = np.argsort(frequencies, kind="stable")
     order = order[frequencies[order] > 0]
-    if not 1 <= len(order) <= MOST_MODES or not np.isfinite(frequencies[order]).all():
-        raise SceneError(f"{path}: needs 1 to {MOST_MODES} modes (dataset 55) with frequencies above 0")
+    if not 1 <= len(order) <= MOST_MODES or not np.all(
+        (frequencies[order] > SMALLEST) & (frequencies[order] < LARGEST)
+    ):
+        rule = LIMITS["frequency"][2]
+        raise SceneError(f"{path}: needs 1 to {MOST_MODES} modes (dataset 55); a frequency must be {rule}")
     for value in damping[order][np.isfinite(damping[order])]:
-        if not 0 < value < 1:
-            raise SceneError(f"{path}: a damping ratio is {value:g}; must be above 0 and below 1")
-    if shapes is not None and not np.isfinite(shapes).all():
-        raise SceneError(f"{path}: a shape is not made of numbers")
+        if not SMALLEST < value < 1:
+            raise SceneError(f"{path}: a damping ratio is {value:g}; must be above {SMALLEST:g} and below 1")
+    if shapes is not None and not np.all(np.abs(shapes) < LARGEST):
+        raise SceneError(f"{path}: a shape is not made of numbers below {LARGEST:g}")
     return MeasuredModes(
         str(path), frequencies[order], damping[order], None, None if shapes is None else shapes[order], points
     )

@@ -14,6 +14,7 @@ from warp_plate.fitting.universal import UNIVERSAL, universal_responses
 from warp_plate.plate.files import number_rows
 from warp_plate.result.arrays import HDF5, MAT, read_arrays
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.fields import LARGEST, SMALLEST
 from warp_plate.scene.fit import Fit, TimeSignals
 
 MOST_BYTES, MOST_FREQUENCIES = 2**27, 4000
@@ -104,11 +105,13 @@ def _check(source: str, frequencies: np.ndarray, responses: np.ndarray) -> None:
     if not 2 <= len(frequencies) <= MOST_FREQUENCIES:
         most = f"2 to {MOST_FREQUENCIES} can be fitted"
         raise SceneError(f"{source}: {len(frequencies)} frequencies; {most}, and fit.range = [LOW, HIGH] chooses")
-    if not (frequencies[0] > 0 and np.all(np.diff(frequencies) > 0) and np.isfinite(frequencies[-1])):
-        raise SceneError(f"{source}: frequencies must rise, from 0 hertz or above")
-    for row, column in np.argwhere(~np.isfinite(responses) | (responses == 0))[:1].tolist():
+    if not (frequencies[0] > SMALLEST and np.all(np.diff(frequencies) > 0) and frequencies[-1] < LARGEST):
+        raise SceneError(f"{source}: frequencies must rise, from 0 hertz or above, and stay below {LARGEST:g}")
+    sizes = np.abs(responses)
+    for row, column in np.argwhere(~((sizes > SMALLEST) & (sizes < LARGEST)))[:1].tolist():
         value, where = responses[row, column], f"response {row + 1} at {frequencies[column]:g} Hz"
-        raise SceneError(f"{source}: {where} is {value:g}; must be a complex number other than 0")
+        rule = f"must be a complex number other than 0, of a size from {SMALLEST:g} to {LARGEST:g}"
+        raise SceneError(f"{source}: {where} is {value:g}; {rule}")
 
 
 def _csv(data: bytes) -> np.ndarray:
