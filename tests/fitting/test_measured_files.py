@@ -1,6 +1,7 @@
 """Measurements in files of other programs: arrays, universal files, time signals whose filter is known."""
 
 import json
+from contextlib import suppress
 from pathlib import Path
 
 import h5py
@@ -234,3 +235,28 @@ def test_command(command, write_scene):
     write_scene(scene.with_tables(measurement=()))
     message = "--data b.csv: several files hold responses of tables [[measurement]]; there is none"
     assert message in error_of(command("fit", "panel.toml", "--data", "a.csv", "--data", "b.csv", "--force"))
+
+
+@pytest.mark.parametrize("compressed", [True, False])
+def test_damaged_mat_files(compressed, random, tmp_path):
+    """Flipped bits end in a line or in numbers, never in a crash."""
+    path, values = tmp_path / "a.mat", random.normal(size=(1, 4)) + 2j
+    scipy.io.savemat(path, {"frequency": np.arange(1.0, 5), "response": values}, do_compression=compressed)
+    good = path.read_bytes()
+    for place in range(0, 8 * len(good), 7):
+        data = bytearray(good)
+        data[place // 8] ^= 1 << place % 8
+        path.write_bytes(data)
+        with suppress(SceneError):
+            assert read_responses(path, 1).responses.shape[0] == 1
+    path.write_bytes(good)
+    np.testing.assert_array_equal(read_responses(path, 1).responses, values)
+
+
+@pytest.mark.parametrize("kind", [np.dtype((np.float64, (2**24,))), h5py.string_dtype(), h5py.vlen_dtype(float)])
+def test_large_items_of_hdf5_files_are_refused(kind, tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["frequency"] = [1.0, 2.0]
+        file.create_dataset("response", (2,), kind)
+    with pytest.raises(SceneError, match="response is not an array of numbers"):
+        read_responses(tmp_path / "a.h5", 1)

@@ -5,11 +5,11 @@ Nothing in them is executed. Every array has at most ``MOST_NUMBERS``, whatever 
 
 from __future__ import annotations
 
-import io
 import math
 import struct
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 
 import h5py
@@ -20,8 +20,11 @@ from warp_plate.scene.errors import SceneError
 
 MAT, HDF5 = (".mat",), (".h5", ".hdf5", ".nc")
 MOST_NUMBERS, MOST_EXPANDED = 2**24, 2**28
-# Of MAT files of level 5: bytes of the header, and the type of a compressed element.
-HEADER, COMPRESSED = 128, 15
+# Of MAT files of level 5: bytes of the header; types of elements; flag of complex arrays, and classes of numbers.
+HEADER, MATRIX, COMPRESSED, COMPLEX, NUMERIC = 128, 14, 15, 0x800, range(6, 16)
+NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+# Bytes of the longest complex number.
+LONGEST = 32
 
 
 def read_arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
@@ -37,8 +40,6 @@ def read_arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     """
     try:
         found = _mat(path, names) if path.suffix.lower() in MAT else _hdf5(path, names)
-    except NotImplementedError:
-        raise ValueError("a MAT file of version 7.3; save it with -v7") from None
     except SceneError as error:
         raise ValueError(str(error)) from None
     except Exception as error:  # of many kinds, for files of any content
@@ -54,27 +55,49 @@ def read_arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
 
 
 def _mat(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
-    import scipy.io
+    """Return arrays of a MAT file of level 5; SciPy's reader follows damaged ones beyond its tables, and crashes."""
+    if h5py.is_hdf5(path):
+        raise SceneError("a MAT file of version 7.3; save it with -v7")
+    data, left, found = memoryview(path.read_bytes()), MOST_EXPANDED, {}
+    order = {b"IM": "<", b"MI": ">"}.get(bytes(data[126:HEADER]))
+    if order is None:
+        raise SceneError("cannot be read as a MAT file of version 6 or 7; save it with -v7")
+    for kind, body in _elements(data[HEADER:], order):
+        if kind == COMPRESSED:
+            unpacked = zlib.decompressobj().decompress(body, left)
+            if (left := left - len(unpacked)) <= 0:
+                raise SceneError(f"holds more than {MOST_EXPANDED} bytes when unpacked")
+            kind, body = next(_elements(memoryview(unpacked), order), (0, body))
+        if kind == MATRIX:
+            parts = list(islice(_elements(body, order), 5))
+            if len(parts) > 2 and (name := bytes(parts[2][1]).decode("latin-1")) in names:
+                found[name] = _matrix(name, parts, order)
+    return found
 
-    data = path.read_bytes()
-    _check_expanded(data)
-    sizes = {name: math.prod(shape) for name, shape, _ in scipy.io.whosmat(io.BytesIO(data)) if name in names}
-    _check_sizes(sizes)
-    found = scipy.io.loadmat(io.BytesIO(data), variable_names=list(sizes))
-    return {name: np.asarray(found[name]) for name in sizes}
 
-
-def _check_expanded(data: bytes) -> None:
-    """Raise a SceneError if the compressed elements of a MAT file of level 5 hold too much."""
-    order, place, left = "<" if data[126:128] == b"IM" else ">", HEADER, MOST_EXPANDED
+def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
+    """Yield the type and the content of each element of a MAT file of level 5, or of one of its matrices."""
+    place = 0
     while place + 8 <= len(data):
         kind, size = struct.unpack_from(f"{order}II", data, place)
-        if kind == COMPRESSED:
-            unpacker = zlib.decompressobj()
-            left -= len(unpacker.decompress(data[place + 8 : place + 8 + size], left))
-            if left <= 0:
-                raise SceneError(f"holds more than {MOST_EXPANDED} bytes when unpacked")
-        place += 8 + size
+        start = place + 8
+        if small := kind >> 16:  # up to four bytes, within the eight of the head
+            kind, size, start = kind & 0xFFFF, small, place + 4
+        if start + size > (place + 8 if small else len(data)):
+            raise SceneError("damaged: an array ends too early")
+        yield kind, data[start : start + size]
+        place = start + size if kind == COMPRESSED else start + size + -(start + size - place) % 8
+
+
+def _matrix(name: str, parts: Sequence[tuple[int, memoryview]], order: str) -> np.ndarray:
+    """Return the values of a matrix from its flags, shape, name, real and imaginary parts."""
+    flags, shape = (np.frombuffer(body, f"{order}u4") for _, body in parts[:2])
+    values = [np.frombuffer(body, order + NUMBERS[kind]) for kind, body in parts[3:] if kind in NUMBERS]
+    if not values or flags[0] & 0xFF not in NUMERIC:
+        raise SceneError(f"{name} is not an array of numbers")
+    _check_sizes({name: values[0].size})
+    complex_ = len(values) == 2 and bool(flags[0] & COMPLEX)
+    return (values[0] + 1j * values[1] if complex_ else values[0].astype(float)).reshape(shape.tolist(), order="F")
 
 
 def _hdf5(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
@@ -83,6 +106,8 @@ def _hdf5(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
         for name, dataset in found.items():
             if dataset.is_virtual or dataset.external:
                 raise SceneError(f"{name} is kept in another file; write its values")
+            if dataset.dtype.hasobject or dataset.dtype.itemsize > LONGEST:
+                raise SceneError(f"{name} is not an array of numbers")
         _check_sizes({name: max(math.prod(item.shape), math.prod(item.chunks or ())) for name, item in found.items()})
         return {name: _complex(dataset[()]) for name, dataset in found.items()}
 
