@@ -43,6 +43,15 @@ def test_mat_files(turned, responses, tmp_path):
     np.testing.assert_array_equal(found.coherence, coherence)
 
 
+@pytest.mark.parametrize("value", [1.5, np.inf, 1e300])
+def test_a_coherence_beyond_one_is_refused(value, responses, tmp_path):
+    frequencies, values, coherence = responses
+    coherence[1, 2] = value
+    scipy.io.savemat(tmp_path / "data.mat", {"frequency": frequencies, "response": values, "coherence": coherence})
+    with pytest.raises(SceneError, match="coherence must be from 0 to 1"):
+        read_responses(tmp_path / "data.mat", 3)
+
+
 def test_hdf5_files(responses, tmp_path):
     """Complex numbers as h5py and as MATLAB's names have them, two parts, compressed chunks, an axis of inputs."""
     frequencies, values, _ = responses

@@ -19,6 +19,7 @@ from warp_plate.scene.fit import Fit, TimeSignals
 
 MOST_BYTES, MOST_FREQUENCIES = 2**27, 4000
 # Names in MAT and HDF5 files.
+MOST_COHERENCE = 1 + 1e-6  # of numbers that were rounded
 ARRAYS = "frequency", "response", "real", "imaginary", "coherence"
 # (1 + responses, n) frequencies and responses, and (responses, n) coherences.
 Columns = tuple[np.ndarray, np.ndarray | None]
@@ -91,6 +92,8 @@ def _read(path: Path, count: int, signals: TimeSignals | None) -> Columns:
             columns, coherence = estimate_responses(*read_signals(path), signals or TimeSignals())
         else:
             columns, coherence = _csv(path.read_bytes()), None
+        if coherence is not None and not np.all(np.isnan(coherence) | (np.abs(coherence) <= MOST_COHERENCE)):
+            raise ValueError("coherence must be from 0 to 1")
     except (OSError, ValueError) as error:
         raise SceneError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
     table = ending not in (*UNIVERSAL, *MAT, *HDF5, ".wav") and signals is None  # with columns that are skipped

@@ -23,8 +23,8 @@ def universal_responses(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
         ValueError: The file cannot be read, or holds no responses at common frequencies.
     """
     functions = [item for item in _sets(path) if item.get("type") == 58]
-    sets = [item for item in functions if item["func_type"] == RESPONSE_FUNCTION]
-    coherence = [item["data"] for item in functions if item["func_type"] == COHERENCE]
+    sets = [item for item in functions if item.get("func_type") == RESPONSE_FUNCTION]
+    coherence = [item["data"] for item in functions if item.get("func_type") == COHERENCE]
     if not sets:
         raise ValueError("has no frequency response (dataset 58 of function type 4)")
     if any(not np.array_equal(item["x"], sets[0]["x"]) for item in functions):
@@ -42,7 +42,7 @@ def universal_modes(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | No
         ValueError: The file cannot be read, or holds no modes at common nodes.
     """
     sets = _sets(path)
-    modes = [item for item in sets if item.get("type") == 55 and item["analysis_type"] in (NORMAL, *COMPLEX)]
+    modes = [item for item in sets if item.get("type") == 55 and item.get("analysis_type") in (NORMAL, *COMPLEX)]
     if not modes:
         raise ValueError("has no mode (dataset 55 of analysis type 2, 3 or 7)")
     rows = [_frequency_and_damping(item) for item in modes]
@@ -60,6 +60,8 @@ def universal_modes(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | No
         return frequencies, damping, None, None
     if missing := [int(number) for number in numbers if int(number) not in places]:
         raise ValueError(f"node {missing[0]} of a mode has no place (dataset 15)")
+    if any("r3" not in item for item in modes):
+        raise ValueError("a mode has no motion across the plate (r3 of dataset 55)")
     shapes = np.array([item["r3"] for item in modes])
     return frequencies, damping, shapes, np.array([places[int(number)] for number in numbers])
 
