@@ -145,7 +145,7 @@ def section(name, paths):
         if (path or key == "title") and ("$ref" not in str(field) or "enum" in str(field)):
             rows.append(row(f"{path}.{key}", field, model.model_fields[key], said.get(key, "")))
     heading = ", ".join(f"`{each}`" if each.startswith("[") else each for each in paths)
-    head = "| key | type | unit | default | range | meaning |\n| --- | --- | --- | --- | --- | --- |\n"
+    head = "| key | type | unit | default | range | example | meaning |\n|" + 7 * " --- |" + "\n"
     description = re.sub(r":\w+:`([^`]+)`", r"`\1`", inspect.cleandoc(model.__doc__ or "").replace("``", "`"))
     return f"\n## {heading}\n\n{description}\n\n{head + ''.join(rows) if rows else ''}{example(paths[0], model)}"
 
@@ -154,10 +154,11 @@ def row(path, field, info, meaning):
     """Return the row of a key."""
     measured, default = unit(path), field.get("default")
     default = "required" if info.is_required() else "" if default is None else f"`{toml_text(default)}`"
-    meaning = meaning.replace(f" [{measured}]", "").replace("``", "`")
+    meaning = meaning.replace(f" [{measured or 1}]", "").replace("``", "`")
     meaning = meaning[:1].upper() + meaning[1:] if meaning[:2].isascii() and meaning[:2].isalpha() else meaning
     key = f"`{path.rpartition('.')[2]}`"
-    cells = key, kind(field), measured, default, limits(info.annotation, info.metadata), meaning
+    shown = f"`{toml_text(field['examples'][0])}`" if "examples" in field else ""
+    cells = key, kind(field), measured, default, limits(info.annotation, info.metadata), shown, meaning
     return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |\n"
 
 

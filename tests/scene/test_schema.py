@@ -1,6 +1,11 @@
 """The JSON schema of the scene, which editors complete and check from, explains every key."""
 
+import pytest
+from pydantic import TypeAdapter
+
 from warp_plate import Scene
+from warp_plate.scene.fields import Table
+from warp_plate.scene.schema import field_examples
 
 SCHEMA = Scene.model_json_schema()
 TABLES = {"Scene": SCHEMA, **SCHEMA["$defs"]}
@@ -42,3 +47,23 @@ def without_tables(entry):
     if isinstance(entry, dict):
         return {key: without_tables(value) for key, value in entry.items() if key != "$ref"}
     return [without_tables(each) for each in entry] if isinstance(entry, list) else entry
+
+
+def tables(model=Table):
+    """Return a model of the scene and those derived from it by their names."""
+    return {name: each for below in model.__subclasses__() for name, each in tables(below).items()} | {
+        model.__name__: model
+    }
+
+
+@pytest.mark.parametrize(("table", "key", "entry"), PROPERTIES, ids=lambda each: each if isinstance(each, str) else "")
+def test_every_key_without_a_table_has_a_valid_example(table, key, entry):
+    if any("$ref" in each for each in parts(entry)) and key not in ("left", "bottom", "right", "top"):
+        assert "examples" not in entry
+        return
+    (value,) = entry["examples"]
+    TypeAdapter(tables()[table].model_fields[key].rebuild_annotation()).validate_python(value)
+
+
+def test_examples_have_no_other_keys():
+    assert all(set(field_examples(each)) <= set(each.model_fields) for each in tables().values())

@@ -32,4 +32,6 @@ def toml_text(value: object) -> str:
         return "{" + ", ".join(f"{key} = {toml_text(item)}" for key, item in value.items()) + "}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(map(toml_text, value)) + "]"
+    if isinstance(value, float) and float(short := f"{value:g}") == value and "e" in short:
+        return short  # 7.2e+10, not 72000000000.0
     return value.isoformat() if isinstance(value, datetime.date | datetime.time) else repr(value)

@@ -45,14 +45,16 @@ class Table(BaseModel):
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        """Return the table's JSON schema, with the comments beside the fields as descriptions."""
-        from warp_plate.scene.schema import field_comments
+        """Return the table's JSON schema, with the comments beside the fields as descriptions, and with examples."""
+        from warp_plate.scene.schema import field_comments, field_examples
 
         schema = handler(core_schema)
         properties = handler.resolve_ref_schema(schema).get("properties", {})
         for name, comment in field_comments(cls).items():
             if comment and name in properties:
                 properties[name]["description"] = comment
+        for name, example in field_examples(cls).items():
+            properties[name]["examples"] = [example]
         return schema
 
 
