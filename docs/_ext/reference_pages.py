@@ -85,7 +85,7 @@ def short_signature(app, what, name, kind, options, signature, returned):
 
 
 def add_fields(app, what, name, kind, options, lines):
-    """Add where the keys of a table of a scene are listed, and the comments beside the fields of a data class."""
+    """Add a link to the keys of a scene's table, or the comments beside the fields of a data class."""
     if what == "class" and issubclass(kind, Table):
         lines += ["", "Arguments are its keys, see :doc:`/reference/scene-keys`."]
     elif what == "class" and is_dataclass(kind) and not any(line.startswith(":ivar") for line in lines):
@@ -118,7 +118,7 @@ def python_api():
 
 def scene_keys():
     """Return tables of all keys of a scene file."""
-    head = "# Scene keys\n\nEvery key, by table; [the scene file](../scene.md) has the rules that hold for all.\n"
+    head = "# Scene keys\n\nEvery key, by table. Rules for all keys are in [the scene file](../scene.md).\n"
     sections = {}
     collect("", Scene.__name__, False, sections)
     return head + "".join(section(name, paths) for name, paths in sections.items())

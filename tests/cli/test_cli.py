@@ -82,7 +82,7 @@ def test_the_table_of_the_paper(command, tmp_path, monkeypatch):
 
 
 def test_a_search_that_misses_the_bound_names_the_method_that_reaches_it(command, panel, write_scene):
-    remark = 'A drive reaches the bound: method = "exact" in [search] finds it.'
+    remark = 'The bound can be reached: method = "exact" in [search] finds that drive.'
     assert remark in output_of(command("localize", "panel.toml", *QUICK))
     # In so early a window a phase that all actuators have in common counts.
     write_scene(panel.with_tables(search={"method": "exact"}))

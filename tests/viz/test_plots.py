@@ -27,7 +27,7 @@ TARGETS = ({"name": "left", "area": (0.0, 0.1, 0.0, 0.2)}, {"name": "disc", "dis
 LONG = ("lower left quarter of the panel", "disc under the index finger")
 FREE = {"magnitude": {"range": [0.0, 2.0]}, "phase": {}, "frequency": {"range": [100.0, 400.0]}}
 
-BOUND = "bound of the drives that may be chosen"
+BOUND = "bound of the permitted drives"
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 COLOURS = {"pso": "#4d4d4d", "constriction": "#d95f02", "ring": "#1b7837"}
 COLOURS |= {"cma": "#762a83", "gradient": "#08519c", "exact": "#b2182b"}
-BOUND_LABELS = {"attained": "bound: no method can pass", "bound only": "bound only: may not be reached"}
+BOUND_LABELS = {"attained": "bound of these searches", "bound only": "upper bound (may be out of reach)"}
 SMALLEST_DISTANCE = 1e-12  # from the bound; smaller ones are rounding errors
 
 

@@ -102,8 +102,8 @@ def search_warnings(scene: Scene) -> list[str]:
     if len(scene.targets) < 2 or scene.search.position is None:
         return []
     return [
-        f"Each of the {len(scene.targets)} targets has different positions of the actuators, which one panel cannot "
-        "have: take the scene of one of them, delete [search.position], and localize again for drives at its positions."
+        f"The actuators have different positions for each of the {len(scene.targets)} targets, which one panel cannot "
+        "have: take the scene of one target, delete [search.position], and localize again with its positions."
     ]
 
 
@@ -251,7 +251,7 @@ def _above_first_mode(scene: Scene) -> Finding:
     """
     name, effects, driven = "drive's frequency / first natural frequency", scene.effects, highest_frequency(scene)
     if effects.moving_load is not None:
-        sentence = "A moving load has no one frequency, so it is not compared with the first natural frequency."
+        sentence = "A moving load has no single frequency, so it is not compared with the first natural frequency."
         return Finding(name, math.nan, 1.0, sentence, False)
     stiffened = effects.foundation or effects.tension or effects.layers or effects.variation or effects.oscillators
     if not stiffened and max(wavelengths(scene)) < min(scene.plate.size):
@@ -263,7 +263,7 @@ def _above_first_mode(scene: Scene) -> Finding:
         return Finding(name, math.nan, 1.0, f"The first natural frequency is not known: {error}", False)
     value = driven / first if first else math.nan
     fact = f"The drive's highest frequency is {driven:.4g} Hz, the first natural frequency {first:.4g} Hz"
-    bad = "the plate follows the drive nearly as at rest, and hardly any drive moves one part alone; raise it."
+    bad = "the plate moves quasi-statically, so that hardly any drive can move one part alone; raise the frequency."
     return _finding(name, value, 1.0, value < 1, fact, bad, "it lies above.")
 
 
@@ -287,7 +287,7 @@ def _overlap(scene: Scene) -> Finding:
         first, second = (scene.actuators[at].name for at in np.unravel_index(shares.argmax(), shares.shape))
         fact = f'Actuators "{first}" and "{second}" overlap by {100 * value:.2g} %'
     exceeded = value > ROUNDED
-    bad, good = "their pressures add there, which two bodies on one panel cannot do; move one.", "each has its place."
+    bad, good = "their pressures add there, but two bodies cannot be in one place; move one.", "each has its place."
     return _finding("overlap of actuators", value, ROUNDED, exceeded, fact, bad, good)
 
 
@@ -300,6 +300,6 @@ def _signal(scene: Scene, signal: SampledSignal) -> Finding:
         f"99 % of the energy in {signal.file!r} lies below {highest:.4g} Hz, and drive.frequency is {stated:g} Hz "
         f"(threshold {MOST_BEYOND:g} times that)"
     )
-    bad, good = "time step and grid may be too coarse; write drive.frequency higher.", "it covers the file."
+    bad, good = "the time step and grid may be too coarse; raise drive.frequency.", "it covers the file."
     value = highest / stated
     return _finding("file's frequency / drive.frequency", value, MOST_BEYOND, value > MOST_BEYOND, fact, bad, good)

@@ -39,16 +39,16 @@ def accuracy(
     pictures: options.Pictures = True,
     json: options.Json = False,
 ) -> None:
-    """Show what accuracy costs in time for a scene, and which grid to take for errors of 10 % ... 0.1 %.
+    """Measure error against run time for a scene, and recommend grids for errors from 10 % to 0.1 %.
 
-    Grids, spatial orders, time steps and precisions are run from the cheapest to the dearest and compared with a
-    reference solution. The rest of the scene stays as written.
+    Grids, spatial orders, time steps and precisions are run from the cheapest to the most expensive and compared with
+    a reference solution. The rest of the scene is unchanged.
 
     Parameters
     ----------
     budget
-        Nominal seconds for the measurements, counted in node-steps, so that a busy machine measures the same grids.
-        What would take longer is listed as skipped; modes and the first six grids are always measured.
+        Nominal seconds for the measurements. They are counted in node-steps, so a busy machine measures the same
+        grids. Grids beyond the budget are listed as skipped; modes and the first six grids are always measured.
     out
         The file of measurements (.json; default: SCENE-accuracy.json in this folder).
     """

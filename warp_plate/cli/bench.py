@@ -38,7 +38,7 @@ def bench(
     pictures: options.Pictures = True,
     json: options.Json = False,
 ) -> None:
-    """Measure the speed of this machine over numbers and sizes of plates.
+    """Measure the speed of this machine for different numbers and sizes of plates.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ from warp_plate.scene.errors import SceneError
 
 app = cyclopts.App(
     name="warp-plate",
-    help="Simulate thin vibrating panels, thousands at once, and find the drive that moves only the chosen part.",
+    help="Simulate thin vibrating panels, thousands at once, and find drives that move only a chosen part of a panel.",
     version=warp_plate.__version__,
     help_format="markdown",
     suppress_keyboard_interrupt=False,

@@ -38,14 +38,13 @@ def compare(
 ) -> None:
     """Compare search methods on a scene: each from several seeds, with the same number of evaluations.
 
-    Their results are compared with the bound that no drive exceeds, where one can be proved. Ctrl-C keeps the finished
-    trials.
+    Results are compared with the upper bound, if one is known. Ctrl-C keeps the finished trials.
 
     Parameters
     ----------
     methods
-        Such as pso,ring,cma: some of pso, constriction, ring, cma, gradient and exact (default: all that fit the
-        scene).
+        Comma-separated, such as pso,ring,cma: pso, constriction, ring, cma, gradient, exact (default: all that fit
+        the scene).
     seeds
         Number of seeds, from the scene's own on.
     evaluations
@@ -156,8 +155,8 @@ def _print(result: MethodComparison, console: Console) -> None:
     else:
         value = 1 - result.bound if result.localization else result.bound
         words = {
-            "attained": "bound of these searches (no drive passes it)",
-            "bound only": "bound only (may not be reached)",
+            "attained": "bound of these searches",
+            "bound only": "upper bound (may be out of reach)",
         }
         console.print(f"\n{words[result.bound_kind]}: {value:.6g}, {result.bound_sentence}")
     console.print(LEGEND.format(of="it" if result.localization else "its size"))

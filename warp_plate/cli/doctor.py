@@ -38,7 +38,7 @@ class Diagnosis:
 
 
 def doctor(*, json: options.Json = False) -> None:
-    """Show what this installation can use, and the remedy for what it lacks: GPUs, folders, drawing, extras.
+    """Check the GPUs, folders, drawing and extras of this installation, and suggest remedies.
 
     The exit status is 1 if something that every command needs is broken.
     """

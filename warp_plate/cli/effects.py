@@ -22,7 +22,7 @@ def effects(
     accuracy: options.Accuracy | None = None,
     json: options.Json = False,
 ) -> None:
-    """Show the cost and influence of every effect, on or off, and effects that the scene calls for but lacks."""
+    """Show the cost and influence of every effect, on or off, and suggest effects that the scene lacks."""
     loaded, scene = output.load_scene(scene, assignments, accuracy)
     from warp_plate.analysis.influence import measure_influence
     from warp_plate.analysis.warnings import find_warnings

@@ -25,15 +25,15 @@ def explore(
 ) -> None:
     """Explore a scene in the browser: sliders for every actuator, frequency and damping (needs the extra web).
 
-    The moving plate, its localization factor, the bound and the energy shares of the quadrants follow at once. Buttons
-    take the scene's own drive, the equal one, the best single actuator, the best of the swarm (shown as it searches),
-    the exact best, or a random one. The swarm optimizes all magnitudes and phases for the localization factor, whatever
-    the scene's [search] says. With --path auto linear scenes go by modes, without time steps or a grid's error.
+    The moving plate, its localization factor, the bound and the energy shares of the quadrants are updated at once.
+    Buttons select the scene's drive, equal drives, the best single actuator, the best of the swarm (shown as it
+    searches), the exact optimum, or a random drive. The swarm optimizes all magnitudes and phases for the localization
+    factor and ignores the scene's [search]. With --path auto, linear scenes use the modal engine.
 
     Parameters
     ----------
     web
-        Serve the page without opening a browser here, as on a remote machine.
+        Serve the page without opening a browser, for example on a remote machine.
     host
         Address of the page; 127.0.0.1 can be reached from this machine only.
     port

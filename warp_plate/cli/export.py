@@ -41,9 +41,9 @@ def export(
     out: Path | None = None,
     json: options.Json = False,
 ) -> None:
-    """Write a result for ParaView, a spreadsheet or the amplifier. (MATLAB reads the result file itself.)
+    """Write a result for ParaView, a spreadsheet or the amplifier. (MATLAB can read the result file directly.)
 
-    Of a file of focus, drive-wav and drive-csv write the waveforms of --case METHOD, a file for each point.
+    For a file written by focus, drive-wav and drive-csv write the waveforms of --case METHOD, one file per point.
 
     --start, --end, --frames and --device are for pvd and vtkhdf: they run the scene again and write displacements and
     velocities at evenly spaced times instead of the recorded displacements.

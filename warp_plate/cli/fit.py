@@ -34,11 +34,11 @@ def fit(
     pictures: options.Pictures = True,
     json: options.Json = False,
 ) -> None:
-    """Fit numbers of a panel to its measured natural frequencies or frequency responses, with 95 % intervals.
+    """Fit properties of a panel to its measured natural frequencies or frequency responses, with 95 % intervals.
 
-    The table [fit.free] of the scene says which numbers are free, and their ranges, such as
-    "plate.young_modulus" = [6e10, 8e10]. The fitted scene is written as a scene file. Numbers that the data cannot tell
-    apart are named and have no interval.
+    The table [fit.free] of the scene lists the free properties and their ranges, such as
+    "plate.young_modulus" = [6e10, 8e10]. The fitted scene is written as a scene file. Properties that the data cannot
+    distinguish are reported and have no interval.
 
     Parameters
     ----------

@@ -48,8 +48,8 @@ def frf(
 ) -> None:
     """Show frequency responses of a linear plate, its localization factor and its mean square velocity.
 
-    They are steady responses to 1 N, at frequencies that follow every resonance, however sharp. An actuator applies its
-    newton evenly over its patch.
+    Responses are steady, for a force of 1 N; an actuator spreads it evenly over its patch. Frequencies are spaced so
+    that every resonance is resolved, however sharp.
 
     Parameters
     ----------

@@ -255,4 +255,4 @@ def _print_factors(result: Result, console: Console) -> None:
     console.print(made, "")
     reached = result.cases["best"].localization_factor
     if result.bound is not None and result.bound_kind == "attained" and result.bound - reached > MISSED:
-        console.print('A drive reaches the bound: method = "exact" in [search] finds it.\n')
+        console.print('The bound can be reached: method = "exact" in [search] finds that drive.\n')

@@ -42,7 +42,7 @@ def modes(
     count
         Number of modes, from the lowest.
     grid
-        Modes of the scene's grid, at which runs ring, and their errors.
+        Show the modes of the scene's grid, at which time-stepped runs ring, and their errors.
     accuracy
         With --grid: largest relative error of localization factors; the program chooses the cheapest grid.
     out

@@ -28,9 +28,9 @@ def plan_measurement(
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
-    """Plan a measurement: where sensors and which actuator determine the numbers of [fit.free] best.
+    """Plan a measurement: choose the actuator and the sensor places that best determine the keys of [fit.free].
 
-    The plan is D-optimal: the product of the widths of all intervals is smallest. The scene is written with a table
+    The plan is D-optimal: it minimises the product of the widths of all intervals. The scene is written with a table
     [[measurement]] for each sensor, ready for warp-plate fit.
 
     Parameters

@@ -37,8 +37,8 @@ def render(
 ) -> None:
     """Draw pictures, movies and pages of a result; needs no display.
 
-    A result holds few displacements, so its scene is run again under its drives for the frames. Of a file of focus the
-    plate is shown around the moment of its first point, with methods as cases.
+    A result holds few displacements, so its scene is run again under its drives to make the frames. For a file written
+    by focus, the plate is shown around the moment of the focus at its first point, with methods as cases.
 
     Parameters
     ----------

@@ -42,10 +42,10 @@ def sweep(
     pictures: options.Pictures = True,
     json: options.Json = False,
 ) -> None:
-    """Compute one command's results over many scenes that differ in some of their numbers, words or files.
+    """Compute the results of one command over many scenes that differ in the values of some keys.
 
-    Points whose scene is refused (an unstable time step, a patch off the plate) have no results, and the reason is
-    kept; the others run.
+    Points whose scene is invalid (an unstable time step, a patch off the plate) have no results; the reason is stored.
+    All other points run.
 
     Ctrl-C leaves the finished points in a file beside the result, and so does a stop of the machine up to
     --checkpoint-every: the same command again, or --resume, runs the pending points to bit-identical results. The

@@ -24,17 +24,17 @@ def verify(
     case: str | None = None,
     json: options.Json = False,
 ) -> None:
-    """Compare velocities that were measured under a drive with what its result promised.
+    """Compare velocities measured under a drive with those that its result predicts.
 
-    The localization factor is measured with its uncertainty: that of the noise, and that of so few points, which the
-    promised field tells.
+    The measured localization factor comes with its uncertainty. One part is the noise; the other is the small number of
+    points, estimated from the predicted field.
 
     Parameters
     ----------
     data
         CSV file whose first line names its columns: x and y (metres), velocity (root mean square, in any unit) and
-        maybe uncertainty (standard deviation in the same unit). Several lines of a point are readings, whose spread is
-        the uncertainty without that column.
+        optionally uncertainty (standard deviation, in the same unit). Without that column, the spread of repeated
+        readings at a point is the uncertainty.
     case
         Name of the drive in the result (default: best, or the one that was simulated).
     """

@@ -17,7 +17,7 @@ def view(
 ) -> None:
     """Show the plates of a result in motion, in a window; the key h lists what its keys do.
 
-    A result holds few displacements, so its scene is run again under its drives for the frames.
+    A result holds few displacements, so its scene is run again under its drives to make the frames.
     """
     playback.check()
     from warp_plate.result.model import load_result

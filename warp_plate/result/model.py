@@ -30,9 +30,9 @@ FORMAT = hdf5.FileFormat("result", 4)
 BoundKind = Literal["", "attained", "attained within limits", "bound only"]
 BOUND_DESCRIPTIONS: dict[BoundKind, str] = {
     "": "bound",
-    "attained": "bound: no drive passes it",
-    "attained within limits": "bound of the drives that may be chosen",
-    "bound only": "bound only: the drives that may be chosen need not reach it",
+    "attained": "bound at this frequency, from these places",
+    "attained within limits": "bound of the permitted drives",
+    "bound only": "upper bound of the permitted drives, may be out of reach",
 }
 
 

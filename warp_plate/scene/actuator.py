@@ -15,8 +15,8 @@ PIEZO, PIEZO_OPTIONS = ("d31", "thickness", "young_modulus"), ("density", "capac
 class Actuator(Table):
     """A patch that presses on the plate, or a piezo patch on its upper face that bends it.
 
-    A file gives ``magnitude`` or ``force``. With a force ``magnitude`` is force / area; the force is what is written
-    back, so that it also holds after the patch has another size.
+    A file gives ``magnitude`` or ``force``. With a force, ``magnitude`` is force / area. The force is what is stored,
+    so it is kept if the size of the patch changes.
     """
 
     name: Name  # name, different for each actuator
@@ -26,11 +26,11 @@ class Actuator(Table):
     phase: Moderate = 0.0  # phase lag [rad]
     frequency: Positive | None = None  # frequency [Hz] (default: that of the drive)
     delay: Instant | None = None  # start of the burst [s] (default: that of the drive)
-    kind: Literal["pressure", "piezo"] = "pressure"  # how the patch acts; the following are of a piezo patch
+    kind: Literal["pressure", "piezo"] = "pressure"  # how the patch acts; all keys below are for "piezo"
     d31: Gain | None = None  # transverse charge coefficient [m/V], negative for ceramics
     thickness: Positive | None = None  # thickness of the patch [m]
     young_modulus: Annotated[float, Field(ge=1e3, le=1e13)] | None = None  # Young's modulus of the patch [Pa]
-    # Density of the patch, whose mass and stiffness then count as a layer's [kg/m³] (default: neither counts)
+    # Density of the patch [kg/m³]; if given, its mass and stiffness are included as those of a layer
     density: Annotated[float, Field(ge=1, le=1e5)] | None = None
     capacitance: Positive | None = None  # capacitance, for electrical energies [F]
 

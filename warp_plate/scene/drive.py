@@ -23,7 +23,7 @@ class Burst(Table):
     start: Instant = 0.0  # start of the first burst [s]
     duration: Positive  # duration of a burst, ramps included [s]
     ramp: NotNegative = 0.0  # duration of the rise and of the fall, each half a period of a cosine [s]
-    # Time from the start of one burst to the start of the next [s]; None for a single burst
+    # Time from the start of one burst to the start of the next [s] (default: a single burst)
     period: Positive | None = None
 
     @model_validator(mode="after")
@@ -40,20 +40,21 @@ class Chirp(Table):
 
     end_frequency: Positive  # frequency at ``duration`` and from then on [Hz]
     duration: Positive  # duration of the sweep [s]
-    # Frequency changes by the same amount ("linear") or the same factor ("logarithmic") in every second
+    # The frequency changes by equal amounts ("linear") or equal factors ("logarithmic") in equal times
     law: Literal["linear", "logarithmic"] = "linear"
 
 
 class SampledSignal(Table):
     """A carrier that is read from a file beside the scene file."""
 
-    file: str  # name of a WAV file, or of a CSV file with a column for each channel, after a column of times [s] or not
+    # Name of a WAV file, or of a CSV file with a column for each channel; its first column may hold times [s]
+    file: str
     # True if the file has a channel for each actuator, in the order of the scene; false if one channel drives them all
     per_actuator: Flag = False
     rate: Annotated[float, Field(ge=1e-3, le=1e7)] | None = None  # sampling rate of a CSV file without times [1/s]
     start: Instant = 0.0  # time at which the file begins [s]; added to the times of a CSV file
-    gain: Gain = 1.0  # factor on the samples; integer samples of a WAV file are scaled to −1 ... 1 before [1]
-    repeat: Flag = False  # true to start again at the end of the file instead of falling silent
+    gain: Gain = 1.0  # factor on the samples; integer samples of a WAV file are first scaled to −1 ... 1 [1]
+    repeat: Flag = False  # true to repeat the file; false for silence after its end
 
     @model_validator(mode="after")
     def _file_beside_scene(self) -> SampledSignal:
@@ -66,14 +67,14 @@ class SampledSignal(Table):
 class Electrostatic(Table):
     """A pressure proportional to the square of the voltage: gain·(bias + V)², V = Re(Z·carrier)·envelope."""
 
-    bias: Moderate = 0.0  # constant voltage from t = 0 on, the same for all actuators and not shaped by a burst [V]
-    gain: Gain  # pressure over squared voltage [N/m² per V²]; ε₀/2d² for a gap of d metres in vacuum
+    bias: Moderate = 0.0  # constant voltage of all actuators from t = 0 on, which no burst shapes [V]
+    gain: Gain  # pressure per squared voltage [N/m² per V²]; ε₀/2d² for a gap of d metres in vacuum
 
 
 class Drive(Table):
     """The part of the drive that all actuators share."""
 
-    # Frequency [Hz]; with ``signal`` the highest relevant frequency of the file, which only bounds the time step
+    # Frequency [Hz]; with ``signal``, the highest frequency of interest in the file, which only limits the time step
     frequency: Positive
     burst: Burst | None = None
     chirp: Chirp | None = None

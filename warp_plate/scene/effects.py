@@ -19,8 +19,8 @@ class Damping(Table):
     """Viscous damping, c u̇ on the left of the equation of motion."""
 
     viscous: NotNegative  # damping c [N·s/m³]
-    # Time of u̇: "centred" between the half-steps (second order, no effect on the stability limit), or "backward" at
-    # the last half-step, as in equation (6) of the source paper (first order, lowers the limit)
+    # Velocity that is damped: "centred" in the step (second order, same stability limit), or "backward", from the last
+    # half-step, as in equation (6) of the source paper (first order, lower limit)
     scheme: Literal["centred", "backward"] = "centred"
 
 
@@ -40,10 +40,10 @@ PerMode = Annotated[
 
 
 class LossFactor(Table):
-    """Hysteretic damping: the bending stiffness times 1 + iη, a loss factor that no frequency changes.
+    """Hysteretic damping: the bending stiffness times 1 + iη, with a loss factor η that does not depend on frequency.
 
-    It is defined for steady tones alone, and needs the modal engine: ``[window]`` is not read, and energies are means
-    over all time. A list gives the loss factor of each mode in order; the last one holds for all higher modes.
+    It is defined only for steady tones and needs the modal engine. ``[window]`` is not read: energies are means over
+    all time. A list gives the loss factor of each mode in order; the last one holds for all higher modes.
     """
 
     eta: PerMode  # loss factor η [1]
@@ -87,7 +87,7 @@ class Orthotropic(Table):
 
     Dx: Positive  # bending rigidity along x [N·m]
     Dy: Positive  # bending rigidity along y [N·m]
-    D1: Moderate  # coupling of both directions [N·m]; D1² below Dx Dy
+    D1: Moderate  # coupling between both directions [N·m]; D1² must be below Dx Dy
     Dxy: Positive  # twisting rigidity [N·m]
 
     @model_validator(mode="after")

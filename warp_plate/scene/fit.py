@@ -32,13 +32,14 @@ def _flat(free: Any) -> Any:
 
 
 class Measurement(Table):
-    """A frequency response that was measured: what drove the panel, and where its motion was sensed."""
+    """A measured frequency response: where the panel was driven, and where its motion was sensed."""
 
-    actuator: Name | None = None  # driven actuator, or
-    force_at: tuple[Coordinate, Coordinate] | None = None  # point x, y of a hammer or shaker [m]
-    point: tuple[Coordinate, Coordinate]  # sensor's x, y [m]
-    quantity: Literal["receptance", "mobility", "accelerance"] = "accelerance"  # response per force
-    gain: Gain = 1.0  # what was measured, over the true response in SI units [1]
+    actuator: Name | None = None  # name of the driven actuator; without it ``force_at`` is required
+    force_at: tuple[Coordinate, Coordinate] | None = None  # x, y of a hammer or shaker [m]
+    point: tuple[Coordinate, Coordinate]  # x, y of the sensor [m]
+    # Displacement, velocity or acceleration per force
+    quantity: Literal["receptance", "mobility", "accelerance"] = "accelerance"
+    gain: Gain = 1.0  # measured response over the true response in SI units [1]
 
     @model_validator(mode="after")
     def _driven_once(self) -> Measurement:
@@ -58,25 +59,27 @@ class Measurement(Table):
 
 
 class TimeSignals(Table):
-    """Time signals for responses: one channel has the force, the others the sensors in order."""
+    """Time signals for responses: one channel holds the force, the others the sensors in order."""
 
-    force_channel: Annotated[int, Field(ge=1, le=256)] = 1  # counted from 1
-    force_gain: Gain = 1.0  # what was recorded over the true force in N [1/N]
-    estimator: Literal["H1", "H2", "Hv"] = "H1"  # H1 for noise in the response, H2 in the force, Hv in both
+    force_channel: Annotated[int, Field(ge=1, le=256)] = 1  # number of the channel with the force, from 1 on
+    force_gain: Gain = 1.0  # recorded value over the true force in N [1/N]
+    estimator: Literal["H1", "H2", "Hv"] = "H1"  # for noise in the response (H1), the force (H2), or both (Hv)
     segment: Positive = 1.0  # duration of the segments that are averaged [s]; frequencies are multiples of 1/segment
-    window: Literal["hann", "boxcar"] = "hann"  # of segments that overlap by half, or that follow one another
+    # Window of a segment: "hann" for segments that overlap by half, "boxcar" for segments without overlap
+    window: Literal["hann", "boxcar"] = "hann"
 
 
 class Fit(Table):
-    """The free numbers of a fit, and how it is done."""
+    """The design variables of a fit, and how it is done."""
 
-    # Lowest and highest value by key [unit of the key]
+    # Lowest and highest value of each free key [unit of the key]
     free: Annotated[dict[str, tuple[Moderate, Moderate]], BeforeValidator(_flat)]
-    # Measured modes are the lowest ones in order, or those with the nearest frequencies; a column ``mode`` goes first
+    # Measured modes are the lowest ones in "order", or those with the "nearest" frequencies. A column ``mode`` of the
+    # file overrides both
     pairing: Literal["order", "nearest"] = "order"
-    starts: Annotated[int, Field(ge=1, le=10_000)] = 16  # points from which the fit may begin
+    starts: Annotated[int, Field(ge=1, le=10_000)] = 16  # number of starting points
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0  # random seed of the starts
-    range: tuple[Positive, Positive] | None = None  # lowest and highest frequency of responses that counts [Hz]
+    range: tuple[Positive, Positive] | None = None  # lowest and highest frequency of responses that are used [Hz]
     signals: TimeSignals | None = None  # the data are time signals
 
     @model_validator(mode="after")

@@ -29,8 +29,8 @@ class FocusBurst(Table):
 class FocusRest(Table):
     """A bound on the motion of the rest of the plate at the moment of the focus."""
 
-    contrast: Annotated[float, Field(ge=0, le=200)]  # least motion of the point over the root mean square outside [dB]
-    radius: Positive  # radius of the disc around the point, outside which the rest lies [m]
+    contrast: Annotated[float, Field(ge=0, le=200)]  # lower limit of the motion of the point over the RMS outside [dB]
+    radius: Positive  # radius of the disc around the point that is not part of the rest [m]
 
 
 class Focus(Table):
@@ -39,15 +39,16 @@ class Focus(Table):
     # Points (x, y) [m], each the focus of waveforms of its own
     points: Annotated[tuple[tuple[Coordinate, Coordinate], ...], Field(min_length=1, max_length=64)]
     highest: Positive  # natural frequency up to which modes take part, at most rate / 2 [Hz]
-    lowest: NotNegative = 0.0  # frequency from which on motion is focused; lower ones fade out down to its half [Hz]
-    time: Positive = 0.05  # moment of the focus, from the beginning of the waveforms on [s]
+    lowest: NotNegative = 0.0  # lowest frequency of the waveforms; below it they fade out, to half of it [Hz]
+    time: Positive = 0.05  # moment of the focus, after the start of the waveforms [s]
     rate: Annotated[int, Field(ge=1, le=10_000_000)] = 48000  # samples a second
     quantity: Literal["displacement", "velocity"] = "displacement"  # quantity that is focused
     peak: Positive | None = None  # largest drive of an actuator [N/m² or V] (default: 1 without an energy, else none)
-    condition: Annotated[float, Field(ge=1, le=1e7)] = 100.0  # largest singular value over those that are damped [1]
-    burst: FocusBurst | None = None  # wished motion of a focus (default: a pulse)
+    # Condition number of the inverse filter: smaller singular values than the largest over it are damped [1]
+    condition: Annotated[float, Field(ge=1, le=1e7)] = 100.0
+    burst: FocusBurst | None = None  # desired motion of a focus (default: a pulse)
     rest: FocusRest | None = None  # bound on the rest of the plate, for the method "quiet" (default: none)
-    energy: Positive | None = None  # largest sum over actuators of the integral of drive² [drive²·s]
+    energy: Positive | None = None  # limit of the integral of drive², summed over actuators [drive²·s]
 
     @property
     def samples(self) -> int:

@@ -20,13 +20,14 @@ class Grid(Table):
     # Nodes along x and y, edges included
     nodes: tuple[Annotated[int, Field(ge=5, le=8193)], Annotated[int, Field(ge=5, le=8193)]] = (27, 27)
     order: Literal[2, 4] = 2  # spatial order of accuracy
-    # Weights of loads and regions: "overlap" of their area with cells, "nodes" inside, or by "moments"
+    # Weights of nodes in loads and regions: "overlap" of cells with the area, whole "nodes" inside it, or "moments",
+    # which keep its moments up to the third
     load: Literal["overlap", "nodes", "moments"] = "overlap"
     time_step: Positive | None = None  # time step [s] (default: 0.9 of the stability limit, at most 1/20 of a period)
     precision: Literal["float32", "float64"] = "float32"  # precision of the time steps
-    # Functions of modes along each side, relative to the default; time steps do not read it [1]
+    # Basis functions of the modal engine along each side, relative to the default; not used by time stepping [1]
     modal_density: Annotated[float, Field(ge=0.25, le=4)] = 1.0
-    # Relative error allowed in localization factors, from which all of the above are chosen [1]
+    # Allowed relative error of localization factors; all keys above are chosen from it [1]
     accuracy: Annotated[float, Field(ge=1e-4, le=0.5)] | None = None
 
     @model_validator(mode="after")

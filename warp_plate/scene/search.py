@@ -50,7 +50,7 @@ class FreeFrequency(_Range):
     """The frequency varies within ``range`` [Hz], one for all actuators or, with ``own``, one for each."""
 
     range: tuple[Positive, Positive]  # smallest and largest value [Hz]
-    own: Flag = False  # true for a value of its own for each actuator
+    own: Flag = False  # true for a separate value for each actuator
 
 
 class FreePosition(Table):
@@ -58,14 +58,14 @@ class FreePosition(Table):
 
     area: Area | None = None  # rectangle x0, x1, y0, y1 [m]
     actuators: Names | None = None  # names of those that move (default: all)
-    clearance: NotNegative = 0.0  # least distance between the edges of two actuators, along x or along y [m]
+    clearance: NotNegative = 0.0  # smallest gap between two actuators, along x or along y [m]
 
 
 class FreeDelay(_Range):
     """The start of the burst varies within ``range`` [s], one for all actuators or, with ``own``, one for each."""
 
     range: tuple[Instant, Instant]  # smallest and largest value [s]
-    own: Flag = False  # true for a value of its own for each actuator
+    own: Flag = False  # true for a separate value for each actuator
 
 
 OBJECTIVE_UNITS = {"localization": "1", "contrast": "dB", "velocity": "m/s", "displacement": "m", "uniformity": "1"}
@@ -75,11 +75,13 @@ class Objective(Table):
     """A term of the weighted sum that is maximised.
 
     "localization": fraction of the kinetic energy in the target. "contrast": mean kinetic energy density of the target
-    over that of the rest [dB]. "velocity", "displacement": RMS over target and window. "uniformity": 1 for an even one.
+    over that of the rest [dB]. "velocity", "displacement": RMS over target and window. "uniformity": evenness of the
+    motion in the target, at most 1.
     """
 
-    kind: Literal["localization", "contrast", "velocity", "displacement", "uniformity"] = "localization"  # see above
-    weight: Annotated[float, Field(gt=0, le=1e30)] = 1.0  # factor in the sum, in 1 over the unit of the kind [1/unit]
+    # The quantity that is maximised
+    kind: Literal["localization", "contrast", "velocity", "displacement", "uniformity"] = "localization"
+    weight: Annotated[float, Field(gt=0, le=1e30)] = 1.0  # factor of the term [1/unit of the kind]
     rest_limit: Positive | None = None  # limit of the RMS over the rest, for "velocity" and "displacement" [m/s or m]
 
     @model_validator(mode="after")
@@ -103,14 +105,15 @@ class Robust(Table):
     scenarios: Annotated[int, Field(ge=1, le=100_000)] = 16  # number of plates for each drive
     # Mean loss, largest loss, or the loss that only 1 − ``quantile`` of the scenarios exceed
     measure: Literal["mean", "worst", "quantile"] = "mean"
-    quantile: Annotated[float, Field(gt=0, lt=1)] = 0.9  # of the measure "quantile" [1]
-    young_modulus: Tolerance = 0.0  # fraction of the nominal value [1]
-    thickness: Tolerance = 0.0  # fraction of the nominal value [1]
-    damping: Tolerance = 0.0  # fraction of all damping of the plate and its bed [1]
-    gain: Tolerance = 0.0  # fraction of the magnitude, for each actuator [1]
-    place: NotNegative = 0.0  # largest displacement of each actuator along x and along y [m]
+    quantile: Annotated[float, Field(gt=0, lt=1)] = 0.9  # quantile of the measure "quantile" [1]
+    young_modulus: Tolerance = 0.0  # tolerance of Young's modulus, as a fraction of the nominal value [1]
+    thickness: Tolerance = 0.0  # tolerance of the thickness, as a fraction of the nominal value [1]
+    damping: Tolerance = 0.0  # tolerance of all damping of the plate and its foundation, as a fraction [1]
+    gain: Tolerance = 0.0  # tolerance of each actuator's magnitude, as a fraction [1]
+    place: NotNegative = 0.0  # largest error of each actuator's position along x and along y [m]
     without_oscillators: Annotated[float, Field(ge=0, le=1)] = 0.0  # probability that oscillators are absent [1]
-    fresh: Annotated[int, Field(ge=1, le=100_000)] = 200  # other scenarios, to compare the robust and nominal optimum
+    # Number of further scenarios, over which the robust and the nominal optimum are compared
+    fresh: Annotated[int, Field(ge=1, le=100_000)] = 200
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0  # random seed of the scenarios
 
     def check(self, effects: Effects, load: str) -> None:
@@ -138,17 +141,17 @@ class Search(Table):
     The swarm has the coefficients of the source paper: w (inertia), κ (decay), c₁ (cognitive), c₂ (social).
     """
 
-    # Method (default: "exact" where nothing is searched but drives without limits, for the localization factor of a
-    # linear scene, and no key of a swarm is given; else "pso")
+    # Method (default: "exact" if only magnitudes and phases vary, without limits, for the localization factor of a
+    # linear scene, and no key of a swarm is given; otherwise "pso")
     method: Literal["pso", "constriction", "ring", "cma", "gradient", "exact"] | None = None
     particles: Annotated[int, Field(ge=2, le=10_000_000)] = 20  # candidates in each iteration
     iterations: Annotated[int, Field(ge=1, le=1_000_000_000)] = 80  # iterations, the first evaluation included
     restarts: Annotated[int, Field(ge=0, le=10_000)] = 0  # restarts of a search that stalls
-    inertia: Weight = 0.4  # w, of "pso" [1]
-    decay: Annotated[float, Field(gt=0, le=1)] = 0.99  # κ, by which w is multiplied in each iteration [1]
-    cognitive: Weight = 2.0  # c₁, pull of the best position of the particle [1]
-    social: Weight = 2.0  # c₂, pull of the best position of all [1]
-    # Largest magnitude of a velocity component of a swarm (default: none) [1]
+    inertia: Weight = 0.4  # inertia w of "pso" [1]
+    decay: Annotated[float, Field(gt=0, le=1)] = 0.99  # factor κ on w in each iteration [1]
+    cognitive: Weight = 2.0  # c₁, attraction to the particle's own best position [1]
+    social: Weight = 2.0  # c₂, attraction to the best position of the swarm [1]
+    # Largest velocity component of a particle (default: no limit) [1]
     velocity_limit: Annotated[float, Field(gt=0, le=1e100)] | None = None
     # Iterations without improvement after which the search restarts or stops (default: never)
     stall: Annotated[int, Field(ge=1)] | None = None

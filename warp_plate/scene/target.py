@@ -24,7 +24,7 @@ class Target(Table):
 
     area: Area | None = None  # rectangle x0, x1, y0, y1 [m]
     disc: tuple[Coordinate, Coordinate, Positive] | None = None  # centre x, y and radius [m]
-    # Corners x, y [m] in either direction; sides meet only there
+    # Corners x, y [m] in order, clockwise or counterclockwise; sides must not cross
     polygon: Annotated[tuple[Corner, ...], Field(min_length=3, max_length=1000)] | None = None
     mask: str | None = None  # name of a CSV file
 
