@@ -141,8 +141,8 @@ def test_command(command, write_scene, random):
     ("text", "message"),
     [
         ("", "data.csv: is empty; its first line names the columns"),
-        ("f,mode\n1,2\n", "needs 1 to 500 numbers in a column 'frequency'; the columns are: f, mode"),
-        ("frequency\n", "needs 1 to 500 numbers"),
+        ("f,mode\n1,2\n", "needs 1 to 200 numbers in a column 'frequency'; the columns are: f, mode"),
+        ("frequency\n", "needs 1 to 200 numbers"),
         ("frequency,damping\n10\n", "line 2 has 1 columns; the first line names 2"),
         ("frequency,frequency [Hz]\n1,2\n", "line 1 names two columns alike"),
         ("frequency\n10\n-5\n", "line 3, frequency = '-5': must be a number above 1e-30"),

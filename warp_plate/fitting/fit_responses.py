@@ -31,6 +31,8 @@ USUAL = 2.0
 # Coarse plates: functions along each side, relative to those of other commands; modes that damping couples, those up to
 # REACH times the highest frequency and FURTHER ones; rigid motions count as slower than the fastest by SLOWEST.
 DENSITY, REACH, FURTHER, SLOWEST = 0.5, 1.5, 12, 1e-9
+# Modes up to the highest frequency.
+MOST_MODES = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +111,9 @@ def _weigh(residuals: np.ndarray, leverage: np.ndarray) -> np.ndarray:
 
 def _responses(scene: Scene, measured: MeasuredResponses, coarse: bool = False) -> np.ndarray:
     """Return (measurements, n) responses of a scene."""
-    plate = solve_modes(linear_part(scene), measured.frequencies[-1], density=DENSITY if coarse else 1.0)
+    highest, density = measured.frequencies[-1], DENSITY if coarse else 1.0
+    key = f"{measured.source}: highest frequency {highest:g} Hz, which fit.range can lower"
+    plate = solve_modes(linear_part(scene), highest, density=density, most=MOST_MODES, key=key)
     if not plate.loss_factors.any():
         raise SceneError("effects: responses of a panel without damping are not finite; write [effects.loss_factor]")
     forces = np.stack([_force(plate, each) for each in scene.measurement], axis=1)

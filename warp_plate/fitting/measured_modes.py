@@ -12,7 +12,7 @@ from warp_plate.fitting.universal import UNIVERSAL, universal_modes
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import LARGEST, SMALLEST
 
-MOST_BYTES, MOST_MODES = 2**22, 500
+MOST_BYTES, MOST_MODES = 2**22, 200
 # Limits of the columns' numbers, excluded, and how they are written.
 LIMITS = {
     "frequency": (SMALLEST, LARGEST, f"a number above {SMALLEST:g} and below {LARGEST:g} (hertz)"),

@@ -13,7 +13,7 @@ from warp_plate.scene.model import Scene, SceneSource
 LONGER, SHORTER = 121, 31
 # Further modes that are solved for, so that no group of equal frequencies is cut.
 SPARE = 4
-MOST_MODES = 1000
+MOST_MODES = 500
 
 
 def modes(scene: SceneSource, count: int | None = None, highest: float | None = None) -> ModalPlate:

@@ -11,7 +11,6 @@ large one those that matter below a frequency.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -35,6 +34,8 @@ from warp_plate.scene.target import Target
 # frequency; along the shorter side fewer, but of less size.
 FEWEST, PER_HALF_WAVE = 18, 2.6
 MOST_INTERVALS = 400
+# Modes up to the highest frequency, by Weyl's law: so many take some 15 s and 1 GiB.
+MOST_MODES = 600
 # Modes that are wanted: those up to REACH times the highest frequency, and FURTHER ones for what higher ones add to
 # responses, or SPARE without responses.
 REACH, FURTHER, SPARE = 4.0, 600, 40
@@ -228,7 +229,13 @@ class ModalPlate:
 
 
 def solve_modes(
-    scene: SceneSource, highest: float | None = None, count: int = 0, density: float = 1.0, alone: bool = False
+    scene: SceneSource,
+    highest: float | None = None,
+    count: int = 0,
+    density: float = 1.0,
+    alone: bool = False,
+    most: int = MOST_MODES,
+    key: str | None = None,
 ) -> ModalPlate:
     """Return the modes of a linear scene.
 
@@ -239,6 +246,8 @@ def solve_modes(
         density: Factor of the number of functions along each side, besides ``grid.modal_density`` (default: 1, whose
             errors docs/modal.md lists).
         alone: Leave out modes above ``highest``, which responses up to it need, but for a few.
+        most: Limit of the number of modes up to ``highest``, and of ``count``.
+        key: Where ``highest`` or ``count`` comes from, for errors (default: ``drive.frequency``, or ``count``).
 
     Raises:
         SceneError: The scene is not linear, its plate buckles, too many modes are wanted, or a file that it names
@@ -253,12 +262,8 @@ def solve_modes(
     wave, area = _wave_frequency(scene), math.prod(scene.plate.size)
     counted = wave * (math.sqrt(4 / math.pi * count) + 2) ** 2 / area if count else 0.0
     intervals = _intervals(scene, max(highest, counted), wave, density)
-    if max(intervals) > MOST_INTERVALS:
-        key = "drive.frequency" if highest >= counted else "count"
-        raise SceneError(
-            f"{key}: modes up to {max(highest, counted):.4g} Hz take {max(intervals)} intervals between the knots of "
-            f"splines along a side of the plate; at most {MOST_INTERVALS} are possible"
-        )
+    below = max(math.pi / 4 * area * highest / wave, count)
+    _check_size(key or ("drive.frequency" if highest >= counted else "count"), below, most, intervals)
     galerkin = make_galerkin(scene, intervals)
     # Weyl's law, and a margin for its boundary term.
     wanted = 1.1 * math.pi / 4 * area * max(REACH * highest, counted) / wave + (FURTHER if highest else SPARE)
@@ -290,10 +295,7 @@ def modes_below(scene: SceneSource, highest: float, key: str = "highest frequenc
     Raises:
         SceneError: There is none, which the error says of ``key``, or see :func:`solve_modes`.
     """
-    try:
-        plate = solve_modes(scene, highest, alone=True)
-    except SceneError as error:
-        raise SceneError(re.sub("^drive.frequency:", f"{key} {highest:g}:", str(error))) from None
+    plate = solve_modes(scene, highest, alone=True, key=f"{key} {highest:g}")
     plate = plate.part(np.flatnonzero(plate.frequencies <= highest))
     if not plate.frequencies.size:
         raise SceneError(f"{key} {highest:g}: the plate has no mode up to it; take a higher one")
@@ -306,6 +308,17 @@ def _viscous(galerkin: Galerkin, vectors: np.ndarray) -> np.ndarray:
     if abs(galerkin.damping - factor * galerkin.mass).max() <= ROUNDING * abs(galerkin.damping).max():
         return np.diag(np.full(vectors.shape[1], factor))
     return np.asarray(vectors.T @ (galerkin.damping @ vectors))
+
+
+def _check_size(key: str, below: float, most: int, intervals: tuple[int, int]) -> None:
+    """Raise a SceneError, beginning with ``key``, if there are too many modes or too many intervals along a side."""
+    if below > most:
+        raise SceneError(f"{key}: about {below:.3g} modes are needed; at most {most} are computed")
+    if max(intervals) > MOST_INTERVALS:
+        raise SceneError(
+            f"{key}: {max(intervals)} intervals between the knots of splines are needed along a side of the plate; at "
+            f"most {MOST_INTERVALS} are possible"
+        )
 
 
 def _intervals(scene: Scene, highest: float, wave: float, density: float) -> tuple[int, int]:

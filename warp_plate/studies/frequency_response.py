@@ -89,7 +89,7 @@ def respond_to_drive(scene: Scene, frequencies: np.ndarray) -> tuple[np.ndarray,
         SceneError: The scene is not linear, or see :func:`solve_modes`.
     """
     check_linear(scene, None)
-    plate = solve_modes(scene, frequencies.max())
+    plate = solve_modes(scene, frequencies.max(), key=f"highest frequency {frequencies.max():g}")
     forces = plate.actuator_forces() @ scene_phasors(scene)[:, None]
     nowhere = np.zeros((len(forces), 0))
     _, factor, bound, velocity = _responses(plate, frequencies, forces, nowhere)

@@ -15,6 +15,7 @@ from warp_plate.problem.bounds import allowed_drives, bound_localization
 from warp_plate.problem.parametrization import Parametrization, parametrization_of
 from warp_plate.problem.problem import Problem
 from warp_plate.result.model import Case
+from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.response import Response, in_float64, response_of, unit_drives
 from warp_plate.solve.solver import PlateSolver
@@ -47,7 +48,8 @@ def spectrum_frequencies(problem: Problem) -> np.ndarray:
     if search is None or search.own or search.actuators is not None or not scene.linear:
         return np.empty(0)
     if problem.path == MODAL and not allowed_drives(parametrization_of(scene)).limits_ratios:
-        return adaptive_frequencies(*solve_modes(scene, search.range[1]).resonances, *search.range)
+        plate = solve_modes(scene, search.range[1], key="search.frequency.range")
+        return adaptive_frequencies(*plate.resonances, *search.range)
     evaluations, units = scene.search.particles * scene.search.iterations, len(unit_drives(len(scene.actuators)))
     return np.linspace(*search.range, min(MOST, max(FEWEST, evaluations // units)))
 
@@ -108,6 +110,9 @@ def _best_factor(response: Response, parametrization: Parametrization) -> float:
 
 
 def resonances(scene: Scene, low: float, high: float) -> np.ndarray:
-    """Return the natural frequencies [Hz] of a linear scene's plate from ``low`` to ``high``."""
-    found = solve_modes(scene, highest=high).frequencies
+    """Return the natural frequencies [Hz] of a linear scene's plate from ``low`` to ``high``; none if too many are."""
+    try:
+        found = solve_modes(scene, highest=high).frequencies
+    except SceneError:
+        return np.empty(0)
     return found[(found >= low) & (found <= high)]

@@ -12,6 +12,7 @@ import numpy as np
 
 from warp_plate.cluster.pool import WorkerPool
 from warp_plate.interrupts import SecondInterrupt, check_interrupt, deferred_interrupts
+from warp_plate.modal.continuous_modes import MOST_MODES
 from warp_plate.modal.solver import MODAL, has_modes, refuse_no_modes
 from warp_plate.plate.files import digests, read_beside
 from warp_plate.result.sweep import REFUSED, RUN, Sweep
@@ -28,7 +29,6 @@ from warp_plate.studies.sweep_points import PointResult, run_here, run_on_pool, 
 
 # Called after each point with the points done, their total, and the values of the point.
 OnPointProgress = Callable[[int, int, str], object]
-MOST_MODES = 1000
 # Numbers of a quantity at all points, 8 bytes each.
 MOST_NUMBERS = 100_000_000
 
