@@ -58,16 +58,8 @@ def make_run_steps(effects, real, ny, stride, compiler_flags):
 
     @wp.func
     def compute_moments(
-        s: wp.uint64,
-        u_at: wp.uint64,
-        retarded_at: wp.uint64,
-        mx_at: wp.uint64,
-        my_at: wp.uint64,
-        mxy_at: wp.uint64,
-        aspect: real,
-        root_aspect: real,
-        tension_x: real,
-        tension_y: real,
+        s: wp.uint64, u_at: wp.uint64, retarded_at: wp.uint64, mx_at: wp.uint64, my_at: wp.uint64, mxy_at: wp.uint64,
+        aspect: real, root_aspect: real, tension_x: real, tension_y: real,
     ):
         """Addresses are those of the first row; ``retarded_at`` may be that of u."""
         west = shared_plane(s, wp.static(plane["west"]))
@@ -157,24 +149,10 @@ def make_run_steps(effects, real, ny, stride, compiler_flags):
 
     @wp.func
     def update_nodes(
-        s: wp.uint64,
-        mx_at: wp.uint64,
-        my_at: wp.uint64,
-        mxy_at: wp.uint64,
-        curvature_at: wp.uint64,
-        pressure_at: wp.uint64,
-        cosine_at: wp.uint64,
-        sine_at: wp.uint64,
-        load_at: wp.uint64,
-        u_at: wp.uint64,
-        rate_at: wp.uint64,
-        squares_at: wp.uint64,
-        wave_cosine: real,
-        wave_sine: real,
-        summed: real,
-        tension: real,
-        aspect: real,
-        root_aspect: real,
+        s: wp.uint64, mx_at: wp.uint64, my_at: wp.uint64, mxy_at: wp.uint64, curvature_at: wp.uint64,
+        pressure_at: wp.uint64, cosine_at: wp.uint64, sine_at: wp.uint64, load_at: wp.uint64,
+        u_at: wp.uint64, rate_at: wp.uint64, squares_at: wp.uint64,
+        wave_cosine: real, wave_sine: real, summed: real, tension: real, aspect: real, root_aspect: real,
     ):
         """``summed``: 1 in the window, else 0."""
         west = shared_plane(s, wp.static(plane["west"]))
@@ -273,7 +251,9 @@ def make_run_steps(effects, real, ny, stride, compiler_flags):
             if wp.static(effects.material_damping):
                 compute_retarded_u(u_at, rate_at, retarded, m.retardation)
                 strained = retarded
-            compute_moments(shared.ptr, u_at, strained, mx, my, mxy, m.aspect, m.root_aspect, m.tension_x, m.tension_y)
+            compute_moments(
+                shared.ptr, u_at, strained, mx, my, mxy, m.aspect, m.root_aspect, m.tension_x, m.tension_y
+            )
             if wp.static(effects.stretching):
                 compute_membrane_curvature(shared.ptr, u_at, curvature, m.aspect, m.stretch_ratio)
                 # The pressure plane is not in use yet; it holds weight · u.
@@ -303,24 +283,9 @@ def make_run_steps(effects, real, ny, stride, compiler_flags):
             if n >= window[0] and n < window[1]:
                 summed = real(1.0)
             update_nodes(
-                shared.ptr,
-                mx,
-                my,
-                mxy,
-                curvature,
-                pressure,
-                first_load,
-                first_load + term,
-                load,
-                u_at,
-                rate_at,
-                squares.ptr + plane_offset,
-                wave[k, n, 0],
-                wave[k, n, 1],
-                summed,
-                tension,
-                m.aspect,
-                m.root_aspect,
+                shared.ptr, mx, my, mxy, curvature, pressure, first_load, first_load + term, load,
+                u_at, rate_at, squares.ptr + plane_offset,
+                wave[k, n, 0], wave[k, n, 1], summed, tension, m.aspect, m.root_aspect,
             )
             for traced in range(nodes.shape[0]):
                 trace[k, traced, n] = u[k, nodes[traced, 0], nodes[traced, 1]]

@@ -144,7 +144,9 @@ def make_run_steps(effects, real, nx, ny, stride, oscillators, block):
         return fused(factor, mxy, real(-2.0) * mx) - real(2.0) * aspect * my
 
     @wp.func
-    def finish_sum(p: Material, x: wp.array[real], units: wp.array[real], state: wp.array3d[real], k: int, which: int):
+    def finish_sum(
+        p: Material, x: wp.array[real], units: wp.array[real], state: wp.array3d[real], k: int, which: int
+    ):
         """From the warps' sums compute an oscillator's force and its state after the step, or the tension."""
         first = partial_sums + 2 * which * warps
         total = real(0.0)

@@ -154,29 +154,17 @@ def make_run_steps(effects, real, ny, stride, compiler_flags):
                     j = wp.static(bends[index][0])
                     if wp.static(bends[index][1] == bend_rows):
                         bend_flat(
-                            row_at(u_plane, lowest_row(j)),
-                            row_at(u_plane, j + 1),
-                            bend_x.ptr,
-                            taps_of_row(bend_y, j),
-                            row_at(curvature_plane, j + 1),
+                            row_at(u_plane, lowest_row(j)), row_at(u_plane, j + 1), bend_x.ptr,
+                            taps_of_row(bend_y, j), row_at(curvature_plane, j + 1),
                         )
                     else:
                         bend_node_row(u_plane, bend_x.ptr, bend_y, curvature_plane, j)
                 for index in range(wp.static(len(moves))):
                     j = wp.static(moves[index][0])
                     wp.static(move_flat if moves[index][1] == move_rows else move_row)(
-                        p,
-                        stiffness.ptr,
-                        move_x.ptr,
-                        taps_of_row(move_y, j),
-                        waves,
-                        summed,
-                        rows_around(curvature_plane, j),
-                        row_at(cosine, j + 1),
-                        row_at(sine, j + 1),
-                        row_at(u_plane, j + 1),
-                        row_at(rates, j + 1),
-                        row_at(sums, j + 1),
+                        p, stiffness.ptr, move_x.ptr, taps_of_row(move_y, j), waves, summed,
+                        rows_around(curvature_plane, j), row_at(cosine, j + 1), row_at(sine, j + 1),
+                        row_at(u_plane, j + 1), row_at(rates, j + 1), row_at(sums, j + 1),
                     )
             else:
                 # The curvatures of the band's outermost rows, before a neighbour moves the rows that they depend on.
@@ -196,18 +184,9 @@ def make_run_steps(effects, real, ny, stride, compiler_flags):
                     if j + wp.static(2 * reach) <= high:
                         bend_node_row(u_plane, bend_x.ptr, bend_y, curvature_plane, j + wp.static(reach))
                     move_row(
-                        p,
-                        stiffness.ptr,
-                        move_x.ptr,
-                        taps_of_row(move_y, j),
-                        waves,
-                        summed,
-                        rows_around(curvature_plane, j),
-                        row_at(cosine, j + 1),
-                        row_at(sine, j + 1),
-                        row_at(u_plane, j + 1),
-                        row_at(rates, j + 1),
-                        row_at(sums, j + 1),
+                        p, stiffness.ptr, move_x.ptr, taps_of_row(move_y, j), waves, summed,
+                        rows_around(curvature_plane, j), row_at(cosine, j + 1), row_at(sine, j + 1),
+                        row_at(u_plane, j + 1), row_at(rates, j + 1), row_at(sums, j + 1),
                     )
                 if team > 1:
                     goal += team

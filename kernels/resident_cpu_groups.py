@@ -147,33 +147,13 @@ def make_run_steps(effects, real, nx, ny, stride, lanes, compiler_flags):
                 at = wp.uint64((j + 1) * wp.static(row_bytes)) + node
                 if loaded[j + 1] != 0:
                     move(
-                        p,
-                        move_x.ptr,
-                        move_x.ptr + node,
-                        rows,
-                        waves,
-                        summed,
-                        around,
-                        cosine + at,
-                        sine + at,
-                        u_plane + at,
-                        rates + at,
-                        sums + at,
+                        p, move_x.ptr, move_x.ptr + node, rows, waves, summed, around,
+                        cosine + at, sine + at, u_plane + at, rates + at, sums + at,
                     )
                 else:
                     move_unloaded(
-                        p,
-                        move_x.ptr,
-                        move_x.ptr + node,
-                        rows,
-                        waves,
-                        summed,
-                        around,
-                        cosine + at,
-                        sine + at,
-                        u_plane + at,
-                        rates + at,
-                        sums + at,
+                        p, move_x.ptr, move_x.ptr + node, rows, waves, summed, around,
+                        cosine + at, sine + at, u_plane + at, rates + at, sums + at,
                     )
             for m in range(nodes.shape[0]):
                 node_at = (nodes[m, 0] * wp.static(nx) + nodes[m, 1]) * wp.static(lanes)

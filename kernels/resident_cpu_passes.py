@@ -57,13 +57,8 @@ def make_passes(effects, real, row, node, curvature_count, update_count, masked,
         for tap in range(5):
             taps[tap] = columns[i + tap * wp.static(tap_line)]
         return weighted_sum(
-            total,
-            taps,
-            field[i],
-            field[i + wp.static(node)],
-            field[i + wp.static(2 * node)],
-            field[i + wp.static(3 * node)],
-            field[i + wp.static(4 * node)],
+            total, taps, field[i], field[i + wp.static(node)], field[i + wp.static(2 * node)],
+            field[i + wp.static(3 * node)], field[i + wp.static(4 * node)],
         )
 
     @wp.func
@@ -77,12 +72,8 @@ def make_passes(effects, real, row, node, curvature_count, update_count, masked,
         curvature = array_at(curvature_at)
         for i in range(wp.static(curvature_count)):
             curvature[i] = factor[i] * laplacian(
-                u[i + wp.static(row)],
-                u[i + wp.static(row - node)],
-                u[i + wp.static(row + node)],
-                u[i],
-                u[i + wp.static(2 * row)],
-                rows[0],
+                u[i + wp.static(row)], u[i + wp.static(row - node)], u[i + wp.static(row + node)],
+                u[i], u[i + wp.static(2 * row)], rows[0],
             )
 
     @wp.func
@@ -96,33 +87,18 @@ def make_passes(effects, real, row, node, curvature_count, update_count, masked,
         curvature = array_at(curvature_at)
         for i in range(wp.static(curvature_count)):
             along_y = weighted_sum(
-                real(0.0),
-                rows,
-                u[i],
-                u[i + wp.static(row)],
-                u[i + wp.static(2 * row)],
-                u[i + wp.static(3 * row)],
-                u[i + wp.static(4 * row)],
+                real(0.0), rows, u[i], u[i + wp.static(row)], u[i + wp.static(2 * row)],
+                u[i + wp.static(3 * row)], u[i + wp.static(4 * row)],
             )
             curvature[i] = add_along_x(along_y, column, u_along_x, i)
 
     def make_update_range(loaded):
         @wp.func
         def rate_after(
-            p: Parameters,
-            stiffness: wp.array[real],
-            columns: wp.array[real],
-            rows: RowTaps,
-            low: wp.array[real],
-            south: wp.array[real],
-            centre: wp.array[real],
-            north: wp.array[real],
-            high: wp.array[real],
-            wave: Wave,
-            in_phase: wp.array[real],
-            quadrature: wp.array[real],
-            rate: wp.array[real],
-            i: int,
+            p: Parameters, stiffness: wp.array[real], columns: wp.array[real], rows: RowTaps,
+            low: wp.array[real], south: wp.array[real], centre: wp.array[real], north: wp.array[real],
+            high: wp.array[real], wave: Wave, in_phase: wp.array[real], quadrature: wp.array[real],
+            rate: wp.array[real], i: int,
         ):
             biharmonic = real(0.0)
             if wp.static(order == 2):
@@ -143,18 +119,9 @@ def make_passes(effects, real, row, node, curvature_count, update_count, masked,
 
         @wp.func
         def update_range(
-            p: Parameters,
-            stiffness_at: wp.uint64,
-            columns: wp.uint64,
-            rows: RowTaps,
-            wave: Wave,
-            summed: bool,
-            curvature_rows: Rows,
-            in_phase_at: wp.uint64,
-            quadrature_at: wp.uint64,
-            u_at: wp.uint64,
-            rate_at: wp.uint64,
-            squares_at: wp.uint64,
+            p: Parameters, stiffness_at: wp.uint64, columns: wp.uint64, rows: RowTaps, wave: Wave, summed: bool,
+            curvature_rows: Rows, in_phase_at: wp.uint64, quadrature_at: wp.uint64,
+            u_at: wp.uint64, rate_at: wp.uint64, squares_at: wp.uint64,
         ):
             """``curvature_rows``: the range's first node in its own row and in those around it, lowest first."""
             stiffness = array_at(stiffness_at)

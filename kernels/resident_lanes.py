@@ -112,21 +112,13 @@ def make_run_steps(effects, real, ny, loaded, summed, registers=None):
                     above = fused(top, lane_u[j], real(0.0))
                 elif wp.static(j == moving - 2):
                     above = laplacian(
-                        lane_u[j + 1],
-                        from_lane(lane_u[j + 1], west),
-                        from_lane(lane_u[j + 1], east),
-                        lane_u[j],
-                        real(0.0),
-                        p.aspect,
+                        lane_u[j + 1], from_lane(lane_u[j + 1], west), from_lane(lane_u[j + 1], east),
+                        lane_u[j], real(0.0), p.aspect,
                     )
                 else:
                     above = laplacian(
-                        lane_u[j + 1],
-                        from_lane(lane_u[j + 1], west),
-                        from_lane(lane_u[j + 1], east),
-                        lane_u[j],
-                        lane_u[j + 2],
-                        p.aspect,
+                        lane_u[j + 1], from_lane(lane_u[j + 1], west), from_lane(lane_u[j + 1], east),
+                        lane_u[j], lane_u[j + 2], p.aspect,
                     )
                 biharmonic = laplacian(here, from_lane(here, west), from_lane(here, east), below, above, p.aspect)
                 load = real(0.0)

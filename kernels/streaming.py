@@ -22,7 +22,9 @@ def make_apply_taps(order, real):
     reach = order // 2
 
     @wp.func
-    def apply_taps(field: wp.array3d[real], taps_x: wp.array2d[real], taps_y: wp.array2d[real], k: int, j: int, i: int):
+    def apply_taps(
+        field: wp.array3d[real], taps_x: wp.array2d[real], taps_y: wp.array2d[real], k: int, j: int, i: int
+    ):
         total = real(0.0)
         for step in range(wp.static(2 * reach + 1)):
             column = i + step - wp.static(reach)
