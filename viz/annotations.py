@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_plate.scene.model import Scene
+from warp_plate.viz.colours import colour_map
 from warp_plate.viz.fields import TALLEST, DrawingScale
-from warp_plate.viz.styles import INK, legend_entries
+from warp_plate.viz.styles import INK, legend_entries, length_unit
 
 if TYPE_CHECKING:
     import pyvista
@@ -70,9 +71,9 @@ def look_at_plate(plotter: pyvista.Plotter, size: tuple[float, float], font_size
 
 def axis_labels(size: tuple[float, float]) -> tuple[tuple[str, np.ndarray], tuple[str, np.ndarray]]:
     """Return name and length of x and y, and their positions [m] beside the two edges nearest to the viewer."""
-    (width, height), away = size, 0.06 * min(size)
-    label_x = (f"x: 0 … {width:g} m", np.array([width / 2, -away, 0.0]))
-    return label_x, (f"y: 0 … {height:g} m", np.array([-away, height / 2, 0.0]))
+    (width, height), away, (unit, factor) = size, 0.06 * min(size), length_unit(size)
+    label_x = (f"x: 0 … {width * factor:.5g} {unit}", np.array([width / 2, -away, 0.0]))
+    return label_x, (f"y: 0 … {height * factor:.5g} {unit}", np.array([-away, height / 2, 0.0]))
 
 
 def free_width(plotter: pyvista.Plotter, font_size: int) -> float:
@@ -116,7 +117,7 @@ def lookup_table(scale: DrawingScale) -> pyvista.LookupTable:
     """Return the colours of a scale between its limits."""
     import pyvista
 
-    return pyvista.LookupTable(cmap=scale.field.cmap, scalar_range=scale.clim, nan_color=scale.field.nan_colour)
+    return pyvista.LookupTable(cmap=colour_map(scale.cmap), scalar_range=scale.clim, nan_color=scale.field.nan_colour)
 
 
 def add_text(

@@ -9,6 +9,7 @@ from warp_plate.result.motion import Motion
 from warp_plate.result.targets import target_cases
 from warp_plate.scene.model import Scene
 
+LONGEST_NAME = 22  # characters of a name in a caption or legend
 CASE_LABELS = {
     "equal": "equal drive",
     "single": "single actuator",
@@ -20,10 +21,16 @@ CASE_LABELS = {
 }
 
 
-def case_label(name: str, scene: Scene) -> str:
-    """Return the label of a case of a result of this scene."""
+def case_label(name: str, scene: Scene, actuator: str = "") -> str:
+    """Return the label of a case of a result of this scene; of a single actuator with its name, if it is given."""
     targets = {case: target for target, case in target_cases(scene).items()}
-    return f"best drive for {targets[name]}" if name in targets else CASE_LABELS.get(name, name)
+    label = f"best drive for {targets[name]}" if name in targets else CASE_LABELS.get(name, name)
+    return f"{label}, {shortened(actuator)}" if name == "single" and actuator else label
+
+
+def shortened(name: str) -> str:
+    """Return a name cut after LONGEST_NAME characters."""
+    return name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 1]}…"
 
 
 def ordered_cases(result: Result) -> dict[str, Case]:
@@ -44,7 +51,8 @@ def frame_caption(motion: Motion, frame: int, scene: Scene) -> str:
         return motion.name
     # Enough decimals to tell one frame from the next.
     decimals = max(0, math.ceil(-math.log10((motion.span[1] - motion.span[0]) / len(motion.times))))
-    return caption(case_label(motion.name, scene), float(motion.times[frame]), motion.localization_factor, decimals)
+    label = case_label(motion.name, scene, motion.only_actuator)
+    return caption(label, float(motion.times[frame]), motion.localization_factor, decimals)
 
 
 def percent(share: float, decimals: int = 2) -> str:

@@ -1,4 +1,4 @@
-"""Fields that colours can show, and the scale shared by pictures: limits, unit, colour map and height factor."""
+"""Fields that colours can show, and the scale of a picture: limits, unit, colour map and height factor."""
 
 from __future__ import annotations
 
@@ -11,10 +11,14 @@ import numpy as np
 
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
+from warp_plate.viz.colours import DEFAULT_COLOURS, ColourOptions
 
 # Height at which the largest displacement is drawn, as a share of the plate's shorter side.
 TALLEST = 0.12
 PREFIXES = (("p", 1e12), ("n", 1e9), ("µ", 1e6), ("m", 1e3), ("", 1.0))
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+# Leading digits of limits: their halves and quarters, which label the colour bar, are short numbers.
+ROUND_LIMITS = (1, 1.2, 1.6, 2, 2.4, 2.8, 3.2, 4, 4.8, 6, 8, 10)
 
 
 @dataclass(frozen=True)
@@ -25,7 +29,7 @@ class PlateField:
         label: text above the colour bar.
         unit: SI unit without a prefix.
         kind: "signed" (limits symmetric about zero), "positive" (from zero) or "cyclic" (an angle, −π … π).
-        cmap: Matplotlib name of the colour map.
+        cmap: name of the colour map, see :func:`colour_map`.
         values: function from a motion to (frames, ny, nx) values, or (1, ny, nx) for a field constant in time.
     """
 
@@ -46,7 +50,7 @@ FIELDS = {
     "velocity": PlateField("velocity", "m/s", "signed", "coolwarm", lambda motion: motion.velocity),
     "energy": PlateField("kinetic energy\ndensity", "J/m²", "positive", "YlOrRd", lambda motion: motion.kinetic_energy),
     "rms-velocity": PlateField("RMS velocity", "m/s", "positive", "YlOrRd", lambda motion: motion.rms_velocity[None]),
-    "phase": PlateField("phase lag", "rad", "cyclic", "twilight", lambda motion: motion.phase[None]),
+    "phase": PlateField("phase lag", "rad", "cyclic", "phase", lambda motion: motion.phase[None]),
 }
 DISPLACEMENT = FIELDS["displacement"]
 # A natural mode has no amplitude of its own.
@@ -55,7 +59,7 @@ MODE = PlateField("displacement\nover its largest", "", "signed", "coolwarm", la
 
 @dataclass(frozen=True)
 class DrawingScale:
-    """The scale shared by all pictures that are to be compared.
+    """The scale of a picture, shared by all pictures that are to be compared.
 
     Attributes:
         limit: end of the colour map in the SI unit of the field.
@@ -63,6 +67,7 @@ class DrawingScale:
         unit: unit of the colour bar.
         unit_factor: number of these units in one SI unit.
         field: field shown in colour.
+        colormap: name of a colour map (default: that of the field).
     """
 
     limit: float
@@ -70,6 +75,17 @@ class DrawingScale:
     unit: str
     unit_factor: float
     field: PlateField = DISPLACEMENT
+    colormap: str | None = None
+
+    @property
+    def cmap(self) -> str:
+        """Name of the colour map, see :func:`colour_map`."""
+        return self.colormap or self.field.cmap
+
+    @property
+    def ticks(self) -> list[float]:
+        """Values at which the colour bar is labelled: its ends, and quarters between them."""
+        return np.linspace(*self.clim, 5).tolist()
 
     @property
     def clim(self) -> tuple[float, float]:
@@ -85,32 +101,42 @@ class DrawingScale:
     @property
     def heights(self) -> str:
         """The warp factor as text; empty for a mode, which has no amplitude."""
-        return f"heights × {self.warp_factor:.15g}" if self.field is not MODE else ""
+        return f"heights × {short_number(self.warp_factor)}" if self.field is not MODE else ""
 
 
 def drawing_scale(
     displacements: Iterable[np.ndarray], size: tuple[float, float], field: PlateField = DISPLACEMENT,
-    values: Iterable[np.ndarray] | None = None,
+    values: Iterable[np.ndarray] | None = None, colours: ColourOptions = DEFAULT_COLOURS,
 ) -> DrawingScale:  # fmt: skip
-    """Return a scale whose limit is the largest finite value, rounded up to two digits; 1e-6 if nothing moves.
+    """Return a scale whose limit is that of the options, or the largest finite value rounded up; 1e-6 if nothing moves.
 
     Args:
         displacements: arrays of any shape [m], drawn as heights.
         size: lengths of the plate along x and y [m].
         values: arrays of the field in its SI unit (default: the displacements).
+
+    Raises:
+        SceneError: the options have a limit, but the field is an angle or a mode.
     """
     heights = list(displacements)
     tallest = _largest(heights)
     warp_factor = float(f"{TALLEST * min(size) / rounded_up(tallest):.2g}") if tallest > 0 else 1.0
-    if field.kind == "cyclic":
-        return DrawingScale(math.pi, warp_factor, "°", 180 / math.pi, field)
-    if not field.unit:
-        return DrawingScale(1.0, warp_factor, "", 1.0, field)
-    limit = rounded_up(_largest(heights if values is None else values) or 1e-6)
+    if field.kind == "cyclic" or not field.unit:
+        colours.refuse_limit(field.label.replace("\n", " "))
+        unit, factor = ("°", 180.0) if field.kind == "cyclic" else ("", 1.0)
+        limit = math.pi if unit else 1.0
+        return DrawingScale(limit, warp_factor, unit, factor / limit, field, colours.colormap)
+    limit = colours.limit or round_limit(_largest(heights if values is None else values) or 1e-6)
+    unit, factor = unit_with_prefix(limit, field.unit)
+    return DrawingScale(limit, warp_factor, unit, factor, field, colours.colormap)
+
+
+def unit_with_prefix(largest: float, unit: str) -> tuple[str, float]:
+    """Return a unit in which the largest value lies below 1000 if there is one, and its number in one SI unit."""
     # Lengths below a nanometre are easier to read as fractions of one than as picometres.
-    prefixes = PREFIXES[1:] if field.unit == "m" else PREFIXES
-    prefix, unit_factor = next((pair for pair in prefixes if limit * pair[1] < 1000), PREFIXES[-1])
-    return DrawingScale(limit, warp_factor, prefix + field.unit, unit_factor, field)
+    prefixes = PREFIXES[1:] if unit == "m" else PREFIXES
+    prefix, factor = next((pair for pair in prefixes if largest * pair[1] < 1000), PREFIXES[-1])
+    return prefix + unit, factor
 
 
 def field_of(motions: Sequence[Motion], name: str) -> PlateField:
@@ -118,17 +144,41 @@ def field_of(motions: Sequence[Motion], name: str) -> PlateField:
     return MODE if motions[0].localization_factor is None else FIELDS[name]
 
 
-def common_scale(scene: Scene, motions: Sequence[Motion], name: str) -> tuple[DrawingScale, list[np.ndarray]]:
-    """Return one scale for all frames of all motions, and the values of the field of this name for each motion."""
+def motion_scales(
+    scene: Scene, motions: Sequence[Motion], name: str, colours: ColourOptions = DEFAULT_COLOURS
+) -> tuple[list[DrawingScale], list[np.ndarray]]:
+    """Return the scale and the values of the field of this name for each motion; one scale for all, unless the options
+    ask for one of each."""
     field = field_of(motions, name)
     values = [field.values(motion) for motion in motions]
-    return drawing_scale([motion.displacement for motion in motions], scene.plate.size, field, values), values
+    groups = [[index] for index in range(len(motions))] if colours.each else [list(range(len(motions)))]
+    scales = []
+    for group in groups:
+        heights = [motions[index].displacement for index in group]
+        scale = drawing_scale(heights, scene.plate.size, field, [values[index] for index in group], colours)
+        scales += [scale] * len(group)
+    return scales, values
 
 
 def rounded_up(value: float) -> float:
     """Round up to two significant digits; never below the value."""
     digit = 10.0 ** (math.floor(math.log10(value)) - 1)
     return max(value, float(f"{math.ceil(value / digit * (1 - 1e-12)) * digit:.2g}"))
+
+
+def round_limit(value: float) -> float:
+    """Round up to a limit whose quarters are short numbers; never below the value."""
+    digit = 10.0 ** math.floor(math.log10(value))
+    leading = next((mantissa for mantissa in ROUND_LIMITS if mantissa * digit >= value * (1 - 1e-12)), 10)
+    return max(value, float(f"{leading * digit:.3g}"))
+
+
+def short_number(value: float) -> str:
+    """Return a number with at most three digits, from 10⁴ on as 2.4·10⁷."""
+    mantissa, _, exponent = f"{value:.2e}".partition("e")
+    if abs(value) < 1e4:
+        return f"{float(f'{value:.3g}'):g}"
+    return f"{float(mantissa):g}·10{str(int(exponent)).translate(SUPERSCRIPTS)}"
 
 
 def _largest(arrays: Iterable[np.ndarray]) -> float:

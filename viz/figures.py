@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from warp_plate.result.atomic_io import atomic_path
-from warp_plate.result.model import Result
+from warp_plate.result.model import Result, only_actuator
 from warp_plate.viz.annotations import add_legend
 from warp_plate.viz.availability import missing_plots, missing_renderer, prepare
 from warp_plate.viz.captions import caption, case_label, ordered_cases
+from warp_plate.viz.colours import DEFAULT_COLOURS, ColourOptions
 from warp_plate.viz.fields import drawing_scale
 from warp_plate.viz.pictures import SUPERSAMPLING, off_screen_plotter
 from warp_plate.viz.plots.crosstalk import draw_crosstalk
@@ -23,10 +24,13 @@ MOST_COLUMNS = 6
 FONT_SIZE, ROW_HEIGHT, LEGEND_WIDTH = 20, 480, 180
 
 
-def draw_all(result: Result, stem: str | Path) -> tuple[list[Path], str | None]:
+def draw_all(
+    result: Result, stem: str | Path, colours: ColourOptions = DEFAULT_COLOURS
+) -> tuple[list[Path], str | None]:
     """Draw all that the result holds, as ``<stem>-history.png``, ``<stem>-surfaces.png`` and so on.
 
-    Returns the files written, and None or a sentence for each missing one, joined by "; ".
+    Colours are those of fields over the plate. Returns the files written, and None or a sentence for each missing one,
+    joined by "; ".
     """
     compared = result.robust is not None and bool(np.isfinite(result.robust.validation).any())
     several = bool(result.scene.targets) and result.command == "localize"
@@ -46,7 +50,7 @@ def draw_all(result: Result, stem: str | Path) -> tuple[list[Path], str | None]:
         if problem is None:
             try:
                 with atomic_path(path) as temporary:
-                    draw(result, temporary)
+                    draw(result, temporary, **({"colours": colours} if draw in (draw_crosstalk, draw_surfaces) else {}))
                 written.append(path)
             except OSError as error:
                 problem = f"{path}: cannot be written: {error}"
@@ -55,8 +59,9 @@ def draw_all(result: Result, stem: str | Path) -> tuple[list[Path], str | None]:
     return written, "; ".join(problems) or None
 
 
-def draw_surfaces(result: Result, path: str | Path) -> None:
-    """Draw figure 2 of the paper as a PNG: a row with its own scale for each case, a column for each recorded time.
+def draw_surfaces(result: Result, path: str | Path, colours: ColourOptions = DEFAULT_COLOURS) -> None:
+    """Draw figure 2 of the paper as a PNG: a row for each case, by default with limits of its own, a column for each
+    recorded time.
 
     Raises ValueError if the result holds no displacement, and DrawingUnavailable if VTK cannot draw here.
     """
@@ -72,10 +77,12 @@ def draw_surfaces(result: Result, path: str | Path) -> None:
     with off_screen_plotter(size, shape=(len(cases), len(shown) + 1), col_weights=weights) as (plotter, take_picture):
         for row, (name, case) in enumerate(cases.items()):
             letter = f"({chr(ord('a') + row)}) " if len(cases) > 1 else ""
-            scale = drawing_scale([case.displacement], scene.plate.size)
+            together = cases.values() if colours.limits == "common" else [case]
+            scale = drawing_scale([each.displacement for each in together], scene.plate.size, colours=colours)
             for column, index in enumerate(shown):
                 plotter.subplot(row, column)
-                text = caption(letter + case_label(name, scene), float(result.times[index]), case.localization_factor)
+                label = letter + case_label(name, scene, only_actuator(case, scene))
+                text = caption(label, float(result.times[index]), case.localization_factor)
                 PlateActors(
                     plotter, result.case_scene(case), case.displacement[index], scale, text, font_size, bar=False
                 )

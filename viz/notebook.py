@@ -11,13 +11,13 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 from warp_plate.result.amplitudes import amplitude_column
-from warp_plate.result.model import BOUND_DESCRIPTIONS, Case, Result
+from warp_plate.result.model import BOUND_DESCRIPTIONS, Case, Result, only_actuator
 from warp_plate.scene.model import Scene
 from warp_plate.viz.availability import missing_plots, missing_renderer
 from warp_plate.viz.captions import case_label, ordered_cases, percent
 from warp_plate.viz.figures import draw_history, draw_surfaces
 from warp_plate.viz.plots.plan import draw_layout
-from warp_plate.viz.styles import EDGE_STYLES, edges_by_kind
+from warp_plate.viz.styles import EDGE_STYLES, edges_by_kind, size_text
 
 # Headings and rows.
 Table = tuple[Sequence[str], Sequence[Sequence[str]]]
@@ -40,7 +40,9 @@ def result_html(result: Result) -> str:
     """Return localization factors, the best drive, notes on the error, and a picture of the plate."""
     scene = result.scene
     cases = ordered_cases(result).items()
-    rows = [(case_label(name, scene), percent(case.localization_factor)) for name, case in cases]
+    rows = [
+        (case_label(name, scene, only_actuator(case, scene)), percent(case.localization_factor)) for name, case in cases
+    ]
     if result.bound is not None:
         target = f", target {scene.targets[0].name}" if result.target_searches else ""
         rows.append((BOUND_DESCRIPTIONS[result.bound_kind] + target, percent(result.bound)))
@@ -117,7 +119,7 @@ def _scene_rows(scene: Scene) -> list[tuple[str, str]]:
         resolution = f"for a relative error of {100 * grid.accuracy:g} %"
     targets = {f"target {target.name}": target for target in scene.targets} or {"target": scene.target}
     return [
-        ("plate", f"{plate.size[0]:g} m × {plate.size[1]:g} m, {1000 * plate.thickness:g} mm thick"),
+        ("plate", f"{size_text(plate.size)}, {1000 * plate.thickness:g} mm thick"),
         ("material", f"E = {plate.young_modulus:g} Pa, ν = {plate.poisson_ratio:g}, ρ = {plate.density:g} kg/m³"),
         ("edges", "; ".join(edges)),
         ("grid", resolution),

@@ -148,7 +148,17 @@ class Plate {
     const frame = document.createElement("div");
     this.heading = frame.appendChild(document.createElement("div"));
     this.heading.className = "heading";
-    this.canvas = frame.appendChild(document.createElement("canvas"));
+    const row = frame.appendChild(document.createElement("div"));
+    row.className = "row";
+    this.canvas = row.appendChild(document.createElement("canvas"));
+    this.factor = plate.factor;
+    this.ownLegend = plate.legend !== null;
+    if (this.ownLegend) {
+      const legend = row.appendChild(document.createElement("div"));
+      legend.className = "legend";
+      for (const name of ["title", "bar"]) legend.append(part(byId("legend"), name).cloneNode(true));
+      fillLegend(legend, plate.legend);
+    }
     this.canvas.setAttribute("aria-label", plate.headings[0]);
     byId("plates").append(frame);
     const gl = this.gl = this.canvas.getContext("webgl2", { antialias: true, preserveDrawingBuffer: true });
@@ -206,7 +216,7 @@ class Plate {
       gl.uniform2i(shader.uniform("grid"), ...data.grid);
       gl.uniform4i(shader.uniform("frames"), first, second, ...colour);
       gl.uniform1f(shader.uniform("part"), now - Math.floor(now));
-      gl.uniform1f(shader.uniform("tall"), data.peak * factor());
+      gl.uniform1f(shader.uniform("tall"), data.peak * this.factor * factor());
     };
     [this.heights, this.colours].forEach((texture, unit) => {
       gl.activeTexture(gl.TEXTURE0 + unit);
@@ -234,12 +244,19 @@ class Plate {
     }
     gl.depthMask(true);
     gl.bindVertexArray(null);
-    this.heading.textContent = this.headings[first];
+    const heights = this.ownLegend && data.heightWords ? `, heights × ${short(this.factor * factor())}` : "";
+    this.heading.textContent = this.headings[first] + heights;
   }
 }
 
 const player = { playing: true, frame: 0, last: null, asked: false };
 const factor = () => Number((data.factor * 2 ** Number(byId("heights").value)).toPrecision(3));
+// As short_number in fields.py: at most three digits, from 10000 on as 2.4·10⁷.
+function short(value) {
+  const [mantissa, exponent] = value.toExponential(2).split("e+");
+  if (value < 1e4) return Number(value.toPrecision(3));
+  return Number(mantissa) + "·10" + exponent.replace(/\d/g, (digit) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[digit]);
+}
 function ask() {
   if (!player.asked) requestAnimationFrame(tick);
   player.asked = true;
@@ -252,7 +269,7 @@ function tick(moment) {
     byId("time").value = player.frame;
   }
   player.last = player.playing ? moment : null;
-  byId("factor").textContent = data.heightWords ? "× " + factor() : "";
+  byId("factor").textContent = data.heightWords && data.title ? "× " + short(factor()) : "";
   for (const plate of plates) plate.draw(player.frame);
   if (player.playing) ask();
 }
@@ -268,16 +285,22 @@ function go(frame) {
   ask();
 }
 
-function legend() {
-  byId("title").textContent = data.title;
-  byId("name").textContent = document.title = data.name;
-  if (data.thinned) byId("hint").append(" " + data.thinned);
-  const context = byId("colours").getContext("2d"), table = new Uint8Array(bytes(data.table));
+const part = (parent, name) => parent.getElementsByClassName(name)[0];
+function fillLegend(parent, legend) {
+  part(parent, "title").textContent = legend.title;
+  const context = part(parent, "colours").getContext("2d"), table = new Uint8Array(bytes(data.table));
   for (let row = 0; row < 256; row++) {
     context.fillStyle = `rgb(${table.slice(4 * row, 4 * row + 3).join(",")})`;
     context.fillRect(0, 255 - row, 1, 1);
   }
-  for (const tick of data.ticks) byId("ticks").append(Object.assign(document.createElement("span"), { textContent: tick }));
+  const ticks = part(parent, "ticks");
+  for (const tick of legend.ticks) ticks.append(Object.assign(document.createElement("span"), { textContent: tick }));
+}
+function legend() {
+  byId("name").textContent = document.title = data.name;
+  if (data.thinned) byId("hint").append(" " + data.thinned);
+  if (data.title) fillLegend(byId("legend"), data);
+  else part(byId("legend"), "bar").hidden = true;
   for (const [text, colour] of data.key) {
     const line = byId("key").appendChild(document.createElement("div"));
     line.textContent = text;
@@ -287,8 +310,8 @@ function legend() {
 
 byId("time").max = data.frames - 0.001;
 byId("plates").style.gridTemplateColumns = `repeat(${data.columns}, minmax(0, 1fr))`;
-legend();
 const plates = data.plates.map((plate, index) => new Plate(plate, index));
+legend();
 byId("play").addEventListener("click", () => play(!player.playing));
 byId("time").addEventListener("input", (event) => go(Number(event.target.value)));
 for (const id of ["heights", "speed"]) byId(id).addEventListener("input", ask);

@@ -20,7 +20,8 @@ from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
 from warp_plate.viz.annotations import AZIMUTH, ELEVATION, LABEL_FORMAT, lookup_table
 from warp_plate.viz.captions import frame_caption
-from warp_plate.viz.fields import DISPLACEMENT, MODE, PlateField, common_scale
+from warp_plate.viz.colours import DEFAULT_COLOURS, ColourOptions
+from warp_plate.viz.fields import DISPLACEMENT, MODE, DrawingScale, PlateField, motion_scales
 from warp_plate.viz.meshes import PlateMeshes
 from warp_plate.viz.scene3d import line_layers, rows_and_columns
 from warp_plate.viz.styles import legend_entries
@@ -35,23 +36,25 @@ FONT_SIZE, DEPTH_STEP = 16, 2e-6
 
 def write_page(
     scene: Scene, motions: Sequence[Motion], path: Path, quantity: str = "displacement", rate: float = 30.0,
-    heights: float | None = None,
+    heights: float | None = None, colours: ColourOptions = DEFAULT_COLOURS,
 ) -> None:  # fmt: skip
     """Write the page, with the field in colour (a key of FIELDS) and the initial frame rate [1/s] and height factor."""
     # Inside HTML, only "<" in the JSON text could end the script.
-    data = json.dumps(page_data(scene, motions, quantity, rate, heights)).replace("<", "\\u003c")
+    data = json.dumps(page_data(scene, motions, quantity, rate, heights, colours)).replace("<", "\\u003c")
     page, script = (files("warp_plate.viz").joinpath(name).read_text("utf-8") for name in ("page.html", "page.js"))
     path.write_text(page.replace("/*SCRIPT*/", script).replace("/*DATA*/", data), encoding="utf-8")
 
 
 def page_data(
-    scene: Scene, motions: Sequence[Motion], quantity: str, rate: float, heights_factor: float | None
-) -> dict[str, Any]:
+    scene: Scene, motions: Sequence[Motion], quantity: str, rate: float, heights_factor: float | None,
+    options: ColourOptions = DEFAULT_COLOURS,
+) -> dict[str, Any]:  # fmt: skip
     """Return all data of the page's script as JSON types; arrays are base64 of little-endian numbers."""
-    scale, colours = common_scale(scene, motions, quantity)
-    field, frames, heights = scale.field, len(colours[0]), [motion.displacement for motion in motions]
+    scales, colours = motion_scales(scene, motions, quantity, options)
+    scale, heights = scales[0], [motion.displacement for motion in motions]
+    field, frames = scale.field, len(colours[0])
     peak = max(float(np.abs(np.nan_to_num(array)).max()) for array in heights) or 1.0
-    if field in (DISPLACEMENT, MODE):
+    if field in (DISPLACEMENT, MODE) and not options.each and peak <= scale.limit:
         peak, colours = scale.limit, []
     all_nodes = heights[0].shape[1:]
     values = sum(len(array) for array in [*heights, *colours]) * math.prod(all_nodes)
@@ -59,11 +62,11 @@ def page_data(
     heights = [_resampled(array, (ny, nx), DISPLACEMENT) for array in heights]
     colours = [_resampled(array, (ny, nx), field) for array in colours]
     meshes, (low, high) = PlateMeshes(scene, heights[0][0], scale), scale.clim
+    legends = [_legend(each) for each in scales]
     return {
         "heightWords": bool(scale.heights),
-        "title": scale.title,
+        **({"title": "", "ticks": []} if options.each else legends[0]),
         "limits": [low / high, 1.0],
-        "ticks": [(LABEL_FORMAT % tick).replace("-", "−") for tick in np.linspace(high, low, 5)],
         "cyclic": scale.field.kind == "cyclic",
         "none": _rgb(scale.field.nan_colour),
         "table": _base64(lookup_table(scale).values, "u1"),
@@ -87,12 +90,20 @@ def page_data(
                 "headings": [frame_caption(motion, frame, scene) for frame in range(len(motion.times))],
                 "heights": _integers(heights[index], peak),
                 # null: the heights are the colours, and the outlines those of the scene.
-                "colours": _integers(colours[index], scale.limit) if colours else None,
+                "colours": _integers(colours[index], scales[index].limit) if colours else None,
+                "factor": scales[index].warp_factor / scale.warp_factor,  # relative to that of the page
+                "legend": legends[index] if options.each else None,
                 "outlines": _outlines(PlateMeshes(motion.scene, heights[0][0], scale)) if motion.scene else None,
             }
             for index, motion in enumerate(motions)
         ],
     }
+
+
+def _legend(scale: DrawingScale) -> dict[str, Any]:
+    """Return title and labels of a colour bar, from its upper end."""
+    ticks = [(LABEL_FORMAT % tick).replace("-", "−") for tick in reversed(scale.ticks)]
+    return {"title": scale.title, "ticks": ticks}
 
 
 def thinned_nodes(nodes: int, values: int) -> int:

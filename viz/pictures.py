@@ -20,6 +20,7 @@ import numpy as np
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
 from warp_plate.viz.availability import EXTRA, set_up_renderer
+from warp_plate.viz.colours import DEFAULT_COLOURS, ColourOptions
 from warp_plate.viz.fields import field_of
 from warp_plate.viz.scene3d import SideBySide, plate_subplots
 
@@ -46,11 +47,13 @@ class PictureStyle:
         quantity: field in colour, a key of FIELDS.
         width: width of one plate's picture, without the legend [pixels].
         heights: factor by which heights are exaggerated (default: to suit the picture).
+        colours: colour map and limits of the field.
     """
 
     quantity: str = "displacement"
     width: int = 560
     heights: float | None = None
+    colours: ColourOptions = DEFAULT_COLOURS
 
     @property
     def font_size(self) -> int:
@@ -136,10 +139,11 @@ def off_screen_plates(
     scene: Scene, motions: Sequence[Motion], style: PictureStyle
 ) -> Iterator[tuple[SideBySide, TakePicture]]:
     """Yield the plates in an off-screen plotter, and a function that takes a picture of them."""
-    subplots = plate_subplots(len(motions), style.width, style.font_size)
+    subplots = plate_subplots(len(motions), style.width, style.font_size, style.colours.each)
     size = (sum(subplots["col_weights"]), round(subplots["shape"][0] * ASPECT * style.width))
     with off_screen_plotter(size, **subplots) as (plotter, take_picture):
-        plates = SideBySide(plotter, scene, motions, style.quantity, round(SUPERSAMPLING * style.font_size))
+        font_size = round(SUPERSAMPLING * style.font_size)
+        plates = SideBySide(plotter, scene, motions, style.quantity, font_size, style.colours)
         if style.heights is not None:
             plates.exaggerate(style.heights)
         yield plates, take_picture

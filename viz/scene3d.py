@@ -14,7 +14,8 @@ from warp_plate.scene.model import Scene
 from warp_plate.viz import annotations
 from warp_plate.viz.annotations import LEGEND_WIDTH, lookup_table
 from warp_plate.viz.captions import frame_caption
-from warp_plate.viz.fields import DrawingScale, common_scale
+from warp_plate.viz.colours import DEFAULT_COLOURS, ColourOptions
+from warp_plate.viz.fields import DrawingScale, motion_scales
 from warp_plate.viz.meshes import SCALARS, PlateMeshes, SurfaceLines
 from warp_plate.viz.styles import EDGE_STYLES, GRID, INK, TARGET
 
@@ -105,35 +106,38 @@ def line_layers(meshes: PlateMeshes) -> list[LineLayer]:
 
 
 class SideBySide:
-    """Plates of one scene in the subplots of a plotter, row by row, with a legend in the last column; not rendered.
+    """Plates of one scene in the subplots of a plotter, row by row; not rendered.
 
     Args:
         plotter: with the subplots of :func:`plate_subplots`.
         motions: with the same number of frames each.
         quantity: field in colour, a key of FIELDS; natural modes show their displacement.
         font_size: height of the text [pixels].
+        colours: colour map and limits; plates with limits of their own have a legend each, others share one.
 
     Attributes:
         plates: one for each motion.
-        scale: common scale of all plates and frames.
+        scales: scale of each plate for all frames.
         frames, frame: number of frames, and index of the shown one.
     """
 
     def __init__(
-        self, plotter: pyvista.Plotter, scene: Scene, motions: Sequence[Motion], quantity: str, font_size: int
-    ) -> None:
-        self.scene, self.motions = scene, list(motions)
+        self, plotter: pyvista.Plotter, scene: Scene, motions: Sequence[Motion], quantity: str, font_size: int,
+        colours: ColourOptions = DEFAULT_COLOURS,
+    ) -> None:  # fmt: skip
+        self.scene, self.motions, self.colours = scene, list(motions), colours
         self.frames, self.frame = len(motions[0].times), 0
-        self.scale, self._values = common_scale(scene, motions, quantity)
-        self.plates = []
+        self.scales, self._values = motion_scales(scene, motions, quantity, colours)
+        self.plates, each = [], colours.each
         _, columns = rows_and_columns(len(motions))
-        for index, (motion, values) in enumerate(zip(motions, self._values, strict=True)):
+        for index, (motion, scale, values) in enumerate(zip(motions, self.scales, self._values, strict=True)):
             plotter.subplot(*divmod(index, columns))
             text, placed = frame_caption(motion, 0, scene), motion.scene or scene
             field = motion.displacement[0]
-            self.plates.append(PlateActors(plotter, placed, field, self.scale, text, font_size, False, values[0]))
-        plotter.subplot(0, columns)
-        self._bar = annotations.add_legend(plotter, scene, self.scale, font_size)
+            self.plates.append(PlateActors(plotter, placed, field, scale, text, font_size, each, values[0]))
+        if not each:
+            plotter.subplot(0, columns)
+        self._bar = None if each else annotations.add_legend(plotter, scene, self.scales[0], font_size)
 
     def show(self, frame: int) -> None:
         """Move all plates to a frame, counted modulo the number of frames."""
@@ -144,18 +148,23 @@ class SideBySide:
             plate.update(motion.displacement[self.frame], values[self.frame % len(values)], text)
 
     def colour_by(self, quantity: str) -> None:
-        """Show another field in colour at the same frame and heights."""
-        scale, self._values = common_scale(self.scene, self.motions, quantity)
-        self._rescale(replace(scale, warp_factor=self.scale.warp_factor))
+        """Show another field in colour at the same frame and heights, within limits that suit it."""
+        colours = replace(self.colours, limits="each" if self.colours.each else "common")
+        scales, self._values = motion_scales(self.scene, self.motions, quantity, colours)
+        pairs = zip(scales, self.scales, strict=True)
+        self._rescale([replace(scale, warp_factor=before.warp_factor) for scale, before in pairs])
 
     def exaggerate(self, warp_factor: float) -> None:
-        """Exaggerate heights by this factor, rounded to three digits."""
-        self._rescale(replace(self.scale, warp_factor=float(f"{warp_factor:.3g}")))
+        """Exaggerate heights of the first plate by this factor, rounded to three digits, and others in proportion."""
+        ratio = warp_factor / self.scales[0].warp_factor
+        factors = [float(f"{ratio * scale.warp_factor:.3g}") for scale in self.scales]
+        self._rescale([replace(scale, warp_factor=new) for scale, new in zip(self.scales, factors, strict=True)])
 
-    def _rescale(self, scale: DrawingScale) -> None:
-        self.scale = scale
-        annotations.set_colour_bar(self._bar, scale)
-        for plate in self.plates:
+    def _rescale(self, scales: list[DrawingScale]) -> None:
+        self.scales = scales
+        if self._bar is not None:
+            annotations.set_colour_bar(self._bar, scales[0])
+        for plate, scale in zip(self.plates, scales, strict=True):
             plate.rescale(scale)
         self.show(self.frame)
 
@@ -166,8 +175,10 @@ def rows_and_columns(plates: int) -> tuple[int, int]:
     return math.ceil(plates / columns), columns
 
 
-def plate_subplots(plates: int, width: int, font_size: int) -> dict[str, Any]:
-    """Return shape and column widths [pixels] of a PyVista plotter for plates of this width, and their legend."""
+def plate_subplots(plates: int, width: int, font_size: int, each: bool = False) -> dict[str, Any]:
+    """Return shape and column widths [pixels] of a PyVista plotter for plates of this width, and for their legend in
+    the last column, or for ``each`` plate's legend beside it."""
     rows, columns = rows_and_columns(plates)
-    widths = [width] * columns + [round(LEGEND_WIDTH * font_size)]
-    return {"shape": (rows, columns + 1), "col_weights": widths}
+    legend = round(LEGEND_WIDTH * font_size)
+    widths = [width + legend] * columns if each else [width] * columns + [legend]
+    return {"shape": (rows, len(widths)), "col_weights": widths}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -58,6 +59,22 @@ def edges_by_kind(scene: Scene) -> dict[str, dict[str, Path]]:
     for name, edge in scene.edges:
         kinds[edge if isinstance(edge, str) else "springs"][name] = ends[name]
     return {kind: edges for kind, edges in kinds.items() if edges}
+
+
+def length_unit(size: Sequence[float]) -> tuple[str, float]:
+    """Return the unit of lengths of a plate of this size [m], and its number in a metre: mm below a metre."""
+    return ("mm", 1000.0) if max(size) < 1 else ("m", 1.0)
+
+
+def size_text(size: Sequence[float]) -> str:
+    """Return the lengths [m] of a plate's sides with their unit."""
+    unit, factor = length_unit(size)
+    return f"{' × '.join(f'{side * factor:.5g}' for side in size)} {unit}"
+
+
+def point_text(point: Sequence[float], size: Sequence[float]) -> str:
+    """Return a point (x, y) [m] of a plate of this size, without its unit."""
+    return ", ".join(f"{at * length_unit(size)[1]:.5g}" for at in point)
 
 
 def rectangle(area: Area) -> Path:

@@ -16,8 +16,9 @@ import numpy as np
 from warp_plate.interrupts import END_SIGNALS
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
-from warp_plate.viz.annotations import LEGEND_WIDTH, add_text, look_at_plate, style_text
+from warp_plate.viz.annotations import LEGEND_WIDTH, add_text, free_width, look_at_plate, style_text
 from warp_plate.viz.captions import case_label
+from warp_plate.viz.colours import DEFAULT_COLOURS, ColourOptions
 from warp_plate.viz.fields import FIELDS
 from warp_plate.viz.pictures import make_plotter
 from warp_plate.viz.scene3d import SideBySide, plate_subplots, rows_and_columns
@@ -44,6 +45,7 @@ class ViewerWindow:
         quantity: field in colour, a key of FIELDS.
         stem: path of screenshots without number and ending.
         rate: frames a second.
+        colours: colour map and limits.
 
     Attributes:
         playing: True while frames follow the clock.
@@ -52,12 +54,13 @@ class ViewerWindow:
     """
 
     def __init__(
-        self, plotter: pyvista.Plotter, scene: Scene, motions: Sequence[Motion], quantity: str, stem: Path, rate: float
-    ) -> None:
+        self, plotter: pyvista.Plotter, scene: Scene, motions: Sequence[Motion], quantity: str, stem: Path, rate: float,
+        colours: ColourOptions = DEFAULT_COLOURS,
+    ) -> None:  # fmt: skip
         self.plotter, self.scene, self.stem, self.rate, self.quantity = plotter, scene, stem, rate, quantity
-        self.plates = SideBySide(plotter, scene, motions, quantity, FONT_SIZE)
+        self.plates = SideBySide(plotter, scene, motions, quantity, FONT_SIZE, colours)
         self.names, self.shown, self.playing = [motion.name for motion in motions], ALL, False
-        self._warp_factor, self.ratio = self.plates.scale.warp_factor, 1.0
+        self._warp_factor, self.ratio = self.plates.scales[0].warp_factor, 1.0
         self._modes = motions[0].localization_factor is None
         self._moments = np.linspace(0, 1, self.plates.frames, endpoint=False) if self._modes else motions[0].times
         self._position, self._clock = 0.0, time.perf_counter()
@@ -115,7 +118,7 @@ class ViewerWindow:
     def exaggerate(self, ratio: float) -> None:
         """Exaggerate heights by this multiple of their first factor."""
         self.plates.exaggerate(self._warp_factor * max(ratio, 1e-3))
-        self.ratio = self.plates.scale.warp_factor / self._warp_factor
+        self.ratio = self.plates.scales[0].warp_factor / self._warp_factor
         self._update("heights", self.ratio)
 
     def colour_by(self, quantity: str) -> None:
@@ -144,7 +147,8 @@ class ViewerWindow:
         """Point all cameras as at first."""
         for index in range(len(self.names)):
             self.plotter.subplot(*divmod(index, self._columns))
-            look_at_plate(self.plotter, self.scene.plate.size, FONT_SIZE)
+            share = free_width(self.plotter, FONT_SIZE) if self.plates.colours.each else 1.0
+            look_at_plate(self.plotter, self.scene.plate.size, FONT_SIZE, share)
         self.plotter.render()
 
     def screenshot(self) -> Path:
@@ -237,27 +241,30 @@ class ViewerWindow:
         ]
 
 
-def window_plotter(plates: int, **options: object) -> pyvista.Plotter:
-    """Return a plotter with subplots for the plates, their legend, and the strip of controls below them."""
+def window_plotter(plates: int, each: bool = False, **options: object) -> pyvista.Plotter:
+    """Return a plotter with subplots for the plates, their legend or ``each`` plate's, and the strip of controls below
+    them."""
     rows, columns = rows_and_columns(plates)
-    most_wide = (MOST_WIDE - LEGEND_WIDTH * FONT_SIZE) / columns
+    most_wide = (MOST_WIDE - LEGEND_WIDTH * FONT_SIZE * (columns if each else 1)) / columns
     width = round(min(PLATE * (1.6 if plates == 1 else 1), most_wide, (MOST_HIGH - STRIP) / rows / ASPECT))
     # A drive shown alone takes the whole row.
     height = max(round(width * ASPECT), LEAST_HIGH if rows == 1 else 0)
-    strip = {"shape": (rows + 1, columns + 1), "row_weights": [height] * rows + [STRIP], "groups": [(rows, np.s_[:])]}
-    subplots = plate_subplots(plates, width, FONT_SIZE) | strip
+    subplots = plate_subplots(plates, width, FONT_SIZE, each)
+    subplots |= {"shape": (rows + 1, subplots["shape"][1]), "row_weights": [height] * rows + [STRIP]}
+    subplots["groups"] = [(rows, np.s_[:])]
     size = (sum(subplots["col_weights"]), rows * height + STRIP)
     return make_plotter(size, title="warp-plate view", **subplots, **options)
 
 
 def open_window(
-    scene: Scene, motions: Sequence[Motion], quantity: str, stem: Path, rate: float, heights: float | None
-) -> None:
+    scene: Scene, motions: Sequence[Motion], quantity: str, stem: Path, rate: float, heights: float | None,
+    colours: ColourOptions = DEFAULT_COLOURS,
+) -> None:  # fmt: skip
     """Show motions until the window is closed."""
-    plotter = window_plotter(len(motions))
-    window = ViewerWindow(plotter, scene, motions, quantity, stem, rate)
+    plotter = window_plotter(len(motions), colours.each)
+    window = ViewerWindow(plotter, scene, motions, quantity, stem, rate, colours)
     if heights is not None:
-        window.exaggerate(heights / window.plates.scale.warp_factor)
+        window.exaggerate(heights / window.plates.scales[0].warp_factor)
     plotter.add_timer_event(max_steps=2**31 - 1, duration=TIMER, callback=lambda _: window.tick())
     # Ctrl-C closes the window as q does; VTK would end the process.
     before = {number: signal.signal(number, lambda *_: plotter.iren.terminate_app()) for number in END_SIGNALS}

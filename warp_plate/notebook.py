@@ -60,15 +60,25 @@ class NotebookPlayer:
         return tostring(frame, encoding="unicode", short_empty_elements=False)
 
 
-def plot(shown: Result | Sweep | FrequencyResponse | MethodComparison | FocusResult, stem: str | Path) -> list[Path]:
+def plot(
+    shown: Result | Sweep | FrequencyResponse | MethodComparison | FocusResult,
+    stem: str | Path,
+    *,
+    colormap: str | None = None,
+    limits: str | float | None = None,
+) -> list[Path]:
     """Draw what a function has returned, as its command does, and return the files.
 
     Args:
         shown: result of ``localize`` or ``simulate``, of ``sweep``, of ``frf``, ``compare`` or ``focus``.
         stem: path of the pictures without an ending: a result makes STEM-history.png, STEM-surfaces.png and so on, all
             others STEM.png.
+        colormap: colour map of Matplotlib for fields over the plate (default: one that suits the field).
+        limits: ends of their colours: "common" to all plates, "each" plate its own, or the largest value shown in the
+            field's SI unit (default: "each").
 
     Raises:
+        SceneError: no such colour map or limits.
         DrawingUnavailable: a library that a picture needs is not installed.
         TypeError: there are no pictures of such an object.
     """
@@ -78,14 +88,16 @@ def plot(shown: Result | Sweep | FrequencyResponse | MethodComparison | FocusRes
     from warp_plate.result.model import Result
     from warp_plate.result.sweep import Sweep
     from warp_plate.viz.availability import DrawingUnavailable, missing_plots
+    from warp_plate.viz.colours import colour_options
     from warp_plate.viz.figures import draw_all
     from warp_plate.viz.plots.compare import draw_comparison
     from warp_plate.viz.plots.focus import draw_focus
     from warp_plate.viz.plots.frequency_response import draw_frequency_response
     from warp_plate.viz.plots.sweep import draw_sweep
 
+    colours = colour_options(colormap, limits)
     if isinstance(shown, Result):
-        files, problem = draw_all(shown, stem)
+        files, problem = draw_all(shown, stem, colours)
         if problem is not None:
             raise DrawingUnavailable(problem)
         return files
@@ -93,7 +105,7 @@ def plot(shown: Result | Sweep | FrequencyResponse | MethodComparison | FocusRes
         Sweep: draw_sweep,
         FrequencyResponse: draw_frequency_response,
         MethodComparison: draw_comparison,
-        FocusResult: draw_focus,
+        FocusResult: partial(draw_focus, colours=colours),
     }
     if type(shown) not in drawings:
         names = ", ".join(each.__name__ for each in (Result, *drawings))
@@ -114,6 +126,8 @@ def view(
     rate: float = 30.0,
     height: int = 680,
     device: str = "auto",
+    colormap: str | None = None,
+    limits: str | float | None = None,
 ) -> NotebookPlayer:
     """Run cases of a result again and return a player of their plates, side by side.
 
@@ -126,18 +140,22 @@ def view(
         rate: initial frame rate [1/s].
         height: height of the frame in the notebook [pixels].
         device: cpu, cuda, cuda:1, …; auto takes a CUDA device if there is one.
+        colormap: colour map of Matplotlib (default: one that suits the field).
+        limits: ends of the colours, see :func:`plot` (default: "common").
 
     Raises:
-        SceneError: an unknown case or quantity, or a span outside the run.
+        SceneError: an unknown case, quantity, colour map or limits, or a span outside the run.
         DrawingUnavailable: PyVista is not installed.
     """
     from warp_plate.analysis.motion import motions
     from warp_plate.scene.errors import SceneError
     from warp_plate.viz.availability import DrawingUnavailable, missing_meshes
+    from warp_plate.viz.colours import colour_options
     from warp_plate.viz.fields import FIELDS
     from warp_plate.viz.notebook import shown_case
     from warp_plate.viz.page import write_page
 
+    colours = colour_options(colormap, limits)
     names = cases or (shown_case(result)[0],)
     for key, value, known in [("quantity", quantity, FIELDS), *(("case", name, result.cases) for name in names)]:
         if value not in known:
@@ -147,5 +165,5 @@ def view(
     moving = motions(result.scene, {name: result.cases[name] for name in names}, span, frames, device)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "page.html"
-        write_page(result.scene, moving, path, quantity, rate)
+        write_page(result.scene, moving, path, quantity, rate, None, colours)
         return NotebookPlayer(path.read_text(encoding="utf-8"), height)

@@ -16,6 +16,7 @@ from warp_plate.result.model import Case, save_result
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.viz import availability, notebook
+from warp_plate.viz.colours import ColourOptions
 from warp_plate.viz.notebook import result_html, scene_html
 from warp_plate.viz.plots.search import plot_history
 
@@ -73,20 +74,35 @@ def test_all_pictures_that_a_result_holds(result, drawing, tmp_path):
     assert (picture[[0, 1, 2, -3, -2, -1]] > 250).all()
 
 
-def test_the_best_loss_never_rises_and_infinite_means_are_gaps(result):
-    """Beside the bound and the published loss, of results that have them."""
+def test_surfaces_may_share_their_limits(result, drawing, tmp_path):
+    """Then weak rows are nearly grey."""
+    viz.draw_surfaces(result, tmp_path / "common.png", ColourOptions("bwr", "common"))
+    picture = pixels(tmp_path / "common.png")
+    red = [(row[..., 0] - row[..., 2] > 100).sum() for row in np.split(picture[:, :1400], 3)]
+    assert red[2] > 1000 > 100 > red[0]  # the best drive is the last row
+
+
+def test_the_best_never_falls_and_infinite_means_are_gaps(result):
+    """Beside the bound, the drives that need no search and the published factor, of results that have them."""
     from matplotlib.figure import Figure
 
-    def lines(**changes):
-        plot_history(axes := Figure().add_subplot(), replace(result, history=history, **changes))
+    def lines(loss=False, **changes):
+        plot_history(axes := Figure().add_subplot(), replace(result, history=history, **changes), loss)
         return {line.get_label(): line.get_ydata() for line in axes.get_lines()}
 
     history = {"best": np.array([0.3, 0.5, 0.4]), "mean": np.array([0.1, -np.inf, 0.2])}
-    drawn, without = lines(), lines(source="panel.toml", bound=None)
-    np.testing.assert_allclose(drawn["best so far"], [0.7, 0.5, 0.5])
-    np.testing.assert_allclose(drawn["swarm mean"], [0.9, np.nan, 0.8])
-    assert (drawn["bound: 0.3133"][0], drawn["published: 0.28"][0]) == (pytest.approx(1 - 0.6867), 0.28)
-    assert set(without) == {"best so far", "swarm mean"}
+    only = {"best": result.cases["best"]}
+    drawn, losses, without = lines(), lines(True), lines(source="panel.toml", bound=None, cases=only)
+    np.testing.assert_allclose(drawn["best so far: 0.5000"], [0.3, 0.5, 0.5])
+    np.testing.assert_allclose(losses["best so far: 0.5000"], [0.7, 0.5, 0.5])
+    np.testing.assert_allclose(drawn["swarm mean"], [0.1, np.nan, 0.2])
+    named = {"bound": 0.6867, "published": 0.72, "single actuator": 0.6367, "equal drive": 0.25}
+    for name, factor in named.items():
+        assert drawn[f"{name}: {factor:.4f}"][0] == pytest.approx(factor)
+        assert losses[f"{name}: {1 - factor:.4f}"][0] == pytest.approx(1 - factor)
+    assert set(without) == {"best so far: 0.5000", "swarm mean"}
+    single = replace(result.cases["single"], phasors=np.array([0, 1, 0, 0j]))
+    assert "single actuator, upper left: 0.6367" in lines(cases={"single": single})
 
 
 def test_missing_data_and_folders_are_reported(result, drawing, tmp_path):

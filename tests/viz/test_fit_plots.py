@@ -37,7 +37,7 @@ def response_fit(random, count=5):
     noisy = exact * (1 + 0.1 * random.normal(size=exact.shape))
     measured = MeasuredResponses("a.csv", frequencies, noisy, random.uniform(0.8, 1, exact.shape))
     row = SimpleNamespace(actuator=None, force_at=(0.1, 0.05), point=(0.02, 0.03), quantity="accelerance")
-    scene = SimpleNamespace(title="", measurement=[row] * count)
+    scene = SimpleNamespace(title="", measurement=[row] * count, plate=SimpleNamespace(size=(0.2, 0.1)))
     return SimpleNamespace(scene=scene, measured=measured, responses=exact)
 
 
@@ -51,6 +51,7 @@ def test_responses(axes_of, random):
         np.testing.assert_allclose(fitted, np.abs(found.responses[index]))
         np.testing.assert_array_equal(axes[8 + index].lines[0].get_ydata(), found.measured.coherence[index])
     assert axes[0].get_ylabel() == "accelerance [(m/s²)/N]"
+    assert axes[0].get_title() == "(100, 50) → (20, 30) mm"
 
 
 def test_modes(axes_of, random):

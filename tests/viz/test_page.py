@@ -9,7 +9,8 @@ from conftest import drag, motion_of, pixels, until
 from scipy.interpolate import interp1d
 
 from warp_plate.viz import page as page_module
-from warp_plate.viz.fields import common_scale
+from warp_plate.viz.colours import DEFAULT_COLOURS, ColourOptions
+from warp_plate.viz.fields import motion_scales
 from warp_plate.viz.meshes import PlateMeshes
 from warp_plate.viz.page import NAN, PEAK, page_data, write_page
 
@@ -31,7 +32,7 @@ def decoded(text, kind):
 def test_frames_meshes_and_scale(scene):
     made, motions = scene(), [bump(1e-7), bump(3e-7)]
     data = page_data(made, motions, "velocity", 25.0, None)
-    scale = common_scale(made, motions, "velocity")[0]
+    scale = motion_scales(made, motions, "velocity")[0][0]
     assert (data["grid"], data["frames"], data["rate"]) == ([8, 9], FRAMES, 25.0)
     assert (data["factor"], data["limits"], data["title"]) == (scale.warp_factor, [-1.0, 1.0], "velocity\n[µm/s]")
     for motion, plate in zip(motions, data["plates"], strict=True):
@@ -86,8 +87,9 @@ def opened(browser, scene, tmp_path):
     page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
     page.on("pageerror", lambda error: errors.append(str(error)))
 
-    def open_page(quantity="displacement"):
-        write_page(scene(title="</script><b>"), [bump(1e-7), bump(2e-7)], tmp_path / "page.html", quantity, rate=20)
+    def open_page(quantity="displacement", colours=DEFAULT_COLOURS):
+        motions = [bump(1e-7), bump(2e-7)]
+        write_page(scene(title="</script><b>"), motions, tmp_path / "page.html", quantity, 20, None, colours)
         page.goto((tmp_path / "page.html").as_uri())
         holds(page, "player.frame > 0.5")
         page.keyboard.press("Space")
@@ -126,8 +128,8 @@ def test_playing_stepping_turning_and_heights(opened):
     # Half the displacement is halfway to dark red: its red has more green in it.
     greens = [picture[..., 1][picture[..., 0] - picture[..., 2] > 60].min() for picture in (canvas(page, 0), before)]
     assert greens[0] > 80 > 40 > greens[1]
-    assert page.locator("#ticks span").all_inner_texts() == ["200", "100", "0", "−100", "−200"]
-    assert page.inner_text("#title") == "displacement\n[nm]"
+    assert page.locator("#legend .ticks span").all_inner_texts() == ["200", "100", "0", "−100", "−200"]
+    assert page.inner_text("#legend .title") == "displacement\n[nm]"
     assert "clamped" in page.inner_text("#key")
 
     drag(page, "#plates canvas", 80, 30)
@@ -144,7 +146,7 @@ def test_playing_stepping_turning_and_heights(opened):
     factor = page.evaluate("factor()")
     page.locator("#heights").fill("1")
     assert page.evaluate("factor()") == pytest.approx(2 * factor, rel=0.01)
-    holds(page, "document.getElementById('factor').textContent === `× ${factor()}`")
+    holds(page, "document.getElementById('factor').textContent === `× ${short(factor())}`")
     # The crest covers more of the plate behind it, and rises towards its back corner.
     red = [np.argwhere(picture[..., 0] - picture[..., 2] > 100)[:, 0].min() for picture in (before, canvas(page))]
     assert red[1] < red[0] - 5
@@ -164,6 +166,18 @@ def test_playing_stepping_turning_and_heights(opened):
 
 def test_phases_are_grey_at_rest(opened):
     page = opened("phase")
-    # A lag of 0 is dark, in the middle of the colour map; the clamped edge is grey.
-    assert (canvas(page).max(axis=-1) < 70).mean() > 0.1
-    assert page.locator("#ticks span").all_inner_texts() == ["180", "90", "0", "−90", "−180"]
+    # A lag of 0 is red, in the middle of the colour map; the clamped edge is grey.
+    picture = canvas(page)
+    assert (picture[..., 0] - picture[..., 1:].max(axis=-1) > 70).mean() > 0.1
+    assert page.locator("#legend .ticks span").all_inner_texts() == ["180", "90", "0", "−90", "−180"]
+
+
+def test_plates_with_limits_of_their_own_look_alike(opened):
+    """Half the displacement is as red and as high as the whole; each plate has its own legend."""
+    page = opened(colours=ColourOptions("bwr", "each"))
+    weak, strong = (canvas(page, number) for number in (0, 2))  # with a bar between them
+    assert redness(strong) == pytest.approx(redness(weak), rel=0.02)
+    assert page.locator(".row .ticks").nth(0).inner_text().split() == ["100", "50", "0", "−50", "−100"]
+    assert page.locator(".row .ticks").nth(1).inner_text().split() == ["200", "100", "0", "−100", "−200"]
+    assert not page.locator("#legend .bar").is_visible()
+    assert "heights × 1.2·10⁵" in page.locator(".heading").nth(1).inner_text()

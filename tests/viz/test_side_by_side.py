@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from conftest import motion_of
 
+from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.target import NamedTarget
 from warp_plate.viz.captions import caption, case_label, frame_caption, ordered_cases
-from warp_plate.viz.fields import FIELDS, DrawingScale, drawing_scale
+from warp_plate.viz.colours import ColourOptions
+from warp_plate.viz.fields import FIELDS, DrawingScale, drawing_scale, motion_scales, short_number
 from warp_plate.viz.meshes import SCALARS, PlateMeshes
 from warp_plate.viz.pictures import largest_frame, make_plotter
 from warp_plate.viz.scene3d import SideBySide, plate_subplots, rows_and_columns
@@ -62,14 +64,14 @@ def segments(mesh):
     [
         ("displacement", 2.31e-13, "nm", -0.00024, 0.00024),
         ("displacement", 9.95e-7, "µm", -1, 1),
-        ("displacement", -5e-3, "mm", -5, 5),
+        ("displacement", -5e-3, "mm", -6, 6),
         ("displacement", 2e3, "m", -2000, 2000),
-        ("energy", 4.2e-11, "pJ/m²", 0, 42),
-        ("rms-velocity", 3.9e-4, "µm/s", 0, 390),
+        ("energy", 4.2e-11, "pJ/m²", 0, 48),
+        ("rms-velocity", 3.9e-4, "µm/s", 0, 400),
         ("phase", 1.0, "°", -180, 180),
     ],
 )
-def test_scales_have_a_short_limit_in_a_suitable_unit(name, largest, unit, low, high):
+def test_scales_have_round_limits_in_a_suitable_unit(name, largest, unit, low, high):
     values = [np.array([[0.0, largest / 50]]), np.array([[0.0, largest]])]
     scale = drawing_scale([1e-7 * array / abs(largest) for array in values], (0.2, 0.3), FIELDS[name], values)
     assert scale.unit == unit
@@ -82,7 +84,7 @@ def test_plates_at_rest_and_plates_that_are_not_finite_can_be_drawn():
     assert drawing_scale([np.zeros((5, 5))], (0.2, 0.2)) == DrawingScale(1e-6, 1.0, "µm", 1e6)
     field = np.full((27, 27), 1.9e-7)
     field[3, 4], field[5, 6] = np.inf, np.nan
-    assert drawing_scale([field], (0.2, 0.2)).limit == pytest.approx(1.9e-7)
+    assert drawing_scale([field], (0.2, 0.2)).limit == pytest.approx(2e-7)
     heights = meshes_of(field).surface.points[:, 2].reshape(27, 27)
     assert np.isfinite(heights).all()
     assert heights[3, 4] == heights[5, 6] == 0
@@ -170,7 +172,7 @@ def test_plates_move_in_place_with_captions_and_heights(plates, plotter):
         for motion, plate, surface in zip(PAIR, plates.plates, surfaces, strict=True):
             field = motion.displacement[frame % FRAMES].ravel()
             assert plate.meshes.surface is surface
-            np.testing.assert_allclose(surface.points[:, 2], plates.scale.warp_factor * field, atol=1e-8)
+            np.testing.assert_allclose(surface.points[:, 2], plates.scales[0].warp_factor * field, atol=1e-8)
             np.testing.assert_allclose(surface.point_data[SCALARS], 1e9 * field, rtol=1e-6, atol=1e-6)
     # All outlines are drawn above the surface.
     actors = [actor for actor in plotter.renderers[1].actors.values() if isinstance(actor, pyvista.Actor)]
@@ -182,12 +184,53 @@ def test_plates_move_in_place_with_captions_and_heights(plates, plotter):
     assert colours == ["#1b7837", "#1a1a1a"]
     plates.show(3)
     plate = plates.plates[1]
-    heights = f"heights × {plates.scale.warp_factor:.15g}"
+    assert plates.scales[0].warp_factor == 83000
+    heights = "heights × 8.3·10⁴"
     assert plate.caption.GetInput() == f"best drive found, t = 0.0919 s\nlocalization factor 25.00 %, {heights}"
     plates.exaggerate(12345.0)
-    assert plate.caption.GetInput().endswith("heights × 12300")
+    assert plate.caption.GetInput().endswith("heights × 1.23·10⁴")
     largest = np.abs(plate.meshes.surface.points[:, 2]).max()
     assert largest == pytest.approx(12300 * np.abs(plates.motions[1].displacement[3]).max(), rel=1e-5)
+
+
+def test_plates_may_have_limits_of_their_own(scene, drawing):
+    """Each has a legend and heights of its own; a given limit holds for the first field only."""
+    columns = plate_subplots(2, 200, 8, each=True)
+    with closing(make_plotter((sum(columns["col_weights"]), 200), off_screen=True, **columns)) as plotter:
+        plates = SideBySide(plotter, scene(), PAIR, "displacement", 8, ColourOptions("PuOr", "each"))
+        assert [scale.clim[1] for scale in plates.scales] == [100, 320]
+        ratio = plates.scales[0].warp_factor / plates.scales[1].warp_factor
+        plates.exaggerate(2 * plates.scales[0].warp_factor)
+        assert plates.scales[0].warp_factor / plates.scales[1].warp_factor == pytest.approx(ratio, rel=1e-2)
+        for plate, scale in zip(plates.plates, plates.scales, strict=True):
+            assert plate.surface.mapper.scalar_range == pytest.approx(scale.clim)
+            assert plate.surface.mapper.lookup_table.map_value(-1e9)[0] == pytest.approx(0x7F / 255, abs=0.01)
+    with closing(make_plotter((600, 200), off_screen=True, **plate_subplots(2, 200, 8))) as plotter:
+        plates = SideBySide(plotter, scene(), PAIR, "displacement", 8, ColourOptions(limits=5e-8))
+        assert [scale.clim for scale in plates.scales] == [pytest.approx((-50, 50))] * 2
+        plates.colour_by("phase")
+        assert plates.scales[0].clim == pytest.approx((-180, 180))
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"colormap": "viridi"}, "colormap = 'viridi': must be a colour map of Matplotlib, such as viridis; viridis"),
+        ({"limits": "own"}, "limits = 'own': must be common, each, or a number above 0"),
+        ({"limits": -1.0}, "limits = -1: must be"),
+        ({"limits": math.nan}, "limits = nan: must be"),
+    ],
+)
+def test_colours_that_there_are_not_are_named(options, words):
+    with pytest.raises(SceneError, match=words):
+        ColourOptions(**options)
+    with pytest.raises(SceneError, match="limits = 1: phase lag has limits of its own"):
+        motion_scales(PAPER, PAIR, "phase", ColourOptions(limits=1.0))
+
+
+def test_large_numbers_have_powers_of_ten():
+    numbers = (0.5, 730.0, 9990.0, 12345.0, 7.3e4, 2.4e7)
+    assert [short_number(value) for value in numbers] == ["0.5", "730", "9990", "1.23·10⁴", "7.3·10⁴", "2.4·10⁷"]
 
 
 def test_another_field_changes_colours_and_bar_but_not_heights(plates, plotter):
@@ -201,21 +244,25 @@ def test_another_field_changes_colours_and_bar_but_not_heights(plates, plotter):
         plates.colour_by(name)
         np.testing.assert_array_equal(plate.meshes.surface.points[:, 2], before)
         values = FIELDS[name].values(PAIR[0])
-        expected = values[2 % len(values)].ravel() * plates.scale.unit_factor
+        expected = values[2 % len(values)].ravel() * plates.scales[0].unit_factor
         np.testing.assert_allclose(plate.meshes.surface.point_data[SCALARS], expected)
         # The limits hold for all plates and frames.
-        largest = np.nanmax([np.abs(FIELDS[name].values(motion)) for motion in PAIR]) * plates.scale.unit_factor
-        assert name == "phase" or largest <= plates.scale.clim[1] < 1.1 * largest
+        largest = np.nanmax([np.abs(FIELDS[name].values(motion)) for motion in PAIR]) * plates.scales[0].unit_factor
+        assert name == "phase" or largest <= plates.scales[0].clim[1] < 1.35 * largest
         ranges = [plate.surface.mapper.scalar_range for plate in plates.plates]
-        assert ranges == [pytest.approx(plates.scale.clim)] * 2
-        assert bar.GetTitle() == plates.scale.title
-        assert bar.GetLookupTable().GetTableRange() == pytest.approx(plates.scale.clim)
+        assert ranges == [pytest.approx(plates.scales[0].clim)] * 2
+        assert bar.GetTitle() == plates.scales[0].title
+        assert bar.GetLookupTable().GetTableRange() == pytest.approx(plates.scales[0].clim)
     # Phases are a circle of colours: those of −180° and 180° agree, no other lies between them, and NaN is grey.
     assert not plate.surface.mapper.interpolate_before_map
     table = plate.surface.mapper.lookup_table
     first, last, middle = (np.array(table.map_value(angle)) for angle in (-180.0, 180.0, 0.0))
     assert np.abs(first - last).max() < 0.02
     assert np.abs(first - middle)[:3].max() > 0.5
+    # All are equally light, so that dark and light outlines show on each.
+    colours = np.array([table.map_value(angle)[:3] for angle in np.linspace(-180, 180, 25)])
+    assert np.ptp(colours @ (0.2126, 0.7152, 0.0722)) < 0.2
+    assert 0.4 < colours.mean() < 0.8
     assert table.map_value(math.nan)[:3] == pytest.approx(pyvista.Color("#c8c8c8").float_rgb)
 
 

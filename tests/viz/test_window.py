@@ -52,15 +52,15 @@ def test_frames_follow_the_clock(window, monkeypatch):
 
 
 def test_sliders_are_followed_within_limits(window):
-    factor = window.plates.scale.warp_factor
+    factor = window.plates.scales[0].warp_factor
     for (name, slider), value in zip(window.sliders.items(), (0.0025, 12, 3), strict=True):
         slider.GetRepresentation().SetValue(value)
         slider.InvokeEvent("InteractionEvent")
         assert slider.GetRepresentation().GetValue() == pytest.approx(value, rel=5e-3), name
     assert (window.playing, window.plates.frame, window.rate) == (False, 30, 12)
-    assert window.plates.scale.warp_factor == pytest.approx(3 * factor, rel=5e-3)
+    assert window.plates.scales[0].warp_factor == pytest.approx(3 * factor, rel=5e-3)
     window.exaggerate(0.0)
-    assert window.plates.scale.warp_factor > 0
+    assert window.plates.scales[0].warp_factor > 0
     for rate, limited in ((1000.0, FASTEST), (0.0, 1.0)):
         window.set_rate(rate)
         assert window.rate == limited
@@ -97,7 +97,7 @@ def test_modes_have_periods_instead_of_times_and_no_fields(scene, drawing, tmp_p
         window.go(15)
         assert window.sliders["time"].GetRepresentation().GetValue() == 0.25
         assert (len(window.plates.plates), list(window.field_buttons), len(window.case_buttons)) == (4, [], 5)
-        assert (window.plates.scale.clim, window.plates.scale.unit) == ((-1.0, 1.0), "")
+        assert (window.plates.scales[0].clim, window.plates.scales[0].unit) == ((-1.0, 1.0), "")
         assert window.plates.plates[2].caption.GetInput() == modes[2].name
 
 

@@ -11,10 +11,11 @@ import numpy as np
 
 from warp_plate.result.model import Result
 from warp_plate.result.targets import crosstalk, decibels, target_cases, target_outlines
-from warp_plate.viz.fields import drawing_scale
+from warp_plate.viz.colours import DEFAULT_COLOURS, ColourOptions
+from warp_plate.viz.fields import DrawingScale, drawing_scale
 from warp_plate.viz.plots.frame import add_panels, figure
 from warp_plate.viz.plots.plan import draw_edges, draw_field, draw_outline, drawn_size
-from warp_plate.viz.styles import INK, TARGET
+from warp_plate.viz.styles import INK, TARGET, size_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,8 +25,9 @@ CELL, PLATE, NOTE, LETTER, LINE = (0.9, 0.42), 1.9, (3.0, 0.4), 0.07, 0.13
 PLATES_PER_ROW = 4
 
 
-def draw_crosstalk(result: Result, path: str | Path) -> None:
-    """Draw the table, and each plate at the recorded time of its largest displacement, in a scale of its own."""
+def draw_crosstalk(result: Result, path: str | Path, colours: ColourOptions = DEFAULT_COLOURS) -> None:
+    """Draw the table, and each plate at the recorded time of its largest displacement, by default within limits of its
+    own."""
     cases = target_cases(result.scene)
     drawn = {target: case for target, case in cases.items() if case in result.cases and result.times.size}
     rows, columns = math.ceil(len(drawn) / PLATES_PER_ROW), min(len(drawn), PLATES_PER_ROW)
@@ -40,12 +42,12 @@ def draw_crosstalk(result: Result, path: str | Path) -> None:
         above, below = made.subfigures(2, 1, height_ratios=[table_height, plates_height])
         _draw_table(above.subplots(), names, crosstalk(result))
         if drawn:
+            fields = {target: _largest_field(result, case) for target, case in drawn.items()}
+            scales = _scales(result, fields, colours)
             for axes, (target, case) in zip(add_panels(below, len(drawn), columns), drawn.items(), strict=True):
-                _draw_plate(axes, result, target, case)
+                _draw_plate(axes, result, target, case, fields[target], scales[target])
                 axes.set_title(titles[target], fontsize=8)
-            size = "{:g} m × {:g} m".format(*result.scene.plate.size)
-            note = f"displacement of the plate, {size}:\nred up, blue down, each in its own scale"
-            below.supxlabel(note, fontsize=8)
+            below.supxlabel(_note(result, list(scales.values())), fontsize=8)
 
 
 def _draw_table(axes: Axes, names: list[str], shares: np.ndarray) -> None:
@@ -66,11 +68,30 @@ def _draw_table(axes: Axes, names: list[str], shares: np.ndarray) -> None:
     axes.spines[:].set_visible(False)
 
 
-def _draw_plate(axes: Axes, result: Result, name: str, case: str) -> None:
-    scene = result.scene
+def _largest_field(result: Result, case: str) -> np.ndarray:
+    """Return the (ny, nx) displacement [m] of a case at the recorded time when it is largest."""
     displacements = np.nan_to_num(result.cases[case].displacement, posinf=0, neginf=0)
-    field = displacements[np.abs(displacements).max(axis=(1, 2)).argmax()]
-    draw_field(axes, scene, field, drawing_scale([field], scene.plate.size))
+    return np.asarray(displacements[np.abs(displacements).max(axis=(1, 2)).argmax()])
+
+
+def _scales(result: Result, fields: dict[str, np.ndarray], colours: ColourOptions) -> dict[str, DrawingScale]:
+    """Return the scale of each field, by default its own."""
+    together = list(fields.values()) if colours.limits == "common" else None
+    size = result.scene.plate.size
+    return {name: drawing_scale(together or [field], size, colours=colours) for name, field in fields.items()}
+
+
+def _note(result: Result, scales: list[DrawingScale]) -> str:
+    """Return what the colours of the plates mean."""
+    limits = [f"{scale.clim[1]:.4g} {scale.unit}" for scale in scales]
+    ends = limits[0] if len(set(limits)) == 1 else f"{', '.join(limits[:-1])} and {limits[-1]}"
+    words = "red up, blue down" if scales[0].colormap is None else "the ends of the colour map are"
+    return f"displacement of the plate, {size_text(result.scene.plate.size)}:\n{words} to ±{ends}"
+
+
+def _draw_plate(axes: Axes, result: Result, name: str, case: str, field: np.ndarray, scale: DrawingScale) -> None:
+    scene = result.scene
+    draw_field(axes, scene, field, scale)
     for actuator in result.case_scene(result.cases[case]).actuators:
         draw_outline(axes, actuator.area, INK)
     for key, target in zip(scene.targets_by_key, scene.targets, strict=True):

@@ -9,7 +9,7 @@ import numpy as np
 
 from warp_plate.result.frequency_response import UNITS
 from warp_plate.viz.plots.frame import figure, number_log_axis
-from warp_plate.viz.styles import GRID
+from warp_plate.viz.styles import GRID, length_unit, point_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -52,8 +52,9 @@ def draw_response_fit(found: ResponseFit, path: str | Path) -> None:
 def _draw_response(found: ResponseFit, index: int, column: np.ndarray) -> None:
     """Draw magnitude and phase of a response, measured and fitted."""
     row, frequencies = found.scene.measurement[index], found.measured.frequencies
-    driven = row.actuator or "{:g},{:g}".format(*row.force_at or ())
-    column[0].set_title(f"{driven} → {row.point[0]:g},{row.point[1]:g}", fontsize=8)
+    size = found.scene.plate.size
+    driven = row.actuator or f"({point_text(row.force_at or (), size)})"
+    column[0].set_title(f"{driven} → ({point_text(row.point, size)}) {length_unit(size)[0]}", fontsize=8)
     looks = {"linestyle": "", "marker": ".", "markersize": 3, "color": MEASURED}, {"linewidth": 1, "color": FITTED}
     curves = (found.measured.responses[index], found.responses[index])
     for values, look, label in zip(curves, looks, ("measured", "fitted"), strict=True):

@@ -1,4 +1,4 @@
-"""Plot of focused waveforms: for each method the plate at the moment of the focus, the waveforms, and the foci."""
+"""Plot of waveforms that focus: the plate at the moment of the focus, the waveforms, and the motion at all foci."""
 
 from __future__ import annotations
 
@@ -8,63 +8,81 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_plate.result.focus import FocusedWaveforms, FocusResult
+from warp_plate.viz.captions import shortened
+from warp_plate.viz.colours import DEFAULT_COLOURS, ColourOptions, colour_map
+from warp_plate.viz.fields import FIELDS, DrawingScale, drawing_scale, unit_with_prefix
 from warp_plate.viz.plots.frame import figure
 from warp_plate.viz.plots.frequency_response import COLOURS
-from warp_plate.viz.plots.plan import draw_edges, draw_outline, drawn_size
-from warp_plate.viz.styles import GRID, TARGET
+from warp_plate.viz.plots.plan import draw_edges, draw_outline, drawn_size, light_rim
+from warp_plate.viz.styles import GRID, INK, length_unit, point_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-CMAP, LENGTH = "RdBu_r", 2.0
+LENGTH = 2.0  # longer side of a plate [inch]
+# Most waveforms that are drawn, and periods of the highest frequency of which single waves can still be seen.
+MOST_WAVEFORMS, MOST_PERIODS = 8, 50
 
 
-def draw_focus(found: FocusResult, path: str | Path) -> None:
-    """Draw a row of panels for each method, of the waveforms for the first focus."""
-    height = max(drawn_size(found.scene, LENGTH)[1], 1.4) + 0.5
-    with figure(path, (9.0, len(found.methods) * height + 0.5), font_size=8) as made:
+def draw_focus(found: FocusResult, path: str | Path, colours: ColourOptions = DEFAULT_COLOURS) -> None:
+    """Draw a row of panels for each method, of the waveforms for the first focus; by default each plate has its own
+    limits."""
+    table, height = found.scene.focus, max(drawn_size(found.scene, LENGTH)[1], 1.4) + 0.65
+    assert table is not None
+    fields = [method.fields[0] for method in found.methods.values()]
+    with figure(path, (9.0, len(found.methods) * height + 0.7), font_size=8) as made:
         rows = made.subplots(len(found.methods), 3, squeeze=False, width_ratios=[1, 1.3, 1.3])
-        for (plate, waveforms, foci), (name, method) in zip(rows, found.methods.items(), strict=True):
-            _draw_plate(plate, found, method)
-            plate.set_title(f"{name.replace('_', ' ')}, −6 dB: {1e6 * method.focus_area[0]:.3g} mm²", fontsize=8)
-            _draw_waveforms(waveforms, found, method)
-            _draw_foci(foci, found, method)
+        for row, field, (name, method) in zip(rows, fields, found.methods.items(), strict=True):
+            shown = fields if colours.limits == "common" else [field]
+            scale = drawing_scale(shown, found.scene.plate.size, FIELDS[table.quantity], colours=colours)
+            _draw_plate(row[0], found, field, scale)
+            area = f"−6 dB area {1e6 * method.focus_area[0]:.3g} mm²"
+            row[0].set_title(
+                f"{name.replace('_', ' ')}: {area}\ncolours to ±{scale.clim[1]:.4g} {scale.unit}", fontsize=8
+            )
+            _draw_waveforms(row[1], found, method)
+            _draw_foci(row[2], found, method)
+        rows[0][1].set_title("waveforms of the actuators", fontsize=8)
+        rows[0][2].set_title("motion at the points", fontsize=8)
         rows[-1][1].set_xlabel("time [ms]")
         rows[-1][2].set_xlabel("time [ms]")
+        made.legend(*rows[0][2].get_legend_handles_labels(), loc="outside lower right", ncols=4, fontsize=8)
         made.suptitle(found.scene.title or "focus", fontsize=10)
 
 
-def _draw_plate(axes: Axes, found: FocusResult, method: FocusedWaveforms) -> None:
-    (width, height), values, table = found.scene.plate.size, method.fields[0], found.scene.focus
+def _draw_plate(axes: Axes, found: FocusResult, field: np.ndarray, scale: DrawingScale) -> None:
+    (width, height), table = found.scene.plate.size, found.scene.focus
     assert table is not None
-    largest = np.abs(values).max() or 1.0
-    extent = (0.0, width, 0.0, height)
-    axes.imshow(values, origin="lower", extent=extent, cmap=CMAP, vmin=-largest, vmax=largest, interpolation="none")
+    (low, high), cmap = scale.clim, colour_map(scale.cmap)
+    look = {"origin": "lower", "extent": (0.0, width, 0.0, height), "interpolation": "bilinear"}
+    axes.imshow(field * scale.unit_factor, cmap=cmap, vmin=low, vmax=high, **look)
     for actuator in found.scene.actuators:
-        draw_outline(axes, actuator.area, TARGET)
-    axes.plot(*table.points[0], "+", color="black", markersize=5)
+        draw_outline(axes, actuator.area, INK)
+    axes.plot(*table.points[0], "+", color="black", markersize=7, path_effects=light_rim(1.0))
     draw_edges(axes, found.scene)
 
 
 def _draw_waveforms(axes: Axes, found: FocusResult, method: FocusedWaveforms) -> None:
-    """Draw each actuator's waveform in a strip of its own, all in one scale."""
+    """Draw waveforms in strips of their own, all in one scale, of high frequencies only the end."""
     waveforms, table = method.waveforms[0], found.scene.focus
     assert table is not None
     largest = np.abs(waveforms).max() or 1.0
     times = 1e3 * np.arange(table.samples) / table.rate
-    for index, waveform in enumerate(waveforms):
-        axes.plot(times, index + 0.5 * waveform / largest, color="black", linewidth=0.4, rasterized=True)
-    axes.set(xlim=(0, 1e3 * found.times[-1]), ylabel=f"actuator, ±{largest:.3g} {found.scene.drive_unit}")
+    chosen = np.unique(np.linspace(0, len(waveforms) - 1, MOST_WAVEFORMS).round().astype(int))
+    for place, index in enumerate(chosen):
+        axes.plot(times, place + 0.45 * waveforms[index] / largest, color=INK, linewidth=0.5)
+    axes.set_yticks(range(len(chosen)), [shortened(found.scene.actuators[index].name) for index in chosen], fontsize=7)
+    axes.set(xlim=(max(0.0, times[-1] - 1e3 * MOST_PERIODS / table.highest), times[-1]))
+    axes.text(1, 1.01, f"±{largest:.3g} {found.scene.drive_unit}", transform=axes.transAxes, ha="right", fontsize=7)
 
 
 def _draw_foci(axes: Axes, found: FocusResult, method: FocusedWaveforms) -> None:
-    table = found.scene.focus
+    table, size = found.scene.focus, found.scene.plate.size
     assert table is not None
-    for index, (motion, (x, y)) in enumerate(zip(method.responses[0], table.points, strict=True)):
-        colour = COLOURS[index % len(COLOURS)]
-        axes.plot(
-            1e3 * found.times, motion, color=colour, linewidth=0.7, label=f"{x:g},{y:g}", zorder=3 - min(index, 1)
-        )
-    axes.set(xlim=(0, 1e3 * found.times[-1]), ylabel=f"{table.quantity} [{found.unit}]")
+    unit, factor = unit_with_prefix(float(np.abs(method.responses[0]).max()) or 1.0, found.unit)
+    for index, (motion, point) in enumerate(zip(method.responses[0], table.points, strict=True)):
+        label = f"({point_text(point, size)}) {length_unit(size)[0]}"
+        look = {"color": COLOURS[index % len(COLOURS)], "linewidth": 0.7, "zorder": 3 - min(index, 1)}
+        axes.plot(1e3 * found.times, factor * motion, label=label, **look)
+    axes.set(xlim=(0, 1e3 * found.times[-1]), ylabel=f"{table.quantity} [{unit}]")
     axes.grid(True, color=GRID, linewidth=0.4, alpha=0.4)
-    axes.legend(fontsize=6, loc="upper left")

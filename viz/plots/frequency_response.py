@@ -8,17 +8,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_plate.result.frequency_response import FrequencyResponse
+from warp_plate.viz.captions import shortened
 from warp_plate.viz.plots.frame import figure, number_log_axis
-from warp_plate.viz.styles import GRID
+from warp_plate.viz.styles import GRID, length_unit, point_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 # Colours of responses, which repeat; the dashes of curves that cover earlier ones to the relative distance COVERED;
-# most entries of a legend, with names cut after so many characters.
+# most entries of a legend.
 COLOURS = ("#08519c", "#d94801", "#1b7837", "#762a83", "#8c6d31", "#c51b7d", "#4d4d4d", "#3288bd")
 DASHES, COVERED = ("-", (0, (4, 4)), (0, (2, 6)), (0, (1, 7))), 0.1
-MOST_LABELS, LONGEST_NAME = 9, 22
+MOST_LABELS = 9
 FACTOR, BOUND, MARK = "#08519c", "#b2182b", "#b2182b"
 # Of an axis of magnitudes, half of those of squares; undamped responses have no upper limit.
 MOST_DECADES = 8.0
@@ -32,13 +33,16 @@ def draw_frequency_response(response: FrequencyResponse, path: str | Path) -> No
     with figure(path, (7.2, 8.0), font_size=9) as made:
         magnitude, phase, localization, velocity = made.subplots(4, 1, sharex=True, height_ratios=[2.2, 1, 1.2, 1.4])
         styles = _styles(np.abs(response.responses))
-        labels = _shown([f"{_short(name)} → {at[0]:g},{at[1]:g}" for name, at in response.pairs])
+        extent = np.abs(np.concatenate([response.points, response.input_places])).max(initial=0)
+        names = [_input_label(response, index, extent) for index in range(len(response.inputs))]
+        places = [f"({point_text(point, [extent])})" for point in response.points]
+        unit = length_unit([extent])[0]
+        labels = _shown([f"{name} → {place} {unit}" for name in names for place in places])
         for label, values, style in zip(labels, response.responses, styles, strict=True):
             magnitude.plot(x, np.abs(values), label=label, **style)
             phase.plot(x, _unbroken(np.degrees(np.angle(values))), **style)
         velocities, styles = response.mean_square_velocity, _styles(response.mean_square_velocity)
-        names = _shown([_short(name) for name in response.inputs])
-        for name, values, style in zip(names, velocities, styles, strict=True):
+        for name, values, style in zip(_shown(names), velocities, styles, strict=True):
             velocity.plot(x, values, label=name, **style)
         localization.plot(x, response.bound, color=BOUND, linewidth=1.0, linestyle="--", label="bound")
         localization.plot(x, response.localization_factor, color=FACTOR, linewidth=1.2, label="drive of the scene")
@@ -97,8 +101,11 @@ def _styles(curves: np.ndarray) -> list[dict[str, Any]]:
     return styles
 
 
-def _short(name: str) -> str:
-    return name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 1]}…"
+def _input_label(response: FrequencyResponse, index: int, extent: float) -> str:
+    """Return the name of an actuator, or the place of a point whose name is "X,Y" [m]."""
+    name, place = response.inputs[index], response.input_places[index]
+    is_point = name == "{:g},{:g}".format(*place)
+    return f"({point_text(place, [extent])}) {length_unit([extent])[0]}" if is_point else shortened(name)
 
 
 def _shown(labels: list[str]) -> list[str | None]:

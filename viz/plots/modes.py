@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_plate.scene.model import Scene
+from warp_plate.viz.colours import DEFAULT_COLOURS, ColourOptions, colour_map
 from warp_plate.viz.plots.frame import add_panels, figure
 from warp_plate.viz.plots.plan import draw_edges, draw_outline, drawn_size, edge_handles, line_handle
-from warp_plate.viz.styles import INK, TARGET
+from warp_plate.viz.styles import INK, TARGET, size_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,13 +25,18 @@ ROUNDING, FLAT = 1e-9, 3e-3
 FINE = 150  # least points per side of the spline whose contours are nodal lines
 
 
-def draw_modes(scene: Scene, frequencies: np.ndarray, shapes: np.ndarray, path: str | Path) -> None:
+def draw_modes(
+    scene: Scene, frequencies: np.ndarray, shapes: np.ndarray, path: str | Path,
+    colours: ColourOptions = DEFAULT_COLOURS,
+) -> None:  # fmt: skip
     """Draw every mode with its frequency.
 
     Args:
         frequencies: (count,) [Hz].
         shapes: (count, ny, nx), edges included, with a largest displacement of 1.
+        colours: colour map; the limits are −1 and 1.
     """
+    colours.refuse_limit("a mode")
     count = len(shapes)
     if count == 0:
         raise ValueError("there are no shapes to draw")
@@ -40,10 +46,10 @@ def draw_modes(scene: Scene, frequencies: np.ndarray, shapes: np.ndarray, path: 
     with figure(path, size, font_size=8) as made:
         panels = add_panels(made, count, columns)
         for number, (axes, frequency, shape) in enumerate(zip(panels, frequencies, shapes, strict=True), 1):
-            mesh = _draw_shape(axes, scene, shape)
+            mesh = _draw_shape(axes, scene, shape, colours.colormap or CMAP)
             axes.set_title(f"{number}: {frequency_text(frequency)}", fontsize=8, pad=4)
         bar = made.colorbar(mesh, ax=panels, shrink=min(1.0, 1.2 / rows + 0.2), aspect=18, pad=0.02)
-        bar.set_label("displacement over its largest")
+        bar.set_label(f"displacement over its largest, plate of {size_text(scene.plate.size)}")
         handles = [*edge_handles(scene), line_handle("nodal line", color=INK, linewidth=0.9)]
         if scene.layers:
             handles.append(line_handle("layer", color=TARGET, linewidth=0.9))
@@ -68,11 +74,13 @@ def frequency_text(frequency: float) -> str:
     return f"{frequency:.{digits}f} Hz"
 
 
-def _draw_shape(axes: Axes, scene: Scene, shape: np.ndarray) -> object:
+def _draw_shape(axes: Axes, scene: Scene, shape: np.ndarray, cmap: str) -> object:
     width, height = scene.plate.size
     fine_x, fine_y, fine = refined(scene, shape)
     extent = (0.0, width, 0.0, height)
-    mesh = axes.imshow(fine, cmap=CMAP, vmin=-1, vmax=1, origin="lower", extent=extent, interpolation="bilinear")
+    mesh = axes.imshow(
+        fine, cmap=colour_map(cmap), vmin=-1, vmax=1, origin="lower", extent=extent, interpolation="bilinear"
+    )
     field = nodal_field(scene, fine, shape.shape)
     if np.nanmin(field) < 0 < np.nanmax(field):
         axes.contour(fine_x, fine_y, field, levels=[0.0], colors=INK, linewidths=0.9)

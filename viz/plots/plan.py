@@ -14,14 +14,16 @@ from warp_plate.result.targets import outlines
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
 from warp_plate.viz.captions import frame_caption
-from warp_plate.viz.fields import DrawingScale, common_scale
+from warp_plate.viz.colours import DEFAULT_COLOURS, ColourOptions, colour_map
+from warp_plate.viz.fields import DrawingScale, motion_scales
 from warp_plate.viz.plots.frame import add_panels, figure
 from warp_plate.viz.scene3d import rows_and_columns
-from warp_plate.viz.styles import EDGE_STYLES, INK, TARGET, edges_by_kind, rectangle
+from warp_plate.viz.styles import EDGE_STYLES, INK, TARGET, edges_by_kind, length_unit, rectangle
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
 # Longer side of a plate [inch].
@@ -29,29 +31,30 @@ LENGTH = 2.3
 LAYER, OSCILLATOR = "#8c6bb1", "#e6820e"
 
 
-def draw_plan(scene: Scene, motions: Sequence[Motion], path: Path, quantity: str, frame: int) -> None:
-    """Draw one frame of all motions from above, the quantity (a key of FIELDS) in common colours."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
-    scale, fields = common_scale(scene, motions, quantity)
+def draw_plan(
+    scene: Scene, motions: Sequence[Motion], path: Path, quantity: str, frame: int,
+    colours: ColourOptions = DEFAULT_COLOURS,
+) -> None:  # fmt: skip
+    """Draw one frame of all motions from above, the quantity (a key of FIELDS) in colour."""
+    scales, fields = motion_scales(scene, motions, quantity, colours)
     rows, columns = rows_and_columns(len(motions))
     width, height = drawn_size(scene, LENGTH)
-    size = (max(columns * (width + 0.45), 3.2) + 0.9, rows * (height + 0.75) + 0.3)
+    wide, lines = width + 0.45 + 0.6 * colours.each, 1 + (len(fields[0]) > 1)
+    size = (max(columns * wide, 3.2) + 0.9 - 0.6 * colours.each, rows * (height + 0.6 + 0.15 * lines) + 0.3)
     with figure(path, size, font_size=8) as made:
         panels = add_panels(made, len(motions), columns)
-        for index, (axes, motion, values) in enumerate(zip(panels, motions, fields, strict=True)):
+        for index, (axes, motion, scale, values) in enumerate(zip(panels, motions, scales, fields, strict=True)):
             caption = frame_caption(motion, frame, scene)
             draw_field(axes, scene, values[frame % len(values)], scale)
             _draw_outlines(axes, motion.scene or scene)
             # A field without time dependence belongs to no moment.
-            axes.set_title(caption if len(values) > 1 else re.sub(", t = .*", "", caption), fontsize=8, pad=6)
-            axes.set_xlabel("x [m]" if index + columns >= len(motions) else "")
-            axes.set_ylabel("y [m]" if index % columns == 0 else "")
-        bar = made.colorbar(ScalarMappable(Normalize(*scale.clim), scale.field.cmap), ax=panels, aspect=22, pad=0.02)
-        bar.set_label(scale.title.replace("\n", " "))
-        if scale.field.kind == "cyclic":
-            bar.set_ticks([-180, -90, 0, 90, 180])
+            time = r"\n\1" if len(values) > 1 else ""
+            axes.set_title(re.sub(", (t = .*)", time, caption), fontsize=8, pad=6)
+            _label_sides(axes, scene, index + columns >= len(motions), index % columns == 0)
+            if colours.each:
+                _add_bar(made, scale, axes)
+        if not colours.each:
+            _add_bar(made, scales[0], panels)
         made.legend(handles=_outline_handles(scene), loc="outside lower center", ncols=6, fontsize=7)
 
 
@@ -70,7 +73,7 @@ def draw_layout(scene: Scene, path: Path) -> None:
         if scene.effects.oscillators:
             handles.append(line_handle("oscillator", color=OSCILLATOR, linewidth=0.9))
         _draw_outlines(axes, scene)
-        axes.set(xlabel="x [m]", ylabel="y [m]")
+        _label_sides(axes, scene)
         made.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=7)
 
 
@@ -93,7 +96,15 @@ def draw_edges(axes: Axes, scene: Scene) -> None:
 def draw_outline(axes: Axes, area: Area, colour: str, style: str = "-") -> None:
     """Draw the outline of a rectangle."""
     corners = zip(*rectangle(area), strict=True)
-    axes.plot(*corners, color=colour, linewidth=0.9, linestyle=style, clip_on=False, zorder=2)
+    look = {"linewidth": 0.9, "linestyle": style, "path_effects": light_rim(0.9)}
+    axes.plot(*corners, color=colour, clip_on=False, zorder=2, **look)
+
+
+def light_rim(width: float) -> list[Any]:
+    """Return the path effects that set a line of this width [pt] off against dark colours."""
+    from matplotlib.patheffects import Normal, Stroke
+
+    return [Stroke(linewidth=width + 1.4, foreground="white", alpha=0.6), Normal()]
 
 
 def edge_handles(scene: Scene) -> list[Line2D]:
@@ -111,12 +122,11 @@ def line_handle(label: str, **style: Any) -> Line2D:
 
 def draw_field(axes: Axes, scene: Scene, values: np.ndarray, scale: DrawingScale) -> None:
     """Draw (ny, nx) values as colours; the colour of a node reaches half a cell beyond the edge."""
-    from matplotlib import colormaps
     from matplotlib.colors import Normalize
 
     (width, height), (ny, nx) = scene.plate.size, values.shape
     half_x, half_y = width / (nx - 1) / 2, height / (ny - 1) / 2
-    cmap = colormaps[scale.field.cmap].with_extremes(bad=scale.field.nan_colour)
+    cmap = colour_map(scale.cmap).with_extremes(bad=scale.field.nan_colour)
     # Interpolate colours, not values: halfway between 179° and −179° lies 180°, not 0°.
     colours = cmap(Normalize(*scale.clim)(np.ma.masked_invalid(values * scale.unit_factor)))
     extent = (-half_x, width + half_x, -half_y, height + half_y)
@@ -124,13 +134,33 @@ def draw_field(axes: Axes, scene: Scene, values: np.ndarray, scale: DrawingScale
 
 
 def _draw_outlines(axes: Axes, scene: Scene) -> None:
-    """Draw actuators, targets and edges, with ticks at the ends and in the middle."""
+    """Draw actuators, targets and edges."""
     for actuator in scene.actuators:
         draw_outline(axes, actuator.area, INK)
     for outline in outlines(scene):
-        axes.plot(*outline.T, color=TARGET, linewidth=1.4, clip_on=False, zorder=4)
+        axes.plot(*outline.T, color=TARGET, linewidth=1.4, clip_on=False, zorder=4, path_effects=light_rim(1.4))
     draw_edges(axes, scene)
-    axes.set(xticks=np.linspace(0, scene.plate.size[0], 3), yticks=np.linspace(0, scene.plate.size[1], 3))
+
+
+def _label_sides(axes: Axes, scene: Scene, bottom: bool = True, left: bool = True) -> None:
+    """Put round ticks on the lower and left side of a plate, in mm if it is small, and name these that are asked."""
+    from matplotlib.ticker import MaxNLocator
+
+    unit, factor = length_unit(scene.plate.size)
+    for axis, name, named in ((axes.xaxis, "x", bottom), (axes.yaxis, "y", left)):
+        axis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+        axis.set_major_formatter(lambda value, _: f"{factor * value:.6g}")
+        axis.set_label_text(f"{name} [{unit}]" if named else "")
+
+
+def _add_bar(made: Figure, scale: DrawingScale, axes: Axes | Sequence[Axes]) -> None:
+    """Add the colour bar of a scale beside axes."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    bar = made.colorbar(ScalarMappable(Normalize(*scale.clim), colour_map(scale.cmap)), ax=axes, aspect=22, pad=0.02)
+    bar.set_label(scale.title.replace("\n", " "))
+    bar.set_ticks(scale.ticks, labels=[f"{tick:.4g}".replace("-", "−") for tick in scale.ticks])
 
 
 def _outline_handles(scene: Scene) -> list[Artist]:

@@ -1,17 +1,19 @@
-"""Plots of a search: its loss, the spectrum of the drives, and the robust beside the nominal drive."""
+"""Plots of a search: its history, the spectrum of the drives, and the robust beside the nominal drive."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warp_plate.result.model import BOUND_DESCRIPTIONS, Result
+from warp_plate.result.model import BOUND_DESCRIPTIONS, Result, only_actuator
 from warp_plate.result.robust import DRIVES, TAIL, RobustComparison, mean_of_worst
 from warp_plate.scene.errors import printable
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Search
+from warp_plate.viz.captions import case_label
 from warp_plate.viz.plots.frame import figure
 
 if TYPE_CHECKING:
@@ -20,56 +22,90 @@ if TYPE_CHECKING:
 # Label of the mean loss of an iteration by method; "exact" tries one drive only.
 MEAN_LABELS = dict.fromkeys(("pso", "constriction", "ring"), "swarm mean")
 MEAN_LABELS |= {"cma": "mean of the generation", "gradient": "mean of the descents"}
-PUBLISHED_LOSS = 0.28  # final loss of the swarm in the source paper, 1 − 0.72
+PUBLISHED = 0.72  # final localization factor of the swarm in the source paper
+# Line styles of drives that need no search.
+CASE_LINES = {
+    "single": {"color": "#6baed6", "linestyle": "-."},
+    "inverse_filter": {"color": "#1b7837", "linestyle": "-."},
+    "time_reversal": {"color": "#d95f02", "linestyle": "-."},
+    "equal": {"color": "#8a8a8a", "linestyle": "-"},
+}
 # Colour and line width of the curves of a spectrum by name in the result.
 CURVES = {"best": ("#08519c", 1.6), "single": ("#6baed6", 1.1), "equal": ("#8a8a8a", 1.1)}
 DRIVE_COLOURS = {"robust": "#08519c", "nominal": "#d94801"}
 BINS = 24
 
 
-def draw_history(result: Result, path: str | Path) -> None:
-    """Plot 1 − localization factor, or the negative weighted sum of the objectives, against the iteration.
+def draw_history(result: Result, path: str | Path, loss: bool = False) -> None:
+    """Plot localization factor or weighted sum of the objectives against the iteration, as the tables print them.
 
-    With several targets the history is that of the first. A claimed bound is a line, as is the published final loss
-    for the preset "paper".
+    With several targets the history is that of the first. Lines are a claimed bound, the drives that need no search
+    and, for the preset "paper", the published factor. ``loss`` plots 1 − localization factor as the source paper does,
+    or the negative sum.
     """
     if not result.history:
         raise ValueError("the result holds no history: only a search leaves one")
-    with figure(path, (5, 3.2), dpi=320) as made:
-        plot_history(made.add_subplot(), result)
+    with figure(path, (5, 3.6), dpi=320) as made:
+        plot_history(axes := made.add_subplot(), result, loss)
+        made.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=2, fontsize=7)
 
 
-def plot_history(axes: Axes, result: Result) -> None:
+def plot_history(axes: Axes, result: Result, loss: bool = False) -> None:
     """Plot the history of a search into Matplotlib axes; see :func:`draw_history`."""
     from matplotlib.ticker import MaxNLocator
 
     localization = result.only_localization
-    offset = 1 if localization else 0
+    offset, sign = (float(localization), -1) if loss else (0.0, 1)
     # Matplotlib cannot scale an axis to infinity.
-    gaps = {name: np.where(np.isfinite(values), values, np.nan) for name, values in result.history.items()}
-    best = offset - np.fmax.accumulate(gaps["best"])
+    values = {name: np.where(np.isfinite(array), array, np.nan) for name, array in result.history.items()}
+    best = offset + sign * np.fmax.accumulate(values["best"])
     iteration = np.arange(1, best.size + 1)
     marker = "." if best.size < 10 else None
     label = MEAN_LABELS.get(result.scene.search.method)
     # Places that overlap have losses beyond all others, which leave a mean without meaning.
-    if "mean" in gaps and label is not None and result.scene.search.position is None:
-        axes.plot(iteration, offset - gaps["mean"], color="#9ecae1", linewidth=1.0, marker=marker, label=label)
-    axes.plot(iteration, best, color="#08519c", linewidth=1.6, marker=marker, label="best so far")
+    if "mean" in values and label is not None and result.scene.search.position is None:
+        axes.plot(iteration, offset + sign * values["mean"], color="#9ecae1", linewidth=1.0, marker=marker, label=label)
+    axes.plot(iteration, best, color="#08519c", linewidth=1.8, marker=marker, label=f"best so far: {_number(best[-1])}")
+    levels = {name: (offset + sign * level, look) for name, (level, look) in _levels(result).items()}
+    for name, (level, look) in levels.items():
+        axes.axhline(level, linewidth=1.0, label=f"{name}: {_number(level)}", **look)
+    _write_target(axes, result.scene)
+    quantity = "localization factor" if localization else "weighted sum of objectives"
+    signed = quantity if not loss else f"loss (1 − {quantity})" if localization else f"loss (− {quantity})"
+    axes.set(xlabel="iteration", ylabel=signed, xlim=(1, best.size) if best.size > 1 else (0, 2))
+    _fit_limits(axes, [*best, *(level for level, _ in levels.values())])
+    axes.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 5, 10], integer=True))
+
+
+def _levels(result: Result) -> dict[str, tuple[float, dict[str, str]]]:
+    """Return value and line style of the levels that a history is compared with, by their labels."""
+    localization, levels = result.only_localization, {}
     bound, kind = result.bound if localization else result.objective_values.get("bound"), result.bound_kind
     if result.scene.search.robust is not None:  # a robust search maximises a measure with a bound of its own
         bound, kind = getattr(result.robust, "bound", None), "bound only"
     if bound is not None:
-        loss, words = offset - bound, "bound only" if kind == "bound only" else "bound"
-        label = f"{words if localization else f'{words} of the loss'}: {loss:.4f}".replace("-", "−")
-        axes.axhline(loss, color="#b2182b", linewidth=1.0, linestyle="--", label=label)
+        levels["bound only" if kind == "bound only" else "bound"] = bound, {"color": "#b2182b", "linestyle": "--"}
     if result.source == "paper":
-        label = f"published: {PUBLISHED_LOSS:g}"
-        axes.axhline(PUBLISHED_LOSS, color="#8a8a8a", linewidth=1.0, linestyle=":", label=label)
-    _write_target(axes, result.scene)
-    text = "loss (1 − localization factor)" if localization else "loss (− weighted sum of objectives)"
-    axes.set(xlabel="iteration", ylabel=text, xlim=(1, best.size) if best.size > 1 else (0, 2))
-    axes.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 5, 10], integer=True))
-    axes.legend()
+        levels["published"] = PUBLISHED, {"color": "#762a83", "linestyle": ":"}
+    if result.scene.search.robust is None:
+        for name, look in CASE_LINES.items():
+            case, values = result.cases.get(name), result.objective_values_by_case.get(name, {})
+            value = case.localization_factor if case and localization else values.get("sum")
+            if case is not None and value is not None and np.isfinite(value):
+                levels[case_label(name, result.scene, only_actuator(case, result.scene))] = float(value), look
+    return levels
+
+
+def _number(value: float) -> str:
+    return f"{value:.4f}".replace("-", "−")
+
+
+def _fit_limits(axes: Axes, values: Sequence[float]) -> None:
+    """Fit the axis to these values, so that a mean far below does not flatten them."""
+    finite = np.array(values)[np.isfinite(values)]
+    if finite.size and np.ptp(finite) > 0:
+        margin = 0.06 * np.ptp(finite)
+        axes.set_ylim(finite.min() - margin, finite.max() + margin)
 
 
 def draw_spectrum(result: Result, path: str | Path) -> None:

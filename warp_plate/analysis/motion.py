@@ -16,7 +16,7 @@ from warp_plate.modal.solver import MODAL, make_solver
 from warp_plate.plate.discretization import Discretization, discretize
 from warp_plate.plate.section import make_section
 from warp_plate.plate.signals import highest_frequency
-from warp_plate.result.model import Case, case_scene
+from warp_plate.result.model import Case, case_scene, only_actuator
 from warp_plate.result.motion import Motion
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Record, Scene
@@ -82,6 +82,7 @@ def motions(
             velocity=((fields[name][after] - fields[name][at]) / scheme.time_step).astype(np.float32),
             surface_density=discretization.surface_density,
             localization_factor=case.localization_factor,
+            only_actuator=only_actuator(case, scene),
             scene=scenes[name] if case.per_actuator else None,
         )
         for name, case in cases.items()

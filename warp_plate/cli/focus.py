@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from warp_plate.result.focus import FocusResult
+    from warp_plate.viz.colours import ColourOptions
 
 FIGURES = (
     "peak",
@@ -38,6 +39,7 @@ def focus(
     out: Path | None = None,
     force: options.Force = False,
     pictures: options.Pictures = True,
+    colours: options.ColourChoice = options.DEFAULT_COLOURS,
     json: options.Json = False,
 ) -> None:
     """Compute a waveform for each actuator, so that the plate moves most at a point and a moment.
@@ -54,6 +56,7 @@ def focus(
     out
         The .h5 file with waveforms, responses and fields (default: SCENE-focus.h5 in this folder).
     """
+    chosen = colours.chosen()
     target = output.output_file(out, f"{Path(scene).stem}-focus.h5", holds=HOLDS, force=force)
     loaded, scene = output.load_scene(scene, assignments)
     from warp_plate.focusing.focus import focus as compute
@@ -64,12 +67,12 @@ def focus(
         found = compute(loaded, played)
     files, missing = [save_focus(found, target)], None
     if pictures:
-        drawn, missing = _draw(found, target.with_suffix(".png"))
+        drawn, missing = _draw(found, target.with_suffix(".png"), chosen)
         files += drawn
     output.report(json, partial(_as_json, found), partial(_print, scene, found), (files, missing))
 
 
-def _draw(found: FocusResult, path: Path) -> output.Drawn:
+def _draw(found: FocusResult, path: Path, colours: ColourOptions) -> output.Drawn:
     from warp_plate.result.atomic_io import atomic_paths
     from warp_plate.viz.availability import missing_plots
     from warp_plate.viz.plots.focus import draw_focus
@@ -77,7 +80,7 @@ def _draw(found: FocusResult, path: Path) -> output.Drawn:
     if (problem := missing_plots()) is not None:
         return [], problem
     with atomic_paths(path) as (temporary,):
-        draw_focus(found, temporary)
+        draw_focus(found, temporary, colours)
     return [path], None
 
 

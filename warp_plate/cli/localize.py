@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from warp_plate.result.model import Result
     from warp_plate.studies.checkpointing import CheckpointFile
+    from warp_plate.viz.colours import ColourOptions
 
 CASE_LABELS = {
     "equal": "all actuators alike",
@@ -53,6 +54,7 @@ def localize(
     out: Path | None = None,
     force: options.Force = False,
     pictures: options.Pictures = True,
+    colours: options.ColourChoice = options.DEFAULT_COLOURS,
     json: options.Json = False,
 ) -> None:
     """Search for the drive that puts most of the plate's kinetic energy into the target.
@@ -100,6 +102,7 @@ def localize(
     """
     if scene is None and resume is None:
         raise SceneError("localize needs a SCENE (a preset's name or a TOML file), or --resume FILE")
+    chosen = colours.chosen()
     default = f"{Path(scene or '').stem}-localize.h5"
     target = output.output_file(
         out or (resume and _result_beside(resume)), default, holds="a result of localize", force=force
@@ -155,7 +158,7 @@ def localize(
             result = run_localize(
                 loaded, source=scene or "", device=on, seed=seed, evaluator=evaluator, path=path, **common
             )
-    written = _write(result, target, pictures, file)
+    written = _write(result, target, pictures, file, chosen)
     record = partial(_as_json, result, file.path if result.interrupted and file.saved else None)
     output.report(json, record, partial(_print, result, resume is not None), written)
 
@@ -167,13 +170,13 @@ def _result_beside(checkpoint: Path) -> Path:
     return checkpoint.parent / (stem.removesuffix(".checkpoint") + (".h5" if named else "-localize.h5"))
 
 
-def _write(result: Result, target: Path, pictures: bool, file: CheckpointFile) -> output.Drawn:
+def _write(result: Result, target: Path, pictures: bool, file: CheckpointFile, colours: ColourOptions) -> output.Drawn:
     """Write the result, its pictures and the scenes found; delete the checkpoints of a finished search."""
     from warp_plate.studies.localize import save_best_scenes
 
     path = target.with_suffix(".best.toml")
     with output.resumable(file, "localize"):
-        files, missing = output.write_result(result, target, pictures)
+        files, missing = output.write_result(result, target, pictures, colours)
         try:
             files[1:1] = save_best_scenes(result, path)
         except SceneError as error:
@@ -187,13 +190,15 @@ def _write(result: Result, target: Path, pictures: bool, file: CheckpointFile) -
 
 def _as_json(result: Result, checkpoint: Path | None) -> dict[str, object]:
     """Return the record for ``--json``; ``checkpoint`` is the file that an interrupted search resumes from."""
+    from warp_plate.result.model import only_actuator
+
     factors = {name: case.localization_factor for name, case in result.cases.items()}
     names = ("device", "path", "seed", "bound_kind", "evaluations", "node_steps", "seconds", "effects", "spectrum")
     return {
         "scene": result.source,
         **output.attributes(result, *names, "evaluator", "accuracy", "interrupted"),
         "localization_factor": {**factors, "bound": result.bound},
-        "single_actuator": tables.single_actuator(result.cases["single"], result.scene),
+        "single_actuator": only_actuator(result.cases["single"], result.scene),
         "motion": {name: tables.motion_json(case) for name, case in result.cases.items()},
         "drive": tables.drive_json(result.cases["best"], result.scene),
         "history": [dict(zip(result.history, row, strict=True)) for row in zip(*result.history.values(), strict=True)],
@@ -235,8 +240,10 @@ def _print(result: Result, resumed: bool, console: Console) -> None:
 
 def _labels(result: Result) -> dict[str, str]:
     """Return the labels of the result's cases, with the name of the best single actuator."""
+    from warp_plate.result.model import only_actuator
+
     labels = {name: label for name, label in CASE_LABELS.items() if name in result.cases}
-    name = tables.single_actuator(result.cases["single"], result.scene)
+    name = only_actuator(result.cases["single"], result.scene)
     return {**labels, "single": f"{labels['single']}{f', {name}' if name else ''}"}
 
 

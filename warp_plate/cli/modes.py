@@ -33,6 +33,7 @@ def modes(
     accuracy: options.Accuracy | None = None,
     out: Path | None = None,
     pictures: options.Pictures = True,
+    colormap: options.Colormap | None = None,
     json: options.Json = False,
 ) -> None:
     """Show the natural frequencies, damping and shapes of a plate, with its edges and its linear effects.
@@ -62,7 +63,7 @@ def modes(
             exact_frequencies = exact.frequencies[: len(found.frequencies)]
             moving = np.where(exact_frequencies > 0, exact_frequencies, math.nan)
             errors = found.frequencies / moving - 1
-    written = _draw(loaded, found, target) if pictures else ([], None)
+    written = _draw(loaded, found, target, options.ColourChoice(colormap)) if pictures else ([], None)
     arguments = scene, loaded, found, errors, left_out
     output.report(json, partial(_as_json, *arguments), partial(_print, *arguments), written)
 
@@ -78,17 +79,18 @@ def _grid_modes(scene: Scene, count: int) -> tuple[Scene, NaturalModes]:
     return gridded, natural_modes(gridded, count)
 
 
-def _draw(scene: Scene, found: NaturalModes, path: Path) -> output.Drawn:
+def _draw(scene: Scene, found: NaturalModes, path: Path, colours: options.ColourChoice) -> output.Drawn:
     """Draw the mode shapes; return the files written, or why there are none."""
     from warp_plate.result.atomic_io import atomic_paths
     from warp_plate.viz.availability import missing_plots
     from warp_plate.viz.plots.modes import draw_modes
 
+    chosen = colours.chosen()
     if (problem := missing_plots()) is not None:
         return [], problem
     try:
         with atomic_paths(path) as (temporary,):
-            draw_modes(scene, found.frequencies, found.shapes, temporary)
+            draw_modes(scene, found.frequencies, found.shapes, temporary, chosen)
     except SceneError as error:
         return [], str(error)
     return [path], None

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from warp_plate.cluster.pool import WorkerPool
     from warp_plate.result.comparison import MethodComparison
     from warp_plate.result.model import Result
+    from warp_plate.viz.colours import ColourOptions
 
 
 def _integer(kind: object, tokens: Sequence[cyclopts.Token]) -> int:
@@ -86,6 +87,7 @@ Force = Annotated[
     bool, Parameter(negative="", help="Overwrite files that another command, or another program, has written.")
 ]
 Pictures = Annotated[bool, Parameter(help="Draw pictures beside the file that is written (needs the extra viz).")]
+Colormap = Annotated[str, Parameter(help="Colour map of Matplotlib, such as PuOr (default: red up, blue down).")]
 Json = Annotated[bool, Parameter(negative="", help="Print one JSON object instead of text and tables.")]
 
 
@@ -128,6 +130,31 @@ class WorkerOptions:
 
 
 DEFAULT_WORKERS = WorkerOptions()
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ColourChoice:
+    """Options of the colours of fields over the plate; their help texts are the lines below.
+
+    Attributes:
+        colormap: Colour map of Matplotlib, such as viridis, for the field over the plate (default: one that suits it).
+        limits: Ends of the colours: common (all plates alike), each (every plate its own, so that weak motion shows) or
+            the largest value shown, in the field's SI unit, such as 3e-7. Default: common; in the pictures of localize,
+            simulate and focus each.
+    """
+
+    colormap: str | None = None
+    limits: str | None = None
+
+    def chosen(self) -> ColourOptions:
+        """Return the options; raise a SceneError if there is no such colour map, or no such limits."""
+        from warp_plate.viz.colours import colour_options
+
+        return colour_options(self.colormap, self.limits)
+
+
+DEFAULT_COLOURS = ColourChoice()
 
 
 def print_failures(result: Result | MethodComparison, console: Console, shown: str) -> None:

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from warp_plate.result.model import Result
     from warp_plate.scene.model import Scene
     from warp_plate.studies.checkpointing import StudyFile
+    from warp_plate.viz.colours import ColourOptions
 
 # Draws pictures beside a file; returns their paths and, if some are missing, the reason.
 Drawn = tuple[list[Path], str | None]
@@ -385,9 +386,10 @@ def write_measurements(path: Path, record: Mapping[str, object], draw: Callable[
     return write_files(path, partial(write_atomically, text.encode()), partial(save_plots, draw, record), pictures)
 
 
-def write_result(result: Result, path: Path, pictures: bool) -> Drawn:
+def write_result(result: Result, path: Path, pictures: bool, colours: ColourOptions) -> Drawn:
     """Save a result and draw its pictures."""
     from warp_plate.result.model import save_result
     from warp_plate.viz import draw_all
 
-    return write_files(path, partial(save_result, result), lambda _: draw_all(result, path.with_suffix("")), pictures)
+    draw = partial(draw_all, result, path.with_suffix(""), colours)
+    return write_files(path, partial(save_result, result), lambda _: draw(), pictures)

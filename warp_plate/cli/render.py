@@ -29,6 +29,7 @@ def render(
     out: Annotated[list[Path] | None, Parameter(negative="")] = None,
     figures: Literal["paper"] | None = None,
     playback: motion_options.PlaybackOptions = motion_options.DEFAULT_PLAYBACK,
+    colours: options.ColourChoice = options.DEFAULT_COLOURS,
     shown: motion_options.FrameOptions = motion_options.DEFAULT_FRAMES,
     plan: options.Flag = False,
     time: float | None = None,
@@ -79,7 +80,7 @@ def render(
                 motions = motion_options.select_motions(loaded, result, around, playback, json)
         if targets:
             frame, rate = frame_at(motions, time, playback.field), playback.frame_rate(motions)
-            style = PictureStyle(playback.field, width, playback.heights)
+            style = PictureStyle(playback.field, width, playback.heights, colours.chosen())
             for target in targets:
                 _draw(scene, motions, target, style, frame, plan, rate, json)
                 files.append(target)
@@ -144,11 +145,11 @@ def _draw(
     progress = output.progress_bar(f"drawing {target.name}", shown=not quiet)
     with atomic_paths(target) as (path,), progress as show:
         if ending in PLOTS or (plan and ending == ".png"):
-            draw_plan(scene, motions, path, style.quantity, frame)
+            draw_plan(scene, motions, path, style.quantity, frame, style.colours)
         elif ending == ".png":
             draw_picture(scene, motions, path, style, frame)
         elif ending == ".html":
-            write_page(scene, motions, path, style.quantity, rate, style.heights)
+            write_page(scene, motions, path, style.quantity, rate, style.heights, style.colours)
         else:
             draw_movie(scene, motions, path, style, rate, show)
 
@@ -167,5 +168,5 @@ def _paper_figures(result: Result, name: Path) -> list[Path]:
     with atomic_paths(*drawn) as (surfaces, *histories):
         draw_surfaces(result, surfaces)
         for path in histories:
-            draw_history(result, path)
+            draw_history(result, path, loss=True)
     return drawn

@@ -28,6 +28,7 @@ def simulate(
     out: Path | None = None,
     force: options.Force = False,
     pictures: options.Pictures = True,
+    colours: options.ColourChoice = options.DEFAULT_COLOURS,
     json: options.Json = False,
 ) -> None:
     """Run one plate under one drive.
@@ -40,6 +41,7 @@ def simulate(
     out
         The result file (.h5; default: SCENE-simulate.h5 in this folder).
     """
+    chosen = colours.chosen()
     target = output.output_file(out, f"{Path(scene).stem}-simulate.h5", holds="a result of simulate", force=force)
     loaded, scene = output.load_scene(scene, assignments, accuracy)
     output.prepare_pictures(pictures)
@@ -61,7 +63,7 @@ def simulate(
             estimate=estimate,
             allow_unstable=allow_unstable,
         )
-    written = output.write_result(result, target, pictures)
+    written = output.write_result(result, target, pictures, chosen)
     output.report(json, partial(_as_json, result), partial(_print, result), written)
 
 
@@ -78,12 +80,14 @@ def _as_json(result: Result) -> dict[str, object]:
 
 
 def _print(result: Result, console: Console) -> None:
+    from warp_plate.result.model import only_actuator
+
     case = result.cases["drive"]
     console.print(result.scene.title or result.source)
     made = output.table("quantity", "value")
     if case.status != "ok":
         made.add_row("status", case.status)
-    if name := tables.single_actuator(case, result.scene):
+    if name := only_actuator(case, result.scene):
         made.add_row("only actuator driven", name)
     made.add_row("localization factor", output.number_text(case.localization_factor, ".4f"))
     for region, energy in case.energy.items():

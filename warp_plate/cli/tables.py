@@ -62,12 +62,6 @@ def motion_json(case: Case) -> dict[str, object] | None:
     return {"contrast_db": motion.contrast, **named}
 
 
-def single_actuator(case: Case, scene: Scene) -> str:
-    """Return the name of the only actuator that a case drives; "" if it drives another number of them."""
-    driven = [actuator.name for actuator, part in zip(scene.actuators, case.magnitude, strict=True) if part > 0]
-    return driven[0] if len(driven) == 1 else ""
-
-
 def drive_table(case: Case, scene: Scene, target: str = "") -> Table:
     """Return the table of a drive, as Table 1 of the source paper. ``target``: its name if there are several."""
     heading, amplitudes = amplitude_column(scene, case.magnitude, ".4f")

@@ -13,6 +13,7 @@ def view(
     /,
     *,
     playback: motion_options.PlaybackOptions = motion_options.DEFAULT_PLAYBACK,
+    colours: options.ColourChoice = options.DEFAULT_COLOURS,
     frames: motion_options.FrameOptions = motion_options.DEFAULT_FRAMES,
 ) -> None:
     """Show the plates of a result in motion, in a window; the key h lists what its keys do.
@@ -20,6 +21,7 @@ def view(
     A result holds few displacements, so its scene is run again under its drives to make the frames.
     """
     playback.check()
+    chosen = colours.chosen()
     from warp_plate.result.model import load_result
     from warp_plate.viz.availability import missing_window
 
@@ -33,4 +35,4 @@ def view(
     from warp_plate.viz.window import open_window
 
     pictures, rate = Path(f"{result.stem}-view"), playback.frame_rate(motions)
-    open_window(loaded.scene, motions, playback.field, pictures, rate, playback.heights)
+    open_window(loaded.scene, motions, playback.field, pictures, rate, playback.heights, chosen)

@@ -185,6 +185,12 @@ def case_scene(scene: Scene, case: Case) -> Scene:
     return scene_with(scene, **own) if case.per_actuator else scene
 
 
+def only_actuator(case: Case, scene: Scene) -> str:
+    """Return the name of the only actuator that a case drives; "" if it drives another number of them."""
+    driven = [actuator.name for actuator, part in zip(scene.actuators, case.magnitude, strict=True) if part > 0]
+    return driven[0] if len(driven) == 1 else ""
+
+
 @dataclass(frozen=True)
 class TargetSearch:
     """A finished search for one target; see :class:`Result`.

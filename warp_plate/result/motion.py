@@ -31,6 +31,7 @@ class Motion:
     surface_density: np.ndarray  # (ny, nx) mass per area [kg/m²]
     localization_factor: float | None = None  # of the drive over the scene's window; None for a mode
     scene: Scene | None = None  # of a plate with frequencies or positions of its own; None if it is the common one
+    only_actuator: str = ""  # name of the only actuator that is driven, if there is but one
 
     @cached_property
     def kinetic_energy(self) -> np.ndarray:
