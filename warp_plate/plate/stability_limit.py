@@ -206,7 +206,7 @@ def _named_matrices(scene: Scene, bending: Bending) -> tuple[Matrices, Matrices]
     if effects.tension:
         stiff["tension"] = of_plate(stiffness_matrix(replace(bending, spring=no_spring)) - bare)
     if bending.spring.any():
-        stiff["bed and springs of edges"] = of_plate(scipy.sparse.diags_array(area * bending.spring.ravel()))
+        stiff["foundation and springs of edges"] = of_plate(scipy.sparse.diags_array(area * bending.spring.ravel()))
     if effects.oscillators:
         stiff["oscillators"] = of_plate(0 * bare, [oscillator.stiffness for oscillator in effects.oscillators])
     losses = {}
@@ -237,7 +237,7 @@ def _largest_of_homogeneous(scene: Scene, bending: Bending) -> tuple[dict[str, f
     stiff = {
         "bending": float(16 * max(along_x, along_y, along_x + along_y + 2 * mixed / (hx * hy) ** 2)) / mass,
         "tension": 4 * (max(tension_x, 0) / hx**2 + max(tension_y, 0) / hy**2) / mass,
-        "bed and springs of edges": float(bending.spring[middle]) / mass,
+        "foundation and springs of edges": float(bending.spring[middle]) / mass,
     }
     viscous, backward = viscous_damping(scene)
     material = scene.effects.material_damping
