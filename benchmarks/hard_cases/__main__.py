@@ -1,10 +1,11 @@
-"""Measures the catalogue of hard cases on a device: a table, a JSON file, and a picture of each case.
+"""Measures the catalogue of hard cases on a device: a table, a JSON file, and a picture of the figures.
 
     python benchmarks/hard_cases                                  # here, with as many steps as the catalogue asks for
     python benchmarks/hard_cases --short --only limit             # fewer steps, and cases with this in their names
-    python benchmarks/hard_cases --device cuda --out h200.json --picture hard-cases.png
+    python benchmarks/hard_cases --device cuda --out h200.json
     python benchmarks/hard_cases --only decay lossless --into benchmarks/results/hard-cases-cpu.json  # these rows anew
     python benchmarks/hard_cases --page docs/hard-cases.md CPU=a.json H200=b.json   # figures into the page's table
+    python benchmarks/hard_cases --picture docs/images/hard-cases.png CPU=a.json H200=b.json   # and into a picture
 
 Numbers need warp-plate alone, the picture Matplotlib. The resident path takes all steps; the streaming path, which
 launches kernels for every step, a short form of each case.
@@ -21,15 +22,14 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from hard_cases.case import Case, Measured, Where
+from hard_cases.case import Case, Where
 from hard_cases.catalogue import CASES
 from warp_plate.solve.devices import find_device
 from warp_plate.studies.provenance import device_name, versions
 
 PRECISIONS = ("float32", "float64")
-# Of the picture: panels in a row, how curves of both precisions look, and the colours of plates.
-COLUMNS, COLOURS = 5, "RdBu_r"
-STYLES = ({"linewidth": 2.4, "color": "#9ecae1"}, {"linewidth": 0.8, "color": "#1a1a1a"})
+# Of the picture: colours of the precisions, markers of the files, least share of the allowed value that is drawn.
+COLOURS, MARKERS, LEAST = {"float32": "#d95f02", "float64": "#08519c"}, "oD^sv", 1e-7
 BEGIN, END = "<!-- table of hard cases -->", "<!-- end of the table -->"
 
 
@@ -42,21 +42,22 @@ def main() -> None:
     parser.add_argument("--into", type=Path, help="JSON file of this device whose rows of these cases are replaced")
     parser.add_argument("--picture", type=Path, help="PNG file to draw")
     parser.add_argument("--page", type=Path, help="page whose table is written anew from the files")
-    parser.add_argument("files", nargs="*", help="for --page: COLUMN=FILE.json ...")
+    parser.add_argument("files", nargs="*", help="for --page and --picture: COLUMN=FILE.json ...")
     asked = parser.parse_args()
-    if asked.page:
-        write_table(asked.page, dict(pair.split("=", 1) for pair in asked.files))
+    columns = {pair.split("=", 1)[0]: json.loads(Path(pair.split("=", 1)[1]).read_text()) for pair in asked.files}
+    for target, use in ((asked.page, write_table), (asked.picture, draw)):
+        if target:
+            use(target, columns)
+    if columns:
         return
     device = find_device(asked.device)
     wanted = [word.lower() for word in asked.only]
     chosen = [case for case in CASES if any(word in f"{case.group} {case.name}".lower() for word in wanted)]
-    rows, pictures = [], []
+    rows = []
     try:
         for case in chosen:
-            row, shown = measured(case, device.alias, not asked.short)
-            rows.append(row)
-            pictures.append((case, shown))
-            print(line(row), flush=True)
+            rows.append(measured(case, device.alias, not asked.short))
+            print(line(rows[-1]), flush=True)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
     found = {"device": device_name(device), "versions": versions(), "long": not asked.short, "cases": rows}
@@ -64,8 +65,6 @@ def main() -> None:
         if path:
             whole = merged(found, json.loads(path.read_text(encoding="utf-8"))) if path is asked.into else found
             path.write_text(json.dumps(whole, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    if asked.picture:
-        draw(pictures, asked.picture)
     failed = [row["name"] for row in rows if not row["kept"]]
     print(f"{len(rows) - len(failed)} of {len(rows)} cases as asked" + "".join(f"\nnot: {name}" for name in failed))
     sys.exit(bool(failed))
@@ -79,22 +78,20 @@ def merged(found: dict[str, object], before: dict[str, object]) -> dict[str, obj
     return {**found, "cases": [rows[case.name] for case in CASES if case.name in rows]}
 
 
-def measured(case: Case, device: str, long: bool) -> tuple[dict[str, object], dict[str, Measured]]:
-    """A row of the table, and what the picture shows, by precision."""
+def measured(case: Case, device: str, long: bool) -> dict[str, object]:
+    """A row of the table."""
     values: dict[str, dict[str, float | None]] = {}
     slowdowns: dict[str, float] = {}
-    shown = {}
     kept, started = True, time.perf_counter()
     for precision in PRECISIONS:
         values[precision] = {}
         for path in ("resident", "streaming"):
             found = case.measure(Where(device, path, precision, long and path == "resident"))
-            shown.setdefault(precision, found)
             values[precision][path] = float(found.value) if math.isfinite(found.value) else None
             kept = kept and bool(found.value <= case.allowed[precision])
             if found.slowdown is not None:
                 slowdowns[precision] = round(found.slowdown, 3)
-    row = {
+    return {
         "group": case.group,
         "name": case.name,
         "asked": case.asked,
@@ -105,7 +102,6 @@ def measured(case: Case, device: str, long: bool) -> tuple[dict[str, object], di
         "kept": kept,
         "seconds": round(time.perf_counter() - started, 2),
     }
-    return row, shown
 
 
 def largest(row: dict[str, object], precision: str) -> str:
@@ -123,9 +119,8 @@ def line(row: dict[str, object]) -> str:
     return f"{row['name']}: {row['quantity']}: {both}: {told} ({row['seconds']} s)"
 
 
-def write_table(page: Path, files: dict[str, str]) -> None:
+def write_table(page: Path, columns: dict[str, dict[str, list[dict[str, object]]]]) -> None:
     """Rewrite the lines of a page between BEGIN and END."""
-    columns = {name: json.loads(Path(file).read_text(encoding="utf-8")) for name, file in files.items()}
     heads = [f"{name} {precision}" for name in columns for precision in PRECISIONS]
     lines = ["| case | what is asked | what is measured | allowed f32, f64 | " + " | ".join(heads) + " |"]
     lines.append("| --- " * (4 + len(heads)) + "|")
@@ -145,48 +140,48 @@ def write_table(page: Path, files: dict[str, str]) -> None:
     page.write_text(before + BEGIN + "\n" + "\n".join(lines) + "\n" + END + after, encoding="utf-8")
 
 
-def draw(pictures: list[tuple[Case, dict[str, Measured]]], path: Path) -> None:
-    """A panel for each case: its curve in both precisions, or the plate as shares of its largest value."""
-    import textwrap
-
-    from matplotlib import colormaps
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
+def draw(path: Path, columns: dict[str, dict[str, list[dict[str, object]]]]) -> None:
+    """A row for each case, by groups: the measured share of what is allowed, for every file and precision."""
     from matplotlib.figure import Figure
 
-    rows = max(1, math.ceil(len(pictures) / COLUMNS))
-    figure = Figure(figsize=(3.1 * COLUMNS, 2.5 * rows), layout="constrained")
-    panels, lines = [], []
-    for index, (case, shown) in enumerate(pictures):
-        axes = figure.add_subplot(rows, COLUMNS, index + 1)
-        panels.append(axes)
-        axes.set_title(textwrap.fill(case.name, 34), fontsize=9)
-        axes.tick_params(labelsize=8)
-        last = shown["float64"]
-        if last.curve is None and last.shape is not None:
-            shape = shown["float32"].shape if case.name.startswith("rounding") else last.shape
-            end = abs(shape[shape == shape]).max(initial=0.0)
-            axes.imshow(shape / (end or 1.0), origin="lower", aspect="auto", cmap=COLOURS, vmin=-1, vmax=1)
-            axes.set(xticks=[], yticks=[])
-            axes.set_xlabel(f"largest {end:.2g}" if end else "at rest", fontsize=8)
-            continue
-        for precision, style in zip(PRECISIONS, STYLES, strict=True):
-            if shown[precision].curve is not None:
-                x, y, name_x, name_y = shown[precision].curve
-                lines = [*lines, *axes.plot(x, y, label=precision, **style)]
-                axes.set_xlabel(name_x, fontsize=8)
-                axes.set_ylabel(name_y, fontsize=8)
-    bar = figure.colorbar(
-        ScalarMappable(Normalize(-1, 1), colormaps[COLOURS]),
-        ax=panels,
-        location="top",
-        shrink=0.3,
-        aspect=40,
-        pad=0.006,
-    )
-    bar.set_label("plates: share of the largest value in the panel")
-    figure.legend(handles=lines[:2], loc="upper left", title="curves", frameon=False)
-    figure.savefig(path, dpi=90)
+    rows = next(iter(columns.values()))["cases"]
+    groups = list(dict.fromkeys(row["group"] for row in rows))
+    heights = [sum(row["group"] == group for row in rows) + 1 for group in groups]
+    figure = Figure(figsize=(7.4, 0.155 * sum(heights) + 1.0), layout="constrained")
+    panels = figure.subplots(len(groups), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0]
+    for axes, group in zip(panels, groups, strict=True):
+        names = [row["name"] for row in rows if row["group"] == group]
+        for marker, (column, found) in zip(MARKERS, columns.items(), strict=False):
+            for precision, colour in COLOURS.items():
+                shares = {row["name"]: share_of_allowed(row, precision) for row in found["cases"]}
+                look = {"marker": marker, "color": colour, "markersize": 4, "alpha": 0.75, "clip_on": False}
+                look["markerfacecolor"] = colour if marker == MARKERS[0] else "none"
+                look |= {"linestyle": "", "label": f"{column}, {precision}"}
+                axes.plot([shares.get(name, math.nan) for name in names], range(len(names)), **look)
+        axes.axvspan(1, 1e2, color="#b2182b", alpha=0.12, linewidth=0)
+        axes.set(xscale="log", xlim=(LEAST, 10), ylim=(len(names) - 0.4, -0.6))
+        axes.set_yticks(range(len(names)), names, fontsize=7)
+        axes.set_title(group, fontsize=8.5, loc="left", fontweight="bold")
+        axes.tick_params(axis="y", length=0)
+        axes.grid(True, axis="both", linewidth=0.3, color="#cccccc")
+        axes.spines[["top", "right", "left"]].set_visible(False)
+    decades = range(round(math.log10(LEAST)) + 1, 1)
+    ends = [f"≤ 10$^{{{decades[0] - 1}}}$", *(f"10$^{{{power}}}$" if power else "1" for power in decades)]
+    panels[-1].set_xticks([LEAST, *(10.0**power for power in decades)], ends, fontsize=8)
+    panels[-1].minorticks_off()
+    panels[-1].set_xlabel("measured over allowed; in the red band a case fails", fontsize=8.5)
+    handles = panels[0].get_legend_handles_labels()
+    figure.legend(*handles, loc="outside upper center", ncols=len(handles[0]), fontsize=8, frameon=False)
+    figure.savefig(path, dpi=125)
+
+
+def share_of_allowed(row: dict[str, object], precision: str) -> float:
+    """The larger value of the two paths over the allowed one, within what is drawn; 10 for one that fails."""
+    values, allowed = row["measured"][precision].values(), row["allowed"][precision]  # type: ignore[index]
+    if None in values:
+        return 10.0
+    share = max(values) / allowed if allowed else (10.0 if max(values) else 0.0)
+    return min(max(share, LEAST), 10.0)
 
 
 if __name__ == "__main__":

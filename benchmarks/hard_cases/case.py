@@ -43,12 +43,10 @@ class Where:
 
 @dataclass(frozen=True)
 class Measured:
-    """value: what is held against what is allowed; curve: (x, y, name of x, name of y), or shape: (ny, nx), what the
-    picture shows. slowdown: longest time of its runs over that of the usual one, where times are compared."""
+    """value: what is held against what is allowed; slowdown: longest time of its runs over that of the usual one, where
+    times are compared."""
 
     value: float
-    curve: tuple[np.ndarray, np.ndarray, str, str] | None = None
-    shape: np.ndarray | None = None
     slowdown: float | None = None
 
 

@@ -50,8 +50,7 @@ def conserved(name: str, where: Where) -> Measured:
         moving = displacement[:, bending.moves]
         energies.append(_energy(stiffness, masses, moving[::2], moving[1::2], step))
     change = np.abs(np.array(energies) / np.array(energies)[:, :1] - 1)
-    typical = np.log10(np.maximum(_root_mean_square(change), 1e-17))
-    return Measured(float(_root_mean_square(change.max(axis=1))), (at, typical, "step", "log₁₀ |E/E₀ − 1|"))
+    return Measured(float(_root_mean_square(change.max(axis=1))))
 
 
 def _root_mean_square(values: np.ndarray) -> np.ndarray:
@@ -85,8 +84,7 @@ def resonance(where: Where) -> Measured:
     scheme = make_scheme(scene)
     exact_turn = 2 * scheme.kappa * (math.pi / 0.2) ** 2
     exact = pressure / (2 * exact_turn * scheme.surface_density)
-    every = max(1, len(time) // 400)
-    return Measured(abs(slope / exact - 1), (time[::every], motion[::every], "t [s]", "u [m]"))
+    return Measured(abs(slope / exact - 1))
 
 
 def damped(kind: str, where: Where) -> Measured:
@@ -99,7 +97,7 @@ def damped(kind: str, where: Where) -> Measured:
         trial = _damped_run(scene, kind, factor, lowest, where.steps(400_000, 4000))
         run = where.solver(trial).run([[1.0]], (), [(0.08, 0.09)])
         reached.append(float(np.abs(run.trace).max()) / static if run.status[0] == "ok" else math.inf)
-    return Measured(max(reached), (_decades(), np.array(reached), "log₁₀ c/c_crit", "largest u / static"))
+    return Measured(max(reached))
 
 
 def followed(kind: str, where: Where) -> Measured:
@@ -120,7 +118,7 @@ def followed(kind: str, where: Where) -> Measured:
         motion = (weight * run.displacement[0]).sum(axis=(1, 2))
         exact = push * oscillator(times, 2 * turn * factor, turn, 2 * math.pi * 0.3 * lowest)
         apart.append(largest_difference(motion, exact))
-    return Measured(max(apart), (_decades(), np.log10(apart), "log₁₀ c/c_crit", "log₁₀ difference"))
+    return Measured(max(apart))
 
 
 def oscillator(times: np.ndarray, loss: float, turn: float, driven: float) -> np.ndarray:

@@ -25,7 +25,7 @@ def no_drive(where: Where) -> Measured:
     """Largest number of a plate that nothing drives, beside one that is driven."""
     run = _run(where, scene_of(), [[0, 0], [1, 1]])
     odd = run.status[0] != "ok" or not math.isnan(localization_factor(run.energy)[0])
-    return Measured(math.inf if odd else float(np.abs(run.displacement[0]).max()), shape=run.displacement[0, 0])
+    return Measured(math.inf if odd else float(np.abs(run.displacement[0]).max()))
 
 
 def two_in_one_place(where: Where) -> Measured:
@@ -34,7 +34,7 @@ def two_in_one_place(where: Where) -> Measured:
     one = _run(where, scene_of(areas=(PATCH,)), [[1.0]])
     left = np.abs(run.displacement[1]).max() / np.abs(one.displacement).max()
     value = max(largest_difference(run.displacement[0], one.displacement[0]), left)
-    return Measured(value, shape=run.displacement[0, 0])
+    return Measured(value)
 
 
 def smaller_than_a_cell(where: Where) -> Measured:
@@ -45,7 +45,7 @@ def smaller_than_a_cell(where: Where) -> Measured:
     small, whole = (
         _run(where, scene_of(areas=(area,)), [[force]]) for area, force in zip(areas, (100.0, 1.0), strict=True)
     )
-    return Measured(largest_difference(small.displacement, whole.displacement), shape=small.displacement[0, 0])
+    return Measured(largest_difference(small.displacement, whole.displacement))
 
 
 def target_of_one_node(where: Where) -> Measured:
@@ -58,14 +58,13 @@ def target_of_one_node(where: Where) -> Measured:
     scheme = make_scheme(scene)
     speed = np.diff(run.trace[0, 0], prepend=0.0)[slice(*scheme.window)] / scheme.time_step
     energy = 0.5 * scheme.surface_density * cell**2 * float((speed**2).mean())
-    return Measured(abs(run.energy[0, run.regions.index("target")] / energy - 1), shape=None, curve=(
-        np.arange(len(speed)), speed, "step", "speed of the node [m/s]"))  # fmt: skip
+    return Measured(abs(run.energy[0, run.regions.index("target")] / energy - 1))
 
 
 def whole_plate(where: Where) -> Measured:
     """|LF − 1| where the target is the whole plate."""
     run = _run(where, scene_of(target={"area": (0.0, 0.2, 0.0, 0.2)}), [[1.0, 0.4j]])
-    return Measured(float(np.abs(localization_factor(run.energy) - 1).max()), shape=run.displacement[0, 0])
+    return Measured(float(np.abs(localization_factor(run.energy) - 1).max()))
 
 
 def beyond_the_grid(where: Where) -> Measured:
@@ -86,9 +85,7 @@ def beyond_the_grid(where: Where) -> Measured:
         (finding,) = (one for one in find_warnings(made, None) if one.name == "points a wavelength")
         points.append(finding.value)
         missed += finding.exceeded != (finding.value < 10) or f"{finding.value:.3g}" not in finding.sentence
-    return Measured(
-        float(missed), (np.log10(frequencies), np.array(points), "log₁₀ frequency [Hz]", "points a wavelength")
-    )
+    return Measured(float(missed))
 
 
 def _grid(scene: Scene) -> dict[str, object]:
@@ -114,8 +111,7 @@ def bad_neighbours(effects: dict[str, object], plates: int, where: Where) -> Mea
     differing = np.count_nonzero(mixed.energy[good] != clean.energy[good])
     differing += np.count_nonzero(mixed.displacement[good] != clean.displacement[good])
     unflagged = np.count_nonzero(mixed.status[bad] == "ok") + np.count_nonzero(mixed.status[good] != "ok")
-    shape = np.where(np.isfinite(mixed.energy[:, :1]), 1.0, np.nan) * np.ones((plates, 4))
-    return Measured(float(differing + unflagged), shape=shape)
+    return Measured(float(differing + unflagged))
 
 
 CASES = grouped(

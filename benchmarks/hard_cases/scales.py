@@ -76,10 +76,7 @@ def scaled(name: str, kind: str, where: Where) -> Measured:
         found.append(largest_difference(answer(where, scene, drives), base))
         taken += [slowdown(where, (own, DRIVES), (scene, drives))] if where.long else []
     found = np.array(found)
-    return Measured(
-        float(found.max()), (np.log10(sizes), np.log10(np.maximum(found, 1e-17)), f"log₁₀ {key}", "log₁₀ difference"),
-        slowdown=max(taken, default=None),
-    )  # fmt: skip
+    return Measured(float(found.max()), max(taken, default=None))
 
 
 SHAPES: dict[str, dict[str, object]] = {
@@ -99,8 +96,7 @@ def shaped(name: str, where: Where) -> Measured:
     )  # fmt: skip
     run = where.solver(made).run(DRIVES, (STEPS * step,))
     exact = run_moment_form(made, DRIVES)
-    shape = run.displacement[0, 0]
-    return Measured(largest_difference(run.displacement[:, 0], exact.displacement[:, -1]), shape=shape)
+    return Measured(largest_difference(run.displacement[:, 0], exact.displacement[:, -1]))
 
 
 CASES = grouped(

@@ -12,12 +12,15 @@ import numpy as np
 
 from warp_plate.result.atomic_io import atomic_path
 from warp_plate.viz.availability import missing_plots
+from warp_plate.viz.fields import unit_with_prefix
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure, FigureBase
 
+# Powers of ten that tick labels may have; any other power is written once, with the unit.
+PLAIN_POWERS = range(-1, 4)
 STYLE = {"axes.linewidth": 0.8, "legend.frameon": False, "svg.hashsalt": "warp-plate"}
 
 
@@ -61,6 +64,25 @@ def save_plots(draw: Callable[[Any, Path], object], data: object, path: Path) ->
     except (ValueError, OSError) as error:
         return written, f"no plot: {error}"
     return written, None
+
+
+def with_unit(label: str, unit: str) -> str:
+    """Return the label of an axis with its unit; "1" is no unit."""
+    return f"{label} [{unit}]".strip() if unit != "1" else label
+
+
+def label_axis(axis: Axis, label: str, unit: str, size: float | None = None) -> None:
+    """Label a linear axis, whose limits are set: lengths with a prefix, and the power of ten of other small and large
+    numbers once, with the unit."""
+    largest = float(np.abs(axis.get_view_interval()).max())
+    power = math.floor(math.log10(largest)) if largest > 0 else 0
+    if unit == "m" and power < 0:
+        unit, factor = unit_with_prefix(largest, unit)
+        axis.set_major_formatter(lambda value, _: f"{value * factor:.6g}".replace("-", "−"))
+    elif power not in PLAIN_POWERS:
+        axis.set_major_formatter(lambda value, _: f"{value / 10.0**power:.6g}".replace("-", "−"))
+        unit = f"$10^{{{power}}}$" + (f" {unit}" if unit != "1" else "")
+    axis.set_label_text(with_unit(label, unit), fontsize=size)
 
 
 def number_log_axis(axis: Axis, intervals: int = 5) -> None:

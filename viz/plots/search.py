@@ -14,7 +14,7 @@ from warp_plate.scene.errors import printable
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Search
 from warp_plate.viz.captions import case_label
-from warp_plate.viz.plots.frame import figure
+from warp_plate.viz.plots.frame import figure, label_axis
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -72,8 +72,9 @@ def plot_history(axes: Axes, result: Result, loss: bool = False) -> None:
     _write_target(axes, result.scene)
     quantity = "localization factor" if localization else "weighted sum of objectives"
     signed = quantity if not loss else f"loss (1 − {quantity})" if localization else f"loss (− {quantity})"
-    axes.set(xlabel="iteration", ylabel=signed, xlim=(1, best.size) if best.size > 1 else (0, 2))
+    axes.set(xlabel="iteration", xlim=(1, best.size) if best.size > 1 else (0, 2))
     _fit_limits(axes, [*best, *(level for level, _ in levels.values())])
+    label_axis(axes.yaxis, signed, "1")
     axes.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 5, 10], integer=True))
 
 
@@ -97,7 +98,8 @@ def _levels(result: Result) -> dict[str, tuple[float, dict[str, str]]]:
 
 
 def _number(value: float) -> str:
-    return f"{value:.4f}".replace("-", "−")
+    text = f"{value:.4f}" if 0.01 <= abs(value) < 1000 else f"{value:.4g}"
+    return text.replace("-", "−")
 
 
 def _fit_limits(axes: Axes, values: Sequence[float]) -> None:

@@ -14,7 +14,7 @@ from warp_plate.result.sweep import REFUSED, Sweep
 from warp_plate.scene.errors import printable
 from warp_plate.scene.keys import label_of, unit_of
 from warp_plate.scene.vary import counted, value_text
-from warp_plate.viz.plots.frame import add_panels, figure, number_log_axis
+from warp_plate.viz.plots.frame import add_panels, figure, label_axis, number_log_axis, with_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,8 +31,6 @@ CONSTANT = 1e-6
 MOST_TEXTS = 8
 # Marker and size of samples by rank: the first is filled, and coinciding neighbours can both be seen.
 MARKERS = (("o", 3), ("o", 6), ("x", 4), ("+", 6), ("s", 5), ("D", 7), ("^", 5), ("v", 6))
-# Powers of ten that tick labels may have; any other power is written once, with the unit.
-PLAIN_POWERS = range(-1, 4)
 
 
 def draw_sweep(sweep: Sweep, path: str | Path) -> None:
@@ -108,10 +106,19 @@ def _draw_maps(figure: Figure, sweep: Sweep) -> None:
     columns = min(2, len(maps))
     figure.set_size_inches(3.9 * columns, 0.3 + 3.0 * math.ceil(len(maps) / columns))
     panels = add_panels(figure, len(maps), columns, sharex=True, sharey=True)
-    for axes, (label, (unit, values)) in zip(panels, maps.items(), strict=True):
-        field = values.reshape(sweep.plan.shape)
-        figure.colorbar(_draw_map(axes, sweep, field, (0, 1), values), ax=axes).set_label(_with_unit("", unit))
-        axes.set_title(label, fontsize=9)
+    # Maps whose labels differ only after a comma show one quantity, of several drives: their colours mean the same.
+    quantities = {label: label.partition(",")[0] for label in maps}
+    drawn: dict[str, list[Any]] = {}
+    for axes, (label, (_, values)) in zip(panels, maps.items(), strict=True):
+        alike = np.concatenate([maps[other][1] for other in maps if quantities[other] == quantities[label]])
+        mesh = _draw_map(axes, sweep, values.reshape(sweep.plan.shape), (0, 1), alike)
+        drawn.setdefault(quantities[label], []).append((mesh, axes, label))
+        axes.set_title(
+            label.partition(", ")[2] if len(set(quantities.values())) == 1 < len(maps) else label, fontsize=9
+        )
+    for quantity, meshes in drawn.items():
+        bar = figure.colorbar(meshes[0][0], ax=[axes for _, axes, _ in meshes], aspect=20 * math.ceil(len(meshes) / 2))
+        bar.set_label(with_unit(quantity if len(meshes) > 1 else "", maps[meshes[0][2]][0]))
     _label_maps(panels, sweep, columns, (0, 1), 5)
 
 
@@ -127,11 +134,11 @@ def _draw_small_maps(figure: Figure, sweep: Sweep) -> str:
     panels = add_panels(figure, len(shown), columns, sharex=True, sharey=True)
     for axes, place in zip(panels, shown, strict=True):
         mesh = _draw_map(axes, sweep, field[place], (first, second), values)
-        names = [f"{_with_unit(*_label_and_unit(sweep, key))}: " for key in others]
+        names = [f"{with_unit(*_label_and_unit(sweep, key))}: " for key in others]
         held = (value_text(plan.coordinates[key][step]) for key, step in zip(others, place, strict=True))
         axes.set_title("\n".join(map(str.__add__, names, held)), fontsize=7)
     _label_maps(panels, sweep, columns, (first, second), 4, size=8)
-    figure.colorbar(mesh, ax=panels, shrink=0.8).set_label(_with_unit(label, unit))
+    figure.colorbar(mesh, ax=panels, shrink=0.8).set_label(with_unit(label, unit))
     return f"{len(shown)} of {len(places)} maps" if len(shown) < len(places) else ""
 
 
@@ -174,6 +181,7 @@ def _label_maps(
 
 def _draw_map(axes: Axes, sweep: Sweep, field: np.ndarray, keys: tuple[int, int], values: np.ndarray) -> Any:
     """Draw (first key, second key) values as colours, within the range of all values, with contour lines."""
+    from matplotlib.patheffects import Normal, Stroke
     from matplotlib.ticker import MaxNLocator
 
     x, y = (positions(sweep.plan.coordinates[key]) for key in keys)
@@ -193,17 +201,15 @@ def _draw_map(axes: Axes, sweep: Sweep, field: np.ndarray, keys: tuple[int, int]
         levels = levels[(levels > finite.min()) & (levels < finite.max())]
         if levels.size:
             lines = axes.contour(x, y, field.T, levels=levels, colors="white", linewidths=0.7)
-            axes.clabel(lines, fontsize=6, fmt="%.3g")
+            rim = [Stroke(linewidth=1.3, foreground="#00000090"), Normal()]
+            for text in axes.clabel(lines, fontsize=6.5, fmt="%.3g"):
+                text.set_path_effects(rim)
     return mesh
 
 
 def _label_and_unit(sweep: Sweep, key: int) -> tuple[str, str]:
     name = sweep.plan.keys[key]
     return label_of(sweep.scene, name), unit_of(sweep.scene, name)
-
-
-def _with_unit(label: str, unit: str) -> str:
-    return f"{label} [{unit}]".strip() if unit != "1" else label
 
 
 def _by_unit(sweep: Sweep) -> dict[str, dict[str, np.ndarray]]:
@@ -237,14 +243,11 @@ def _set_key_axis(axis: Axis, sweep: Sweep, key: int, most: int | None = None, s
 
 
 def _set_axis(axis: Axis, label: str, unit: str, most: int | None = None, size: float | None = None) -> None:
-    """Set label and at most ``most`` tick labels; the power of ten of small and large numbers goes to the unit."""
+    """Set label and at most ``most`` tick labels."""
     if axis.get_scale() == "log":
         number_log_axis(axis, 5 if most is None else most - 1)
-    else:
-        if most is not None:
-            axis.axes.locator_params(axis.axis_name, nbins=most)
-        power = math.floor(math.log10(np.abs(axis.get_view_interval()).max()))
-        if power not in PLAIN_POWERS:
-            axis.set_major_formatter(lambda value, _: f"{value / 10.0**power:.6g}")
-            unit = f"$10^{{{power}}}$" + (f" {unit}" if unit != "1" else "")
-    axis.set_label_text(_with_unit(label, unit), fontsize=size)
+        axis.set_label_text(with_unit(label, unit), fontsize=size)
+        return
+    if most is not None:
+        axis.axes.locator_params(axis.axis_name, nbins=most)
+    label_axis(axis, label, unit, size)
