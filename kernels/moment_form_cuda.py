@@ -147,7 +147,7 @@ def make_run_steps(effects, real, nx, ny, stride, oscillators, block):
     def finish_sum(
         p: Material, x: wp.array[real], units: wp.array[real], state: wp.array3d[real], k: int, which: int
     ):
-        """From the warps' sums compute an oscillator's force and its state after the step, or the tension."""
+        """Compute an oscillator's force and its state after the step, or the tension, from the sums of the warps."""
         first = partial_sums + 2 * which * warps
         total = real(0.0)
         for w in range(warps):

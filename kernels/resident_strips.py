@@ -77,11 +77,11 @@ def plans(nx, ny, real, shared_bytes):
     for choice, squares_shared, loads_kept in product((EVEN, UNEVEN), (False, True), (True, False)):
         for warps in choice:
             plan = distribute(ny - 2, columns, warps, loads_kept, squares_shared)
-            # What is kept, three rows of curvature, and addresses and the like.
+            # Kept fields, three rows of curvature, addresses and temporaries.
             needed = words * columns * (plan.fields * plan.rows + 6) + 24
             squares = plan.rows * plan.warps if squares_shared else 0
             shared = 4 * words * columns * LANES * (2 * 4 * (plan.warps + 2) + squares)
-            # Which rows are loaded is in the bits of a word.
+            # The bits of a word say which rows are loaded.
             if 1 < plan.rows < LANES and needed <= plan.registers and shared <= shared_bytes:
                 yield plan
 

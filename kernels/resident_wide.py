@@ -49,7 +49,7 @@ def plans(nx, ny, real, shared_bytes):
             few = plan.rows <= BORDER or (plan.warps - 1) * plan.rows > ny - BORDER
             if plan.rows >= LANES or (few and plan.warps > 1):
                 continue
-            # What is kept, taps of both passes, rows of curvature, and addresses and the like.
+            # Kept fields, taps of both passes, rows of curvature, addresses and temporaries.
             needed = words * columns * (plan.fields * plan.rows + 10 + 7) + 30
             squares = plan.rows * plan.warps if squares_shared else 0
             shared = 4 * words * columns * LANES * (2 * 2 * BORDER * (plan.warps + 2) + squares)

@@ -1,7 +1,7 @@
-"""Who may talk to the explorer's page: requests by a name of this machine, and sockets with the secret of this run.
+"""Access control of the explorer's page: requests must name this machine, and sockets bring the secret of the run.
 
 The secret is in the printed address. The browser sends that address as the referrer of the page's first request, which
-asks where the socket is, so that no cookie is needed, which other servers at this address would be sent.
+asks where the socket is. This avoids a cookie, which would be sent to other servers at this address as well.
 """
 
 from __future__ import annotations

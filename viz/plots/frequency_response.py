@@ -21,7 +21,7 @@ COLOURS = ("#08519c", "#d94801", "#1b7837", "#762a83", "#8c6d31", "#c51b7d", "#4
 DASHES, COVERED = ("-", (0, (4, 4)), (0, (2, 6)), (0, (1, 7))), 0.1
 MOST_LABELS = 9
 FACTOR, BOUND, MARK = "#08519c", "#b2182b", "#b2182b"
-# Of an axis of magnitudes, half of those of squares; undamped responses have no upper limit.
+# Decades of an axis of squares, twice those of magnitudes; undamped responses have no upper limit.
 MOST_DECADES = 8.0
 # Factor between the ends of a range from which its axis is logarithmic.
 LOGARITHMIC = 4.0

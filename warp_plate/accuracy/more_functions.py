@@ -1,4 +1,4 @@
-"""Errors of results by modes, from what more functions change: promised before a run, and printed after it."""
+"""Error bars of results by modes, from their change with more functions: expected before a run, printed after it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a CUDA device holds: the largest plates on a chip, and the plates in its memory."""
+"""Capacity of a CUDA device: the largest plates that fit on the chip, and the number of plates in its memory."""
 
 from __future__ import annotations
 

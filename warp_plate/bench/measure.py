@@ -30,7 +30,7 @@ FEWEST_STEPS, LONGEST_SECONDS = 32, 1.0
 CUDA_MEMORY_SHARE, CPU_MEMORY_SHARE, CPU_MEMORY_BYTES = 0.8, 0.5, 2**32
 # Size of the noise that plates start from [m, and m a step] and of their drives [N/m²], so that stretching is small.
 SIZE = 1e-6
-# What makes a kind of plate of the paper's: tables of its scene, and its time step as a part of the paper's.
+# Kinds of plates: tables that change the paper's scene, and the time step as a fraction of the paper's.
 TABLES: dict[Kind, tuple[dict[str, dict[str, object]], float]] = {
     "plain": ({}, 1.0),
     "order4": ({"grid": {"order": 4, "load": "moments"}}, 0.5),
@@ -55,7 +55,7 @@ QUICK = {"cpu": TimingBudget(0.2, 3), "cuda": TimingBudget(0.1, 5)}
 
 @dataclass(frozen=True)
 class KernelSize:
-    """What a compiled kernel takes of a CUDA device, per thread."""
+    """Resources of a compiled CUDA kernel, per thread."""
 
     name: str
     registers: int

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from warp_plate.fitting.fit_modes import ModeFit
     from warp_plate.fitting.fit_responses import ResponseFit
 
-# How the file begins; correlations that are worth a line.
+# First words of the file; correlations that are reported.
 HEADING, STRONG = "# Fitted by warp-plate", 0.9
 
 

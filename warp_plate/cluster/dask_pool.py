@@ -28,7 +28,7 @@ ANSWER_SECONDS, JOIN_SECONDS, COUNT_SECONDS = 10.0, 60.0, 2.0
 SETTINGS = {
     "distributed.admin.large-graph-warning-threshold": "1 GiB",  # a scene may name large files
     "distributed.scheduler.allowed-failures": 0,  # of a scheduler started here: run_tasks counts attempts
-    # Of workers that fill their cores: by Dask's own values two of them spent a tenth of a core on watching themselves.
+    # With Dask's defaults, two busy workers spend a tenth of a core on monitoring themselves.
     "distributed.worker.profile.enabled": False,
     "distributed.admin.system-monitor.interval": "5s",
     "distributed.admin.tick.interval": "200ms",

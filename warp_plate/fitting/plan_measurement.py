@@ -1,4 +1,4 @@
-"""Where to put sensors, and which actuator to drive, so that a fit knows its free numbers best.
+"""Choose the places of sensors and the actuator that best determine the free keys of a fit.
 
 With J_c the derivatives of H at candidate c with respect to the free numbers, divided by the noise of H, the sensors S
 of a D-optimal plan maximise

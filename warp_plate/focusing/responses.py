@@ -33,7 +33,7 @@ class HeldResponses:
 
     def __init__(self, plate: ModalPlate, rate: int, samples: int, velocity: bool) -> None:
         every = make_poles(plate, samples / rate)
-        # Of two conjugate poles one is enough, twice: motion is real.
+        # One pole of each conjugate pair is enough, counted twice, because motion is real.
         self._poles: Poles = every.part(np.flatnonzero(every.values.imag >= 0))
         s, self._samples, self._step = self._poles.values, samples, 1 / rate
         one_sample = np.expm1(s * self._step) / (1 if velocity else s)

@@ -173,7 +173,7 @@ def _from_rest(
         poles = poles_apart(poles, np.concatenate([load.rates.ravel() for load in loads]), window.end)
         loads = [replace(load, rates=load.rates[None], weights=load.weights[None]) for load in loads]
     total = np.zeros((3, len(phasors), len(regions), *gained.shape[1:]), dtype=complex)
-    # What a place does not excite counts too, if one beside it does.
+    # Poles that a place does not excite count too, if a neighbouring place excites them.
     reached = np.stack([gains, *(poles.gains(force) for force in forces[1:])])
     for motion in _motions(poles, loads, frequency, velocity):
         if motion.end > window.start:

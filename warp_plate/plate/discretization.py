@@ -21,8 +21,8 @@ class Discretization:
     """A scene on its grid, in host memory and double precision; no device is involved."""
 
     scene: Scene  # The scene, which has a grid
-    per_plate: PerPlate  # What may differ between the plates of a batch
-    carriers: int  # Number of carriers that each plate has of its own; 0 if all plates share the scene's
+    per_plate: PerPlate  # Quantities that may differ between the plates of a batch
+    carriers: int  # Number of separate carriers of each plate; 0 if all plates share the scene's
     scheme: Scheme  # Steps, coefficients, stability limit and, in moment form, the fields of the plate
     region_weights: np.ndarray  # (2, ny, nx) weights of the plate and of the target, in cells
 

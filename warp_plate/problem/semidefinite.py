@@ -91,7 +91,7 @@ class _Dual:
         weight = size / multipliers[-1]
         for _ in range(20):
             multipliers, _ = wider.centre(multipliers, weight, stop_below=-1e-9)
-            # What counts is S without s, as a Cholesky factor finds it.
+            # S without s must have a Cholesky factor.
             if multipliers[-1] < -1e-9 and np.isfinite(self.barrier(multipliers[:-1], 1.0)):
                 return multipliers[:-1]
             weight *= GROWTH

@@ -20,7 +20,7 @@ from warp_plate.scene.errors import SceneError
 
 MAT, HDF5 = (".mat",), (".h5", ".hdf5", ".nc")
 MOST_NUMBERS, MOST_EXPANDED = 2**24, 2**28
-# Of MAT files of level 5: bytes of the header; types of elements; flag of complex arrays, and classes of numbers.
+# MAT files of level 5: bytes of the header; types of elements; flag of complex arrays; classes of numbers.
 HEADER, MATRIX, COMPRESSED, COMPLEX, NUMERIC = 128, 14, 15, 0x800, range(6, 16)
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 # Bytes of the longest complex number.

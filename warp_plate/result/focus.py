@@ -63,7 +63,7 @@ class FocusedWaveforms:
 
 @dataclass(frozen=True)
 class FocusResult:
-    """What ``focus`` finds.
+    """Result of ``focus``.
 
     Attributes:
         scene: The scene, with its ``[focus]``.

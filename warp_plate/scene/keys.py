@@ -68,7 +68,7 @@ INDEX_NAMES = {
     "disc": ("x", "y", "radius"),
     "range": ("smallest", "largest"),
 }
-# Of these keys of an actuator a file has one.
+# Keys of an actuator that exclude each other.
 ALTERNATIVES = {"magnitude": "force", "force": "magnitude"}
 _PART = re.compile(r"([A-Za-z_]\w*)|\[(\d+)\]")
 

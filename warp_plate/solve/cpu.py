@@ -30,7 +30,7 @@ RELEASE = 2**30
 # group is used, by order. (Measured: a group of 16 takes as long as 13 single plates of 27 × 27, of fourth order as 8.)
 GROUP_BYTES = 2**20
 GROUP_FILL = {2: 0.85, 4: 0.5}
-# One team at a time: its members wait for each other, so that all must run at once.
+# Lock for the one team that may run: its members wait for each other, so all must run at once.
 _TEAM = threading.Lock()
 # Address of the C function with which a thread yields its core.
 _LIBRARY, _NAME = ("kernel32", "SwitchToThread") if sys.platform == "win32" else (None, "sched_yield")

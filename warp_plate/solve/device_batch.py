@@ -12,7 +12,7 @@ from warp_plate.solve.batching import LARGEST_DRIVE, SMALLEST_DRIVE, Batch, ener
 from warp_plate.solve.engine import Engine
 from warp_plate.solve.state import State
 
-# What producers and Warp raise about arrays that cannot be handed over.
+# Exceptions of producers and Warp for arrays that cannot be shared.
 REFUSALS = (AttributeError, BufferError, IndexError, RuntimeError, TypeError, ValueError)
 
 

@@ -14,7 +14,7 @@ import warp as wp
 GUIDE = "https://nvidia.github.io/warp/stable/user_guide/installation.html"
 # First branch of NVIDIA's driver that runs programs of a major version of CUDA.
 DRIVER_BRANCHES = {12: 525, 13: 580}
-# What a loaded kernel driver shows, devices of the PCI bus (Linux), and the GPUs of Windows in its Linux.
+# File of a loaded kernel driver, devices of the PCI bus (Linux), and GPUs of Windows in WSL.
 KERNEL_DRIVER, PCI_DEVICES = Path("/proc/driver/nvidia"), Path("/sys/bus/pci/devices")
 WINDOWS_GPU = Path("/dev/dxg")
 NVIDIA, DISPLAY_CONTROLLER = "0x10de", "0x03"

@@ -12,7 +12,7 @@ from warp_plate.solve.specialize import Specialized
 
 # u, rate, squares, u_next, rate_next; the loads come on top.
 FIELDS = 5
-# What the moment form needs at most besides: u, mx, my, mxy, the membrane curvature and a strain.
+# Largest number of further fields of the moment form: u, mx, my, mxy, the membrane curvature and a strain.
 MOMENT_FORM_FIELDS = 6
 # Clear the whole batch at once if at least 1/CLEAR_SHARE of it is used: a call for each field takes longer.
 CLEAR_SHARE = 4

@@ -34,7 +34,7 @@ Values = dict[str, float | np.ndarray]
 
 @dataclass(frozen=True)
 class Settings:
-    """How quantities are computed.
+    """Settings for the computation of quantities.
 
     Attributes:
         device, path: See :class:`PlateSolver`.
@@ -75,7 +75,7 @@ def _localization_quantities(scene: Scene, settings: Settings) -> Values:
     device, evaluator = settings.device, settings.evaluator
     scene = with_method(scene.model_copy(update={"targets": ()}))
     resolved = resolve_search_grid(scene, device, evaluator).scene
-    # Of time steps, the default evaluator takes Gram matrices for robust searches.
+    # With time steps, the default evaluator uses Gram matrices for robust searches.
     problem = make_problem(resolved, device, settings.path, MODAL if evaluator == MODAL else None)
     if problem.response is not None and scene.search.robust is None:
         problem = replace(problem, evaluator_name="response")

@@ -1,4 +1,4 @@
-"""A drive measured on the panel against what its result promised.
+"""Comparison of a drive measured on the panel with the prediction of its result.
 
 With squares s = v² of the measured root mean square velocities, interpolated by thin-plate splines, the energies of the
 target and of the plate are sums a_T·s and a_P·s over the measured points, so that the localization factor is
@@ -48,7 +48,7 @@ class MeasuredField:
 
 @dataclass(frozen=True, eq=False)
 class Verification:
-    """What was measured against what was promised.
+    """Comparison of measured and predicted velocities.
 
     Attributes:
         case: Name of the drive.

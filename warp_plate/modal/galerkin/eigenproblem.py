@@ -46,7 +46,7 @@ def solve_eigenproblem(
         SceneError: The plate buckles, or the matrices do not fit into memory.
     """
     bases = _parity_bases(galerkin)
-    # Of the modes up to a frequency, nearly as many have each parity; the difference grows as the plate's perimeter.
+    # Up to a frequency, nearly equal numbers of modes have each parity; the difference grows as the plate's perimeter.
     share = math.ceil(wanted / len(bases) + (len(bases) - 1) * math.sqrt(wanted) / 2)
     if least:
         share = math.ceil(

@@ -18,7 +18,7 @@ from numpy.polynomial import legendre
 
 # Number of splines that each end leaves out.
 CONDITIONS = {"free": 0, "supported": 1, "clamped": 2}
-# Of corners nearer to each other than this part of the side, the sharpest stands for all.
+# Corners closer to each other than this fraction of the side are replaced by the sharpest one.
 MERGED = 5e-5
 
 
