@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 CMAP, LENGTH, MOST_COLUMNS = "RdBu_r", 1.9, 6
 # Relative to the largest displacement: rounding errors, and the height of spots of the other sign without a meaning.
 ROUNDING, FLAT = 1e-9, 3e-3
-FINE = 150  # least points per side of the spline whose contours are nodal lines
+FINE = 120  # least cells along the longer side of the spline whose contours are nodal lines
 
 
 def draw_modes(
@@ -94,20 +94,21 @@ def _draw_shape(axes: Axes, scene: Scene, shape: np.ndarray, cmap: str) -> objec
 
 def refined(scene: Scene, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return x and y [m] and the shape (y, x) of a mode, interpolated between nodes."""
-    from scipy.interpolate import RectBivariateSpline
-
-    nodes = shape.shape[::-1]
-    refine = _refinement(nodes)
+    nodes, refine = shape.shape[::-1], _refinement(shape.shape)
     x, y = map(np.linspace, (0, 0), scene.plate.size, nodes)
-    fine = ((count - 1) * times + 1 for count, times in zip(nodes, refine, strict=True))
-    fine_x, fine_y = map(np.linspace, (0, 0), scene.plate.size, fine)
     # Rounding errors on a nodal line along grid nodes would make the contour jump from side to side.
     clean = np.where(np.abs(shape) < ROUNDING, 0.0, shape)
+    if refine == 1:
+        return x, y, clean
+    from scipy.interpolate import RectBivariateSpline
+
+    fine_x, fine_y = map(np.linspace, (0, 0), scene.plate.size, ((count - 1) * refine + 1 for count in nodes))
     return fine_x, fine_y, RectBivariateSpline(y, x, clean)(fine_y, fine_x)
 
 
-def _refinement(nodes: Sequence[int]) -> list[int]:
-    return [math.ceil(FINE / (count - 1)) for count in nodes]
+def _refinement(nodes: Sequence[int]) -> int:
+    """Return the points of the spline for each cell of the grid."""
+    return math.ceil(FINE / (max(nodes) - 1))
 
 
 def nodal_field(scene: Scene, fine: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
@@ -117,14 +118,14 @@ def nodal_field(scene: Scene, fine: np.ndarray, shape: tuple[int, ...]) -> np.nd
     """
     from scipy.ndimage import label, maximum
 
-    refine_x, refine_y = _refinement(shape[::-1])
+    refine = _refinement(shape)
     field = np.where(np.abs(fine) < ROUNDING, 0.0, fine)
     for sign in (1, -1):
         spots, count = label(sign * field > 0)
         heights = maximum(sign * field, spots, range(1, count + 1))
         field[np.isin(spots, 1 + np.flatnonzero(np.asarray(heights) < FLAT))] = math.nan
-    strips = {"left": np.s_[:, :refine_x], "right": np.s_[:, -refine_x:]}
-    strips |= {"bottom": np.s_[:refine_y], "top": np.s_[-refine_y:]}
+    strips = {"left": np.s_[:, :refine], "right": np.s_[:, -refine:]}
+    strips |= {"bottom": np.s_[:refine], "top": np.s_[-refine:]}
     for edge, strip in strips.items():
         if getattr(scene.edges, edge) in ("clamped", "supported"):
             field[strip] = math.nan

@@ -88,7 +88,14 @@ def distribute(threads: int, plates: int, run_share: Callable[[int, int, int], N
 def resident_path(specialized: Specialized) -> Advance:
     """Return the path that runs all steps in one launch per thread (Warp releases Python's lock)."""
     ny, stride, threads = specialized.scheme.nodes[1], specialized.stride, specialized.threads
-    launch_single, groups = _single_plates(specialized), _plate_groups(specialized)
+    launch_single = _single_plates(specialized)
+    lanes, fill = _lanes_of_groups(specialized), GROUP_FILL[specialized.scheme.order]
+    make_groups = cache(partial(_plate_groups, specialized, lanes))  # compiled when a run first fills a group
+
+    def in_groups(plates: int) -> int:
+        """Return how many of a thread's plates run in groups, which are full enough; the rest run singly."""
+        full, rest = divmod(plates, lanes) if lanes else (0, 0)
+        return plates if lanes and rest >= fill * lanes else full * lanes
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
         if plates < threads and ny * stride >= TEAM_NUMBERS:
@@ -101,13 +108,13 @@ def resident_path(specialized: Specialized) -> Advance:
                     run_concurrently(calls, partial(arrived.fill_, RELEASE))
             return
 
+        largest_share = -(-plates // threads)
+        launch_groups = make_groups() if in_groups(largest_share) and not state.has_plate_waves else None
+
         def run_share(thread: int, first: int, last: int) -> None:
-            """Run plates in groups while these are full enough, and the rest singly."""
             grouped = first
-            if groups is not None and not state.has_plate_waves:  # a group shares its waves
-                launch_groups, lanes, fill = groups
-                full, rest = divmod(last - first, lanes)
-                grouped = last if rest >= fill * lanes else first + full * lanes
+            if launch_groups is not None:
+                grouped += in_groups(last - first)
                 if grouped > first:
                     launch_groups(state, thread, first, grouped, start, stop)
             if last > grouped:
@@ -139,15 +146,19 @@ def _single_plates(specialized: Specialized) -> Callable[..., None]:
     return launch
 
 
-def _plate_groups(specialized: Specialized) -> tuple[Callable[..., None], int, float] | None:
-    """Return launch(state, thread, first, last + 1, start, stop) of ``resident_cpu_groups``, the plates of a group, and
-    the share of it that pays; None where a group is too large."""
-    device, scheme = specialized.device, specialized.scheme
+def _lanes_of_groups(specialized: Specialized) -> int:
+    """Return the plates of a group, or 0 where a group is too large for the cache."""
     itemsize = wp.types.type_size_in_bytes(specialized.real)
     lanes = LINE_BYTES // itemsize
+    size = resident_cpu_groups.workspace_size(*specialized.scheme.nodes, lanes, specialized.scheme.order)
+    return lanes if size * itemsize <= GROUP_BYTES else 0
+
+
+def _plate_groups(specialized: Specialized, lanes: int) -> Callable[..., None]:
+    """Return launch(state, thread, first, last + 1, start, stop) of ``resident_cpu_groups``; plates of a group share
+    their waves."""
+    device, scheme = specialized.device, specialized.scheme
     size = resident_cpu_groups.workspace_size(*scheme.nodes, lanes, scheme.order)
-    if size * itemsize > GROUP_BYTES:
-        return None
     kernel = resident_cpu_groups.make_run_steps(
         specialized.effects, specialized.real, *scheme.nodes, specialized.stride, lanes, compiler_flags()
     )
@@ -161,7 +172,7 @@ def _plate_groups(specialized: Specialized) -> tuple[Callable[..., None], int, f
         outputs = [workspace, state.u, state.rate, state.squares, state.trace]
         wp.launch(kernel, dim=-(-(last - first) // lanes), inputs=inputs, outputs=outputs, device=device)
 
-    return launch, lanes, GROUP_FILL[scheme.order]
+    return launch
 
 
 def _taps_along_x(specialized: Specialized, lanes: int | None = None) -> tuple[wp.array, wp.array]:
