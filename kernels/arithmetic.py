@@ -1,4 +1,4 @@
-"""Arithmetic that Warp's Python lacks: fused multiply-adds by name, and flushing of denormals on a CPU.
+"""What Warp's Python lacks: fused multiply-adds by name, flushing of denormals on a CPU, one set of compiler flags.
 
 The compiler may fuse a·b + c in one of two loops over the same nodes and not in the other; a plate's numbers must not
 depend on which of them it takes.
@@ -7,10 +7,16 @@ Ahead of a wave front the displacement of a plate at rest fades faster than any 
 (float32) or 1e-308 (float64). They are too small to matter, but an x86 CPU is a hundred times slower with them.
 """
 
+import platform
 from functools import cache
 
 import warp as wp
 
+# Flags with which LLVM compiles for the CPU: whole vectors and fused multiply-adds. All kernels share them, because
+# Warp compiles its headers anew for each set of flags, which takes longer than most kernels.
+CPU_FLAGS = "-march=native -ffp-contract=fast -mllvm=-force-vector-interleave=4" + (
+    " -mprefer-vector-width=512" if platform.machine().lower() in ("x86_64", "amd64") else ""
+)
 _FUSED = {
     wp.float32: "\n#if defined(__CUDA_ARCH__)\nreturn fmaf(a, b, c);\n#else\nreturn __builtin_fmaf(a, b, c);\n#endif\n",
     wp.float64: "\n#if defined(__CUDA_ARCH__)\nreturn fma(a, b, c);\n#else\nreturn __builtin_fma(a, b, c);\n#endif\n",
@@ -52,7 +58,7 @@ def restore_denormals(before: int):
     """Restore the mode that ``flush_denormals`` returned."""
 
 
-def cpu_kernel(compiler_flags, max_unroll):
-    """Return the decorator of kernels that LLVM compiles with these flags."""
-    options = {"cpu_compiler_flags": compiler_flags, "max_unroll": max_unroll}
-    return wp.kernel(module="unique", enable_backward=False, module_options=options)
+def portable_kernel(**options):
+    """Return the decorator of kernels that compile for the CPU and for CUDA, with these options of Warp's modules."""
+    flags = {"cpu_compiler_flags": CPU_FLAGS}
+    return wp.kernel(module="unique", enable_backward=False, module_options=flags | options)

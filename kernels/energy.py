@@ -10,12 +10,14 @@ from functools import cache
 
 import warp as wp
 
+from warp_plate.kernels.arithmetic import portable_kernel
+
 
 @cache
 def make_sum_over_rows(real):
     """Make the kernel that sums each column of each region; launch over (plates, regions, columns)."""
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @portable_kernel()
     def sum_over_rows(
         # inputs
         squares: wp.array3d[real],  # (plates, rows, columns)
@@ -32,7 +34,7 @@ def make_sum_over_rows(real):
     return sum_over_rows
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@portable_kernel()
 def sum_over_columns(
     # inputs
     column_sums: wp.array3d[wp.float64],  # (plates, regions, columns)
@@ -47,7 +49,7 @@ def sum_over_columns(
     energy[plate, region] = total
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@portable_kernel()
 def write_energies(
     # inputs
     sums: wp.array2d[wp.float64],  # (plates, regions) weighted sums of rate²

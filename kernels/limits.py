@@ -7,11 +7,11 @@ from functools import cache
 
 import warp as wp
 
-from warp_plate.kernels.arithmetic import cpu_kernel
+from warp_plate.kernels.arithmetic import portable_kernel
 
 
 @cache
-def make_multiply_adds(real, block, depth, rounds, compiler_flags):
+def make_multiply_adds(real, block, depth, rounds):
     """Make the kernel that applies x ← factor·x + addend to each number, passes · rounds · depth times.
 
     Launch over the rows of ``numbers``. Each multiply-add waits for the previous one, and other chains fill that time:
@@ -19,7 +19,7 @@ def make_multiply_adds(real, block, depth, rounds, compiler_flags):
     1 and many rounds.
     """
 
-    @cpu_kernel(compiler_flags, max_unroll=depth)
+    @portable_kernel(max_unroll=depth)
     def multiply_add(
         # parameters
         factor: real,

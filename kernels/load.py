@@ -10,6 +10,8 @@ from functools import cache
 
 import warp as wp
 
+from warp_plate.kernels.arithmetic import portable_kernel
+
 
 @cache
 def make_scale_drives(real, given):
@@ -33,7 +35,7 @@ def make_scale_drives(real, given):
             total -= factors[term, 5, actuator] * (wp.float64(2.0) * real_part * imaginary_part)
         return total
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @portable_kernel()
     def scale_drives(
         # inputs
         drives: wp.array3d[given],  # (plates, actuators, 2) Re Z, Im Z
@@ -73,7 +75,7 @@ def make_scale_drives(real, given):
 def make_write_loads(real):
     """Make the kernel that writes the load fields where actuators are; launch over (plates, terms, covered nodes)."""
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @portable_kernel()
     def write_loads(
         # inputs
         coefficients: wp.array3d[real],  # (plates, terms, actuators)
@@ -95,7 +97,7 @@ def make_write_loads(real):
 def make_write_placed_loads(real):
     """Make the kernel that does the same where each plate has patches in places of its own."""
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @portable_kernel()
     def write_placed_loads(
         # inputs
         coefficients: wp.array3d[real],  # (plates, terms, actuators)
@@ -146,7 +148,7 @@ def make_weigh_spans(by_moments):
             moments[power] = (high - low) / wp.float64(power + 1)
         return moments
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @portable_kernel()
     def weigh_spans(
         # inputs
         edges: wp.array3d[wp.float64],  # (plates, actuators, 4) x0, x1, y0, y1 [m]

@@ -16,7 +16,7 @@ from functools import cache
 
 import warp as wp
 
-from warp_plate.kernels.arithmetic import make_fused
+from warp_plate.kernels.arithmetic import make_fused, portable_kernel
 from warp_plate.kernels.update import make_parameters, make_update
 
 
@@ -299,22 +299,22 @@ def make_passes(effects, real):
     compute_node, update_node = make_compute_moments(effects, real), make_update_node(effects, real)
     sum_row, finish_sum = make_sum_row(effects, real), make_finish_sum(effects, real)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @portable_kernel()
     def compute_moments(f: Fields, m: Material):
         k, j, i = wp.tid()
         compute_node(f, m, k, j, i)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @portable_kernel()
     def sum_rows(f: Fields, m: Material):
         k, which, j = wp.tid()
         sum_row(f, m, k, which, j)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @portable_kernel()
     def finish_sums(f: Fields, m: Material):
         k, which = wp.tid()
         finish_sum(f, m, k, which)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @portable_kernel()
     def update_nodes(
         f: Fields,
         m: Material,

@@ -10,7 +10,7 @@ from functools import cache
 
 import warp as wp
 
-from warp_plate.kernels.arithmetic import cpu_kernel, flush_denormals, make_fused, restore_denormals
+from warp_plate.kernels.arithmetic import flush_denormals, make_fused, portable_kernel, restore_denormals
 from warp_plate.kernels.moment_form import make_add_local_forces, make_moment, make_oscillator_force, make_structs
 from warp_plate.kernels.update import make_parameters, make_update
 
@@ -26,7 +26,7 @@ SHARED_PLANES = (
 
 
 @cache
-def make_run_steps(effects, real, ny, stride, compiler_flags):
+def make_run_steps(effects, real, ny, stride):
     """Make the kernel that runs steps ``start`` … ``stop`` − 1 of plates from ``first`` on; launch over (plates,)."""
     update = make_update(effects, real)
     add_local_forces = make_add_local_forces(effects, real)
@@ -204,7 +204,7 @@ def make_run_steps(effects, real, ny, stride, compiler_flags):
             u[i] = here + new
             squares[i] = fused(summed * new, new, squares[i])
 
-    @cpu_kernel(compiler_flags, max_unroll=1)
+    @portable_kernel(max_unroll=1)
     def run_steps(
         # parameters
         m: Material,  # its along_x padded to ``stride``

@@ -4,12 +4,14 @@ from functools import cache
 
 import warp as wp
 
+from warp_plate.kernels.arithmetic import portable_kernel
+
 
 @cache
 def make_keep_largest(real):
     """Make the kernel that keeps the largest magnitudes of u, and NaN for ever; launch over the shape of u."""
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @portable_kernel()
     def keep_largest(
         # inputs
         u: wp.array3d[real],  # (plates, rows, columns)

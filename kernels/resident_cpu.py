@@ -12,7 +12,7 @@ from functools import cache
 
 import warp as wp
 
-from warp_plate.kernels.arithmetic import cpu_kernel, flush_denormals, restore_denormals
+from warp_plate.kernels.arithmetic import flush_denormals, portable_kernel, restore_denormals
 from warp_plate.kernels.resident_cpu_passes import make_passes, taps_along_y
 from warp_plate.kernels.update import make_parameters
 
@@ -52,7 +52,7 @@ def tap_line(ny, row, order):
 
 
 @cache
-def make_run_steps(effects, real, ny, stride, compiler_flags):
+def make_run_steps(effects, real, ny, stride):
     """Make the kernel of steps ``start`` … ``stop`` − 1 of plates from ``first`` on; launch over (plates,), or by each
     member of a team at the same time over (1,)."""
     Parameters = make_parameters(real)
@@ -104,7 +104,7 @@ def make_run_steps(effects, real, ny, stride, compiler_flags):
             rows[place] = row_at(curvature_plane, j + 1 - wp.static(reach) + place)
         return rows
 
-    @cpu_kernel(compiler_flags, max_unroll=5)
+    @portable_kernel(max_unroll=5)
     def run_steps(
         # parameters
         p: Parameters,

@@ -10,7 +10,7 @@ from functools import cache
 
 import warp as wp
 
-from warp_plate.kernels.arithmetic import cpu_kernel, flush_denormals, restore_denormals
+from warp_plate.kernels.arithmetic import flush_denormals, portable_kernel, restore_denormals
 from warp_plate.kernels.resident_cpu_passes import make_passes, taps_along_y
 from warp_plate.kernels.update import make_parameters
 
@@ -24,7 +24,7 @@ def workspace_size(nx, ny, lanes, order):
 
 
 @cache
-def make_run_steps(effects, real, nx, ny, stride, lanes, compiler_flags):
+def make_run_steps(effects, real, nx, ny, stride, lanes):
     """Make the kernel of steps ``start`` … ``stop`` − 1 of ``lanes`` plates at a time, from ``first`` on; launch over
     (groups,)."""
     Parameters = make_parameters(real)
@@ -83,7 +83,7 @@ def make_run_steps(effects, real, nx, ny, stride, lanes, compiler_flags):
             factor = columns + wp.uint64(pattern * wp.static(row_bytes))
             bend(u_plane + wp.uint64(j * wp.static(row_bytes)), here, factor, taps_of_row(taps_y, 0), out)
 
-    @cpu_kernel(compiler_flags, max_unroll=5)
+    @portable_kernel(max_unroll=5)
     def run_steps(
         # parameters
         p: Parameters,

@@ -13,6 +13,7 @@ from functools import cache
 
 import warp as wp
 
+from warp_plate.kernels.arithmetic import portable_kernel
 from warp_plate.kernels.update import make_parameters, make_update
 
 
@@ -44,7 +45,7 @@ def make_compute_curvature(effects, real):
     """Make the kernel that computes the curvature of all nodes; launch over (plates, ny, nx)."""
     apply_taps = make_apply_taps(effects.order, real)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @portable_kernel()
     def compute_curvature(
         # inputs
         taps_x: wp.array2d[real],  # (nx, order + 1)
@@ -66,7 +67,7 @@ def make_update_nodes(effects, real):
     update = make_update(effects, real)
     Parameters = make_parameters(real)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @portable_kernel()
     def update_nodes(
         # parameters
         p: Parameters,
@@ -100,7 +101,7 @@ def make_update_nodes(effects, real):
     return update_nodes
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@portable_kernel()
 def advance_clock(clock: wp.array[int], steps: int):
     """Advance the clock by ``steps``; launch over (1,)."""
     clock[0] = clock[0] + steps
@@ -110,7 +111,7 @@ def advance_clock(clock: wp.array[int], steps: int):
 def make_record_trace(real):
     """Make the kernel that copies the displacement of single nodes to the trace; launch over (plates, nodes)."""
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @portable_kernel()
     def record_trace(
         # inputs
         clock: wp.array[int],  # (1,)

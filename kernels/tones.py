@@ -9,6 +9,8 @@ tiles of the dense product.
 
 import warp as wp
 
+from warp_plate.kernels.arithmetic import portable_kernel
+
 # Rows, inner numbers and columns of the tiles of a product of matrices, and threads that share a tile.
 ROWS, INNER, COLUMNS = 64, 32, 64
 THREADS = 128
@@ -60,7 +62,7 @@ def integral_to(
     return total
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@portable_kernel()
 def integrate_patches(
     # parameters
     breaks_x: wp.array[wp.float64],  # (intervals + 1,) [m]
@@ -81,7 +83,7 @@ def integrate_patches(
     integrals[row, k * areas.shape[1] + a] = along_x * along_y
 
 
-@wp.kernel(module="unique", enable_backward=False, module_options=TILE_OPTIONS)
+@portable_kernel(**TILE_OPTIONS)
 def multiply_dense(
     # inputs
     left: wp.array2d[wp.float64],
@@ -100,7 +102,7 @@ def multiply_dense(
     wp.tile_store(product, total, offset=(row * ROWS, column * COLUMNS), bounds_check=False, aligned=True)
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@portable_kernel()
 def multiply_sparse(
     # inputs
     starts: wp.array[int],  # (rows + 1,) compressed sparse rows
@@ -118,7 +120,7 @@ def multiply_sparse(
     product[row, column] = total
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@portable_kernel()
 def write_drives(
     # inputs
     frequency: wp.array2d[wp.float64],  # (plates, actuators) [Hz]
@@ -137,7 +139,7 @@ def write_drives(
     drive[plate, actuator] = rate + wp.vec2d(shift, wp.float64(0.0))
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@portable_kernel()
 def write_motions(
     # parameters
     poles: wp.array2d[wp.vec2d],  # (2, modes) s [1/s]
@@ -190,7 +192,7 @@ def write_motions(
         means[row + lasting, column] = mean_2
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@portable_kernel()
 def contract(
     # parameters
     kept: wp.array[int],  # (free motions,) their modes

@@ -11,6 +11,8 @@ from functools import cache
 
 import warp as wp
 
+from warp_plate.kernels.arithmetic import portable_kernel
+
 
 @wp.struct
 class Envelope:
@@ -51,7 +53,7 @@ def integrate_envelope(time: wp.float64, e: Envelope):
 def make_write_tones(real, burst):
     """Make the kernel that writes tones, under an envelope if ``burst``; launch over (plates, steps, carriers)."""
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @portable_kernel()
     def write_tones(
         # inputs
         frequency: wp.array2d[wp.float64],  # (plates, carriers) [Hz]
@@ -87,7 +89,7 @@ def make_accumulate_waves(real):
     """Make the kernel that replaces waves by their running sums over the steps, each divided by a power of two that
     makes it smaller than two; launch over (plates, terms)."""
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @portable_kernel()
     def accumulate_waves(
         # outputs
         wave: wp.array3d[real],  # (plates, steps, terms)

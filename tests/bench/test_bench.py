@@ -16,7 +16,6 @@ from warp_plate.kernels.cuda import THREAD_REGISTERS
 from warp_plate.kernels.limits import make_multiply_adds
 from warp_plate.plate.discretization import discretize
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.solve.cpu import compiler_flags
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import bytes_per_plate
@@ -89,7 +88,7 @@ def test_figures_are_consistent(device, path):
 def test_arithmetic_limit_counts_its_operations(real):
     """x ← 1·x + 1, as often as it is counted, for each number."""
     block, depth, rounds, passes = 40, 16, 3, 5
-    kernel = make_multiply_adds(real, block, depth, rounds, compiler_flags())
+    kernel = make_multiply_adds(real, block, depth, rounds)
     start = np.arange(2 * block).reshape(2, block)
     numbers = wp.array(start, dtype=real, device="cpu")
     wp.launch(kernel, dim=2, inputs=[1.0, 1.0, passes], outputs=[numbers], device="cpu")

@@ -60,7 +60,7 @@ def cuda_kernels(effects, real):
     yield "energy.sum_over_columns", energy.sum_over_columns
     yield "energy.write_energies", energy.write_energies
     yield "peak.make_keep_largest", peak.make_keep_largest(real)
-    yield "limits.make_multiply_adds", limits.make_multiply_adds(real, block=1, depth=64, rounds=100, compiler_flags="")
+    yield "limits.make_multiply_adds", limits.make_multiply_adds(real, block=1, depth=64, rounds=100)
     yield "streaming.advance_clock", streaming.advance_clock
     for kernel in TONES:
         yield f"tones.{kernel.key}", kernel

@@ -21,7 +21,6 @@ from functools import partial
 import warp as wp
 
 from warp_plate.kernels.limits import make_multiply_adds
-from warp_plate.solve.cpu import compiler_flags
 from warp_plate.solve.devices import cpu_threads
 from warp_plate.solve.kernel_cache import load_kernel
 from warp_plate.solve.specialize import Specialized
@@ -101,7 +100,7 @@ def _flops(device: wp.Device, real: type, threads: int) -> float:
     rows, block, depth, rounds, passes = 1, CPU_BLOCK, CPU_DEPTH, 1, CPU_PASSES
     if device.is_cuda:
         rows, block, depth, rounds, passes = device.sm_count * CUDA_THREADS, 1, CUDA_DEPTH, CUDA_ROUNDS, 1
-    kernel = make_multiply_adds(real, block, depth, rounds, compiler_flags())
+    kernel = make_multiply_adds(real, block, depth, rounds)
     load_kernel(kernel, device)
     numbers = [wp.zeros((rows, block), dtype=real, device=device) for _ in range(threads)]
     # x ← x/2 + 1 converges to 2, so numbers neither overflow nor vanish.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
-import platform
 import sys
 import threading
 from collections.abc import Callable, Sequence
@@ -35,12 +34,6 @@ _TEAM = threading.Lock()
 # Address of the C function with which a thread yields its core.
 _LIBRARY, _NAME = ("kernel32", "SwitchToThread") if sys.platform == "win32" else (None, "sched_yield")
 _YIELD = ctypes.cast(getattr(ctypes.CDLL(_LIBRARY), _NAME), ctypes.c_void_p).value
-
-
-def compiler_flags() -> str:
-    """Return the flags with which LLVM compiles the CPU kernels: whole vectors and fused multiply-adds."""
-    wide = " -mprefer-vector-width=512" if platform.machine().lower() in ("x86_64", "amd64") else ""
-    return "-march=native -ffp-contract=fast -mllvm=-force-vector-interleave=4" + wide
 
 
 @cache
@@ -128,7 +121,7 @@ def resident_path(specialized: Specialized) -> Advance:
 def _single_plates(specialized: Specialized) -> Callable[..., None]:
     """Return launch(state, first, last + 1, start, stop[, team]) of ``resident_cpu``; team: size, member, meeting."""
     device, stride, (nx, ny) = specialized.device, specialized.stride, specialized.scheme.nodes
-    kernel = resident_cpu.make_run_steps(specialized.effects, specialized.real, ny, stride, compiler_flags())
+    kernel = resident_cpu.make_run_steps(specialized.effects, specialized.real, ny, stride)
     specialized.load(kernel)
     shared: list[Any] = [specialized.parameters, *_taps_along_x(specialized), *_taps_along_y(specialized)]
     flat = resident_cpu.flat_ranges(ny, stride, specialized.scheme.order)
@@ -160,7 +153,7 @@ def _plate_groups(specialized: Specialized, lanes: int) -> Callable[..., None]:
     device, scheme = specialized.device, specialized.scheme
     size = resident_cpu_groups.workspace_size(*scheme.nodes, lanes, scheme.order)
     kernel = resident_cpu_groups.make_run_steps(
-        specialized.effects, specialized.real, *scheme.nodes, specialized.stride, lanes, compiler_flags()
+        specialized.effects, specialized.real, *scheme.nodes, specialized.stride, lanes
     )
     specialized.load(kernel)
     shared = [specialized.parameters, *_taps_along_x(specialized, lanes), *_taps_along_y(specialized)]

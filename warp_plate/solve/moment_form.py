@@ -18,7 +18,7 @@ from warp_plate.kernels.cuda import LANES
 from warp_plate.kernels.moment_form import make_passes, make_structs
 from warp_plate.plate.bending import oscillator_shares
 from warp_plate.solve import cuda
-from warp_plate.solve.cpu import compiler_flags, distribute
+from warp_plate.solve.cpu import distribute
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import Advance, State
 from warp_plate.solve.streaming import Launcher, loaded_ahead, several_steps_a_launch, step_by_step
@@ -270,7 +270,7 @@ def _material_plane(material: Any, name: str) -> np.ndarray:
 def _cpu_path(specialized: Specialized) -> Advance:
     device, real, (nx, ny) = specialized.device, specialized.real, specialized.scheme.nodes
     rows, stride, oscillators = specialized.rows, specialized.stride, len(specialized.scene.effects.oscillators)
-    kernel = moment_form_cpu.make_run_steps(specialized.effects, real, ny, stride, compiler_flags())
+    kernel = moment_form_cpu.make_run_steps(specialized.effects, real, ny, stride)
     specialized.load(kernel)
     material = make_material(specialized)
     planes = np.stack([_shared_plane(material, name) for name in moment_form_cpu.SHARED_PLANES])
