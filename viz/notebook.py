@@ -11,7 +11,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 from warp_plate.result.amplitudes import amplitude_column
-from warp_plate.result.model import BOUND_DESCRIPTIONS, Case, Result, only_actuator
+from warp_plate.result.model import BOUND_DESCRIPTIONS, Result, only_actuator
 from warp_plate.scene.model import Scene
 from warp_plate.viz.availability import missing_plots, missing_renderer
 from warp_plate.viz.captions import case_label, ordered_cases, percent
@@ -46,7 +46,7 @@ def result_html(result: Result) -> str:
     if result.bound is not None:
         target = f", target {scene.targets[0].name}" if result.target_searches else ""
         rows.append((BOUND_DESCRIPTIONS[result.bound_kind] + target, percent(result.bound)))
-    name, case = shown_case(result)
+    name, case = result.main_name, result.main_case
     label = case_label(name, scene)
     heading, amplitudes = amplitude_column(scene, case.magnitude, ".4f")
     actuators = [
@@ -66,14 +66,9 @@ def result_html(result: Result) -> str:
     return _html(title, tables, notes, _result_picture(result), f"Plate under the {label}")
 
 
-def shown_case(result: Result) -> tuple[str, Case]:
-    """Return the best drive, or the first case if there was no search."""
-    return next((name, result.cases[name]) for name in ("best", *result.cases) if name in result.cases)
-
-
 def _result_picture(result: Result) -> bytes | str:
     """Return a PNG of the displacements of the shown case, or of the search's history; or why there is none."""
-    single = replace(result, cases=dict([shown_case(result)]))
+    single = replace(result, cases={result.main_name: result.main_case})
     problem = missing_renderer() if result.times.size else "the result holds nothing to draw"
     if problem is not None and result.history:
         return _picture(lambda path: draw_history(single, path), missing_plots())

@@ -39,6 +39,8 @@ _HOME = {
     "Window": "warp_plate.scene.model:Window",
     "check": "warp_plate.analysis.check:check",
     "compare": "warp_plate.studies.compare:compare",
+    "effects": "warp_plate.analysis.influence:measure_influence",
+    "export": "warp_plate.analysis.export:export",
     "fit": "warp_plate.fitting.fit:fit",
     "focus": "warp_plate.focusing.focus:focus",
     "frf": "warp_plate.studies.frequency_response:compute_frequency_response",
@@ -50,6 +52,7 @@ _HOME = {
     "localize": "warp_plate.studies.localize:localize",
     "measure_accuracy": "warp_plate.accuracy.report:measure_configurations",
     "modes": "warp_plate.modal.continuous_modes:modes",
+    "motion": "warp_plate.analysis.motion:motion",
     "plan_measurement": "warp_plate.fitting.plan_measurement:plan_measurement",
     "plot": "warp_plate.notebook:plot",
     "resume": "warp_plate.studies.localize:resume",
@@ -81,6 +84,8 @@ __all__ = [
     "__version__",
     "check",
     "compare",
+    "effects",
+    "export",
     "fit",
     "focus",
     "frf",
@@ -92,6 +97,7 @@ __all__ = [
     "localize",
     "measure_accuracy",
     "modes",
+    "motion",
     "plan_measurement",
     "plot",
     "resume",
@@ -108,6 +114,9 @@ __all__ = [
 if TYPE_CHECKING:
     from warp_plate.accuracy.report import measure_configurations as measure_accuracy
     from warp_plate.analysis.check import check
+    from warp_plate.analysis.export import export
+    from warp_plate.analysis.influence import measure_influence as effects
+    from warp_plate.analysis.motion import motion
     from warp_plate.fitting.fit import fit
     from warp_plate.fitting.plan_measurement import plan_measurement
     from warp_plate.focusing.focus import focus

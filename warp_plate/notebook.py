@@ -152,11 +152,10 @@ def view(
     from warp_plate.viz.availability import DrawingUnavailable, missing_meshes
     from warp_plate.viz.colours import colour_options
     from warp_plate.viz.fields import FIELDS
-    from warp_plate.viz.notebook import shown_case
     from warp_plate.viz.page import write_page
 
     colours = colour_options(colormap, limits)
-    names = cases or (shown_case(result)[0],)
+    names = cases or (result.main_name,)
     for key, value, known in [("quantity", quantity, FIELDS), *(("case", name, result.cases) for name in names)]:
         if value not in known:
             raise SceneError(f"{key} = {value!r}: must be one of {', '.join(known)}")

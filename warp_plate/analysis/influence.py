@@ -29,7 +29,7 @@ from warp_plate.scene.effects import (
 )
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
-from warp_plate.scene.model import Edges, ElasticEdge, Scene
+from warp_plate.scene.model import Edges, ElasticEdge, Scene, SceneSource
 from warp_plate.solve.peak import sample_times
 from warp_plate.solve.solver import PlateSolver
 
@@ -68,7 +68,7 @@ class Influence:
 
 
 def measure_influence(
-    scene: Scene, device: str = "auto", on_progress: Callable[[int, int, str], object] | None = None
+    scene: SceneSource, device: str = "auto", on_progress: Callable[[int, int, str], object] | None = None
 ) -> Influence:
     """Switch each effect off or on, and measure its cost and the results under the scene's own drive.
 
@@ -83,7 +83,7 @@ def measure_influence(
     Raises:
         SceneError: see :class:`PlateSolver`.
     """
-    effects = names()
+    effects, scene = names(), Scene.load(scene)
     base = PlateSolver(scene, device)
     others: dict[str, tuple[PlateSolver | None, str]] = {}
     for index, name in enumerate(effects):

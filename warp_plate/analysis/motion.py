@@ -16,7 +16,7 @@ from warp_plate.modal.solver import MODAL, make_solver
 from warp_plate.plate.discretization import Discretization, discretize
 from warp_plate.plate.section import make_section
 from warp_plate.plate.signals import highest_frequency
-from warp_plate.result.model import Case, case_scene, only_actuator
+from warp_plate.result.model import Case, Result, case_scene, only_actuator
 from warp_plate.result.motion import Motion
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Record, Scene
@@ -28,6 +28,32 @@ FRAMES_A_PERIOD, MOST_FRAMES = 60, 600
 MOST_BYTES, FEWEST_FRAMES = 2 * 2**30, 24
 # Frames of a period of the highest frequency below which a motion is not recognisable.
 FEWEST_A_PERIOD = 12
+
+
+def motion(
+    result: Result,
+    case: str | None = None,
+    span: tuple[float, float] | None = None,
+    frames: int | None = None,
+    device: str = "auto",
+) -> Motion:
+    """Run a case of a result again and return its motion, with the fields of RMS velocity and phase.
+
+    Args:
+        result: Result of ``localize`` or ``simulate``.
+        case: Name of a case (default: the best drive, or the only case).
+        span: Start and end [s] (default: the last period of the drive, or the first burst or the window if the drive
+            does not repeat).
+        frames: Frames in the span (default: 60 a period).
+        device: Device of the run.
+
+    Raises:
+        SceneError: Unknown case, or see :func:`motions`.
+    """
+    if case and case not in result.cases:
+        raise SceneError(f"case = {case!r}: must be one of {', '.join(result.cases)}")
+    name = case or result.main_name
+    return motions(result.scene, {name: result.cases[name]}, span, frames, device)[0]
 
 
 def motions(

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from warp_plate.cli import motion_options, options, output
+from warp_plate.result.export import Format
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
-    from warp_plate.result.export.time_series import Encoding
-    from warp_plate.result.model import Case, Result
+    from warp_plate.result.focus import FocusResult
+    from warp_plate.result.model import Result
 
-Format = Literal["pvd", "vtkhdf", "traces-csv", "drive-wav", "drive-csv"]
 # Ending that is added to the result's name, and options beside --case.
 SERIES, SIGNAL = ("start", "end", "frames", "device"), ("rate", "duration", "full-scale")
 FORMATS: dict[Format, tuple[str, tuple[str, ...]]] = {
@@ -75,120 +74,49 @@ def export(
             raise SceneError(f"--{name} {value}: has no effect with --to {to}; leave it out")
     if shown.device is not None and shown.start is shown.end is shown.frames is None:
         raise SceneError(f"--device {shown.device}: nothing is run without --frames, --start or --end; leave it out")
+    from warp_plate.analysis.export import DRIVES, export
+    from warp_plate.result.focus import load_focus
     from warp_plate.result.hdf5 import describe_file
     from warp_plate.result.model import load_result
 
+    span = None
     if describe_file(result) == "a focus":
-        if to not in ("drive-wav", "drive-csv") or (name := next((key for key in SIGNAL[:2] if signal[key]), "")):
-            what = f"--to {to}" if to not in ("drive-wav", "drive-csv") else f"--{name} {signal[name]}"
+        if to not in DRIVES or (name := next((key for key in SIGNAL[:2] if signal[key]), "")):
+            what = f"--to {to}" if to not in DRIVES else f"--{name} {signal[name]}"
             raise SceneError(
                 f"{what}: {result} has waveforms of a given rate and duration, for drive-wav and drive-csv"
             )
-        files, record = _write_waveforms(result, shown.case or [], target, full_scale, encoding)
-        answer = {"result": result, "to": to, **record, "files": files}
-        line = f"{record['case']}: 1.0 stands for {record['full_scale']:.6g} {record['unit']} in every channel"
-        return output.report(json, lambda: answer, lambda console: console.print(line), (files, None))
-    loaded = load_result(result)
-    cases = motion_options.select_cases(loaded, result, shown.case)
-    try:
-        if to == "drive-wav" or to == "drive-csv":
-            if shown.case and len(cases) > 1:
-                raise SceneError(f"--case {' '.join(shown.case)}: a file holds one drive; name one case")
-            name = "best" if "best" in cases else next(iter(cases))
-            files, record = _write_drive(loaded, cases[name], to, target, signal)
-            record = {"case": name, **record}
-        elif to == "traces-csv":
-            from warp_plate.result.export.time_series import write_traces
-
-            files, record = write_traces(loaded, cases, target), {}
-        else:
-            # ParaView begins with the first field, so the best case comes first.
-            names = sorted(cases, key=lambda name: name != "best")
-            files, record = _write_series(loaded, result, replace(shown, case=names), to, target, json)
-    except SceneError as error:
-        named = str(error).startswith(("--", f"{target}:", f"{result}:"))
-        raise error if named else SceneError(f"{result}: {error}") from None
-    answer = {"result": result, "to": to, **record, "files": files}
-    output.report(json, lambda: answer, lambda _: _print(files, to, record))
-
-
-def _write_series(
-    result: Result, file: Path, options: motion_options.FrameOptions, to: Format, target: Path, quiet: bool
-) -> tuple[list[Path], dict[str, Any]]:
-    """Write the recorded displacements, or those of another run if the options ask for one; return files and record."""
-    from warp_plate.result.export.paraview import write_pvd, write_vtkhdf
-
-    names = options.case or []
-    recorded = options.start is None and options.end is None and options.frames is None
-    if recorded:
-        times = result.times
-        fields = {f"displacement_{case}": result.cases[case].displacement for case in names}
+        loaded: Result | FocusResult = load_focus(result)
     else:
-        motions = motion_options.select_motions(result, file, options, motion_options.DEFAULT_PLAYBACK, quiet)
-        times, fields = motions[0].times, {f"displacement_{motion.name}": motion.displacement for motion in motions}
-        fields |= {f"velocity_{motion.name}": motion.velocity for motion in motions}
-    # Actuators are drawn at their positions in the first case.
-    scene = result.case_scene(result.cases[names[0]])
-    files = (write_pvd if to == "pvd" else write_vtkhdf)(scene, times, fields, target)
-    return files, {"times": len(times), "recorded": recorded, "fields": list(fields)}
-
-
-def _write_drive(
-    result: Result, case: Case, to: Format, target: Path, options: Mapping[str, Any]
-) -> tuple[list[Path], dict[str, Any]]:
-    """Write the drive of a case as audio or text; return files and record."""
-    from warp_plate.result.export.time_series import make_drive_signal, write_drive_csv, write_wav
-
-    rate, duration, full_scale = (options[name] for name in SIGNAL)
-    duration = 1.0 if duration is None else duration
-    signal = make_drive_signal(result.case_scene(case), case, 48000 if rate is None else rate, duration, full_scale)
-    if to == "drive-wav":
-        files = write_wav(signal, target, options["encoding"] or "float32")
-    else:
-        files = write_drive_csv(signal, target)
-    return files, {
-        **output.attributes(signal, "frequency", "rate", "samples", "periods", "full_scale", "unit"),
-        "channels": signal.names,
-        "seconds": signal.samples / signal.rate,
-        "seam_degrees": signal.seam,
-    }
-
-
-def _write_waveforms(
-    file: Path, methods: list[str], target: Path, full_scale: float | None, encoding: Encoding | None
-) -> tuple[list[Path], dict[str, Any]]:
-    """Write the waveforms of a method for each point of a file of ``focus``; return files and record."""
-    from warp_plate.result.export.time_series import WaveformSignal, write_drive_csv, write_wav
-    from warp_plate.result.focus import load_focus
-
-    found = load_focus(file)
-    table, unit = found.scene.focus, found.scene.drive_unit
-    assert table is not None
-    name = methods[0] if methods else "optimum" if table.burst is None else "inverse_filter"
-    if len(methods) > 1 or name not in found.methods:
-        raise SceneError(f"--case {' '.join(methods)}: name one of {', '.join(found.methods)}")
-    waveforms = found.methods[name].waveforms
-    largest = float(abs(waveforms).max())
-    full_scale = largest if full_scale is None else full_scale
-    if not 0 < largest <= full_scale < float("inf"):
-        raise SceneError(f"--full-scale {full_scale:g}: must be at least the largest drive, {largest!r} {unit}")
-    names, files = tuple(actuator.name for actuator in found.scene.actuators), []
-    for index, ((x, y), each) in enumerate(zip(table.points, waveforms, strict=True), 1):
-        path = target if len(table.points) == 1 else target.with_name(f"{target.stem}-{index}{target.suffix}")
-        signal = WaveformSignal(names, each, full_scale, table.rate, f"{name} at {x:g},{y:g} m")
-        wav = target.suffix.lower() == ".wav"
-        files += write_wav(signal, path, encoding or "float32") if wav else write_drive_csv(signal, path)
-    return files, {"case": name, "rate": table.rate, "full_scale": full_scale, "unit": unit, "channels": names}
+        loaded = load_result(result)
+        motion_options.select_cases(loaded, result, shown.case)
+        if to in DRIVES and len(shown.case or ()) > 1:
+            raise SceneError(f"--case {' '.join(shown.case or ())}: a file holds one drive; name one case")
+        span = motion_options.span_of(shown, loaded.scene.window.end)
+    given: dict[str, Any] = {"rate": rate, "duration": duration, "full_scale": full_scale, "encoding": encoding}
+    given |= {"frames": shown.frames, "device": shown.device}
+    arguments = {name: value for name, value in given.items() if value is not None}
+    with output.progress_bar("simulating", shown=not json) as show:
+        try:
+            found = export(loaded, target, to, cases=shown.case or (), span=span, progress=show, **arguments)
+        except SceneError as error:
+            named = str(error).startswith(("--", f"{target}:", f"{result}:"))
+            raise error if named else SceneError(f"{result}: {error}") from None
+    answer = {"result": result, "to": to, **found.contents, "files": found.files}
+    output.report(json, lambda: answer, lambda _: _print(found.files, to, found.contents))
 
 
 def _print(files: list[Path], to: Format, record: Mapping[str, Any]) -> None:
-    print(f"wrote {files[-1]}" + (f" and {len(files) - 1} .vti files beside it" if to == "pvd" else ""))
+    beside = f" and {len(files) - 1} .vti files beside it" if to == "pvd" else ""
+    print("\n".join(f"wrote {file}" for file in files[-1 if beside else 0 :]) + beside)
     if to in ("pvd", "vtkhdf") and record["recorded"] and record["times"] < FEW_TIMES:
         print(f"It holds the {record['times']} recorded times; --frames 60 writes a motion of 60 frames a period.")
-    if to in ("drive-wav", "drive-csv"):
+    if "periods" in record:
         jump = f"with a phase jump of {record['seam_degrees']:.2g} degrees" if record["seam_degrees"] else "seamlessly"
         print(
             f"Drive {record['case']}: {record['periods']} periods of {record['frequency']:g} Hz in "
             f"{record['samples']} samples at {record['rate']} Hz, which repeat {jump}. 1.0 stands for "
             f"{record['full_scale']:.6g} {record['unit']} in every channel."
         )
+    elif "full_scale" in record:
+        print(f"{record['case']}: 1.0 stands for {record['full_scale']:.6g} {record['unit']} in every channel")

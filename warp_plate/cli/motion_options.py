@@ -90,15 +90,20 @@ def select_motions(
 
     if playback.modes:
         return _mode_shapes(result, options.frames, playback)
-    span = None
-    if options.start is not None or options.end is not None:
-        span = (options.start or 0.0, result.scene.window.end if options.end is None else options.end)
+    span = span_of(options, result.scene.window.end)
     cases = select_cases(result, file, options.case)
     with output.progress_bar("simulating", shown=not quiet) as show:
         try:
             return motions(result.scene, cases, span, options.frames, options.device or "auto", show)
         except SceneError as error:
             raise SceneError(f"{file}: {error}") from None
+
+
+def span_of(options: FrameOptions, end: float) -> tuple[float, float] | None:
+    """Return the start and end that the options give, of a run that ends at ``end`` [s]; None if they give neither."""
+    if options.start is None and options.end is None:
+        return None
+    return options.start or 0.0, end if options.end is None else options.end
 
 
 def select_focus_motions(file: Path, options: FrameOptions, playback: PlaybackOptions) -> tuple[Scene, list[Motion]]:
@@ -108,10 +113,8 @@ def select_focus_motions(file: Path, options: FrameOptions, playback: PlaybackOp
 
     if playback.modes:
         raise SceneError(f"--modes {playback.modes}: {file} holds waveforms; leave it out")
-    found, span = load_focus(file), None
-    if options.start is not None or options.end is not None:
-        end = float(found.times[-1]) if options.end is None else options.end
-        span = (options.start or 0.0, end)
+    found = load_focus(file)
+    span = span_of(options, float(found.times[-1]))
     try:
         return found.scene, focus_motions(found, options.case or (), span, options.frames or FRAMES)
     except SceneError as error:

@@ -286,9 +286,14 @@ class Result:
         return self.path.startswith("modal")
 
     @property
+    def main_name(self) -> str:
+        """Name of the best drive found, or of the drive that was simulated."""
+        return "best" if "best" in self.cases else next(iter(self.cases))
+
+    @property
     def main_case(self) -> Case:
         """The best drive found, or the drive that was simulated."""
-        return self.cases.get("best") or next(iter(self.cases.values()))
+        return self.cases[self.main_name]
 
     def to_xarray(self) -> xarray.Dataset:
         """Return drives, energies, displacements and traces of all cases as an ``xarray.Dataset``."""

@@ -1,0 +1,5 @@
+"""Results in the formats of other programs."""
+
+from typing import Literal
+
+Format = Literal["pvd", "vtkhdf", "traces-csv", "drive-wav", "drive-csv"]
