@@ -55,6 +55,7 @@ _HOME = {
     "motion": "warp_plate.analysis.motion:motion",
     "plan_measurement": "warp_plate.fitting.plan_measurement:plan_measurement",
     "plot": "warp_plate.notebook:plot",
+    "render": "warp_plate.notebook:render",
     "resume": "warp_plate.studies.localize:resume",
     "save_comparison": "warp_plate.result.comparison:save_comparison",
     "save_focus": "warp_plate.result.focus:save_focus",
@@ -100,6 +101,7 @@ __all__ = [
     "motion",
     "plan_measurement",
     "plot",
+    "render",
     "resume",
     "save_comparison",
     "save_focus",
@@ -121,7 +123,7 @@ if TYPE_CHECKING:
     from warp_plate.fitting.plan_measurement import plan_measurement
     from warp_plate.focusing.focus import focus
     from warp_plate.modal.continuous_modes import modes
-    from warp_plate.notebook import plot, view
+    from warp_plate.notebook import plot, render, view
     from warp_plate.result.checkpoint import load_checkpoint
     from warp_plate.result.comparison import load_comparison, save_comparison
     from warp_plate.result.focus import load_focus, save_focus

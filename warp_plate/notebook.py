@@ -12,7 +12,7 @@ The player holds its whole page, so it needs neither a server nor a network, and
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from warp_plate.result.focus import FocusResult
     from warp_plate.result.frequency_response import FrequencyResponse
     from warp_plate.result.model import Result
+    from warp_plate.result.motion import Motion
     from warp_plate.result.sweep import Sweep
     from warp_plate.scene.model import Scene
 
@@ -147,22 +148,83 @@ def view(
         SceneError: an unknown case, quantity, colour map or limits, or a span outside the run.
         DrawingUnavailable: PyVista is not installed.
     """
-    from warp_plate.analysis.motion import motions
-    from warp_plate.scene.errors import SceneError
     from warp_plate.viz.availability import DrawingUnavailable, missing_meshes
     from warp_plate.viz.colours import colour_options
-    from warp_plate.viz.fields import FIELDS
     from warp_plate.viz.page import write_page
 
     colours = colour_options(colormap, limits)
-    names = cases or (result.main_name,)
-    for key, value, known in [("quantity", quantity, FIELDS), *(("case", name, result.cases) for name in names)]:
-        if value not in known:
-            raise SceneError(f"{key} = {value!r}: must be one of {', '.join(known)}")
     if (problem := missing_meshes()) is not None:
         raise DrawingUnavailable(problem)
-    moving = motions(result.scene, {name: result.cases[name] for name in names}, span, frames, device)
+    moving = _run_again(result, cases, quantity, span, frames, device)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "page.html"
         write_page(result.scene, moving, path, quantity, rate, None, colours)
         return NotebookPlayer(path.read_text(encoding="utf-8"), height)
+
+
+def render(
+    result: Result,
+    path: str | Path,
+    *cases: str,
+    quantity: str = "displacement",
+    span: tuple[float, float] | None = None,
+    frames: int | None = None,
+    time: float | None = None,
+    rate: float = 30.0,
+    width: int = 560,
+    heights: float | None = None,
+    plan: bool = False,
+    device: str = "auto",
+    colormap: str | None = None,
+    limits: str | float | None = None,
+) -> Path:
+    """Run cases of a result again, draw their plates side by side, and return the path.
+
+    Args:
+        path: File to write: .png (a picture), .gif, .mp4 (movies), .html (a page that plays and turns the plates), .svg
+            or .pdf (seen from above).
+        cases, quantity, span, frames, device, colormap, limits: see :func:`view`.
+        time: Time of a picture [s] (default: when the quantity in colour is largest).
+        rate: Frames per second of a movie or page.
+        width: Width of one plate's picture [pixels].
+        heights: Factor by which displacements are exaggerated (default: one that suits the picture).
+        plan: Draw a .png seen from above too.
+
+    Raises:
+        SceneError: See :func:`view`; another ending, or a time outside the run.
+        DrawingUnavailable: A library that the file needs is not installed.
+    """
+    from warp_plate.analysis.motion import frame_at, period_around
+    from warp_plate.scene.errors import SceneError
+    from warp_plate.viz.availability import DrawingUnavailable
+    from warp_plate.viz.colours import colour_options
+    from warp_plate.viz.pictures import PictureStyle, largest_frame
+    from warp_plate.viz.render import ENDINGS, draw_motions, missing_library
+
+    path, style = Path(path), PictureStyle(quantity, width, heights, colour_options(colormap, limits))
+    if path.suffix.lower() not in ENDINGS:
+        raise SceneError(f"path = {str(path)!r}: must end in {', '.join(ENDINGS)}")
+    if (problem := missing_library(path, plan)) is not None:
+        raise DrawingUnavailable(problem)
+    if time is not None and span is None:
+        span = period_around(result, time)
+    moving = _run_again(result, cases, quantity, span, frames, device)
+    frame = largest_frame(moving, quantity) if time is None else frame_at(moving[0], time)
+    draw_motions(result.scene, moving, path, style, frame, rate, plan)
+    return path
+
+
+def _run_again(
+    result: Result, cases: Sequence[str], quantity: str, span: tuple[float, float] | None, frames: int | None,
+    device: str,
+) -> list[Motion]:  # fmt: skip
+    """Return the motions of cases, by default of the main one; check their names and that of the quantity."""
+    from warp_plate.analysis.motion import motions
+    from warp_plate.scene.errors import SceneError
+    from warp_plate.viz.fields import FIELDS
+
+    names = cases or (result.main_name,)
+    for key, value, known in [("quantity", quantity, FIELDS), *(("case", name, result.cases) for name in names)]:
+        if value not in known:
+            raise SceneError(f"{key} = {value!r}: must be one of {', '.join(known)}")
+    return motions(result.scene, {name: result.cases[name] for name in names}, span, frames, device)

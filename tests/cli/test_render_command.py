@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from conftest import error_of, output_of, scene_of
 
-from warp_plate.analysis.motion import motions
+from warp_plate.analysis.motion import frame_at, motions
 from warp_plate.cli.motion_options import FrameOptions
-from warp_plate.cli.render import frame_at, frames_around
+from warp_plate.cli.render import frames_around
 from warp_plate.result.model import load_result, save_result
 from warp_plate.studies.localize import localize
 from warp_plate.viz import availability, pictures
@@ -117,8 +117,8 @@ def test_invalid_options_are_named(render, tmp_path):
         ("--frames 1", "Must be >= 2."),
         ("--modes 40", "Must be <= 6."),
         ("--modes 2 --field phase", "--field phase: mode shapes have displacements only"),
-        ("--time 7", "--time 7: must be from 0 to 0.012 s"),
-        ("--time 0.001 --start 0.01", "--time 0.001: must lie between --start and --end, 0.01 and 0.012 s"),
+        ("--time 7", "time = 7: must be from 0 to 0.012 s"),
+        ("--time 0.001 --start 0.01", "time = 0.001: must lie between start and end, 0.01 and 0.012 s"),
         ("--start 0.01 --end 7", "start = 0.01, end = 7: must lie within the run"),
     ):
         out = [] if "--out" in options else ["--out", "a.html"]
@@ -136,17 +136,15 @@ def test_a_moment_is_the_frame_of_pictures(searched):
         around = frames_around(result, time, FrameOptions(start=start))
         assert (around.start, around.end) == pytest.approx(span)
     shown = motions(result.scene, result.cases, (0.012 - period, 0.012), device="cpu")
-    moment = shown[0].times[frame_at(shown, 0.0119, "displacement")]
+    moment = shown[0].times[frame_at(shown[0], 0.0119)]
     assert moment == pytest.approx(0.0119, abs=period / 20)
 
 
 def test_ctrl_c_keeps_the_files_that_are_done(render, monkeypatch, tmp_path):
-    from warp_plate.viz.plots import plan
-
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(plan, "draw_plan", interrupted)
+    monkeypatch.setattr("warp_plate.viz.render.draw_plan", interrupted)
     for out, line in (("a.html", "interrupted; wrote only a.html"), ("a.svg", "interrupted")):
         assert render("--out", out, "--out", "b.svg") == (130, "", f"warp-plate: {line}\n")
     assert [path.name for path in tmp_path.iterdir()] == ["a.html"]

@@ -56,6 +56,28 @@ def motion(
     return motions(result.scene, {name: result.cases[name]}, span, frames, device)[0]
 
 
+def period_around(result: Result, time: float) -> tuple[float, float]:
+    """Return start and end [s] of the period, of the lowest frequency of all cases, that begins at or around a time.
+
+    Raises:
+        SceneError: The time is outside the run.
+    """
+    last = result.scene.window.end
+    if not 0 <= time <= last:
+        raise SceneError(f"time = {time:g}: must be from 0 to {last:g} s")
+    period = min(1 / min(result.case_scene(case).drive.frequency for case in result.cases.values()), last)
+    first = min(time, last - period)
+    return first, first + period
+
+
+def frame_at(motion: Motion, time: float) -> int:
+    """Return the index of the frame nearest to a time; raise a SceneError if it is outside the motion's span."""
+    first, last = motion.span
+    if not first <= time <= last * (1 + 1e-9):
+        raise SceneError(f"time = {time:g}: must lie between start and end, {first:g} and {last:g} s")
+    return int(abs(motion.times - time).argmin())
+
+
 def motions(
     scene: Scene,
     cases: Mapping[str, Case],

@@ -14,12 +14,10 @@ from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
     from warp_plate.result.model import Result
-    from warp_plate.result.motion import Motion
-    from warp_plate.scene.model import Scene
-    from warp_plate.viz.pictures import PictureStyle
 
-PLOTS, MOVIES = (".svg", ".pdf"), (".gif", ".mp4")
-ENDINGS = (".png", *PLOTS, *MOVIES, ".html")
+# As in viz.render, which is imported later.
+PLOTS = (".svg", ".pdf")
+ENDINGS = (".png", *PLOTS, ".gif", ".mp4", ".html")
 
 
 def render(
@@ -59,10 +57,12 @@ def render(
     given = out or ([] if figures else [Path(f"{result.stem}.png")])
     targets = [output.output_file(path, ".png", ENDINGS) for path in given]
     playback.check()
+    from warp_plate.analysis.motion import frame_at
     from warp_plate.result.hdf5 import describe_file
     from warp_plate.result.model import load_result
     from warp_plate.viz.availability import DrawingUnavailable
-    from warp_plate.viz.pictures import PictureStyle
+    from warp_plate.viz.pictures import PictureStyle, largest_frame
+    from warp_plate.viz.render import draw_motions
 
     files: list[Path] = []
     try:
@@ -79,10 +79,12 @@ def render(
                 around = frames_around(loaded, time, shown)
                 motions = motion_options.select_motions(loaded, result, around, playback, json)
         if targets:
-            frame, rate = frame_at(motions, time, playback.field), playback.frame_rate(motions)
+            frame = largest_frame(motions, playback.field) if time is None else frame_at(motions[0], time)
+            rate = playback.frame_rate(motions)
             style = PictureStyle(playback.field, width, playback.heights, colours.chosen())
             for target in targets:
-                _draw(scene, motions, target, style, frame, plan, rate, json)
+                with output.progress_bar(f"drawing {target.name}", shown=not json) as show:
+                    draw_motions(scene, motions, target, style, frame, rate, plan, show)
                 files.append(target)
     except DrawingUnavailable as problem:
         raise SceneError(str(problem)) from None
@@ -93,15 +95,10 @@ def render(
 
 def _check_drawable(targets: list[Path], plan: bool) -> None:
     """Check that the libraries for all files are there, before anything is simulated."""
-    from warp_plate.viz.availability import missing_meshes, missing_plots, missing_renderer
-    from warp_plate.viz.pictures import missing_movies
+    from warp_plate.viz.render import missing_library
 
-    missing = dict.fromkeys(ENDINGS, missing_renderer) | dict.fromkeys(PLOTS, missing_plots)
-    missing |= {".html": missing_meshes, ".mp4": lambda: missing_renderer() or missing_movies()}
-    if plan:
-        missing[".png"] = missing_plots
     for target in targets:
-        if (problem := missing[target.suffix.lower()]()) is not None:
+        if (problem := missing_library(target, plan)) is not None:
             raise SceneError(problem)
 
 
@@ -111,47 +108,10 @@ def frames_around(
     """Return the options with the period around a time that is given without ``--start`` and ``--end``."""
     if time is None or shown.start is not None or shown.end is not None:
         return shown
-    last = result.scene.window.end
-    if not 0 <= time <= last:
-        raise SceneError(f"--time {time:g}: must be from 0 to {last:g} s")
-    lowest = min(result.case_scene(case).drive.frequency for case in result.cases.values())
-    period = min(1 / lowest, last)
-    first = min(time, last - period)
-    return replace(shown, start=first, end=first + period)
+    from warp_plate.analysis.motion import period_around
 
-
-def frame_at(motions: list[Motion], time: float | None, field: str) -> int:
-    """Return the index of the frame to draw in pictures."""
-    from warp_plate.viz.pictures import largest_frame
-
-    if time is None:
-        return largest_frame(motions, field)
-    first, last = motions[0].span
-    if not first <= time <= last * (1 + 1e-9):
-        raise SceneError(f"--time {time:g}: must lie between --start and --end, {first:g} and {last:g} s")
-    return int(abs(motions[0].times - time).argmin())
-
-
-def _draw(
-    scene: Scene, motions: list[Motion], target: Path, style: PictureStyle, frame: int, plan: bool, rate: float,
-    quiet: bool,
-) -> None:  # fmt: skip
-    from warp_plate.result.atomic_io import atomic_paths
-    from warp_plate.viz.page import write_page
-    from warp_plate.viz.pictures import draw_movie, draw_picture
-    from warp_plate.viz.plots.plan import draw_plan
-
-    ending = target.suffix.lower()
-    progress = output.progress_bar(f"drawing {target.name}", shown=not quiet)
-    with atomic_paths(target) as (path,), progress as show:
-        if ending in PLOTS or (plan and ending == ".png"):
-            draw_plan(scene, motions, path, style.quantity, frame, style.colours)
-        elif ending == ".png":
-            draw_picture(scene, motions, path, style, frame)
-        elif ending == ".html":
-            write_page(scene, motions, path, style.quantity, rate, style.heights, style.colours)
-        else:
-            draw_movie(scene, motions, path, style, rate, show)
+    start, end = period_around(result, time)
+    return replace(shown, start=start, end=end)
 
 
 def _paper_figures(result: Result, name: Path) -> list[Path]:
