@@ -25,9 +25,10 @@ NOT_RUN = {
     r"--samples 12000": "takes half an hour",
     r"\.checkpoint\.h5$": "needs an interrupted run; see tests/cli/test_interrupts.py",
 }
+FOCUS = "[focus]\npoints = [[0.06, 0.05]]\nhighest = 1000.0"
 # Files that pages use without making them, and how they are made.
 MADE = {
-    "panel.toml": "warp-plate init paper --out panel.toml",
+    "panel.toml": f"warp-plate init paper --out panel.toml && echo '{FOCUS}' >> panel.toml",
     "paper-localize.h5": "warp-plate localize paper --no-pictures",
     "panel-frf.h5": "warp-plate init paper --out panel.toml; warp-plate frf panel.toml --to hdf5 --no-pictures",
     "paper-sweep.h5": "warp-plate sweep paper --force --vary drive.frequency=280:300:3 effects.damping.viscous=50,88.3",

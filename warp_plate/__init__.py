@@ -1,4 +1,4 @@
-"""warp-plate: thousands of thin vibrating panels at once, and the drive that moves only the chosen part.
+"""warp-plate: simulate thousands of thin vibrating panels, and find drives that move only a chosen part.
 
     >>> from warp_plate import PlateSolver, Scene
     >>> scene = Scene.load("paper")
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 __version__ = "0.2.0"
 
-# In a bare checkout the folders `kernels` and `viz` lie beside this package instead of inside it.
+# In a bare checkout the folders `kernels` and `viz` are beside this package, not inside it.
 if not os.path.isdir(os.path.join(__path__[0], "kernels")):
     __path__.append(os.path.dirname(__path__[0]))
 

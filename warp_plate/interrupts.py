@@ -1,4 +1,4 @@
-"""Ctrl-C: a flag that long loops look at between iterations, and an ordinary KeyboardInterrupt everywhere else.
+"""Ctrl-C: a flag that long loops check between iterations, and an ordinary KeyboardInterrupt everywhere else.
 
 SIGTERM, which batch systems send before they kill, and SIGHUP of a closed terminal end a command in the same way.
 """
@@ -18,7 +18,7 @@ _pending = False
 
 
 class SecondInterrupt(KeyboardInterrupt):
-    """A second Ctrl-C, before the first was looked at: whatever was being updated may be half done."""
+    """A second Ctrl-C before the first was handled: an update may be incomplete."""
 
 
 @contextmanager

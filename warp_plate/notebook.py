@@ -1,4 +1,4 @@
-"""Pictures of what the functions return, and scenes, results and moving plates in IPython and Jupyter notebooks.
+"""Pictures of results, and scenes, results and moving plates in IPython and Jupyter notebooks.
 
 ``import warp_plate`` in a running notebook (or ``%load_ext warp_plate``) shows every :class:`Scene` and :class:`Result`
 as a table with a picture, and :func:`view` plays a result:
@@ -68,7 +68,7 @@ def plot(
     colormap: str | None = None,
     limits: str | float | None = None,
 ) -> list[Path]:
-    """Draw what a function has returned, as its command does, and return the files.
+    """Draw a result as its command does, and return the files.
 
     Args:
         shown: result of ``localize`` or ``simulate``, of ``sweep``, of ``frf``, ``compare`` or ``focus``.
@@ -141,7 +141,7 @@ def view(
         rate: initial frame rate [1/s].
         height: height of the frame in the notebook [pixels].
         device: cpu, cuda, cuda:1, …; auto takes a CUDA device if there is one.
-        colormap: colour map of Matplotlib (default: one that suits the field).
+        colormap: colour map of Matplotlib (default: depends on the field).
         limits: ends of the colours, see :func:`plot` (default: "common").
 
     Raises:

@@ -55,7 +55,7 @@ class Choice:
     scene: Scene  # scene with the chosen grid in place of ``grid.accuracy``; of modes a grid for pictures
     error: float  # estimated relative error: the largest of all drives tried and of the bound
     reason: str  # explanation for people
-    reference: ReferenceSolution | MoreFunctions  # what the error was measured against
+    reference: ReferenceSolution | MoreFunctions  # reference of the error
 
     @property
     def by_modes(self) -> bool:
@@ -159,7 +159,7 @@ def _reference(scene: Scene, accuracy: float, device: str, phasors: np.ndarray |
 
 
 def _advice(possible: float) -> str:
-    """Return what to write where this relative error is possible."""
+    """Return what to write in the scene if this relative error is possible."""
     if not possible < 0.4:
         return "write a grid instead"
     digit = 10.0 ** (math.floor(math.log10(possible)) - 1)

@@ -63,7 +63,7 @@ def configuration_of(scene: Scene) -> Configuration:
 
 
 def scene_with(scene: Scene, configuration: Configuration) -> Scene:
-    """Return the scene on another grid, with centred damping, which is of second order in time like everything else.
+    """Return the scene on another grid, with centred damping, which is of second order in time.
 
     Raises:
         SceneError: the grid has too few or too many nodes, or the scene cannot have this order.

@@ -40,7 +40,7 @@ from warp_plate.plate.scheme import make_scheme
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
-# Nominal time of the reference [s], whatever the run took, so that the same run has the same error bar.
+# Nominal time of the reference [s]. It does not depend on the run's time, so the same run has the same error bar.
 REFERENCE_SECONDS = 1.0
 # Effect of rounding on a localization factor.
 ROUNDING = {"float32": 1e-6, "float64": 1e-13}
@@ -128,7 +128,7 @@ class Estimate:
 
 
 def _with_bar(value: float, bar: float) -> str:
-    """Return a value with as many digits as its error bar tells, and the bar."""
+    """Return a value with as many digits as its error bar justifies, and the bar."""
     digits = max(3, 1 - math.floor(math.log10(bar))) if bar > 0 else 6
     return f"{value:.{min(digits, 8)}f} ± {two_digits(bar)}"
 
@@ -195,7 +195,7 @@ def estimate_modal(
     displacement: np.ndarray | None = None,
     compared: MoreFunctions | None = None,
 ) -> Estimate:
-    """Estimate the errors of results by modes, from what more functions change; see :func:`estimate`.
+    """Estimate the errors of results by modes from their change with more functions; see :func:`estimate`.
 
     Results under a moving load, which more functions would take too long for, are compared with grids.
     """
@@ -233,7 +233,7 @@ def estimate_modal(
 def _reference(
     scene: Scene, phasors: np.ndarray, computed: np.ndarray, device: str, reference: ReferenceSolution | None
 ) -> tuple[ReferenceSolution | Extrapolation, np.ndarray]:
-    """Return a reference and its localization factors; of a scene that is not linear for these drives alone."""
+    """Return a reference and its localization factors; for a nonlinear scene, only for these drives."""
 
     def wanted(factors: np.ndarray) -> float:
         difference = np.abs(computed / factors - 1).max()

@@ -39,7 +39,7 @@ CELLS_A_WAVE, FIRST_SIDES = 6.3, (12.0, 120.0)
 FEWEST_CELLS_A_WAVE = 4.0
 # Relative difference of sides that ends the search, and the smallest ratio of successive sides.
 CLOSE_ENOUGH, LARGEST_STEP = 1.06, 0.6
-# A grid is confirmed by one that is finer by this factor; so many grids may fail to be confirmed.
+# A grid is confirmed by one that is finer by this factor; number of grids that may fail this.
 CONFIRMING_FACTOR, ATTEMPTS = 1.2, 4
 # Trials for each order and precision; node-steps of a plate and nodes of a side that are never tried.
 TRIALS, MOST_NODE_STEPS, MOST_NODES = 10, 2e10, 8193
@@ -136,7 +136,7 @@ def find_coarsest_grid(
     most_cost: float = math.inf,
     too_coarse: float = 0.0,
 ) -> TrialRun:
-    """Return the coarsest grid found that keeps the tolerance, else the last one tried.
+    """Return the coarsest grid within the tolerance, or the last one tried.
 
     The first grid has ``side`` nodes a side; ``too_coarse`` nodes a side are known to be too few. The search ends early
     if the tolerance would cost much more than ``most_cost``.

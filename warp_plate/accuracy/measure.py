@@ -37,7 +37,7 @@ from warp_plate.solve.solver import PlateSolver
 MODAL, MODAL_DENSITIES = "modal", (0.4, 0.5, 0.6, 0.7, 0.85, 1.0)
 # Times within the window at which displacements are compared.
 SNAPSHOTS = 6
-# Nodes of the largest grid whose natural frequencies are computed, by a sparse factorisation.
+# Nodes of the largest grid for which natural frequencies are computed, by a sparse factorisation.
 SPECTRUM_NODES = 25_000
 # Nominal times, by which a budget is counted: a node-step of second order in float32, and the creation of a solver [s].
 NODE_STEP_SECONDS, START_SECONDS = {"cpu": 0.6e-9, "cuda": 2e-11}, 1.5
@@ -49,7 +49,7 @@ FEW_PLATES = {"cpu": 2, "cuda": 16}
 
 @dataclass(frozen=True)
 class AccuracyRow:
-    """Errors and cost of one configuration; None for what was not measured."""
+    """Errors and cost of one configuration; None if not measured."""
 
     order: int  # spatial order; of modes the degree of their splines
     load: str  # weights of loads and regions; MODAL for modes
@@ -87,7 +87,7 @@ class AccuracyRow:
         return f"order {self.order}, {self.load}, {self.precision}"
 
     def search_seconds(self, plates: int) -> float:
-        """Return the time of a search of so many plates [s]."""
+        """Return the time of a search with a number of plates [s]."""
         each = (self.seconds_per_plate or 0.0) - self.seconds_once / (self.plates or 1)
         return self.seconds_once + plates * each
 
@@ -114,7 +114,7 @@ class MeasurementContext:
 def measure(
     context: MeasurementContext, configuration: Configuration | None, seconds_left: float = math.inf
 ) -> AccuracyRow:
-    """Return the row of a configuration; None stands for the scene as written.
+    """Return the row of a configuration; None for the scene as written.
 
     If the whole measurement would take longer than the nominal time ``seconds_left``, the bound is left out and few
     plates are timed; if that takes longer too, the row is skipped. Nominal times are counted in node-steps, so that the

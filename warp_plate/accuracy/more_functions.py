@@ -61,5 +61,5 @@ def _changes(phasors: np.ndarray, finer: Response, coarser: Response) -> np.ndar
 
 
 def error_of(change: np.ndarray) -> np.ndarray:
-    """Return the error of what more functions change by so much."""
+    """Return the error bar for a change with more functions."""
     return CHANGE_FACTOR * change + LEAST_ERROR

@@ -149,7 +149,7 @@ def find_reference_solution(
         seconds: Nominal time for all refinements [s].
         phasors: Drives (drives, actuators) that the uncertainty applies to, besides the bound, equal drive, the best
             single actuator and the best drive.
-        only: True if the uncertainty applies to ``phasors`` alone.
+        only: True if the uncertainty applies only to ``phasors``.
 
     Raises:
         SceneError: kind = "modal" and an undamped plate is driven at resonance, or too many modes are needed; the scene
@@ -165,7 +165,7 @@ def find_reference_solution(
 def refine_until(
     refinements: Iterator[Refinement], wanted: Callable[[Refinement], float], seconds: float
 ) -> Refinement:
-    """Return the first refinement whose uncertainty is at most that wanted, or the last one within a nominal time [s].
+    """Return the first refinement within the wanted uncertainty, or the last one within a nominal time [s].
 
     The first refinement with a finite uncertainty is within any time.
     """
@@ -201,7 +201,7 @@ def solve_response(scene: Scene, density: float, higher: float = 1.0) -> tuple[M
 
 
 def seconds_of_modes(plate: ModalPlate) -> float:
-    """Return the nominal time of a solution with so many modes [s]."""
+    """Return the nominal time of a solution with a number of modes [s]."""
     return MODAL_SECONDS * len(plate.vectors) * len(plate.frequencies) ** 2
 
 

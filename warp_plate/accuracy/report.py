@@ -17,7 +17,7 @@ from warp_plate.scene.model import Scene, SceneSource
 
 # Fraction of the budget that the reference may take.
 REFERENCE_SHARE = 0.15
-# Fraction of the remaining budget that a row may take, and the number of rows measured whatever they take.
+# Fraction of the remaining budget that a row may take, and number of rows that are always measured.
 ROW_SHARE, FIRST_ROWS = 0.5, 6
 # Relative errors for which a row is recommended.
 TOLERANCES = (0.1, 0.03, 0.01, 0.003, 0.001)
@@ -50,7 +50,7 @@ class Recommendation:
     tolerance: float  # relative error
     row: int | None  # index of the row; None if no row keeps the tolerance
     seconds: float | None  # time of the whole search [s]
-    keeps_displacement: bool = False  # True if the displacement keeps the tolerance too, not the factors alone
+    keeps_displacement: bool = False  # True if the displacement is within the tolerance too, not only the factors
 
 
 @dataclass(frozen=True)
@@ -227,9 +227,9 @@ def displacement_floor(uncertainty: float) -> float:
 def recommend(rows: Sequence[AccuracyRow], uncertainty: float, plates: int) -> list[Recommendation]:
     """Return the cheapest row for each of ``TOLERANCES``, in a search of ``plates`` plates.
 
-    The row keeps the tolerance in localization factors and displacement, or, if there is none, in localization factors
-    alone. The tolerance includes the error of the reference, and the finer grids of the row's order, load and precision
-    must keep it too: a coarse grid may be right by chance.
+    The row is within the tolerance in localization factors and displacement, or, if there is none, only in localization
+    factors. The tolerance includes the error of the reference, and the finer grids of the row's order, load and
+    precision must keep it too: a coarse grid may be right by chance.
     """
     measured = {index: row for index, row in enumerate(rows) if row.measured}
     cost = {index: row.search_seconds(plates) for index, row in measured.items()}

@@ -158,7 +158,7 @@ def _limit(
     terms: int,
     allowed: Callable[[np.ndarray], bool],
 ) -> np.ndarray:
-    """Return what ``terms`` grids before the ``last`` ones extrapolate to."""
+    """Return the extrapolation from the ``terms`` grids before the ``last`` ones."""
     kept = slice(len(values) - last - terms, len(values) - last)
     found: np.ndarray = np.tensordot(weights_of_grids(scenes[kept]), np.array(values[kept]), 1)
     return found if allowed(found) else values[kept][-1]

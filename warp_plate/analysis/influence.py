@@ -37,7 +37,7 @@ from warp_plate.solve.solver import PlateSolver
 LOSS_FACTOR = 0.02
 # Tables of the drive, and a second frequency relative to the drive's.
 DRIVES, OTHER_FREQUENCY = ("burst", "chirp", "signal", "electrostatic"), 0.9
-# Rounds in which all scenes are timed in turn, so that a disturbance affects all alike.
+# Rounds of timing all scenes in turn, so that a disturbance affects all of them.
 ROUNDS = 7
 # Plates of a timed run on CUDA, on CPU one for each thread; node-steps of a timed run.
 CUDA_PLATES, TIMED_NODE_STEPS = 256, {"cpu": 3e7, "cuda": 2e9}

@@ -1,4 +1,4 @@
-"""Warnings about effects that a scene lacks, about what makes its numbers doubtful, and about likely slips of units."""
+"""Warnings about missing effects, doubtful numerics, and likely mistakes of units."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def warning_texts(scene: Scene, peak_displacement: float | None, gridded: bool =
 
 
 def target_warnings(scene: Scene, localization_factor: float) -> list[str]:
-    """Return a warning if a drive leaves the target, or the whole plate, without energy worth the name."""
+    """Return a warning if a drive leaves the target, or the whole plate, with hardly any energy."""
     if math.isnan(localization_factor):
         return ["Nothing moves under this drive: are the magnitudes of the actuators 0?"]
     plate, target = region_weights(scene).sum(axis=(1, 2))
@@ -199,7 +199,7 @@ def _left_at_start(scene: Scene) -> Finding:
     """Return the finding about start-up motion, which decays at the rate c/2ρH + time·ω²/2 + ζω, without oscillators.
 
     ω is the lowest frequency of the drive, near which the strongest modes lie. The square of a voltage also has a
-    constant part, whose step at t = 0 excites the lowest modes.
+    constant part; its step at t = 0 excites the lowest modes.
     """
     name, key, effects = "start-up motion left", with_one_frequency(scene).nonperiodic_key, scene.effects
     if scene.steady:

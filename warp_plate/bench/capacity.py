@@ -21,7 +21,7 @@ SIDES = range(5, 1024)
 
 
 def largest_resident_sides(device: wp.Device) -> dict[str, int]:
-    """Return the nodes of a side of the largest square float32 plate whose steps stay on a chip, by kind of plate."""
+    """Return the nodes along a side of the largest square float32 plate that fits on a chip, by kind of plate."""
     shared = device.max_shared_memory_per_block - RESERVED_BYTES
     free_edges = KernelEffects(moments=True)
     kinds: dict[str, Callable[[int], object]] = {

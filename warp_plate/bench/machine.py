@@ -51,7 +51,7 @@ def describe_versions() -> dict[str, str]:
 
 
 def busy() -> str | None:
-    """Return a warning if other programs are running, by the load average; else None."""
+    """Return a warning if the load average shows that other programs are running, otherwise None."""
     load, cores = _load_average(), os.cpu_count() or 1
     if load is None or load <= QUIET * cores:
         return None

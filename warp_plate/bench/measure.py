@@ -59,7 +59,7 @@ class KernelSize:
 
     name: str
     registers: int
-    local_bytes: int  # memory for what exceeds the registers (spills) and for arrays
+    local_bytes: int  # memory for spilled registers and arrays
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ def measure_case(case: BenchCase, limits: DeviceLimits, pace: TimingBudget) -> B
 
 
 def kernel_sizes(specialized: Specialized) -> list[KernelSize]:
-    """Return what each kernel that a scene has loaded takes of a CUDA device; an empty list on CPU."""
+    """Return the resources of each CUDA kernel that a scene has loaded; an empty list on CPU."""
     if specialized.device.is_cpu:
         return []
     sizes = []

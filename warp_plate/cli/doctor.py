@@ -1,4 +1,4 @@
-"""``warp-plate doctor``: what this installation can use, and what to do about what it lacks."""
+"""``warp-plate doctor``: check this installation and suggest remedies."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Diagnosis:
 
     name: str
     state: State  # missing: not needed; error: needed and broken
-    text: str  # what was found, and what to do if it is not ok
+    text: str  # finding, and the remedy if it is not ok
     details: Mapping[str, object] = field(default_factory=dict)
 
 
@@ -60,7 +60,7 @@ def doctor(*, json: options.Json = False) -> None:
 
 
 def _run(name: str, check: Callable[[], Iterator[Diagnosis]]) -> Iterator[Diagnosis]:
-    """Yield what a check finds; whatever it raises is a finding too."""
+    """Yield the findings of a check; an exception is a finding too."""
     try:
         yield from check()
     except Exception as error:

@@ -1,4 +1,4 @@
-"""``warp-plate fit SCENE --data FILE``: numbers of the panel from what was measured on it."""
+"""``warp-plate fit SCENE --data FILE``: properties of a panel from measurements."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ def fit(
         dataset 58 for each; .mat, .h5 or .nc with the arrays frequency and response; or time signals, as .wav, or as
         .csv with the table [fit.signals]. May be repeated, for files with as many responses each.
     out
-        The fitted scene (.toml; default: SCENE.fitted.toml in this folder). Pictures of what was measured and fitted
-        (.png and .svg) lie beside it under the same name.
+        The fitted scene (.toml; default: SCENE.fitted.toml in this folder). Pictures of measured and fitted values
+        (.png and .svg) are written beside it under the same name.
     """
     target = output.output_file(out, f"{Path(scene).stem}.fitted.toml", (), HEADING, force)
     loaded, scene = output.load_scene(scene, assignments)
@@ -96,7 +96,7 @@ def _as_json(name: str, found: ModeFit | ResponseFit) -> dict[str, object]:
 
 
 def _compared(found: ModeFit | ResponseFit) -> dict[str, object]:
-    """Return what was measured and fitted, for ``--json``."""
+    """Return measured and fitted values, for ``--json``."""
     from warp_plate.fitting.fit_responses import ResponseFit
 
     if isinstance(found, ResponseFit):
@@ -150,7 +150,7 @@ def _modes(found: ModeFit) -> Table:
 
 
 def _remarks(found: ModeFit | ResponseFit) -> list[str]:
-    """Return lines about what the data do not tell."""
+    """Return lines about properties that the data do not determine."""
     lines = []
     for group in found.inseparable:
         fault = "cannot be told apart by these data; fix all but one" if len(group) > 1 else "has no influence here"

@@ -51,8 +51,8 @@ def focus(
     Parameters
     ----------
     waveforms
-        File of focus whose waveforms, made for another panel, are played on this one: what is left of the focus where a
-        finger touches or the damping differs.
+        File of focus with waveforms made for another panel, which are played on this one: shows how a finger or another
+        damping changes the focus.
     out
         The .h5 file with waveforms, responses and fields (default: SCENE-focus.h5 in this folder).
     """

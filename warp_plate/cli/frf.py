@@ -72,8 +72,8 @@ def frf(
         File with the numbers; may be repeated: csv; uff, dataset 58 of the universal file format (needs the extra uff);
         hdf5, which xarray opens.
     out
-        The picture (.png, .svg or .pdf; default: SCENE-frf.png in this folder). Files of --to lie beside it under the
-        same name; an ending of such a file (.csv, .uff, .h5) asks for it as --to does.
+        The picture (.png, .svg or .pdf; default: SCENE-frf.png in this folder). Files of --to are written beside it
+        under the same name; the ending of such a file (.csv, .uff, .h5) acts as --to.
     """
     from warp_plate.result.export.frequency_response import WRITERS, missing_uff
 

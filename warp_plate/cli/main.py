@@ -1,4 +1,4 @@
-"""The command ``warp-plate``: exit statuses, and one line for what ends a command early."""
+"""The command ``warp-plate``: exit statuses, and one line for errors and interrupts."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _prepare_streams() -> None:
-    """Let commands print whatever the caller has closed and whatever characters a terminal lacks."""
+    """Let commands print to closed streams, and characters that the terminal lacks."""
     for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:  # closed; the next file to be opened would get its number
             os.open(os.devnull, os.O_RDWR)
@@ -50,5 +50,5 @@ def _prepare_streams() -> None:
 
 
 def _discard_output() -> None:
-    """Discard what standard output still holds, which Python would try again to write at exit."""
+    """Discard buffered standard output, which Python would try to write again at exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)

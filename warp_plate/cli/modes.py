@@ -69,7 +69,7 @@ def modes(
 
 
 def _grid_modes(scene: Scene, count: int) -> tuple[Scene, NaturalModes]:
-    """Return the scene with its grid, without what time steps refuse, and the modes of the grid."""
+    """Return the scene with its grid, without effects that cannot be stepped, and the modes of the grid."""
     from warp_plate.plate.modes import natural_modes, refuse_many_nodes
     from warp_plate.studies.grid_choice import resolve_grid
 

@@ -32,7 +32,7 @@ class FrameOptions:
     Attributes:
         case: A case of the result (equal, single, best, drive, ...); repeat the option for more (default: all).
         start: First time of the frames in seconds. Without --start and --end frames cover the last period of the drive;
-            for a drive that does not repeat, the first burst, or else the scene's window.
+            for a drive that does not repeat, the first burst or the scene's window.
         end: Last time of the frames in seconds (default: the end of the run).
         frames: Number of frames, 600 at most (default: 60 a period, or as many as there are time steps).
         device: Device of the run that yields the frames: cpu, cuda, cuda:1, ...; auto (the default) takes a CUDA device
@@ -49,7 +49,7 @@ class FrameOptions:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class PlaybackOptions:
-    """Options of what moving plates show and how they are played; their help texts are the lines below.
+    """Options for the content and playback of moving plates; their help texts are the lines below.
 
     Attributes:
         field: Quantity shown in colour (energy: kinetic energy density). Heights always show displacements.
@@ -85,7 +85,7 @@ DEFAULT_FRAMES, DEFAULT_PLAYBACK = FrameOptions(), PlaybackOptions()
 def select_motions(
     result: Result, file: Path, options: FrameOptions, playback: PlaybackOptions, quiet: bool
 ) -> list[Motion]:
-    """Return the motions to show of a result, whose file is named in errors."""
+    """Return the motions of a result to show; errors name its file."""
     from warp_plate.analysis.motion import motions
 
     if playback.modes:

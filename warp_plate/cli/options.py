@@ -113,8 +113,8 @@ class WorkerOptions:
 
     @property
     def local_device(self) -> str | None:
-        """Device for what runs in this process: the first of ``devices``, or ``device``; None for the default, which
-        is also used beside ``cluster``, whose workers run on ``device``."""
+        """Device for computations in this process: the first of ``devices``, or ``device``. None for the default, also
+        with ``cluster``, whose workers use ``device``."""
         if self.devices is not None:
             return self.devices.split(",")[0].strip()
         return self.device if self.cluster is None else None
@@ -158,7 +158,7 @@ DEFAULT_COLOURS = ColourChoice()
 
 
 def print_failures(result: Result | MethodComparison, console: Console, shown: str) -> None:
-    """Print why workers failed to simulate plates, and what is shown of a study that Ctrl-C ended."""
+    """Print why workers failed to simulate plates, and which part of an interrupted study is shown."""
     for line in failure_lines(result.lost_plates):
         console.print(f"! {line}")
     if result.interrupted:

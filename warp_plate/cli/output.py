@@ -97,7 +97,7 @@ def how_to_resume(file: StudyFile[Any], command: str) -> str:
 
 def log(line: str) -> None:
     """Print one line on standard error."""
-    with suppress(OSError):  # a run does not end because nobody reads its remarks
+    with suppress(OSError):  # a closed standard error does not end a run
         print(f"warp-plate: {printable(' '.join(line.split()))}", file=sys.stderr)
 
 
@@ -193,7 +193,7 @@ def load_scene(source: str, assignments: Sequence[str] | None = None, accuracy: 
     """Load a scene with the values of ``--set``, and ``--accuracy`` in place of its grid if that is given.
 
     Returns:
-        The scene, and its name with the options that changed it: what the command calls it from then on.
+        The scene, and its name with the options that changed it, for use in output.
     """
     from warp_plate.scene.model import Scene
 
@@ -351,7 +351,7 @@ def warnings_of(result: Result) -> list[str]:
 
 
 def prepare_pictures(pictures: bool) -> None:
-    """Start loading what drawing needs while the command runs."""
+    """Start loading the drawing libraries while the command runs."""
     if pictures:
         from warp_plate.viz import prepare
 
@@ -361,7 +361,7 @@ def prepare_pictures(pictures: bool) -> None:
 def write_files(
     path: Path, save: Callable[[Path], object], draw: Callable[[Path], Drawn], pictures: bool = True
 ) -> Drawn:
-    """Save a file, completely even on Ctrl-C, draw its pictures beside it, and return the files written."""
+    """Save a file, completely even on Ctrl-C, draw its pictures, and return the files written."""
     from warp_plate.interrupts import deferred_interrupts
 
     files: list[Path] = []

@@ -75,8 +75,8 @@ def sweep(
     count
         Number of modes, with --what modes (default: 6).
     resume
-        The unfinished sweep (.checkpoint.h5) to continue, or the result that it is to become. What is given beside it
-        must be the same.
+        The unfinished sweep (.checkpoint.h5) to continue, or the result that it is to become. Other options must be the
+        same as before.
     out
         The result file (.h5), which xarray opens (default: SCENE-sweep.h5 in this folder; with --resume beside the
         unfinished one).

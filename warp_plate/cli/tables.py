@@ -32,7 +32,7 @@ ROBUST_ROWS = {
 
 
 def motion_table(cases: Mapping[str, Case]) -> Table | None:
-    """Return the table of how cases, by their labels, move the target and the rest; None if that is not known."""
+    """Return the table of the motion of target and rest by case labels; None if unknown."""
     moving = {label: (case, case.motion) for label, case in cases.items() if case.motion is not None}
     tones = any(motion.acceleration is not None for _, motion in moving.values())
     headings = ["share", "contrast dB", "velocity mm/s rms", "displacement µm peak", *["acceleration g rms"] * tones]
@@ -51,7 +51,7 @@ def _pair(values: tuple[float, float], factor: float) -> str:
 
 
 def motion_json(case: Case) -> dict[str, object] | None:
-    """Return how a case moves the target and the rest, in SI units; None if that is not known."""
+    """Return the motion of target and rest in a case, in SI units; None if unknown."""
     motion = case.motion
     if motion is None:
         return None

@@ -1,6 +1,6 @@
 """Workers of Dask distributed, which finds them tasks, shows them on its dashboard, and starts those that ended again.
 
-A worker should have one thread, and a GPU or a core of its own.
+A worker should have one thread, and a separate GPU or core.
 """
 
 from __future__ import annotations

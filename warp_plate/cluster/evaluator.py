@@ -105,7 +105,7 @@ class Evaluator:
         return Evaluation(energy, node_steps, faults)
 
     def _probe(self, pool: WorkerPool) -> None:
-        """Let one worker make the solver, which compiles kernels once for all of a machine, and learn what it is."""
+        """Let one worker build the solver, which compiles kernels once per machine, and return its description."""
         nothing = Designs(np.zeros((0, len(self.solver.scene.actuators)), dtype=complex))
         for _, outcome in run_tasks(pool, [Task(run_block, (self._spec, nothing))]):
             if outcome.failure:

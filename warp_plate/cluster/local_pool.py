@@ -132,7 +132,7 @@ def _start_worker(device: str, lifeline: Connection) -> None:
     """Prepare a worker process."""
     for number in TERMINAL_SIGNALS:
         signal.signal(number, signal.SIG_IGN)
-    os.dup2(2, 1)  # what libraries print must not come between the command's output
+    os.dup2(2, 1)  # output of libraries must not mix with that of the command
     os.environ[DEVICE_VARIABLE] = device
     if device == "cpu":
         os.environ.setdefault("WARP_PLATE_THREADS", "1")

@@ -1,6 +1,6 @@
 """A pool of workers: processes on the devices of this machine, or the workers of a Dask scheduler.
 
-Both are thin layers over an executor of ``concurrent.futures``; what happens when a task fails is in ``scheduler``.
+Both are thin layers over an executor of ``concurrent.futures``; ``scheduler`` handles failing tasks.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class WorkerPool(ABC):
 
     @abstractmethod
     def worker_count(self) -> int:
-        """Return how many tasks can run at once.
+        """Return the number of tasks that can run at once.
 
         Raises:
             WorkersGone: No worker is left.
@@ -51,4 +51,4 @@ class WorkerPool(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """End the workers that this pool started, whatever they are doing."""
+        """End the workers that this pool started, even if they are busy."""

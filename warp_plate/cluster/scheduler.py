@@ -94,7 +94,8 @@ def run_tasks(
 
 
 def _most_running(workers: int, tasks: list[Task]) -> int:
-    """Return how many tasks may run at once; one that failed before runs alone, so that no other shares its fate."""
+    """Return the number of tasks that may run at once: only one if a task failed before, so that no other fails with
+    it."""
     return min(workers, 1) if any(task.attempts for task in tasks) else TASKS_PER_WORKER * workers
 
 

@@ -24,7 +24,7 @@ from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import processor_of
 from warp_plate.solve.solver import PlateSolver
 
-# Environment variable with the device of a worker; it takes precedence over what the command says.
+# Environment variable with the device of a worker; it takes precedence over the command's option.
 DEVICE_VARIABLE = "WARP_PLATE_DEVICE"
 # Number of solvers that a worker keeps: each scenario of a robust search has one.
 MAX_SOLVERS = 128
@@ -112,7 +112,7 @@ def run_task(function: Callable[[Any], Any], argument: Any) -> Any:
         return function(argument)
     except (MemoryError, RuntimeError) as error:
         if isinstance(error, MemoryError) or str(error).startswith(WARP_OUT_OF_MEMORY):
-            make_solver.cache_clear()  # frees what other solvers hold
+            make_solver.cache_clear()  # frees the memory of other solvers
             raise MemoryError(f"out of memory ({' '.join(str(error).split())})") from None
         raise
 

@@ -1,7 +1,7 @@
-"""The model behind the explorer: any drive at once, another frequency or damping as soon as it is simulated.
+"""Model of the explorer: responds to a new drive at once, to a new frequency or damping once it is simulated.
 
-Whoever draws calls ``read`` for each picture, which never waits for a simulation. A worker thread simulates what was
-asked for last, and a search that is watched has a thread of its own.
+Whoever draws calls ``read`` for each picture, which never waits for a simulation. A worker thread simulates the latest
+request, and a watched search has a separate thread.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class LiveModel:
         return self._reading
 
     def status(self) -> str:
-        """Return one line about what is being done, went wrong or is not shown; mostly empty."""
+        """Return one line about work in progress, errors or hidden motion; mostly empty."""
         if self._problem:
             return self._problem
         if self._outdated(self.settings):

@@ -53,7 +53,7 @@ class LiveSettings:
 
 
 def slider_ranges(scene: Scene) -> SliderRanges:
-    """Return the ends of the sliders for a scene, within what its run can carry."""
+    """Return the ends of the sliders for a scene, within the limits of its run."""
     frequency, surface_density = scene.drive.frequency, scene.plate.density * scene.plate.thickness
     stiff = scene.drive_angular_frequency * surface_density  # damping of a loss factor of 1
     damping = DAMPING_RANGE * viscous_damping(scene) or LOSS_FACTOR_RANGE * stiff

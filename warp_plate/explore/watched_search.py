@@ -1,4 +1,4 @@
-"""A particle swarm that runs in a thread of its own and can be observed while it searches."""
+"""A particle swarm that runs in a separate thread and can be observed while it searches."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from warp_plate.scene.model import Scene
 class WatchedSearch(threading.Thread):
     """A thread that searches for the drive with the largest localization factor; it starts when it is made.
 
-    The design variables are always the drives, whatever the scene searches.
+    The design variables are always the drives, regardless of the scene's ``[search]``.
 
     Args:
         scene: The scene, at the current frequency and damping.

@@ -14,7 +14,7 @@ from warp_plate.scene.model import Scene, SceneSource
 
 
 def fit(scene: SceneSource, data: str | Path | Sequence[str | Path]) -> ModeFit | ResponseFit:
-    """Return the scene whose numbers under ``[fit.free]`` make it agree with measurements, with 95 % intervals.
+    """Fit the keys under ``[fit.free]`` of a scene to measurements, with 95 % intervals.
 
     Args:
         scene: Scene with ``[fit.free]``, the ranges of the fitted numbers; for responses also ``[[measurement]]``.

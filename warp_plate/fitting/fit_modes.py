@@ -18,7 +18,7 @@ from warp_plate.scene.model import Scene
 DENSITY = 0.5
 # Modes of a free plate that are rigid motions.
 RIGID = 3
-# For pairs by nearest frequencies: so many times as many modes as measured, and so many more.
+# Modes computed for pairing by nearest frequencies: a multiple of the measured ones, plus a number.
 SPARE = 2, 8
 # Smallest and largest weight of damping ratios against frequencies.
 WEIGHTS = 1e-4, 1e4
@@ -47,7 +47,7 @@ class ModeFit(FittedPanel):
 
 
 def fit_modes(scene: Scene, measured: MeasuredModes) -> ModeFit:
-    """Return the scene whose numbers under ``[fit.free]`` make its modes those that were measured.
+    """Fit the keys under ``[fit.free]`` of a scene to measured modes.
 
     Residuals are relative errors of frequencies and of damping ratios. The size of the errors of both is estimated from
     the residuals.

@@ -64,7 +64,7 @@ class ResponseFit(FittedPanel):
 
 
 def fit_responses(scene: Scene, measured: MeasuredResponses) -> ResponseFit:
-    """Return the scene whose numbers under ``[fit.free]`` make its responses those that were measured.
+    """Fit the keys under ``[fit.free]`` of a scene to measured frequency responses.
 
     Raises:
         SceneError: The panel has no damping, or see :func:`fit_panel`.

@@ -1,4 +1,4 @@
-"""A scene with fitted numbers, and what they are worth; what is common to all kinds of measurements."""
+"""A fitted scene and the uncertainty of its values, for all kinds of measurements."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class FittedPanel:
         high: (p,) upper ends.
         at_limit: (p,) True where a value is an end of its range.
         correlations: (p, p) correlations of values, or of their logarithms where ranges are above 0; else NaN.
-        inseparable: Keys that these data cannot tell apart, group by group; a key alone has no influence on them.
+        inseparable: Groups of keys that these data cannot distinguish; a group of one key has no influence on the data.
         evaluations: Number of plates that were computed.
     """
 
@@ -49,13 +49,13 @@ def fit_panel(
     weigh: Weigh | None,
     exact: Callable[[Scene], np.ndarray] | None = None,
 ) -> FittedPanel:
-    """Return the scene whose predictions are nearest to measurements.
+    """Fit a scene by least squares to measurements.
 
     Args:
         scene: Scene with the table ``[fit]``.
         source: File of the measurements, for errors.
         count: Number of residuals.
-        predict: Function of a scene that returns what is measured.
+        predict: Function of a scene that returns the predicted measurements.
         residuals: Functions of predictions, see :func:`fit_least_squares`.
         weigh: Weights, see the same.
         exact: Function as ``predict``, which takes more time, see the same.

@@ -1,4 +1,4 @@
-"""Weighted least squares within ranges, from several starts, and what the result is worth.
+"""Weighted least squares within ranges, from several starts, with intervals of the result.
 
 With residuals r and their Jacobian J at the optimum, the covariance of the unknowns is s² (JᵀJ)⁻¹, in which
 s² = rᵀr / (n − rank J), and intervals follow from Student's t. Directions in which J, its columns scaled to length 1,
@@ -25,7 +25,7 @@ NO_INFLUENCE, RANK = 1e-6, 1e-4
 MEMBER, LINKED = 1e-3, 0.1
 # Predictions that are kept.
 MOST_KEPT = 128
-# Rounds in which residuals are weighed anew.
+# Rounds of reweighting the residuals.
 ROUNDS = 3
 LEVEL = 0.95
 Function = Callable[[np.ndarray], np.ndarray]
@@ -38,9 +38,9 @@ class LeastSquaresFit:
 
     Attributes:
         unknowns: (p,) values within 0 ... 1.
-        deviations: (p,) standard deviations, NaN for unknowns that the data do not tell.
+        deviations: (p,) standard deviations, NaN for unknowns that the data do not determine.
         correlations: (p, p) correlations, NaN for the same.
-        inseparable: Indices of unknowns that cannot be told apart, group by group; alone if it has no influence.
+        inseparable: Groups of indices of unknowns that cannot be distinguished; a group of one has no influence.
         student: Half-width of 95 % intervals in standard deviations.
         evaluations: Number of evaluations of the residuals.
     """

@@ -47,7 +47,7 @@ class MeasuredModes:
 
 
 def read_modes(path: Path) -> MeasuredModes:
-    """Return the modes of a CSV file whose first line names the columns ``frequency``, ``damping`` and ``mode``.
+    """Read modes from a CSV file with a header that names the columns ``frequency``, ``damping`` and ``mode``.
 
     A column ``shape X Y`` holds the displacements of a point x, y [m] in each mode. Columns are separated by commas,
     semicolons or tabs. Lines that begin with #, other columns, and a unit in brackets after a name are skipped. A

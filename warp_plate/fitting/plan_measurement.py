@@ -5,7 +5,7 @@ of a D-optimal plan maximise
 
     log det(P + Σ_{c ∈ S} Re J_cᴴ J_c)
 
-where P is what the ranges of the free numbers say already. Sensors are added one by one, each the best of all
+where P is the prior information from the ranges of the free keys. Sensors are added one by one, each the best of all
 candidates, and then exchanged while that helps (Fedorov, Theory of Optimal Experiments, 1972).
 """
 
@@ -37,7 +37,7 @@ NORMAL, RANDOM = 1.96, 100
 
 @dataclass(frozen=True, eq=False)
 class MeasurementPlan:
-    """Places of sensors, and what a fit of what they measure would know.
+    """Places of sensors, and the expected intervals of a fit to their measurements.
 
     Attributes:
         scene: The scene with a table ``[[measurement]]`` for each sensor.
@@ -50,7 +50,7 @@ class MeasurementPlan:
         high: (p,) upper ends.
         random: How many times as wide the intervals would be with sensors at random places and the same actuator: the
             geometric mean over the free numbers, the median over sets of places.
-        actuators: How many times as wide they would be with each other actuator and the best places for it, by name.
+        actuators: Factor on the widths with each other actuator and its best places, by name.
     """
 
     scene: Scene
@@ -121,7 +121,7 @@ def plan_measurement(
 
 
 def choose_places(information: np.ndarray, count: int) -> list[int]:
-    """Return the indices of places whose information (places, p, p) has the largest determinant, found by exchanges."""
+    """Return the indices of places that maximise the determinant of the information (places, p, p), by exchanges."""
     chosen: list[int] = []
     for _ in range(count):
         chosen.append(_best_addition(information, chosen))
@@ -142,7 +142,7 @@ def _best_addition(information: np.ndarray, chosen: list[int]) -> int:
 
 
 def _with_ranges(information: np.ndarray) -> np.ndarray:
-    """Add what the ranges of the free numbers say."""
+    """Add the prior information from the ranges of the free keys."""
     return np.asarray(information + np.eye(information.shape[-1]) / EVEN)
 
 

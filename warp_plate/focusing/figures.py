@@ -1,4 +1,4 @@
-"""Figures of a focus: its area, and how far it stands out of the rest of the plate."""
+"""Figures of merit of a focus: its area, and its contrast to the rest of the plate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Waveforms of all actuators that focus motion at points of a linear plate, and what they reach."""
+"""Waveforms of all actuators that focus motion at points of a linear plate, and their results."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def focus(scene: SceneSource, played: FocusResult | None = None) -> FocusResult:
 
 
 def _table(scene: Scene) -> Focus:
-    """Return the scene's ``[focus]``, or refuse a scene without one, or one whose motion is no sum over modes."""
+    """Return the scene's ``[focus]``, or refuse a scene without it, or one without modal transients."""
     if scene.focus is None:
         raise SceneError("focus: there is no such table; write [focus] with points = [[x, y]] and highest, in Hz")
     if scene.nonlinear_table is not None:

@@ -56,7 +56,7 @@ def optimum(gains: np.ndarray, energy: float | None, peak: float | None) -> tupl
     Args:
         gains: (actuators, samples) g.
         energy: Largest Σ w²; None for no limit.
-        peak: Largest |w|; None for no limit, if there is one of the energy.
+        peak: Largest |w|; None for no limit, if the energy has one.
     """
     size = float(np.linalg.norm(gains))
     if energy is None or (peak is not None and peak**2 * np.count_nonzero(gains) <= energy):

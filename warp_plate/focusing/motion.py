@@ -79,7 +79,7 @@ def _usual_span(table: Focus) -> tuple[float, float]:
 
 
 def _samples(table: Focus, span: tuple[float, float], frames: int) -> np.ndarray:
-    """Return rising indices of the samples at whose ends frames are; a moment of the focus inside is one of them."""
+    """Return the indices of the samples at the ends of which there are frames, including the moment of the focus."""
     if not 0 <= span[0] < span[1] <= table.recorded / table.rate * (1 + 1e-9):
         end = table.recorded / table.rate
         raise SceneError(f"start = {span[0]:g}, end = {span[1]:g}: must lie within the motion, from 0 to {end:g} s")

@@ -1,4 +1,4 @@
-"""Motions that are wished of a focus."""
+"""Desired motions of a focus."""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
 Near a resonance of frequency f₀ and half-width δ the response is proportional to 1/(x − i), x = (f − f₀)/δ, a circle in
 the complex plane. Frequencies f₀ + δ tan θ with evenly spaced θ lie evenly on it, and the response at one of them is
 within 1 − cos(step/2) = 0.4 % of the peak, whatever δ. Beyond them x doubles from one to the next up to the spacing of
-a plain grid, so that a resonance costs a number of frequencies that depends on the logarithm of its sharpness alone.
+a plain grid, so the number of frequencies of a resonance depends only on the logarithm of its sharpness.
 """
 
 from __future__ import annotations

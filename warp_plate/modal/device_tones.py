@@ -1,8 +1,8 @@
 """Gram matrices of plates under tones on a Warp device, for modes that damping does not couple.
 
 The numbers are those of :class:`warp_plate.modal.tones.ToneMatrices` and, in the steady state, of
-:func:`warp_plate.modal.energy.gram_matrices`, by the kernels of ``kernels/tones.py``. What depends on the plate alone
-is put on the device once; frequencies and places follow with each batch.
+:func:`warp_plate.modal.energy.gram_matrices`, by the kernels of ``kernels/tones.py``. Data that depend only on the
+plate are put on the device once; frequencies and places follow with each batch.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ class DeviceToneMatrices:
         return np.asarray(matrices.numpy())
 
     def _workspace(self, columns: int) -> dict[str, wp.array]:
-        """Return matrices of so many columns, filled up to whole tiles by zeros, which stay."""
+        """Return matrices with a number of columns, padded with zeros to whole tiles."""
         rows = {"integrals": self._unknowns, **dict.fromkeys(("forces", "forced", "moved"), self._modes)}
         rows |= dict.fromkeys(("free", "means", "formed"), max(len(self._kept), 1))
         kinds, width = {"integrals": wp.float64, "forces": wp.float64}, _filled(columns, kernels.COLUMNS)

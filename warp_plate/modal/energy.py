@@ -34,7 +34,7 @@ from warp_plate.scene.model import Window
 
 # Free motions that change energies by less than about this part of them are left out.
 NEGLIGIBLE = 1e-6
-# Means of exponentials whose exponent changes by less than SLOW over the window are series: their differences cancel.
+# Means of exponentials whose exponent changes by less than SLOW over the window are computed by series.
 SLOW = 1e-2
 
 
@@ -188,11 +188,10 @@ def lasting_poles(
     end: float,
     velocity: bool,
 ) -> np.ndarray:
-    """Return the indices of the poles whose free motion counts in a window, for errors of some NEGLIGIBLE of energies.
+    """Return the indices of the poles whose free motion matters in a window, for relative errors of about NEGLIGIBLE.
 
-    What is left out has energy of its own, and energy that it shares with the forced motion, as far as the two keep
-    step over the window. Two poles that nearly meet have large residues, of which all but a part bounded by time
-    cancels.
+    The motion left out has energy of its own, and cross energy with the forced motion as far as both stay in phase over
+    the window. Two poles that nearly meet have large residues, of which all but a part bounded by time cancels.
 
     Args:
         poles: Poles.

@@ -1,10 +1,10 @@
-"""Natural modes of a scene's plate, and what they say of its motion.
+"""Natural modes of a scene's plate, and responses in terms of them.
 
     K φ = ω² M φ,     Φᵀ M Φ = 1,     u = Σ_r φ_r(x, y) q_r(t),     q̈ + C q̇ + (Λ + iH) q = Φᵀ f
 
 With the matrices of :mod:`warp_plate.modal.galerkin`, Λ = diag(ω_r²) and C = Φᵀ C Φ, which is not diagonal where
 dampers sit on patches or the plate's mass varies. H is the imaginary part of the stiffness of a plate with a constant
-loss factor, which has steady responses alone. All modes of a small plate are kept, so that nothing is truncated; of a
+loss factor, which has only steady responses. All modes of a small plate are kept, so that nothing is truncated; of a
 large one those that matter below a frequency.
 """
 
@@ -194,7 +194,7 @@ class ModalPlate:
             return np.asarray(forces / self.dynamic_stiffness(omega)[:, :, None])
 
     def respond_each(self, frequency: np.ndarray, forces: np.ndarray) -> np.ndarray:
-        """Return the steady response of plates to forces that each turn at a frequency of their own.
+        """Return the steady response of plates to forces at separate frequencies.
 
         Args:
             frequency: (plates, loads) [Hz].
@@ -240,7 +240,7 @@ def solve_modes(
     """Return the modes of a linear scene.
 
     Args:
-        scene: Scene; its grid, time steps and drive play no part.
+        scene: Scene; its grid, time steps and drive are not used.
         highest: Frequency up to which responses are accurate [Hz] (default: the highest of the scene's drive).
         count: Number of modes, from the lowest, that must be accurate.
         density: Factor of the number of functions along each side, besides ``grid.modal_density`` (default: 1, whose

@@ -52,7 +52,7 @@ def unit_motion(plate: ModalPlate, outputs: np.ndarray, times: np.ndarray, veloc
         velocity: Return velocities instead.
 
     Returns:
-        (outputs, actuators, times); after the actuators a moving load, if there is one.
+        (outputs, actuators, times); a moving load, if there is one, follows the actuators.
     """
     if plate.scene.steady:
         return _steady_motion(plate, outputs, times, velocity)

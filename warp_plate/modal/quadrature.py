@@ -16,7 +16,7 @@ from warp_plate.scene.model import Window
 
 # A span of time in which the fastest v² turns or decays by PANEL_TURN [rad] takes PANEL_POINTS of Gauss's points.
 PANEL_TURN, PANEL_POINTS = 12.0, 10
-# Modes whose energies together are below this part of all are left out, by their energies at so many times.
+# Modes with a total energy below this fraction are left out, judged at a number of times.
 NEGLIGIBLE, TRIALS = 1e-7, 48
 
 

@@ -157,7 +157,7 @@ def _from_rest(
     window: Window,
     quantity: str,
 ) -> tuple[np.ndarray, ...]:
-    """Return the arrays of :class:`EnergySlopes` over a window; under bursts of one design alone."""
+    """Return the arrays of :class:`EnergySlopes` over a window; under bursts, of a single design."""
     poles, velocity = make_poles(plate, window.end), quantity == "velocity"
     alike = bool((frequency == frequency[:, :1]).all() and (delay is None or (delay == delay[:, :1]).all()))
     gains = poles.gains(forces[0])
@@ -215,7 +215,7 @@ class _Motion:
 
         Args:
             poles: Poles.
-            kept: Indices of those whose free motion counts.
+            kept: Indices of those whose free motion matters.
             regions: Matrices G (modes, modes).
             pushed: (designs, modes, K) modal forces times phasors.
             gained: (designs, poles, K) the same, as inputs of the poles.

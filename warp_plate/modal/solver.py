@@ -34,7 +34,7 @@ from warp_plate.solve.specialize import Quantity
 
 # Path of a solver that takes no time steps.
 MODAL: Literal["modal"] = "modal"
-# Numbers of a block of plates that are computed at once.
+# Numbers in a block of plates that are computed at once.
 BLOCK_NUMBERS = 2**22
 
 
@@ -46,9 +46,9 @@ class ModalSolver:
 
     Args:
         scene: Scene, or its discretization.
-        device: Device of batches of designs under tones; all else is computed on the CPU.
+        device: Device of batches of designs under tones; everything else is computed on the CPU.
         areas: Further regions whose energy runs return, by name.
-        per_plate: What may differ between plates beside their drives.
+        per_plate: Quantities that may differ between plates besides their drives.
         quantity: "velocity" or "displacement", see :class:`PlateSolver`.
 
     Attributes:
@@ -116,7 +116,7 @@ class ModalSolver:
         return Response(self._matrices(forces, frequency)[0])
 
     def gram_matrices(self, designs: Designs) -> np.ndarray:
-        """Return (plates, regions, 2M, 2M) Gram matrices of designs, whose drives play no part."""
+        """Return (plates, regions, 2M, 2M) Gram matrices of designs, without using their drives."""
         if self.scene.drive.waveform_key is not None:
             return self._waveforms.matrices(*self._loads(designs))
         if self.device.is_cuda and self.plate.proportional and not self.scene.piezo:
@@ -272,7 +272,7 @@ class ModalSolver:
 def make_solver(
     scene: Scene | Discretization, device: str = "auto", path: str = "auto", **options: Any
 ) -> PlateSolver | ModalSolver:
-    """Return the solver of a scene: its modes if ``path`` is "modal", else time steps.
+    """Return the solver of a scene: modes if ``path`` is "modal", otherwise time steps.
 
     Raises:
         SceneError: See :class:`ModalSolver` and :class:`PlateSolver`.

@@ -4,7 +4,7 @@ The lowest modes are those of their own reduced system, whose transfer matrix is
 
     (−ω² + iωC + Λ + iH)⁻¹ = Σ_p ψ_p χ_p / (iω − s_p),   (s² + sC + Λ + iH) ψ = 0
 
-and all others are taken as uncoupled. What that leaves out is restored by iterative refinement with the full matrices
+and all others are taken as uncoupled. The remainder is restored by iterative refinement with the full matrices
 (G. H. Golub and C. F. Van Loan, Matrix Computations, 4th edition, section 3.5.3); frequencies at which it does not
 converge are solved directly.
 """
@@ -20,7 +20,7 @@ import scipy
 
 # Modes that are coupled beforehand: those up to REACH times the highest frequency, within these limits.
 REACH, FEWEST, MOST = 1.5, 250, 500
-# Residual of the forces, relative, after at most so many refinements.
+# Relative residual of the forces, and largest number of refinements.
 RESIDUAL, REFINEMENTS = 1e-8, 12
 # Matrices with fewer nonzero entries than this part are kept as sparse ones.
 SPARSE = 0.05

@@ -1,4 +1,4 @@
-"""Gram matrices of plates under tones that start from rest, from what all of them share.
+"""Gram matrices of plates under tones that start from rest, with shared work for all plates.
 
 As :mod:`warp_plate.modal.energy`, for plates that differ in frequencies and places. What depends on free motions alone
 is computed once, with those that last into the window wherever actuators are: so no plate depends on its neighbours.
@@ -23,7 +23,7 @@ from warp_plate.scene.model import Window
 
 # Places along each side at which forces are tried to see which free motions count.
 PLACES = 8
-# Numbers of a block of plates that are computed at once.
+# Numbers in a block of plates that are computed at once.
 BLOCK_NUMBERS = 2**20
 
 
@@ -92,7 +92,7 @@ class ToneMatrices:
 
     @cached_property
     def kept(self) -> np.ndarray:
-        """Indices of the poles whose free motions count in the window, wherever actuators are."""
+        """Indices of the poles whose free motions matter in the window, for any places of actuators."""
         scene, poles, end = self.plate.scene, self.poles, self.window.end
         searched = scene.search.frequency
         tones = {*actuator_frequencies(scene).tolist(), *(searched.range if searched is not None else ())}

@@ -24,7 +24,7 @@ from warp_plate.modal.steady import as_sparse
 
 # Numbers of an array of poles and times, to limit memory.
 BLOCK = 2**18
-# Integrals J(x) come from a series of so many terms up to this |x|.
+# Integrals J(x) come from a series with this many terms up to this |x|.
 SERIES, SERIES_TERMS = 8.0, 40
 
 
@@ -76,7 +76,7 @@ def next_state(poles: Poles, load: ExponentialLoads, state: np.ndarray, forced: 
 def motion_of_samples(
     poles: Poles, gains: np.ndarray, loads: Sequence[SampledLoads], shapes: np.ndarray, times: np.ndarray
 ) -> np.ndarray:
-    """Return what :func:`motion_from_rest` does for polynomials on blocks; their rows are 1 or poles."""
+    """Return the same as :func:`motion_from_rest` for polynomials on blocks; their rows are 1 or poles."""
     motion = np.zeros((len(shapes), gains.shape[1], times.size), dtype=complex)
     state = np.zeros(gains.shape, dtype=complex)
     bounds = np.searchsorted(times, [load.end for load in loads], side="right")

@@ -1,7 +1,7 @@
 """Energies of many plates under bursts, sweeps and files, which differ in drives, frequencies, places and delays.
 
 The rates of the modes are computed at the points of Gauss's rule over the window: v = Σ_p ψ_p s_p (χ_p f) z_p(t), with
-the states z of :mod:`warp_plate.modal.transient` under unit loads. Plates that differ in drives and places alone share
+the states z of :mod:`warp_plate.modal.transient` under unit loads. Plates that differ only in drives and places share
 these states. Only modes that move enough under such loads, wherever actuators are, take part; they follow from the
 scene, so that no plate depends on its neighbours.
 """
@@ -24,7 +24,7 @@ from warp_plate.modal.transient import forced_states, motion_of_samples, next_st
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
 from warp_plate.scene.model import Scene
 
-# Modes whose energies together are below this part of all are left out, by their energies at TRIALS times.
+# Modes with a total energy below this fraction are left out, judged at TRIALS times.
 NEGLIGIBLE, TRIALS = 1e-6, 200
 # Motions with less than this part of the largest energy in a region are left out.
 RANK_TOLERANCE = 1e-8

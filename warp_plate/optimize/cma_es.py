@@ -67,7 +67,7 @@ class CovarianceSearch(Optimizer):
             size = tolerance_scale(float(finite.min()), self.settings.loss_scale)
             self._cloud.opts.set({name: part * size for name, part in TOLERANCES.items()})
             worst = tolerance_scale(float(finite.max()), self.settings.loss_scale) + float(finite.max())
-        # The cloud goes by ranks alone, but knows no infinity.
+        # CMA-ES uses only ranks, but does not accept infinity.
         self._cloud.tell(self._points, np.where(np.isfinite(losses), losses, worst))
         self._losses.append(losses)
 

@@ -1,10 +1,10 @@
-"""Quasi-Newton descents from many places at once, for losses whose slopes are known.
+"""Quasi-Newton descents from many starting points at once, for losses with known gradients.
 
 Source: Nocedal and Wright, Numerical Optimization, 2nd ed., 2006: BFGS (6.17) with the first scaling (6.20), steps
-shortened until the loss falls enough (3.4); limits by Bertsekas, SIAM J. Control Optim. 20(2), 1982: a number that
-would leave its range is held, and the others go on. Each descent evaluates one position an iteration, so that
-evaluations are counted as any other method's; the slope there is known by formula. A descent that has converged
-begins again elsewhere while it has restarts left.
+shortened until the loss falls enough (3.4); limits by Bertsekas, SIAM J. Control Optim. 20(2), 1982: a variable that
+would leave its range is fixed, and the others continue. Each descent evaluates one position an iteration, so that
+evaluations are counted as any other method's; the slope there is known by formula. A descent that has converged begins
+again elsewhere while it has restarts left.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from warp_plate.optimize.optimizer import MethodError, Optimizer, SearchSettings
 from warp_plate.optimize.space import SearchSpace
 
-# The loss must fall by this part of what the slope promises; a step that does not is shortened by a factor in between.
+# The loss must fall by this fraction of the predicted decrease; otherwise the step is shortened by a factor in between.
 SUFFICIENT_DECREASE, SHORTEST, LONGEST = 1e-4, 0.1, 0.5
 # The first step, in initial ranges.
 FIRST_STEP = 0.2
@@ -134,7 +134,7 @@ class GradientSearch(Optimizer):
         self._restart(rows[~(promised > CONVERGED * sizes)])
 
     def _shorten(self, rows: np.ndarray, loss: np.ndarray, moved: np.ndarray) -> None:
-        """Shorten steps after which the loss did not fall enough, by the parabola through what is known."""
+        """Shorten steps with too small a decrease of the loss, by parabolic interpolation."""
         promised = (self.slope[rows] * moved).sum(axis=1)
         with np.errstate(invalid="ignore", divide="ignore"):
             factor = -promised / (2 * (loss - self.loss[rows] - promised))

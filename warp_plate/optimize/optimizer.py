@@ -1,4 +1,4 @@
-"""The shape that all search methods share: ask for positions, tell their losses, stop, result, history and state.
+"""Base class of all search methods: ask for positions, tell their losses, stop, result, history and state.
 
 Methods minimise. Their names are those of pycma's ``CMAEvolutionStrategy``, so that :func:`minimize` runs either.
 """
@@ -22,7 +22,7 @@ MOST_EVALUATIONS = 2**53
 COLUMNS = ("best", "mean", "evaluations")
 # No search goes so far; squares of such numbers are still finite.
 FARTHEST = 1e150
-# A search stalls when so many iterations lower the best loss by no more than this part of its size.
+# A search stalls when ``stall`` iterations lower the best loss by at most this fraction of its size.
 STALL_TOLERANCE = 1e-6
 
 
@@ -77,7 +77,7 @@ class Optimizer(ABC):
     """
 
     FORMAT: ClassVar[str]
-    # Names of the attributes that a state keeps beside those of this class: arrays, numbers, and random generators.
+    # Names of the attributes of a state besides those of this class: arrays, numbers, and random generators.
     STATE: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, space: SearchSpace, settings: SearchSettings) -> None:
@@ -119,7 +119,7 @@ class Optimizer(ABC):
         return not fall > STALL_TOLERANCE * tolerance_scale(self.best_loss, self.settings.loss_scale)
 
     def ask(self) -> np.ndarray:
-        """Return positions to evaluate, (n, dimension), read-only; the same ones until their losses are told."""
+        """Return positions to evaluate, (n, dimension), read-only; the same ones until ``tell`` is called."""
         if not self.asked:
             self.positions = self._propose()
             self.positions.flags.writeable = False
@@ -163,7 +163,7 @@ class Optimizer(ABC):
         return state
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from what :meth:`state` returned, to the last bit; ``self`` is new and has the same settings.
+        """Restore a result of :meth:`state`, bit for bit, into a new optimizer with the same settings.
 
         Raises:
             ValueError: the state is not that of such a search.

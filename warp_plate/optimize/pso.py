@@ -37,7 +37,7 @@ LARGEST = 1e100
 
 @dataclass(frozen=True)
 class SwarmSettings(SearchSettings):
-    """Settings of a particle swarm, beside those of all methods."""
+    """Settings of a particle swarm, besides those of all methods."""
 
     inertia: float = 0.4  # w of equation (7)
     decay: float = 0.99  # k

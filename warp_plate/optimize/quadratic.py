@@ -7,10 +7,10 @@ With z = (Re Z₁ ... Re Z_M, −Im Z₁ ... −Im Z_M) of the phasors Z, E_r = 
 L and z(x) are formulas without any plate in them: their own derivatives are taken by central differences, to about
 1e-10 of their size, which leaves the loss at its minimum exact to rounding (the error enters squared).
 
-zᵀA z / zᵀB z has its maximum, the largest λ of A z = λ B z, at a z that may be scaled as one likes. Where every
-magnitude and phase can be had, up to what all have in common, that z is a position; it is tried, and refused where a
-limit, a range or a fixed number keeps it from reaching λ. z is sought within the space of all drives that positions can
-have, so that a first phase fixed at 0 costs nothing but what it must.
+zᵀA z / zᵀB z has its maximum, the largest λ of A z = λ B z, at a z that may be scaled as one likes. If all magnitudes
+and phases are free up to a common factor, that z is a position. It is evaluated, and rejected if a limit, a range or a
+fixed value keeps it from reaching λ. z is sought among the drives that positions can represent, so that a first phase
+fixed at 0 costs as little as possible.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from warp_plate.optimize.space import SearchSpace
 # The step of central differences, as a part of a number's own size: errors of h² and of rounding / h meet.
 STEP = 6e-6
 # Drives whose plate energy is below this part of the largest are combinations that cancel out: two actuators in one
-# place, for example. What is left of their energy is rounding, and no ratio of it means anything.
+# place, for example. The remaining energy is rounding, and its ratios are meaningless.
 RANK_TOLERANCE = 1e-10
 # Relative distance to λ within which a position is the maximum.
 NEAR = 1e-9
@@ -34,7 +34,7 @@ NEAR = 1e-9
 
 @dataclass(frozen=True)
 class Quadratic:
-    """A problem whose energies are quadratic forms of phasors, so that no plate need be run.
+    """A problem with energies that are quadratic forms of phasors, so that no plate needs to be run.
 
     Attributes:
         matrices: (regions, 2M, 2M) symmetric A_r.
@@ -60,7 +60,7 @@ class Quadratic:
 
     def losses_and_slopes(self, positions: np.ndarray, space: SearchSpace) -> tuple[np.ndarray, np.ndarray]:
         """Return the losses (n,) and ∂loss/∂x (n, dimension) of positions (n, dimension) in a space."""
-        with np.errstate(all="ignore"):  # what is no number there is no number here
+        with np.errstate(all="ignore"):  # NaN stays NaN
             z = real_parts(self.phasors(positions))
             products = np.einsum("rab,pb->pra", self.matrices, z)
             energy = np.einsum("pa,pra->pr", z, products)

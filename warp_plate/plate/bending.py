@@ -24,7 +24,7 @@ from warp_plate.plate.section import Section, make_section
 from warp_plate.plate.weights import EDGE_LINES, moving_nodes, node_positions, overlap
 from warp_plate.scene.model import ElasticEdge, Scene
 
-# Up to this many unknowns, all buckling loads are computed at once.
+# Up to this many unknowns, all buckling loads are computed by a dense solver.
 DENSE = 400
 
 

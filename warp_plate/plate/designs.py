@@ -18,7 +18,7 @@ SLACK = 1e-9
 
 @dataclass(frozen=True)
 class Designs:
-    """Drives of plates and whatever else differs between them; None: as the scene has it."""
+    """Drives of plates and all other values that differ between them; None: as in the scene."""
 
     drives: np.ndarray  # (plates, actuators) complex phasors Z [N/m², or V: ``Scene.drive_unit``]
     frequency: np.ndarray | None = None  # (plates, actuators) [Hz]
@@ -40,7 +40,7 @@ class Designs:
 
 @dataclass(frozen=True)
 class PerPlate:
-    """Quantities that may differ between the plates of a solver beside their drives; it is compiled for them."""
+    """Quantities that may differ between the plates of a solver besides their drives; kernels are compiled for them."""
 
     frequency: bool = False  # Plates may differ in frequency
     delay: bool = False  # Plates may differ in the start of the burst
@@ -55,7 +55,7 @@ NO_PER_PLATE = PerPlate()
 
 
 def per_plate_of(scene: Scene) -> PerPlate:
-    """Return what differs between plates of the scene's ``[search]``."""
+    """Return the quantities that differ between plates of the scene's ``[search]``."""
     search, position, areas = scene.search, scene.search.position, None
     if position is not None:
         area = position.area or (0.0, scene.plate.size[0], 0.0, scene.plate.size[1])
@@ -72,7 +72,7 @@ def per_plate_of(scene: Scene) -> PerPlate:
 
 
 def carriers_of(scene: Scene, per_plate: PerPlate) -> int:
-    """Return the number of carriers that each plate has of its own: none, one, or one for each actuator.
+    """Return the number of separate carriers of each plate: none, one, or one for each actuator.
 
     Raises:
         SceneError: The scene has no carrier or burst that could differ, or a load that cannot be moved.
@@ -96,7 +96,7 @@ def carriers_of(scene: Scene, per_plate: PerPlate) -> int:
 
 @dataclass(frozen=True)
 class PerPlateValues:
-    """Checked designs as the kernels take them; None for what all plates share."""
+    """Checked designs in the form that kernels use; None for values that all plates share."""
 
     frequency: np.ndarray | None  # (plates, carriers) [Hz]
     delay: np.ndarray | None  # (plates, carriers) start of the burst [s]
@@ -183,7 +183,7 @@ def as_phasors(drives: object, actuators: int) -> np.ndarray:
     try:
         if isinstance(drives, tuple) and len(drives) == 2:
             magnitude, phase = (as_numbers(part, "biuf") for part in drives)
-            with np.errstate(invalid="ignore"):  # a drive that is not finite spoils its own plate alone
+            with np.errstate(invalid="ignore"):  # a drive that is not finite affects only its own plate
                 phasors = magnitude * np.exp(-1j * phase)
         else:
             phasors = as_numbers(drives, "biufc").astype(complex, copy=False)

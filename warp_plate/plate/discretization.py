@@ -28,7 +28,7 @@ class Discretization:
 
     @cached_property
     def signals(self) -> Signals:
-        """Waves of the drive and how phasors mix them, for time steps alone.
+        """Waves of the drive and their coefficients, only for time steps.
 
         Raises:
             SceneError: See ``make_signals``.
@@ -38,14 +38,14 @@ class Discretization:
 
     @cached_property
     def moving(self) -> MovingWeights | None:
-        """Factors of the moving load, for time steps alone; None without one."""
+        """Factors of the moving load, only for time steps; None without one."""
         if self.scene.effects.moving_load is None:
             return None
         return moving_weights(self.scene, self.scheme.time_step, self.scheme.steps)
 
     @cached_property
     def patches(self) -> np.ndarray:
-        """(actuators, ny, nx) share of each node's cell that each actuator loads, for time steps alone.
+        """(actuators, ny, nx) fraction of each node's cell that each actuator loads, only for time steps.
 
         Raises:
             SceneError: An actuator covers no node that can move.
@@ -64,7 +64,7 @@ class Discretization:
         return self.scheme.spacing[0] * self.scheme.spacing[1]
 
     def with_scene(self, scene: Scene) -> Discretization:
-        """Return this discretization for a scene that differs in ``grid.precision``, ``record`` or ``search`` alone."""
+        """Return this discretization for a scene that differs only in ``grid.precision``, ``record`` or ``search``."""
         return replace(self, scene=scene)
 
 
@@ -74,13 +74,11 @@ def discretize(
     """Discretize a scene.
 
     Args:
-        per_plate: What may differ between the plates of a batch.
-        allow_unstable: Accept a time step above the stability limit.
-        stepped: False for a plate by modes, see ``make_scheme``.
+        per_plate: Quantities that may differ between the plates of a batch. allow_unstable: Accept a time step above
+        the stability limit. stepped: False for a plate by modes, see ``make_scheme``.
 
     Raises:
-        SceneError: ``make_scheme`` or ``region_weights`` refuse the scene, or it cannot have what ``per_plate`` asks
-            for.
+        SceneError: ``make_scheme`` or ``region_weights`` refuse the scene, or it does not support ``per_plate``.
     """
     carriers = carriers_of(scene, per_plate)
     return Discretization(

@@ -1,4 +1,4 @@
-"""Memory of this machine, and estimates of what a scene takes, so that too large ones are refused and do not crash."""
+"""Memory of this machine, and estimates of the memory of a scene, to refuse scenes that are too large."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from pathlib import Path
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
-# Share of the memory that a scene may take; the rest is for the system and what estimates leave out.
+# Fraction of the memory that a scene may take; the rest is for the system and for errors of the estimates.
 SHARE = 0.8
 # Bytes per node: of regions, fields and copies; more in moment form; of sparse matrices for the limit of inhomogeneous
 # plates; and of the factorised one for compression. Measured in all, with three actuators: 110, 590, 840 and 5400.
 PLAIN, MOMENT_FORM, MATRICES, FACTORISED = 160, 450, 400, 5500
 # Bytes per step: of a term of the drive's wave, and of a recorded point.
 TERM, POINT = 64, 96
-# Cases of a search whose records are kept.
+# Cases of a search with records.
 CASES = 3
 _LIMITS = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"))
 
@@ -47,7 +47,7 @@ def refuse_beyond_memory(needed: float, what: str) -> None:
 
 
 def check_grid_memory(scene: Scene, moment_form: bool) -> None:
-    """Refuse a grid whose fields do not fit."""
+    """Refuse a grid with fields that do not fit."""
     effects, nodes = scene.effects, math.prod(scene.grid.nodes)
     each = PLAIN + 16.0 * (len(scene.actuators) + CASES * len(scene.record.times))
     if moment_form:
@@ -60,7 +60,7 @@ def check_grid_memory(scene: Scene, moment_form: bool) -> None:
 
 
 def check_steps_memory(scene: Scene, steps: int) -> None:
-    """Refuse a run whose drives and traces do not fit."""
+    """Refuse a run with drives and traces that do not fit."""
     frequencies = len({actuator.frequency for actuator in scene.actuators})
     terms = 2 * frequencies if scene.drive.electrostatic is None else 4 * frequencies + 2
     each = TERM * terms + POINT * CASES * len(scene.record.points)

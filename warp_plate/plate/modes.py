@@ -21,7 +21,7 @@ from warp_plate.plate.scheme import Scheme, make_scheme
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
-# Up to this many unknowns all modes are computed at once; beyond, the lowest by Lanczos' method.
+# Up to this many unknowns all modes are computed by a dense solver; above, the lowest by Lanczos' method.
 DENSE = 300
 # The factorised matrix takes some 4 kB per node; 174 000 nodes take some 15 s.
 MOST_NODES = 400_000
@@ -165,7 +165,7 @@ def normalised_shapes(scene: Scene, vectors: np.ndarray, moving: np.ndarray) -> 
     motions[:, swinging] = vectors[nodes:].T
     for shape, motion in zip(shapes, motions, strict=True):
         peak = _peak(shape)
-        # A mass on a patch at rest swings alone.
+        # A mass on a patch at rest oscillates by itself.
         if abs(peak) < 1e-9 * np.nanmax(np.abs(motion), initial=0):
             peak = _peak(motion[swinging])
         shape /= peak

@@ -28,7 +28,7 @@ SAFETY = 0.9
 STEPS_A_PERIOD = 20
 # Longer runs are mistakes in a unit: this is hours on any device.
 MOST_STEPS = 10**8
-# Largest cΔt/ρH. Beyond it float32 loses the square of what is left of a step's motion.
+# Largest cΔt/ρH. Above it float32 loses the square of the remaining motion of a step.
 MOST_LOSS = 1e9
 
 
@@ -42,7 +42,7 @@ class Scheme:
     surface_density: float  # ρH [kg/m²]
     kappa: float  # κ [m²/s]
     time_step: float  # Δt [s]
-    stability: StabilityLimit  # Its limit, and what sets it
+    stability: StabilityLimit  # Its limit, and the cause of the limit
     steps: int  # Number of steps of the whole run
     window: tuple[int, int]  # First and last + 1 of the steps whose half-step lies inside the scene's window
     decay: float  # Factor of the velocity in a step
@@ -96,7 +96,8 @@ def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = 
     Args:
         allow_unstable: Accept a time step above the stability limit.
         moment_form: Use the moment form also where a plain plate would do.
-        stepped: False for a plate by modes, whose time step is that of its traces alone and need not be stable.
+        stepped: False for a plate by modes, which uses the time step only for its traces, so that it need not be
+        stable.
 
     Raises:
         SceneError: The scene asks for an accuracy instead of a grid; its time step is above the stability limit or too

@@ -164,8 +164,8 @@ def laminates(
 def _with_layers(
     scene: Scene, x: np.ndarray, y: np.ndarray, thickness: np.ndarray, stiffer: np.ndarray, mass: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return what layers add to the rigidity [N·m] and to the stretching stiffness [N/m], and the mass [kg/m²] with
-    them; of a plate of some thickness [m], factor of Young's modulus and mass at points (y, x)."""
+    """Return the contributions of layers to the rigidity [N·m] and to the stretching stiffness [N/m], and the total
+    mass [kg/m²], for a plate with a thickness [m], factor of Young's modulus and mass at points (y, x)."""
     plate = scene.plate
     stretch = plate_alone = plate.young_modulus * stiffer * thickness
     first, second = np.zeros_like(stretch), stretch * thickness**2 / 12  # moments of E about the plate's middle

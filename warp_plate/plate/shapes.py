@@ -71,7 +71,7 @@ def cubics(nodes: int) -> Axis:
 
 
 def shape_weights(scene: Scene, key: str, target: Target, within: Area | None = None) -> np.ndarray:
-    """Return (ny, nx) weights of a target in cells, by moments where loads are, else by overlap.
+    """Return (ny, nx) weights of a target in cells, by moments if loads are, otherwise by overlap.
 
     Args:
         key: Key of the target in the scene, for errors.

@@ -23,7 +23,7 @@ from warp_plate.plate.waveforms import burst_means, read_samples, resample, tone
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
-# Functions of the phasor that coefficients are made of; a linear drive needs the first two alone.
+# Functions of the phasor in coefficients; a linear drive needs only the first two.
 FEATURES = ("Re Z", "-Im Z", "1", "|Z|²", "Re Z²", "-Im Z²")
 LINEAR_FEATURES = 2
 
@@ -36,7 +36,7 @@ class _Carrier(NamedTuple):
     """A carrier and the actuators that it drives."""
 
     wave: np.ndarray  # (..., steps) complex
-    actuators: np.ndarray  # (actuators,) one for those driven, else zero
+    actuators: np.ndarray  # (actuators,) one for driven actuators, otherwise zero
     envelope: Callable[[int], np.ndarray]  # Envelope (..., steps) to a power, 1 or 2
     frequency: float  # Frequency at t = 0 [Hz]; 0 for a file
     group: float  # Start of its burst [s]; or a number from 1 on that no other carrier has
@@ -67,7 +67,7 @@ class Signals:
     def coefficients(self, phasors: np.ndarray) -> np.ndarray:
         """Return (plates, terms, actuators) real factors of the waves for phasors Z (plates, actuators)."""
         features = [phasors.real, -phasors.imag]
-        with np.errstate(over="ignore", invalid="ignore"):  # a drive that is not finite spoils its own plate alone
+        with np.errstate(over="ignore", invalid="ignore"):  # a drive that is not finite affects only its own plate
             if self.linear:
                 # Powers of two and zeros: exact in any order. Plates innermost: NumPy is slow along short rows.
                 columns = np.zeros((self.terms, phasors.shape[1], len(phasors)))
@@ -139,7 +139,7 @@ def make_signals(
 
     Args:
         folder: Folder of the file of ``[drive.signal]``.
-        per_actuator: Give every actuator waves of its own, also where it might share them; no file is a carrier.
+        per_actuator: Give every actuator separate waves, even if it could share them; no file is a carrier.
 
     Raises:
         SceneError: The steps cannot carry a frequency or burst, or a file is missing or malformed.

@@ -1,4 +1,4 @@
-"""The largest stable time step of a scene's grid and effects, and what sets it.
+"""The largest stable time step of a scene's grid and effects, and its cause.
 
 With M the masses, K the stiffness and C the losses that act on the last half-step's rates (damping backward in time,
 the material's, oscillators'), a step from u and v to v⁺ and u + Δt v⁺ is
@@ -78,7 +78,7 @@ def find_limit(scene: Scene, moment_form: bool = False) -> tuple[StabilityLimit,
         )
     bending = make_bending(scene)
     x, y = bending.tension
-    # Compression alone is quickly checked and mostly enough: tension only helps.
+    # Compression by itself is quickly checked and mostly enough, because tension only helps.
     pressed = replace(bending, tension=(min(x, 0.0), min(y, 0.0)))
     if min(x, y) < 0 and buckling_factor(scene, pressed) <= 1 and (factor := buckling_factor(scene, bending)) <= 1:
         raise SceneError(

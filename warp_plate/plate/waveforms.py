@@ -29,7 +29,7 @@ FASTEST, SLOWEST = 1e7, 1e-3  # samples per second
 # slower rate's band, is at one half at PASSED of it, and stops from its end on.
 HALF_WIDTH, BETA, PASSED = 50, 7.857, 0.95
 TABLE_STEPS = 1024  # entries of the tabulated filter per sample
-BLOCK = 2**21  # products computed at once, to limit memory
+BLOCK = 2**21  # number of products in memory
 # Part of a step by which times in a CSV, which are rounded, may be off an even spacing.
 UNEVEN = 0.05
 _WIDTHS = {(1, 8): "u1", (1, 16): "<i2", (1, 24): "u1", (1, 32): "<i4", (3, 32): "<f4", (3, 64): "<f8"}
@@ -88,7 +88,7 @@ def burst_means(burst: Burst, start: np.ndarray | float, time_step: float, steps
 
 
 def step_means(integral: Callable[[np.ndarray], np.ndarray], time_step: float, steps: int) -> np.ndarray:
-    """Return (steps,) means of a function over the step around each t_n, of n = 0 over the later half alone.
+    """Return (steps,) means of a function over the step around each t_n, for n = 0 only over the later half.
 
     A jump between two steps is then right to second order, as the scheme is.
 
@@ -129,7 +129,7 @@ def read_samples(table: SampledSignal, folder: Path | None, actuators: int = 1) 
         actuators: Number of channels of a file with ``per_actuator``.
 
     Raises:
-        SceneError: There is no such file, it is too large, or it is not what its ending says.
+        SceneError: There is no such file, it is too large, or its content does not match its ending.
     """
     data = read_beside("drive.signal.file", table.file, folder)
     try:

@@ -37,7 +37,7 @@ def overlap(positions: np.ndarray, low: float, high: float) -> np.ndarray:
 
 
 def inside(positions: np.ndarray, low: float, high: float) -> np.ndarray:
-    """Return (nodes,) one for the nodes from ``low`` to ``high`` [m], both included up to rounding, else zero."""
+    """Return (nodes,) one for the nodes from ``low`` to ``high`` [m], both included up to rounding, otherwise zero."""
     slack = 1e-9 * (positions[-1] - positions[0])
     return ((positions >= low - slack) & (positions <= high + slack)).astype(float)
 
@@ -136,7 +136,7 @@ def moving_nodes(scene: Scene) -> np.ndarray:
 def region_weights(scene: Scene, areas: Mapping[str, Region] = NO_AREAS) -> np.ndarray:
     """Return (regions, ny, nx) weights of the REGIONS and of further ``areas`` by name, in cells.
 
-    They are by moments where loads are, else by overlap.
+    They are by moments if loads are, otherwise by overlap.
 
     Raises:
         SceneError: A target covers no node that moves, or its mask cannot be read.

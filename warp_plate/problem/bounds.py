@@ -211,7 +211,7 @@ def allowed_drives(parametrization: Parametrization) -> AllowedDrives:
     phase = np.where(fixed < 0, phase + math.pi, phase)
     if only_ratios(scene):  # a drive that is too large is scaled down, and has the same ratios
         free = (lower == -math.inf) & (upper == math.inf)
-        if free.sum() == len(free) - 1:  # one magnitude alone is held, and gives the drive its size
+        if free.sum() == len(free) - 1:  # a single fixed magnitude sets the size of the drive
             lower, upper = np.full_like(lower, -math.inf), np.full_like(upper, math.inf)
         return AllowedDrives(lower, upper, phase, equal=equal)
     if limits.magnitude is not None:
@@ -289,7 +289,7 @@ def _best_allowed(quantity: Callable[[np.ndarray], np.ndarray], z: np.ndarray, a
 
 
 def _within_limits(sizes: np.ndarray, allowed: AllowedDrives) -> np.ndarray:
-    """Return magnitudes (some, actuators) that keep the limits, made of others (tried, actuators)."""
+    """Return magnitudes (some, actuators) within the limits, derived from others (tried, actuators)."""
     if allowed.equal:
         sizes = np.where(sizes < 0, -1, 1) * np.abs(sizes).mean(axis=1, keepdims=True)
     lower = np.maximum(allowed.lower, -allowed.upper)

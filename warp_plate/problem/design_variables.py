@@ -86,7 +86,7 @@ def with_common_step(scene: Scene, stepped: bool = True) -> Scene:
     table, step = scene.search.frequency, scene.grid.time_step
     if step is None and (table is not None or scene.search.delay is not None):
         highest = at_highest_frequency(scene)
-        # Plates whose actuators differ in these are stepped in moment form, which has a limit of its own.
+        # Plates whose actuators differ in these are stepped in moment form, which has another stability limit.
         forms = {False, per_plate_of(scene).per_actuator}
         step = min(make_scheme(highest, moment_form=moment_form, stepped=stepped).time_step for moment_form in forms)
         return scene.with_tables(grid={**scene.grid.model_dump(), "time_step": step})

@@ -47,7 +47,7 @@ class EvaluatedCases:
 def evaluate_cases(problem: Problem, single: int, position: np.ndarray | None) -> EvaluatedCases:
     """Run the reference drives at the scene's own frequency and places, and the best position (dimension,).
 
-    ``single`` is the index of the best single actuator, which stands for the best position where that is None.
+    ``single`` is the index of the best single actuator, which replaces the best position if that is None.
     """
     scene, parametrization = problem.scene, problem.parametrization
     singles = magnitude_unit(scene) * np.eye(len(scene.actuators), dtype=complex)
@@ -60,7 +60,7 @@ def evaluate_cases(problem: Problem, single: int, position: np.ndarray | None) -
     cases = cases_from_run(phasors, run, scene, peaks)
     if position is None or parametrization.only_drives:
         return EvaluatedCases(cases, scene, phasors, run, float(peaks[-1].max()), 0)
-    # The best scene runs as ``simulate`` runs it, so that what is written is what was evaluated.
+    # The best scene runs as in ``simulate``, so that the stored numbers can be reproduced.
     best_scene, designs = parametrization.scene_of(position), parametrization.designs(position[None])
     solver = make_solver(best_scene, problem.drive_solver.device.alias, problem.path, areas=target_regions(best_scene))
     best = {"best": scene_phasors(best_scene)}
@@ -139,7 +139,7 @@ def evaluate_objectives(problem: Problem, cases: Mapping[str, Case]) -> tuple[di
             solver = make_solver(grid, solver.device.alias, problem.path, areas=areas, quantity="displacement")
             run = solver.run(np.array([case.phasors for case in cases.values()]))
             displacement_energy, node_steps = run.energy, run.node_steps
-    except (KeyboardInterrupt, SceneError):  # a result is not lost for want of what it is compared with
+    except (KeyboardInterrupt, SceneError):  # a failing comparison does not lose the result
         return {}, 0
     energy = np.array([list(case.energy.values()) for case in cases.values()])
     values = objectives.values(energy, displacement_energy)

@@ -66,7 +66,7 @@ def make_problem(
     evaluator_on = partial(make_evaluator, device=device, path=path, pool=pool, areas=objectives.regions)
     varied = grid if parametrization.only_drives else discretize(scene, per_plate_of(scene), stepped=stepped)
     designs = evaluator_on(varied)
-    # The modes of a plate serve all designs; kernels are compiled for what differs between plates.
+    # All designs share the modes of a plate; kernels are compiled for the quantities that differ between plates.
     drives = designs if varied is grid or name == MODAL else evaluator_on(grid)
     displacements = evaluator_on(varied, quantity="displacement") if objectives.needs_displacement else None
     evaluators = [drives] if displacements is None else [drives, displacements]

@@ -18,7 +18,7 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Search
 
-# A swarm with restarts but without ``stall`` restarts after so many iterations without progress.
+# A swarm with restarts but without ``stall`` restarts after this many iterations without progress.
 RESTART_AFTER = 20
 # Bytes for each number of a particle: positions, velocities, personal bests, random numbers, drives; for each entry of
 # a descent's inverse Hessian; and for each particle.

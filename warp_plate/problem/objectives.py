@@ -120,8 +120,8 @@ def keeps_limit(value: float, limit: float) -> bool:
 def loss_scale(objectives: Iterable[Objective]) -> float:
     """Return the size that tolerances of a loss refer to where the loss itself is smaller; 1 for 1 − LF.
 
-    Localization, contrast and uniformity are numbers of order one, whose sum with others may pass zero. A velocity or a
-    displacement is as small as its unit makes it: its own size is all that there is to go by.
+    Localization, contrast and uniformity are of order one, and their sum with others may change sign. The scale of a
+    velocity or a displacement depends on its unit, so its own size is used.
     """
     return float(sum(term.weight for term in objectives if term.kind not in ("velocity", "displacement")))
 

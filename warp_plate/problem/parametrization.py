@@ -1,4 +1,4 @@
-"""Positions of a search and what they stand for: drives, places, frequencies, and a scene.
+"""Positions of a search and their meaning: drives, places, frequencies, and a scene.
 
 Without a table that names design variables the search is the source paper's (section II.C of Jo, Yang and Shin, 2024):
 a position is w₂ ... w_M, φ₂ ... φ_M with w₁ = 1 and φ₁ = 0, first drawn from −2 ... 2 and without limits, because a
@@ -174,7 +174,7 @@ class Parametrization:
             else:
                 magnitude = np.clip(magnitude, -most, most)
         if limits.power is not None:
-            size = np.sqrt(reduce(np.add, magnitude**2))  # in one order, whatever the number of plates
+            size = np.sqrt(reduce(np.add, magnitude**2))  # in the same order for any number of plates
             magnitude = magnitude * _scale_down(math.sqrt(limits.power) / self.unit, size)
         return magnitude
 
@@ -196,9 +196,9 @@ def paper_phasors(positions: np.ndarray) -> np.ndarray:
 
 
 def magnitude_unit(scene: Scene) -> float:
-    """Return the drive that a magnitude of one stands for: the largest magnitude of the scene's actuators.
+    """Return the drive for a magnitude of one: the largest magnitude of the scene's actuators.
 
-    Where displacements are linear in the drives a common factor changes no localization factor, and it is one.
+    It is one if displacements are linear in the drives, because a common factor then changes no localization factor.
     """
     largest = max(abs(actuator.magnitude) for actuator in scene.actuators)
     return 1.0 if scene.linear or largest == 0 else largest

@@ -111,7 +111,7 @@ class Problem:
 
     @cached_property
     def nominal(self) -> Problem:
-        """The same search on the nominal plate alone, with the same solvers."""
+        """The same search on the nominal plate only, with the same solvers."""
         return replace(self, scenario_losses=None)
 
     @property
@@ -168,7 +168,7 @@ class Problem:
         return self._with_best_drives(designs)[0] if self.projected else designs
 
     def complete(self, position: np.ndarray) -> np.ndarray:
-        """Return the position of all design variables (dimension,) that a position of ``space`` stands for.
+        """Return the position of all design variables (dimension,) for a position of ``space``.
 
         Raises:
             SceneError: actuators overlap there, as at every position that the search tried.
@@ -235,7 +235,7 @@ class Problem:
 
     @cached_property
     def loss_bound(self) -> Bound | None:
-        """Proved lower bound of the loss; None where none is claimed."""
+        """Proved lower bound of the loss; None if none is known."""
         if self.scenario_losses is None:
             return self._nominal_loss_bound
         # No drive, the same for all panels, has a smaller loss than the measure of each panel's own bound.
@@ -252,7 +252,7 @@ class Problem:
 
     @cached_property
     def bound(self) -> float | None:
-        """Largest localization factor that any drive can reach; None where none is claimed, or for other objectives."""
+        """Largest localization factor of any drive; None if none is known, or for other objectives."""
         bound = self._nominal_loss_bound
         if self.response is None or not self.objectives.only_localization or bound is None:
             return None

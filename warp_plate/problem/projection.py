@@ -1,9 +1,9 @@
 """The best drive of each design, for searches of places, frequencies and delays.
 
 Where the drive is linear and free, the largest localization factor that a design can have is the largest eigenvalue of
-its Gram matrices, and the best drive is the eigenvector. So the search needs to choose only what is not linear: the
-drive is eliminated exactly inside each evaluation (variable projection: G. H. Golub and V. Pereyra, SIAM J. Numer.
-Anal. 10, 1973, pp. 413-432).
+its Gram matrices, and the best drive is the eigenvector. The search therefore only varies nonlinear variables, and the
+drive is eliminated exactly in each evaluation (variable projection: G. H. Golub and V. Pereyra, SIAM J. Numer. Anal.
+10, 1973, pp. 413-432).
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from warp_plate.solve.response import largest_ratio
 
 
 def has_free_drives(parametrization: Parametrization, objectives: Objectives) -> bool:
-    """Return whether every design that is searched may have its best drive: the ratio of energies alone counts, and
-    magnitudes and phases are free up to what all actuators have in common."""
+    """Return whether each design may have its best drive: only the ratio of energies matters, and magnitudes and phases
+    are free up to a common factor."""
     if not parametrization.scene.linear or parametrization.only_drives:
         return False
     # Both objectives grow with the localization factor, and so does their sum.
@@ -33,7 +33,7 @@ def has_free_drives(parametrization: Parametrization, objectives: Objectives) ->
 
 
 def best_drives(parametrization: Parametrization, designs: Designs, matrices: np.ndarray) -> tuple[Designs, np.ndarray]:
-    """Return designs with their best drives in place of their own, and the energies (n, regions) [J] under these.
+    """Return designs with their best drives, and the energies (n, regions) [J] under these.
 
     The drives are as large as their ranges allow. ``matrices``: (n, regions, 2M, 2M) Gram matrices of the designs.
     """

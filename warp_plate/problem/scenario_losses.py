@@ -24,7 +24,7 @@ from warp_plate.problem.uncertainty import Scenario
 from warp_plate.scene.search import Robust
 from warp_plate.solve.response import Response, in_float64, measure_response
 
-# Plates × matrices whose energies are computed at once from Gram matrices.
+# Plates × matrices in a block for which energies are computed from Gram matrices.
 BLOCK = 2**22
 
 
@@ -143,7 +143,7 @@ def scenario_responses(scenarios: Sequence[Scenario], device: str = "auto", path
 def _scenario_plates(
     scenario: Scenario, device: str, path: str, pool: WorkerPool | None = None, memory_share: float = 1.0
 ) -> ScenarioPlates:
-    """Return the plates of one scenario, whose solvers together take a share of the memory for plates."""
+    """Return the plates of one scenario; all its solvers together use a fraction of the memory for plates."""
     grid = discretize(scenario.scene, scenario.per_plate, stepped=path != MODAL)
     objectives = make_objectives(grid)
     quantities = ("velocity", "displacement") if objectives.needs_displacement else ("velocity",)

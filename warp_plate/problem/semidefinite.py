@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# The barrier's weight t grows by this factor, until what it hides, (size + limits)/t, is below GAP of the bound.
+# The barrier's weight t grows by this factor until the duality gap (size + limits)/t is below GAP of the bound.
 GROWTH, GAP = 8.0, 1e-10
 # Newton steps at one t, and the decrement at which they end.
 MOST_STEPS, SETTLED = 60, 1e-8
@@ -124,7 +124,7 @@ class _Dual:
         level = self.barrier(multipliers, weight)
         for _ in range(MOST_STEPS):
             step, decrement = self.newton(multipliers, weight)
-            # Below what rounding leaves of φ no descent can be seen.
+            # A descent below the rounding error of φ cannot be detected.
             if not decrement >= max(SETTLED, ROUNDING * abs(level)):
                 return multipliers, bool(np.isfinite(decrement))
             length = 1.0
@@ -141,7 +141,7 @@ class _Dual:
         """Return Newton's step for φ, and the decrease of φ along it to first order."""
         try:
             inverse = np.linalg.inv(self.slack(multipliers))
-        except np.linalg.LinAlgError:  # at the edge, as far as numbers tell
+        except np.linalg.LinAlgError:  # at the boundary, up to rounding
             return np.zeros_like(multipliers), np.nan
         turned = inverse @ self.matrices
         bent = np.where(self.equation, 0.0, 1 / np.where(self.equation, 1.0, multipliers))

@@ -3,7 +3,7 @@
     ∂loss/∂x = Σ_r ∂L/∂E_r (∂E_r/∂x + ∂E_r/∂z · ∂z/∂x)
 
 with E_r and its slopes by :mod:`warp_plate.modal.slopes`, and z(x) and L(E) as in :mod:`warp_plate.optimize.quadratic`.
-Where each position has its best drive, the loss does not change with the drive to first order: ∂z/∂x plays no part.
+If each position has its best drive, the loss does not change with the drive to first order, so ∂z/∂x is not needed.
 """
 
 from __future__ import annotations

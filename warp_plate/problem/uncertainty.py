@@ -135,7 +135,8 @@ def _moved_actuators(scene: Scene, offset: np.ndarray) -> list[dict[str, Any]]:
 
 
 def _per_plate(scene: Scene, place: float) -> PerPlate:
-    """Return what may differ between plates, each actuator's area being wider by ``place`` [m] on all sides."""
+    """Return the quantities that may differ between plates, with each actuator's area wider by ``place`` [m] on all
+    sides."""
     per_plate = per_plate_of(scene)
     if not place:
         return per_plate
@@ -147,7 +148,7 @@ def _per_plate(scene: Scene, place: float) -> PerPlate:
 def _common_step(scene: Scene, scenarios: list[Scenario]) -> float:
     """Return a time step [s] that is stable for all."""
     update, step = {"grid": scene.grid.model_copy(update={"time_step": None})}, scene.grid.time_step
-    moment_form = per_plate_of(scene).per_actuator  # whose limit may be another
+    moment_form = per_plate_of(scene).per_actuator  # whose limit may differ
     schemes = [make_scheme(drawn.scene.model_copy(update=update), moment_form=moment_form) for drawn in scenarios]
     if step is not None and step <= min(scheme.limit for scheme in schemes):
         return step

@@ -178,7 +178,7 @@ def kinetic_energies(scene: Scene, drive: np.ndarray, terms: int = 32) -> np.nda
 
 
 def supported_plate(scene: Scene) -> ThinPlate:
-    """Return the plate of a scene; its grid and time steps play no part.
+    """Return the plate of a scene; its grid and time steps are not used.
 
     Raises:
         SceneError: An edge, an effect or the drive has no sine series.

@@ -1,4 +1,4 @@
-"""Waveforms that focus motion at points of a plate, and what they reach."""
+"""Waveforms that focus motion at points of a plate, and their results."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ UNITS = {"displacement": "m", "velocity": "m/s"}
 
 @dataclass(frozen=True)
 class FocusedWaveforms:
-    """Waveforms of one method, a set for each focus, and what they reach.
+    """Waveforms of one method, a set for each focus, and their results.
 
     Peak, area and contrast are those of the quantity of the scene's ``[focus]``, in m or m/s, at the moment of the
     focus. The gap is that of its part from ``focus.lowest`` on; of a burst, that of the motion's product with it.
@@ -89,7 +89,7 @@ class FocusResult:
 
 
 def save_focus(found: FocusResult, path: str | Path) -> Path:
-    """Write the waveforms and what they reach as an HDF5 file, and return its path."""
+    """Write the waveforms and their results as an HDF5 file, and return its path."""
     with FORMAT.create(path) as file:
         names = [actuator.name for actuator in found.scene.actuators]
         write_along(file, "actuator", names, "1", "names of the actuators")

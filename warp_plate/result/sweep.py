@@ -42,7 +42,7 @@ class SweepOutput:
 
     unit: str
     meaning: str
-    axis: Literal["mode", "frequency"] | None = None  # the output's own axis; None if it is one number a point
+    axis: Literal["mode", "frequency"] | None = None  # further axis of the output; None for one number per point
 
 
 @dataclass(frozen=True)

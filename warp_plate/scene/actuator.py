@@ -41,7 +41,8 @@ class Actuator(Table):
 
     @property
     def amplitude_area(self) -> float:
-        """Ratio of the number under ``amplitude_key`` to the magnitude: the patch's area [m²] for a force, else 1."""
+        """Ratio of the number under ``amplitude_key`` to the magnitude: the patch's area [m²] for a force, otherwise
+        1."""
         x0, x1, y0, y1 = self.area
         return 1.0 if self.force is None else (x1 - x0) * (y1 - y0)
 

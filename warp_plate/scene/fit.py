@@ -14,7 +14,7 @@ from warp_plate.scene.keys import resolved_key, scalar_keys
 if TYPE_CHECKING:
     from warp_plate.scene.model import Scene
 
-# Tables whose numbers are properties of the panel.
+# Tables with properties of the panel.
 PANEL = ("plate", "edges", "effects", "actuators", "measurement")
 
 

@@ -36,14 +36,15 @@ class FocusRest(Table):
 class Focus(Table):
     """Points where waveforms of the actuators focus, and the limits of the waveforms."""
 
-    # Points (x, y) [m], each the focus of waveforms of its own
+    # Points (x, y) [m], each the focus of a separate set of waveforms
     points: Annotated[tuple[tuple[Coordinate, Coordinate], ...], Field(min_length=1, max_length=64)]
     highest: Positive  # natural frequency up to which modes take part, at most rate / 2 [Hz]
     lowest: NotNegative = 0.0  # lowest frequency of the waveforms; below it they fade out, to half of it [Hz]
     time: Positive = 0.05  # moment of the focus, after the start of the waveforms [s]
     rate: Annotated[int, Field(ge=1, le=10_000_000)] = 48000  # samples a second
     quantity: Literal["displacement", "velocity"] = "displacement"  # quantity that is focused
-    peak: Positive | None = None  # largest drive of an actuator [N/m² or V] (default: 1 without an energy, else none)
+    # Largest drive of an actuator [N/m² or V] (default: 1 without ``energy``, otherwise none)
+    peak: Positive | None = None
     # Condition number of the inverse filter: smaller singular values than the largest over it are damped [1]
     condition: Annotated[float, Field(ge=1, le=1e7)] = 100.0
     burst: FocusBurst | None = None  # desired motion of a focus (default: a pulse)

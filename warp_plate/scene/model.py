@@ -121,7 +121,7 @@ class Record(Table):
 class Scene(Table):
     """The complete input of a run, in SI units; read one with :meth:`load`.
 
-    ``target`` is one of ``targets`` if the scene has several, by default the first.
+    If the scene has several ``targets``, ``target`` is one of them, by default the first.
     """
 
     title: Text = ""  # title of tables and pictures
@@ -145,7 +145,7 @@ class Scene(Table):
     def load(source: SceneSource, assignments: Sequence[str] = ()) -> Scene:
         """Return the scene of a preset's name or of a TOML file, or raise a SceneError that names what is wrong.
 
-        A scene is returned as it is. Of ``assignments`` each puts a value into a file's tables: ``KEY=VALUE``, see
+        A scene is returned unchanged. Of ``assignments`` each puts a value into a file's tables: ``KEY=VALUE``, see
         :func:`warp_plate.scene.assignments.assign`.
         """
         if isinstance(source, Scene):
@@ -184,7 +184,7 @@ class Scene(Table):
 
     @model_validator(mode="after")
     def _default_grid(self) -> Scene:
-        """Give a scene that is not linear, whose error no reference tells, a grid by its bending waves."""
+        """Choose the grid of a nonlinear scene, for which no error is known, by its bending waves."""
         if self.gridded_by_waves:
             plate, drive = self.plate, self.drive
             frequencies = [drive.frequency, *(actuator.frequency or 0.0 for actuator in self.actuators)]
@@ -292,7 +292,7 @@ class Scene(Table):
 
     def with_tables(self, **tables: Any) -> Scene:
         """Return the scene with some tables replaced, or raise a SceneError if they do not fit together."""
-        # A grid that is chosen for an accuracy must not name anything else; one that is not written stays so.
+        # A grid with an accuracy must have no other keys; a grid that was not written stays unwritten.
         grid = {"grid": self.grid} if self.grid.accuracy is not None else {}
         unwritten = {"grid"} - self.model_fields_set
         kept = {key: table for key, table in {**self.model_dump(), **grid}.items() if key not in unwritten}

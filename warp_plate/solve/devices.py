@@ -19,7 +19,7 @@ MOST_THREADS = 1024  # each takes memory
 
 
 def find_device(name: str) -> wp.Device:
-    """Return the Warp device of a name; "auto" is the first CUDA device that Warp can use, else the CPU.
+    """Return the Warp device of a name; "auto" is the first CUDA device that Warp can use, otherwise the CPU.
 
     Where "auto" leaves a GPU unused, the logger "warp_plate" gets a warning that says why.
 

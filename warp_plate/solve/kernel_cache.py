@@ -34,7 +34,7 @@ def cache_errors() -> Iterator[None]:
 
 
 def load_kernel(kernel: wp.Kernel, device: wp.Device, block_dim: int | None = None) -> None:
-    """Compile a kernel for a device, or load it from the cache if its files there are as they were made."""
+    """Compile a kernel for a device, or load it from the cache if its files there are unchanged."""
     key = str(kernel.module.name), str(device.alias), block_dim
     if key in _loaded:
         return

@@ -39,7 +39,7 @@ def toolkit_version() -> tuple[int, int] | None:
 def driver_version() -> tuple[int, int] | None:
     """Return the newest version of CUDA that the driver runs; None without a driver.
 
-    Warp does not tell that of a driver that is too old, or that shows no GPU.
+    Warp does not report this for a driver that is too old, or that shows no GPU.
     """
     driver, number = _load_driver(), ctypes.c_int()
     if driver is None or driver.cuDriverGetVersion(ctypes.byref(number)) != 0:
@@ -58,7 +58,7 @@ def oldest_architecture() -> int:
 
 
 def missing_cuda() -> str | None:
-    """Return a sentence on why Warp can use no GPU here and what helps, or None if it can use one."""
+    """Return a sentence on why Warp can use no GPU here, with a remedy, or None if it can use one."""
     if usable_devices():
         return None
     if found := wp.get_cuda_devices():

@@ -139,7 +139,7 @@ class PartRunner:
         elif self.specialized.device.is_cuda and not traced and plates >= 2 * part:
             size, turns = part, 2
         held = [] if traced or any(state.nodes.shape[0] for state in self.states) else self.states
-        # A CUDA driver may take a while to tell its free memory.
+        # A CUDA driver may take a while to report its free memory.
         if self.chunk is None and not (self.specialized.device.is_cuda and _have_room(held, turns, size)):
             in_use = sum(one.capacity * bytes_per_plate(self.specialized, one.nodes.shape[0]) for one in self.states)
             room = plates_that_fit(self.specialized, traced, in_use, self.memory_share)
@@ -198,9 +198,8 @@ def plates_that_fit(specialized: Specialized, traced_nodes: int, held: float, me
     """Return how many plates the device has memory for, at least 1.
 
     Args:
-        traced_nodes: Number of nodes whose displacement is kept.
-        held: Bytes that this solver's states hold now and would give back.
-        memory_share: Share of the memory for plates that this solver may take.
+        traced_nodes: Number of nodes whose displacement is recorded. held: Bytes that this solver's states hold now and
+        would give back. memory_share: Share of the memory for plates that this solver may take.
 
     Raises:
         SceneError: A CUDA device has no memory for one plate.

@@ -1,4 +1,4 @@
-"""The largest displacement of a plate over its whole run, sampled beside the times that are recorded."""
+"""The largest displacement of a plate over its whole run, sampled besides the recorded times."""
 
 from __future__ import annotations
 

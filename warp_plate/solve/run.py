@@ -43,7 +43,7 @@ class Run:
     trace: np.ndarray  # (plates, points, steps) displacement [m]
     trace_times: np.ndarray  # (steps,) [s]
     node_steps: int  # Nodes updated × steps × plates
-    # Of each faulty plate, its fault (see ``solve.status``) and the time at which it was seen to grow without
+    # Fault of each faulty plate (see ``solve.status``), and the time at which it was found to grow without
     # bound [s], NaN if it was not
     faults: dict[int, tuple[str, float]]
 
@@ -64,7 +64,7 @@ class Run:
 
     @property
     def growth_time(self) -> np.ndarray:
-        """(plates,) time at which a plate was seen to grow without bound [s], NaN if it was not."""
+        """(plates,) time at which a plate was found to grow without bound [s], otherwise NaN."""
         return np.array([self.faults.get(plate, SOUND)[1] for plate in range(len(self.energy))], dtype=float)
 
     def fault(self, plate: int) -> str:

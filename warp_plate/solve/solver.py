@@ -52,14 +52,14 @@ class PlateSolver:
 
     Args:
         scene: The scene, or its discretization, whose ``per_plate`` and ``allow_unstable`` then hold.
-        device: "cpu", "cuda", "cuda:1", ..., or "auto" for the first CUDA device if there is one, else the CPU.
+        device: "cpu", "cuda", "cuda:1", ..., or "auto" for the first CUDA device if there is one, otherwise the CPU.
         path: "auto", "resident" (all steps in one launch) or "streaming" (many launches).
         chunk: Number of plates to run at once (default: as many as memory holds).
         threads: Threads of the CPU (default: as many as it has).
         allow_unstable: Accept a time step above the stability limit.
         areas: Further regions whose energy runs return, by name: rectangles x0, x1, y0, y1 [m], shapes, or weights
             (ny, nx) in cells.
-        per_plate: What may differ between plates beside their drives, see ``plate.designs``.
+        per_plate: Quantities that may differ between plates besides their drives, see ``plate.designs``.
         quantity: "velocity" or "displacement", the quantity whose energies runs return, see :class:`Run`.
         memory_share: Share of the memory for plates to take, where several solvers hold plates at a time.
 
@@ -73,7 +73,7 @@ class PlateSolver:
 
     Raises:
         SceneError: The time step is unstable, an actuator covers no node, there is no such device or path, the scene
-            cannot have what ``per_plate`` asks for, or displacements are asked of a scene that is not linear.
+        does not support ``per_plate``, or displacements of a nonlinear scene are requested.
     """
 
     def __init__(
@@ -116,7 +116,7 @@ class PlateSolver:
 
     @property
     def regions(self) -> tuple[str, ...]:
-        """Names of the regions whose energies runs return."""
+        """Names of the regions for which runs return energies."""
         return self.specialized.regions
 
     @property

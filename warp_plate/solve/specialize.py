@@ -58,7 +58,7 @@ class Specialized:
         self.real = {"float32": wp.float32, "float64": wp.float64}[self.scene.grid.precision]
         (nx, ny), line = self.scheme.nodes, LINE_BYTES // wp.types.type_size_in_bytes(self.real)
         self.rows, self.stride = ny + 2, -(-nx // line) * line  # Shape of a field, with padding
-        self.regions = (*REGIONS, *areas)  # Names of the regions whose energy is summed
+        self.regions = (*REGIONS, *areas)  # Names of the regions for which energies are summed
         self.parameters = make_parameters(self.real)()  # Struct of the kernels' scalar coefficients
         for name in ("stiffness", "aspect", "decay"):
             setattr(self.parameters, name, getattr(self.scheme, name))
@@ -127,7 +127,7 @@ class Specialized:
 
     @property
     def loaded_rows(self) -> np.ndarray:
-        """(rows,) one for the rows of a field that hold a loaded node, else zero."""
+        """(rows,) one for the rows of a field with a loaded node, otherwise zero."""
         loaded = np.zeros(self.rows, dtype=np.int32)
         loaded[self.support.numpy()[:, 0]] = 1
         return loaded
@@ -168,7 +168,7 @@ def effect_names(scene: Scene, several_waves: bool = False) -> tuple[str, ...]:
     """Return the names of the effects in the compiled kernel.
 
     Args:
-        several_waves: Plates have more waves than the scene's drive alone asks for.
+        several_waves: Plates have more waves than the scene's drive needs.
     """
     several_waves = several_waves or scene.drive.electrostatic is not None or waves_apart(scene) > 1
     damping = scene.effects.damping

@@ -74,7 +74,7 @@ class State:
 
     @property
     def has_plate_waves(self) -> bool:
-        """True if each plate of the current run has a wave of its own."""
+        """True if each plate of the current run has separate waves."""
         return self.wave is self.plate_waves
 
     def take_turns(self) -> None:

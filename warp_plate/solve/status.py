@@ -1,8 +1,8 @@
 """Detection of plates that did not move as bounded ones do.
 
-At a stable step the scheme's energy grows by the work of the load alone. So after n steps no rate exceeds n times the
-norm of a step's load, apart from factors that a step next to the limit and unequal masses bring. A rate beyond that by
-SLACK has grown by itself.
+At a stable step the scheme's energy grows only by the work of the load. So after n steps no rate exceeds n times the
+norm of a step's load, apart from factors that a step next to the limit and unequal masses bring. A rate above that by
+the factor SLACK is unstable growth.
 """
 
 from __future__ import annotations

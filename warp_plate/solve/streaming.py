@@ -25,8 +25,8 @@ LaunchTiles = Callable[[Launcher, State, int, wp.array, int, int, bool], None]
 def repeat(device: wp.Device, launches: Callable[..., object], state: State, *numbers: int) -> None:
     """Run ``launches(wp.launch, state, *numbers)``, recorded when it is called with these numbers for the first time.
 
-    Recordings are kept with the state, whose addresses they hold: as a CUDA graph, on CPU as a list. Buffers that take
-    turns must end where they began. No other thread may use the device's stream meanwhile.
+    Recordings are kept with the state, because they hold its addresses: as a CUDA graph, on CPU as a list. Buffers that
+    take turns must end where they began. No other thread may use the device's stream meanwhile.
     """
     # A state may have other waves the next time, and buffers may have been left in the other turn.
     key = (launches, *numbers, state.has_plate_waves, state.u.ptr)

@@ -73,7 +73,7 @@ def transfer_functions(solver: PlateSolver | ModalSolver) -> np.ndarray:
     count = len(scene.actuators)
     run = solver.run(np.concatenate([np.eye(count), -1j * np.eye(count)]), times)
     motions = np.stack([motion.amplitudes[0] for motion in motions_of(run, tone, LINEAR_ORDERS)])
-    # The drive Z = −i yields −iH: the mean of both halves what is left of the transient.
+    # The drive Z = −i yields −iH; the mean of both halves the remaining transient.
     return np.asarray((motions[:count] + 1j * motions[count:]) / 2)
 
 
@@ -89,7 +89,7 @@ def time_reversal(solver: PlateSolver | ModalSolver, transfer: np.ndarray) -> np
 
 
 def inverse_filter(solver: PlateSolver | ModalSolver, transfer: np.ndarray) -> np.ndarray:
-    """Return the phasors (actuators,) whose motion is closest to one in the target and zero elsewhere."""
+    """Return the phasors (actuators,) with the motion closest to one in the target and zero elsewhere."""
     weights = solver.discretization.region_weights
     plate, target = (weights[REGIONS.index(name)] for name in ("plate", "target"))
     weight = np.sqrt(np.maximum(plate, 0)).ravel()

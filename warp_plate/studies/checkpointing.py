@@ -54,7 +54,7 @@ class StudyFile(Generic[Study]):
     def save(self, study: Study) -> None:
         """Write the study atomically; on failure warn once and keep the last file.
 
-        A file that another process has written since is left alone from then on.
+        A file that another process has written since is no longer touched.
         """
         self._last = time.monotonic()
         if self._taken_by_another():

@@ -42,7 +42,7 @@ def compare(
     on_progress: OnTrialProgress | None = None,
     pool: WorkerPool | None = None,
 ) -> MethodComparison:
-    """Run every method from every seed, methods in turn so that disturbances of the machine affect all alike.
+    """Run every method from every seed, in alternation so that disturbances of the machine affect all methods.
 
     Ctrl-C and the loss of all workers keep the finished trials. Seconds of a trial are those of its optimizer and its
     losses, after one iteration of each method that is not counted; those of the Gram matrices are kept apart.
@@ -105,7 +105,7 @@ def _prepare(
 
 
 def _of_common_phase(problem: Problem, bound: Bound) -> str:
-    """Return what drives reach whose first phase is free, if the searches hold it and that costs something."""
+    """Return the value for drives with a free first phase, if the searches fix it and lose by it."""
     if problem.bound is None or problem.bound_kind != "attained" or problem.bound <= 1 - bound.value + NEAR:
         return ""
     return f". They hold the first phase at 0; free, it reaches {problem.bound:.6f} (localize, method = 'exact')"
@@ -135,7 +135,7 @@ def _run_trials(
     budget = search.particles * search.iterations
     pairs = [(method, index) for index in range(seeds) for method in methods if index == 0 or method not in SEEDLESS]
     try:
-        for method in methods:  # what is compiled or allocated once is not counted for the first trial
+        for method in methods:  # one-time compilation and allocation are not counted for the first trial
             _run_trial(method, search.seed, problem, 1)
         for number, (method, index) in enumerate(pairs):
             seed = search.seed + index

@@ -1,6 +1,6 @@
 """Frequency responses between actuators or points and points, with localization factor and mean square velocity.
 
-Each frequency is computed by itself, from the modal amplitudes q (:mod:`warp_plate.modal.steady`). With T and P the
+Each frequency is computed separately, from the modal amplitudes q (:mod:`warp_plate.modal.steady`). With T and P the
 kinetic matrices of the target and of the plate, the mean kinetic energies over a period are ω² qᴴTq/4 and ω² qᴴPq/4.
 With q of a unit pressure on each actuator in the columns of Q, drives z have the localization factor
 zᴴQᴴTQz / zᴴQᴴPQz, and the largest eigenvalue of that pair bounds it. Near a sharp resonance all columns of Q are nearly
@@ -26,7 +26,7 @@ from warp_plate.scene.target import Target
 
 # Modes that the default range reaches at least.
 MODES_SHOWN = 6
-# Amplitudes that are computed at once: frequencies · modes · loads.
+# Number of amplitudes in memory: frequencies · modes · loads.
 BLOCK = 2**22
 # Combinations of actuators with a smaller part of the largest amplitude cancel out.
 RANK_TOLERANCE = 1e-12
@@ -43,7 +43,7 @@ def compute_frequency_response(
     """Return the steady responses of points to unit forces, at frequencies that follow every resonance.
 
     Args:
-        scene: Linear scene; its grid, window and waveforms play no part.
+        scene: Linear scene; its grid, window and waveforms are not used.
         inputs: Names of actuators, on each of which 1 N acts evenly, and points (x, y) [m] at which 1 N acts (default:
             all actuators).
         points: Points (x, y) [m] that respond (default: ``record.points``, or the middles of the targets).
@@ -126,7 +126,7 @@ def check_on_plate(scene: Scene, places: Sequence[str | Point], label: str = "po
 
 
 def check_linear(scene: Scene, frequency_range: tuple[float, float] | None) -> None:
-    """Raise a SceneError unless the scene is linear and the range is one."""
+    """Raise a SceneError unless the scene is linear and the range is valid."""
     if scene.nonlinear_table is not None:
         raise SceneError(f"{scene.nonlinear_table}: frequency responses are those of a linear plate without it")
     low, high = frequency_range or (1.0, 2.0)

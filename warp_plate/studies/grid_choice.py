@@ -57,12 +57,13 @@ def resolve_grid(
     phasors: np.ndarray | None = None,
     engine: Literal["any", "modes", "steps"] = "steps",
 ) -> ResolvedGrid:
-    """Choose the cheapest engine and grid that keep the scene's ``grid.accuracy``; a grid is returned as it is.
+    """Choose the cheapest engine and grid within the scene's ``grid.accuracy``; a scene with a grid is returned
+    unchanged.
 
     A choice is kept for the next command, see :mod:`warp_plate.studies.kept_choices`.
 
     Args:
-        phasors: (drives, actuators) drives whose errors count (default: those that ``choose`` takes).
+        phasors: (drives, actuators) drives whose errors matter (default: those of ``choose``).
         engine: engine that may be chosen.
     """
     if scene.grid.accuracy is None:
@@ -120,8 +121,8 @@ def resolve_search_grid(scene: Scene, device: str, evaluator: str | None = None,
 def resolve_for_sweep(scene: Scene, plan: Plan, device: str, evaluator: str) -> Scene:
     """Choose the grid for all points of a sweep: at the corner of its ranges where bending waves are shortest.
 
-    The scene is returned as it is if the grid itself is varied, or if that corner keeps no accuracy; points then choose
-    for themselves.
+    The scene is returned unchanged if the grid is varied, or if the accuracy cannot be reached at that corner; points
+    then choose for themselves.
     """
     if scene.grid.accuracy is None or any(key.startswith("grid.") for key in plan.keys):
         return scene

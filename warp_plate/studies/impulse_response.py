@@ -65,7 +65,7 @@ def compute_impulse_response(
     """Return the responses of points to impulses of 1 N·s.
 
     Args:
-        scene: Linear scene without a loss factor; its grid, window and drive play no part.
+        scene: Linear scene without a loss factor; its grid, window and drive are not used.
         inputs: Names of actuators, over which an impulse is spread evenly, and points (x, y) [m] (default: all
             actuators).
         points: Points (x, y) [m] that respond (default: ``record.points``, or the middles of the targets).

@@ -18,7 +18,7 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device, kernel_folder, processor_of
 
-# Tables that no choice depends on: the highest searched frequency is one of the actuators' already.
+# Tables that do not affect a choice: the highest searched frequency is already that of an actuator.
 UNREAD = {"title", "grid", "search", "record", "targets"}
 
 

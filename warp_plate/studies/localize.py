@@ -1,4 +1,4 @@
-"""The whole search: the engine and grid, a search for each target, and what the result holds beside their drives."""
+"""The complete search: choose engine and grid, search for each target, and compose the result."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class _Options:
-    """Options for what a search reports, saves and computes beside its best drive; see :func:`localize`."""
+    """Options for reports, checkpoints and further results of a search; see :func:`localize`."""
 
     on_progress: OnProgress | None
     checkpoints: CheckpointFile | None

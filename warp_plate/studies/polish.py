@@ -73,8 +73,8 @@ def _nominal_drive(problem: Problem, loss: float) -> Polished | None:
 def polish(problem: Problem, position: np.ndarray, loss: float) -> Polished:
     """Return the minimum to which a descent from a position of ``problem.space`` leads.
 
-    A searched frequency that all actuators have in common also moves to the best of those of the result's spectrum, as
-    long as that is better: so no resonance beside the one that the search found is overlooked.
+    A searched frequency that all actuators have in common also moves to the best of those of the result's spectrum, if
+    that is better, so that no neighbouring resonance is missed.
     """
     evaluations, space = 0, problem.space
 

@@ -27,7 +27,7 @@ def device_name(device: wp.Device) -> str:
 
 
 def run_fields(solver: PlateSolver | ModalSolver, run: Run) -> dict[str, Any]:
-    """Return the fields of a result that tell how a run was computed and when it was recorded."""
+    """Return the fields of a result about how a run was computed and when."""
     path = solver.describe_path(bool(solver.scene.record.points))
     return {"effects": solver.effects, "path": path, "times": run.times, "trace_times": run.trace_times}
 

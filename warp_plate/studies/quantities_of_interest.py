@@ -1,4 +1,4 @@
-"""Quantities that a sweep computes for each scene: what each command finds, as numbers by name."""
+"""Quantities that a sweep computes for each scene: the results of each command as numbers by name."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def _simulation_quantities(scene: Scene, settings: Settings) -> Values:
     path = settings.path
     if settings.evaluator == MODAL:
         path = MODAL
-    elif scene.grid.accuracy is not None:  # a grid for time steps, where an accuracy alone might take modes
+    elif scene.grid.accuracy is not None:  # a grid for time steps, because an accuracy might choose modes
         scene = resolve_grid(scene, settings.device, scene_phasors(scene)[None]).scene
     result = simulate(scene, device=settings.device, path=path, estimate=False)
     case = result.cases["drive"]

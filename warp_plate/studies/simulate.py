@@ -36,7 +36,7 @@ def simulate(
     estimate: bool = True,
     allow_unstable: bool = False,
 ) -> Result:
-    """Run a scene under one drive, by the engine for its ``grid.accuracy``, and record what ``[record]`` asks for.
+    """Run a scene under one drive with the engine for its ``grid.accuracy``, and record the outputs of ``[record]``.
 
     Args:
         path: see :class:`PlateSolver`, or "modal" for the modes of a linear scene, which have no grid's error; "auto"

@@ -54,17 +54,17 @@ def sweep(
         >>> found.plan.coordinates[0], found.shaped("best")      # (21,) Hz, (21,) localization factors
 
     Args:
-        scene: scene whose values are varied; ``source`` is its name, kept in the result.
+        scene: scene with values to vary; ``source`` is its name, kept in the result.
         vary: strings as for ``--vary``: KEY=START:STOP:COUNT, KEY=log:START:STOP:COUNT or KEY=a,b,c.
         what: a key of QUANTITIES; ``count`` is the number of modes.
         samples, seed: number of points of a Latin hypercube in place of the full grid, and its random seed.
-        device, path: see :class:`PlateSolver`; the workers of a pool have devices of their own.
+        device, path: see :class:`PlateSolver`; the workers of a pool have separate devices.
         on_progress: called after each point.
         pool: workers that run the points (default: this process).
         evaluator: "modal" for the modes of the plate, "direct" for time steps (default: see :func:`choose_evaluator`).
         frequencies: range of frequencies [Hz] of frequency responses, written as in ``vary``.
 
-    Values at points whose scene is refused are NaN, and the reason is kept.
+    Values at refused points are NaN, and the reason is stored.
 
     Raises:
         SceneError: ``vary`` or ``what`` is invalid, or all points are refused.

@@ -23,7 +23,7 @@ from warp_plate.scene.vary import Plan, parse_frequencies
 from warp_plate.solve.devices import find_device
 from warp_plate.studies.quantities_of_interest import QUANTITIES, Settings, Values
 
-# Tasks of a pool that are prepared at once: their scenes may hold large files.
+# Number of tasks prepared for a pool, because their scenes may hold large files.
 TASK_BLOCK = 1000
 
 
@@ -67,7 +67,7 @@ def varied_files(scene: Scene, plan: Plan) -> dict[str, list[str]]:
 
 
 def run_point(point: Point) -> PointResult:
-    """Run a point, whose number the caller fills in."""
+    """Run a point; the caller fills in its number."""
     with TemporaryDirectory() as folder:
         scene, name = point.scene, point.settings.device or "auto"
         if isinstance(scene, SceneSpec):

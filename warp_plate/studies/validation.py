@@ -27,8 +27,8 @@ def compare_with_nominal(
     ``search.robust.fresh`` new scenarios.
 
     Returns:
-        The comparison, the nominal drive as the case "nominal", and the node-steps beside those of the problem; None if
-        the nominal search found nothing or was interrupted.
+        The comparison, the nominal drive as the case "nominal", and the node-steps besides those of the problem; None
+        if the nominal search found nothing or was interrupted.
     """
     nominal, table = problem.nominal, problem.robust
     optimizer = search_optimizer(nominal, start.seed)

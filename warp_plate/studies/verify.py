@@ -5,8 +5,8 @@ target and of the plate are sums a_T·s and a_P·s over the measured points, so 
 
     LF = a_T·s / a_P·s,     var LF = Σ_k (a_T − LF a_P)_k² (2 v_k σ_k)² / (a_P·s)²
 
-with the standard deviations σ of the velocities. Noise adds σ² to each square, which is subtracted. How wrong the
-factor of so few points is, the promised field tells, whose factor is known: twice that error counts.
+with the standard deviations σ of the velocities. Noise adds σ² to each square, which is subtracted. The error of
+sampling at few points is estimated from the predicted field, whose factor is known; it counts twice.
 """
 
 from __future__ import annotations
@@ -52,14 +52,14 @@ class Verification:
 
     Attributes:
         case: Name of the drive.
-        measured: What was measured, points with several readings averaged.
-        promised: (n,) root mean square velocities of the result at the points [m/s].
+        measured: Measured field, with repeated readings averaged.
+        promised: (n,) predicted root mean square velocities at the points [m/s].
         promised_factor: Localization factor of the result.
         localization_factor: Measured localization factor.
         deviation: Its standard deviation from the noise; NaN if that is not known.
-        sampling: What these points see of the promised field, less its true localization factor.
-        scale: Measured over promised velocity, by least squares.
-        correlation: Cosine between the measured and the promised velocities.
+        sampling: Localization factor of the predicted field sampled at these points, less its true one.
+        scale: Measured over predicted velocity, by least squares.
+        correlation: Cosine between the measured and the predicted velocities.
     """
 
     case: str
@@ -80,7 +80,7 @@ class Verification:
 
     @property
     def kept(self) -> bool:
-        """True if the promised localization factor is not above the interval."""
+        """True if the predicted localization factor is not above the interval."""
         return self.promised_factor <= self.interval[1]
 
 
@@ -93,7 +93,7 @@ def verify(result: Result, data: Path | MeasuredField, case: str | None = None) 
         case: Name of the drive (default: the best one, or the one that was simulated).
 
     Raises:
-        SceneError: The file is not as it should be, or the points do not lie on the panel or on one line alone.
+        SceneError: The file is invalid, or the points are not on the panel or all lie on one line.
     """
     name = next(key for key, each in result.cases.items() if each is result.main_case) if case is None else case
     if name not in result.cases:

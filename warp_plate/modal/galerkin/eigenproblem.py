@@ -19,7 +19,7 @@ from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
-# Modes that are solved for once more, and the most points at which their curvatures are held at a time.
+# Modes that are solved for again, and the largest number of points with curvatures in memory.
 LOWEST, POINTS = 12, 1 << 18
 # All modes are computed unless fewer than one in SPARSE is wanted: then Lanczos' method takes less time.
 SPARSE = 5
@@ -34,7 +34,7 @@ INTERVALS = 18
 def solve_eigenproblem(
     galerkin: Galerkin, wanted: int, scale: float, least: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return ω² [1/s²], rising, and mass-normalised vectors (unknowns, modes) of so many modes at least.
+    """Return ω² [1/s²], rising, and mass-normalised vectors (unknowns, modes) of at least a number of modes.
 
     Args:
         galerkin: Matrices.
@@ -192,7 +192,7 @@ def _values(along_y: Matrix, along_x: Matrix, coefficients: np.ndarray) -> np.nd
 
 
 def _buckled(scene: Scene) -> SceneError:
-    """Return the refusal of a plate whose tension T buckles it: for some μ < 1, K − T + μT is singular."""
+    """Return the error for a plate that its tension T buckles: for some μ < 1, K − T + μT is singular."""
     tension = scene.effects.tension
     assert tension is not None
     effects = scene.effects.model_copy(update={"tension": None})

@@ -21,7 +21,7 @@ from warp_plate.scene.effects import Variation
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
 
-# With so many breaks between two knots, of a fine map, so many of Gauss's points between two breaks suffice.
+# With this many breaks between two knots (fine maps), this many Gauss points between two breaks suffice.
 FINE, FINE_RULE = 4, 3
 Matrix: TypeAlias = scipy.sparse.csr_array
 Field: TypeAlias = np.ndarray | float
@@ -80,7 +80,7 @@ class Integrals:
         return bend_xx, bend_xy, bend_yy, twist, mass
 
     def inside(self, area: Area) -> np.ndarray:
-        """Return one at Gauss's points (y, x) in a rectangle x0, x1, y0, y1 [m] whose sides are breaks, else zero."""
+        """Return one at Gauss points (y, x) in a rectangle x0, x1, y0, y1 [m] with sides at breaks, otherwise zero."""
         x, y = self.points
         return np.outer((y > area[2]) & (y < area[3]), (x > area[0]) & (x < area[1])).astype(float)
 
@@ -134,7 +134,7 @@ class Integrals:
 
 
 def _unordered(rows: np.ndarray, columns: np.ndarray) -> tuple[Pairs, np.ndarray]:
-    """Return each pair once, whatever its order, and which of them each pair is."""
+    """Return the distinct unordered pairs, and the index of each pair among them."""
     ordered = np.sort(np.stack([rows, columns]), axis=0)
     (first, second), of_pairs = np.unique(ordered, axis=1, return_inverse=True)
     return (first, second), of_pairs.ravel()

@@ -18,7 +18,7 @@ from warp_plate.scene.model import ElasticEdge, Scene
 # Degree of the splines, of those of a section with jumps or up to FEW_KINKS kinks along a side, and with more: each
 # repeats knots, fewer of a low degree.
 DEGREE, DEGREE_OF_JUMPS, DEGREE_OF_KINKS, FEW_KINKS = 7, 5, 4, 10
-# Up to so many oscillators, splines near the edges of their patches, across which the load jumps.
+# Up to this many oscillators, knots are added near the edges of their patches, across which the load jumps.
 MOST_PATCHES = 8
 # The curvature alone is continuous across a line of a map where the slope of a factor changes by more than KINK times
 # its value over the columns' distance, if there are no more than MOST_KINKS of them along either side.
@@ -35,7 +35,7 @@ SAME, CLOSE = 1e-6, 1e-4
 
 
 def plate_splines(scene: Scene, axis: int, intervals: int) -> Splines:
-    """Return the functions along x (0) or y (1) of a scene's plate, with about so many intervals between knots."""
+    """Return the functions along x (0) or y (1) of a scene's plate, with about a number of intervals between knots."""
     edges, length, degree = scene.edges, scene.plate.size[axis], _degree(scene)
     ends, sides = ((edges.left, edges.right), (edges.bottom, edges.top))[:: 1 if axis == 0 else -1]
     knots = [line for line in lines(scene, axis, degree) if line[1] < degree]

@@ -39,7 +39,7 @@ class Galerkin:
         along_x: Functions of x.
         along_y: Functions of y.
         mass: M [kg].
-        bending: B, the stiffness of the plate alone [N/m].
+        bending: B, the stiffness of the plate without edges and attachments [N/m].
         support: K − B, of edges, tension, foundation and oscillators [N/m].
         damping: C [N·s/m] but for τB, the damping of the material.
         plate_mass: Mass of the plate with its layers, without oscillators [kg].
@@ -71,7 +71,7 @@ class Galerkin:
 
 
 def make_galerkin(scene: Scene, intervals: tuple[int, int]) -> Galerkin:
-    """Return the matrices of a scene with about so many intervals between knots along x and along y.
+    """Return the matrices of a scene with about a number of intervals between knots along x and along y.
 
     Raises:
         SceneError: A file of the scene's variation cannot be read.

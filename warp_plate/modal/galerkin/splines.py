@@ -93,7 +93,7 @@ def make_splines(
         ends: "clamped", "supported" or "free" for the low and the high end.
         intervals: Least number of intervals between knots.
         degree: Degree of the splines.
-        corners: Positions [m] where only so many derivatives are continuous.
+        corners: Positions [m] where fewer derivatives are continuous.
     """
     continuous: dict[float, int] = {}
     for position, derivatives in sorted(corners, key=lambda corner: corner[1]):
@@ -110,7 +110,7 @@ def make_splines(
 
 
 def gauss(breaks: np.ndarray, points: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions and weights of Gauss's rule with so many points between each two breaks."""
+    """Return positions and weights of Gauss's rule with a number of points between each two breaks."""
     s, weights = legendre.leggauss(points)
     half = np.diff(breaks)[:, None] / 2
     return (breaks[:-1, None] + half * (1 + s)).ravel(), (half * weights).ravel()
