@@ -48,7 +48,9 @@ sphinx_gallery_conf = {
     "examples_dirs": "examples/gallery",
     "gallery_dirs": "gallery",
     "image_scrapers": ("matplotlib", "gallery_pictures.scrape"),
-    "subsection_order": [f"examples/gallery/{name}" for name in ("plates", "drives", "searches", "results")],
+    "subsection_order": [
+        f"examples/gallery/{name}" for name in ("plates", "drives", "searches", "results", "explanations")
+    ],
     "capture_repr": (),
     "remove_config_comments": True,
     "show_memory": False,

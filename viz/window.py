@@ -193,7 +193,7 @@ class ViewerWindow:
             bar.SetSliderLength(0.006)
             bar.SetEndCapLength(0.0)
             style_text(bar.GetLabelProperty(), FONT_SIZE)
-            add_text(plotter, title, (left, 1.0), FONT_SIZE)
+            add_text(plotter, title, (left, 0.97), FONT_SIZE)
 
     def _add_buttons(
         self, labels: dict[str, str], y: int, left: int, callback: Callable[[str], None], chosen: str

@@ -10,7 +10,7 @@ import numpy as np
 from warp_plate.result.focus import FocusedWaveforms, FocusResult
 from warp_plate.viz.captions import shortened
 from warp_plate.viz.colours import DEFAULT_COLOURS, ColourOptions, colour_map
-from warp_plate.viz.fields import FIELDS, DrawingScale, drawing_scale, unit_with_prefix
+from warp_plate.viz.fields import FIELDS, DrawingScale, drawing_scale, short_number, unit_with_prefix
 from warp_plate.viz.plots.frame import figure
 from warp_plate.viz.plots.frequency_response import COLOURS
 from warp_plate.viz.plots.plan import draw_edges, draw_outline, drawn_size, light_rim
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 LENGTH = 2.0  # longer side of a plate [inch]
-# Most waveforms that are drawn, and periods of the highest frequency of which single waves can still be seen.
-MOST_WAVEFORMS, MOST_PERIODS = 8, 50
+# Most waveforms that are drawn; periods of a burst, or of the highest frequency of a pulse, whose waves can be seen.
+MOST_WAVEFORMS, BURST_PERIODS, PULSE_PERIODS = 8, 16, 50
 
 
 def draw_focus(found: FocusResult, path: str | Path, colours: ColourOptions = DEFAULT_COLOURS) -> None:
@@ -36,7 +36,7 @@ def draw_focus(found: FocusResult, path: str | Path, colours: ColourOptions = DE
             shown = fields if colours.limits == "common" else [field]
             scale = drawing_scale(shown, found.scene.plate.size, FIELDS[table.quantity], colours=colours)
             _draw_plate(row[0], found, field, scale)
-            area = f"−6 dB area {1e6 * method.focus_area[0]:.3g} mm²"
+            area = f"{short_number(1e6 * method.focus_area[0])} mm² at −6 dB"
             row[0].set_title(
                 f"{name.replace('_', ' ')}: {area}\ncolours to ±{scale.clim[1]:.4g} {scale.unit}", fontsize=8
             )
@@ -63,7 +63,7 @@ def _draw_plate(axes: Axes, found: FocusResult, field: np.ndarray, scale: Drawin
 
 
 def _draw_waveforms(axes: Axes, found: FocusResult, method: FocusedWaveforms) -> None:
-    """Draw waveforms in strips of their own, all in one scale, of high frequencies only the end."""
+    """Draw waveforms in strips of their own, all in one scale: around the moment of a burst, before that of a pulse."""
     waveforms, table = method.waveforms[0], found.scene.focus
     assert table is not None
     largest = np.abs(waveforms).max() or 1.0
@@ -72,7 +72,11 @@ def _draw_waveforms(axes: Axes, found: FocusResult, method: FocusedWaveforms) ->
     for place, index in enumerate(chosen):
         axes.plot(times, place + 0.45 * waveforms[index] / largest, color=INK, linewidth=0.5)
     axes.set_yticks(range(len(chosen)), [shortened(found.scene.actuators[index].name) for index in chosen], fontsize=7)
-    axes.set(xlim=(max(0.0, times[-1] - 1e3 * MOST_PERIODS / table.highest), times[-1]))
+    if table.burst is not None:
+        first, last = (1e3 * (table.time + side * BURST_PERIODS / 2 / table.burst.frequency) for side in (-1, 1))
+    else:
+        first, last = 1e3 * (table.time - PULSE_PERIODS / table.highest), times[-1]
+    axes.set(xlim=(max(0.0, first), min(last, times[-1])))
     axes.text(1, 1.01, f"±{largest:.3g} {found.scene.drive_unit}", transform=axes.transAxes, ha="right", fontsize=7)
 
 

@@ -88,12 +88,12 @@ def _levels(result: Result) -> dict[str, tuple[float, dict[str, str]]]:
         levels["bound only" if kind == "bound only" else "bound"] = bound, {"color": "#b2182b", "linestyle": "--"}
     if result.source == "paper":
         levels["published"] = PUBLISHED, {"color": "#762a83", "linestyle": ":"}
-    if result.scene.search.robust is None:
+    if result.scene.search.robust is None and localization:  # of other objectives they may break limits
         for name, look in CASE_LINES.items():
-            case, values = result.cases.get(name), result.objective_values_by_case.get(name, {})
-            value = case.localization_factor if case and localization else values.get("sum")
-            if case is not None and value is not None and np.isfinite(value):
-                levels[case_label(name, result.scene, only_actuator(case, result.scene))] = float(value), look
+            case = result.cases.get(name)
+            if case is not None and np.isfinite(case.localization_factor):
+                label = case_label(name, result.scene, only_actuator(case, result.scene))
+                levels[label] = case.localization_factor, look
     return levels
 
 

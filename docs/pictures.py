@@ -1,0 +1,261 @@
+"""Draws the pictures of docs/images, each by the commands of warp-plate or the script that stand beside its name here.
+
+    python docs/pictures.py                     # all of them: half an hour on two cores
+    python docs/pictures.py targets sweep-paper # these
+
+The window needs Xvfb and xdotool, the two pages Playwright and Chromium.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import runpy
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+DOCS = Path(__file__).resolve().parent
+MEASURED = DOCS.parent / "benchmarks" / "results"
+# Widths that are tried [pixels], and the size from which a PNG is written with 256 colours, and then narrower [bytes].
+WIDTHS, MOST_BYTES = (1400, 1200, 1000, 800), 280_000
+THREE = "--case equal --case single --case best"
+PLAN = "--plan --field rms-velocity"
+# Commands of warp-plate, in a folder with the scenes of docs/examples, and the picture that they write.
+COMMANDS = {
+    "bounds-strong-and-quiet.png": ("strong-and-quiet-localize-history.png", "localize strong-and-quiet.toml"),
+    "compare-paper.png": ("paper-compare.png", "compare paper"),
+    "comparing-baselines.png": (
+        "mask-localize.png",
+        "localize mask.toml --baselines",
+        f"render mask-localize.h5 {PLAN} --limits each --case time_reversal --case inverse_filter --case best",
+    ),
+    "crosstalk.png": ("three-targets-localize-crosstalk.png", "localize three-targets.toml"),
+    "focusing-four-fingers.png": ("four-fingers-focus.png", "focus four-fingers"),
+    "focusing.gif": (
+        "focus.gif",
+        "focus focusing-glass",
+        "render focusing-glass-focus.h5 --case time_reversal --case optimum --limits each --width 220 --frames 16 "
+        "--rate 8 --out focus.gif",
+    ),
+    "focusing.png": ("focusing-glass-focus.png", "focus focusing-glass"),
+    "frequency-response.png": ("touch-panel-frf.png", "frf touch-panel"),
+    "objectives-phases-alone.png": (
+        "phases-alone-localize.png",
+        "localize phases-alone.toml",
+        f"render phases-alone-localize.h5 {PLAN} --case equal --case best",
+    ),
+    "objectives-strong-and-quiet.png": (
+        "strong-and-quiet-localize.png",
+        "localize strong-and-quiet.toml",
+        f"render strong-and-quiet-localize.h5 {PLAN} --case equal --case best",
+    ),
+    "paper-accuracy.png": ("paper-accuracy.png", "accuracy paper"),
+    "paper-surfaces.png": ("paper-localize-figure-2.png", "localize paper", "render paper-localize.h5 --figures paper"),
+    "robust-touch-panel.png": ("robust-touch-panel-localize-robust.png", "localize robust-touch-panel.toml"),
+    "searching-bursts.png": (
+        "bursts-localize.png",
+        "localize bursts.toml",
+        f"render bursts-localize.h5 {PLAN} --case equal --case best --start 0.01 --end 0.014",
+    ),
+    "searching-frequency.png": ("frequency-localize-spectrum.png", "localize frequency.toml"),
+    "searching-position.png": (
+        "places-localize.png",
+        "localize places.toml",
+        f"render places-localize.h5 {PLAN} --limits each --case single --case best",
+    ),
+    "sweep-paper.png": (
+        "paper-sweep.png",
+        "sweep paper --vary drive.frequency=200:400:41 effects.damping.viscous=log:10:300:17",
+    ),
+    "view-modes.png": ("modes.png", "localize paper", "render paper-localize.h5 --modes 3 --out modes.png"),
+    "view-motion.gif": (
+        "motion.gif",
+        "localize paper",
+        f"render paper-localize.h5 {THREE} --width 280 --frames 14 --rate 10 --out motion.gif",
+    ),
+    "view-phase-plan.png": (
+        "phase.png",
+        "localize paper",
+        f"render paper-localize.h5 {THREE} --plan --field phase --out phase.png",
+    ),
+    "view-rms-velocity.png": (
+        "rms.png",
+        "localize paper",
+        f"render paper-localize.h5 {THREE} --field rms-velocity --out rms.png",
+    ),
+}
+# Scripts of the gallery, by the picture that is their figure.
+SCRIPTS = {
+    f"explain-{path.stem.removeprefix('plot_').replace('_', '-')}.png": path
+    for path in DOCS.glob("examples/gallery/explanations/*.py")
+}
+done: set[str] = set()
+
+
+def main(chosen: list[str]) -> None:
+    drawn = {**dict.fromkeys(COMMANDS, by_commands), **dict.fromkeys(SCRIPTS, by_script), **OTHERS}
+    names = [name for name in drawn if not chosen or Path(name).stem in chosen]
+    with tempfile.TemporaryDirectory() as folder:
+        shutil.copytree(DOCS / "examples", folder, dirs_exist_ok=True)
+        os.chdir(folder)
+        for name in names:
+            print(f"{name} ...", flush=True)
+            publish(drawn[name](name), DOCS / "images" / name)
+
+
+def publish(written: Path, target: Path) -> None:
+    """Copy a picture, a PNG not wider and not larger than a page can bear."""
+    from PIL import Image
+
+    if target.suffix != ".png":
+        shutil.copy(written, target)
+        return
+    whole = Image.open(written).convert("RGB")
+    for width in WIDTHS:
+        picture = whole
+        if whole.width > width:
+            picture = whole.resize((width, round(whole.height * width / whole.width)), Image.Resampling.LANCZOS)
+        picture.save(target, optimize=True)
+        if target.stat().st_size > MOST_BYTES:
+            palette = picture.quantize(255, Image.Quantize.MEDIANCUT)
+            palette.putpalette([*palette.getpalette()[:765], 255, 255, 255])
+            picture = picture.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG)
+            picture.putpalette([255 if level > 247 else level for level in picture.getpalette()])  # a white background
+            picture.save(target, optimize=True)
+        if target.stat().st_size <= MOST_BYTES:
+            return
+
+
+def warp_plate(command: str) -> None:
+    """Run a command once."""
+    if command not in done:
+        subprocess.run([sys.executable, "-m", "warp_plate", *command.split()], check=True, stdout=subprocess.DEVNULL)
+        done.add(command)
+
+
+def by_commands(name: str) -> Path:
+    written, *commands = COMMANDS[name]
+    for command in commands:
+        warp_plate(command)
+    return Path(written)
+
+
+def by_script(name: str) -> Path:
+    from matplotlib import pyplot
+
+    pyplot.switch_backend("Agg")
+    runpy.run_path(str(SCRIPTS[name]))
+    pyplot.gcf().savefig(name, dpi=150)
+    pyplot.close("all")
+    return Path(name)
+
+
+def hard_cases(name: str) -> Path:
+    """Draw the figures that ``benchmarks/hard_cases`` has measured."""
+    columns = [f"CPU={MEASURED}/hard-cases-cpu.json", f"H200={MEASURED}/hard-cases-h200.json"]
+    program = str(DOCS.parent / "benchmarks" / "hard_cases")
+    subprocess.run([sys.executable, program, "--picture", name, *columns], check=True)
+    return Path(name)
+
+
+def targets(name: str) -> Path:
+    """Draw one motion with targets of three shapes."""
+    from dataclasses import replace
+
+    import warp_plate as wpl
+    from warp_plate.analysis.motion import motions
+    from warp_plate.viz.plots.plan import draw_plan
+
+    paper = wpl.Scene.load("paper")
+    star = [(0.1, 0.165), (0.118, 0.12), (0.165, 0.118), (0.128, 0.09), (0.141, 0.045), (0.1, 0.07), (0.059, 0.045)]
+    star += [(0.072, 0.09), (0.035, 0.118), (0.082, 0.12)]
+    drawn = []
+    for shape, value in {"disc": (0.07, 0.08, 0.04), "polygon": star, "mask": "finger.csv"}.items():
+        Path(f"{shape}.toml").write_text(paper.with_tables(target={shape: value}).to_toml())
+        scene = wpl.Scene.load(f"{shape}.toml")  # from a file, for masks lie beside it
+        result = wpl.simulate(scene, drive="equal", device="cpu", estimate=False)
+        (motion,) = motions(scene, result.cases, device="cpu")
+        drawn.append(replace(motion, name=shape, scene=scene))
+    draw_plan(paper, drawn, Path(name), "rms-velocity", 0)
+    return Path(name)
+
+
+def page(name: str) -> Path:
+    """Photograph the page that ``render`` writes."""
+    warp_plate("localize paper")
+    warp_plate(f"render paper-localize.h5 {THREE} --out page.html")
+    with chromium() as browser:
+        tab = browser.new_page(viewport={"width": 1400, "height": 460})
+        tab.goto(Path("page.html").resolve().as_uri())
+        tab.wait_for_timeout(500)
+        tab.keyboard.press("Space")
+        tab.evaluate("go(24)")
+        tab.wait_for_timeout(500)
+        tab.screenshot(path=name)
+    return Path(name)
+
+
+def explorer(name: str) -> Path:
+    """Photograph the page of ``explore`` after its search."""
+    command = [sys.executable, "-m", "warp_plate", "explore", "paper", "--web", "--port", "0", "--device", "cpu"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server, chromium() as browser:
+        try:
+            assert server.stdout is not None
+            tab = browser.new_page(viewport={"width": 1360, "height": 860})
+            tab.goto(re.search(r"http://\S+", server.stdout.readline())[0])  # type: ignore[index]
+            tab.wait_for_selector("#stage img")
+            tab.click("#choose-found")
+            tab.wait_for_timeout(9000)
+            tab.screenshot(path=name)
+        finally:
+            server.terminate()
+    return Path(name)
+
+
+def window(name: str) -> Path:
+    """Let the window take its own picture, by its key, on a virtual display."""
+    warp_plate("localize paper")
+    reading, writing = os.pipe()
+    screen = ["-screen", "0", "1600x1000x24", "-nolisten", "tcp", "-noreset"]
+    with subprocess.Popen(["Xvfb", "-displayfd", str(writing), *screen], pass_fds=[writing]) as server:
+        os.close(writing)
+        os.environ["DISPLAY"] = ":" + os.fdopen(reading).readline().strip()
+        command = [sys.executable, "-m", "warp_plate", "view", "paper-localize.h5", *THREE.split()]
+        with subprocess.Popen(command) as viewer:
+            at = ["mousemove", "--window", "%1", "400", "200"]
+            subprocess.run(
+                ["xdotool", "search", "--sync", "--onlyvisible", "--name", "warp-plate view", *at], check=True
+            )
+            for key in ("space", "c", "c", "c", "S"):
+                subprocess.run(["xdotool", "key", key], check=True)
+                time.sleep(1.5)
+            viewer.terminate()
+        server.terminate()
+    return Path("paper-localize-view-1.png")
+
+
+class chromium:
+    """Headless Chromium of the system, else of Playwright, as a context."""
+
+    def __enter__(self) -> Any:
+        from playwright.sync_api import sync_playwright
+
+        names = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
+        self.started = sync_playwright().start()
+        found = next(filter(None, map(shutil.which, names)), None)
+        return self.started.chromium.launch(executable_path=found, args=["--no-sandbox"])
+
+    def __exit__(self, *_: object) -> None:
+        self.started.stop()
+
+
+OTHERS = {"explore-page.png": explorer, "hard-cases.png": hard_cases}
+OTHERS |= {"targets.png": targets, "view-page.png": page, "view-window.png": window}
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
