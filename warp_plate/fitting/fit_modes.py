@@ -9,6 +9,8 @@ import numpy as np
 import scipy
 
 from warp_plate.fitting.fitted_panel import FittedPanel, fit_panel
+from warp_plate.fitting.free_numbers import free_numbers
+from warp_plate.fitting.least_squares import Differenced
 from warp_plate.fitting.measured_modes import MeasuredModes
 from warp_plate.modal.continuous_modes import linear_part
 from warp_plate.modal.modes import solve_modes
@@ -58,11 +60,6 @@ def fit_modes(scene: Scene, measured: MeasuredModes) -> ModeFit:
     damped = np.flatnonzero(np.isfinite(measured.damping))
     count = len(measured.frequencies)
 
-    def residuals(predicted: np.ndarray) -> np.ndarray:
-        _, frequencies, damping = predicted
-        errors = damping[damped] / measured.damping[damped] - 1
-        return np.append(frequencies / measured.frequencies - 1, errors)
-
     def weigh(errors: np.ndarray, leverage: np.ndarray) -> np.ndarray:
         """Make errors of damping ratios as large as those of frequencies."""
         sizes = [
@@ -72,24 +69,40 @@ def fit_modes(scene: Scene, measured: MeasuredModes) -> ModeFit:
         ratio = sizes[0] / sizes[1] if sizes[1] else 1.0
         return np.where(np.arange(len(errors)) < count, 1.0, np.clip(ratio, *WEIGHTS))
 
+    free = free_numbers(scene)
+    nearest = measured.numbers is None and scene.fit is not None and scene.fit.pairing == "nearest"
     found = fit_panel(
-        scene,
+        free,
         measured.source,
         count + len(damped),
-        lambda changed: _paired_modes(changed, measured),
-        [residuals],
+        Differenced(lambda unknowns: _paired_modes(free.panel_at(unknowns), measured, nearest)),
+        [_RelativeErrors(measured, damped)],
         weigh if len(damped) else None,
     )
-    numbers, frequencies, damping = _paired_modes(found.scene, measured)
+    numbers, frequencies, damping = _paired_modes(found.scene, measured, nearest)
     numbers = numbers.astype(int)
     return ModeFit(**vars(found), measured=measured, numbers=numbers, frequencies=frequencies, damping=damping)
 
 
-def _paired_modes(scene: Scene, measured: MeasuredModes) -> np.ndarray:
+@dataclass(frozen=True, eq=False)
+class _RelativeErrors:
+    """Residuals of frequencies, then of damping ratios with the indices ``damped``, see :class:`Residuals`."""
+
+    measured: MeasuredModes
+    damped: np.ndarray
+
+    def __call__(self, predicted: np.ndarray) -> np.ndarray:
+        return self.slopes(predicted, predicted) - 1
+
+    def slopes(self, predicted: np.ndarray, changes: np.ndarray) -> np.ndarray:
+        frequencies = changes[..., 1, :] / self.measured.frequencies
+        damping = changes[..., 2, self.damped] / self.measured.damping[self.damped]
+        return np.concatenate([frequencies, damping], axis=-1)
+
+
+def _paired_modes(scene: Scene, measured: MeasuredModes, nearest: bool) -> np.ndarray:
     """Return (3, n) number, frequency [Hz] and damping ratio of the mode for each measured one."""
-    assert scene.fit is not None
     count = len(measured.frequencies)
-    nearest = measured.numbers is None and scene.fit.pairing == "nearest"
     numbers = np.arange(1, count + 1) if measured.numbers is None else measured.numbers
     wanted = SPARE[0] * count + SPARE[1] if nearest else int(numbers.max())
     plate = solve_modes(linear_part(scene), highest=0.0, count=wanted + RIGID, density=DENSITY)

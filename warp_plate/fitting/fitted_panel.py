@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from warp_plate.fitting.free_numbers import free_numbers
-from warp_plate.fitting.least_squares import Function, Weigh, fit_least_squares
+from warp_plate.fitting.free_numbers import FreeNumbers
+from warp_plate.fitting.least_squares import Prediction, Residuals, Weigh, fit_least_squares
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
@@ -41,40 +41,34 @@ class FittedPanel:
 
 
 def fit_panel(
-    scene: Scene,
+    free: FreeNumbers,
     source: str,
     count: int,
-    predict: Callable[[Scene], np.ndarray],
-    residuals: Sequence[Function],
+    predict: Prediction,
+    residuals: Sequence[Residuals],
     weigh: Weigh | None,
-    exact: Callable[[Scene], np.ndarray] | None = None,
+    exact: Prediction | None = None,
 ) -> FittedPanel:
     """Fit a scene by least squares to measurements.
 
     Args:
-        scene: Scene with the table ``[fit]``.
+        free: Free numbers of the scene.
         source: File of the measurements, for errors.
         count: Number of residuals.
-        predict: Function of a scene that returns the predicted measurements.
-        residuals: Functions of predictions, see :func:`fit_least_squares`.
+        predict: What is measured, as a function of fractions of the ranges.
+        residuals: Residuals of predictions, see :func:`fit_least_squares`.
         weigh: Weights, see the same.
-        exact: Function as ``predict``, which takes more time, see the same.
+        exact: Prediction that takes more time, see the same.
 
     Raises:
-        SceneError: The scene has no ``[fit]``, there are too few data, or a range leads to a scene that is refused.
+        SceneError: There are too few data, or a range leads to a scene that is refused.
     """
-    free = free_numbers(scene)
-    assert scene.fit is not None
+    fit = free.scene.fit
+    assert fit is not None
     if count <= len(free.keys):
         given = f"{count} numbers do not determine {len(free.keys)} free ones and their errors"
         raise SceneError(f"{source}: {given}; measure more, or free fewer keys in [fit.free]")
-    starts = free.starts(scene.fit.starts, scene.fit.seed)
-
-    def of_scene(function: Callable[[Scene], np.ndarray]) -> Function:
-        return lambda unknowns: function(free.scene_at(unknowns))
-
-    slower = of_scene(exact) if exact else None
-    found = fit_least_squares(of_scene(predict), residuals, starts, weigh, slower)
+    found = fit_least_squares(predict, residuals, free.starts(fit.starts, fit.seed), weigh, exact)
     width = found.student * found.deviations
     return FittedPanel(
         scene=free.scene_at(found.unknowns),

@@ -13,6 +13,9 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import resolved_key, value_of, with_values
 from warp_plate.scene.model import Scene
 
+# Step of differences of scenes, relative to a value above 0, or else to its range.
+STEP = 1e-3
+
 
 @dataclass(frozen=True, eq=False)
 class FreeNumbers:
@@ -38,10 +41,37 @@ class FreeNumbers:
 
     def scene_at(self, fractions: np.ndarray) -> Scene:
         """Return the scene with the values at fractions (p,), or raise a SceneError if they do not fit together."""
+        return self._panel_with(self.values(fractions)).model_copy(update={"fit": self.scene.fit})
+
+    def panel_at(self, fractions: np.ndarray) -> Scene:
+        """Return the same without the table ``[fit]``, whose check takes time."""
+        return self._panel_with(self.values(fractions))
+
+    def _panel_with(self, values: np.ndarray) -> Scene:
+        panel = self.scene.model_copy(update={"fit": None})
         try:
-            return with_values(self.scene, dict(zip(self.keys, self.values(fractions).tolist(), strict=True)))
+            return with_values(panel, dict(zip(self.keys, values.tolist(), strict=True)))
         except SceneError as error:
             raise SceneError(f"fit.free: a range reaches too far: {error}") from None
+
+    def neighbours(self, fractions: np.ndarray, index: int, central: bool) -> tuple[Scene, Scene | None, float]:
+        """Return scenes whose differences are derivatives with respect to a fraction.
+
+        Returns:
+            Scene with a larger value of the number ``index``, that with a smaller one, None for the value itself, and
+            the factor of their difference.
+        """
+        values, low, high = self.values(fractions), self.low[index], self.high[index]
+        step = STEP * (values[index] if low > 0 else high - low)
+        ends = min(values[index] + step, high), max(values[index] - step, low)
+        if not central:
+            ends = (ends[0], values[index]) if ends[0] > values[index] else (values[index], ends[1])
+        slope = values[index] * np.log(high / low) if low > 0 else high - low
+        above, below = (
+            None if end == values[index] else self._panel_with(np.where(np.arange(len(values)) == index, end, values))
+            for end in ends
+        )
+        return above or self._panel_with(values), below, float(slope / (ends[0] - ends[1]))
 
     def starts(self, count: int, seed: int) -> np.ndarray:
         """Return (count, p) fractions: those of the scene's own values, then a Latin hypercube."""

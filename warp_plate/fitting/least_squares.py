@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Protocol
 
 import numpy as np
 import scipy
@@ -30,6 +31,54 @@ ROUNDS = 3
 LEVEL = 0.95
 Function = Callable[[np.ndarray], np.ndarray]
 Weigh = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+class Residuals(Protocol):
+    """Residuals of predictions."""
+
+    def __call__(self, predicted: np.ndarray) -> np.ndarray:
+        """Return (n,) residuals."""
+
+    def slopes(self, predicted: np.ndarray, changes: np.ndarray) -> np.ndarray:
+        """Return (p, n) derivatives of the residuals along (p, ...) derivatives of the predictions."""
+
+
+class Prediction(Protocol):
+    """What is measured, as a function of unknowns within 0 ... 1."""
+
+    evaluations: int
+
+    def __call__(self, unknowns: np.ndarray) -> np.ndarray:
+        """Return the prediction for unknowns (p,)."""
+
+    def slopes(self, unknowns: np.ndarray, central: bool) -> np.ndarray:
+        """Return (p, ...) its derivatives; those that are differences are one-sided unless ``central``."""
+
+
+class Differenced:
+    """A prediction whose derivatives are differences."""
+
+    def __init__(self, function: Function) -> None:
+        self.evaluations = 0
+        self._function = function
+        self._kept = lru_cache(MOST_KEPT)(self._predict)
+
+    def __call__(self, unknowns: np.ndarray) -> np.ndarray:
+        return self._kept(tuple(unknowns.tolist()))
+
+    def slopes(self, unknowns: np.ndarray, central: bool) -> np.ndarray:
+        """See :class:`Prediction`; differences stay within 0 ... 1."""
+        rows = []
+        for step in STEP * np.eye(len(unknowns)):
+            above, below = np.minimum(unknowns + step, 1), np.maximum(unknowns - step, 0)
+            if not central:
+                above, below = (above, unknowns) if np.any(above > unknowns) else (unknowns, below)
+            rows.append((self(above) - self(below)) / np.sum(above - below))
+        return np.array(rows)
+
+    def _predict(self, unknowns: tuple[float, ...]) -> np.ndarray:
+        self.evaluations += 1
+        return self._function(np.array(unknowns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,75 +103,76 @@ class LeastSquaresFit:
 
 
 def fit_least_squares(
-    predict: Function,
-    residuals: Sequence[Function],
+    predict: Prediction,
+    residuals: Sequence[Residuals],
     starts: np.ndarray,
     weigh: Weigh | None = None,
-    exact: Function | None = None,
+    exact: Prediction | None = None,
 ) -> LeastSquaresFit:
     """Return the unknowns within 0 ... 1 that minimise the squares of residuals.
 
     Args:
-        predict: Function of (p,) unknowns, which takes the time.
-        residuals: Functions that return (n,) residuals of what it returns, from the smoothest to the one that counts;
-            the optimum of each is the start of the next.
+        predict: Prediction, which takes the time.
+        residuals: Residuals of it, from the smoothest to those that count; the optimum of each is the start of the
+            next.
         starts: (starts, p) unknowns; the best of them are followed through the first stage.
         weigh: Function that returns (n,) weights for residuals (n,) and the leverage (n,) of each, which is the number
             of unknowns that it determines (default: all weights are 1).
-        exact: Function as ``predict`` that is right, and takes more time. What predictions lack near the optimum is
-            added to them (default: ``predict`` is right).
+        exact: Prediction that is right, and takes more time. What ``predict`` lacks near the optimum is added to it,
+            and the deviations follow from the exact one's derivatives (default: ``predict`` is right).
     """
-    kept = lru_cache(MOST_KEPT)(lambda point: predict(np.array(point)))
-    stages = [lambda unknowns, stage=stage: stage(kept(tuple(unknowns.tolist()))) for stage in residuals]
-    costs = [np.sum(stages[0](start) ** 2) for start in starts]
-    weights = np.ones(len(stages[0](starts[0])))
+    stages = [_Problem(predict, stage) for stage in residuals]
+    costs = [np.sum(stages[0].residuals(start) ** 2) for start in starts]
     best = np.argsort(costs, kind="stable")[:FOLLOWED]
-    solved = [_solve(stages[0], weights, starts[index], COARSE) for index in best]
-    function: Function = stages[-1]
-    unknowns = min(solved, key=lambda found: np.sum(stages[0](found) ** 2))
+    solved = [stages[0].solve(starts[index], COARSE) for index in best]
+    unknowns = min(solved, key=lambda found: np.sum(stages[0].residuals(found) ** 2))
     for stage in stages[1:-1]:
-        unknowns = _solve(stage, weights, unknowns, COARSE)
-    unknowns, corrections = _solve(function, weights, unknowns, COARSE if exact else FINE), 0
+        unknowns = stage.solve(unknowns, COARSE)
+    problem = stages[-1]
+    unknowns = problem.solve(unknowns, COARSE if exact else FINE)
     for _ in range(ROUNDS if weigh or exact else 0):
         if exact is not None:
-            lacking, corrections = exact(unknowns) - kept(tuple(unknowns.tolist())), corrections + 1
-            function = _corrected(lacking, kept, residuals[-1])
+            problem.lacking = exact(unknowns) - predict(unknowns)
         if weigh is not None:
-            weights = weigh(function(unknowns), _leverage(weights[:, None] * _jacobian(function, unknowns)))
-        unknowns = _solve(function, weights, unknowns, FINE)
-    jacobian = weights[:, None] * _jacobian(function, unknowns)
-    evaluations = kept.cache_info().misses + corrections
-    return _judge(unknowns, weights * function(unknowns), jacobian, evaluations)
+            problem.weights = weigh(problem.residuals(unknowns), _leverage(problem.jacobian(unknowns)))
+        unknowns = problem.solve(unknowns, FINE)
+    weighted = problem.weights * problem.residuals(unknowns)
+    if exact is not None:
+        problem = _Problem(exact, residuals[-1], problem.weights)
+    evaluations = predict.evaluations + (exact.evaluations if exact else 0)
+    return _judge(unknowns, weighted, problem.jacobian(unknowns), evaluations)
 
 
-def _corrected(lacking: np.ndarray, kept: Callable[[tuple[float, ...]], np.ndarray], residual: Function) -> Function:
-    """Return the residuals of predictions to which ``lacking`` is added."""
-    return lambda unknowns: residual(kept(tuple(unknowns.tolist())) + lacking)
+@dataclass(eq=False)
+class _Problem:
+    """Weighted residuals of a prediction to which ``lacking`` is added."""
 
+    predict: Prediction
+    of: Residuals
+    weights: np.ndarray | float = 1.0
+    lacking: np.ndarray | float = 0.0
 
-def _solve(function: Function, weights: np.ndarray, start: np.ndarray, tolerance: float) -> np.ndarray:
-    """Return the (p,) unknowns of a local optimum."""
-    found = scipy.optimize.least_squares(
-        lambda point: weights * function(point),
-        start,
-        lambda point: weights[:, None] * _jacobian(function, point, central=tolerance < COARSE),
-        bounds=(0, 1),
-        xtol=tolerance,
-        ftol=tolerance**2,
-        gtol=None,
-    )
-    return np.asarray(found.x)
+    def residuals(self, unknowns: np.ndarray) -> np.ndarray:
+        """Return (n,) residuals, not weighted."""
+        return self.of(self.predict(unknowns) + self.lacking)
 
+    def jacobian(self, unknowns: np.ndarray, central: bool = True) -> np.ndarray:
+        """Return the (n, p) Jacobian of the weighted residuals."""
+        changes = self.predict.slopes(unknowns, central)
+        return np.asarray((self.weights * self.of.slopes(self.predict(unknowns) + self.lacking, changes)).T)
 
-def _jacobian(function: Function, unknowns: np.ndarray, central: bool = True) -> np.ndarray:
-    """Return the (n, p) Jacobian by differences within 0 ... 1, one-sided ones from half as many plates."""
-    columns = []
-    for step in STEP * np.eye(len(unknowns)):
-        above, below = np.minimum(unknowns + step, 1), np.maximum(unknowns - step, 0)
-        if not central:
-            above, below = (above, unknowns) if np.any(above > unknowns) else (unknowns, below)
-        columns.append((function(above) - function(below)) / np.sum(above - below))
-    return np.stack(columns, axis=1)
+    def solve(self, start: np.ndarray, tolerance: float) -> np.ndarray:
+        """Return the (p,) unknowns of a local optimum."""
+        found = scipy.optimize.least_squares(
+            lambda point: self.weights * self.residuals(point),
+            start,
+            lambda point: self.jacobian(point, central=tolerance < COARSE),
+            bounds=(0, 1),
+            xtol=tolerance,
+            ftol=tolerance**2,
+            gtol=None,
+        )
+        return np.asarray(found.x)
 
 
 def _leverage(jacobian: np.ndarray) -> np.ndarray:

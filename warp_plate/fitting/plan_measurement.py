@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warp_plate.fitting.fit_responses import MOST_MODES
 from warp_plate.fitting.free_numbers import FreeNumbers, free_numbers
+from warp_plate.fitting.panel_responses import MOST_MODES
 from warp_plate.modal.continuous_modes import linear_part
 from warp_plate.modal.modes import solve_modes
 from warp_plate.result.frequency_response import DERIVATIVES

@@ -19,7 +19,7 @@ import numpy as np
 
 from warp_plate.modal.galerkin.eigenproblem import bending_energies, solve_eigenproblem
 from warp_plate.modal.galerkin.integrals import Integrals
-from warp_plate.modal.galerkin.matrices import Galerkin, load_integrals, make_galerkin, patch_integrals
+from warp_plate.modal.galerkin.matrices import Galerkin, load_integrals, make_galerkin, patch_integrals, point_values
 from warp_plate.modal.galerkin.regions import region_matrix
 from warp_plate.modal.galerkin.splines import gauss, make_splines
 from warp_plate.modal.steady import CoupledModes
@@ -129,10 +129,7 @@ class ModalPlate:
 
     def at_points(self, points: Sequence[tuple[float, float]] | np.ndarray) -> np.ndarray:
         """Return (modes, points) shapes φ [1/√kg] at points (x, y) [m]."""
-        x, y = np.asarray(points, dtype=float).reshape(-1, 2).T
-        along_x, along_y = self.galerkin.along_x.values(x), self.galerkin.along_y.values(y)
-        products = along_y[:, None] * along_x
-        return np.asarray(self._plate_vectors.T @ products.reshape(-1, len(x)))
+        return np.asarray(self._plate_vectors.T @ point_values(self.galerkin, points).T)
 
     def patch_forces(self, areas: Sequence[Area] | np.ndarray) -> np.ndarray:
         """Return (modes, areas) ∫ φ dA [m²/√kg] over rectangles x0, x1, y0, y1 [m], the modal forces of 1 N/m²."""
@@ -236,6 +233,7 @@ def solve_modes(
     alone: bool = False,
     most: int = MOST_MODES,
     key: str | None = None,
+    improve: bool = True,
 ) -> ModalPlate:
     """Return the modes of a linear scene.
 
@@ -248,6 +246,7 @@ def solve_modes(
         alone: Leave out modes above ``highest``, which responses up to it need, but for a few.
         most: Limit of the number of modes up to ``highest``, and of ``count``.
         key: Where ``highest`` or ``count`` comes from, for errors (default: ``drive.frequency``, or ``count``).
+        improve: Solve for the lowest modes once more, so that the rounding of large matrices does not remain in them.
 
     Raises:
         SceneError: The scene is not linear, its plate buckles, too many modes are wanted, or a file that it names
@@ -271,13 +270,13 @@ def solve_modes(
     if alone:
         wanted, least = math.pi / 4 * area * highest / wave, (2 * math.pi * highest) ** 2
     lowest = wave / max(scene.plate.size) ** 2
-    squares, vectors = solve_eigenproblem(galerkin, math.ceil(wanted), (2 * math.pi * lowest) ** 2, least)
+    squares, vectors = solve_eigenproblem(galerkin, math.ceil(wanted), (2 * math.pi * lowest) ** 2, least, improve)
     frequencies = np.sqrt(np.maximum(squares, 0.0)) / (2 * math.pi)
     frequencies[frequencies < STILL * lowest] = 0.0
     damping, hysteretic = _viscous(galerkin, vectors), np.zeros((squares.size, squares.size))
     effects = scene.effects
     if effects.material_damping is not None:
-        damping += effects.material_damping.time * bending_energies(galerkin, squares, vectors)
+        damping += effects.material_damping.time * bending_energies(galerkin, squares, vectors, improve)
     if effects.modal_damping is not None:
         ratios = per_mode(effects.modal_damping.ratio, frequencies.size)
         damping[np.diag_indices_from(damping)] += 2 * ratios * 2 * math.pi * frequencies
@@ -285,7 +284,7 @@ def solve_modes(
         if isinstance(loss.eta, tuple):
             hysteretic = np.diag(per_mode(loss.eta, frequencies.size) * np.maximum(squares, 0))
         else:
-            hysteretic = loss.eta * bending_energies(galerkin, squares, vectors)
+            hysteretic = loss.eta * bending_energies(galerkin, squares, vectors, improve)
     return ModalPlate(galerkin, frequencies, vectors, damping, hysteretic, highest)
 
 

@@ -37,12 +37,14 @@ class CoupledModes:
         damping: (modes, modes) C [1/s].
         hysteretic: (modes, modes) H [1/s²].
         highest: Highest frequency of the responses [Hz].
+        fewest: Number of modes, from the lowest, that are coupled beforehand at least.
     """
 
     squares: np.ndarray
     damping: np.ndarray
     hysteretic: np.ndarray
     highest: float
+    fewest: int = FEWEST
 
     @property
     def resonances(self) -> tuple[np.ndarray, np.ndarray]:
@@ -53,7 +55,7 @@ class CoupledModes:
 
     def respond(self, omega: np.ndarray, forces: np.ndarray) -> np.ndarray:
         """Return (n, modes, loads) amplitudes under forces (n, modes, loads) that turn at omega (n,) [rad/s]."""
-        amplitudes, left = self._approximate(omega, forces), np.arange(len(omega))
+        amplitudes, left = self.approximate(omega, forces), np.arange(len(omega))
         limit = RESIDUAL * np.linalg.norm(forces, axis=1)
         for _ in range(REFINEMENTS):
             residual = forces[left] - self._forces(omega[left], amplitudes[left])
@@ -61,15 +63,15 @@ class CoupledModes:
             left, residual = left[~converged], residual[~converged]
             if not left.size:
                 return amplitudes
-            amplitudes[left] += self._approximate(omega[left], residual)
+            amplitudes[left] += self.approximate(omega[left], residual)
         for row in left:
             matrix = 1j * (omega[row] * self.damping + self.hysteretic)
             matrix[np.diag_indices_from(matrix)] += self.squares - omega[row] ** 2
             amplitudes[row] = scipy.linalg.solve(matrix, forces[row], assume_a="sym")
         return amplitudes
 
-    def _approximate(self, omega: np.ndarray, forces: np.ndarray) -> np.ndarray:
-        """Return the amplitudes without the coupling of the highest modes."""
+    def approximate(self, omega: np.ndarray, forces: np.ndarray) -> np.ndarray:
+        """Return the amplitudes of :meth:`respond` without the coupling of the highest modes."""
         poles, vectors, inputs = self._poles
         count, turn = len(vectors), omega[:, None]
         losses = turn * np.diag(self.damping) + np.diag(self.hysteretic)
@@ -87,7 +89,7 @@ class CoupledModes:
     @cached_property
     def _poles(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Poles, motions and inputs of the lowest modes, see :func:`coupled_poles`."""
-        count = int(np.clip((self.squares <= (2 * math.pi * REACH * self.highest) ** 2).sum(), FEWEST, MOST))
+        count = int(np.clip((self.squares <= (2 * math.pi * REACH * self.highest) ** 2).sum(), self.fewest, MOST))
         square = self.squares[:count]
         unit = np.sqrt(np.maximum(square, SLOWEST**2 * square[-1]))
         hysteretic = self.hysteretic[:count, :count]

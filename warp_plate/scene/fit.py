@@ -95,14 +95,14 @@ class Fit(Table):
 
     def check(self, scene: Scene) -> None:
         """Raise ValueError, naming the key, unless the free keys are different numbers of the scene's panel."""
-        kinds, known = scalar_keys(scene), set()
+        kinds, named = scalar_keys(scene), set()
         for name in self.free:
             try:
-                key = resolved_key(scene, name)
+                key = resolved_key(scene, name, kinds)
             except SceneError as error:
                 raise ValueError(f"fit.free: {error}") from None
             if kinds[key] is not float or not key.startswith(PANEL):
                 raise ValueError(f"fit.free: {name}: is no real number of the panel ({', '.join(PANEL)})")
-            if key in known:
+            if key in named:
                 raise ValueError(f"fit.free: {name}: is there twice")
-            known.add(key)
+            named.add(key)

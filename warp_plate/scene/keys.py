@@ -81,13 +81,18 @@ def scalar_keys(scene: Scene) -> dict[str, type]:
     return {key: kind for key, kind in _numbers_in(scene, "") if not (scene.targets and key.startswith("target."))}
 
 
-def resolved_key(scene: Scene, key: str) -> str:
+def resolved_key(scene: Scene, key: str, known: Mapping[str, type] | None = None) -> str:
     """Return the key with names replaced by indices: ``actuators[0].phase`` for ``actuators.lower left.phase``.
+
+    Args:
+        scene: Scene.
+        key: Key.
+        known: Its ``scalar_keys``, if these are at hand.
 
     Raises:
         SceneError: the scene has no such key, or it holds no number or text; the message suggests similar keys.
     """
-    known, resolved = scalar_keys(scene), key.strip()
+    known, resolved = scalar_keys(scene) if known is None else known, key.strip()
     for table in NAMED:
         names = [(row.name, index) for index, row in enumerate(getattr(scene, table))]
         for name, index in sorted(names, key=lambda item: -len(item[0])):  # a name may begin with another

@@ -25,6 +25,8 @@ LOWEST, POINTS = 12, 1 << 18
 SPARSE = 5
 # Matrices of all unknowns, and vectors of a wanted mode, that the two ways hold.
 DENSE_MATRICES, LANCZOS_VECTORS = 7, 4
+# Matrices with more entries than this part are multiplied as dense ones.
+DENSE = 0.1
 # A negative ω² beyond this part of the size of the lowest shows that the plate buckles.
 BUCKLED = 1e-8
 # Intervals along both sides for the critical load.
@@ -32,7 +34,7 @@ INTERVALS = 18
 
 
 def solve_eigenproblem(
-    galerkin: Galerkin, wanted: int, scale: float, least: float = 0.0
+    galerkin: Galerkin, wanted: int, scale: float, least: float = 0.0, improve: bool = True
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return ω² [1/s²], rising, and mass-normalised vectors (unknowns, modes) of at least a number of modes.
 
@@ -41,6 +43,7 @@ def solve_eigenproblem(
         wanted: Number of modes, from the lowest.
         scale: Size of the lowest ω² [1/s²].
         least: ω² that all modes up to are found, by Weyl's law ``wanted`` [1/s²] (default: the number counts alone).
+        improve: Solve for the lowest modes once more.
 
     Raises:
         SceneError: The plate buckles, or the matrices do not fit into memory.
@@ -59,7 +62,8 @@ def solve_eigenproblem(
     order = np.argsort(squares, kind="stable")
     order = order[squares[order] <= highest]
     squares, vectors = squares[order], np.concatenate([vectors for _, vectors in parts], axis=1)[:, order]
-    _improve_lowest(galerkin, squares, vectors, parity[order])
+    if improve:
+        _improve_lowest(galerkin, squares, vectors, parity[order])
     order = np.argsort(squares, kind="stable")
     if squares[order[0]] < -BUCKLED * scale:
         raise _buckled(galerkin.scene)
@@ -154,12 +158,14 @@ def _lowest(stiffness: Matrix, mass: Matrix, wanted: int, scale: float) -> tuple
     return squares[order], vectors[:, order]
 
 
-def bending_energies(galerkin: Galerkin, squares: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Return (modes, modes) Φᵀ B Φ [1/s²] of all modes Φ (unknowns, modes) and their ω²."""
+def bending_energies(galerkin: Galerkin, squares: np.ndarray, vectors: np.ndarray, improve: bool = True) -> np.ndarray:
+    """Return (modes, modes) Φᵀ B Φ [1/s²] of all modes Φ (unknowns, modes) and their ω²; ``improve`` as for these."""
     if not galerkin.support.count_nonzero():
         return np.diag(np.maximum(squares, 0.0))
-    energies = np.asarray(vectors.T @ (galerkin.bending @ vectors))
-    energies[:LOWEST, :LOWEST] = _from_curvatures(galerkin, vectors[:, :LOWEST])
+    dense = galerkin.bending.nnz > DENSE * galerkin.bending.shape[0] ** 2
+    energies = np.asarray(vectors.T @ ((galerkin.bending.toarray() if dense else galerkin.bending) @ vectors))
+    if improve:
+        energies[:LOWEST, :LOWEST] = _from_curvatures(galerkin, vectors[:, :LOWEST])
     return energies
 
 

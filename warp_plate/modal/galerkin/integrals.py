@@ -8,7 +8,7 @@ that never overlap are left out, so that the same product yields small dense mat
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
+from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
@@ -23,6 +23,8 @@ from warp_plate.scene.model import Scene
 
 # With this many breaks between two knots (fine maps), this many Gauss points between two breaks suffice.
 FINE, FINE_RULE = 4, 3
+# What is kept for further plates: products along a side, places of the entries of matrices of so many unknowns at most.
+PRODUCTS_KEPT, PLACES_KEPT, MOST_UNKNOWNS = 128, 4, 4096
 Matrix: TypeAlias = scipy.sparse.csr_array
 Field: TypeAlias = np.ndarray | float
 Pairs: TypeAlias = tuple[np.ndarray, np.ndarray]
@@ -58,10 +60,10 @@ class Integrals:
         rules = [gauss(breaks, self.rule) for breaks in self.breaks]
         self.points, self._weights = (rules[0][0], rules[1][0]), (rules[0][1], rules[1][1])
 
-    @cached_property
+    @property
     def pairs(self) -> tuple[Pairs, Pairs]:
         """(2,) rows and columns of the pairs of functions of x and of y that overlap."""
-        return _overlapping_pairs(self.along[0]), _overlapping_pairs(self.along[1])
+        return overlapping_pairs(self.along[0]), overlapping_pairs(self.along[1])
 
     def fields(self) -> tuple[Field, ...]:
         """Return Dx, D1, Dy, Dxy [N·m] and the mass per area [kg/m²] at Gauss's points (y, x), or as numbers."""
@@ -93,54 +95,79 @@ class Integrals:
         """Weights [m²] of Gauss's points (y, x)."""
         return np.outer(self._weights[1], self._weights[0])
 
-    def matrix(self, field: Field, x: tuple[int, int] = (0, 0), y: tuple[int, int] = (0, 0)) -> Matrix:
-        """Return ∫ field · u^(x₀, y₀) u^(x₁, y₁) dA, functions of the first factor in rows; derivatives along x and y.
+    def matrix(self, field: Field) -> Matrix:
+        """Return ∫ field · u u dA as a sparse matrix, of values at Gauss's points (y, x) or a number."""
+        return self.scatter(self.values(field))
+
+    def values(self, field: Field, x: tuple[int, int] = (0, 0), y: tuple[int, int] = (0, 0)) -> np.ndarray:
+        """Return (pairs of y, pairs of x) ∫ field · u^(x₀, y₀) u^(x₁, y₁) dA, the first factor of the rows' functions.
 
         Args:
             field: Values at Gauss's points (y, x), or a number.
             x: Derivatives along x of the first and of the second factor.
             y: Derivatives along y.
         """
-        (along_x, of_x), (along_y, of_y) = self._products(0, *x), self._products(1, *y)
         if isinstance(field, float):
-            values = field * np.outer(along_y.sum(axis=1), along_x.sum(axis=1))
-        else:
-            values = along_y @ field @ along_x.T
-        return self.scatter(values[of_y][:, of_x])
-
-    def _products(self, axis: int, first: int, second: int) -> tuple[np.ndarray, np.ndarray | slice]:
-        """Return (products, points) weighted products of derivatives of two functions of one direction, and which of
-        them is that of each pair; of equal derivatives those of (i, k) and (k, i) are the same."""
-        (rows, columns), of_pairs = self._unordered[axis] if first == second else (self.pairs[axis], slice(None))
-        values = [self.along[axis].values(self.points[axis], derivative) for derivative in (first, second)]
-        return values[0][rows] * values[1][columns] * self._weights[axis], of_pairs
+            return np.outer(side_products(self.along[1], *y), field * side_products(self.along[0], *x))
+        (along_x, of_x), (along_y, of_y) = (
+            _products(*each) for each in zip(self.along, (x, y), self.points, self._weights, strict=True)
+        )
+        return np.asarray((along_y @ field @ along_x.T)[of_y][:, of_x])
 
     def scatter(self, values: np.ndarray) -> Matrix:
         """Return the sparse matrix of values (pairs of y, pairs of x)."""
-        places = self._places
-        return Matrix((values.ravel()[places.data], places.indices, places.indptr), places.shape)
-
-    @cached_property
-    def _unordered(self) -> tuple[tuple[Pairs, np.ndarray], ...]:
-        return tuple(_unordered(*pairs) for pairs in self.pairs)
-
-    @cached_property
-    def _places(self) -> Matrix:
-        """Sparse matrix of the places of its entries among the pairs."""
-        (row_x, column_x), (row_y, column_y) = self.pairs
-        count, unknowns = self.along[0].functions, self.along[0].functions * self.along[1].functions
-        rows, columns = row_y[:, None] * count + row_x, column_y[:, None] * count + column_x
-        return Matrix((np.arange(rows.size), (rows.ravel(), columns.ravel())), (unknowns, unknowns))
+        unknowns = self.along[0].functions * self.along[1].functions
+        places = (_places if unknowns <= MOST_UNKNOWNS else _places.__wrapped__)(*self.along)
+        # SciPy sorts and prunes matrices in place, so that the places are copied.
+        return Matrix((values.ravel()[places.data], places.indices, places.indptr), places.shape, copy=True)
 
 
-def _unordered(rows: np.ndarray, columns: np.ndarray) -> tuple[Pairs, np.ndarray]:
+@lru_cache(PRODUCTS_KEPT)
+def side_products(splines: Splines, first: int, second: int) -> np.ndarray:
+    """Return (pairs,) ∫ of two derivatives over a whole side, the first of the function in the row."""
+    products, of_pairs = _products(splines, (first, second), *gauss(splines.breaks, splines.degree + 1))
+    return np.asarray(products.sum(axis=1)[of_pairs])
+
+
+@lru_cache(PRODUCTS_KEPT)
+def end_products(splines: Splines, high: bool, derivative: int) -> np.ndarray:
+    """Return (pairs,) products of a derivative at the low or the high end of a side."""
+    place = splines.breaks[-1 if high else 0]
+    values = splines.values(np.array([place]), derivative)[:, 0]
+    rows, columns = overlapping_pairs(splines)
+    return np.asarray(values[rows] * values[columns])
+
+
+def _products(
+    splines: Splines, derivatives: tuple[int, int], points: np.ndarray, weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray | slice]:
+    """Return (products, points) weighted products of derivatives of two functions, and which of them is that of each
+    pair; of equal derivatives those of (i, k) and (k, i) are the same."""
+    equal = derivatives[0] == derivatives[1]
+    (rows, columns), of_pairs = _unordered(splines) if equal else (overlapping_pairs(splines), slice(None))
+    values = [splines.values(points, derivative) for derivative in derivatives]
+    return values[0][rows] * values[1][columns] * weights, of_pairs
+
+
+@lru_cache(PLACES_KEPT)
+def _places(along_x: Splines, along_y: Splines) -> Matrix:
+    """Return the sparse matrix of the places of its entries among the pairs."""
+    (row_x, column_x), (row_y, column_y) = overlapping_pairs(along_x), overlapping_pairs(along_y)
+    count, unknowns = along_x.functions, along_x.functions * along_y.functions
+    rows, columns = row_y[:, None] * count + row_x, column_y[:, None] * count + column_x
+    return Matrix((np.arange(rows.size), (rows.ravel(), columns.ravel())), (unknowns, unknowns))
+
+
+@lru_cache(PRODUCTS_KEPT)
+def _unordered(splines: Splines) -> tuple[Pairs, np.ndarray]:
     """Return the distinct unordered pairs, and the index of each pair among them."""
-    ordered = np.sort(np.stack([rows, columns]), axis=0)
+    ordered = np.sort(np.stack(overlapping_pairs(splines)), axis=0)
     (first, second), of_pairs = np.unique(ordered, axis=1, return_inverse=True)
     return (first, second), of_pairs.ravel()
 
 
-def _overlapping_pairs(splines: Splines) -> Pairs:
+@lru_cache(PRODUCTS_KEPT)
+def overlapping_pairs(splines: Splines) -> Pairs:
     """Return rows and columns of all pairs of functions that are not zero in a common interval."""
     index = np.arange(splines.functions)
     near = np.abs(index[:, None] - index) <= splines.degree

@@ -45,7 +45,7 @@ def plate_splines(scene: Scene, axis: int, intervals: int) -> Splines:
             knots += [(place + sign * part * length / intervals, degree - 1) for part in CORNER_INTERVALS]
     knots += [(place, degree - 1) for place in _near_layers(scene, axis, length / intervals)]
     low, high = ("free" if isinstance(end, ElasticEdge) else end for end in ends)
-    return make_splines(length, (low, high), intervals, degree, knots)
+    return make_splines(length, (low, high), intervals, degree, tuple(knots))
 
 
 def lines(scene: Scene, axis: int, degree: int = DEGREE) -> list[tuple[float, int]]:

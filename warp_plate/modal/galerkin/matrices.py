@@ -14,14 +14,14 @@ follow from the energies (A. W. Leissa, J. Sound Vib. 31, 1973, pp. 257-293).
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 import scipy
 
-from warp_plate.modal.galerkin.integrals import Integrals, Matrix
+from warp_plate.modal.galerkin.integrals import Integrals, Matrix, end_products, side_products
 from warp_plate.modal.galerkin.lines import plate_splines
 from warp_plate.modal.galerkin.splines import Splines
 from warp_plate.scene.effects import Oscillator
@@ -36,6 +36,7 @@ class Galerkin:
 
     Attributes:
         scene: Scene.
+        intervals: Intervals between knots along x and along y that were asked for.
         along_x: Functions of x.
         along_y: Functions of y.
         mass: M [kg].
@@ -46,6 +47,7 @@ class Galerkin:
     """
 
     scene: Scene
+    intervals: tuple[int, int]
     along_x: Splines
     along_y: Splines
     mass: Matrix
@@ -79,34 +81,39 @@ def make_galerkin(scene: Scene, intervals: tuple[int, int]) -> Galerkin:
     along_x, along_y = (plate_splines(scene, axis, intervals[axis]) for axis in (0, 1))
     integrals, effects = Integrals(scene, along_x, along_y), scene.effects
     bend_xx, bend_xy, bend_yy, twist, density = integrals.fields()
-    coupled = integrals.matrix(bend_xy, x=(2, 0), y=(0, 2))
     bending = (
-        integrals.matrix(bend_xx, x=(2, 2))
-        + integrals.matrix(bend_yy, y=(2, 2))
-        + integrals.matrix(4 * twist, x=(1, 1), y=(1, 1))
-        + coupled
-        + coupled.T
+        integrals.values(bend_xx, x=(2, 2))
+        + integrals.values(bend_yy, y=(2, 2))
+        + integrals.values(4 * twist, x=(1, 1), y=(1, 1))
+        + integrals.values(bend_xy, x=(2, 0), y=(0, 2))
+        + integrals.values(bend_xy, x=(0, 2), y=(2, 0))
     )
-    support, area = _edge_springs(scene, integrals), integrals.matrix(1.0)
+    support, area = _edge_springs(scene, integrals), integrals.values(1.0)
     if effects.tension is not None:
-        support += effects.tension.x * integrals.matrix(1.0, x=(1, 1))
-        support += effects.tension.y * integrals.matrix(1.0, y=(1, 1))
+        support += integrals.values(effects.tension.x, x=(1, 1)) + integrals.values(effects.tension.y, y=(1, 1))
     damping = (effects.damping.viscous if effects.damping else 0.0) * area
     if effects.foundation is not None:
         support += effects.foundation.stiffness * area
         damping += effects.foundation.damping * area
     masses = [oscillator.mass for oscillator in effects.oscillators if oscillator.mass > 0]
-    means = _patch_means(along_x, along_y, [oscillator.area for oscillator in effects.oscillators])
     return Galerkin(
         scene=scene,
+        intervals=intervals,
         along_x=along_x,
         along_y=along_y,
-        mass=scipy.sparse.block_diag([integrals.matrix(density), *masses], format="csr"),
-        bending=_padded(bending, len(masses)),
-        support=_padded(support, len(masses)) + _links(effects.oscillators, means, "stiffness"),
-        damping=_padded(damping, len(masses)) + _links(effects.oscillators, means, "damping"),
+        mass=_with_masses(integrals.matrix(density), masses),
+        bending=_with_masses(integrals.scatter(bending), np.zeros(len(masses))),
+        support=_with_links(integrals, support, "stiffness"),
+        damping=_with_links(integrals, damping, "damping"),
         plate_mass=integrals.integral(density),
     )
+
+
+def point_values(galerkin: Galerkin, points: Sequence[tuple[float, float]] | np.ndarray) -> np.ndarray:
+    """Return (points, unknowns of the plate) values of the functions at points (x, y) [m]."""
+    x, y = np.asarray(points, dtype=float).reshape(-1, 2).T
+    products = galerkin.along_y.values(y).T[:, :, None] * galerkin.along_x.values(x).T[:, None, :]
+    return np.asarray(products.reshape(len(x), -1))
 
 
 def load_integrals(galerkin: Galerkin, areas: np.ndarray) -> np.ndarray:
@@ -140,21 +147,18 @@ def patch_integrals(along_x: Splines, along_y: Splines, areas: np.ndarray) -> np
     return np.asarray(products.reshape(len(x0), products.shape[1] * products.shape[2]))
 
 
-def _edge_springs(scene: Scene, integrals: Integrals) -> Matrix:
-    """Return the stiffness [N/m] of elastic edges, ∮ k u² + r u_n² ds."""
-    along_x, along_y = integrals.along
-    unknowns = along_x.functions * along_y.functions
-    matrix = Matrix((unknowns, unknowns))
+def _edge_springs(scene: Scene, integrals: Integrals) -> np.ndarray:
+    """Return the stiffness [N/m] of elastic edges, ∮ k u² + r u_n² ds, of each pair of functions."""
+    total = np.zeros([rows.size for rows, _ in integrals.pairs][::-1])
     for side, edge in scene.edges:
         if not isinstance(edge, ElasticEdge):
             continue
         axis = 0 if side in ("left", "right") else 1
-        place = np.array([0.0 if side in ("left", "bottom") else scene.plate.size[axis]])
-        value, slope = (integrals.along[axis].values(place, derivative)[:, 0] for derivative in (0, 1))
-        across = Matrix(edge.translation * np.outer(value, value) + edge.rotation * np.outer(slope, slope))
-        along = Matrix(integrals.along[1 - axis].products(0.0, scene.plate.size[1 - axis]))
-        matrix = matrix + (scipy.sparse.kron(along, across) if axis == 0 else scipy.sparse.kron(across, along))
-    return matrix
+        value, slope = (end_products(integrals.along[axis], side in ("right", "top"), each) for each in (0, 1))
+        across = edge.translation * value + edge.rotation * slope
+        along = side_products(integrals.along[1 - axis], 0, 0)
+        total += np.outer(along, across) if axis == 0 else np.outer(across, along)
+    return total
 
 
 def _patch_means(along_x: Splines, along_y: Splines, areas: Iterable[Area]) -> np.ndarray:
@@ -164,8 +168,15 @@ def _patch_means(along_x: Splines, along_y: Splines, areas: Iterable[Area]) -> n
     return patch_integrals(along_x, along_y, rectangles) / size[:, None]
 
 
-def _links(oscillators: tuple[Oscillator, ...], means: np.ndarray, key: str) -> Matrix:
-    """Return Σ value (ū − z)² as a matrix, for the springs or dampers ``key``; without a mass, z = 0."""
+def _with_links(integrals: Integrals, values: np.ndarray, key: str) -> Matrix:
+    """Return the matrix of values of the plate's pairs and Σ value (ū − z)², for the oscillators' springs or dampers.
+
+    Those without a mass have z = 0.
+    """
+    oscillators, matrix = integrals.scene.effects.oscillators, integrals.scatter(values)
+    if not oscillators:
+        return matrix
+    means = _patch_means(*integrals.along, [oscillator.area for oscillator in oscillators])
     masses = sum(oscillator.mass > 0 for oscillator in oscillators)
     rows, index = np.zeros((len(oscillators), means.shape[1] + masses)), 0
     rows[:, : means.shape[1]] = means
@@ -173,14 +184,13 @@ def _links(oscillators: tuple[Oscillator, ...], means: np.ndarray, key: str) -> 
         if oscillator.mass > 0:
             row[means.shape[1] + index] = -1
             index += 1
-    values = np.array([getattr(oscillator, key) for oscillator in oscillators])
-    sparse = Matrix(rows)
-    return Matrix(sparse.T @ (scipy.sparse.diags_array(values) @ sparse) if len(values) else (sparse.T @ sparse))
+    sparse, factors = Matrix(rows), np.array([getattr(oscillator, key) for oscillator in oscillators])
+    padded = _with_masses(matrix, np.zeros(masses))
+    return Matrix(padded + sparse.T @ (scipy.sparse.diags_array(factors) @ sparse))
 
 
-def _padded(matrix: Matrix, masses: int) -> Matrix:
-    """Return a matrix of the plate with zeros for the oscillators' masses."""
-    size = matrix.shape[0] + masses
-    padded = Matrix(matrix)
-    padded.resize(size, size)
-    return padded
+def _with_masses(matrix: Matrix, masses: Sequence[float] | np.ndarray) -> Matrix:
+    """Return a matrix of the plate with further unknowns, the motions of masses, and these on its diagonal."""
+    if not len(masses):
+        return matrix
+    return Matrix(scipy.sparse.block_diag([matrix, scipy.sparse.diags_array(masses)], format="csr"))

@@ -8,9 +8,8 @@ leave degree − m continuous derivatives. Gauss's rule between knots is exact f
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -20,11 +19,13 @@ from numpy.polynomial import legendre
 CONDITIONS = {"free": 0, "supported": 1, "clamped": 2}
 # Corners closer to each other than this fraction of the side are replaced by the sharpest one.
 MERGED = 5e-5
+# Splines that are kept, with what is computed of them, for further plates.
+SPLINES_KEPT = 32
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Splines:
-    """The splines of one direction.
+    """The splines of one direction; :func:`make_splines` returns the same object for the same arguments.
 
     Attributes:
         knots: (knots,) positions with repetitions [m], those of the ends ``degree + 1`` times.
@@ -83,8 +84,9 @@ class Splines:
         return splines[first : len(splines) - last]
 
 
+@lru_cache(SPLINES_KEPT)
 def make_splines(
-    length: float, ends: tuple[str, str], intervals: int, degree: int, corners: Sequence[tuple[float, int]] = ()
+    length: float, ends: tuple[str, str], intervals: int, degree: int, corners: tuple[tuple[float, int], ...] = ()
 ) -> Splines:
     """Return splines over 0 ... ``length`` [m], with at least ``intervals`` intervals of about the same size.
 
@@ -109,9 +111,12 @@ def make_splines(
     return Splines(np.concatenate(knots), degree, (CONDITIONS[ends[0]], CONDITIONS[ends[1]]))
 
 
+_leggauss = lru_cache(legendre.leggauss)
+
+
 def gauss(breaks: np.ndarray, points: int) -> tuple[np.ndarray, np.ndarray]:
     """Return positions and weights of Gauss's rule with a number of points between each two breaks."""
-    s, weights = legendre.leggauss(points)
+    s, weights = _leggauss(points)
     half = np.diff(breaks)[:, None] / 2
     return (breaks[:-1, None] + half * (1 + s)).ravel(), (half * weights).ravel()
 

@@ -1,0 +1,83 @@
+"""Derivatives of responses against central differences of responses."""
+
+import numpy as np
+import pytest
+from conftest import scene_of
+
+from warp_plate.fitting.free_numbers import FreeNumbers
+from warp_plate.fitting.measured_responses import MeasuredResponses
+from warp_plate.fitting.panel_responses import PanelResponses
+from warp_plate.scene.keys import value_of
+
+DATA = MeasuredResponses("data.csv", np.linspace(6.0, 60.0, 9), np.ones((2, 9)))
+SPRING = {"translation": 2e3, "rotation": 0.05}
+EDGES = SPRING, "clamped", "supported", "free"
+MASS = {"area": [0.1, 0.12, 0.05, 0.07], "mass": 1e-3, "stiffness": 300.0, "damping": 0.02}
+EFFECTS = {
+    "loss_factor": {"eta": 0.03},
+    "damping": {"viscous": 2.0},
+    "material_damping": {"time": 1e-5},
+    "tension": {"x": 4.0, "y": 2.0},
+    "foundation": {"stiffness": 500.0, "damping": 1.0},
+    "oscillators": [MASS],
+}
+KEYS = [
+    "plate.young_modulus",
+    "plate.poisson_ratio",
+    "plate.density",
+    "plate.thickness",
+    "plate.size[0]",
+    "edges.left.translation",
+    "edges.left.rotation",
+    "effects.loss_factor.eta",
+    "effects.damping.viscous",
+    "effects.material_damping.time",
+    "effects.tension.x",
+    "effects.foundation.stiffness",
+    "effects.foundation.damping",
+    "effects.oscillators[0].mass",
+    "effects.oscillators[0].stiffness",
+    "effects.oscillators[0].damping",
+    "effects.oscillators[0].area[1]",
+    "actuators[0].area[0]",
+    "measurement[0].point[0]",
+    "measurement[1].force_at[1]",
+    "measurement[1].gain",
+]
+
+
+def panel(**effects):
+    rows = [{"actuator": "0", "point": (0.15, 0.08), "gain": 1.2}, {"force_at": (0.05, 0.06), "point": (0.1, 0.1)}]
+    rows[1]["quantity"] = "mobility"
+    return scene_of(effects={**EFFECTS, **effects}, edges=EDGES, measurement=rows, grid={"modal_density": 0.4})
+
+
+def compare(scene, key, tolerance, coarse=False):
+    """Compare the derivative by a logarithm of a value with differences over one part in 1e4 of it."""
+    value = value_of(scene, key)
+    free = FreeNumbers(scene, (key,), np.array([value / 2]), np.array([value * 2]))
+    found = PanelResponses(scene, DATA, coarse).slopes([free.neighbours(np.array([0.5]), 0, central=True)])[0]
+    step = 1e-4 / np.log(4)
+    above, below = (
+        PanelResponses(free.scene_at(np.array([0.5 + sign * step])), DATA, coarse).values for sign in (1, -1)
+    )
+    expected = (above - below) / (2 * step)
+    assert np.any(expected)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance * abs(expected).max())
+
+
+@pytest.mark.parametrize("key", KEYS[:8:3])
+def test_derivatives(key):
+    compare(panel(), key, 3e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("key", KEYS)
+def test_derivatives_of_all_numbers(key):
+    compare(panel(), key, 3e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effects", [{"loss_factor": {"eta": [0.03, 0.02]}}, {"modal_damping": {"ratio": 0.01}}])
+def test_damping_mode_by_mode(effects):
+    compare(panel(**effects), "plate.young_modulus", 5e-4)

@@ -1,0 +1,219 @@
+"""Frequency responses of a panel and their derivatives with respect to numbers of its scene.
+
+With the dynamic stiffness Z in splines, which is symmetric, loads f and sensors s,
+
+    Z = (1 + iη + iωτ) B + S − ω²M + iωC,     Z q = f,     Z p = s,     H = sᵀ q
+    dH = dsᵀ q + pᵀ (df − dZ q)
+
+in which B, S, M and C are the matrices of :mod:`warp_plate.modal.galerkin`. Their derivatives are differences,
+which are exact for numbers that they are linear in, as moduli, densities and springs. Damping that is given mode by
+mode is no matrix in splines: responses of such panels are themselves differenced.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from warp_plate.fitting.measured_responses import MeasuredResponses
+from warp_plate.modal.continuous_modes import linear_part
+from warp_plate.modal.galerkin.integrals import Matrix
+from warp_plate.modal.galerkin.matrices import Galerkin, make_galerkin, patch_integrals, point_values
+from warp_plate.modal.modes import solve_modes
+from warp_plate.modal.steady import CoupledModes, multiply_modes
+from warp_plate.result.frequency_response import DERIVATIVES
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
+
+# Functions of coarse plates along each side, relative to those of other commands.
+DENSITY = 0.5
+# Modes that damping couples: those up to REACH times the highest frequency and so many further ones, of coarse plates
+# and of full ones, to which iterations add all others.
+REACH, FURTHER, FURTHER_OF_FULL = 1.5, 12, 80
+# Frequencies that are computed at a time, and modes up to the highest frequency.
+BLOCK, MOST_MODES = 256, 200
+
+
+class PanelResponses:
+    """Responses of a panel in the order of its tables ``[[measurement]]``.
+
+    Attributes:
+        values: (measurements, n) responses.
+    """
+
+    def __init__(self, scene: Scene, measured: MeasuredResponses, coarse: bool = False) -> None:
+        """Compute the responses at the frequencies of measured ones; ``coarse`` plates have few functions and modes.
+
+        Raises:
+            SceneError: The panel has no damping or too many modes, or an edge holds it where it is driven or sensed.
+        """
+        frequencies = measured.frequencies
+        key = f"{measured.source}: highest frequency {frequencies[-1]:g} Hz, which fit.range can lower"
+        plate = solve_modes(
+            linear_part(scene),
+            frequencies[-1],
+            density=DENSITY if coarse else 1.0,
+            improve=not coarse,
+            most=MOST_MODES,
+            key=key,
+        )
+        if not plate.loss_factors.any():
+            raise SceneError(
+                "effects: responses of a panel without damping are not finite; write [effects.loss_factor]"
+            )
+        self._plate, self._omega, self._measured, self._coarse = plate, 2 * np.pi * frequencies, measured, coarse
+        reached = int((plate.frequencies <= REACH * frequencies[-1]).sum())
+        self._modes = CoupledModes(
+            plate.angular_frequencies**2,
+            plate.damping,
+            plate.hysteretic,
+            frequencies[-1],
+            reached + (FURTHER if coarse else FURTHER_OF_FULL),
+        )
+        self._loads = _Loads(plate.galerkin, self._omega)
+        self.values = np.concatenate([self._respond(part) for part in self._parts], axis=1)
+        for row in np.flatnonzero(~self.values.any(axis=1))[:1].tolist():
+            raise SceneError(
+                f"measurement[{row}]: an edge holds the panel where it is driven or sensed; move the point"
+            )
+
+    def slopes(self, changes: Sequence[tuple[Scene, Scene | None, float]]) -> np.ndarray:
+        """Return (changes, measurements, n) derivatives of the responses.
+
+        Args:
+            changes: Scenes with a larger and a smaller value of a number, None for that of this panel, and the factor
+                of the difference.
+        """
+        derivatives = [self._difference(*change) for change in changes]
+        blocks = []
+        for part in self._parts:
+            pairs = self._fields(part)
+            blocks.append([derivative(part, *pairs) for derivative in derivatives])
+        return np.concatenate(blocks, axis=2)
+
+    @property
+    def _parts(self) -> list[slice]:
+        return [slice(start, start + BLOCK) for start in range(0, len(self._omega), BLOCK)]
+
+    def _amplitudes(self, part: slice, loads: np.ndarray) -> np.ndarray:
+        """Return (n, modes, loads) modal amplitudes of loads (unknowns, loads)."""
+        forces, omega = self._plate.vectors.T @ loads, self._omega[part]
+        if self._plate.proportional:
+            return np.asarray(forces / self._plate.dynamic_stiffness(omega)[:, :, None])
+        respond = self._modes.approximate if self._coarse else self._modes.respond
+        return respond(omega, np.broadcast_to(forces, (len(omega), *forces.shape)))
+
+    def _respond(self, part: slice) -> np.ndarray:
+        sensors = self._loads.sensors.T @ self._plate.vectors
+        return self._loads.gains[:, part] * self._loads.pick(
+            multiply_modes(sensors, self._amplitudes(part, self._loads.forces))
+        )
+
+    def _fields(self, part: slice) -> tuple[np.ndarray, np.ndarray]:
+        """Return q (n, unknowns, forces) and p (n, unknowns, measurements)."""
+        q, p = (
+            multiply_modes(self._plate.vectors, self._amplitudes(part, loads))
+            for loads in (self._loads.forces, self._loads.sensors)
+        )
+        return q, p
+
+    def _difference(self, above: Scene, below: Scene | None, factor: float) -> Callable[..., np.ndarray]:
+        """Return the function of frequencies, q and p that returns (measurements, n) derivatives."""
+        high = make_galerkin(linear_part(above), self._plate.galerkin.intervals)
+        low = make_galerkin(linear_part(below), high.intervals) if below is not None else self._plate.galerkin
+        here, loads = self._plate.galerkin, self._loads
+        if high.mass.shape != low.mass.shape or high.mass.shape != here.mass.shape or _by_modes(high.scene):
+            slopes = factor * (self._values_of(above) - self._values_of(below))
+            return lambda part, q, p: slopes[:, part]
+        names = ("bending", "support", "mass", "damping")
+        bending, support, mass, damping = (_change(getattr(high, name), getattr(low, name), factor) for name in names)
+        (loss, time), (loss_high, time_high), (loss_low, time_low) = map(_losses, (here, high, low))
+        changed_loss, changed_time = factor * (loss_high - loss_low), factor * (time_high - time_low)
+        at_high, at_low = _Loads(high, self._omega), _Loads(low, self._omega)
+        of_forces, of_sensors = factor * (at_high.forces - at_low.forces), factor * (at_high.sensors - at_low.sensors)
+        of_gains = factor * (at_high.gains - at_low.gains) / loads.gains
+
+        def derivative(part: slice, q: np.ndarray, p: np.ndarray) -> np.ndarray:
+            omega = self._omega[part, None, None]
+            total = np.broadcast_to(of_forces, q.shape).astype(complex)
+            for matrix, weight in (
+                (bending, 1 + 1j * (loss + omega * time)),
+                (support, 1.0),
+                (mass, -(omega**2)),
+                (damping, 1j * omega),
+            ):
+                if matrix is not None:
+                    total -= weight * multiply_modes(matrix, q)
+            if changed_loss or changed_time:
+                total -= 1j * (changed_loss + omega * changed_time) * multiply_modes(_dense(here.bending), q)
+            moved = p.mT @ total if total.any() else 0.0
+            moved = moved + multiply_modes(of_sensors.T, q)
+            return loads.gains[:, part] * loads.pick(moved) + of_gains[:, part] * self.values[:, part]
+
+        return derivative
+
+    def _values_of(self, scene: Scene | None) -> np.ndarray:
+        if scene is None:
+            return self.values
+        return PanelResponses(scene, self._measured, self._coarse).values
+
+
+class _Loads:
+    """Forces and sensors of the tables ``[[measurement]]`` in splines.
+
+    Attributes:
+        forces: (unknowns, forces) of 1 N each, evenly over an actuator or at a point; without repetitions.
+        sensors: (unknowns, measurements) displacements at the sensors.
+        gains: (measurements, n) factors of displacements.
+    """
+
+    def __init__(self, galerkin: Galerkin, omega: np.ndarray) -> None:
+        rows, scene = galerkin.scene.measurement, galerkin.scene
+        areas = {each.name: each.area for each in scene.actuators}
+        driven = [(row.actuator, row.force_at) for row in rows]
+        kinds = list(dict.fromkeys(driven))
+        forces = []
+        for name, point in kinds:
+            if point is not None:
+                forces.append(point_values(galerkin, [point])[0])
+            else:
+                x0, x1, y0, y1 = areas[str(name)]
+                along = galerkin.along_x, galerkin.along_y
+                forces.append(patch_integrals(*along, np.array([areas[str(name)]]))[0] / ((x1 - x0) * (y1 - y0)))
+        masses = len(galerkin.masses)
+        self.forces = np.pad(np.array(forces).T, ((0, masses), (0, 0)))
+        self.sensors = np.pad(point_values(galerkin, [row.point for row in rows]).T, ((0, masses), (0, 0)))
+        self._driven = [kinds.index(each) for each in driven]
+        powers = np.array([DERIVATIVES[row.quantity] for row in rows])[:, None]
+        self.gains = np.array([row.gain for row in rows])[:, None] * (1j * omega) ** powers
+
+    def pick(self, moved: np.ndarray) -> np.ndarray:
+        """Return (measurements, n) of (n, measurements, forces), for the force of each measurement."""
+        return moved[:, range(len(self._driven)), self._driven].T
+
+
+def _by_modes(scene: Scene) -> bool:
+    """Return whether damping is given mode by mode."""
+    loss = scene.effects.loss_factor
+    return scene.effects.modal_damping is not None or (loss is not None and isinstance(loss.eta, tuple))
+
+
+def _losses(galerkin: Galerkin) -> tuple[float, float]:
+    """Return the loss factor η and the time τ [s] of the material's damping."""
+    effects = galerkin.scene.effects
+    loss = effects.loss_factor.eta if effects.loss_factor is not None else 0.0
+    return (
+        loss if isinstance(loss, float) else 0.0,
+        effects.material_damping.time if effects.material_damping is not None else 0.0,
+    )
+
+
+def _change(high: Matrix, low: Matrix, factor: float) -> np.ndarray | None:
+    """Return the difference of matrices times a factor; None if they are equal."""
+    change = high - low
+    return factor * change.toarray() if change.nnz else None
+
+
+def _dense(matrix: Matrix) -> np.ndarray:
+    return np.asarray(matrix.toarray())
