@@ -21,6 +21,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from warp_plate.viz.captions import percent
+from warp_plate.viz.colours import DEFAULT_COLOURS, ColourOptions
 from warp_plate.viz.explorer_view import ROW_WEIGHTS, ExplorerView, share_texts
 from warp_plate.viz.page_guard import guard
 from warp_plate.viz.pictures import make_plotter
@@ -64,7 +65,9 @@ def missing_page() -> str | None:
     return None if all(map(importlib.util.find_spec, modules)) else f"the explorer's page needs trame: {EXTRA}"
 
 
-def serve_page(model: LiveModel, host: str, port: int, on_ready: Callable[[str], object]) -> None:
+def serve_page(
+    model: LiveModel, host: str, port: int, on_ready: Callable[[str], object], colours: ColourOptions = DEFAULT_COLOURS
+) -> None:
     """Serve a live model until Ctrl-C, at any free port if it is 0; call ``on_ready`` with the address of the page.
 
     Raises DrawingUnavailable if VTK cannot draw here, and OSError if the address is in use or not of this machine.
@@ -80,15 +83,16 @@ def serve_page(model: LiveModel, host: str, port: int, on_ready: Callable[[str],
     for name in SILENT:
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     with suppress(KeyboardInterrupt):
-        asyncio.run(ExplorerPage(model).serve(host, port, on_ready))
+        asyncio.run(ExplorerPage(model, colours).serve(host, port, on_ready))
 
 
 class ExplorerPage:
     """A live model on a trame server; :meth:`serve` runs it until it is cancelled."""
 
-    def __init__(self, model: LiveModel) -> None:
+    def __init__(self, model: LiveModel, colours: ColourOptions) -> None:
         from trame.app import get_server
 
+        self.colours = colours
         self.model, self.server = model, get_server(TITLE, client_type="vue3")
         self.plotter = make_plotter(SIZE, off_screen=True, shape=(2, 1), row_weights=list(ROW_WEIGHTS))
         self.view: ExplorerView | None = None
@@ -150,7 +154,7 @@ class ExplorerPage:
         self._size, before = size, self.view
         self.plotter.clear()
         font_size = max(9, round(FONT_SIZE * min(size[0] / SIZE[0], size[1] / SIZE[1])))
-        self.view = ExplorerView(self.plotter, self.model, font_size)
+        self.view = ExplorerView(self.plotter, self.model, font_size, self.colours)
         if before is not None:
             self.view.angle, self.view.playing = before.angle, before.playing
         self.plotter.disable_anti_aliasing()

@@ -11,6 +11,7 @@ import numpy as np
 from warp_plate.result.motion import QUADRANTS, DriveResponse, SwarmSnapshot
 from warp_plate.viz.annotations import add_text, style_text
 from warp_plate.viz.captions import percent
+from warp_plate.viz.colours import DEFAULT_COLOURS, ColourOptions
 from warp_plate.viz.fields import DrawingScale, drawing_scale
 from warp_plate.viz.scene3d import PlateActors
 
@@ -43,11 +44,14 @@ class ExplorerView:
         playing: True while the plate moves.
     """
 
-    def __init__(self, plotter: pyvista.Plotter, model: LiveModel, font_size: int) -> None:
+    def __init__(
+        self, plotter: pyvista.Plotter, model: LiveModel, font_size: int, colours: ColourOptions = DEFAULT_COLOURS
+    ) -> None:
+        self.colours = colours
         self.model, self.playing, self.angle = model, True, 0.0
         self._drawn_angle, self._reading = math.nan, model.read()
         plotter.subplot(0, 0)
-        field, scale = self._reading.motion.at(0.0), _fitting_scale(self._reading, None)
+        field, scale = self._reading.motion.at(0.0), _fitting_scale(self._reading, None, colours)
         self.plate = PlateActors(plotter, model.scene, field, scale, self._caption(), font_size)
         plotter.subplot(1, 0)
         self.search = SearchCharts(plotter, [actuator.name for actuator in model.scene.actuators], font_size)
@@ -62,7 +66,7 @@ class ExplorerView:
         if reading is self._reading and self.angle == self._drawn_angle:
             return searched
         if reading is not self._reading:
-            scale = _fitting_scale(reading, self.plate.scale)
+            scale = _fitting_scale(reading, self.plate.scale, self.colours)
             if scale is not self.plate.scale:
                 self.plate.rescale(scale)
         self._drawn_angle, self._reading = self.angle, reading
@@ -143,9 +147,9 @@ def share_texts(reading: DriveResponse) -> dict[str, str]:
     return {name: percent(share, 1) if math.isfinite(share) else "—" for name, share in shares.items()}
 
 
-def _fitting_scale(reading: DriveResponse, before: DrawingScale | None) -> DrawingScale:
+def _fitting_scale(reading: DriveResponse, before: DrawingScale | None, colours: ColourOptions) -> DrawingScale:
     """Return the previous scale if it still suits the reading, else a new one."""
     peak = reading.motion.peak()
     if before is not None and (not math.isfinite(peak) or LEAST_SHARE * before.limit <= peak <= before.limit):
         return before
-    return drawing_scale([np.array([peak])], reading.scene.plate.size)
+    return drawing_scale([np.array([peak])], reading.scene.plate.size, colours=colours)

@@ -74,7 +74,7 @@ def plot(
         shown: result of ``localize`` or ``simulate``, of ``sweep``, of ``frf``, ``compare`` or ``focus``.
         stem: path of the pictures without an ending: a result makes STEM-history.png, STEM-surfaces.png and so on, all
             others STEM.png.
-        colormap: colour map of Matplotlib for fields over the plate (default: one that suits the field).
+        colormap: colour map of Matplotlib for fields over the plate and maps of sweeps (default: one that suits).
         limits: ends of their colours: "common" to all plates, "each" plate its own, or the largest value shown in the
             field's SI unit (default: "each").
 
@@ -103,7 +103,7 @@ def plot(
             raise DrawingUnavailable(problem)
         return files
     drawings: dict[type, Callable[[Any, Path], None]] = {
-        Sweep: draw_sweep,
+        Sweep: partial(draw_sweep, colormap=colormap),
         FrequencyResponse: draw_frequency_response,
         MethodComparison: draw_comparison,
         FocusResult: partial(draw_focus, colours=colours),

@@ -188,6 +188,9 @@ def test_sweeps_of_all_shapes(drawn, tmp_path, what, vary, samples):
     picture = pixels(tmp_path / "plot.png")
     assert min(picture.shape[:2]) > 300
     assert count(picture, REFUSED_COLOUR if samples is None else "#8a8a8a") > 100
+    if (what, vary) == ("modes", PAIR):
+        draw_sweep(random_sweep(vary, what, samples), tmp_path / "grey.png", "gray")
+        assert np.ptp(pixels(tmp_path / "grey.png"), axis=2).max() < 12 < np.ptp(picture, axis=2).max()
     if (what, vary) == ("check", LINE):
         assert [axes.get_ylabel() for axes in figure.axes] == ["time step [s]", "resolution"]
         assert figure.axes[-1].get_xlabel() == "drive frequency [Hz]"

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ from warp_plate.result.sweep import REFUSED, Sweep
 from warp_plate.scene.errors import printable
 from warp_plate.scene.keys import label_of, unit_of
 from warp_plate.scene.vary import counted, value_text
+from warp_plate.viz.colours import colour_map
 from warp_plate.viz.plots.frame import add_panels, figure, label_axis, number_log_axis, with_unit
 
 if TYPE_CHECKING:
@@ -33,14 +35,18 @@ MOST_TEXTS = 8
 MARKERS = (("o", 3), ("o", 6), ("x", 4), ("+", 6), ("s", 5), ("D", 7), ("^", 5), ("v", 6))
 
 
-def draw_sweep(sweep: Sweep, path: str | Path) -> None:
+def draw_sweep(sweep: Sweep, path: str | Path, colormap: str | None = None) -> None:
     """Draw the outputs of a sweep, with refused points in grey.
 
     Over one key all outputs are lines; over two each output is a map; over more the first output is a map over the two
-    longest keys for each combination of the others; for samples all outputs are points over each key.
+    longest keys for each combination of the others; for samples all outputs are points over each key. The colour map is
+    that of maps (default: viridis).
     """
     keys, sampled = len(sweep.plan.keys), sweep.plan.sampled
-    draw = _draw_points if sampled else {1: _draw_lines, 2: _draw_maps}.get(keys, _draw_small_maps)
+    cmap = colormap or CMAP
+    draw: Callable[[Figure, Sweep], str | None] = _draw_points
+    if not sampled:
+        draw = _draw_lines if keys == 1 else partial(_draw_maps if keys == 2 else _draw_small_maps, cmap=cmap)
     with figure(path, box=keys > 1 and not sampled) as made:
         notes, title = [draw(made, sweep)], printable(sweep.scene.title or sweep.source)
         if refused := np.count_nonzero(sweep.status == REFUSED):
@@ -101,7 +107,7 @@ def _draw_lines(figure: Figure, sweep: Sweep) -> None:
     _set_key_axis(rows[-1].xaxis, sweep, 0, 6)
 
 
-def _draw_maps(figure: Figure, sweep: Sweep) -> None:
+def _draw_maps(figure: Figure, sweep: Sweep, cmap: str) -> None:
     maps = curves(sweep)
     columns = min(2, len(maps))
     figure.set_size_inches(3.9 * columns, 0.3 + 3.0 * math.ceil(len(maps) / columns))
@@ -111,7 +117,7 @@ def _draw_maps(figure: Figure, sweep: Sweep) -> None:
     drawn: dict[str, list[Any]] = {}
     for axes, (label, (_, values)) in zip(panels, maps.items(), strict=True):
         alike = np.concatenate([maps[other][1] for other in maps if quantities[other] == quantities[label]])
-        mesh = _draw_map(axes, sweep, values.reshape(sweep.plan.shape), (0, 1), alike)
+        mesh = _draw_map(axes, sweep, values.reshape(sweep.plan.shape), (0, 1), alike, cmap)
         drawn.setdefault(quantities[label], []).append((mesh, axes, label))
         axes.set_title(
             label.partition(", ")[2] if len(set(quantities.values())) == 1 < len(maps) else label, fontsize=9
@@ -122,7 +128,7 @@ def _draw_maps(figure: Figure, sweep: Sweep) -> None:
     _label_maps(panels, sweep, columns, (0, 1), 5)
 
 
-def _draw_small_maps(figure: Figure, sweep: Sweep) -> str:
+def _draw_small_maps(figure: Figure, sweep: Sweep, cmap: str) -> str:
     plan, (label, (unit, values)) = sweep.plan, next(iter(curves(sweep).items()))
     first, second = sorted(np.argsort([-length for length in plan.shape], kind="stable")[:2].tolist())
     others = [index for index in range(len(plan.keys)) if index not in (first, second)]
@@ -133,7 +139,7 @@ def _draw_small_maps(figure: Figure, sweep: Sweep) -> str:
     figure.set_size_inches(0.9 + 2.5 * columns, 0.6 + 2.2 * math.ceil(len(shown) / columns))
     panels = add_panels(figure, len(shown), columns, sharex=True, sharey=True)
     for axes, place in zip(panels, shown, strict=True):
-        mesh = _draw_map(axes, sweep, field[place], (first, second), values)
+        mesh = _draw_map(axes, sweep, field[place], (first, second), values, cmap)
         names = [f"{with_unit(*_label_and_unit(sweep, key))}: " for key in others]
         held = (value_text(plan.coordinates[key][step]) for key, step in zip(others, place, strict=True))
         axes.set_title("\n".join(map(str.__add__, names, held)), fontsize=7)
@@ -179,7 +185,7 @@ def _label_maps(
             _set_key_axis(axes.yaxis, sweep, keys[1], size=size)
 
 
-def _draw_map(axes: Axes, sweep: Sweep, field: np.ndarray, keys: tuple[int, int], values: np.ndarray) -> Any:
+def _draw_map(axes: Axes, sweep: Sweep, field: np.ndarray, keys: tuple[int, int], values: np.ndarray, cmap: str) -> Any:
     """Draw (first key, second key) values as colours, within the range of all values, with contour lines."""
     from matplotlib.patheffects import Normal, Stroke
     from matplotlib.ticker import MaxNLocator
@@ -191,7 +197,7 @@ def _draw_map(axes: Axes, sweep: Sweep, field: np.ndarray, keys: tuple[int, int]
     limits = (np.nanmin(values), np.nanmax(values)) if np.isfinite(values).any() else (0.0, 1.0)
     if limits[1] - limits[0] <= CONSTANT * max(map(abs, limits)):  # Matplotlib itself widens limits that coincide
         limits = (limits[0], limits[0])
-    mesh = axes.pcolormesh(*edges, field.T, cmap=CMAP, vmin=limits[0], vmax=limits[1], rasterized=True)
+    mesh = axes.pcolormesh(*edges, field.T, cmap=colour_map(cmap), vmin=limits[0], vmax=limits[1], rasterized=True)
     finite = field[np.isfinite(field)]
     constant = not finite.size or np.ptp(finite) <= CONSTANT * np.abs(finite).max()
     if constant and finite.size > 1:

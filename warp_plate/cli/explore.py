@@ -22,6 +22,7 @@ def explore(
     device: options.Device = "auto",
     path: options.SteppingOrModes = "auto",
     accuracy: options.Accuracy | None = None,
+    colormap: options.Colormap | None = None,
 ) -> None:
     """Explore a scene in the browser: sliders for every actuator, frequency and damping (needs the extra web).
 
@@ -50,6 +51,8 @@ def explore(
     from warp_plate.viz.availability import missing_renderer
     from warp_plate.viz.explorer_page import missing_page, serve_page
 
+    colours = options.ColourChoice(colormap).chosen()
+
     if (problem := missing_page() or missing_renderer()) is not None:
         raise SceneError(problem)
 
@@ -66,7 +69,7 @@ def explore(
             note = "{:.2g} node-steps".format
             model = LiveModel(chosen, device, path, lambda done, total: show(done, total, note(done)))
     try:
-        serve_page(model, host, port, on_ready)
+        serve_page(model, host, port, on_ready, colours)
     except OSError as error:
         raise SceneError(f"--host {host} --port {port}: cannot be listened on: {error.strerror or error}") from None
     finally:

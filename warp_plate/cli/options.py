@@ -87,7 +87,7 @@ Force = Annotated[
     bool, Parameter(negative="", help="Overwrite files that another command, or another program, has written.")
 ]
 Pictures = Annotated[bool, Parameter(help="Draw pictures beside the file that is written (needs the extra viz).")]
-Colormap = Annotated[str, Parameter(help="Colour map of Matplotlib, such as PuOr (default: red up, blue down).")]
+Colormap = Annotated[str, Parameter(help="Colour map of Matplotlib, such as viridis or PuOr.")]
 Json = Annotated[bool, Parameter(negative="", help="Print one JSON object instead of text and tables.")]
 
 

@@ -40,6 +40,7 @@ def sweep(
     out: Path | None = None,
     force: options.Force = False,
     pictures: options.Pictures = True,
+    colormap: options.Colormap | None = None,
     json: options.Json = False,
 ) -> None:
     """Compute the results of one command over many scenes that differ in the values of some keys.
@@ -85,6 +86,8 @@ def sweep(
         raise SceneError("sweep needs a SCENE (a preset's name or a TOML file) and --vary KEY=RANGE, or --resume FILE")
     if seed is not None and samples is None:
         raise SceneError(f"--seed {seed}: is the seed of samples; give --samples N as well, or leave it out")
+    if colormap is not None:
+        options.ColourChoice(colormap).chosen()
     if samples is not None and not vary:
         raise SceneError(f"--samples {samples}: are drawn from the ranges of --vary; give those too, or leave it out")
     beside = None if resume is None else resume.parent / resume.name.replace(".checkpoint.h5", ".h5")
@@ -114,7 +117,7 @@ def sweep(
             show(len(start.plan) - len(start.pending), len(start.plan), start.progress)
             note = "{} of {}: {}".format
             result = run_sweep(start, lambda *done: show(*done[:2], note(*done)), file, pool, on_device_change)
-        draw = partial(save_plots, draw_sweep, result)
+        draw = partial(save_plots, partial(draw_sweep, colormap=colormap), result)
         written = output.write_files(target, lambda path: save_finished(result, path, file, force), draw, pictures)
     output.report(json, partial(_as_json, result), partial(_print, result), written)
 

@@ -34,8 +34,8 @@ from warp_plate.scene.target import Target
 # frequency; along the shorter side fewer, but of less size.
 FEWEST, PER_HALF_WAVE = 18, 2.6
 MOST_INTERVALS = 400
-# Modes up to the highest frequency, by Weyl's law: so many take some 15 s and 1 GiB.
-MOST_MODES = 600
+# Modes up to the highest frequency, by Weyl's law: so many take some 15 s and 1 GiB, or without higher ones more.
+MOST_MODES, MOST_ALONE = 600, 1500
 # Modes that are wanted: those up to REACH times the highest frequency, and FURTHER ones for what higher ones add to
 # responses, or SPARE without responses.
 REACH, FURTHER, SPARE = 4.0, 600, 40
@@ -294,7 +294,7 @@ def modes_below(scene: SceneSource, highest: float, key: str = "highest frequenc
     Raises:
         SceneError: There is none, which the error says of ``key``, or see :func:`solve_modes`.
     """
-    plate = solve_modes(scene, highest, alone=True, key=f"{key} {highest:g}")
+    plate = solve_modes(scene, highest, alone=True, most=MOST_ALONE, key=f"{key} {highest:g}")
     plate = plate.part(np.flatnonzero(plate.frequencies <= highest))
     if not plate.frequencies.size:
         raise SceneError(f"{key} {highest:g}: the plate has no mode up to it; take a higher one")
