@@ -67,12 +67,14 @@ def _draw_waveforms(axes: Axes, found: FocusResult, method: FocusedWaveforms) ->
     waveforms, table = method.waveforms[0], found.scene.focus
     assert table is not None
     largest = np.abs(waveforms).max() or 1.0
-    times = 1e3 * np.arange(table.samples) / table.rate
+    times = 1e3 * np.arange(waveforms.shape[1]) / table.rate
     chosen = np.unique(np.linspace(0, len(waveforms) - 1, MOST_WAVEFORMS).round().astype(int))
     for place, index in enumerate(chosen):
         axes.plot(times, place + 0.45 * waveforms[index] / largest, color=INK, linewidth=0.5)
     axes.set_yticks(range(len(chosen)), [shortened(found.scene.actuators[index].name) for index in chosen], fontsize=7)
-    if table.burst is not None:
+    if found.wished is not None:
+        first, last = 0.0, times[-1]
+    elif table.burst is not None:
         first, last = (1e3 * (table.time + side * BURST_PERIODS / 2 / table.burst.frequency) for side in (-1, 1))
     else:
         first, last = 1e3 * (table.time - PULSE_PERIODS / table.highest), times[-1]
@@ -88,5 +90,9 @@ def _draw_foci(axes: Axes, found: FocusResult, method: FocusedWaveforms) -> None
         label = f"({point_text(point, size)}) {length_unit(size)[0]}"
         look = {"color": COLOURS[index % len(COLOURS)], "linewidth": 0.7, "zorder": 3 - min(index, 1)}
         axes.plot(1e3 * found.times, factor * motion, label=label, **look)
+    if found.wished is not None:
+        wish, motion = found.wished[0], method.responses[0, 0, : found.wished.shape[1]]
+        nearest = factor * wish * (motion @ wish) / (wish @ wish)
+        axes.plot(1e3 * found.times[: wish.size], nearest, "--", color=INK, linewidth=0.5, label="wish", zorder=4)
     axes.set(xlim=(0, 1e3 * found.times[-1]), ylabel=f"{table.quantity} [{unit}]")
     axes.grid(True, color=GRID, linewidth=0.4, alpha=0.4)

@@ -126,7 +126,7 @@ def _export_waveforms(
     """Write the waveforms of a method for each point."""
     table, unit = found.scene.focus, found.scene.drive_unit
     assert table is not None
-    name = methods[0] if methods else "optimum" if table.burst is None else "inverse_filter"
+    name = methods[0] if methods else "optimum" if table.burst is None and found.wished is None else "inverse_filter"
     if len(methods) > 1 or name not in found.methods:
         raise SceneError(f"case = {' '.join(methods)}: name one of {', '.join(found.methods)}")
     waveforms = found.methods[name].waveforms

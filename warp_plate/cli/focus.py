@@ -13,7 +13,7 @@ from warp_plate.cli import options, output
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from warp_plate.result.focus import FocusResult
+    from warp_plate.result.focus import FocusResult, Ranking
     from warp_plate.viz.colours import ColourOptions
 
 FIGURES = (
@@ -27,6 +27,7 @@ FIGURES = (
     "misfit",
     "electrical_energy",
 )
+RANKED = ("method", "actuators", "peak", "crosstalk_db", "misfit")
 HOLDS = "a focus"
 
 
@@ -36,6 +37,7 @@ def focus(
     *,
     assignments: options.Assignments = None,
     waveforms: Path | None = None,
+    rank: str | None = None,
     out: Path | None = None,
     force: options.Force = False,
     pictures: options.Pictures = True,
@@ -46,13 +48,17 @@ def focus(
 
     The scene's table [focus] has the points, the moment and the limits of the waveforms; see docs/focusing.md. Methods
     are time reversal, one-bit time reversal, the inverse filter, which keeps the other points still, and the optimum of
-    all waveforms within the limits. With [focus.burst] each point follows a burst.
+    all waveforms within the limits. With [focus.burst] each point follows a burst, with [focus.wish] the waveform of a
+    file. With [search.robust] an inverse filter is made for many panels within tolerances.
 
     Parameters
     ----------
     waveforms
         File of focus with waveforms made for another panel, which are played on this one: shows how a finger or another
         damping changes the focus.
+    rank
+        Method (time_reversal, one_bit, inverse_filter or optimum) for which to show what fewer actuators reach: the
+        one that is used least is left out, again and again.
     out
         The .h5 file with waveforms, responses and fields (default: SCENE-focus.h5 in this folder).
     """
@@ -64,7 +70,7 @@ def focus(
 
     played = None if waveforms is None else load_focus(waveforms)
     with output.scene_errors(scene):
-        found = compute(loaded, played)
+        found = compute(loaded, played, rank=rank)
     files, missing = [save_focus(found, target)], None
     if pictures:
         drawn, missing = _draw(found, target.with_suffix(".png"), chosen)
@@ -88,17 +94,28 @@ def _as_json(found: FocusResult) -> dict[str, object]:
     assert found.scene.focus is not None
     return {
         **output.attributes(found.scene.focus, "points", "quantity", "time", "rate", "lowest", "highest"),
-        **output.attributes(found, "unit", "modes", "bound", "seconds"),
-        "methods": {name: output.attributes(method, *FIGURES) for name, method in found.methods.items()},
+        **output.attributes(found, "unit", "modes", "bound", "condition", "half_wave", "seconds"),
+        "methods": {name: _method_as_json(found, name) for name in found.methods},
+        "ranking": None if found.ranking is None else output.attributes(found.ranking, *RANKED),
     }
+
+
+def _method_as_json(found: FocusResult, name: str) -> dict[str, object]:
+    method = found.methods[name]
+    record = {**output.attributes(method, *FIGURES), "resolution": found.resolution(name).tolist()}
+    if method.panels is not None:
+        record["panels"] = method.panels.summary()
+    return record
 
 
 def _print(name: str, found: FocusResult, console: Console) -> None:
     table = found.scene.focus
     assert table is not None
+    samples = next(iter(found.methods.values())).waveforms.shape[-1]
+    moment = f"at {1e3 * table.time:g} ms" if found.wished is None else "that follows focus.wish"
     console.print(
-        f"{found.scene.title or name}: {table.quantity} at {1e3 * table.time:g} ms, {len(found.scene.actuators)} "
-        f"waveforms of {table.samples} samples, {found.modes} modes up to {table.highest:g} Hz\n"
+        f"{found.scene.title or name}: {table.quantity} {moment}, {len(found.scene.actuators)} "
+        f"waveforms of {samples} samples, {found.modes} modes up to {table.highest:g} Hz\n"
     )
     for index, (x, y) in enumerate(table.points):
         made = output.table(
@@ -119,12 +136,38 @@ def _print(name: str, found: FocusResult, console: Console) -> None:
     console.print(
         f"Energy in ({found.scene.drive_unit})²·s. Gap: relative distance of the peak from the bound for all waveforms."
     )
-    others = ~np.eye(len(table.points), dtype=bool)
-    for method, reached in found.methods.items():
-        remarks = [f"crosstalk at most {reached.crosstalk_db[others].max():.1f} dB"] if others.any() else []
-        if reached.misfit is not None:
-            remarks.append(f"bursts followed within {100 * reached.misfit.max():.2g} %")
-        if reached.electrical_energy is not None:
-            remarks.append(f"electrical energy at most {reached.electrical_energy.max():.3g} J")
-        if remarks:
+    for method in found.methods:
+        if remarks := _remarks(found, method):
             console.print(f"{method.replace('_', ' ')}: {', '.join(remarks)}")
+    if found.ranking is not None:
+        _print_ranking(found.ranking, found.unit, console)
+
+
+def _remarks(found: FocusResult, name: str) -> list[str]:
+    """Return what a line says of a method, for all foci together."""
+    method, others, remarks = found.methods[name], ~np.eye(len(found.bound), dtype=bool), []
+    wish = "burst" if found.wished is None else "wish"
+    if others.any():
+        remarks.append(f"crosstalk at most {method.crosstalk_db[others].max():.1f} dB")
+    if method.misfit is not None:
+        remarks.append(f"{wish} followed within {100 * method.misfit.max():.2g} %")
+    if method.electrical_energy is not None:
+        remarks.append(f"electrical energy at most {method.electrical_energy.max():.3g} J")
+    if (panels := method.panels) is not None:
+        worst = [f"{panels.crosstalk_db.max():.1f} dB"] if others.any() else []
+        worst += [] if panels.misfit is None else [f"{100 * panels.misfit.max():.2g} %"]
+        least = np.abs(panels.peak).min()
+        remarks.append(f"on {len(panels.peak)} panels {', '.join([*worst, f'peak at least {least:.3g} {found.unit}'])}")
+    return remarks
+
+
+def _print_ranking(ranking: Ranking, unit: str, console: Console) -> None:
+    """Print what fewer actuators reach."""
+    made = output.table("actuators", "with", f"least peak ({unit})", "crosstalk (dB)", "misfit (%)")
+    for index, (name, peak, crosstalk) in enumerate(
+        zip(ranking.actuators, ranking.peak, ranking.crosstalk_db, strict=True)
+    ):
+        wrong = "" if ranking.misfit is None else f"{100 * ranking.misfit[index]:.2g}"
+        made.add_row(str(index + 1), name, f"{peak:.4g}", f"{crosstalk:.1f}" if np.isfinite(crosstalk) else "", wrong)
+    console.print(f"\nFewer actuators, by {ranking.method.replace('_', ' ')}; each row has those above it too:")
+    output.print_uncropped(console, made)

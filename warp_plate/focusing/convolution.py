@@ -15,7 +15,8 @@ class Convolution:
     """
 
     def __init__(self, h: np.ndarray, played: int) -> None:
-        self.samples, self.played = h.shape[-1], played
+        self.actuators, _, self.samples = h.shape
+        self.played = played
         self._length = scipy.fft.next_fast_len(2 * self.samples, real=True)
         self._spectra = self.transform(h)
 
@@ -27,8 +28,14 @@ class Convolution:
         """Return Aᵀ u (sets, actuators, played): motion (sets, foci, samples) through responses in reverse."""
         return self.invert(self.transform(motion) @ self._spectra.conj().mT)[..., : self.played]
 
-    def gram(self) -> np.ndarray:
-        """Return (frequencies, foci, foci) products of the responses' spectra, A Aᵀ without its ends."""
+    def gram(self, by_actuators: bool = False) -> np.ndarray:
+        """Return (frequencies, foci, foci) products of the responses' spectra, A Aᵀ without its ends.
+
+        Args:
+            by_actuators: Return those of Aᵀ A, (frequencies, actuators, actuators).
+        """
+        if by_actuators:
+            return self._spectra @ self._spectra.conj().mT
         return self._spectra.conj().mT @ self._spectra
 
     def transform(self, rows: np.ndarray) -> np.ndarray:

@@ -49,3 +49,18 @@ def measure_focus(
     rest = math.sqrt(float(np.mean(field[~focus] ** 2))) if not focus.all() else 0.0
     contrast = 20 * math.log10(abs(peak) / rest) if peak and rest else math.nan
     return float(focus.mean()) * math.prod(size), contrast
+
+
+def misfit(motion: np.ndarray, wished: np.ndarray) -> np.ndarray:
+    """Return (foci,) relative differences of motion (foci, samples) from the nearest multiples of wished ones."""
+    factor = (motion * wished).sum(axis=1) / (wished**2).sum(axis=1)
+    nearest = factor[:, None] * wished
+    size = np.linalg.norm(nearest, axis=1)
+    return np.divide(np.linalg.norm(motion - nearest, axis=1), size, out=np.full_like(size, np.nan), where=size > 0)
+
+
+def crosstalk(motion: np.ndarray, peak: np.ndarray) -> np.ndarray:
+    """Return (foci,) largest motion of the other foci over a focus's own peak [dB]; −∞ if there is one focus."""
+    others = np.abs(motion).max(axis=2) * (1 - np.eye(len(motion)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(20 * np.log10(others.max(axis=1) / np.abs(peak)))

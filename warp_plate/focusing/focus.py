@@ -3,72 +3,125 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from warp_plate.focusing import methods
 from warp_plate.focusing.convolution import Convolution
-from warp_plate.focusing.figures import PICTURED, field_at_end, measure_focus
+from warp_plate.focusing.panels import filter_for_panels, measure_panels
+from warp_plate.focusing.ranking import check_rank, rank_actuators
+from warp_plate.focusing.reached import what_is_reached, with_rest
 from warp_plate.focusing.responses import HeldResponses
 from warp_plate.focusing.rest import quiet_optimum
-from warp_plate.focusing.wishes import wished_motion, wished_pulse
+from warp_plate.focusing.waveforms import Gains, find_gains, limits_of, make_waveforms
+from warp_plate.focusing.wishes import Wish, make_wish
 from warp_plate.modal.modes import modes_below
-from warp_plate.result.focus import FocusedWaveforms, FocusResult
+from warp_plate.result.focus import FocusResult
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.focus import Focus
+from warp_plate.scene.focus import L_CURVE, Focus
 from warp_plate.scene.model import Scene, SceneSource
 
-# A limit is attained to this part of it.
-ATTAINED = 1e-9
 
-
-def focus(scene: SceneSource, played: FocusResult | None = None) -> FocusResult:
+def focus(
+    scene: SceneSource,
+    played: FocusResult | None = None,
+    wished: np.ndarray | None = None,
+    rank: str | None = None,
+) -> FocusResult:
     """Return the waveforms that focus motion at each point of ``[focus]``, by all methods.
 
     Args:
         scene: Linear scene with a table ``[focus]``; its grid, window and drive play no part.
         played: Waveforms made for another panel, which are played on this one (default: they are made for this one).
+        wished: (samples,) or (foci, samples) motion that the foci are to follow in shape, at the ends of the samples of
+            ``focus.rate``; waveforms last as long (default: what ``[focus]`` says).
+        rank: Method for which to say what fewer actuators reach (default: none).
 
     Raises:
         SceneError: There is no ``[focus]``, the scene has no motion in time by modes, or no mode up to
-            ``focus.highest``; a point does not move; or the waveforms do not fit the scene.
+            ``focus.highest``; a point does not move; or the wish or the waveforms do not fit the scene.
     """
     scene, started = Scene.load(scene), time.perf_counter()
     table = _table(scene)
     if played is not None:
         _check_fit(scene, table, played)
+        wished = played.wished
+    if rank is not None:
+        check_rank(rank, played is not None)
+    wish = make_wish(scene, wished)
     plate = modes_below(scene, table.highest, "focus.highest")
     solved = time.perf_counter()
-    responses = HeldResponses(plate, table.rate, table.recorded, table.quantity == "velocity")
+    responses = HeldResponses(plate, table.rate, wish.recorded, table.quantity == "velocity")
     h = responses.at_points(table.points)
     for still in np.flatnonzero(~h.any(axis=(0, 2)))[:1].tolist():
         x, y = table.points[still]
         raise SceneError(f"focus.points[{still}]: nothing moves at {x:g}, {y:g}, where an edge holds the plate")
-    convolution = Convolution(h, table.samples)
-    gains, made, bound = _waveforms(h, convolution, table, played)
-    quiet = [False] * len(table.points)
-    if table.rest is not None and played is None:
-        waveforms, quiet = quiet_optimum(responses, table, gains)
-        made["quiet"] = methods.scale_to_limits(waveforms, *_limits(table))
+    made = _make(scene, responses, h, wish) if played is None else _play(scene, h, wish, played)
+    ranking = None
+    if rank is not None:
+        assert made.condition is not None
+        names = [actuator.name for actuator in scene.actuators]
+        ranking = rank_actuators(rank, names, h, table, wish, made.condition)
     ended = time.perf_counter()
     reached = {
-        name: _reached(responses, table, waveforms, convolution.move(waveforms), _gap(gains, waveforms, bound))
-        for name, waveforms in made.items()
+        name: what_is_reached(responses, wish, waveforms, Convolution(h, wish.samples), made.gains)
+        for name, waveforms in made.waveforms.items()
     }
-    if "quiet" in reached:
-        pairs = zip(reached["quiet"].limits, quiet, strict=True)
-        limits = tuple(", ".join([*filter(None, [others]), *["rest"] * bound]) for others, bound in pairs)
-        reached["quiet"] = replace(reached["quiet"], limits=limits)
+    if "quiet" in reached and made.quiet is not None:
+        reached["quiet"] = with_rest(reached["quiet"], made.quiet)
+    if scene.search.robust is not None:
+        elsewhere = measure_panels(scene, wish, made.waveforms)
+        reached = {name: replace(method, panels=elsewhere[name]) for name, method in reached.items()}
     seconds = {"modes": solved - started, "waveforms": ended - solved, "figures": time.perf_counter() - ended}
     return FocusResult(
         scene=scene,
         modes=plate.frequencies.size,
-        times=np.arange(1, table.recorded + 1) / table.rate,
-        bound=bound,
+        times=np.arange(1, wish.recorded + 1) / table.rate,
+        bound=made.gains.bound,
+        condition=made.condition,
         methods=reached,
+        ranking=ranking,
         seconds=seconds,
+        wished=wish.motion[:, : wish.samples] if wished is not None or table.wish is not None else None,
     )
+
+
+@dataclass(frozen=True)
+class _Made:
+    """Waveforms to play.
+
+    Attributes:
+        gains: Gains of the panel that plays them.
+        waveforms: (foci, actuators, samples) by method.
+        condition: Condition of the inverse filters; None where they were not made here.
+        quiet: (foci,) whether the method "quiet" attains the bound of the rest; None without it.
+    """
+
+    gains: Gains
+    waveforms: dict[str, np.ndarray]
+    condition: float | None = None
+    quiet: list[bool] | None = None
+
+
+def _make(scene: Scene, responses: HeldResponses, h: np.ndarray, wish: Wish) -> _Made:
+    """Make waveforms by all methods that the scene asks for."""
+    table = scene.focus
+    assert table is not None
+    gains, condition, quiet, others = find_gains(h, table, wish), table.condition, None, {}
+    if scene.search.robust is not None:
+        others["robust_filter"], condition = filter_for_panels(scene, wish)
+    assert not isinstance(condition, str)
+    if table.rest is not None:
+        others["quiet"], quiet = quiet_optimum(responses, table, gains.values)
+    scaled = {name: methods.scale_to_limits(waveforms, *limits_of(table)) for name, waveforms in others.items()}
+    return _Made(gains, make_waveforms(h, table, wish, gains, condition) | scaled, condition, quiet)
+
+
+def _play(scene: Scene, h: np.ndarray, wish: Wish, played: FocusResult) -> _Made:
+    """Take waveforms that were made for another panel."""
+    assert scene.focus is not None
+    return _Made(find_gains(h, scene.focus, wish), {name: each.waveforms for name, each in played.methods.items()})
 
 
 def _table(scene: Scene) -> Focus:
@@ -79,6 +132,9 @@ def _table(scene: Scene) -> Focus:
         raise SceneError(f"{scene.nonlinear_table}: waveforms are focused on a linear plate without it")
     if scene.steady:
         raise SceneError("effects.loss_factor: has no motion in time; take viscous damping or effects.modal_damping")
+    if scene.focus.condition == L_CURVE and scene.search.robust is None:
+        what = "exact responses of one panel have an L-curve without a corner"
+        raise SceneError(f'focus.condition = "{L_CURVE}": {what}; write a number, or tolerances in [search.robust]')
     return scene.focus
 
 
@@ -92,98 +148,3 @@ def _check_fit(scene: Scene, table: Focus, played: FocusResult) -> None:
     names, others = ([actuator.name for actuator in each.actuators] for each in (scene, played.scene))
     if names != others:
         raise SceneError(f"actuators: the waveforms were made for others, {', '.join(others)}")
-
-
-def _waveforms(
-    h: np.ndarray, convolution: Convolution, table: Focus, played: FocusResult | None
-) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
-    """Return the gains and each method's waveforms, (foci, actuators, samples), and (foci,) bounds of their product."""
-    energy, peak = _limits(table)
-    foci, banded = np.eye(len(table.points))[:, :, None], convolution
-    if table.lowest:
-        banded = Convolution(methods.keep_above(h, table.rate, table.lowest), table.samples)
-    gains = banded.reverse(foci * wished_motion(table))
-    best, bounds = zip(*(methods.optimum(g, energy, peak) for g in gains), strict=True)
-    if played is not None:
-        return gains, {name: method.waveforms for name, method in played.methods.items()}, np.array(bounds)
-    unscaled = {
-        "time_reversal": gains,
-        "one_bit": np.sign(gains),
-        "inverse_filter": methods.inverse_filter(convolution, foci * wished_pulse(table), table.condition),
-    }
-    scaled = {name: methods.scale_to_limits(waveforms, energy, peak) for name, waveforms in unscaled.items()}
-    return gains, {**scaled, "optimum": np.stack(best)}, np.array(bounds)
-
-
-def _limits(table: Focus) -> tuple[float | None, float | None]:
-    """Return the largest Σ w² and |w|."""
-    return None if table.energy is None else table.energy * table.rate, table.peak_limit
-
-
-def _gap(gains: np.ndarray, waveforms: np.ndarray, bound: np.ndarray) -> np.ndarray:
-    """Return the parts (foci,) of the bounds that waveforms lack; 0 at a focus that nothing moves."""
-    reached = np.einsum("fan,fan->f", gains, waveforms)
-    return 1 - np.divide(reached, bound, out=np.ones_like(bound), where=bound > 0)
-
-
-def _reached(
-    responses: HeldResponses,
-    table: Focus,
-    waveforms: np.ndarray,
-    motion: np.ndarray,
-    gap: np.ndarray,
-) -> FocusedWaveforms:
-    """Return what waveforms (foci, actuators, samples) reach, whose motion at the foci is (foci, foci, samples)."""
-    plate, foci = responses.plate, np.arange(len(table.points))
-    size, at_focus = plate.scene.plate.size, motion[foci, foci]
-    peak = at_focus[:, table.moment]
-    fields, areas, contrasts = [], [], []
-    states = responses.states(waveforms[..., : table.moment + 1])
-    for amplitudes, point, reached in zip(responses.amplitudes(states), table.points, peak.tolist(), strict=True):
-        fine = field_at_end(plate, amplitudes)
-        area, contrast = measure_focus(fine, size, point, reached)
-        fields.append(fine[PICTURED // 2 :: PICTURED, PICTURED // 2 :: PICTURED])
-        areas.append(area)
-        contrasts.append(contrast)
-    energy = (waveforms**2).sum(axis=(1, 2)) / table.rate
-    return FocusedWaveforms(
-        waveforms=waveforms,
-        responses=motion,
-        fields=np.stack(fields),
-        peak=peak,
-        focus_area=np.array(areas),
-        contrast_db=np.array(contrasts),
-        energy=energy,
-        gap=gap,
-        limits=tuple(_attained(table, *each) for each in zip(energy, np.abs(waveforms).max(axis=(1, 2)), strict=True)),
-        misfit=None if table.burst is None else _misfit(at_focus, wished_motion(table)),
-        electrical_energy=_electrical_energy(plate.scene, waveforms),
-    )
-
-
-def _electrical_energy(scene: Scene, waveforms: np.ndarray) -> np.ndarray | None:
-    """Return (foci,) energies [J] of voltages (foci, actuators, samples) on capacitors from 0; None without these.
-
-    That is Σ ∫ C V dV/dt dt over the times at which |V| rises, ½ C V² for each rise from 0 to V: no amplifier gets back
-    what capacitors return while |V| falls.
-    """
-    capacitances = [actuator.capacitance for actuator in scene.actuators if actuator.capacitance is not None]
-    if len(capacitances) < len(scene.actuators):
-        return None
-    before = np.concatenate([np.zeros_like(waveforms[..., :1]), waveforms[..., :-1]], axis=2)
-    left = np.where(before * waveforms > 0, before**2, 0.0)  # through 0, where the sign changes
-    rises = np.maximum(waveforms**2 - left, 0)
-    return np.asarray(rises.sum(axis=2) @ np.array(capacitances) / 2)
-
-
-def _misfit(motion: np.ndarray, wished: np.ndarray) -> np.ndarray:
-    """Return (foci,) relative differences of motion (foci, samples) from the multiples of a waveform nearest to it."""
-    nearest = np.outer(motion @ wished / (wished @ wished), wished)
-    size = np.linalg.norm(nearest, axis=1)
-    return np.divide(np.linalg.norm(motion - nearest, axis=1), size, out=np.full_like(size, np.nan), where=size > 0)
-
-
-def _attained(table: Focus, energy: float, peak: float) -> str:
-    """Return the limits that waveforms of an energy and a peak attain."""
-    pairs = {"energy": (energy, table.energy), "peak": (peak, table.peak_limit)}
-    return ", ".join(name for name, (has, limit) in pairs.items() if limit and has >= limit * (1 - ATTAINED))

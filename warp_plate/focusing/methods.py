@@ -24,6 +24,10 @@ from warp_plate.focusing.convolution import Convolution
 HALVINGS = 200
 # Relative residual at which the inverse filter's iteration ends, and its most steps.
 RESIDUAL, STEPS = 1e-3, 1000
+# Smallest and largest condition of the L-curve, and their number.
+CONDITIONS = 1.0, 1e7, 281
+# Least curvature of a corner of it.
+CORNER = 0.1
 
 
 def keep_above(h: np.ndarray, rate: int, lowest: float) -> np.ndarray:
@@ -80,33 +84,67 @@ def inverse_filter(responses: Convolution, wished: np.ndarray, condition: float)
     """Return the waveforms w (sets, actuators, played) of least |A w − d|² + μ |w|².
 
     μ is the largest squared singular value of the responses at any frequency, over condition². With w = Aᵀ y that is
-    (A Aᵀ + μ) y = d, solved by conjugate gradients: unlike a division of spectra it knows that waveforms neither begin
-    before the first sample nor go on after the last. The division is its preconditioner.
+    (A Aᵀ + μ) y = d, or with more foci than actuators (Aᵀ A + μ) w = Aᵀ d, solved by conjugate gradients: unlike a
+    division of spectra this knows that waveforms neither begin before the first sample nor go on after the last. The
+    division is the preconditioner.
 
     Args:
         responses: A.
         wished: (sets, foci, samples) d.
         condition: Ratio of the largest singular value to those that are damped to a half.
     """
-    gram = responses.gram()
+    by_actuators = wished.shape[1] > responses.actuators
+    gram = responses.gram(by_actuators)
     weight = float(np.linalg.eigvalsh(gram).max()) / condition**2
     nearly = np.linalg.inv(gram + weight * np.eye(gram.shape[1])) if weight else gram
-    solution, rest = np.zeros_like(wished), wished
-    step = divided = responses.invert(responses.transform(rest) @ nearly)
-    product, end = _dot(rest, divided), RESIDUAL**2 * _dot(wished, wished)
+    rest = responses.reverse(wished) if by_actuators else wished
+    solution, samples = np.zeros_like(rest), rest.shape[2]
+
+    def divide(rest: np.ndarray) -> np.ndarray:
+        return responses.invert(responses.transform(rest) @ nearly)[..., :samples]
+
+    step = divide(rest)
+    product = _dot(rest, step)
+    end = RESIDUAL**2 * (product if by_actuators else _dot(rest, rest))
     for _ in range(STEPS):
-        if (_dot(rest, rest) <= end).all() or not product.any():
+        if ((product if by_actuators else _dot(rest, rest)) <= end).all() or not product.any():
             break
-        image = responses.move(responses.reverse(step)) + weight * step
+        if by_actuators:
+            image = responses.reverse(responses.move(step)) + weight * step
+        else:
+            image = responses.move(responses.reverse(step)) + weight * step
         length = _ratio(product, _dot(step, image))
         solution, rest = solution + length * step, rest - length * image
-        divided = responses.invert(responses.transform(rest) @ nearly)
+        divided = divide(rest)
         before, product = product, _dot(rest, divided)
         step = divided + _ratio(product, before) * step
     else:
         words = "the inverse filter's iteration ended after %d steps; a smaller focus.condition takes fewer"
         logging.getLogger("warp_plate").warning(words, STEPS)
-    return responses.reverse(solution)
+    return solution if by_actuators else responses.reverse(solution)
+
+
+def l_curve_condition(responses: Convolution, wished: np.ndarray) -> float | None:
+    """Return the condition at the corner of the inverse filter's L-curve, or None if it has none.
+
+    The corner is where log |w| over log |A w − d| bends most (P. C. Hansen, SIAM Rev. 34, 1992, pp. 561-580), with A
+    taken frequency by frequency; of corners nearly as sharp it is the one of the smallest waveforms.
+
+    Args:
+        responses: A.
+        wished: (sets, foci, samples) d.
+    """
+    squares, vectors = np.linalg.eigh(responses.gram())
+    parts = (np.abs(responses.transform(wished) @ vectors) ** 2).sum(axis=1).ravel()
+    squares = np.maximum(squares, 0).ravel()
+    conditions = np.geomspace(*CONDITIONS)
+    damped = [squares + squares.max() / condition**2 for condition in conditions]
+    rest = np.array([(parts * ((each - squares) / each) ** 2).sum() for each in damped])
+    size = np.array([(parts * squares / each**2).sum() for each in damped])
+    across, up = (np.gradient(np.log(each)) for each in (rest, size))
+    bend = (up * np.gradient(across) - across * np.gradient(up)) / np.hypot(across, up) ** 3
+    corners, _ = scipy.signal.find_peaks(bend, height=max(CORNER, bend.max() / 2))
+    return float(conditions[corners[0]]) if corners.size else None
 
 
 def _dot(first: np.ndarray, second: np.ndarray) -> np.ndarray:

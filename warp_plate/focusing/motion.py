@@ -12,7 +12,6 @@ from warp_plate.modal.modes import modes_below
 from warp_plate.result.focus import FocusResult
 from warp_plate.result.motion import Motion
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.focus import Focus
 
 # Points of a picture between two lines of the plate's splines; periods of the highest frequency that are shown on both
 # sides of a pulse; frames, and most bytes of them.
@@ -43,12 +42,15 @@ def focus_motions(
         np.linspace(0, side, POINTS * count + 1)
         for side, count in zip(found.scene.plate.size, plate.galerkin.shape[::-1], strict=True)
     )
-    steps = _samples(table, span or _usual_span(table), frames)
+    recorded, moment = found.times.size, table.moment
+    if found.wished is not None:
+        moment = int(np.abs(found.wished[0]).argmax())
+    steps = _samples(table.rate, recorded, moment, span or _usual_span(found), frames)
     if (size := 8 * len(names) * steps.size * x.size * y.size) > MOST_BYTES:
         raise SceneError(f"frames = {steps.size}: take {size} bytes; at most {MOST_BYTES} are possible")
-    responses = HeldResponses(plate, table.rate, table.recorded, velocity=False)
+    responses = HeldResponses(plate, table.rate, recorded, velocity=False)
     played = np.stack([found.methods[name].waveforms[0] for name in names])
-    pressures = np.concatenate([played, np.zeros((*played.shape[:2], table.recorded - table.samples))], axis=2)
+    pressures = np.pad(played, ((0, 0), (0, 0), (0, recorded - played.shape[2])))
     states, fields = responses.states(pressures[..., : steps[0] + 1]), []
     for sample in range(steps[0], steps[-1] + 1):
         if sample > steps[0]:
@@ -73,20 +75,24 @@ def focus_motions(
     ]
 
 
-def _usual_span(table: Focus) -> tuple[float, float]:
+def _usual_span(found: FocusResult) -> tuple[float, float]:
+    table, end = found.scene.focus, float(found.times[-1])
+    assert table is not None
+    if found.wished is not None:
+        return 0.0, end
     half = PERIODS / table.highest if table.burst is None else table.burst.half
-    return max(table.time - half, 0.0), min(table.time + half, table.recorded / table.rate)
+    return max(table.time - half, 0.0), min(table.time + half, end)
 
 
-def _samples(table: Focus, span: tuple[float, float], frames: int) -> np.ndarray:
+def _samples(rate: int, recorded: int, moment: int, span: tuple[float, float], frames: int) -> np.ndarray:
     """Return the indices of the samples at the ends of which there are frames, including the moment of the focus."""
-    if not 0 <= span[0] < span[1] <= table.recorded / table.rate * (1 + 1e-9):
-        end = table.recorded / table.rate
+    if not 0 <= span[0] < span[1] <= recorded / rate * (1 + 1e-9):
+        end = recorded / rate
         raise SceneError(f"start = {span[0]:g}, end = {span[1]:g}: must lie within the motion, from 0 to {end:g} s")
-    wanted = np.rint(np.linspace(*span, frames) * table.rate).astype(int) - 1
-    steps = np.unique(np.clip(wanted, 0, table.recorded - 1))
-    if steps[0] < table.moment < steps[-1]:
-        steps[np.abs(steps - table.moment).argmin()] = table.moment
+    wanted = np.rint(np.linspace(*span, frames) * rate).astype(int) - 1
+    steps = np.unique(np.clip(wanted, 0, recorded - 1))
+    if steps[0] < moment < steps[-1]:
+        steps[np.abs(steps - moment).argmin()] = moment
     if steps.size < 2:
-        raise SceneError(f"{span[0]:g} ... {span[1]:g} s: contains fewer than two samples at {table.rate} Hz")
+        raise SceneError(f"{span[0]:g} ... {span[1]:g} s: contains fewer than two samples at {rate} Hz")
     return steps

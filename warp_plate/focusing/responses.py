@@ -58,6 +58,16 @@ class HeldResponses:
             states = states + np.einsum("psa,pa->ps", moved, self._gains)
         return states
 
+    def states_at(self, waveforms: np.ndarray, ends: np.ndarray) -> np.ndarray:
+        """Return the states (poles, sets) of each set of waveforms at the end of its own sample (sets,)."""
+        longest = int(ends.max()) + 1
+        # Later samples are left out, and silence is put before, so that all sets end together.
+        late = np.zeros((*waveforms.shape[:2], longest))
+        for aligned, each, end in zip(late, waveforms, ends.tolist(), strict=True):
+            heard = each[:, : end + 1]
+            aligned[:, longest - end - 1 :][:, : heard.shape[1]] = heard
+        return self.states(late)
+
     def end_motions(self, samples: int, waveforms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the modal amplitudes (sets, modes) at the end of waveforms (sets, actuators, samples), and B Bᵀ.
 

@@ -1,41 +1,127 @@
-"""Desired motions of a focus."""
+"""Desired motions of the foci: pulses, bursts, and waveforms of files and arrays."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
-from warp_plate.scene.focus import Focus, FocusBurst
+from warp_plate.plate.waveforms import Samples, read_channels, sample_at
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.focus import AFTER, Focus, FocusBurst
+from warp_plate.scene.model import Scene
+
+WISH = "focus.wish"
 
 
-def wished_motion(table: Focus) -> np.ndarray:
-    """Return the (recorded,) motion that gains are of: the burst of the table, or one sample at the moment."""
-    if table.burst is not None:
-        return _burst(table.burst, _times(table))
-    motion = np.zeros(table.recorded)
-    motion[table.moment] = 1.0
-    return motion
+@dataclass(frozen=True)
+class Wish:
+    """Wished motion of each focus, at the ends of the samples.
 
-
-def wished_pulse(table: Focus) -> np.ndarray:
-    """Return the (recorded,) motion that the inverse filter follows: the burst, or a pulse from lowest to highest.
-
-    The pulse has its largest value, 1, at the moment, and a spectrum that is a Hann window over these frequencies.
+    Attributes:
+        motion: (foci, recorded) motion whose product with that of a focus the gains maximise; one sample for a pulse.
+        followed: (foci, recorded) motion that the inverse filter follows.
+        samples: Number of samples of the waveforms.
+        shaped: True if the foci are to follow a waveform, not to move at one moment.
     """
+
+    motion: np.ndarray
+    followed: np.ndarray
+    samples: int
+    shaped: bool
+
+    @property
+    def recorded(self) -> int:
+        """Number of samples of the motion."""
+        return self.motion.shape[1]
+
+    @property
+    def moments(self) -> np.ndarray:
+        """(foci,) samples of the largest wished motion."""
+        return np.abs(self.motion).argmax(axis=1)
+
+    def apart(self, motion: np.ndarray) -> np.ndarray:
+        """Return (foci, foci, recorded) motion of all foci, each row wishing that of one and rest of the others."""
+        return np.asarray(np.eye(len(motion))[:, :, None] * motion[:, None])
+
+
+def make_wish(scene: Scene, given: np.ndarray | None) -> Wish:
+    """Return the wish of ``[focus]``: motion that is given, that of its file, its burst, or a pulse at its moment.
+
+    Args:
+        given: (samples,) or (foci, samples) motion at the ends of the samples, which waveforms last for.
+
+    Raises:
+        SceneError: The file cannot be read, or the given motion has another shape, is no number or too long.
+    """
+    table = scene.focus
+    assert table is not None
+    foci = len(table.points)
+    if given is None and table.wish is not None:
+        given = _read_file(scene)
+    if given is not None:
+        return _wish_of(table, _checked(scene, np.asarray(given, dtype=float)))
+    times = (np.arange(table.recorded) - table.moment) / table.rate
     if table.burst is not None:
-        return _burst(table.burst, _times(table))
+        burst = np.tile(_burst(table.burst, times), (foci, 1))
+        return Wish(burst, burst, table.samples, shaped=True)
+    moment = (np.arange(table.recorded) == table.moment).astype(float)
+    return Wish(np.tile(moment, (foci, 1)), np.tile(_pulse(table), (foci, 1)), table.samples, shaped=False)
+
+
+def _wish_of(table: Focus, motion: np.ndarray) -> Wish:
+    """Return the wish of a motion (foci, samples), followed by silence."""
+    silence = round(motion.shape[1] * AFTER)
+    motion = np.pad(motion, ((0, 0), (0, silence)))
+    return Wish(motion, motion, motion.shape[1] - silence, shaped=True)
+
+
+def _read_file(scene: Scene) -> np.ndarray:
+    """Return the motion (channels, samples) of ``[focus.wish]`` at the ends of the samples, silent before its start."""
+    table = scene.focus
+    assert table is not None
+    assert table.wish is not None
+    channels = len(table.points) if table.wish.per_point else None
+    values, rate, start = read_channels(WISH, table.wish, scene.folder, channels, "point")
+    samples = max(math.ceil((start + (values.shape[1] - 1) / rate) * table.rate), 2)
+    _check_numbers(scene, samples)
+    times = np.arange(1, samples + 1) / table.rate
+    return sample_at(Samples(values, rate, start, repeat=False), times, min(1.0, table.rate / rate)).real
+
+
+def _checked(scene: Scene, motion: np.ndarray) -> np.ndarray:
+    """Return a motion (foci, samples), or raise a SceneError, as for what its rows may be."""
+    table = scene.focus
+    assert table is not None
+    foci = len(table.points)
+    rows = motion if motion.ndim > 1 else motion[None]
+    if rows.ndim != 2 or len(rows) not in (1, foci) or rows.shape[1] < 2:
+        raise SceneError(f"{WISH}: the shape {motion.shape}; must be (samples,) or ({foci}, samples), a row each point")
+    if not np.isfinite(rows).all() or not rows.any(axis=1).all():
+        raise SceneError(f"{WISH}: a wished motion is zero throughout, or a sample is no number")
+    if table.rest is not None:
+        raise SceneError("focus.rest: bounds motion at one moment, not that of a wish; delete it")
+    _check_numbers(scene, rows.shape[1])
+    return np.asarray(np.broadcast_to(rows, (foci, rows.shape[1])))
+
+
+def _check_numbers(scene: Scene, samples: int) -> None:
+    assert scene.focus is not None
+    try:
+        scene.focus.check_numbers(samples, len(scene.actuators), "wish")
+    except ValueError as error:
+        raise SceneError(str(error)) from None
+
+
+def _pulse(table: Focus) -> np.ndarray:
+    """Return a (recorded,) pulse, 1 at the moment, whose spectrum is a Hann window from ``lowest`` to ``highest``."""
     length = scipy.fft.next_fast_len(2 * table.recorded, real=True)
     part = (scipy.fft.rfftfreq(length, 1 / table.rate) - table.lowest) / (table.highest - table.lowest)
     spectrum = np.where((part > 0) & (part < 1), np.sin(math.pi * part) ** 2, 0.0)
     pulse = scipy.fft.irfft(spectrum, length)
     return np.asarray(np.roll(pulse / pulse[0], table.moment)[: table.recorded])
-
-
-def _times(table: Focus) -> np.ndarray:
-    """Return the (recorded,) times from the moment on [s]."""
-    return (np.arange(table.recorded) - table.moment) / table.rate
 
 
 def _burst(burst: FocusBurst, times: np.ndarray) -> np.ndarray:

@@ -47,7 +47,8 @@ def read_beside(key: str, name: str, folder: Path | None) -> bytes:
 
 def named_files(scene: Scene) -> dict[str, str]:
     """Return the names of the files that a scene refers to, by key."""
-    files = {} if scene.drive.signal is None else {"drive.signal.file": scene.drive.signal.file}
+    signals = {"drive.signal": scene.drive.signal, "focus.wish": scene.focus and scene.focus.wish}
+    files = {f"{key}.file": signal.file for key, signal in signals.items() if signal}
     for key, value in scene.effects.variation or ():
         if isinstance(value, str):
             files[f"effects.variation.{key}"] = value

@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 
 from warp_plate.plate.files import number_rows, read_beside
-from warp_plate.scene.drive import Burst, Chirp, SampledSignal
+from warp_plate.scene.drive import Burst, Chirp, SampledFile, SampledSignal
 from warp_plate.scene.errors import SceneError
 
 # Each sample takes some 100 bytes while it is read: six minutes at 44.1 kHz.
@@ -131,15 +131,33 @@ def read_samples(table: SampledSignal, folder: Path | None, actuators: int = 1) 
     Raises:
         SceneError: There is no such file, it is too large, or its content does not match its ending.
     """
-    data = read_beside("drive.signal.file", table.file, folder)
+    channels = actuators if table.per_actuator else None
+    values, rate, start = read_channels("drive.signal", table, folder, channels, "actuator")
+    values = values * table.gain
+    return Samples(values if table.per_actuator else values[0], rate, start, table.repeat)
+
+
+def read_channels(
+    key: str, table: SampledFile, folder: Path | None, channels: int | None, owner: str
+) -> tuple[np.ndarray, float, float]:
+    """Return values (channels, samples), rate [1/s] and start [s] of a file in the scene's folder.
+
+    Args:
+        key: Key of the table, which errors name.
+        channels: Number of channels, one for each owner; None for a file with one channel for all.
+        owner: "actuator" or "point".
+
+    Raises:
+        SceneError: There is no such file, it is too large, or it is not what its ending says.
+    """
+    data = read_beside(f"{key}.file", table.file, folder)
     try:
-        channels = actuators if table.per_actuator else 1
         if table.file.lower().endswith(".csv"):
-            values, rate, start = _csv(data, table.rate, channels)
+            values, rate, start = _csv(data, key, table.rate, channels, owner)
         else:
             values, rate, start = *wav_channels(data), 0.0
-            if len(values) != channels:
-                wanted = f"{channels}, one for each actuator" if table.per_actuator else "one, or per_actuator = true"
+            if len(values) != (channels or 1):
+                wanted = f"{channels}, one for each {owner}" if channels else f"one, or per_{owner} = true"
                 raise ValueError(f"{len(values)} channels; write {wanted}")
         if values.shape[1] < 2 or values.size > MOST_SAMPLES:
             raise ValueError(f"{values.size} samples; 2 to {MOST_SAMPLES} are possible")
@@ -150,9 +168,8 @@ def read_samples(table: SampledSignal, folder: Path | None, actuators: int = 1) 
         if not SLOWEST <= rate <= FASTEST:
             raise ValueError(f"{rate:g} samples a second; {SLOWEST:g} to {FASTEST:g} are possible")
     except ValueError as error:
-        raise SceneError(f"drive.signal.file = {table.file!r}: {error}") from None
-    values = values * table.gain
-    return Samples(values if table.per_actuator else values[0], rate, start + table.start, table.repeat)
+        raise SceneError(f"{key}.file = {table.file!r}: {error}") from None
+    return values, rate, start + table.start
 
 
 def resample(samples: Samples, time_step: float, steps: int, band: float = 1.0) -> np.ndarray:
@@ -234,26 +251,26 @@ def wav_channels(data: bytes) -> tuple[np.ndarray, float]:
     return values if code == 3 else (values - 128 * (bits == 8)) / 2.0 ** (bits - 1), float(rate)
 
 
-def _csv(data: bytes, rate: float | None, channels: int) -> tuple[np.ndarray, float, float]:
-    """Return values (channels, samples), rate and start of a text table."""
+def _csv(
+    data: bytes, key: str, rate: float | None, channels: int | None, owner: str
+) -> tuple[np.ndarray, float, float]:
+    """Return values (channels, samples), rate and start of a text table; see :func:`read_channels`."""
     rows = number_rows(data)
     if len(rows) < 2:
         raise ValueError(f"{len(rows)} samples; at least 2 are needed")
     table = np.array([row for _, row in rows])
     columns = table.shape[1]
-    if columns not in (channels, channels + 1):
-        each = (
-            "time and value, one value, or per_actuator = true"
-            if channels == 1
-            else f"{channels}, one for each actuator, or time first"
-        )
-        raise ValueError(f"{columns} columns instead of {each}")
-    if columns == channels:
+    if columns - (channels or 1) not in (0, 1):
+        wanted = f"time and value, one value, or per_{owner} = true"
+        if channels and channels > 1:
+            wanted = f"{channels}, one for each {owner}, or time first"
+        raise ValueError(f"{columns} columns instead of {wanted}")
+    if columns == (channels or 1):
         if rate is None:
-            raise ValueError("no column of times; write drive.signal.rate, the samples a second")
+            raise ValueError(f"no column of times; write {key}.rate, the samples a second")
         return table.T, rate, 0.0
     if rate is not None:
-        raise ValueError("has a column of times; delete drive.signal.rate")
+        raise ValueError(f"has a column of times; delete {key}.rate")
     times = table[:, 0]
     step = even_step(times)
     if times[0] < 0:

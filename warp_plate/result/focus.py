@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,14 +19,38 @@ UNITS = {"displacement": "m", "velocity": "m/s"}
 
 
 @dataclass(frozen=True)
+class PanelFigures:
+    """What waveforms do on panels within the tolerances of ``[search.robust]``, other ones than they were made for."""
+
+    peak: Annotated[np.ndarray, Dataset("m or m/s", "motion at the focus at its moment", ("panels", "foci"))]
+    crosstalk_db: Annotated[
+        np.ndarray, Dataset("dB", "largest motion of the other foci over the peak", ("panels", "foci"))
+    ]
+    misfit: Annotated[
+        np.ndarray | None, Dataset("1", "part of the burst or wish that is not followed", ("panels", "foci"))
+    ] = None
+
+    def summary(self) -> dict[str, float | int | None]:
+        """Return the number of panels, the least peak, and the worst and median of the rest over the panels."""
+        found: dict[str, float | int | None] = {"number": len(self.peak), "least_peak": float(np.abs(self.peak).min())}
+        for name, values in (("crosstalk_db", self.crosstalk_db), ("misfit", self.misfit)):
+            worst = None if values is None else values.max(axis=1)
+            found[f"worst_{name}"] = None if worst is None else float(worst.max())
+            found[f"median_{name}"] = None if worst is None else float(np.median(worst))
+        return found
+
+
+@dataclass(frozen=True)
 class FocusedWaveforms:
     """Waveforms of one method, a set for each focus, and their results.
 
     Peak, area and contrast are those of the quantity of the scene's ``[focus]``, in m or m/s, at the moment of the
-    focus. The gap is that of its part from ``focus.lowest`` on; of a burst, that of the motion's product with it.
+    focus, which is that of the largest wished motion. The gap is that of its part from ``focus.lowest`` on; of a burst
+    or wish, that of the motion's product with it.
 
     Attributes:
         limits: Limits that the waveforms for each focus attain: "energy", "peak", "energy, peak" or "".
+        panels: What is left on other panels, with ``[search.robust]``.
     """
 
     waveforms: Annotated[
@@ -49,10 +74,11 @@ class FocusedWaveforms:
     energy: Annotated[np.ndarray, Dataset("(N/m²)²·s or V²·s", "sum over actuators of the integral of drive²", FOCI)]
     gap: Annotated[np.ndarray, Dataset("1", "part of the bound of all waveforms that the peak lacks", FOCI)]
     limits: tuple[str, ...]
-    misfit: Annotated[np.ndarray | None, Dataset("1", "part of the burst that the focus does not follow", FOCI)] = None
+    misfit: Annotated[np.ndarray | None, Dataset("1", "part of the burst or wish that is not followed", FOCI)] = None
     electrical_energy: Annotated[
         np.ndarray | None, Dataset("J", "½ C ∫ d(V²)/dt dt over the times at which |V| rises", FOCI)
     ] = None
+    panels: PanelFigures | None = None
 
     @property
     def crosstalk_db(self) -> np.ndarray:
@@ -62,13 +88,31 @@ class FocusedWaveforms:
 
 
 @dataclass(frozen=True)
+class Ranking:
+    """What a method reaches with fewer and fewer actuators.
+
+    Attributes:
+        method: Name of the method.
+        actuators: Names, those left out last first: the first n are the n actuators of the n-th figures.
+    """
+
+    method: str
+    actuators: tuple[str, ...]
+    peak: Annotated[np.ndarray, Dataset("m or m/s", "least peak of the foci by 1, 2, ... actuators", ("number",))]
+    crosstalk_db: Annotated[np.ndarray, Dataset("dB", "largest crosstalk", ("number",))]
+    misfit: Annotated[np.ndarray | None, Dataset("1", "largest misfit of the foci", ("number",))] = None
+
+
+@dataclass(frozen=True)
 class FocusResult:
     """Result of ``focus``.
 
     Attributes:
         scene: The scene, with its ``[focus]``.
         modes: Number of modes up to ``focus.highest``.
-        methods: Waveforms by method: "time_reversal", "one_bit", "inverse_filter", "optimum".
+        methods: Waveforms by method: "time_reversal", "one_bit", "inverse_filter", "optimum", "quiet",
+            "robust_filter".
+        condition: Condition of the inverse filters, chosen or given.
         seconds: Wall time of the modes, the waveforms and the figures [s].
     """
 
@@ -79,7 +123,24 @@ class FocusResult:
         np.ndarray, Dataset("m or m/s", "upper bound of the peak of all waveforms within the limits", FOCI)
     ]
     methods: Mapping[str, FocusedWaveforms]
+    condition: float | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)
+    wished: Annotated[
+        np.ndarray | None, Dataset("1", "wished motion from a file or array, in shape", ("foci", "samples"))
+    ] = None
+    ranking: Ranking | None = None
+
+    @property
+    def half_wave(self) -> float:
+        """Half of the length [m] of bending waves at ``focus.highest`` on the plate without its effects."""
+        assert self.scene.focus is not None
+        plate = self.scene.plate
+        speed = math.sqrt(plate.rigidity / (plate.density * plate.thickness))
+        return math.sqrt(math.pi * speed / (2 * self.scene.focus.highest))
+
+    def resolution(self, method: str) -> np.ndarray:
+        """Return (foci,) diameters of discs as large as the focus over half a wave, see :attr:`half_wave`."""
+        return np.asarray(2 * np.sqrt(self.methods[method].focus_area / math.pi) / self.half_wave)
 
     @property
     def unit(self) -> str:

@@ -44,24 +44,29 @@ class Chirp(Table):
     law: Literal["linear", "logarithmic"] = "linear"
 
 
-class SampledSignal(Table):
-    """A carrier that is read from a file beside the scene file."""
+class SampledFile(Table):
+    """Signals that are read from a file beside the scene file."""
 
     # Name of a WAV file, or of a CSV file with a column for each channel; its first column may hold times [s]
     file: str
-    # True if the file has a channel for each actuator, in the order of the scene; false if one channel drives them all
-    per_actuator: Flag = False
     rate: Annotated[float, Field(ge=1e-3, le=1e7)] | None = None  # sampling rate of a CSV file without times [1/s]
     start: Instant = 0.0  # time at which the file begins [s]; added to the times of a CSV file
-    gain: Gain = 1.0  # factor on the samples; integer samples of a WAV file are first scaled to −1 ... 1 [1]
-    repeat: Flag = False  # true to repeat the file; false for silence after its end
 
     @model_validator(mode="after")
-    def _file_beside_scene(self) -> SampledSignal:
+    def _file_beside_scene(self) -> SampledFile:
         check_file_name("file", self.file, (".wav", ".csv"))
         if self.rate is not None and self.file.lower().endswith(".wav"):
             raise ValueError(f"rate: {self.file!r} contains its sampling rate; delete rate")
         return self
+
+
+class SampledSignal(SampledFile):
+    """A carrier that is read from a file beside the scene file."""
+
+    # True if the file has a channel for each actuator, in the order of the scene; false if one channel drives them all
+    per_actuator: Flag = False
+    gain: Gain = 1.0  # factor on the samples; integer samples of a WAV file are first scaled to −1 ... 1 [1]
+    repeat: Flag = False  # true to repeat the file; false for silence after its end
 
 
 class Electrostatic(Table):

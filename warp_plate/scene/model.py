@@ -268,7 +268,8 @@ class Scene(Table):
         """True if parts of the scene lie in other files."""
         variation = self.effects.variation
         masks = any(target.mask is not None for target in self.targets_by_key.values())
-        return masks or self.drive.signal is not None or (variation is not None and any(variation.files))
+        signals = (self.drive.signal, self.focus and self.focus.wish)
+        return masks or any(signals) or (variation is not None and any(variation.files))
 
     @property
     def targets_by_key(self) -> dict[str, Target]:

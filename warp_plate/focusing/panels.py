@@ -1,0 +1,67 @@
+"""Panels within the tolerances of ``[search.robust]``: an inverse filter made for many, and waveforms on other ones.
+
+The filter is the least squares of all panels at once, Σ |A_p w − d|² / P + μ |w|², A_p the responses of panel p.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from warp_plate.focusing import methods
+from warp_plate.focusing.convolution import Convolution
+from warp_plate.focusing.figures import crosstalk, misfit
+from warp_plate.focusing.responses import HeldResponses
+from warp_plate.focusing.waveforms import least_squares
+from warp_plate.focusing.wishes import Wish
+from warp_plate.modal.modes import modes_below
+from warp_plate.problem.uncertainty import Scenario, draw_scenarios
+from warp_plate.result.focus import PanelFigures
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.focus import L_CURVE
+from warp_plate.scene.model import Scene
+
+
+def filter_for_panels(scene: Scene, wish: Wish) -> tuple[np.ndarray, float]:
+    """Return the waveforms (foci, actuators, samples) of the filter, of no certain size, and its condition.
+
+    Raises:
+        SceneError: ``condition`` is "l-curve", and the panels' L-curve has no corner.
+    """
+    robust, table = scene.search.robust, scene.focus
+    assert robust is not None
+    assert table is not None
+    panels = draw_scenarios(scene, robust.scenarios, robust.seed, stepped=False)
+    h = np.concatenate([_responses(panel, wish) for panel in panels], axis=1)
+    problem = least_squares(h, wish)
+    condition = methods.l_curve_condition(*problem) if isinstance(table.condition, str) else table.condition
+    if condition is None:
+        raise SceneError(f'focus.condition = "{L_CURVE}": the L-curve of these panels has no corner; write a number')
+    return methods.inverse_filter(*problem, condition), condition
+
+
+def measure_panels(scene: Scene, wish: Wish, made: dict[str, np.ndarray]) -> dict[str, PanelFigures]:
+    """Return what waveforms (foci, actuators, samples) of each method do on ``search.robust.fresh`` other panels."""
+    robust = scene.search.robust
+    assert robust is not None
+    figures: dict[str, list[tuple[np.ndarray, ...]]] = {name: [] for name in made}
+    foci = np.arange(len(wish.motion))
+    for panel in draw_scenarios(scene, robust.fresh, robust.seed, validation=True, stepped=False):
+        convolution = Convolution(_responses(panel, wish), wish.samples)
+        for name, waveforms in made.items():
+            motion = convolution.move(waveforms)
+            peak = motion[foci, foci, wish.moments]
+            figures[name].append((peak, crosstalk(motion, peak), misfit(motion[foci, foci], wish.motion)))
+    stacked = {name: [np.array(each) for each in zip(*rows, strict=True)] for name, rows in figures.items()}
+    return {
+        name: PanelFigures(peak, others, wrong if wish.shaped else None)
+        for name, (peak, others, wrong) in stacked.items()
+    }
+
+
+def _responses(panel: Scenario, wish: Wish) -> np.ndarray:
+    """Return h (actuators, foci, recorded) of one panel, with the gains of its actuators."""
+    table = panel.scene.focus
+    assert table is not None
+    plate = modes_below(panel.scene, table.highest, "focus.highest")
+    responses = HeldResponses(plate, table.rate, wish.recorded, table.quantity == "velocity")
+    return responses.at_points(table.points) * panel.gain[:, None, None]
