@@ -74,9 +74,10 @@ def plot(
         shown: result of ``localize`` or ``simulate``, of ``sweep``, of ``frf``, ``compare`` or ``focus``.
         stem: path of the pictures without an ending: a result makes STEM-history.png, STEM-surfaces.png and so on, all
             others STEM.png.
-        colormap: colour map of Matplotlib for fields over the plate and maps of sweeps (default: one that suits).
-        limits: ends of their colours: "common" to all plates, "each" plate its own, or the largest value shown in the
-            field's SI unit (default: "each").
+        colormap: colour map of Matplotlib for fields over the plate and maps of sweeps (default: depends on the
+            field).
+        limits: ends of their colours: "common" for all plates, "each" for separate ones, or the largest value shown in
+            the field's SI unit (default: "each").
 
     Raises:
         SceneError: no such colour map or limits.

@@ -103,8 +103,8 @@ def measure_configurations(
         source: Name of the scene in the report.
         device: Device.
         path: Path of the solver.
-        budget: Nominal time for the report [s], counted in node-steps; beyond the first rows, those that would take
-            longer are skipped.
+        budget: Nominal time for the report [s], counted in node-steps; rows beyond it are skipped, except the first
+            ones.
         on_progress: Called before each row with the number of rows so far, of all rows, and the name of the next.
 
     Raises:

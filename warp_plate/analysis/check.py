@@ -105,7 +105,7 @@ class Check:
 
 
 def check(scene: SceneSource, device: str = "auto", allow_unstable: bool = False, by_modes: bool = False) -> Check:
-    """Check a scene with a grid, without running it; ``by_modes``: it would be run by modes.
+    """Check a scene with a grid without running it; with ``by_modes``, for a run by modes.
 
     Raises:
         SceneError: see ``discretize``, or there is no such device.

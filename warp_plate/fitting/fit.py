@@ -17,7 +17,7 @@ def fit(scene: SceneSource, data: str | Path | Sequence[str | Path]) -> ModeFit 
     """Fit the keys under ``[fit.free]`` of a scene to measurements, with 95 % intervals.
 
     Args:
-        scene: Scene with ``[fit.free]``, the ranges of the fitted numbers; for responses also ``[[measurement]]``.
+        scene: Scene with ``[fit.free]``, the ranges of the fitted values; for responses also ``[[measurement]]``.
         data: File of natural frequencies, or one or several files of frequency responses if the scene has tables
             ``[[measurement]]``; see :func:`read_modes` and :func:`read_responses`.
 

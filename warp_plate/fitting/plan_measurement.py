@@ -71,17 +71,17 @@ def plan_measurement(
     noise: float = 0.02,
     frequency_range: tuple[float, float] | None = None,
 ) -> MeasurementPlan:
-    """Return the places of sensors and the actuator that determine the numbers of ``[fit.free]`` best.
+    """Return the places of sensors and the actuator that best determine the keys of ``[fit.free]``.
 
     Args:
-        scene: Linear scene with ``[fit.free]``; its own values are those that the plan is made for.
+        scene: Linear scene with ``[fit.free]``; the plan is made for its values.
         sensors: Number of accelerometers.
         noise: Standard deviation of responses, relative to each.
         frequency_range: Lowest and highest frequency [Hz] (default: ``fit.range``, or from half the lowest natural
             frequency to the eighth).
 
     Raises:
-        SceneError: The scene has no ``[fit.free]``, a free number is a sensor's, the panel has no damping, or there are
+        SceneError: The scene has no ``[fit.free]``, a free key is a sensor's, the panel has no damping, or there are
             too many sensors.
     """
     scene = Scene.load(scene)

@@ -32,7 +32,7 @@ def focus(
     """Return the waveforms that focus motion at each point of ``[focus]``, by all methods.
 
     Args:
-        scene: Linear scene with a table ``[focus]``; its grid, window and drive play no part.
+        scene: Linear scene with a table ``[focus]``; its grid, window and drive are not used.
         played: Waveforms made for another panel, which are played on this one (default: they are made for this one).
         wished: (samples,) or (foci, samples) motion that the foci are to follow in shape, at the ends of the samples of
             ``focus.rate``; waveforms last as long (default: what ``[focus]`` says).

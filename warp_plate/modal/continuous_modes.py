@@ -20,9 +20,9 @@ def modes(scene: SceneSource, count: int | None = None, highest: float | None = 
     """Return the lowest modes of a linear scene, with their frequencies, damping and shapes.
 
     Args:
-        scene: Scene; its grid, time steps and drive are not used. count: Number of modes (default: all that responses
-        up to ``highest`` need, which are many more). highest: Frequency up to which responses are accurate [Hz]
-        (default: the highest of the scene's drive).
+        scene: Scene; its grid, time steps and drive are not used.
+        count: Number of modes (default: all that responses up to ``highest`` need, which are many more).
+        highest: Frequency up to which responses are accurate [Hz] (default: the highest of the scene's drive).
 
     Raises:
         SceneError: ``count`` is below 1, or see :func:`solve_modes`.
@@ -40,7 +40,8 @@ def continuous_modes(scene: Scene, count: int, nodes: tuple[int, int] | None = N
     Modes of one frequency are turned as those of the grid are.
 
     Args:
-        scene: Scene; its grid and drive are not used. count: Number of modes.
+        scene: Scene; its grid and drive are not used.
+        count: Number of modes.
         nodes: Points (nx, ny) from edge to edge at which the shapes are returned (default: as fine as a picture).
 
     Raises:

@@ -74,8 +74,9 @@ def discretize(
     """Discretize a scene.
 
     Args:
-        per_plate: Quantities that may differ between the plates of a batch. allow_unstable: Accept a time step above
-        the stability limit. stepped: False for a plate by modes, see ``make_scheme``.
+        per_plate: Quantities that may differ between the plates of a batch.
+        allow_unstable: Accept a time step above the stability limit.
+        stepped: False for a plate by modes, see ``make_scheme``.
 
     Raises:
         SceneError: ``make_scheme`` or ``region_weights`` refuse the scene, or it does not support ``per_plate``.

@@ -97,7 +97,7 @@ def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = 
         allow_unstable: Accept a time step above the stability limit.
         moment_form: Use the moment form also where a plain plate would do.
         stepped: False for a plate by modes, which uses the time step only for its traces, so that it need not be
-        stable.
+            stable.
 
     Raises:
         SceneError: The scene asks for an accuracy instead of a grid; its time step is above the stability limit or too

@@ -77,7 +77,7 @@ class Electrostatic(Table):
 
 
 class Drive(Table):
-    """The part of the drive that all actuators share."""
+    """Settings of the drive that all actuators share."""
 
     # Frequency [Hz]; with ``signal``, the highest frequency of interest in the file, which only limits the time step
     frequency: Positive

@@ -175,7 +175,7 @@ class Stretching(Table):
 
 
 class Effects(Table):
-    """The effects that a scene names; those that are None or empty are not compiled into the kernels."""
+    """Effects of a scene; those that are None or empty are not compiled into the kernels."""
 
     damping: Damping | None = None
     material_damping: MaterialDamping | None = None

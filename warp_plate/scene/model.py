@@ -111,7 +111,7 @@ class Window(Table):
 
 
 class Record(Table):
-    """The output of a run besides energies."""
+    """Outputs of a run besides energies."""
 
     times: tuple[Instant, ...] = ()  # times at which displacement fields are stored [s]
     # Points (x, y) at which the displacement of every step is stored [m]

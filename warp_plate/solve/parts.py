@@ -198,8 +198,9 @@ def plates_that_fit(specialized: Specialized, traced_nodes: int, held: float, me
     """Return how many plates the device has memory for, at least 1.
 
     Args:
-        traced_nodes: Number of nodes whose displacement is recorded. held: Bytes that this solver's states hold now and
-        would give back. memory_share: Share of the memory for plates that this solver may take.
+        traced_nodes: Number of nodes whose displacement is recorded.
+        held: Bytes that this solver's states hold now and would give back.
+        memory_share: Share of the memory for plates that this solver may take.
 
     Raises:
         SceneError: A CUDA device has no memory for one plate.

@@ -38,8 +38,8 @@ Drives = np.ndarray | Sequence[Sequence[complex]] | tuple[np.ndarray, np.ndarray
 class PlateSolver:
     """A scene compiled for a device.
 
-    :meth:`run` takes plates from rest to the end of the window. To look at them on the way, set them up, step and read
-    them by hand::
+    :meth:`run` takes plates from rest to the end of the window. To inspect them during a run, set them up and step them
+    yourself::
 
         solver = PlateSolver(Scene.load("paper"), "cpu")
         solver.setup([[1, 0, 0, 0], [1, 1, 1, 1]])  # two plates at rest under their loads
@@ -47,8 +47,8 @@ class PlateSolver:
             solver.step(10)
             print(solver.time, np.abs(solver.displacement).max(axis=(1, 2)))
 
-    Steps taken by hand give the same displacements as :meth:`run` to the last bit, on the CPU the same energies too.
-    A run neither uses nor disturbs the plates set up.
+    Such steps give bit-identical displacements to :meth:`run`, and on the CPU bit-identical energies.
+    A run neither uses nor changes plates that were set up.
 
     Args:
         scene: The scene, or its discretization, whose ``per_plate`` and ``allow_unstable`` then hold.
@@ -61,7 +61,7 @@ class PlateSolver:
             (ny, nx) in cells.
         per_plate: Quantities that may differ between plates besides their drives, see ``plate.designs``.
         quantity: "velocity" or "displacement", the quantity whose energies runs return, see :class:`Run`.
-        memory_share: Share of the memory for plates to take, where several solvers hold plates at a time.
+        memory_share: Fraction of the memory for plates to use, if several solvers hold plates at the same time.
 
     Attributes:
         device: The Warp device.
@@ -73,7 +73,7 @@ class PlateSolver:
 
     Raises:
         SceneError: The time step is unstable, an actuator covers no node, there is no such device or path, the scene
-        does not support ``per_plate``, or displacements of a nonlinear scene are requested.
+            does not support ``per_plate``, or displacements of a nonlinear scene are requested.
     """
 
     def __init__(

@@ -94,7 +94,7 @@ class StudyFile(Generic[Study]):
 
 
 class CheckpointFile(StudyFile[Checkpoint]):
-    """The file that a search can be resumed from; the one before it is kept as ``previous_path(path)``."""
+    """File from which a search can be resumed; the previous one is kept as ``previous_path(path)``."""
 
 
 class SweepFile(StudyFile[Sweep]):

@@ -44,18 +44,20 @@ def compare(
 ) -> MethodComparison:
     """Run every method from every seed, in alternation so that disturbances of the machine affect all methods.
 
-    Ctrl-C and the loss of all workers keep the finished trials. Seconds of a trial are those of its optimizer and its
-    losses, after one iteration of each method that is not counted; those of the Gram matrices are kept apart.
+    Ctrl-C and the loss of all workers keep the finished trials. The seconds of a trial are those of its optimizer and
+    its losses, after one iteration of each method that does not count. The time of the Gram matrices is stored
+    separately.
 
     Args:
         methods: some of METHODS (default: all that fit the scene).
         seeds: number of seeds, from the scene's own on.
-        evaluator: see ``localize`` (default: "modal" as there, else "response" where it applies, else "direct").
+        evaluator: see ``localize`` (default: "modal" as there, otherwise "response" if it applies, or "direct").
         evaluations: evaluations of each trial (default: the scene's particles × iterations).
         device, path, on_progress, pool: see ``localize``.
 
     Raises:
-        SceneError: a named method does not fit the scene, or the scene cannot be searched with so many evaluations.
+        SceneError: a named method does not fit the scene, or the scene cannot be searched with this number of
+            evaluations.
         KeyboardInterrupt: Ctrl-C came before the first trial was finished.
     """
     scene = Scene.load(scene)

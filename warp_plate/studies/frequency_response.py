@@ -40,11 +40,11 @@ def compute_frequency_response(
     frequency_range: tuple[float, float] | None = None,
     quantity: Quantity = "mobility",
 ) -> FrequencyResponse:
-    """Return the steady responses of points to unit forces, at frequencies that follow every resonance.
+    """Return the steady responses of points to unit forces, at frequencies that resolve every resonance.
 
     Args:
         scene: Linear scene; its grid, window and waveforms are not used.
-        inputs: Names of actuators, on each of which 1 N acts evenly, and points (x, y) [m] at which 1 N acts (default:
+        inputs: Names of actuators, over which 1 N is spread evenly, and points (x, y) [m] at which 1 N acts (default:
             all actuators).
         points: Points (x, y) [m] that respond (default: ``record.points``, or the middles of the targets).
         frequency_range: Lowest and highest frequency [Hz] (default: from half the lowest natural frequency, or half the
@@ -52,7 +52,7 @@ def compute_frequency_response(
         quantity: Quantity that responds.
 
     Raises:
-        SceneError: The scene is not linear, an actuator is unknown, a point is off the plate, or the range is not one.
+        SceneError: The scene is not linear, an actuator is unknown, a point is off the plate, or the range is invalid.
     """
     scene = Scene.load(scene)
     inputs = inputs or [actuator.name for actuator in scene.actuators]

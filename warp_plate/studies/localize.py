@@ -64,7 +64,7 @@ def localize(
 ) -> Result:
     """Search for the drive with the largest share of the plate's kinetic energy in the target.
 
-    A scene with several targets has one search after the other, and a best drive for each (see ``result.targets``).
+    With several targets, there is a search and a best drive for each (see ``result.targets``).
     The engine and grid of a scene with ``grid.accuracy`` are chosen first, for the first target. Ctrl-C ends the search
     early; the result then holds the best drive so far and is marked as interrupted.
 
@@ -73,8 +73,8 @@ def localize(
         device, path: see :class:`PlateSolver`.
         seed: random seed of the search (default: the scene's).
         evaluator: "direct" simulates a plate for each candidate, "response" uses Gram matrices of unit responses,
-            "modal" the modes of the plate (default: "modal" with ``grid.accuracy`` where they keep it; else "direct",
-            and for robust searches "response" where it applies).
+            "modal" the modes of the plate (default: "modal" with ``grid.accuracy`` if they are accurate enough;
+            otherwise "direct", and for robust searches "response" if it applies).
         on_progress: called after each iteration.
         estimate: whether to estimate the errors of the localization factors.
         checkpoints: file that :func:`resume` can continue from.

@@ -39,8 +39,8 @@ def simulate(
     """Run a scene under one drive with the engine for its ``grid.accuracy``, and record the outputs of ``[record]``.
 
     Args:
-        path: see :class:`PlateSolver`, or "modal" for the modes of a linear scene, which have no grid's error; "auto"
-            takes modes for scenes with damping that only they have, and where they keep ``grid.accuracy``.
+        path: see :class:`PlateSolver`, or "modal" for the modes of a linear scene, without grid error; "auto" uses
+            modes for scenes with damping that only they support, and if they keep ``grid.accuracy``.
         drive: "scene" (the magnitudes and phases of its actuators), "equal", "single" (the best single actuator), or
             the name of a result file, whose best drive is taken.
         progress: called with (node-steps done, in all).

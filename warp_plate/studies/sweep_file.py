@@ -60,7 +60,8 @@ def open_sweep(
     Args:
         target: file of the result; unfinished sweeps are beside it.
         resume: unfinished sweep to continue, or the result that it will become; None: one left by the same request, if
-        any. device: device of the points, or None for the default.
+            any.
+        device: device of the points, or None for the default.
         on_workers: whether workers of a pool run the points, which then report their devices.
         log: called with one line for each thing to know about a sweep that is continued.
         force: whether the result may replace any file.

@@ -85,11 +85,11 @@ class Verification:
 
 
 def verify(result: Result, data: Path | MeasuredField, case: str | None = None) -> Verification:
-    """Compare the velocities that were measured under a drive with those of its result.
+    """Compare velocities measured under a drive with those of its result.
 
     Args:
         result: Result of ``localize`` or ``simulate``.
-        data: Measured velocities, or a CSV file with the columns x, y, velocity and maybe uncertainty.
+        data: Measured velocities, or a CSV file with the columns x, y, velocity and optionally uncertainty.
         case: Name of the drive (default: the best one, or the one that was simulated).
 
     Raises:
