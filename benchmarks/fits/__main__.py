@@ -27,14 +27,19 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1, help="processes, each with a thread")
     parser.add_argument("--device", default="cpu", help="device of the time steps, such as cuda:0")
     parser.add_argument("--out", type=Path, help="summary and rows as JSON, written after every panel")
+    parser.add_argument("--responses", type=Path, help="folder that keeps the stepped responses, to fit them again")
     asked = parser.parse_args()
+    if asked.responses:
+        asked.responses.mkdir(parents=True, exist_ok=True)
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "WARP_PLATE_THREADS"):
         os.environ.setdefault(name, "1")  # for the processes
     rows = json.loads(asked.out.read_text())["rows"] if asked.out and asked.out.exists() else []
     known = {row["panel"] for row in rows}
     numbers = [number for number in range(asked.first, asked.first + asked.panels) if number not in known]
     with ProcessPoolExecutor(asked.jobs, get_context("spawn")) as pool:
-        panels = [pool.submit(partial(measured, device=asked.device), number) for number in numbers]
+        panels = [
+            pool.submit(partial(measured, device=asked.device, folder=asked.responses), number) for number in numbers
+        ]
         for panel in as_completed(panels):
             rows = sorted([*rows, panel.result()], key=lambda row: row["panel"])
             print(line(panel.result()), flush=True)

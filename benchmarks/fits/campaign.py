@@ -1,6 +1,7 @@
 """Rows of the campaign: numbers that a fit finds in stepped responses with noise, beside the true ones."""
 
 import time
+from pathlib import Path
 
 import numpy as np
 
@@ -19,10 +20,16 @@ SPRINGS = 0.1
 INSEPARABLE, WIDE = (MODULUS, "plate.thickness", "plate.density"), (0.5, 2.0)
 
 
-def measured(number: int, device: str = "cpu") -> dict:
-    """Return the row of a panel."""
+def measured(number: int, device: str = "cpu", folder: Path | None = None) -> dict:
+    """Return the row of a panel, whose responses are taken from a folder or kept there."""
     panel, started = random_panel(number), time.perf_counter()
-    frequencies, responses, apart = stepped_responses(panel, device)
+    kept = folder / f"{number}.npz" if folder else None
+    if kept and kept.exists():
+        frequencies, responses, apart = np.load(kept).values()
+    else:
+        frequencies, responses, apart = stepped_responses(panel, device)
+        if kept:
+            np.savez(kept, frequencies=frequencies, responses=responses, apart=apart)
     stepped = time.perf_counter()
     rng = np.random.default_rng([number, 1])
     noise = rng.normal(scale=NOISE / np.sqrt(2), size=(2, *responses.shape))
@@ -38,7 +45,7 @@ def measured(number: int, device: str = "cpu") -> dict:
         "panel": number,
         "edges": {side: edge if isinstance(edge, str) else "springs" for side, edge in panel.scene.edges},
         "frequencies": len(frequencies),
-        "grids_apart": apart,
+        "grids_apart": float(apart),
         "rigidity_error": found.scene.plate.rigidity / panel.scene.plate.rigidity - 1,
         "decibels": float(np.sqrt(np.mean(found.rms_decibels**2))),
         "numbers": numbers,
