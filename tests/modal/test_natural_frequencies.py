@@ -232,6 +232,24 @@ def test_buckling(direction):
     loads = [f"{axis} = {-critical * share:.4g}" for axis, share in zip("xy", direction, strict=True)]
     with pytest.raises(SceneError, match=rf"^effects\.tension.* {', '.join(loads)} N/m, 0\.999 "):
         solve_modes(scene(1.001))
+    with pytest.raises(SceneError, match=r"^effects\.tension.*: the plate buckles"):
+        solve_modes(scene(1e9))
+
+
+@pytest.mark.parametrize("mass", [0.0, 1.0])
+def test_springs_that_hide_the_plate(mass):
+    """Stiff springs of oscillators hold their patch as if they were rigid, or are refused by name."""
+
+    def scene(stiffness):
+        oscillator = {"area": (0.05, 0.1, 0.05, 0.1), "mass": mass, "stiffness": stiffness}
+        return scene_of(effects={"oscillators": [oscillator]})
+
+    rigid = lowest(scene(1e8), 6)
+    for stiffness in (1e10, 1e12):
+        assert lowest(scene(stiffness), 6) == pytest.approx(rigid, rel=1e-5)
+    for stiffness in (1e18, 1e29):
+        with pytest.raises(SceneError, match=r"^effects\.oscillators\[0\]\.stiffness = 1e\+.*: hides the plate"):
+            solve_modes(scene(stiffness))
 
 
 def random_scene(random):

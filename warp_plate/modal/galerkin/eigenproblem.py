@@ -137,6 +137,8 @@ def _all(stiffness: Matrix, mass: Matrix, scale: float) -> tuple[np.ndarray, np.
     dense = mass.toarray()
     shifted = stiffness.toarray() + scale * dense
     # Eigenvalues of the inverse problem: the largest have small relative errors, and they belong to the lowest modes.
+    if np.diag(shifted).min() <= 0:
+        raise np.linalg.LinAlgError("not positive definite")
     units = 1 / np.sqrt(np.diag(shifted))
     inverse, vectors = scipy.linalg.eigh(dense * np.outer(units, units), shifted * np.outer(units, units), driver="gvd")
     inverse, vectors = inverse[::-1], (units[:, None] * vectors)[:, ::-1]

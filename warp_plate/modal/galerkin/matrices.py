@@ -25,9 +25,14 @@ from warp_plate.modal.galerkin.integrals import Integrals, Matrix, end_products,
 from warp_plate.modal.galerkin.lines import plate_splines
 from warp_plate.modal.galerkin.splines import Splines
 from warp_plate.scene.effects import Oscillator
+from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import ElasticEdge, Scene
 from warp_plate.scene.piezo import piezo_moments
+
+# Springs of oscillators that are stiffer than this, relative to the largest entry of the plate's own stiffness, would
+# hide it in rounding; those of a thousandth already hold their patch as a rigid one.
+STIFFEST = 1e10
 
 
 @dataclass(frozen=True)
@@ -76,7 +81,7 @@ def make_galerkin(scene: Scene, intervals: tuple[int, int]) -> Galerkin:
     """Return the matrices of a scene with about a number of intervals between knots along x and along y.
 
     Raises:
-        SceneError: A file of the scene's variation cannot be read.
+        SceneError: A file of the scene's variation cannot be read, or an oscillator's spring is too stiff.
     """
     along_x, along_y = (plate_splines(scene, axis, intervals[axis]) for axis in (0, 1))
     integrals, effects = Integrals(scene, along_x, along_y), scene.effects
@@ -96,6 +101,7 @@ def make_galerkin(scene: Scene, intervals: tuple[int, int]) -> Galerkin:
         support += effects.foundation.stiffness * area
         damping += effects.foundation.damping * area
     masses = [oscillator.mass for oscillator in effects.oscillators if oscillator.mass > 0]
+    _check_springs(integrals, float(bending.max()))
     return Galerkin(
         scene=scene,
         intervals=intervals,
@@ -187,6 +193,17 @@ def _with_links(integrals: Integrals, values: np.ndarray, key: str) -> Matrix:
     sparse, factors = Matrix(rows), np.array([getattr(oscillator, key) for oscillator in oscillators])
     padded = _with_masses(matrix, np.zeros(masses))
     return Matrix(padded + sparse.T @ (scipy.sparse.diags_array(factors) @ sparse))
+
+
+def _check_springs(integrals: Integrals, largest: float) -> None:
+    """Raise a SceneError if an oscillator's spring is too stiff beside the ``largest`` stiffness of two functions."""
+    oscillators = integrals.scene.effects.oscillators
+    means = _patch_means(*integrals.along, [oscillator.area for oscillator in oscillators])
+    for index, (oscillator, row) in enumerate(zip(oscillators, means, strict=True)):
+        limit = STIFFEST * largest / (1.0 if oscillator.mass > 0 else float(np.max(row**2)))
+        if oscillator.stiffness > limit:
+            key = f"effects.oscillators[{index}].stiffness = {oscillator.stiffness:g}"
+            raise SceneError(f"{key}: hides the plate in rounding; {limit / 1000:.1g} N/m are as good as rigid")
 
 
 def _with_masses(matrix: Matrix, masses: Sequence[float] | np.ndarray) -> Matrix:
