@@ -1,4 +1,4 @@
-"""One sweep over plates with random beads and edges: the size of a data set for machine learning.
+"""Time a sweep over plates with random beads and edges, of the size of a data set for machine learning.
 
     python benchmarks/beaded_plates.py [--plates 150] [--points 300] [--devices cpu,cpu] [--folder FOLDER]
 

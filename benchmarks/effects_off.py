@@ -1,4 +1,4 @@
-"""That an effect which is off costs nothing: each one switched on, and left out again, against the bare plate.
+"""Cost of effects that are off: time each one switched on, and left out again, relative to the bare plate.
 
     python benchmarks/effects_off.py [--device cuda:0] [--nodes 27] [--rounds 21] [--out figures.json]
 
@@ -30,7 +30,7 @@ def bare_plate(nodes: int) -> Scene:
 
 
 def measure(bare: Scene, device: str, rounds: int) -> dict[str, dict[str, float]]:
-    """Of each effect, and of a second bare plate, the median and the quartiles of its time over the bare plate's."""
+    """Return median and quartiles of the time of each effect, and of a second bare plate, over the bare plate's."""
     solvers = {"": PlateSolver(bare, device), "again": PlateSolver(bare, device)}
     for name in EFFECTS:
         on = toggle(bare, name)[0]

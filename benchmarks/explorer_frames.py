@@ -121,7 +121,7 @@ def page(scene: Scene) -> dict[str, float]:
 
 
 def taken(tab: object) -> int:
-    """How many pictures the browser has been sent and has taken."""
+    """Return the numbers of pictures sent to the browser and taken by it."""
     return tab.evaluate("window.trame.state.get('picture')")
 
 

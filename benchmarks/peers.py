@@ -71,7 +71,7 @@ def default_steps(nodes: int) -> int:
 
 
 def slowdown(timing: Timing, timings: Sequence[Timing]) -> float | None:
-    """How many times as long as warp-plate on as many threads; None where that was not measured."""
+    """Return the time relative to warp-plate on as many threads; None if that was not measured."""
     for other in timings:
         if other.entry.peer.name == "warp-plate" and other.entry.threads == timing.entry.threads:
             return timing.median / other.median
@@ -79,7 +79,7 @@ def slowdown(timing: Timing, timings: Sequence[Timing]) -> float | None:
 
 
 def as_record(problem: Problem, timings: Sequence[Timing], absent: dict[str, str]) -> dict:
-    """One case as it goes into the JSON file."""
+    """Return a case for the JSON file."""
     return {
         "plates": problem.plates,
         "nodes": problem.nodes,
@@ -134,7 +134,7 @@ def shown_by_rich(title: str, rows: Sequence[Sequence[str]]) -> bool:
 
 
 def cells(timing: Timing, timings: Sequence[Timing]) -> list[str]:
-    """One row of the table."""
+    """Return a row of the table."""
     entry, ratio = timing.entry, slowdown(timing, timings)
     on_cpu = entry.problem.device == "cpu" and entry.peer.threaded
     times = [f"{value:.3g}" for value in (timing.median, timing.least, timing.most, 1 / timing.median)]

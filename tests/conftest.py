@@ -45,7 +45,7 @@ wp.config.log_level = wp.LOG_WARNING
 hypothesis.settings.register_profile("fixed", deadline=None, derandomize=True)
 hypothesis.settings.register_profile("seeded", deadline=None)
 
-# Whether attacks take an hour, by ``-m hour``, not a minute.
+# True if attacks take an hour, by ``-m hour``, instead of a minute.
 HOUR = False
 
 # The plate of the source paper.

@@ -71,7 +71,7 @@ def main() -> None:
 
 
 def merged(found: dict[str, object], before: dict[str, object]) -> dict[str, object]:
-    """What was found, with the rows of the catalogue that it lacks from before."""
+    """Return the new results, completed by earlier rows of the catalogue."""
     if (found["device"], found["long"]) != (before["device"], before["long"]):
         sys.exit(f"--into: that file is of {before['device']}, long: {before['long']}")
     rows = {row["name"]: row for row in [*before["cases"], *found["cases"]]}  # type: ignore[misc]

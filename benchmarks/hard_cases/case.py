@@ -1,4 +1,4 @@
-"""What a hard case is, and the scenes that cases start from."""
+"""Hard cases, and the scenes from which they start."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PATCHES = ((0.15, 0.3, 0.2, 0.35), (0.6, 0.85, 0.15, 0.4))
 
 @dataclass(frozen=True)
 class Where:
-    """Where and how a case runs; ``long``: with as many steps as the catalogue asks for, else fewer of them."""
+    """Device, path and precision of a case; ``long``: with all steps of the catalogue, otherwise fewer."""
 
     device: str = "cpu"
     path: str = "auto"
@@ -27,7 +27,7 @@ class Where:
     long: bool = False
 
     def solver(self, scene: Scene, allow_unstable: bool = False) -> PlateSolver:
-        """For a scene, in this precision; streaming where a plate has no room on the chip."""
+        """Return the solver of a scene in this precision; streaming if a plate does not fit on the chip."""
         scene = scene.model_copy(update={"grid": scene.grid.model_copy(update={"precision": self.precision})})
         try:
             return PlateSolver(scene, self.device, self.path, allow_unstable=allow_unstable)
@@ -37,7 +37,7 @@ class Where:
             return PlateSolver(scene, self.device, "streaming", allow_unstable=allow_unstable)
 
     def steps(self, asked: int, fewer: int) -> int:
-        """As many as asked for, or fewer."""
+        """Return the number of steps, or fewer in the short form."""
         return asked if self.long else fewer
 
 
@@ -65,7 +65,7 @@ class Case:
 
 
 def both(float32: float, float64: float) -> dict[str, float]:
-    """What is allowed in each precision."""
+    """Allowed value in each precision."""
     return {"float32": float32, "float64": float64}
 
 

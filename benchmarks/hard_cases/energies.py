@@ -54,7 +54,7 @@ def conserved(name: str, where: Where) -> Measured:
 
 
 def _root_mean_square(values: np.ndarray) -> np.ndarray:
-    """Of the rows."""
+    """Return the root mean square of each row."""
     return np.sqrt((values**2).mean(axis=0))
 
 

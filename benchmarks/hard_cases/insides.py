@@ -1,4 +1,4 @@
-"""What is hard inside a plate: jumps of thickness, free corners, extreme masses and springs, buckling, stretching."""
+"""Hard cases inside a plate: jumps of thickness, free corners, extreme masses and springs, buckling, stretching."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ def whole_plate(where: Where) -> Measured:
 
 
 def beyond_the_grid(where: Where) -> Measured:
-    """How many of these are neither refused nor warned of with their number: a frequency above half the steps' rate,
+    """Count cases that are neither refused nor warned of with their number: a frequency above half the steps' rate,
     and drives whose waves have fewer than ten points."""
     scene = scene_of()
     step = make_scheme(scene).time_step

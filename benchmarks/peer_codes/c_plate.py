@@ -59,7 +59,7 @@ def make(problem: Problem, threads: int) -> Run:
 
 
 def innermost_is_faster(problem: Problem, lanes: int, threads: int) -> bool:
-    """Whether `lanes` plates side by side beat a plate at a time (both measured at 27 to 105 nodes a side).
+    """Return whether `lanes` plates side by side beat one at a time (both measured at 27 to 105 nodes a side).
 
     The five arrays of a group must stay in the second-level cache (1 MiB is safe), and hardly any lane may
     idle, neither in a last group that is not full nor in a thread with one group fewer than the others.

@@ -19,7 +19,7 @@ CHECK_NODE_STEPS = {"cpu": 5e7, "cuda": 2e11}  # under a second for the slowest 
 
 @dataclass(frozen=True)
 class Peer:
-    """One way to do the work: `function` of peer_codes.`module`, called with (problem, threads)."""
+    """An entry of the contest: `function` of peer_codes.`module`, called with (problem, threads)."""
 
     name: str
     module: str
@@ -42,7 +42,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Timing:
-    """What one entry took; times in ns for each interior node and step."""
+    """Times of an entry, in ns per interior node and step."""
 
     entry: Entry
     median: float

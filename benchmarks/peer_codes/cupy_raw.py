@@ -85,7 +85,7 @@ extern "C" __global__ void move(
 
 
 def make(problem: Problem, threads: int) -> Run:
-    """On the GPU; raises PeerMissing where there is none, or where 32 bits cannot number the nodes."""
+    """Run on the GPU; raise PeerMissing if there is none, or if 32 bits cannot number the nodes."""
     if not cupy.is_available():
         raise PeerMissing("CuPy finds no GPU")
     count = problem.in_phase.size

@@ -16,7 +16,7 @@ from peer_codes.problem import PeerMissing, Problem, Run
 
 
 def make(problem: Problem, threads: int) -> Run:
-    """On problem.device; raises PeerMissing where JAX has no such device. XLA chooses its own threads."""
+    """Run on problem.device; raise PeerMissing if JAX has no such device. XLA chooses its threads."""
     try:
         device = jax.devices(problem.device)[0]
     except RuntimeError as error:

@@ -1,4 +1,4 @@
-"""What a measurement ran on: processor, GPU and versions, for the record beside the figures."""
+"""Processor, GPU and versions of a measurement, for its record."""
 
 from __future__ import annotations
 

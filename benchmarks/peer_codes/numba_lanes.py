@@ -17,7 +17,7 @@ MOST_LANES = 24  # 16 to 24 were the fastest of 5, 10, 16, 20 and 24 on 27 x 27 
 
 
 def make(problem: Problem, threads: int) -> Run:
-    """On `threads` threads; raises PeerMissing where there are too few plates to lie side by side."""
+    """Run on `threads` threads; raise PeerMissing if there are too few plates to fill the lanes."""
     groups = threads * -(-problem.plates // (threads * MOST_LANES))
     lanes = -(-problem.plates // groups)
     if lanes < 4:
@@ -61,7 +61,7 @@ def laplacian_line(below, here, left, right, above, four, out):
 
 @numba.njit(fastmath=True, inline="always")
 def update_line(below, here, left, right, above, a, b, cosine, sine, numbers, measured, u, q, squares):
-    """One step between the edge columns of one line."""
+    """Take a step between the edge columns of one line."""
     decay, stiffness, four = numbers[0], numbers[1], numbers[3]
     if measured:
         for i in range(here.size):

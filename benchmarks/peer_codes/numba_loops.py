@@ -11,7 +11,7 @@ from peer_codes.problem import PeerMissing, Problem, Run
 
 
 def make(problem: Problem, threads: int) -> Run:
-    """On `threads` threads; raises PeerMissing where Numba was started with fewer."""
+    """Run on `threads` threads; raise PeerMissing if Numba was started with fewer."""
     try:
         numba.set_num_threads(threads)
     except ValueError as error:
@@ -51,7 +51,7 @@ def edge_rows(u, two, laplacian):
 
 @numba.njit(fastmath=True, inline="always")
 def update_row(laplacian, j, a, b, cosine, sine, numbers, measured, u, q, squares):
-    """One step of row j; a, b, u, q and squares are that row."""
+    """Take a step of row j; a, b, u, q and squares are that row."""
     below, here, above = laplacian[j - 1], laplacian[j], laplacian[j + 1]
     decay, stiffness, four = numbers[0], numbers[1], numbers[3]
     if measured:
@@ -90,7 +90,7 @@ def share_plates(in_phase, quadrature, cosine, sine, weights, numbers, first, en
 
 @numba.njit(fastmath=True, parallel=True)
 def share_rows(in_phase, quadrature, cosine, sine, weights, numbers, first, energy):
-    """One plate after another, its rows over the threads, two parallel loops a step."""
+    """Run one plate after another, its rows over the threads, with two parallel loops per step."""
     plates, nodes = in_phase.shape[0], in_phase.shape[1]
     for plate in range(plates):
         u = np.zeros((nodes, nodes), in_phase.dtype)

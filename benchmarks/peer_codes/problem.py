@@ -119,7 +119,7 @@ class Problem:
 
     @cached_property
     def edges_touched(self) -> NDArray:
-        """How many edges each interior node lies next to (0, 1 or 2), shape (nodes - 2, nodes - 2).
+        """Return the number of edges next to each interior node (0, 1 or 2), shape (nodes - 2, nodes - 2).
 
         The ghost outside a clamped edge equals the node next to that edge, so with zeros outside the interior
         the clamped biharmonic is the 13-point sum plus this count times the node's own displacement.

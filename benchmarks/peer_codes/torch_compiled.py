@@ -12,7 +12,7 @@ STEPS_A_CALL = 5  # shares the cost of a call from Python; more of them take lon
 
 
 def make(problem: Problem, threads: int) -> Run:
-    """On problem.device; raises PeerMissing where PyTorch has no GPU. PyTorch chooses its own threads."""
+    """Run on problem.device; raise PeerMissing if PyTorch has no GPU. PyTorch chooses its threads."""
     if problem.device == "cuda" and not torch.cuda.is_available():
         raise PeerMissing("PyTorch has no cuda device")
     inside = (..., slice(1, -1), slice(1, -1))
@@ -54,7 +54,7 @@ def split_steps(first: int, steps: int) -> list[slice]:
 
 
 def advance(u, q, squares, in_phase, quadrature, cosine, sine, diagonal, decay: float, stiffness: float):
-    """As many steps as cosine has numbers; returns u, q and, unless it is None, squares."""
+    """Take a step for each number of cosine; return u, q and, unless it is None, squares."""
     for step in range(cosine.shape[0]):
         load = cosine[step] * in_phase + sine[step] * quadrature
         q = decay * q - stiffness * biharmonic(u, diagonal) + load

@@ -20,7 +20,7 @@ from warp_plate.solve.streaming import repeat
 
 
 def make(problem: Problem, threads: int) -> Run:
-    """On the CPU with so many threads, or on the GPU; raises PeerMissing where there is none."""
+    """Run on the CPU with a number of threads, or on the GPU; raise PeerMissing if there is none."""
     find_device("cpu")  # starts Warp without its greeting
     if problem.device == "cuda" and not wp.is_cuda_available():
         raise PeerMissing("Warp finds no GPU")

@@ -27,7 +27,7 @@ def test_the_judge_is_the_exact_series():
 
 
 def test_the_truth_lies_within_bar_and_interval(monkeypatch):
-    """With what the judge found earlier, which takes it most of the time."""
+    """Uses stored results of the judge, which take most of the time."""
     monkeypatch.setattr(error_bars.campaign, "true_factors", lambda *_: np.array([TRUTH]))
     check(QUICK)
 

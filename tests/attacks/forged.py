@@ -5,9 +5,9 @@ import numpy as np
 
 from warp_plate.result.atomic_io import SEAL_BYTES, make_seal
 
-# What attributes and items of JSON may turn into.
+# Replacements of attributes and items of JSON.
 VALUES = [None, True, -1, 0, 99, 2**62, 10**400, 1.5, float("nan"), float("inf"), "", "a", "NaN", "9" * 30, [], [1], {}]
-# What datasets may turn into, by their content.
+# Replacements of datasets, by their content.
 ARRAYS = {
     "nan": lambda values: np.full(values.shape, np.nan),
     "one nan": lambda values: np.where(np.arange(values.size).reshape(values.shape) == 0, np.nan, values),

@@ -18,12 +18,12 @@ from warp_plate import localize, sweep
 psutil = pytest.importorskip("psutil")
 linux = pytest.mark.skipif(sys.platform != "linux", reason="counts what Linux counts")
 pytestmark = [pytest.mark.slow, pytest.mark.hour, linux]
-# What memory may grow between the first fifth of a run and its end [bytes].
+# Allowed growth of memory between the first fifth of a run and its end [bytes].
 ALLOWED = 2**24
 
 
 class Watch:
-    """What a process takes, sampled now and then."""
+    """Resources of a process, sampled at intervals."""
 
     def __init__(self, process=None):
         self.process, self.samples = process or psutil.Process(), []

@@ -225,7 +225,7 @@ def test_busy_machines_are_reported(monkeypatch, load, busy):
 
 
 def test_short_runs_are_repeated():
-    """At least so many runs, for a quarter of the seconds, after one that does not count."""
+    """After one uncounted run, there is a least number of runs, for a quarter of the seconds."""
     for pace, expected in ((TimingBudget(1.0, 5), [0.0625] * 5), (TimingBudget(2.0, 3), [0.0625] * 8)):
         seconds = iter([9.0] + [0.0625] * 20)
         assert measure.time_runs(lambda seconds=seconds: next(seconds), pace) == expected

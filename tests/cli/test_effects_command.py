@@ -30,7 +30,7 @@ def findings(scene, peak=0.0):
 
 
 def test_table_and_json(command, write_scene, monkeypatch):
-    """Of a few effects, in a scene whose time step is just stable without material damping."""
+    """A few effects, in a scene with a time step that is just stable without material damping."""
     monkeypatch.setattr(influence, "TIMED_NODE_STEPS", {"cpu": 1e4, "cuda": 1e6})
     monkeypatch.setattr(influence, "ROUNDS", 2)
     monkeypatch.setattr(influence, "names", lambda: ["damping", "material_damping", "signal"])

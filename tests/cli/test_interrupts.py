@@ -65,7 +65,7 @@ def test_a_search_ends_with_its_best_and_a_checkpoint(number, panel):
 
 
 def test_a_long_iteration_ends_within_a_launch(panel, write_scene):
-    """Of one plate that takes minutes: status 130, one line, nothing written."""
+    """A plate that takes minutes is interrupted: status 130, one line, nothing written."""
     grid = {"nodes": (101, 101), "precision": "float64"}
     write_scene(panel.with_tables(grid=grid, window={"start": 0.0, "end": 100.0}))
     code = "import sys; from warp_plate.cli.main import main; import warp_plate.studies.simulate; "
@@ -123,7 +123,7 @@ def test_a_command_that_starts_ends_in_one_line(module, panel):
 
 @pytest.mark.parametrize("target", ["warp_plate.result.model.save_result", "matplotlib.figure.Figure.savefig"])
 def test_files_are_written_whole_or_not_at_all(target, panel, write_scene, command, monkeypatch):
-    """With Ctrl-C when the result is about to be written, or the first picture."""
+    """Ctrl-C comes when the result is about to be written, or the first picture."""
     pytest.importorskip("matplotlib")
     write_scene(panel.with_tables(search={"particles": 6, "iterations": 2}))
     function = pkgutil.resolve_name(target)
@@ -141,7 +141,7 @@ def test_files_are_written_whole_or_not_at_all(target, panel, write_scene, comma
 
 
 def test_a_solver_can_be_used_after_an_interrupted_run(device, path, phasors):
-    """By a signal amid a launch."""
+    """A signal arrives during a launch."""
     scene = scene_of(precision="float32", window=(0.01, 0.3))
     solver = PlateSolver(scene, device, path, 2)
     drives, others = phasors(2, 3).repeat(10, axis=0), phasors(20, 3)

@@ -26,7 +26,7 @@ EFFECTS = {
 
 
 def test_json_table_and_picture(command, write_scene):
-    """Of a scene with all kinds of edges and some effects, and of a free plate."""
+    """A scene with all kinds of edges and some effects, and a free plate."""
     pytest.importorskip("matplotlib")
     made = write_scene(nodes=(19, 15), size=(0.3, 0.2), edges=EDGES, effects=EFFECTS)
     expected = continuous_modes(made, 7)

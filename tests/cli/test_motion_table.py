@@ -1,4 +1,4 @@
-"""How drives move the target and the rest: the table of ``localize`` and ``simulate``, and its numbers."""
+"""Motion of the target and the rest under drives: the table of ``localize`` and ``simulate``, and its numbers."""
 
 import json
 import math

@@ -61,7 +61,7 @@ def test_pictures(render, drawing, tmp_path):
 
 
 def test_movies_play_all_frames(render, drawing, tmp_path):
-    """As GIF and MP4: the frames differ, and the background stays white."""
+    """Frames of GIF and MP4 files differ, and the background stays white."""
     if (problem := pictures.missing_movies()) is not None:
         pytest.skip(problem)
     import imageio_ffmpeg

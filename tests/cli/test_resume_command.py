@@ -57,7 +57,7 @@ def test_what_would_change_the_result_is_refused_by_name(command, panel, left, w
 
 
 def test_the_command_resumes(command, panel, left):
-    """With or without the same scene; the result is beside the checkpoint, which is deleted."""
+    """The same scene may be given or not; the result is beside the checkpoint, which is deleted."""
     kept = left.read_bytes()
     full = localize(panel, source="panel.toml", device="cpu", estimate=False)
     for more in ([], ["panel.toml", "--seed", "0", "--path", "auto", "--device", "cpu"]):

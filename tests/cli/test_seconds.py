@@ -1,4 +1,4 @@
-"""What a command says of its time: the stages while it runs, and seconds that add up."""
+"""Times that a command prints: the stages while it runs, and seconds that add up."""
 
 import io
 import re

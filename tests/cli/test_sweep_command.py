@@ -145,7 +145,7 @@ def interrupt_after(monkeypatch):
 
 
 def test_an_interrupted_sweep_is_resumed(panel, command, interrupt_after, write_scene):
-    """By --resume, or by the same command again; to bit-identical results, and with the same options only."""
+    """--resume and the same command again give bit-identical results, with the same options only."""
     command(*CHECKS, "--out", "full.h5")
     write_scene(name="other", damping=80, time_step=2e-4)
     resume, file = ("--resume", "panel-sweep.h5"), Path("panel-sweep.checkpoint.h5")
@@ -183,7 +183,7 @@ def test_an_interrupted_sweep_is_resumed(panel, command, interrupt_after, write_
 
 
 def test_only_the_same_sweep_is_replaced(panel, command, interrupt_after):
-    """By its new result, once that is finished."""
+    """A finished new result replaces the old one."""
     assert command(*CHECKS)[0] == 0
     Path("panel-localize.h5").write_bytes(b"another command's")
     Path("other-sweep.checkpoint.h5").write_bytes(b"another command's")

@@ -144,7 +144,7 @@ def start(*words):
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
 def test_a_scheduler_that_goes_away_leaves_a_checkpoint(tmp_path, scene, monkeypatch):
-    """By the scheduler's file; the search goes on in this process, to the same result."""
+    """A search with the scheduler's file continues in this process, to the same result."""
     monkeypatch.setattr(dask_pool, "JOIN_SECONDS", 5.0)
     made, file = small_search(scene, iterations=400), tmp_path / "scheduler.json"
     scheduler = start("distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", str(file))

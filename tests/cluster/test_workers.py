@@ -189,7 +189,7 @@ def test_pools_that_cannot_be(devices, cluster, line, monkeypatch):
 
 @POSIX
 def test_workers_that_are_killed_cost_no_plate(pool, scene, random):
-    """At a random moment of their work, and while there is nothing to do."""
+    """Workers are killed at random moments of their work, and while idle."""
     made, phasors = scene((9, 9), window=(0.002, 0.02), damping=20.0), random_phasors(random, 1000)
     expected = PlateSolver(made, "cpu").run(phasors)
 
@@ -340,7 +340,7 @@ def test_workers_end_with_the_program(tmp_path):
 
 @POSIX
 def test_ctrl_c_ends_a_command_with_workers_by_its_best(tmp_path, scene, command):
-    """As a terminal sends it, to all processes of the command."""
+    """All processes of the command receive the signal, as from a terminal."""
     file = tmp_path / "panel.toml"
     file.write_text(dump_scene(small_search(scene, iterations=10**6)), encoding="utf-8")
     refused = command("localize", file, "--devices", "cpu,cpu", "--device", "cpu")

@@ -63,7 +63,7 @@ def after(model, **changes):
 
 @pytest.mark.parametrize("path", ["auto", "resident"])
 def test_frequency_and_damping_are_simulated_again(panel, live, path):
-    """By modes, or in time steps where a path is asked for."""
+    """The model uses modes, or time steps if a path is requested."""
     model = live(panel, path)
     assert model.by_modes == (path == "auto")
     for frequency, damping in ((240.0, DAMPING), (290.0, 500.0), (290.0, 0.0)):
@@ -187,7 +187,7 @@ def test_a_search_is_watched(panel, model):
 
 
 def test_stretching_is_simulated_for_each_drive(scene, live):
-    """Where the plate moves by its thickness and more, ten times the drive is not ten times the motion."""
+    """If the plate moves by its thickness and more, ten times the drive is not ten times the motion."""
     effects = {"stretching": {}, "damping": {"viscous": DAMPING}}
     film = scene(frequency=60.0, window=(0.08, 0.1), effects=effects, search=SEARCH)
     model, shown, solver = live(film), [], PlateSolver(film, "cpu")

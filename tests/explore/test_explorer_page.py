@@ -132,7 +132,7 @@ def test_sliders_and_buttons_change_picture_and_numbers(page):
 
 
 def test_connections(browser, served, tmp_path):
-    """One server a port, at one address; the secret of the connection is given to this page only.
+    """There is one server per port, at one address; only this page gets the secret of the connection.
 
     Browsers may disconnect, and one that is still connected does not delay Ctrl-C; see the fixture.
     """

@@ -116,7 +116,7 @@ def test_coarse_plates_leave_no_error():
 
 @pytest.mark.parametrize(("ending", "write"), [("csv", write_csv), ("uff", write_uff)])
 def test_files_of_frf(ending, write, tmp_path):
-    """What ``frf`` writes is read to the digits written, the universal file to the last bit."""
+    """Files of ``frf`` are read to the digits written, the universal file to the last bit."""
     if ending == "uff":
         pytest.importorskip("pyuff")
     exact = compute_frequency_response(supported(), [HIT], POINTS[:2], (5.0, 40.0), "accelerance")

@@ -121,7 +121,7 @@ def test_estimators(estimator, of_force, of_motion, coherent, random, tmp_path):
 
 
 def test_signals_in_text(random, tmp_path):
-    """One segment without a window has the exact response of a periodic signal, and no coherence."""
+    """A single segment without a window has the exact response of a periodic signal, and no coherence."""
     times = np.arange(RATE) / RATE
     force = np.cos(2 * np.pi * 40 * times) + np.cos(2 * np.pi * 60 * times)
     motion = 3 * np.cos(2 * np.pi * 40 * times + 0.5) + 2 * np.sin(2 * np.pi * 60 * times)

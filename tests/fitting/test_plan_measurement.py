@@ -40,7 +40,7 @@ def test_places_are_the_best_of_all(random):
 
 @pytest.mark.slow
 def test_intervals_are_those_of_fits(random):
-    """What a plan promises is the spread of fits to noisy responses of its sensors."""
+    """The intervals of a plan are the spread of fits to noisy responses of its sensors."""
     plan = plan_measurement(panel(), 2, 0.02)
     points = [row.point for row in plan.scene.measurement]
     low, high = plan.frequencies[[0, -1]]

@@ -93,7 +93,7 @@ def test_inverse_filter_makes_foci_follow_bursts_of_their_own():
 
 
 def test_waveforms_of_another_panel_are_played(found):
-    """On their own panel they reach the same; with more damping less, and the gap is to the optimum of that panel."""
+    """Waveforms reach the same on their own panel, less with more damping; the gap is to the optimum of that panel."""
     again = focus(found.scene, found)
     harder = focus(found.scene.replace("effects.damping.viscous", 40.0), found)
     for name, method in found.methods.items():

@@ -76,7 +76,7 @@ def test_what_moves_nothing_is_silent():
 
 
 def test_low_frequencies_are_left_out():
-    """Of two tones of whole periods, within what the ends of the record spread."""
+    """Two tones of whole periods are separated, within the spread of the ends of the record."""
     times = np.arange(4800) / 48000
     low, high = np.sin(2 * np.pi * 100 * times), np.sin(2 * np.pi * 3000 * times)
     inside = slice(1000, -1000)

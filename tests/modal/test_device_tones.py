@@ -69,7 +69,7 @@ def test_kernels_have_the_matrices_of_numpy(random, device, name, many):
 
 
 def test_places_that_all_plates_share(random, device, monkeypatch):
-    """In blocks of two plates."""
+    """Plates are computed in blocks of two."""
     plate = solve_modes(scene_of(size=SIZE, damping=20.0), highest=400.0)
     monkeypatch.setattr(device_tones, "BLOCK_NUMBERS", 2 * 6 * len(plate.frequencies))
     frequency, areas = batch(random)

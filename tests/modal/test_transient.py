@@ -201,7 +201,7 @@ def test_polynomials_hold_what_exponentials_hold():
 
 
 def test_resting_load_on_a_point_is_static_in_the_end():
-    """Of a constant force F at a point, ω² q = F φ after the motion has died away; half of it if the patch is half on
+    """A constant force F at a point gives ω² q = F φ after the motion has decayed; half of it if the patch is half on
     the plate."""
     moving = {"force": 0.2, "start": (0.07, 0.05), "from_time": 0.5}
     scene = scene_of(edges=SUPPORTED, window=(0.1, 0.5), effects={"damping": {"viscous": 60.0}, "moving_load": moving})

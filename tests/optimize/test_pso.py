@@ -74,7 +74,7 @@ def test_first_swarm_fills_its_ranges():
 
 @pytest.mark.parametrize("ring", [False, True])
 def test_moves_are_equations_7_and_8(ring):
-    """In a ring G is the best of the particle and its neighbours, itself where they are equal."""
+    """G of a ring is the best of the particle and its neighbours, and the particle's own if they are equal."""
     particles, dimension, inertia, decay, cognitive, social = 5, 3, 0.7, 0.9, 1.5, 2.5
     weights = {"inertia": inertia, "decay": decay, "cognitive": cognitive, "social": social}
     swarm = swarm_of(dimension, particles=particles, iterations=6, seed=9, ring=ring, **weights)

@@ -179,7 +179,7 @@ def test_shares_and_place_of_the_fastest_motion(scene):
 
 @pytest.mark.parametrize(("edge", "nodes"), [("clamped", (9, 9)), ("springy", (27, 25)), ("rigid springs", (9, 9))])
 def test_buckling_load_against_the_lowest_frequency(edge, nodes, scene):
-    """At 0.999 of the load that is refused first the lowest frequency is next to zero, at 0.5 of it is not."""
+    """The lowest frequency is nearly zero at 0.999 of the first load that is refused, and not at 0.5 of it."""
     for x, y in ((-0.5, -0.5), (-0.5, 2.0)):
 
         def pulled(factor, x=x, y=y):

@@ -197,7 +197,7 @@ def test_shapes_of_one_frequency_are_kept_apart(scene):
 
 
 def test_rigid_motions(scene):
-    """Of a free plate: up, about the middle of y, about that of x; then the twist."""
+    """Rigid motions of a free plate: up, about the middle of y, about that of x; then the twist."""
     found = natural_modes(scene((25, 21), (0.2, 0.18), ("free",) * 4), 4)
     assert (found.frequencies[:3] == 0).all()
     assert found.frequencies[3] > 1

@@ -40,8 +40,8 @@ def forces(scene):
     [("overlap", 0.0), ("overlap", 0.004), ("overlap", 0.03), ("nodes", 0.03), ("moments", 1e-6), ("moments", 0.03)],
 )
 def test_force_and_place_are_kept(loaded, load, size):
-    """From (0.03, 0.04) to (0.17, 0.06). By overlap a patch of a cell or more may be off by the difference between a
-    whole cell and a part of one, an eighth of a cell's square over the patch."""
+    """The load moves from (0.03, 0.04) to (0.17, 0.06). Overlap of a patch of a cell or more may be off by that of a
+    whole cell less that of a part, an eighth of a cell's square over the patch."""
     scene = loaded(load, size=size, velocity=(0.14 / TIMES[-1], 0.02 / TIMES[-1]))
     force, middle = forces(scene)
     np.testing.assert_allclose(force, 3.0, rtol=1e-9)

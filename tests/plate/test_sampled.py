@@ -122,7 +122,7 @@ def test_csv_of_one_and_two_columns(tmp_path):
 
 @pytest.mark.parametrize("bits", [16, 24])
 def test_a_channel_for_each_actuator(tmp_path, bits):
-    """From interleaved WAV, and from CSV with and without times; ``start`` delays all of them."""
+    """Channels come from interleaved WAV, and from CSV with and without times; ``start`` delays all of them."""
     values = np.array([[0.0, 0.5, -0.5], [-1.0, 0.25, 0.125]])
     whole = (values.T * 2 ** (bits - 1)).astype(int).ravel().tolist()
     data = b"".join(number.to_bytes(bits // 8, "little", signed=True) for number in whole)
@@ -204,7 +204,7 @@ SAMPLES = (np.arange(1, 60) * 517 % 251 - 125).astype("<i2")
 
 
 def test_a_wav_file_cut_anywhere_is_refused(tmp_path):
-    """At every length: none is read as a shorter signal."""
+    """Files are cut at every length: none is read as a shorter signal."""
     subformat = struct.pack("<HHIH", 22, 16, 4, 1) + bytes(14)
     content = wav(SAMPLES.tobytes(), 0xFFFE, extra=b"LIST\4\0\0\0abcd", form_extra=subformat)
     assert read(tmp_path, content, "a.wav").values.size == SAMPLES.size

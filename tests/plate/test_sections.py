@@ -53,7 +53,7 @@ def test_frequencies_of_tapered_plates(scene, name):
 
 @pytest.mark.parametrize("area", [(0.0, 0.1, 0.0, 0.18), (0.031, 0.115, 0.05, 0.13)])
 def test_compliance_of_a_patch(scene, area):
-    """By area, wherever its edges cut cells."""
+    """Mass is weighted by area, wherever the layer's edges cut cells."""
     made = make_bending(scene(NODES, SIZE, effects={"layers": [{"area": area, "both": True, **LAYER}]}))
     part = (area[1] - area[0]) * (area[3] - area[2]) / (SIZE[0] * SIZE[1])
     mean = 1 / (part / (SHEET + FACES) + (1 - part) / SHEET)

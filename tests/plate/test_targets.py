@@ -86,7 +86,7 @@ def test_parts_of_any_polygon_sum_to_it(seed, axis):
 
 @pytest.mark.parametrize(("load", "order", "last"), [("overlap", 2, 2e-4), ("moments", 4, 1e-7)])
 def test_integrals_of_a_smooth_function_fall_with_their_order(load, order, last, scene):
-    """Of exp(a x) cos(b y) over the disc: exactly 2πR J₁(cR)/c · exp(a x₀) cos(b y₀) with c² = b² − a² (a mean value of
+    """∫ exp(a x) cos(b y) over the disc is 2πR J₁(cR)/c · exp(a x₀) cos(b y₀) with c² = b² − a² (a mean value of
     Helmholtz's equation, whose solution this is)."""
     from scipy.special import j1
 

@@ -94,7 +94,7 @@ def test_within_a_limit_is_better_than_beyond_it(random):
 
 
 def test_plates_at_rest_or_without_energies():
-    """At rest there is no share, contrast or uniformity, but a velocity of 0 within any limit; NaN stays NaN."""
+    """A plate at rest has no share, contrast or uniformity, but a velocity of 0 within any limit; NaN stays NaN."""
     energy = np.array([[0] * 6, [math.nan] * 6, [1, 1, 0.25, 0.25, 0.25, 0.25], [1, 0, 0, 0, 0, 0]])
     for kind in ("localization", "contrast", "uniformity"):
         assert np.isnan(unit_objectives(Objective(kind=kind)).losses(energy)[:2]).all()

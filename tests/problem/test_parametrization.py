@@ -1,4 +1,4 @@
-"""From positions to designs and scenes and back, the limits of drives, and the tables that are refused."""
+"""Positions to designs and scenes and back, the limits of drives, and the tables that are refused."""
 
 import re
 

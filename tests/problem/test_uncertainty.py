@@ -56,7 +56,7 @@ def test_the_seed_alone_decides():
     for scenario, more in zip(few, first, strict=False):
         assert scenario.scene.plate.young_modulus == more.scene.plate.young_modulus
         np.testing.assert_array_equal(scenario.gain, more.gain)
-        # What is not drawn stays to the last bit.
+        # Values that are not drawn are unchanged, bit for bit.
         assert [each.area for each in scenario.scene.actuators] == [each.area for each in made.actuators]
     assert PlateSolver(first[0].scene, "cpu").run(np.ones((1, 3), complex)).finite.all()
 
@@ -133,7 +133,7 @@ def test_orthotropic_rigidities_follow_modulus_and_thickness():
 
 @pytest.mark.parametrize("several", [False, True])
 def test_gram_matrices_give_the_losses_of_plates(device, path, phasors, several):
-    """In float64; polarization costs a few digits of sixteen. Plates run as scenes of their own, to the last bit."""
+    """Float64 energies agree up to a few digits lost by polarization. Plates run as separate scenes, bit for bit."""
     tables = {"effects": FINGERED, "search": {"objectives": SEVERAL}, "without_oscillators": 0.5} if several else {}
     scenarios = draw_scenarios(robust(**tables, **TOLERANCES), 3, 2)
     designs = Designs(phasors(7, 3))

@@ -90,7 +90,7 @@ def test_a_file_without_names_is_read(tmp_path):
 
 
 def test_a_scale_of_another_length_names_no_shape(tmp_path):
-    """What is read is held to the scene, not to the scales."""
+    """Shapes that are read are checked against the scene, not the scales."""
 
     def change(file):
         del file["cases/best/phase"]

@@ -146,7 +146,7 @@ def test_a_wav_plays_the_drive(result, tmp_path, encoding, rate, share, error):
 
 
 def test_a_wav_of_24_bits_reads_back_as_a_signal(result, tmp_path):
-    """As the channels of ``[drive.signal]``, with an odd number of bytes of samples."""
+    """Files are read as channels of ``[drive.signal]``, with an odd number of bytes of samples."""
     signal = replace(make_drive_signal(result.scene, result.cases["best"], 48000, 0.1), samples=4799)
     (path,) = write_wav(signal, tmp_path / "drive.wav", "pcm24")
     read = read_samples(SampledSignal(file="drive.wav", per_actuator=True), tmp_path, 3)

@@ -52,7 +52,7 @@ def solver_of(name, device, path, **options):
     [("plain", np.float32), ("plain", np.float64), ("fourth order", np.float64), ("moment form", np.float32)],
 )
 def test_energies_are_those_of_a_run(name, dtype, device, path, phasors):
-    """To the last bit, in batches larger than a chunk, with bad plates, and with runs in between."""
+    """Energies agree bit for bit, in batches larger than a chunk, with bad plates, and with runs in between."""
     drives = phasors(37, 3).astype(np.result_type(dtype, np.complex64))
     drives[[1, 6, 20, 36], [0, 1, 2, 0]] = [np.nan, np.inf, complex(0, -np.inf), complex(1, np.nan)]
     drives[9] = 0

@@ -87,7 +87,7 @@ def test_parts_that_take_turns_change_no_bit(count, name, device, path, phasors,
 
 
 def test_little_memory_and_large_batches(device, path, phasors, monkeypatch):
-    """One plate at a time on a CPU, parts that take turns on a GPU."""
+    """There is one plate at a time on a CPU, and alternating parts on a GPU."""
     plain, drives = make("plain"), phasors(60, 3)
     right = PlateSolver(plain, device, path).run(drives).energy
     poor, solver = PlateSolver(plain, device, path, memory_share=1e-9), PlateSolver(plain, device, path)

@@ -103,7 +103,7 @@ def test_compiled_plans_fit_the_chip(arch, kind, nodes):
 @pytest.mark.parametrize("real", [wp.float32, wp.float64])
 @pytest.mark.parametrize("arch", SHARED_KIB)
 def test_compiled_tiles_fit_the_chip(arch, order, real):
-    """Of one plate of 161² on 40 multiprocessors, as many as the smallest of these chips have."""
+    """A plate of 161² is cut into tiles on 40 multiprocessors, as many as the smallest of these chips have."""
     limit, nodes = 1024 * SHARED_KIB[arch], (161, 161)
     scheme, device = SimpleNamespace(order=order, nodes=nodes), SimpleNamespace(sm_count=40)
     plate = SimpleNamespace(scheme=scheme, real=real, shared_bytes=limit - RESERVED_BYTES, device=device)
@@ -117,7 +117,7 @@ def test_compiled_tiles_fit_the_chip(arch, order, real):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_less_shared_memory_takes_smaller_plates(kind):
-    """What fits a chip fits one with more; each has its largest plate."""
+    """Plates that fit a chip also fit a larger one; each has its largest plate."""
     effects, fits = KINDS[kind], []
     for shared_bytes in sorted({1024 * size - RESERVED_BYTES for size in SHARED_KIB.values()}):
         if effects.moments:

@@ -9,7 +9,7 @@ from warp_plate import PlateSolver
 from warp_plate.plate.scheme import make_scheme
 
 TINY = np.finfo(np.float32).tiny
-# How plates run on a CPU: nodes, sides [m], plates, and tables; the first as a team.
+# Kinds of runs on a CPU: nodes, sides [m], plates, and tables; the first with several threads.
 WAYS = {
     "team": ((97, 89), (0.2, 0.2), 1, {}),
     "in groups": ((105, 9), (0.2, 0.0154), 32, {}),

@@ -11,7 +11,7 @@ from warp_plate.plate.designs import Designs, PerPlate, per_plate_of
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import region_weights
 
-# One for each kernel: of a warp, of a block (row by row on a CPU), of fourth order, with effects.
+# A scene for each kernel: of a warp, of a block (row by row on a CPU), of fourth order, with effects.
 KINDS = {
     "small": {"nodes": (16, 13), "size": (0.2, 0.17)},
     "block": {"nodes": (97, 89), "size": (0.096, 0.088)},
@@ -148,7 +148,7 @@ def test_a_plate_does_not_depend_on_its_batch(device, path, kind, precision, bur
 
 
 def test_patches_within_areas(device, path, burst_scene):
-    """By moments a patch loads two nodes beyond it on each side, also where areas confine it."""
+    """With moments, a patch loads two nodes beyond it on each side, also where areas confine it."""
     made = burst_scene(nodes=(16, 13), size=(0.2, 0.17), load="moments")
     old = np.array([actuator.area for actuator in made.actuators])
     areas = tuple(map(tuple, (old + 0.02 * np.array([-1, 1, -1, 1])).tolist()))

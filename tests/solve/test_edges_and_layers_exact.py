@@ -85,7 +85,7 @@ def test_edges_on_springs_and_free_ones_by_levys_solution(scene, name):
 
     side = {"translation": translation, "rotation": rotation} if translation or rotation else "free"
     edges = (side, "supported", side, "supported")
-    # One node more along x, so that no cell is square.
+    # An extra node along x, so that no cell is square.
     errors = []
     for count in (17, 33):
         tables = {"effects": {"foundation": {"stiffness": 0.0}, **effects}}

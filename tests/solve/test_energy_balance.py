@@ -104,7 +104,7 @@ def run_forces(made, scheme, drive):
 
 @pytest.mark.parametrize("number", range(2))
 def test_work_is_energy_stored_and_lost(device, path, number, mix):
-    """To 1e-10 of the work, at every step, for linear effects drawn at random."""
+    """Energy balances to 1e-10 of the work at every step, for linear effects drawn at random."""
     make, drive = mix(number)
     stored, work, lost = balance(make(), drive, device, path)
     scale = np.abs(work).max()

@@ -48,7 +48,7 @@ def test_edges_and_dampings(device, path, order, nodes, precision, sides, viscou
 
 @pytest.mark.parametrize("name", SIZES)
 def test_sizes(device, path, name, scene, fitting_solver, random, phasors):
-    """With traces and without, which some paths leave to another one."""
+    """Paths run with traces and without; some leave traces to another path."""
     order, nodes, size = SIZES[name]
     count = 150 if max(nodes) < 50 else 50  # steps; on every grid as long as its stability limit allows
     precision = tuple(TOLERANCE)[list(SIZES).index(name) % 2]

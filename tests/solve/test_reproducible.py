@@ -52,7 +52,7 @@ print(digest(localize(Scene.load("panel.toml"), device="cpu", evaluator="respons
 
 
 def test_in_another_process(tmp_path, scene):
-    """With other threads, of NumPy's library too, and another seed of Python's hashes."""
+    """Runs use other numbers of threads, of NumPy's library too, and another seed of Python's hashes."""
     made = scene(**SCENES["effects"], **SEARCH)
     (tmp_path / "panel.toml").write_text(dump_scene(made), encoding="utf-8")
     threads = {"WARP_PLATE_THREADS": "3", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONHASHSEED": "77"}

@@ -78,7 +78,7 @@ def advance(u, rate, order, steps, stiffness, sides):
 @pytest.mark.parametrize("order", [2, 4])
 @pytest.mark.parametrize("real", [wp.float32, wp.float64])
 def test_plans(multiprocessors, order, real):
-    """At most a tile for each multiprocessor, and none for plates that are too large or too many."""
+    """There is at most a tile for each multiprocessor, and none for plates that are too large or too many."""
     found = {}
     for side, plates in ((161, 1), (257, 1), (257, 4), (513, 1), (2049, 1), (257, 200)):
         specialized = SimpleNamespace(

@@ -104,7 +104,7 @@ def test_another_device_must_be_named(tmp_path):
 
 @pytest.mark.parametrize(("every", "expected"), [(0.0, [*range(1, 10)]), (np.inf, [])])
 def test_checkpoints_while_a_search_runs(every, expected, tmp_path):
-    """With 0 seconds one an iteration, and the one before it is kept."""
+    """With 0 seconds there is a checkpoint for each iteration, and the previous one is kept."""
     saved, file = [], CheckpointFile(tmp_path / "a.checkpoint.h5", every)
 
     def on_progress(done, total, best):

@@ -111,7 +111,7 @@ def test_the_command_shows_both_drives(write_scene, command):
 
 
 def test_no_robust_drive_is_worse_than_the_best_of_the_nominal_plate():
-    """By the measure that is searched; a swarm of three steps alone would stay behind."""
+    """The result is no worse by the searched measure; a swarm of three steps by itself would be."""
     scene = robust(search={"method": "pso", "iterations": 3})
     problem = make_problem(scene, "cpu")
     exact = best_position(problem.space, problem.nominal.quadratic)

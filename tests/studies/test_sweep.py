@@ -285,7 +285,7 @@ def test_a_result_replaces_only_one_of_the_same_sweep(plate, tmp_path):
 
 
 def test_drives_of_motion_that_begins_are_those_of_localize():
-    """From rest the phase that all actuators have in common counts, and is searched where no method is named."""
+    """From rest the common phase of all actuators matters, and is searched if no method is named."""
     scene = scene_of(damping=1.0)
     plan = plan_of(scene, "effects.damping.viscous=1")
     point = sweep(scene, plan, "localize", device="cpu", evaluator="modal").values

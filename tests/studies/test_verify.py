@@ -42,7 +42,7 @@ def test_the_own_field_keeps_the_promise(result):
 
 
 def test_the_deviation_is_that_of_noise(result, random):
-    """Of 200 noisy fields; noise does not shift the mean."""
+    """Intervals hold for 200 noisy fields; noise does not shift the mean."""
     clean = verify(result, field_of(result)).localization_factor
     found = [verify(result, field_of(result, noise=0.05, random=random)) for _ in range(25)]
     factors = np.array([each.localization_factor for each in found])

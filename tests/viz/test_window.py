@@ -119,7 +119,7 @@ def test_without_a_display_other_commands_are_named(saved, monkeypatch, command,
 
 @pytest.mark.slow
 def test_the_window_opens_plays_and_closes(display, saved, tmp_path, monkeypatch):
-    """With real keys and clicks; Ctrl-C closes it too."""
+    """The window responds to real keys and clicks; Ctrl-C closes it too."""
     monkeypatch.setenv("DISPLAY", display)
     monkeypatch.delenv("VTK_DEFAULT_OPENGL_WINDOW", raising=False)
     if (problem := missing_window()) is not None:
