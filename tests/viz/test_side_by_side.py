@@ -3,6 +3,7 @@
 import itertools
 import math
 from contextlib import closing
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,12 +13,14 @@ from conftest import motion_of
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.target import NamedTarget
+from warp_plate.viz.annotations import axis_labels
 from warp_plate.viz.captions import caption, case_label, frame_caption, ordered_cases
 from warp_plate.viz.colours import ColourOptions
 from warp_plate.viz.fields import FIELDS, DrawingScale, drawing_scale, motion_scales, short_number
 from warp_plate.viz.meshes import SCALARS, PlateMeshes
 from warp_plate.viz.pictures import largest_frame, make_plotter
 from warp_plate.viz.scene3d import SideBySide, plate_subplots, rows_and_columns
+from warp_plate.viz.styles import point_text, size_text
 
 pyvista = pytest.importorskip("pyvista", reason="PyVista is not installed: pip install 'warp-plate[viz]'")
 pytest.importorskip("pytest_pyvista", reason="pytest-pyvista is not installed: pip install 'warp-plate[test]'")
@@ -158,6 +161,8 @@ def test_cases_are_labelled_and_ordered(scene):
     assert labels == ["equal drive", "best drive for a", "best drive for b", "mine"]
     assert case_label("best", single) == "best drive found"
     assert frame_caption(standing_wave("best b", 1e-7), 0, several).startswith("best drive for b, t = ")
+    alone = replace(standing_wave("single", 1e-7), only_actuator="near the lower left corner")
+    assert frame_caption(alone, 0, single).startswith("single actuator, near the lower left c…, t = ")
     for made in (single, several):
         cases = dict.fromkeys(("best", "best b", "equal", "mine", "single"))
         assert " ".join(ordered_cases(SimpleNamespace(cases=cases, scene=made))) == "equal single best best b mine"
@@ -281,3 +286,9 @@ def test_picture(drawing, scene, verify_image_cache, motions, quantity, supports
     plotter = make_plotter((sum(columns["col_weights"]), HEIGHT), off_screen=True, **columns)
     SideBySide(plotter, scene(edges=supports), motions, quantity, FONT_SIZE).show(1)
     plotter.show()
+
+
+def test_lengths_are_in_millimetres_below_a_metre():
+    assert [text for text, _ in axis_labels((0.21, 0.148))] == ["x: 0 … 210 mm", "y: 0 … 148 mm"]
+    assert [text for text, _ in axis_labels((2.5, 0.5))] == ["x: 0 … 2.5 m", "y: 0 … 0.5 m"]
+    assert (size_text((0.0001, 0.2)), point_text((0.05, 0.1234), (0.2, 0.2))) == ("0.1 × 200 mm", "50, 123.4")
