@@ -41,6 +41,7 @@ BESIDES = {
         "oscillators": [{"area": [0.1, 0.12, 0.1, 0.12], "mass": 1e-3, "stiffness": 100.0}],
     },
     "fit": {"free": {"plate.density": [900.0, 1100.0]}},
+    "focus": {"points": [[0.06, 0.05]], "highest": 1000.0},
 }
 
 
