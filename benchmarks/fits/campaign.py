@@ -10,6 +10,7 @@ from fits.stepping import stepped_responses
 from warp_plate import Scene
 from warp_plate.fitting.fit_responses import fit_responses
 from warp_plate.fitting.measured_responses import MeasuredResponses
+from warp_plate.fitting.panel_responses import PanelResponses
 from warp_plate.scene.keys import with_values
 
 NOISE = 0.01
@@ -34,6 +35,7 @@ def measured(number: int, device: str = "cpu", folder: Path | None = None) -> di
     rng = np.random.default_rng([number, 1])
     noise = rng.normal(scale=NOISE / np.sqrt(2), size=(2, *responses.shape))
     data = MeasuredResponses(f"panel {number}", frequencies, responses * (1 + noise[0] + 1j * noise[1]))
+    engines_apart = np.log(responses / PanelResponses(panel.scene, data).values)
     found = fit_responses(_scene_to_fit(panel, panel.start, panel.ranges), data)
     fitted = time.perf_counter()
     ends = np.stack([found.values, found.low, found.high], axis=1).tolist()
@@ -46,6 +48,7 @@ def measured(number: int, device: str = "cpu", folder: Path | None = None) -> di
         "edges": {side: edge if isinstance(edge, str) else "springs" for side, edge in panel.scene.edges},
         "frequencies": len(frequencies),
         "grids_apart": float(apart),
+        "engines_apart": float(np.sqrt(np.mean(np.abs(engines_apart) ** 2))),
         "rigidity_error": found.scene.plate.rigidity / panel.scene.plate.rigidity - 1,
         "decibels": float(np.sqrt(np.mean(found.rms_decibels**2))),
         "numbers": numbers,
