@@ -39,7 +39,7 @@ def test_waveforms_are_exported_for_the_amplifier(command, write_scene):
     write_scene(damping=10.0, focus=TABLE)
     output_of(command("focus", "panel.toml", "--no-pictures"))
     out = output_of(command("export", "panel-focus.h5", "--to", "drive-wav", "--case", "time_reversal"))
-    assert out.splitlines()[1:] == ["wrote panel-focus-drive-1.wav", "wrote panel-focus-drive-2.wav"]
+    assert out.splitlines()[:2] == ["wrote panel-focus-drive-1.wav", "wrote panel-focus-drive-2.wav"]
     rate, stored = wavfile.read("panel-focus-drive-2.wav")
     waveforms = load_focus("panel-focus.h5").methods["time_reversal"].waveforms
     assert rate == TABLE["rate"]
@@ -54,7 +54,7 @@ def test_waveforms_are_exported_for_the_amplifier(command, write_scene):
         ("--to", "drive-wav", "--full-scale", "0.5"),
         ("--to", "pvd"),
     ):
-        assert " ".join(words[-2:]) in error_of(command("export", "panel-focus.h5", *words))
+        assert words[-1] in error_of(command("export", "panel-focus.h5", *words))
 
 
 def test_waveforms_of_a_file_are_played_on_another_panel(command, write_scene):

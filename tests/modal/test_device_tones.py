@@ -43,6 +43,14 @@ def batch(random, many=True):
     return frequency, np.stack([low[..., 0], high[..., 0], low[..., 1], high[..., 1]], axis=-1)
 
 
+def patched(scene):
+    """Return the scene with piezo patches in the places of its actuators."""
+    piezo = {"kind": "piezo", "d31": -190e-12, "thickness": 1e-4, "young_modulus": 6e10}
+    return scene.with_tables(
+        actuators=[{"name": actuator.name, "area": actuator.area, **piezo} for actuator in scene.actuators]
+    )
+
+
 def both(plate, quantity, device, frequency, areas):
     """Return matrices by the kernels and by NumPy, each region's relative to its largest."""
     scene = plate.scene
@@ -75,6 +83,22 @@ def test_places_that_all_plates_share(random, device, monkeypatch):
     frequency, areas = batch(random)
     found, exact = both(plate, "velocity", device, frequency, areas[:1])
     assert np.allclose(found, exact, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("window", [True, False], ids=["from rest", "steady"])
+def test_piezo_patches_bend_by_their_moments(random, device, window):
+    effects = {"damping": {"viscous": 20.0}} if window else {"loss_factor": {"eta": 0.02}}
+    plate = solve_modes(patched(scene_of(size=SIZE, effects=effects)), highest=400.0)
+    frequency, regions = batch(random)[0], [plate.kinetic_matrix()]
+    areas, forces = np.array([[each.area for each in plate.scene.actuators]]), plate.actuator_forces()[None]
+    if window:
+        exact = ToneMatrices(plate, regions, plate.scene.window, "velocity").matrices(frequency, forces)
+    else:
+        exact = gram_matrices(plate, regions, forces, frequency, None, "velocity")
+    tones = DeviceToneMatrices(plate, regions, plate.scene.window if window else None, "velocity", device)
+    found = tones.matrices(frequency, areas)
+    assert np.allclose(found, exact, rtol=0, atol=1e-10 * np.abs(exact).max())
+    assert not np.allclose(found, tones.matrices(1.01 * frequency, areas), rtol=1e-3)
 
 
 def test_undamped_plate_at_resonance(random, device):
@@ -110,5 +134,14 @@ def test_solvers_of_both_devices_agree(random, effects):
     scene, varied = scene_of(size=SIZE, effects=effects), PerPlate(frequency=True, centre=True)
     centre, frequency = random.uniform(0.05, 0.1, (PLATES, 3, 2)), random.uniform(100, 290, (PLATES, 1)) * np.ones(3)
     designs = Designs(np.ones((PLATES, 3), dtype=complex), frequency, centre)
+    cpu, cuda = (ModalSolver(scene, device, per_plate=varied).gram_matrices(designs) for device in ("cpu", "cuda:0"))
+    assert np.allclose(cpu, cuda, rtol=0, atol=1e-10 * np.abs(cpu).max())
+
+
+@pytest.mark.skipif(not wp.is_cuda_available(), reason="no CUDA device")
+def test_solvers_of_both_devices_agree_on_piezo_patches(random):
+    scene, varied = patched(scene_of(size=SIZE, damping=20.0)), PerPlate(frequency=True)
+    frequency = random.uniform(100, 290, (PLATES, 1)) * np.ones(3)
+    designs = Designs(np.ones((PLATES, 3), dtype=complex), frequency)
     cpu, cuda = (ModalSolver(scene, device, per_plate=varied).gram_matrices(designs) for device in ("cpu", "cuda:0"))
     assert np.allclose(cpu, cuda, rtol=0, atol=1e-10 * np.abs(cpu).max())

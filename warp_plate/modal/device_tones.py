@@ -69,6 +69,8 @@ class DeviceToneMatrices:
             [self._put_matrix(matrix) for matrix in (region, np.tile(region[np.ix_(lasting, lasting)], (2, 2)) * means)]
             for region in regions
         ]
+        # Piezo patches stay in their places; their forces are moments along their edges, which no kernel integrates.
+        self._fixed = plate.actuator_forces() if plate.scene.piezo else None
         sides = plate.galerkin.along_x, plate.galerkin.along_y
         tables = [side.breaks for side in sides] + [side.integral_pieces for side in sides]
         self._splines, self._unknowns = [self._put(table) for table in tables], math.prod(x.functions for x in sides)
@@ -79,7 +81,7 @@ class DeviceToneMatrices:
 
         Args:
             frequency: (plates, M) [Hz].
-            areas: (plates or 1, M, 4) actuators' rectangles x0, x1, y0, y1 [m].
+            areas: (plates or 1, M, 4) actuators' rectangles x0, x1, y0, y1 [m]; those of the scene for piezo patches.
         """
         frequency, areas = np.asarray(frequency, dtype=float), np.asarray(areas, dtype=float)
         plates, actuators = frequency.shape
@@ -106,6 +108,11 @@ class DeviceToneMatrices:
     def _write_forces(self, areas: wp.array, work: dict[str, wp.array]) -> int:
         """Write modal forces of the actuators' unit pressures; return their number of columns."""
         count, actuators, _ = areas.shape
+        if self._fixed is not None:
+            whole = np.zeros(work["forces"].shape)
+            whole[: self._modes, :actuators] = self._fixed
+            work["forces"].assign(whole)
+            return actuators
         dim = self._unknowns, count, actuators
         self._launch(kernels.integrate_patches, dim, [*self._splines, areas], [work["integrals"]])
         self._multiply(self._shapes, work["integrals"], work["forces"], count * actuators)

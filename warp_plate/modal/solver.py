@@ -119,7 +119,7 @@ class ModalSolver:
         """Return (plates, regions, 2M, 2M) Gram matrices of designs, without using their drives."""
         if self.scene.drive.waveform_key is not None:
             return self._waveforms.matrices(*self._loads(designs))
-        if self.device.is_cuda and self.plate.proportional and not self.scene.piezo:
+        if self.device.is_cuda and self.plate.proportional:
             return self._device_tones.matrices(*self._parameters(designs)[:2])
         frequency, forces, _ = self._loads(designs)
         matrices = []
