@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -25,6 +26,8 @@ FORMATS: dict[Format, tuple[str, tuple[str, ...]]] = {
 }
 # With fewer times than this ParaView shows pictures rather than a motion.
 FEW_TIMES = 10
+# Endings of a preview, and the periods of a tone in it.
+PICTURES, PERIODS = (".png", ".svg", ".pdf"), 10
 
 
 def export(
@@ -38,6 +41,7 @@ def export(
     full_scale: float | None = None,
     encoding: Literal["float32", "pcm16", "pcm24"] | None = None,
     out: Path | None = None,
+    preview: Path | None = None,
     json: options.Json = False,
 ) -> None:
     """Write a result for ParaView, a spreadsheet or the amplifier. (MATLAB can read the result file directly.)
@@ -64,6 +68,8 @@ def export(
         drive-wav: float32 (default), pcm16 or pcm24.
     out
         The file to write (default: RESULT with another ending, in this folder).
+    preview
+        drive-wav: a picture (.png, .svg or .pdf) of the channels of the first file, of ten periods or of a waveform.
     """
     ending, known = FORMATS[to]
     target = output.output_file(out, f"{result.stem}{ending}")
@@ -74,6 +80,8 @@ def export(
             raise SceneError(f"--{name} {value}: has no effect with --to {to}; leave it out")
     if shown.device is not None and shown.start is shown.end is shown.frames is None:
         raise SceneError(f"--device {shown.device}: nothing is run without --frames, --start or --end; leave it out")
+    if preview is not None and (to != "drive-wav" or preview.suffix.lower() not in PICTURES):
+        raise SceneError(f"--preview {preview}: must end with {', '.join(PICTURES)}, and is for --to drive-wav")
     from warp_plate.analysis.export import DRIVES, export
     from warp_plate.result.focus import load_focus
     from warp_plate.result.hdf5 import describe_file
@@ -102,8 +110,28 @@ def export(
         except SceneError as error:
             named = str(error).startswith(("--", f"{target}:", f"{result}:"))
             raise error if named else SceneError(f"{result}: {error}") from None
-    answer = {"result": result, "to": to, **found.contents, "files": found.files}
+    drawn, missing = ([], None) if preview is None else _draw(found.files[0], found.contents, preview)
+    answer = {"result": result, "to": to, **found.contents, "files": [*found.files, *drawn]}
     output.report(json, lambda: answer, lambda _: _print(found.files, to, found.contents))
+    for line in [f"wrote {preview}"] * bool(drawn) + [missing] * bool(missing):
+        print(line, file=sys.stderr if json else sys.stdout)
+
+
+def _draw(file: Path, contents: Mapping[str, Any], picture: Path) -> output.Drawn:
+    """Draw the channels of a WAV file, of a tone ten periods."""
+    from warp_plate.plate.waveforms import wav_channels
+    from warp_plate.result.atomic_io import atomic_paths
+    from warp_plate.viz.availability import missing_plots
+    from warp_plate.viz.plots.channels import draw_channels
+
+    if (problem := missing_plots()) is not None:
+        return [], problem
+    values, rate = wav_channels(file.read_bytes())
+    if "frequency" in contents:
+        values = values[:, : round(PERIODS * rate / contents["frequency"]) + 1]
+    with atomic_paths(picture) as (temporary,):
+        draw_channels(values, rate, contents["channels"], f"{contents['full_scale']:.4g} {contents['unit']}", temporary)
+    return [picture], None
 
 
 def _print(files: list[Path], to: Format, record: Mapping[str, Any]) -> None:
