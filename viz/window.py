@@ -185,7 +185,7 @@ class ViewerWindow:
             ("heights", "heights, 1 at first", (0.0, 4.0), 1.0, 0.76, 0.98, self.exaggerate),
         ):
             look = {"style": "modern", "fmt": "%.4g", "slider_width": 0.12, "tube_width": 0.03, "color": INK}
-            place = {"pointa": (left, 0.70), "pointb": (right, 0.70)}
+            place = {"pointa": (left, 0.65), "pointb": (right, 0.65)}
             slider = plotter.add_slider_widget(lambda _: None, ends, value=max(value, ends[0]), **place, **look)
             self.sliders[key], bar = slider, slider.GetRepresentation()
             slider.AddObserver("InteractionEvent", lambda *_, bar=bar, call=callback: call(bar.GetValue()))
