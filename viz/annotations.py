@@ -46,8 +46,8 @@ def look_at_plate(plotter: pyvista.Plotter, size: tuple[float, float], font_size
     horizontal, vertical = corners @ right, corners @ up
     # Extents to the left and to the right: position [m], and pixels that are needed beyond it.
     (text_x, at_x), (text_y, at_y) = axis_labels(size)
-    lefts = [(horizontal.min(), 0.0), (at_y @ right, 0.56 * font_size * len(text_y))]
-    rights = [(horizontal.max(), 0.0), (at_x @ right, 0.56 * font_size * len(text_x))]
+    lefts = [(horizontal.min(), 0.0), (at_y @ right, 0.62 * font_size * len(text_y))]
+    rights = [(horizontal.max(), 0.0), (at_x @ right, 0.62 * font_size * len(text_x))]
     margin = 0.02 * pixels_wide
     height = max(pixels_high * 0.96 - 3.4 * font_size, pixels_high / 4)
     width = share * pixels_wide - 2 * margin
