@@ -58,7 +58,7 @@ class MethodComparison:
     seconds: Mapping[str, float]
     localization: bool
     trials: Annotated[tuple[Trial, ...], ELSEWHERE]
-    bound: Annotated[float | None, Dataset("1", "loss that no drive can have less of")] = None
+    bound: Annotated[float | None, Dataset("1", "lower bound of the loss")] = None
     bound_kind: str = ""
     bound_sentence: str = ""
     skipped: Mapping[str, str] = field(default_factory=dict)

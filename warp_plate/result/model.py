@@ -103,7 +103,7 @@ class _Energies(hdf5.Layout):
 def _objective(path: str) -> hdf5.Dataset:
     """Return the layout of an objective's value, by KIND, or by CASE/KIND of other cases."""
     case, _, name = path.rpartition("/")
-    meaning = {"sum": "sum of the objectives with their weights", "bound": "of that sum: no drive comes above it"}
+    meaning = {"sum": "sum of the objectives with their weights", "bound": "upper bound of that sum"}
     of_case = f", of the drive {case}" if case else ""
     return hdf5.Dataset(OBJECTIVE_UNITS.get(name.split()[0], "1"), meaning.get(name, name) + of_case)
 

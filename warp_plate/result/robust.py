@@ -33,7 +33,7 @@ class RobustComparison:
     measure: str
     scenarios: int
     localization: bool
-    bound: Annotated[float | None, Dataset("1", "of the measure: no drive comes above it")]
+    bound: Annotated[float | None, Dataset("1", "upper bound of the measure")]
     searched: Annotated[np.ndarray, Dataset("1", f"measure {_ROWS} over the scenarios of the search", ("drive",))]
     nominal_plate: Annotated[np.ndarray, Dataset("1", f"value {_ROWS} without scatter", ("drive",))]
     validation: Annotated[

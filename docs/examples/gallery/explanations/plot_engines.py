@@ -2,8 +2,8 @@
 Two engines
 ===========
 
-Time steps follow the plate from rest, whatever acts on it; modes add up waves known in closed form, for linear scenes.
-Both give the same motion of the paper's plate. Errors fall with a power of the nodes, or faster with the functions.
+Time stepping follows the plate from rest under any load. For linear scenes, modes are sums of closed-form solutions. Both
+give the same motion of the paper's plate. Errors fall as a power of the nodes, or faster with the number of functions.
 """
 
 import json

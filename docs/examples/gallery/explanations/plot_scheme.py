@@ -2,7 +2,7 @@
 The scheme: staggered in time, thirteen nodes in space
 ======================================================
 
-Displacements live at whole time steps and velocities at half ones; each is advanced by the other. The fourth derivative
+Displacements are defined at whole time steps and velocities at half ones; each advances the other. The biharmonic operator
 at a node is the five-point Laplacian of the five-point Laplacian.
 """
 

@@ -1,6 +1,6 @@
 """
-What no drive can pass
-======================
+The bound over frequency
+========================
 
 In a linear plate the best localization factor at a frequency is an eigenvalue, so it is known exactly. Over frequency
 it shows where a panel can be driven well before anything is searched.
