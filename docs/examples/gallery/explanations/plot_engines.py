@@ -2,8 +2,9 @@
 Two engines
 ===========
 
-Time stepping follows the plate from rest under any load. For linear scenes, modes are sums of closed-form solutions. Both
-give the same motion of the paper's plate. Errors fall as a power of the nodes, or faster with the number of functions.
+Time stepping follows the plate from rest under any load. For linear scenes, modes are sums of closed-form solutions.
+Both give the same motion of the paper's plate. Errors fall as a power of the nodes, or faster with the number of
+functions.
 """
 
 import json

@@ -3,7 +3,8 @@ Error bars hold
 ===============
 
 Each of 501 random linear scenes was simulated with its error bar, and computed again by finite elements that share no
-code with the program. Below the line the bar holds; the few points above it are within the error of the finite elements.
+code with the program. Below the line the bar holds; the few points above it are within the error of the finite
+elements.
 """
 
 import json

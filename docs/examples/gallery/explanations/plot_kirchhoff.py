@@ -2,8 +2,8 @@
 Where the thin-plate theory ends
 ================================
 
-In Kirchhoff-Love theory, sections stay straight and normal to the surface. The thicker a plate is relative to its waves,
-the more it shears, and the faster the theory's waves are compared with the exact ones of Rayleigh and Lamb.
+In Kirchhoff-Love theory, sections stay straight and normal to the surface. The thicker a plate is relative to its
+waves, the more it shears, and the faster the theory's waves are compared with the exact ones of Rayleigh and Lamb.
 """
 
 import matplotlib.pyplot as plt

@@ -2,8 +2,8 @@
 No drive passes the bound
 =========================
 
-Localization factors of 100,000 random drives at 290 Hz from the paper's four places. All lie below the bound, the largest
-eigenvalue of a pair of Gram matrices, which one drive attains.
+Localization factors of 100,000 random drives at 290 Hz from the paper's four places. All lie below the bound, the
+largest eigenvalue of a pair of Gram matrices, which one drive attains.
 """
 
 import matplotlib.pyplot as plt

@@ -2,8 +2,9 @@
 The published 72 %
 ==================
 
-The paper does not state its damping. If it is chosen so that a single actuator reaches its published factor, no drive at
-290 Hz from the paper's four places exceeds 68.22 %, on its grid. With more damping the single actuator exceeds its own.
+The paper does not state its damping. If it is chosen so that a single actuator reaches its published factor, no drive
+at 290 Hz from the paper's four places exceeds 68.22 %, on its grid. With more damping the single actuator exceeds its
+own.
 """
 
 import matplotlib.pyplot as plt

@@ -2,8 +2,8 @@
 The scheme: staggered in time, thirteen nodes in space
 ======================================================
 
-Displacements are defined at whole time steps and velocities at half ones; each advances the other. The biharmonic operator
-at a node is the five-point Laplacian of the five-point Laplacian.
+Displacements are defined at whole time steps and velocities at half ones; each advances the other. The biharmonic
+operator at a node is the five-point Laplacian of the five-point Laplacian.
 """
 
 import matplotlib.pyplot as plt
