@@ -39,7 +39,7 @@ COMMANDS = {
     "focusing.gif": (
         "focus.gif",
         "focus focusing-glass",
-        "render focusing-glass-focus.h5 --case time_reversal --case optimum --limits each --width 220 --frames 16 "
+        "render focusing-glass-focus.h5 --case time_reversal --case optimum --width 280 --frames 16 "
         "--rate 8 --out focus.gif",
     ),
     "focusing.png": ("focusing-glass-focus.png", "focus focusing-glass"),

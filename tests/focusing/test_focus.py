@@ -55,7 +55,8 @@ def test_motion_passes_through_the_field_at_the_moment(found):
         method, at = found.methods[name], int(np.abs(motion.times - 0.02).argmin())
         assert motion.times[at] == pytest.approx(0.02)
         ny, nx = motion.displacement.shape[1:]
-        largest = float(motion.name.split()[-2]) * 1e-9
+        *_, number, unit = motion.name.split()
+        largest = float(number) * {"nm": 1e-9, "µm": 1e-6}[unit]
         for point, index in zip(TABLE["points"], (0, 1), strict=True):
             row, column = (round(share / 0.2 * (count - 1)) for share, count in zip(point[::-1], (ny, nx), strict=True))
             expected = method.responses[0, index, round(0.02 * TABLE["rate"]) - 1]

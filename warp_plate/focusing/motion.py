@@ -63,7 +63,7 @@ def focus_motions(
     mass = Integrals(found.scene, plate.galerkin.along_x, plate.galerkin.along_y).fields_at(x, y)[4]
     return [
         Motion(
-            name=f"{name.replace('_', ' ')}: {1e9 * largest[index]:.3g} nm",
+            name=f"{name.replace('_', ' ')}: {_length(largest[index])}",
             frequency=table.burst.frequency if table.burst else (table.lowest + table.highest) / 2,
             span=(float(steps[0] + 1) / table.rate, float(steps[-1] + 2) / table.rate),
             times=(steps + 1) / table.rate,
@@ -73,6 +73,11 @@ def focus_motions(
         )
         for index, name in enumerate(names)
     ]
+
+
+def _length(value: float) -> str:
+    """Return a displacement [m] in nanometres or micrometres."""
+    return f"{1e6 * value:.3g} µm" if value >= 1e-6 else f"{1e9 * value:.3g} nm"
 
 
 def _usual_span(found: FocusResult) -> tuple[float, float]:
