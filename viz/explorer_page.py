@@ -43,7 +43,7 @@ FRAMES_PER_SECOND, AHEAD, REPEAT = 30.0, 2, 1.0
 # Without an answer for this long, nobody is looking or a message was lost [s].
 ANSWER_TIMEOUT, JPEG_QUALITY = 1.0, 85
 # Loggers that print what browsers send.
-SILENT = ("aiohttp.server", "wslink")
+SILENT = ("aiohttp.server", "wslink", "trame_server")
 BESIDE = "display: grid; grid-template-columns: 1fr 1fr; column-gap: 18px"
 NUMBERS = """
 <div style="font-weight: 600; margin-bottom: 6px">{{ title }}</div>

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import math
 import re
 import signal
 import socket
@@ -10,7 +11,9 @@ import urllib.error
 import urllib.request
 
 import pytest
-from conftest import error_of, start_program
+from conftest import error_of, examples, start_program
+from hypothesis import given
+from hypothesis import strategies as st
 
 from warp_plate import viz
 from warp_plate.viz.explorer_page import missing_page
@@ -20,6 +23,16 @@ msgpack = pytest.importorskip("msgpack")
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGINT to send to one process")
 PATIENCE = 60.0
 ESCAPES = "\x1b[2J\x1b]0;title\x07"
+METHODS = [
+    *("trame.state.get", "trame.state.update", "trame.trigger", "trame.error.client", "trame.lifecycle.update"),
+    *("wslink.hello", "viewport.image.push", "viewport.image.push.original.size", "viewport.mouse.interaction"),
+    *("application.exit", "unsubscribe", "", "a" * 300),
+]
+VALUES = st.recursive(
+    st.none() | st.integers(-(2**63), 2**63) | st.floats() | st.text(max_size=9) | st.binary(max_size=9),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=9), inner, max_size=3),
+    max_leaves=6,
+)
 HEADER = 12  # bytes before each message of wslink: its number, the place of this part, the length of all
 
 
@@ -166,5 +179,38 @@ def test_sliders_take_only_numbers_within_their_ends(served):
                 while (found := await state())["magnitude_1"] != expected:
                     await asyncio.sleep(0.1)
                 assert found["status"] == ""
+
+    asyncio.run(asyncio.wait_for(talk(), PATIENCE))
+
+
+@st.composite
+def messages(draw):
+    """A message of wslink, of any method and arguments, or nearly one."""
+    names = st.sampled_from([{"key": "magnitude_1", "value": 1}, "trigger__1", "trigger__9", ESCAPES, "1"]) | VALUES
+    content = call(draw(st.sampled_from(METHODS)), *draw(st.lists(names, max_size=3)), rpc=draw(st.text(max_size=4)))
+    if draw(st.integers(0, 3)):
+        return content
+    at = draw(st.integers(0, len(content) - 1))
+    return content[:at] + draw(st.binary(max_size=20)) + content[at + draw(st.integers(0, 9)) :]
+
+
+@pytest.mark.slow
+@pytest.mark.hour
+@examples(40)
+@given(sent=st.lists(messages() | st.text(max_size=20), min_size=1, max_size=5))
+def test_any_messages(sent, served):
+    """Whatever a client with the secret sends, the next client gets its answers, and nothing is printed."""
+    address, secret = session(served)
+
+    async def talk():
+        async with aiohttp.ClientSession() as client:
+            async with client.ws_connect(address) as opened:
+                await answers_to(opened, call("wslink.hello", {"secret": secret}, rpc="system:1"))
+                for message in sent:
+                    await (opened.send_str if isinstance(message, str) else opened.send_bytes)(message)
+            async with client.ws_connect(address) as other:
+                await answers_to(other, call("wslink.hello", {"secret": secret}, rpc="system:1"))
+                state = (await answers_to(other, call("trame.state.get")))["result"]["state"]
+                assert all(math.isfinite(state[f"magnitude_{index}"]) for index in range(3))
 
     asyncio.run(asyncio.wait_for(talk(), PATIENCE))

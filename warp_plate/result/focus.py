@@ -59,6 +59,7 @@ class FocusedWaveforms:
             "N/m² or V",
             "drives, held between samples, of the actuators for each focus",
             ("foci", "actuator", "samples"),
+            bounded=True,
         ),
     ]
     responses: Annotated[
@@ -126,7 +127,8 @@ class FocusResult:
     condition: float | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)
     wished: Annotated[
-        np.ndarray | None, Dataset("1", "wished motion from a file or array, in shape", ("foci", "samples"))
+        np.ndarray | None,
+        Dataset("1", "wished motion from a file or array, in shape", ("foci", "samples"), bounded=True),
     ] = None
     ranking: Ranking | None = None
 

@@ -37,7 +37,7 @@ from warp_plate.result.atomic_io import check_seal, make_seal, write_atomically
 from warp_plate.result.reading_limits import reading_limit, spend
 from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.fields import Count, as_kind
+from warp_plate.scene.fields import LARGEST, Count, as_kind
 from warp_plate.scene.model import Scene
 
 T = TypeVar("T")
@@ -192,6 +192,7 @@ class Dataset(Layout):
     units: str
     long_name: str
     shape: tuple[str | int | None, ...] = ()  # lengths, names of dimensions (see read_fields), or None for any length
+    bounded: bool = False  # True to refuse, on reading, what is not a number of at most LARGEST
 
     def write(self, group: h5py.Group, name: str, value: Any) -> None:
         group[name] = np.asarray(value)
@@ -203,6 +204,8 @@ class Dataset(Layout):
     def read(self, group: h5py.Group, name: str, sizes: Sizes) -> Any:
         values = read_array(group, name, tuple(sizes.get(n) if isinstance(n, str) else n for n in self.shape))
         sizes.update({n: length for n, length in zip(self.shape, values.shape, strict=True) if isinstance(n, str)})
+        if self.bounded and not np.all(np.abs(values) <= LARGEST):
+            raise SceneError(f"{_full_path(group, name)} must hold numbers from {-LARGEST:g} to {LARGEST:g}")
         return values if self.shape else float(values)
 
 

@@ -63,8 +63,10 @@ class _Phasors(hdf5.Layout):
 
     magnitude = hdf5.Dataset("", "drive magnitude of each actuator", ("actuator",))  # its unit depends on the scene
     phase = hdf5.Dataset("rad", "drive phase lag of each actuator", ("actuator",))
-    real = hdf5.Dataset("", "real part of the complex amplitude of each actuator", ("actuator",))
-    imaginary = hdf5.Dataset("", "imaginary part of the complex amplitude of each actuator", ("actuator",))
+    real = hdf5.Dataset("", "real part of the complex amplitude of each actuator", ("actuator",), bounded=True)
+    imaginary = hdf5.Dataset(
+        "", "imaginary part of the complex amplitude of each actuator", ("actuator",), bounded=True
+    )
 
     def write(self, group: h5py.Group, name: str, value: np.ndarray) -> None:
         self.magnitude.write(group, "magnitude", np.abs(value))
