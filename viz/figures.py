@@ -35,7 +35,7 @@ def draw_all(
     compared = result.robust is not None and bool(np.isfinite(result.robust.validation).any())
     several = bool(result.scene.targets) and result.command == "localize"
     jobs = {
-        draw_history: result.history,
+        draw_history: len(result.history.get("best", ())) > 1,
         draw_robust: compared,
         draw_spectrum: result.spectrum,
         draw_crosstalk: several,

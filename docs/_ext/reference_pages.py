@@ -1,24 +1,19 @@
 """Sphinx extension that writes the pages under docs/reference from the code: commands, scene keys, Python names."""
 
-import inspect
 import operator
 import re
 import tomllib
 from dataclasses import is_dataclass
 from functools import reduce
 from pathlib import Path
-from typing import get_args
 
 import warp_plate
 from warp_plate.cli.commands import app as commands
-from warp_plate.scene.errors import toml_text
-from warp_plate.scene.fields import LARGEST, Table
-from warp_plate.scene.keys import UNITS
-from warp_plate.scene.model import Scene
+from warp_plate.scene.fields import Table
+from warp_plate.scene.key_reference import table_references
 from warp_plate.scene.schema import field_comments
 
 DOCS = Path(__file__).parents[1]
-SCHEMA = Scene.model_json_schema()
 RETURNED = (
     "result.model.Case",
     "result.model.RegionMotion",
@@ -53,7 +48,6 @@ EXPORTS = (
     "frequency_response.write_uff",
     "frequency_response.write_hdf5",
 )
-BOUNDS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
 
 
 def setup(app):
@@ -119,87 +113,24 @@ def python_api():
 def scene_keys():
     """Return tables of all keys of a scene file."""
     head = "# Scene keys\n\nEvery key, by table. Rules for all keys are in [the scene file](../scene.md).\n"
-    sections = {}
-    collect("", Scene.__name__, False, sections)
-    return head + "".join(section(name, paths) for name, paths in sections.items())
+    return head + "".join(section(table) for table in table_references())
 
 
-def collect(path, name, repeated, sections):
-    """Add the table of a name in the schema, and all tables in it, to ``sections``: {name: headings}."""
-    sections.setdefault(name, []).append(f"[[{path}]]" if repeated else f"[{path}]" if path else "Top level")
-    for key, field in definition(name)["properties"].items():
-        inner = [field, field.get("items", {}), *field.get("anyOf", [])]
-        for table in (each["$ref"].rpartition("/")[2] for each in inner if "$ref" in each):
-            collect(f"{path}.{key}".strip("."), table, "items" in field, sections)
-
-
-def definition(name):
-    return SCHEMA if name == Scene.__name__ else SCHEMA["$defs"][name]
-
-
-def section(name, paths):
+def section(table):
     """Return the heading, the description, the keys and an example of a table."""
-    model, path = tables()[name], paths[0].strip("[]")
-    said, rows = field_comments(model), []
-    for key, field in definition(name)["properties"].items():
-        if (path or key == "title") and ("$ref" not in str(field) or "enum" in str(field)):
-            rows.append(row(f"{path}.{key}", field, model.model_fields[key], said.get(key, "")))
-    heading = ", ".join(f"`{each}`" if each.startswith("[") else each for each in paths)
+    heading = ", ".join(f"`{each}`" if each.startswith("[") else each for each in table.headings)
     head = "| key | type | unit | default | range | example | meaning |\n|" + 7 * " --- |" + "\n"
-    description = re.sub(r":\w+:`([^`]+)`", r"`\1`", inspect.cleandoc(model.__doc__ or "").replace("``", "`"))
-    return f"\n## {heading}\n\n{description}\n\n{head + ''.join(rows) if rows else ''}{example(paths[0], model)}"
+    rows = "".join(row(key) for key in table.keys)
+    return (
+        f"\n## {heading}\n\n{table.description}\n\n{head + rows if rows else ''}"
+        f"{example(table.headings[0], table.model)}"
+    )
 
 
-def row(path, field, info, meaning):
+def row(key):
     """Return the row of a key."""
-    measured, default = unit(path), field.get("default")
-    default = "required" if info.is_required() else "" if default is None else f"`{toml_text(default)}`"
-    meaning = meaning.replace(f" [{measured or 1}]", "").replace("``", "`")
-    meaning = meaning[:1].upper() + meaning[1:] if meaning[:2].isascii() and meaning[:2].isalpha() else meaning
-    key = f"`{path.rpartition('.')[2]}`"
-    shown = f"`{toml_text(field['examples'][0])}`" if "examples" in field else ""
-    cells = key, kind(field), measured, default, limits(info.annotation, info.metadata), shown, meaning
+    cells = [f"`{key.name}`", key.type, key.unit, key.default, key.range, key.example, key.meaning]
     return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |\n"
-
-
-def tables(model=Table):
-    """Return a model and all its subclasses by their names."""
-    below = [tables(each) for each in model.__subclasses__()]
-    return {model.__name__: model} | {name: each for found in below for name, each in found.items()}
-
-
-def kind(field):
-    """Return the type of a field of the schema in words."""
-    if "enum" in field or "const" in field:
-        return ", ".join(f"`{toml_text(value)}`" for value in field.get("enum", [field.get("const")]))
-    if "anyOf" in field or "oneOf" in field:
-        return " or ".join(kind(each) for each in field.get("anyOf", field.get("oneOf")) if each.get("type") != "null")
-    if "$ref" in field:
-        return "table"
-    if "prefixItems" in field:
-        return f"{len(field['prefixItems'])} {kind(field['prefixItems'][0])}s"
-    if field.get("type") == "array":
-        return f"list of {kind(field['items'])}s".replace("ss", "s")
-    if field.get("type") == "object":
-        return f"table of {kind(field['additionalProperties'])} by key"
-    return {"boolean": "true or false", "string": "text"}.get(field["type"], field["type"])
-
-
-def limits(annotation, metadata=()):
-    """Return the limits of the numbers of an annotation, or of the first kind in it that has any."""
-    for each in (annotation, *get_args(annotation)):
-        metadata = [*metadata, *getattr(each, "metadata", []), *getattr(each, "__metadata__", [])]
-    flat = [inner for each in metadata for inner in getattr(each, "metadata", [each])]
-    found = [(sign, getattr(each, name)) for each in flat for name, sign in BOUNDS.items() if hasattr(each, name)]
-    text = ", ".join(dict.fromkeys(f"{sign} {value:g}" for sign, value in found if abs(value) < LARGEST))
-    return text or next((text for each in get_args(annotation) if (text := limits(each))), "")
-
-
-def unit(key):
-    """Return the unit of a key by the longest end that the table of units has."""
-    names = key.split(".")
-    ends = (".".join(names[index:]) for index in range(len(names)))
-    return UNITS.get(next((end for end in ends if end in UNITS), ""), "").replace("drive", "N/m²").removesuffix("1")
 
 
 def example(heading, model):

@@ -12,7 +12,7 @@ import warp_plate
 from warp_plate import Scene, compare, frf, load_result, localize, plot, simulate, sweep
 from warp_plate.viz.availability import missing_renderer
 
-PICTURES = ("history", "surfaces", "sweep")
+PICTURES = ("surfaces", "sweep")
 DOCS = Path(__file__).parents[2] / "docs"
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from warp_plate.analysis.motion import motions
 from warp_plate.result.export import Format
@@ -76,6 +76,8 @@ def export(
         SceneError: Unknown case, nothing recorded, a drive that does not repeat, or a file that cannot be written.
     """
     path = Path(path)
+    if to not in get_args(Format):
+        raise SceneError(f"to = {to!r}: must be one of {', '.join(get_args(Format))}")
     if isinstance(result, FocusResult):
         if to not in DRIVES:
             raise SceneError(f"to = {to!r}: waveforms of focus are written as drive-wav or drive-csv")

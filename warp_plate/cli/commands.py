@@ -21,7 +21,7 @@ app = cyclopts.App(
 )
 COMMANDS = (
     "localize compare sweep simulate check modes fit plan-measurement frf focus effects accuracy view explore render "
-    "export verify init bench doctor"
+    "export verify init keys bench doctor"
 )
 for name in COMMANDS.split():
     module = name.replace("-", "_")

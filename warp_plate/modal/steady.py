@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 
 # Modes that are coupled beforehand: those up to REACH times the highest frequency, within these limits.
-REACH, FEWEST, MOST = 1.5, 250, 500
+REACH, FEWEST, MOST = 1.5, 80, 500
 # Relative residual of the forces, and largest number of refinements.
 RESIDUAL, REFINEMENTS = 1e-8, 12
 # Matrices with fewer nonzero entries than this part are kept as sparse ones.

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Union, get_args, get_origin
 from pydantic import BaseModel, Tag, ValidationError
 
 from warp_plate.scene.errors import toml_text
+from warp_plate.scene.schema import field_examples
 
 Location = tuple[int | str, ...]
 _LONGEST_LINE, _LONGEST_VALUE = 500, 60
@@ -38,6 +39,10 @@ _NOUNS: dict[Any, str] = {float: "numbers", int: "whole numbers", str: "texts"}
 def explain_error(error: ValidationError, model: type[BaseModel]) -> str:
     """Return the first error of a validation of ``model`` as one line, with the number of further errors."""
     errors = _errors_by_location(error)
+    for location in [location for location, details in errors.items() if details["type"] == "extra_forbidden"]:
+        meant = (*location[:-1], _closest(str(location[-1]), _key_and_annotation(location[:-1], model)[1]))
+        if errors.get(meant, {}).get("type") == "missing":  # follows from the misspelt key
+            del errors[meant]
     # Unknown keys come first, because they are often the cause of others ("is missing").
     location, first = min(errors.items(), key=lambda item: item[1]["type"] != "extra_forbidden")
     line = _line(location, first, model)
@@ -59,10 +64,13 @@ def _errors_by_location(error: ValidationError) -> dict[Location, Mapping[str, A
 
 def _line(location: Location, error: Mapping[str, Any], model: type[BaseModel]) -> str:
     key, annotation = _key_and_annotation(location, model)
+    table = _key_and_annotation(location[:-1], model)[1]
     if error["type"] == "extra_forbidden":
-        return f"{key}: unknown key{_suggestion(str(location[-1]), _key_and_annotation(location[:-1], model)[1])}"
+        return f"{key}: unknown key{_suggestion(str(location[-1]), table)}"
     if error["type"] == "missing":
-        return f"{key}: is missing; it has no default"
+        example = field_examples(table).get(str(location[-1])) if _is_table(table) else None
+        shown = "" if example is None else f", write for example {toml_text(example)}"
+        return f"{key}: is missing; it has no default{shown}"
     if error["type"] == "value_error":
         message = str(error["ctx"]["error"])
         return f"{key}.{message}" if key else message
@@ -130,10 +138,15 @@ def _required_shape(annotation: Any, key: str, context: Mapping[str, str]) -> st
 
 
 def _suggestion(name: str, table: Any) -> str:
-    known = list(table.model_fields) if _is_table(table) else []
-    if close := difflib.get_close_matches(name, known, n=1):
-        return f"; did you mean {close[0]!r}?"
-    return f"; known here: {', '.join(known)}" if known else ""
+    if close := _closest(name, table):
+        return f"; did you mean {close!r}?"
+    return f"; known here: {', '.join(table.model_fields)}" if _is_table(table) else ""
+
+
+def _closest(name: str, table: Any) -> str:
+    """Return the key of a table that a name resembles, or ""."""
+    close = difflib.get_close_matches(name, list(table.model_fields) if _is_table(table) else [], n=1)
+    return close[0] if close else ""
 
 
 def _shown(value: object) -> str:

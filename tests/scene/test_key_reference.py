@@ -1,0 +1,42 @@
+"""The keys of scene files, as ``warp-plate keys`` and the reference show them."""
+
+import json
+import tomllib
+
+import pytest
+from conftest import error_of, output_of
+
+from warp_plate.scene.key_reference import table_references
+
+
+def test_every_key_has_a_meaning_and_a_valid_example():
+    tables = table_references()
+    assert len({heading for table in tables for heading in table.headings}) > 35
+    for table in tables:
+        for key in table.keys:
+            assert key.meaning, (table.headings, key.name)
+            tomllib.loads(f"value = {key.example.strip('`')}")
+
+
+def test_command(command):
+    answer = json.loads(output_of(command("keys", "plate", "effects.damping", "--json")))
+    (density,) = (key for key in answer["plate"] if key["name"] == "density")
+    assert (density["unit"], density["default"], density["range"]) == ("kg/m³", "required", "≥ 1, ≤ 100000")
+    assert {key["name"] for key in answer["effects.damping"]} == {"viscous", "scheme"}
+    text = output_of(command("keys"))
+    assert "search.magnitude" in text and "drive.burst" in text
+    assert "Poisson's ratio" in output_of(command("keys", "plate"))
+    assert "plates: no such table; there are: plate, edges" in error_of(command("keys", "plates"))
+
+
+@pytest.mark.parametrize(
+    ("assignment", "line"),
+    [
+        ("search.magnitude={}", "search.magnitude.range: is missing; it has no default, write for example [0.5, 1.0]"),
+        ("plate={size=[0.2,0.2],thicknes=1e-3,young_modulus=1e9,poisson_ratio=0.3,density=1e3}",
+         "plate.thicknes: unknown key; did you mean 'thickness'?\n"),
+    ],
+)  # fmt: skip
+def test_errors_help_with_missing_keys(assignment, line, command):
+    """An example is shown; a key that is missing because it is misspelt is not counted as a further error."""
+    assert line in error_of(command("check", "paper", "--set", assignment))

@@ -1,0 +1,150 @@
+"""The keys of scene files, by table, with type, unit, default, range, example and meaning: for help and the docs."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, get_args
+
+from pydantic.fields import FieldInfo
+
+from warp_plate.scene.errors import toml_text
+from warp_plate.scene.fields import LARGEST, Table
+from warp_plate.scene.keys import UNITS
+from warp_plate.scene.model import Scene
+from warp_plate.scene.schema import field_comments
+
+BOUNDS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
+
+
+@dataclass(frozen=True)
+class Key:
+    """A key of a table, as texts.
+
+    Attributes:
+        name: Name of the key in its table.
+        type: Type of the value in words, or the possible values.
+        unit: SI unit; empty for numbers without a unit.
+        default: Default as TOML, "required", or empty where the default is to leave it out.
+        range: Limits of the numbers.
+        example: Example as TOML.
+        meaning: Sentence that describes the key.
+    """
+
+    name: str
+    type: str
+    unit: str
+    default: str
+    range: str
+    example: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class TableReference:
+    """A table of scene files.
+
+    Attributes:
+        headings: Headings under which it stands, such as "[plate]" and "[[actuators]]"; "Top level" for the first.
+        model: Pydantic model.
+        description: Docstring of the model.
+        keys: Keys that hold no table.
+    """
+
+    headings: tuple[str, ...]
+    model: type[Table]
+    description: str
+    keys: tuple[Key, ...]
+
+
+def table_references() -> list[TableReference]:
+    """Return all tables, in the order of the scene's fields."""
+    schema = Scene.model_json_schema()
+    headings: dict[str, list[str]] = {}
+    _collect(schema, "", Scene.__name__, False, headings)
+    models = _subclasses(Table)
+    return [_reference(models[name], tuple(paths), _definition(schema, name)) for name, paths in headings.items()]
+
+
+def _definition(schema: dict[str, Any], name: str) -> dict[str, Any]:
+    found: dict[str, Any] = schema if name == Scene.__name__ else schema["$defs"][name]
+    return found
+
+
+def _collect(schema: dict[str, Any], path: str, name: str, repeated: bool, headings: dict[str, list[str]]) -> None:
+    """Add the heading of a table of the schema, and those of all tables in it."""
+    headings.setdefault(name, []).append(f"[[{path}]]" if repeated else f"[{path}]" if path else "Top level")
+    for key, field in _definition(schema, name)["properties"].items():
+        inner = [field, field.get("items", {}), *field.get("anyOf", [])]
+        for table in (each["$ref"].rpartition("/")[2] for each in inner if "$ref" in each):
+            _collect(schema, f"{path}.{key}".strip("."), table, "items" in field, headings)
+
+
+def _subclasses(model: type[Table]) -> dict[str, type[Table]]:
+    """Return a model and all its subclasses by their names."""
+    below = [_subclasses(each) for each in model.__subclasses__()]
+    return {model.__name__: model} | {name: each for found in below for name, each in found.items()}
+
+
+def _reference(model: type[Table], headings: tuple[str, ...], definition: dict[str, Any]) -> TableReference:
+    path, said = headings[0].strip("[]"), field_comments(model)
+    keys = []
+    for name, field in definition["properties"].items():
+        if (headings[0].startswith("[") or name == "title") and ("$ref" not in str(field) or "enum" in str(field)):
+            keys.append(_key(f"{path}.{name}", field, model.model_fields[name], said.get(name, "")))
+    description = re.sub(r":\w+:`([^`]+)`", r"`\1`", inspect.cleandoc(model.__doc__ or "").replace("``", "`"))
+    return TableReference(headings, model, description, tuple(keys))
+
+
+def _key(path: str, field: dict[str, Any], info: FieldInfo, meaning: str) -> Key:
+    unit, default = _unit(path), field.get("default")
+    meaning = meaning.replace(f" [{unit or 1}]", "").replace("``", "`")
+    if meaning[:2].isascii() and meaning[:2].isalpha():
+        meaning = meaning[:1].upper() + meaning[1:]
+    return Key(
+        name=path.rpartition(".")[2],
+        type=_type(field),
+        unit=unit,
+        default="required" if info.is_required() else "" if default is None else f"`{toml_text(default)}`",
+        range=_range(info.annotation, info.metadata),
+        example=f"`{toml_text(field['examples'][0])}`" if "examples" in field else "",
+        meaning=meaning,
+    )
+
+
+def _type(field: dict[str, Any]) -> str:
+    """Return the type of a field of the schema in words."""
+    if "enum" in field or "const" in field:
+        return ", ".join(f"`{toml_text(value)}`" for value in field.get("enum", [field.get("const")]))
+    if "anyOf" in field or "oneOf" in field:
+        options = field.get("anyOf") or field.get("oneOf", [])
+        return " or ".join(_type(each) for each in options if each.get("type") != "null")
+    if "$ref" in field:
+        return "table"
+    if "prefixItems" in field:
+        return f"{len(field['prefixItems'])} {_type(field['prefixItems'][0])}s"
+    if field.get("type") == "array":
+        return f"list of {_type(field['items'])}s".replace("ss", "s")
+    if field.get("type") == "object":
+        return f"table of {_type(field['additionalProperties'])} by key"
+    words: dict[str, str] = {"boolean": "true or false", "string": "text"}
+    return words.get(field["type"], field["type"])
+
+
+def _range(annotation: Any, metadata: Sequence[Any] = ()) -> str:
+    """Return the limits of the numbers of an annotation, or of the first type in it that has any."""
+    for each in (annotation, *get_args(annotation)):
+        metadata = [*metadata, *getattr(each, "metadata", []), *getattr(each, "__metadata__", [])]
+    flat = [inner for each in metadata for inner in getattr(each, "metadata", [each])]
+    found = [(sign, getattr(each, name)) for each in flat for name, sign in BOUNDS.items() if hasattr(each, name)]
+    text = ", ".join(dict.fromkeys(f"{sign} {value:g}" for sign, value in found if abs(value) < LARGEST))
+    return text or next((inner for each in get_args(annotation) if (inner := _range(each))), "")
+
+
+def _unit(key: str) -> str:
+    """Return the unit of a key, by the longest end of it that ``UNITS`` has."""
+    names = key.split(".")
+    ends = (".".join(names[index:]) for index in range(len(names)))
+    return UNITS.get(next((end for end in ends if end in UNITS), ""), "").replace("drive", "N/m²").removesuffix("1")
