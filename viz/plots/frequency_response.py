@@ -68,7 +68,8 @@ def _set_axes(response: FrequencyResponse, magnitude: Axes, phase: Axes, localiz
         number_log_axis(axes.yaxis)
     magnitude.set_ylabel(f"{response.quantity} [{response.unit}]")
     phase.set(ylabel="phase [°]", ylim=(-190, 190), yticks=(-180, -90, 0, 90, 180))
-    localization.set(ylabel="localization\nfactor", ylim=(0, 1.05))
+    largest = np.nanmax([response.bound, response.localization_factor], initial=0.01)
+    localization.set(ylabel="localization\nfactor", ylim=(0, 1.05 * min(largest, 1)))
     for axes in (magnitude, phase, localization, velocity):
         axes.grid(True, color=GRID, linewidth=0.4, alpha=0.4)
         ticks = axes.get_xaxis_transform()

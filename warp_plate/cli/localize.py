@@ -218,7 +218,7 @@ def _print(result: Result, resumed: bool, console: Console) -> None:
 
     console.print(result.scene.title or result.source)
     _print_factors(result, console)
-    moved = tables.motion_table({name.replace("_", " "): case for name, case in result.cases.items()})
+    moved = tables.motion_table({name.replace("_", " "): case for name, case in result.cases.items()}, result.scene)
     if moved is not None:
         output.print_uncropped(console, moved)
         console.print()

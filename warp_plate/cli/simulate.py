@@ -95,7 +95,7 @@ def _print(result: Result, console: Console) -> None:
         made.add_row(label, output.number_text(energy, ".4g", " J"))
     made.add_row("largest displacement during the run", output.number_text(result.peak_displacement, ".4g", " m"))
     console.print(made)
-    if (moved := tables.motion_table(result.cases)) is not None:
+    if (moved := tables.motion_table(result.cases, result.scene)) is not None:
         console.print()
         output.print_uncropped(console, moved)
     output.print_cost(result, console, elapsed=clock.elapsed())

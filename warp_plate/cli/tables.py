@@ -31,18 +31,23 @@ ROBUST_ROWS = {
 }
 
 
-def motion_table(cases: Mapping[str, Case]) -> Table | None:
-    """Return the table of the motion of target and rest by case labels; None if unknown."""
+def motion_table(cases: Mapping[str, Case], scene: Scene) -> Table | None:
+    """Return the table of the motion of target and rest by case labels, with the largest drive; None if unknown."""
     moving = {label: (case, case.motion) for label, case in cases.items() if case.motion is not None}
     tones = any(motion.acceleration is not None for _, motion in moving.values())
     headings = ["share", "contrast dB", "velocity mm/s rms", "displacement µm peak", *["acceleration g rms"] * tones]
-    made = output.table("drive", *headings, title="Motion in the target / outside")
+    searched = any(case.frequency is not None for case in cases.values())
+    drives = ["frequency Hz"] * searched + [f"largest {amplitude_column(scene, [0.0] * len(scene.actuators), '')[0]}"]
+    made = output.table("drive", *drives, *headings, title="Motion in the target / outside")
     for label, (case, motion) in moving.items():
-        cells = [_pair(motion.velocity, 1e3), _pair(motion.displacement, 1e6)]
+        frequencies = sorted({scene.drive.frequency} if case.frequency is None else set(case.frequency.tolist()))
+        largest = amplitude_column(scene, case.magnitude, ".3g")[1][int(case.magnitude.argmax())]
+        cells = [", ".join(f"{value:.6g}" for value in frequencies)] * searched + [largest]
+        cells += [output.number_text(case.localization_factor, ".4f"), output.number_text(motion.contrast, ".1f")]
+        cells += [_pair(motion.velocity, 1e3), _pair(motion.displacement, 1e6)]
         if tones:
             cells.append("none" if motion.acceleration is None else _pair(motion.acceleration, 1 / GRAVITY))
-        share, contrast = case.localization_factor, motion.contrast
-        made.add_row(label, output.number_text(share, ".4f"), output.number_text(contrast, ".1f"), *cells)
+        made.add_row(label, *cells)
     return made if moving else None
 
 

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
+from warp_plate.result.extras import import_xarray
+
 if TYPE_CHECKING:
     import xarray
 
@@ -67,6 +69,10 @@ class FrequencyResponse:
         """Names of the pairs, such as "left → 0.1,0.05"."""
         return [f"{name} → {x:g},{y:g}" for name, (x, y) in self.pairs]
 
+    def __repr__(self) -> str:
+        counts = f"{len(self.inputs)} inputs, {len(self.points)} points, {len(self.frequencies)} frequencies"
+        return f"<FrequencyResponse {counts} from {self.frequencies[0]:g} to {self.frequencies[-1]:g} Hz>"
+
     @property
     def undamped(self) -> bool:
         """True if a mode in the range has no damping, so that its response has no limit."""
@@ -74,8 +80,7 @@ class FrequencyResponse:
 
     def to_xarray(self) -> xarray.Dataset:
         """Return the responses (input, point, frequency) and the curves over frequency as an ``xarray.Dataset``."""
-        import xarray
-
+        xarray = import_xarray()
         shape = (len(self.inputs), len(self.points), len(self.frequencies))
         return xarray.Dataset(
             {

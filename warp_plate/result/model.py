@@ -17,6 +17,7 @@ import numpy as np
 
 from warp_plate.plate.scene_overrides import scene_with
 from warp_plate.result import hdf5
+from warp_plate.result.extras import import_xarray
 from warp_plate.result.robust import RobustComparison
 from warp_plate.result.targets import crosstalk
 from warp_plate.scene.errors import SceneError
@@ -299,8 +300,7 @@ class Result:
 
     def to_xarray(self) -> xarray.Dataset:
         """Return drives, energies, displacements and traces of all cases as an ``xarray.Dataset``."""
-        import xarray
-
+        xarray = import_xarray()
         cases, (nx, ny), (width, height) = list(self.cases.values()), self.scene.grid.nodes, self.scene.plate.size
 
         def values(name: str) -> np.ndarray:

@@ -19,19 +19,35 @@ QUADRANTS = ("lower left", "lower right", "upper left", "upper right")
 
 @dataclass(frozen=True)
 class Motion:
-    """Motion of one plate, frame by frame."""
+    """Motion of one plate, frame by frame.
+
+    Further fields over the plate are its properties: ``rms_velocity``, ``phase`` and ``kinetic_energy``. Node (j, i) of
+    (ny, nx) lies at x = i/(nx − 1) and y = j/(ny − 1) of the plate's sides.
+
+    Attributes:
+        name: Name of the case, or of the mode with its frequency.
+        frequency: Frequency of the drive or mode [Hz].
+        span: Start and end [s]; the frames divide it evenly up to half a time step, and it ends one frame after the
+            last.
+        times: (frames,) times [s].
+        displacement: (frames, ny, nx) displacement [m]; of a mode relative to its largest.
+        velocity: (frames, ny, nx) velocity [m/s or 1/s]; of a drive half a time step later, as in the kernels.
+        surface_density: (ny, nx) mass per area [kg/m²].
+        localization_factor: Localization factor of the drive over the scene's window; None for a mode.
+        scene: Scene of a plate with frequencies or positions of its own; None if it is the common one.
+        only_actuator: Name of the only actuator that is driven, if there is just one.
+    """
 
     name: str
-    frequency: float  # frequency of the drive or mode [Hz]
-    # Start and end [s]; the frames divide it evenly up to half a time step, and it ends one frame after the last
+    frequency: float
     span: tuple[float, float]
-    times: np.ndarray  # (frames,) times [s]
-    displacement: np.ndarray  # (frames, ny, nx) displacement [m], for a mode relative to its largest
-    velocity: np.ndarray  # (frames, ny, nx) velocity [m/s or 1/s]; of a drive half a time step later, as in the kernels
-    surface_density: np.ndarray  # (ny, nx) mass per area [kg/m²]
-    localization_factor: float | None = None  # of the drive over the scene's window; None for a mode
-    scene: Scene | None = None  # of a plate with frequencies or positions of its own; None if it is the common one
-    only_actuator: str = ""  # name of the only actuator that is driven, if there is but one
+    times: np.ndarray
+    displacement: np.ndarray
+    velocity: np.ndarray
+    surface_density: np.ndarray
+    localization_factor: float | None = None
+    scene: Scene | None = None
+    only_actuator: str = ""
 
     @cached_property
     def kinetic_energy(self) -> np.ndarray:

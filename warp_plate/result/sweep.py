@@ -21,6 +21,7 @@ import h5py
 import numpy as np
 
 from warp_plate.result import hdf5
+from warp_plate.result.extras import import_xarray
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import label_of, scalar_keys, unit_of
 from warp_plate.scene.model import Scene
@@ -68,6 +69,9 @@ class Sweep:
     reasons: Annotated[Mapping[int, str], hdf5.ELSEWHERE]  # why points were refused, by point
     seconds: float  # wall time spent on points so far [s]
     versions: Mapping[str, str]
+
+    def __repr__(self) -> str:
+        return f"<Sweep {self.what} over {', '.join(self.plan.keys)}: {len(self.status)} points>"
 
     def along(self, axis: str) -> np.ndarray:
         """Return the values of an axis of outputs: numbers of modes, or frequencies [Hz]."""
@@ -131,8 +135,7 @@ class Sweep:
 
         Samples have the dimension ``sample``; outputs with an axis of their own have it last.
         """
-        import xarray
-
+        xarray = import_xarray()
         plan, axes = self.plan, {item.axis for item in self.outputs.values() if item.axis is not None}
         names = ("sample",) if plan.sampled else plan.keys
         along = [("sample",)] * len(plan.keys) if plan.sampled else [(key,) for key in plan.keys]
