@@ -2,9 +2,8 @@
 Two engines
 ===========
 
-Time stepping follows the plate from rest under any load. For linear scenes, modes are sums of closed-form solutions.
-Both give the same motion of the paper's plate. Errors fall as a power of the nodes, or faster with the number of
-functions.
+Time stepping follows the plate from rest under any load; modes are sums of closed-form solutions, for linear scenes.
+Both give the same motion of the paper's plate. Errors fall as a power of the nodes, or faster with the functions.
 """
 
 import json
