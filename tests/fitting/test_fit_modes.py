@@ -9,7 +9,7 @@ import pytest
 from conftest import MATERIAL, error_of, output_of, scene_of
 from levy import isotropic, levy_frequencies
 
-from warp_plate import Scene, SceneError
+from warp_plate import Scene, SceneError, modes
 from warp_plate.fitting.fit_modes import fit_modes
 from warp_plate.fitting.measured_modes import MeasuredModes, read_modes
 from warp_plate.reference.series import wavenumber_squared
@@ -189,3 +189,73 @@ def test_too_few_data_and_ranges_beyond_the_scene(random):
         fit_modes(scene_of(), measured(random))
     with pytest.raises(SceneError, match="a range reaches too far: plate"):
         fit_modes(supported(free={"plate.thickness": (0.1, 1.0)}), measured(random))
+
+
+CROSSING = (0.2, 0.19)
+
+
+def pulled(tension, order):
+    """Return Navier's frequencies and shapes of a supported plate pulled along x, in an order of the half-waves."""
+    points = np.random.default_rng(4).uniform(0.02, 0.17, (12, 2))
+    rows = []
+    for m, n in order:
+        along = np.pi * np.array([m, n]) / CROSSING
+        stiffness = RIGIDITY * (along @ along) ** 2 + tension * along[0] ** 2
+        shape = np.prod(np.sin(along * points), axis=1)
+        rows.append((math.sqrt(stiffness / SURFACE_DENSITY) / (2 * math.pi), shape))
+    frequencies, shapes = (np.array(column) for column in zip(*rows, strict=True))
+    return frequencies, shapes, points
+
+
+@pytest.mark.parametrize("pairing", ["mac", "order"])
+def test_modes_that_cross(pairing, random):
+    """Tension raises the mode of two half-waves along x beyond that of two along y, which was missed."""
+    tension, waves = 6.0, [(1, 1), (2, 1), (1, 2), (2, 2), (3, 1), (1, 3)]
+    frequencies, shapes, points = pulled(0.0, waves)
+    assert frequencies[1] < frequencies[2]
+    frequencies, shapes, points = pulled(tension, waves)
+    seen = np.argsort(frequencies)[[0, 2, 3, 4, 5]]
+    assert seen[1] == 1
+    noisy = frequencies[seen] * (1 + 5e-4 * random.normal(size=5))
+    blurred = shapes[seen] * (1 + 0.02 * random.normal(size=(5, 12)))
+    data = MeasuredModes("data.csv", noisy, np.full(5, math.nan), None, blurred, points)
+    free = {**MODULI, "effects.tension.x": (0.01, 20.0)}
+    scene = scene_of(size=CROSSING, edges=("supported",) * 4, effects={"tension": {"x": 0.01, "y": 0.0}})
+    found = fit_modes(scene.with_tables(fit={"starts": 1, "free": free, "pairing": pairing}), data)
+    assert (found.numbers.tolist() == [1, 3, 4, 5, 6]) == (pairing == "mac")
+    if pairing == "mac":
+        assert found.values == pytest.approx([MODULUS, tension], rel=0.03)
+
+
+def test_shapes_are_needed_for_the_mac(random):
+    with pytest.raises(SceneError, match="has no shapes with points"):
+        fit_modes(supported(free=MODULI, pairing="mac"), measured(random))
+
+
+@pytest.mark.slow
+def test_bootstrap_and_profiles_agree_with_the_jacobian(random):
+    """Of a nearly linear fit with normal errors; the same seed gives the same samples."""
+    free = {**MODULI, "effects.damping.viscous": (0.1, 10.0)}
+    scene = supported(free=free, bootstrap=200, profile=7)
+    data = measured(random, count=20, damping_noise=0.02)
+    found, again = fit_modes(scene, data), fit_modes(scene, data)
+    np.testing.assert_array_equal(found.bootstrap, again.bootstrap)
+    np.testing.assert_allclose(found.bootstrap[1] - found.bootstrap[0], found.high - found.low, rtol=0.35)
+    values, rises = found.profiles
+    half = (found.high - found.low)[:, None] / 2
+    np.testing.assert_allclose(rises, found.rise * ((values - found.values[:, None]) / half) ** 2, atol=0.6)
+    assert found.rise == pytest.approx(4, rel=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ranges", [((1.0, 100.0), (1.0, 100.0)), ((1.0, 10.0), (8.0, 100.0))])
+def test_springs_of_opposite_edges_are_named(ranges):
+    """Frequencies do not tell left from right, unless their ranges do."""
+    springs = [{"translation": 1e6, "rotation": value} for value in (3.0, 20.0)]
+    rotations = {f"edges.{side}.rotation": pair for side, pair in zip(("left", "right"), ranges, strict=True)}
+    scene = scene_of(size=SIZE, edges=(springs[0], "supported", springs[1], "supported"))
+    exact = modes(scene, count=10).frequencies
+    data = MeasuredModes("data.csv", exact, np.full(10, math.nan))
+    found = fit_modes(scene.with_tables(fit={"starts": 6, "free": {**MODULI, **rotations}}), data)
+    assert found.mirrored == ((tuple(rotations),) if ranges[0] == ranges[1] else ())
+    assert sorted(found.values[1:]) == pytest.approx([3.0, 20.0], rel=1e-2)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from conftest import scene_of
 
+from warp_plate.fitting.fit_responses import fit_responses
 from warp_plate.fitting.free_numbers import FreeNumbers
 from warp_plate.fitting.measured_responses import MeasuredResponses
 from warp_plate.fitting.panel_responses import PanelResponses
@@ -81,3 +82,32 @@ def test_derivatives_of_all_numbers(key):
 @pytest.mark.parametrize("effects", [{"loss_factor": {"eta": [0.03, 0.02]}}, {"modal_damping": {"ratio": 0.01}}])
 def test_damping_mode_by_mode(effects):
     compare(panel(**effects), "plate.young_modulus", 5e-4)
+
+
+LAYER = {"area": [0.05, 0.15, 0.08, 0.12], "thickness": 3e-4, "young_modulus": 2e9, "density": 1500.0}
+RIGIDITIES = {"Dx": 0.02, "Dy": 0.01, "D1": 3e-3, "Dxy": 5e-3}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("key", [f"effects.orthotropic.{name}" for name in RIGIDITIES])
+def test_orthotropic_plates(key):
+    compare(panel(orthotropic=RIGIDITIES), key, 3e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("key", [f"effects.layers[0].{name}" for name in ("thickness", "young_modulus", "density")])
+def test_layers(key):
+    compare(panel(layers=[LAYER]), key, 3e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("key", KEYS)
+def test_every_number_can_be_fitted(key):
+    """Responses without noise give back each number from 5 % off."""
+    scene = panel()
+    value = value_of(scene, key)
+    exact = MeasuredResponses("data.csv", DATA.frequencies, PanelResponses(scene, DATA).values)
+    wrong = scene.replace(key, 1.05 * value).with_tables(fit={"starts": 1, "free": {key: (0.8 * value, 1.2 * value)}})
+    found = fit_responses(wrong, exact)
+    assert found.inseparable == ()
+    assert found.values == pytest.approx([value], rel=1e-3)

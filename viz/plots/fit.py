@@ -1,4 +1,5 @@
-"""Plots of fits: measured and fitted responses with their coherence, or errors of natural frequencies with the MAC."""
+"""Plots of fits: measured and fitted responses with their coherence, errors of natural frequencies with the MAC, and
+profile likelihoods."""
 
 from __future__ import annotations
 
@@ -8,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_plate.result.frequency_response import UNITS
-from warp_plate.viz.plots.frame import figure, number_log_axis
+from warp_plate.scene.keys import unit_of
+from warp_plate.viz.plots.frame import figure, label_axis, number_log_axis
 from warp_plate.viz.styles import GRID, length_unit, point_text
 
 if TYPE_CHECKING:
@@ -17,9 +19,12 @@ if TYPE_CHECKING:
 
     from warp_plate.fitting.fit_modes import ModeFit
     from warp_plate.fitting.fit_responses import ResponseFit
+    from warp_plate.fitting.fitted_panel import FittedPanel
 
 MEASURED, FITTED = "#d94801", "#08519c"
-MOST_RESPONSES = 4
+MOST_RESPONSES, PROFILES_IN_A_ROW = 4, 4
+# Rise of χ² at the top of profiles, relative to that at the ends of 95 % intervals.
+PROFILE_TOP = 2.4
 # Phases further apart than this are drawn without a line between them [°].
 JUMP = 270
 
@@ -83,6 +88,40 @@ def draw_mode_fit(found: ModeFit, path: str | Path, mac: np.ndarray | None = Non
         if mac is not None:
             _draw_mac(made, others[0], mac, found.numbers)
         made.suptitle(found.scene.title or "Natural frequencies", fontsize=10)
+
+
+def draw_profiles(found: FittedPanel, path: str | Path) -> None:
+    """Draw the profile likelihood of each number, and the parabola that its interval assumes."""
+    assert found.profiles is not None
+    columns = min(len(found.keys), PROFILES_IN_A_ROW)
+    rows = -(-len(found.keys) // columns)
+    with figure(path, (max(4.6, 2.6 * columns), 0.9 + 2.1 * rows)) as made:
+        panels = made.subplots(rows, columns, squeeze=False, sharey=True)
+        for axes in panels.ravel()[len(found.keys) :]:
+            axes.set_visible(False)
+        for index, axes in enumerate(panels.ravel()[: len(found.keys)]):
+            _draw_profile(found, index, axes)
+        for axes in panels[:, 0]:
+            axes.set_ylabel("rise of χ²")
+        panels[0, 0].set_ylim(-0.1 * found.rise, PROFILE_TOP * found.rise)
+        made.suptitle(found.scene.title or "Profile likelihoods", fontsize=10)
+        made.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8)
+
+
+def _draw_profile(found: FittedPanel, index: int, axes: Axes) -> None:
+    assert found.profiles is not None
+    (values, rise), own = found.profiles[:, index], found.values[index]
+    axes.plot(values, rise, color=FITTED, marker=".", markersize=4, linewidth=1, label="others fitted")
+    axes.axhline(found.rise, color="black", linewidth=0.8, linestyle=":", label="95 %")
+    half = (found.high[index] - found.low[index]) / 2
+    label = "parabola of the interval"
+    axes.plot(
+        values, found.rise * ((values - own) / half) ** 2, color=MEASURED, linewidth=1.2, linestyle="--", label=label
+    )
+    label_axis(axes.xaxis, found.keys[index], unit_of(found.scene, found.keys[index]), 7)
+    axes.locator_params(axis="x", nbins=3)
+    axes.tick_params(labelsize=7)
+    axes.grid(True, color=GRID, linewidth=0.4, alpha=0.4)
 
 
 def _draw_mac(made: Figure, axes: Axes, mac: np.ndarray, numbers: np.ndarray) -> None:

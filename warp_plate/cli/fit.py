@@ -38,7 +38,8 @@ def fit(
 
     The table [fit.free] of the scene lists the free properties and their ranges, such as
     "plate.young_modulus" = [6e10, 8e10]. The fitted scene is written as a scene file. Properties that the data cannot
-    distinguish are reported and have no interval.
+    distinguish are reported and have no interval. fit.bootstrap = 200 adds intervals by the bootstrap, and
+    fit.profile = 11 the profile likelihood of each property.
 
     Parameters
     ----------
@@ -51,7 +52,8 @@ def fit(
         .csv with the table [fit.signals]. May be repeated, for files with as many responses each.
     out
         The fitted scene (.toml; default: SCENE.fitted.toml in this folder). Pictures of measured and fitted values
-        (.png and .svg) are written beside it under the same name.
+        (.png and .svg) are written beside it under the same name, and those of profile likelihoods under
+        SCENE.fitted.profiles.
     """
     target = output.output_file(out, f"{Path(scene).stem}.fitted.toml", (), HEADING, force)
     loaded, scene = output.load_scene(scene, assignments)
@@ -76,21 +78,29 @@ def fit(
 def _draw(found: ModeFit | ResponseFit, target: Path) -> output.Drawn:
     from warp_plate.fitting.assurance import assurance
     from warp_plate.fitting.fit_responses import ResponseFit
-    from warp_plate.viz.plots.fit import draw_mode_fit, draw_response_fit
+    from warp_plate.viz.plots.fit import draw_mode_fit, draw_profiles, draw_response_fit
     from warp_plate.viz.plots.frame import save_plots
 
     if isinstance(found, ResponseFit):
-        return save_plots(draw_response_fit, found, target)
-    mac = assurance(found.scene, found.measured, found.numbers)
-    return save_plots(partial(draw_mode_fit, mac=mac), found, target)
+        drawn, missing = save_plots(draw_response_fit, found, target)
+    else:
+        mac = assurance(found.scene, found.measured, found.numbers)
+        drawn, missing = save_plots(partial(draw_mode_fit, mac=mac), found, target)
+    if found.profiles is not None and missing is None:
+        drawn = [*drawn, *save_plots(draw_profiles, found, target.with_suffix(".profiles.toml"))[0]]
+    return drawn, missing
 
 
 def _as_json(name: str, found: ModeFit | ResponseFit) -> dict[str, object]:
-    rows = zip(found.keys, found.values, found.low, found.high, found.at_limit, strict=True)
+    columns = {"value": found.values, "low": found.low, "high": found.high, "at_limit": found.at_limit}
+    if found.bootstrap is not None:
+        columns["bootstrap"] = found.bootstrap.T
+    if found.profiles is not None:
+        columns["profile"], columns["profile_rise"] = found.profiles
     return {
         "scene": name,
-        "parameters": {key: dict(zip(("value", "low", "high", "at_limit"), row, strict=True)) for key, *row in rows},
-        **output.attributes(found, "correlations", "inseparable", "evaluations"),
+        "parameters": {key: {name: of[row] for name, of in columns.items()} for row, key in enumerate(found.keys)},
+        **output.attributes(found, "correlations", "inseparable", "mirrored", "evaluations"),
         **_compared(found),
     }
 
@@ -117,8 +127,10 @@ def _print(name: str, found: ModeFit | ResponseFit, console: Console) -> None:
     from warp_plate.scene.keys import unit_of
 
     console.print(f"{found.scene.title or name}\n")
-    made = output.table("number", "unit", "value", "95 % from", "to")
-    for key, *numbers in zip(found.keys, found.values, found.low, found.high, strict=True):
+    resampled = () if found.bootstrap is None else ("bootstrap from", "to")
+    made = output.table("number", "unit", "value", "95 % from", "to", *resampled)
+    ends = () if found.bootstrap is None else found.bootstrap
+    for key, *numbers in zip(found.keys, found.values, found.low, found.high, *ends, strict=True):
         made.add_row(key, unit_of(found.scene, key), *(output.number_text(value, ".5g") for value in numbers))
     output.print_uncropped(console, made)
     console.print()
@@ -155,6 +167,8 @@ def _remarks(found: ModeFit | ResponseFit) -> list[str]:
     for group in found.inseparable:
         fault = "cannot be told apart by these data; fix all but one" if len(group) > 1 else "has no influence here"
         lines.append(f"{' and '.join(group)}: {fault}")
+    for group in found.mirrored:
+        lines.append(f"{' and '.join(group)}: may change places; give them different ranges, or measure off the middle")
     for key, limited in zip(found.keys, found.at_limit, strict=True):
         if limited:
             lines.append(f"{key}: is at an end of its range, so its interval is not valid; widen the range")

@@ -21,8 +21,7 @@ def assurance(scene: Scene, measured: MeasuredModes, numbers: np.ndarray) -> np.
     """
     if measured.shapes is None or measured.points is None:
         return None
-    if np.any((measured.points < 0) | (measured.points > scene.plate.size)):
-        raise SceneError(f"{measured.source}: a point of the shapes is off the plate of {list(scene.plate.size)} m")
+    check_points(scene, measured)
     plate = solve_modes(linear_part(scene), highest=0.0, count=int(numbers.max()) + RIGID)
     moving = np.flatnonzero(plate.frequencies > 0)[numbers - 1]
     return modal_assurance(measured.shapes, plate.at_points(measured.points)[moving])
@@ -33,3 +32,9 @@ def modal_assurance(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     products = np.abs(first @ second.conj().T) ** 2
     sizes = np.outer(np.sum(np.abs(first) ** 2, axis=1), np.sum(np.abs(second) ** 2, axis=1))
     return np.divide(products, sizes, out=np.zeros_like(sizes), where=sizes > 0)
+
+
+def check_points(scene: Scene, measured: MeasuredModes) -> None:
+    """Raise a SceneError if a point of the shapes is off the plate."""
+    if measured.points is not None and np.any((measured.points < 0) | (measured.points > scene.plate.size)):
+        raise SceneError(f"{measured.source}: a point of the shapes is off the plate of {list(scene.plate.size)} m")

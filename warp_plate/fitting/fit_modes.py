@@ -8,12 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from warp_plate.fitting.assurance import check_points, modal_assurance
 from warp_plate.fitting.fitted_panel import FittedPanel, fit_panel
 from warp_plate.fitting.free_numbers import free_numbers
 from warp_plate.fitting.least_squares import Differenced
 from warp_plate.fitting.measured_modes import MeasuredModes
 from warp_plate.modal.continuous_modes import linear_part
 from warp_plate.modal.modes import solve_modes
+from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
 # Functions along each side, relative to those of other commands: frequencies are right to 5e-6, in a third of the time.
@@ -22,6 +24,8 @@ DENSITY = 0.5
 RIGID = 3
 # Modes computed for pairing by nearest frequencies: a multiple of the measured ones, plus a number.
 SPARE = 2, 8
+# Part of the ratio of frequencies in pairs by shapes: it decides between modes whose shapes are alike at the sensors.
+TIE = 0.1
 # Smallest and largest weight of damping ratios against frequencies.
 WEIGHTS = 1e-4, 1e4
 
@@ -55,7 +59,7 @@ def fit_modes(scene: Scene, measured: MeasuredModes) -> ModeFit:
     the residuals.
 
     Raises:
-        SceneError: See :func:`fit_panel`.
+        SceneError: Shapes are missing that ``fit.pairing`` needs, or see :func:`fit_panel`.
     """
     damped = np.flatnonzero(np.isfinite(measured.damping))
     count = len(measured.frequencies)
@@ -70,16 +74,17 @@ def fit_modes(scene: Scene, measured: MeasuredModes) -> ModeFit:
         return np.where(np.arange(len(errors)) < count, 1.0, np.clip(ratio, *WEIGHTS))
 
     free = free_numbers(scene)
-    nearest = measured.numbers is None and scene.fit is not None and scene.fit.pairing == "nearest"
+    pairing = _pairing(free.scene, measured)
     found = fit_panel(
         free,
         measured.source,
         count + len(damped),
-        Differenced(lambda unknowns: _paired_modes(free.panel_at(unknowns), measured, nearest)),
+        Differenced(lambda unknowns: _paired_modes(free.panel_at(unknowns), measured, pairing)),
         [_RelativeErrors(measured, damped)],
         weigh if len(damped) else None,
+        [np.arange(count)[:, None], np.arange(count, count + len(damped))[:, None]],
     )
-    numbers, frequencies, damping = _paired_modes(found.scene, measured, nearest)
+    numbers, frequencies, damping = _paired_modes(found.scene, measured, pairing)
     numbers = numbers.astype(int)
     return ModeFit(**vars(found), measured=measured, numbers=numbers, frequencies=frequencies, damping=damping)
 
@@ -100,15 +105,31 @@ class _RelativeErrors:
         return np.concatenate([frequencies, damping], axis=-1)
 
 
-def _paired_modes(scene: Scene, measured: MeasuredModes, nearest: bool) -> np.ndarray:
+def _pairing(scene: Scene, measured: MeasuredModes) -> str:
+    """Return "mac", "nearest", or "order", by the numbers of the modes if they are known."""
+    assert scene.fit is not None
+    if scene.fit.pairing != "mac":
+        return "order" if measured.numbers is not None else scene.fit.pairing
+    if measured.shapes is None or measured.points is None:
+        raise SceneError(f'{measured.source}: has no shapes with points; fit.pairing = "mac" needs them')
+    check_points(scene, measured)
+    return "mac"
+
+
+def _paired_modes(scene: Scene, measured: MeasuredModes, pairing: str) -> np.ndarray:
     """Return (3, n) number, frequency [Hz] and damping ratio of the mode for each measured one."""
     count = len(measured.frequencies)
     numbers = np.arange(1, count + 1) if measured.numbers is None else measured.numbers
-    wanted = SPARE[0] * count + SPARE[1] if nearest else int(numbers.max())
+    wanted = int(numbers.max()) if pairing == "order" else SPARE[0] * max(count, int(numbers.max())) + SPARE[1]
     plate = solve_modes(linear_part(scene), highest=0.0, count=wanted + RIGID, density=DENSITY)
     moving = np.flatnonzero(plate.frequencies > 0)[:wanted]
     frequencies = plate.frequencies[moving]
-    if nearest:
+    if pairing != "order":
         distances = np.abs(np.log(measured.frequencies[:, None] / frequencies))
+        if pairing == "mac":
+            assert measured.shapes is not None
+            assert measured.points is not None
+            shapes = plate.at_points(measured.points)[moving]
+            distances = 1 - modal_assurance(measured.shapes, shapes) + TIE * distances
         numbers = 1 + scipy.optimize.linear_sum_assignment(distances)[1]
     return np.stack([numbers, frequencies[numbers - 1], plate.damping_ratios[moving][numbers - 1]])

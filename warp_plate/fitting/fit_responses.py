@@ -65,7 +65,8 @@ def fit_responses(scene: Scene, measured: MeasuredResponses) -> ResponseFit:
     free = free_numbers(scene)
     coarse, exact = (_Prediction(free, measured, coarse) for coarse in (True, False))
     stages = [_LogErrors(measured, width) for width in WIDTHS]
-    found = fit_panel(free, measured.source, 2 * measured.responses.size, coarse, stages, _weigh, exact)
+    pairs = np.arange(2 * measured.responses.size).reshape(2, -1).T
+    found = fit_panel(free, measured.source, 2 * measured.responses.size, coarse, stages, _weigh, [pairs], exact)
     return ResponseFit(**vars(found), measured=measured, responses=PanelResponses(found.scene, measured).values)
 
 

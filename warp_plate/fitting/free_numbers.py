@@ -73,6 +73,16 @@ class FreeNumbers:
         )
         return above or self._panel_with(values), below, float(slope / (ends[0] - ends[1]))
 
+    def mirror_pairs(self) -> list[list[tuple[int, int]]]:
+        """Return indices of the same numbers of opposite edges within equal ranges, for each pair of edges."""
+        found = []
+        for one, other in (("left", "right"), ("bottom", "top")):
+            names = {key: key.replace(f"edges.{one}", f"edges.{other}") for key in self.keys if f"edges.{one}" in key}
+            pairs = [(self.keys.index(key), self.keys.index(name)) for key, name in names.items() if name in self.keys]
+            same = all(self.low[i] == self.low[j] and self.high[i] == self.high[j] for i, j in pairs)
+            found += [pairs] if pairs and same else []
+        return found
+
     def starts(self, count: int, seed: int) -> np.ndarray:
         """Return (count, p) fractions: those of the scene's own values, then a Latin hypercube."""
         random = np.random.default_rng(seed)

@@ -91,7 +91,8 @@ class LeastSquaresFit:
         correlations: (p, p) correlations, NaN for the same.
         inseparable: Groups of indices of unknowns that cannot be distinguished; a group of one has no influence.
         student: Half-width of 95 % intervals in standard deviations.
-        evaluations: Number of evaluations of the residuals.
+        freedom: Number of degrees of freedom of the residuals.
+        problem: The problem, with the weights at the optimum, for further fits.
     """
 
     unknowns: np.ndarray
@@ -99,7 +100,8 @@ class LeastSquaresFit:
     correlations: np.ndarray
     inseparable: tuple[tuple[int, ...], ...]
     student: float
-    evaluations: int
+    freedom: int
+    problem: Problem
 
 
 def fit_least_squares(
@@ -121,7 +123,7 @@ def fit_least_squares(
         exact: Prediction that is right, and takes more time. What ``predict`` lacks near the optimum is added to it,
             and the deviations follow from the exact one's derivatives (default: ``predict`` is right).
     """
-    stages = [_Problem(predict, stage) for stage in residuals]
+    stages = [Problem(predict, stage) for stage in residuals]
     costs = [np.sum(stages[0].residuals(start) ** 2) for start in starts]
     best = np.argsort(costs, kind="stable")[:FOLLOWED]
     solved = [stages[0].solve(starts[index], COARSE) for index in best]
@@ -134,55 +136,77 @@ def fit_least_squares(
         if exact is not None:
             problem.lacking = exact(unknowns) - predict(unknowns)
         if weigh is not None:
-            problem.weights = weigh(problem.residuals(unknowns), _leverage(problem.jacobian(unknowns)))
+            problem.weights = weigh(problem.residuals(unknowns), leverage(problem.jacobian(unknowns)))
         unknowns = problem.solve(unknowns, FINE)
-    weighted = problem.weights * problem.residuals(unknowns)
-    if exact is not None:
-        problem = _Problem(exact, residuals[-1], problem.weights)
-    evaluations = predict.evaluations + (exact.evaluations if exact else 0)
-    return _judge(unknowns, weighted, problem.jacobian(unknowns), evaluations)
+    judged = problem if exact is None else Problem(exact, residuals[-1], problem.weights)
+    return _judge(unknowns, problem, judged.jacobian(unknowns))
 
 
 @dataclass(eq=False)
-class _Problem:
-    """Weighted residuals of a prediction to which ``lacking`` is added."""
+class Problem:
+    """Weighted residuals of a prediction.
+
+    Attributes:
+        predict: Prediction.
+        of: Its residuals.
+        weights: (n,) weights.
+        lacking: Addition to the prediction.
+        shift: (n,) addition to the residuals.
+        slopes: (n, p) derivatives of the residuals, if one matrix stands for those at all unknowns.
+    """
 
     predict: Prediction
     of: Residuals
     weights: np.ndarray | float = 1.0
     lacking: np.ndarray | float = 0.0
+    shift: np.ndarray | float = 0.0
+    slopes: np.ndarray | None = None
 
     def residuals(self, unknowns: np.ndarray) -> np.ndarray:
         """Return (n,) residuals, not weighted."""
-        return self.of(self.predict(unknowns) + self.lacking)
+        return self.of(self.predict(unknowns) + self.lacking) + self.shift
 
     def jacobian(self, unknowns: np.ndarray, central: bool = True) -> np.ndarray:
         """Return the (n, p) Jacobian of the weighted residuals."""
-        changes = self.predict.slopes(unknowns, central)
-        return np.asarray((self.weights * self.of.slopes(self.predict(unknowns) + self.lacking, changes)).T)
+        slopes = self.slopes
+        if slopes is None:
+            changes = self.predict.slopes(unknowns, central)
+            slopes = self.of.slopes(self.predict(unknowns) + self.lacking, changes).T
+        return np.asarray((self.weights * slopes.T).T)
 
-    def solve(self, start: np.ndarray, tolerance: float) -> np.ndarray:
-        """Return the (p,) unknowns of a local optimum."""
+    def solve(self, start: np.ndarray, tolerance: float, fixed: int | None = None) -> np.ndarray:
+        """Return the (p,) unknowns of a local optimum, with one of them ``fixed``."""
+        moving = np.arange(len(start)) != (-1 if fixed is None else fixed)
+
+        if not moving.any():
+            return start
+
+        def point(changed: np.ndarray) -> np.ndarray:
+            whole = start.copy()
+            whole[moving] = changed
+            return whole
+
         found = scipy.optimize.least_squares(
-            lambda point: self.weights * self.residuals(point),
-            start,
-            lambda point: self.jacobian(point, central=tolerance < COARSE),
+            lambda changed: self.weights * self.residuals(point(changed)),
+            start[moving],
+            lambda changed: self.jacobian(point(changed), central=tolerance < COARSE)[:, moving],
             bounds=(0, 1),
             xtol=tolerance,
             ftol=tolerance**2,
             gtol=None,
         )
-        return np.asarray(found.x)
+        return point(found.x)
 
 
-def _leverage(jacobian: np.ndarray) -> np.ndarray:
+def leverage(jacobian: np.ndarray) -> np.ndarray:
     """Return (n,) leverages, the diagonal of J J⁺."""
     directions, values, _ = np.linalg.svd(jacobian, full_matrices=False)
     return np.asarray(np.sum(directions[:, values > RANK * values[0]] ** 2, axis=1))
 
 
-def _judge(unknowns: np.ndarray, residuals: np.ndarray, jacobian: np.ndarray, evaluations: int) -> LeastSquaresFit:
-    """Return the estimate with its deviations, from weighted residuals (n,) and Jacobian (n, p)."""
+def _judge(unknowns: np.ndarray, problem: Problem, jacobian: np.ndarray) -> LeastSquaresFit:
+    """Return the estimate with its deviations, from the weighted residuals and their Jacobian (n, p)."""
+    residuals = problem.weights * problem.residuals(unknowns)
     lengths = np.linalg.norm(jacobian, axis=0)
     lengths[lengths < NO_INFLUENCE] = np.inf
     _, values, directions = np.linalg.svd(jacobian / lengths, full_matrices=False)
@@ -201,4 +225,4 @@ def _judge(unknowns: np.ndarray, residuals: np.ndarray, jacobian: np.ndarray, ev
     groups = (tuple(np.flatnonzero((labels == label) & ~told).tolist()) for label in range(count))
     student = float(scipy.special.stdtrit(freedom, (1 + LEVEL) / 2))
     inseparable = tuple(group for group in groups if group)
-    return LeastSquaresFit(unknowns, deviations / lengths, correlations, inseparable, student, evaluations)
+    return LeastSquaresFit(unknowns, deviations / lengths, correlations, inseparable, student, freedom, problem)

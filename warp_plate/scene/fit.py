@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from warp_plate.scene.model import Scene
 
 # Tables with properties of the panel.
+FEWEST_SAMPLES, FEWEST_POINTS = 40, 3
 PANEL = ("plate", "edges", "effects", "actuators", "measurement")
 
 
@@ -74,11 +75,13 @@ class Fit(Table):
 
     # Lowest and highest value of each free key [unit of the key]
     free: Annotated[dict[str, tuple[Moderate, Moderate]], BeforeValidator(_flat)]
-    # Measured modes are the lowest ones in "order", or those with the "nearest" frequencies. A column ``mode`` of the
-    # file overrides both
-    pairing: Literal["order", "nearest"] = "order"
+    # Measured modes are the lowest ones in "order", those with the "nearest" frequencies, or those with the most
+    # similar shapes ("mac"). A column ``mode`` of the file overrides the first two
+    pairing: Literal["order", "nearest", "mac"] = "order"
     starts: Annotated[int, Field(ge=1, le=10_000)] = 16  # number of starting points
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0  # random seed of the starts
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0  # random seed of the starts and of the bootstrap
+    bootstrap: Annotated[int, Field(ge=0, le=100_000)] = 0  # number of resampled data sets for further intervals
+    profile: Annotated[int, Field(ge=0, le=1000)] = 0  # number of points of each profile likelihood
     range: tuple[Positive, Positive] | None = None  # lowest and highest frequency of responses that are used [Hz]
     signals: TimeSignals | None = None  # the data are time signals
 
@@ -89,6 +92,12 @@ class Fit(Table):
         for key, (low, high) in self.free.items():
             if low >= high:
                 raise ValueError(f"free: {key} = {[low, high]}: the lowest value comes first, and they differ")
+        if 0 < self.bootstrap < FEWEST_SAMPLES:
+            raise ValueError(
+                f"bootstrap = {self.bootstrap}: must be 0 or at least {FEWEST_SAMPLES}, for intervals of 95 %"
+            )
+        if 0 < self.profile < FEWEST_POINTS:
+            raise ValueError(f"profile = {self.profile}: must be 0 or at least {FEWEST_POINTS}")
         if self.range is not None and self.range[0] >= self.range[1]:
             raise ValueError(f"range: {list(self.range)}: the lowest frequency comes first, and they differ")
         return self
