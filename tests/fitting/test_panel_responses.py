@@ -103,11 +103,11 @@ def test_layers(key):
 @pytest.mark.slow
 @pytest.mark.parametrize("key", KEYS)
 def test_every_number_can_be_fitted(key):
-    """Responses without noise give back each number from 5 % off."""
+    """Responses without noise give back each number from 2 % off."""
     scene = panel()
     value = value_of(scene, key)
     exact = MeasuredResponses("data.csv", DATA.frequencies, PanelResponses(scene, DATA).values)
-    wrong = scene.replace(key, 1.05 * value).with_tables(fit={"starts": 1, "free": {key: (0.8 * value, 1.2 * value)}})
+    wrong = scene.replace(key, 1.02 * value).with_tables(fit={"starts": 1, "free": {key: (0.8 * value, 1.2 * value)}})
     found = fit_responses(wrong, exact)
     assert found.inseparable == ()
     assert found.values == pytest.approx([value], rel=1e-3)

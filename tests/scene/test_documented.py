@@ -15,7 +15,7 @@ UNITLESS = {
     *("poisson_ratio", "nodes", "order", "accuracy", "gain", "weight", "quantile", "without_oscillators"),
     *("particles", "iterations", "restarts", "inertia", "decay", "cognitive", "social", "velocity_limit", "stall"),
     *("modal_density", "seed", "scenarios", "fresh", "eta", "ratio", "starts", "free"),
-    *("condition", "cycles", "force_channel"),
+    *("condition", "cycles", "force_channel", "bootstrap", "profile"),
 }
 
 

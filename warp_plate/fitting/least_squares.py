@@ -101,7 +101,7 @@ class LeastSquaresFit:
     inseparable: tuple[tuple[int, ...], ...]
     student: float
     freedom: int
-    problem: Problem
+    problem: LeastSquaresProblem
 
 
 def fit_least_squares(
@@ -123,7 +123,7 @@ def fit_least_squares(
         exact: Prediction that is right, and takes more time. What ``predict`` lacks near the optimum is added to it,
             and the deviations follow from the exact one's derivatives (default: ``predict`` is right).
     """
-    stages = [Problem(predict, stage) for stage in residuals]
+    stages = [LeastSquaresProblem(predict, stage) for stage in residuals]
     costs = [np.sum(stages[0].residuals(start) ** 2) for start in starts]
     best = np.argsort(costs, kind="stable")[:FOLLOWED]
     solved = [stages[0].solve(starts[index], COARSE) for index in best]
@@ -138,12 +138,12 @@ def fit_least_squares(
         if weigh is not None:
             problem.weights = weigh(problem.residuals(unknowns), leverage(problem.jacobian(unknowns)))
         unknowns = problem.solve(unknowns, FINE)
-    judged = problem if exact is None else Problem(exact, residuals[-1], problem.weights)
+    judged = problem if exact is None else LeastSquaresProblem(exact, residuals[-1], problem.weights)
     return _judge(unknowns, problem, judged.jacobian(unknowns))
 
 
 @dataclass(eq=False)
-class Problem:
+class LeastSquaresProblem:
     """Weighted residuals of a prediction.
 
     Attributes:
@@ -204,7 +204,7 @@ def leverage(jacobian: np.ndarray) -> np.ndarray:
     return np.asarray(np.sum(directions[:, values > RANK * values[0]] ** 2, axis=1))
 
 
-def _judge(unknowns: np.ndarray, problem: Problem, jacobian: np.ndarray) -> LeastSquaresFit:
+def _judge(unknowns: np.ndarray, problem: LeastSquaresProblem, jacobian: np.ndarray) -> LeastSquaresFit:
     """Return the estimate with its deviations, from the weighted residuals and their Jacobian (n, p)."""
     residuals = problem.weights * problem.residuals(unknowns)
     lengths = np.linalg.norm(jacobian, axis=0)

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from warp_plate.fitting.least_squares import LeastSquaresFit, Problem, Weigh, leverage
+from warp_plate.fitting.least_squares import LeastSquaresFit, LeastSquaresProblem, Weigh, leverage
 
 # Relative changes of the unknowns at which a fit ends; half-width of profiles in standard deviations.
 TOLERANCE, REACH = 1e-4, 3.0
@@ -86,5 +86,5 @@ def exchangeable(found: LeastSquaresFit, pairs: Sequence[tuple[int, int]]) -> bo
     return bool(np.linalg.norm(one - other) < ALIKE * change)
 
 
-def _squares(problem: Problem, unknowns: np.ndarray) -> float:
+def _squares(problem: LeastSquaresProblem, unknowns: np.ndarray) -> float:
     return float(np.sum((problem.weights * problem.residuals(unknowns)) ** 2))
