@@ -116,6 +116,16 @@ def test_a_wish_excludes_a_burst_and_a_bound_of_the_rest():
             panel(focus={**TABLE, "wish": wish, **tables})
 
 
+def test_waveforms_without_a_wish_are_not_played_under_one(tmp_path):
+    np.savetxt(tmp_path / "wish.csv", wishes(4000)[1][1])
+    made = focus(panel())
+    wishing = panel(focus={**TABLE, "wish": {"file": "wish.csv", "rate": 4000.0}}).in_folder(tmp_path)
+    with pytest.raises(SceneError, match=r"focus.wish: the waveforms were made without one"):
+        focus(wishing, made)
+    with pytest.raises(SceneError, match="rank = optimum: not for waveforms of a file"):
+        focus(panel(), made, rank="optimum")
+
+
 def test_fewer_actuators_reach_less_and_each_row_is_a_panel_of_its_own():
     """The figures of n actuators are those of a panel that has no others; for time reversal the best choice of n."""
     table = {"points": [(0.07, 0.06)], "highest": 600.0, "time": 0.02, "rate": 8000, "energy": 0.02}
@@ -130,7 +140,7 @@ def test_fewer_actuators_reach_less_and_each_row_is_a_panel_of_its_own():
     kept = [actuator for actuator in scene.actuators if actuator.name in ranking.actuators[:2]]
     two = focus(scene.with_tables(actuators=kept)).methods["time_reversal"]
     assert ranking.peak[1] == pytest.approx(two.peak[0])
-    with pytest.raises(SceneError, match="--rank best: must be one of time_reversal"):
+    with pytest.raises(SceneError, match="rank = best: must be one of time_reversal"):
         focus(scene, rank="best")
 
 

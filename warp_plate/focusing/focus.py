@@ -145,6 +145,8 @@ def _check_fit(scene: Scene, table: Focus, played: FocusResult) -> None:
     for key, value in kept.items():
         if (other := getattr(played.scene.focus, key)) != value:
             raise SceneError(f"focus.{key}: the waveforms were made with another one, {other}")
+    if played.wished is None and table.wish is not None:
+        raise SceneError("focus.wish: the waveforms were made without one; delete it")
     names, others = ([actuator.name for actuator in each.actuators] for each in (scene, played.scene))
     if names != others:
         raise SceneError(f"actuators: the waveforms were made for others, {', '.join(others)}")

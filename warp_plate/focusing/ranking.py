@@ -20,9 +20,9 @@ from warp_plate.scene.focus import Focus
 def check_rank(method: str, played: bool) -> None:
     """Raise a SceneError unless actuators can be ranked for a method; not where waveforms are ``played``."""
     if played:
-        raise SceneError(f"--rank {method}: waveforms are made for this panel then; leave out --waveforms")
+        raise SceneError(f"rank = {method}: not for waveforms of a file, which all actuators were made for")
     if method not in METHODS:
-        raise SceneError(f"--rank {method}: must be one of {', '.join(METHODS)}")
+        raise SceneError(f"rank = {method}: must be one of {', '.join(METHODS)}")
 
 
 def rank_actuators(method: str, names: list[str], h: np.ndarray, table: Focus, wish: Wish, condition: float) -> Ranking:
