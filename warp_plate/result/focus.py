@@ -22,12 +22,12 @@ UNITS = {"displacement": "m", "velocity": "m/s"}
 class PanelFigures:
     """What waveforms do on panels within the tolerances of ``[search.robust]``, other ones than they were made for."""
 
-    peak: Annotated[np.ndarray, Dataset("m or m/s", "motion at the focus at its moment", ("panels", "foci"))]
+    peak: Annotated[np.ndarray, Dataset("m or m/s", "motion at the focus at its moment", ("panel", "foci"))]
     crosstalk_db: Annotated[
-        np.ndarray, Dataset("dB", "largest motion of the other foci over the peak", ("panels", "foci"))
+        np.ndarray, Dataset("dB", "largest motion of the other foci over the peak", ("panel", "foci"))
     ]
     misfit: Annotated[
-        np.ndarray | None, Dataset("1", "part of the burst or wish that is not followed", ("panels", "foci"))
+        np.ndarray | None, Dataset("1", "part of the burst or wish that is not followed", ("panel", "foci"))
     ] = None
 
     def summary(self) -> dict[str, float | int | None]:
