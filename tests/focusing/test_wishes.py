@@ -96,6 +96,8 @@ def test_files_that_are_no_wish_are_refused(tmp_path, wish, words):
     [
         (np.ones((3, 50)), r"focus.wish: the shape \(3, 50\); must be \(samples,\) or \(2, samples\)"),
         (np.zeros(50), "zero throughout"),
+        (np.full(50, 5e-324), "the largest is from 1e-30"),
+        (np.full(50, 1e300), "the largest is from 1e-30"),
         (np.full(50, np.nan), "is no number"),
         (np.ones(1), "the shape"),
         (np.ones(2**20), "focus.wish: 1048576 samples for 4 actuators and 2 points"),

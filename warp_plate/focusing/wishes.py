@@ -10,6 +10,7 @@ import scipy
 
 from warp_plate.plate.waveforms import Samples, read_channels, sample_at
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.fields import LARGEST, SMALLEST
 from warp_plate.scene.focus import AFTER, Focus, FocusBurst
 from warp_plate.scene.model import Scene
 
@@ -99,8 +100,10 @@ def _checked(scene: Scene, motion: np.ndarray) -> np.ndarray:
     rows = motion if motion.ndim > 1 else motion[None]
     if rows.ndim != 2 or len(rows) not in (1, foci) or rows.shape[1] < 2:
         raise SceneError(f"{WISH}: the shape {motion.shape}; must be (samples,) or ({foci}, samples), a row each point")
-    if not np.isfinite(rows).all() or not rows.any(axis=1).all():
-        raise SceneError(f"{WISH}: a wished motion is zero throughout, or a sample is no number")
+    largest = np.abs(rows).max(axis=1)
+    if not np.all((largest > SMALLEST) & (largest < LARGEST)):
+        known = f"zero throughout, or a sample is no number; the largest is from {SMALLEST:g} to {LARGEST:g}"
+        raise SceneError(f"{WISH}: a wished motion is {known}")
     if table.rest is not None:
         raise SceneError("focus.rest: bounds motion at one moment, not that of a wish; delete it")
     _check_numbers(scene, rows.shape[1])
