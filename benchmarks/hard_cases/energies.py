@@ -182,14 +182,14 @@ CASES = grouped(
     ]
     + [
         Case(
-            f"damping {kind}, 0 to 10⁶ critical", "bounded: at most what an undamped start overshoots",
+            f"damping {kind}, 0 to 10⁶ critical", "bounded by the overshoot of an undamped start",
             "largest u / static u", partial(damped, kind), both(2.3, 2.3), kind != "viscous",
         )
         for kind in KINDS
     ]
     + [
         Case(
-            f"exact decay: damping {kind}, 0 to 10⁶ critical", "the motion of an exact oscillator from rest on",
+            f"exact decay: damping {kind}, 0 to 10⁶ critical", "the motion of an exact oscillator from rest",
             "lowest mode, difference, relative", partial(followed, kind), both(FOLLOWS[kind], FOLLOWS[kind]),
             kind != "viscous, backward",
         )

@@ -109,7 +109,7 @@ CASES = grouped(
     ]
     + [
         Case(
-            f"1.01 of the limit: {name}", "grows as theory says, and is told as the plate's status",
+            f"1.01 of the limit: {name}", "grows as predicted, and is reported in the plate's status",
             "growth a step, relative error", partial(above, name), both(0.02, 0.02),
             name not in ("clamped", "each edge another"),
         )
