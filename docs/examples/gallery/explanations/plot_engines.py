@@ -14,7 +14,7 @@ import matplotlib.pyplot as plt
 import warp_plate as wpl
 from warp_plate.accuracy.reference_solution import solve_response
 
-measured = Path(__file__).resolve().parents[4] / "benchmarks" / "results" / "accuracy-cpu.json"
+measured = Path(wpl.__file__).resolve().parents[1] / "benchmarks" / "results" / "accuracy-cpu.json"
 rows = json.loads(measured.read_text())["rows"]
 points = {"record": {"points": [(0.1, 0.1)]}, "window": {"start": 0.01, "end": 0.03}}
 scene = wpl.Scene.load("paper").with_tables(**points, grid={"nodes": (27, 27), "order": 4, "load": "moments"})

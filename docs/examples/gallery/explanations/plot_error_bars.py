@@ -13,7 +13,9 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-measured = Path(__file__).resolve().parents[4] / "benchmarks" / "results" / "error-bars-cpu.json"
+import warp_plate as wpl
+
+measured = Path(wpl.__file__).resolve().parents[1] / "benchmarks" / "results" / "error-bars-cpu.json"
 rows = [row for row in json.loads(measured.read_text()) if row.get("bar")]
 
 figure, axis = plt.subplots(figsize=(6.4, 5), layout="constrained")
