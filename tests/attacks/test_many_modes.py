@@ -21,7 +21,7 @@ WAVEFORMS = {"points": [(0.05, 0.04)], "rate": 500_000, "highest": 1e5}
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("frf panel.toml --range 100:1e5", "--range 100:1e5: about 1.31e+04 modes are needed; at most 600"),
+        ("frf panel.toml --range 100:1e5", "--range 100:1e5: about 1.31e+04 modes are needed; at most 1000"),
         ("frf panel.toml --impulse 0.1 --range 100:1e5", "--range 100:1e5: about 1.31e+04 modes are needed; at most"),
         ("modes panel.toml --count 501", "count = 501: must be from 1 to 500 modes"),
         ("sweep panel.toml --vary plate.density=1:2:2 --what modes --count 501", "--count 501: must be from 1 to 500"),
@@ -42,9 +42,9 @@ def test_commands(line, message, write_scene, command):
 
 def test_functions():
     scene = scene_of(damping=88.5)
-    with pytest.raises(SceneError, match=r"^drive.frequency: about .* at most 600"):
+    with pytest.raises(SceneError, match=r"^drive.frequency: about .* at most 1000"):
         modes(scene, highest=1e6)
-    with pytest.raises(SceneError, match=r"^count: about 601 modes are needed; at most 600"):
+    with pytest.raises(SceneError, match=r"^count: about 1e\+03 modes are needed; at most 1000"):
         modes(scene, MOST_MODES + 1)
 
 

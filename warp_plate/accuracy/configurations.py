@@ -91,7 +91,9 @@ def refuse_many_modes(scene: Scene) -> None:
     # By Weyl's law, those of a square wave number up to REACH times that of the drive.
     modes = math.pi * REACH * math.prod(scene.plate.size) / bending_wavelength(scene) ** 2
     if modes > MOST_MODES:
-        raise SceneError(f"drive.frequency: {modes:.0f} modes would be needed, and at most {MOST_MODES} are solved for")
+        width, height = scene.plate.size
+        limit = f"at most {MOST_MODES} are computed (the plate is {width:g} × {height:g} m)"
+        raise SceneError(f"drive.frequency: {modes:.0f} modes would be needed; {limit}")
 
 
 def nodes_for(size: tuple[float, float], side: float, order: Order = 2) -> tuple[int, int]:

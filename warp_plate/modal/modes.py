@@ -34,8 +34,8 @@ from warp_plate.scene.target import Target
 # frequency; along the shorter side fewer, but of less size.
 FEWEST, PER_HALF_WAVE = 18, 2.6
 MOST_INTERVALS = 400
-# Modes up to the highest frequency, by Weyl's law: so many take some 15 s and 1 GiB, or without higher ones more.
-MOST_MODES, MOST_ALONE = 600, 1500
+# Modes up to the highest frequency, by Weyl's law: so many take some 45 s and 2.7 GB, or without higher ones more.
+MOST_MODES, MOST_ALONE = 1000, 1500
 # Modes that are wanted: those up to REACH times the highest frequency, and FURTHER ones for what higher ones add to
 # responses, or SPARE without responses.
 REACH, FURTHER, SPARE = 4.0, 600, 40
@@ -262,7 +262,7 @@ def solve_modes(
     counted = wave * (math.sqrt(4 / math.pi * count) + 2) ** 2 / area if count else 0.0
     intervals = _intervals(scene, max(highest, counted), wave, density)
     below = max(math.pi / 4 * area * highest / wave, count)
-    _check_size(key or ("drive.frequency" if highest >= counted else "count"), below, most, intervals)
+    _check_size(scene, key or ("drive.frequency" if highest >= counted else "count"), below, most, intervals)
     galerkin = make_galerkin(scene, intervals)
     # Weyl's law, and a margin for its boundary term.
     wanted = 1.1 * math.pi / 4 * area * max(REACH * highest, counted) / wave + (FURTHER if highest else SPARE)
@@ -309,10 +309,12 @@ def _viscous(galerkin: Galerkin, vectors: np.ndarray) -> np.ndarray:
     return np.asarray(vectors.T @ (galerkin.damping @ vectors))
 
 
-def _check_size(key: str, below: float, most: int, intervals: tuple[int, int]) -> None:
+def _check_size(scene: Scene, key: str, below: float, most: int, intervals: tuple[int, int]) -> None:
     """Raise a SceneError, beginning with ``key``, if there are too many modes or too many intervals along a side."""
     if below > most:
-        raise SceneError(f"{key}: about {below:.3g} modes are needed; at most {most} are computed")
+        width, height = scene.plate.size
+        size = f"the plate is {width:g} × {height:g} m"
+        raise SceneError(f"{key}: about {below:.3g} modes are needed; at most {most} are computed ({size})")
     if max(intervals) > MOST_INTERVALS:
         raise SceneError(
             f"{key}: {max(intervals)} intervals between the knots of splines are needed along a side of the plate; at "
