@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from warp_plate.result.atomic_io import atomic_path
+from warp_plate.result.atomic_io import atomic_paths
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
 from warp_plate.viz.availability import missing_meshes, missing_plots, missing_renderer
@@ -50,7 +50,7 @@ def draw_motions(
         on_frame: Called with the numbers of frames done and in all of a movie.
     """
     ending = path.suffix.lower()
-    with atomic_path(path) as temporary:
+    with atomic_paths(path) as (temporary,):
         if ending in PLOTS or (plan and ending == ".png"):
             draw_plan(scene, motions, temporary, style.quantity, frame, style.colours)
         elif ending == ".png":

@@ -3,6 +3,7 @@
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from levy import isotropic, levy_frequencies
 from warp_plate import Scene, SceneError, modes
 from warp_plate.fitting.fit_modes import fit_modes
 from warp_plate.fitting.measured_modes import MeasuredModes, read_modes
+from warp_plate.fitting.refits import exchangeable
 from warp_plate.reference.series import wavenumber_squared
 
 SIZE, MODULUS, VISCOUS = (0.23, 0.17), MATERIAL["young_modulus"], 2.0
@@ -259,3 +261,12 @@ def test_springs_of_opposite_edges_are_named(ranges):
     found = fit_modes(scene.with_tables(fit={"starts": 6, "free": {**MODULI, **rotations}}), data)
     assert found.mirrored == ((tuple(rotations),) if ranges[0] == ranges[1] else ())
     assert sorted(found.values[1:]) == pytest.approx([3.0, 20.0], rel=1e-2)
+
+
+@pytest.mark.parametrize("unknowns", [(0.7, 0.3), (0.6, 0.4), (0.5, 0.5), (0.2, 0.0)])
+def test_mirror_images_are_found_wherever_the_optimum_lies(unknowns):
+    """Residuals that are symmetric in two unknowns, and that are not."""
+    for weights, alike in (((1.0, 1.0), True), ((1.0, 2.0), False)):
+        problem = SimpleNamespace(residuals=lambda u, w=weights: np.array([np.dot(w, u), np.dot(w, u**2)]))
+        found = SimpleNamespace(unknowns=np.array(unknowns), problem=problem)
+        assert exchangeable(found, [(0, 1)]) is alike

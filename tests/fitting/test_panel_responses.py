@@ -111,3 +111,19 @@ def test_every_number_can_be_fitted(key):
     found = fit_responses(wrong, exact)
     assert found.inseparable == ()
     assert found.values == pytest.approx([value], rel=1e-3)
+
+
+@pytest.mark.parametrize("width", [0.3999, 0.4001])
+def test_functions_that_change_between_neighbours(width):
+    """A patch whose edges cross the middles of two intervals changes the functions, but not their number."""
+    patch = {**MASS, "area": [1 / 9, 0.4 - 1 / 9, 0.05, 0.07]}
+    effects = {"loss_factor": {"eta": 0.03}, "oscillators": [patch]}
+    rows = [{"force_at": (0.05, 0.06), "point": (0.1, 0.1)}]
+    scene = scene_of(size=(width, 0.3), effects=effects, measurement=rows)
+    free = FreeNumbers(scene, ("plate.size[0]",), np.array([0.38]), np.array([0.42]))
+    unknown = np.log(np.array([width]) / 0.38) / np.log(0.42 / 0.38)
+    data = MeasuredResponses("data.csv", DATA.frequencies, np.ones((1, 9)))
+    found = PanelResponses(scene, data, coarse=True).slopes([free.neighbours(unknown, 0, central=True)])[0]
+    above, below = (PanelResponses(free.scene_at(unknown + step), data).values for step in (0.02, -0.02))
+    expected = (above - below) / 0.04
+    np.testing.assert_allclose(found, expected, rtol=0, atol=0.05 * abs(expected).max())

@@ -48,8 +48,8 @@ def export(
     span: tuple[float, float] | None = None,
     frames: int | None = None,
     device: str = "auto",
-    rate: int = 48000,
-    duration: float = 1.0,
+    rate: int | None = None,
+    duration: float | None = None,
     full_scale: float | None = None,
     encoding: Encoding = "float32",
     progress: Progress | None = None,
@@ -66,8 +66,8 @@ def export(
             last period of the drive).
         frames: Number of frames of fields from another run.
         device: Device of that run.
-        rate: Samples per second of a drive signal.
-        duration: Longest duration of a drive signal [s]; it holds a whole number of periods.
+        rate: Samples per second of a drive signal (default: 48000).
+        duration: Longest duration of a drive signal [s] (default: 1); it holds a whole number of periods.
         full_scale: Drive that 1.0 stands for [``Scene.drive_unit``] (default: the largest magnitude).
         encoding: Sample format of WAV files.
         progress: See :meth:`PlateSolver.run`.
@@ -78,9 +78,14 @@ def export(
     path = Path(path)
     if to not in get_args(Format):
         raise SceneError(f"to = {to!r}: must be one of {', '.join(get_args(Format))}")
+    if encoding not in get_args(Encoding):
+        raise SceneError(f"encoding = {encoding!r}: must be one of {', '.join(get_args(Encoding))}")
     if isinstance(result, FocusResult):
         if to not in DRIVES:
             raise SceneError(f"to = {to!r}: waveforms of focus are written as drive-wav or drive-csv")
+        for name, value in {"rate": rate, "duration": duration}.items():
+            if value is not None:
+                raise SceneError(f"{name} = {value:g}: waveforms of focus have a rate and a duration; leave it out")
         return _export_waveforms(result, path, to, cases, full_scale, encoding)
     for name in cases:
         if name not in result.cases:
@@ -90,6 +95,7 @@ def export(
         if len(cases) > 1:
             raise SceneError(f"case = {' '.join(cases)}: a file holds one drive; name one case")
         name = "best" if "best" in chosen else next(iter(chosen))
+        rate, duration = 48000 if rate is None else rate, 1.0 if duration is None else duration
         signal = make_drive_signal(result.case_scene(chosen[name]), chosen[name], rate, duration, full_scale)
         files = write_wav(signal, path, encoding) if to == "drive-wav" else write_drive_csv(signal, path)
         names = ("frequency", "rate", "samples", "periods", "full_scale", "unit")
@@ -139,7 +145,7 @@ def _export_waveforms(
     names, files = tuple(actuator.name for actuator in found.scene.actuators), []
     for index, ((x, y), each) in enumerate(zip(table.points, waveforms, strict=True), 1):
         file = path if len(table.points) == 1 else path.with_name(f"{path.stem}-{index}{path.suffix}")
-        signal = WaveformSignal(names, each, full_scale, table.rate, f"{name} at {x:g},{y:g} m")
+        signal = WaveformSignal(names, each, full_scale, unit, table.rate, f"{name} at {x:g},{y:g} m")
         files += write_wav(signal, file, encoding) if to == "drive-wav" else write_drive_csv(signal, file)
     contents = {"case": name, "rate": table.rate, "full_scale": full_scale, "unit": unit, "channels": names}
     return Exported(files, contents)

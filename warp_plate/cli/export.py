@@ -82,6 +82,8 @@ def export(
         raise SceneError(f"--device {shown.device}: nothing is run without --frames, --start or --end; leave it out")
     if preview is not None and (to != "drive-wav" or preview.suffix.lower() not in PICTURES):
         raise SceneError(f"--preview {preview}: must end with {', '.join(PICTURES)}, and is for --to drive-wav")
+    if preview is not None and (problem := output.writing_problem(preview)):
+        raise SceneError(f"--preview {preview}: {problem}")
     from warp_plate.analysis.export import DRIVES, export
     from warp_plate.result.focus import load_focus
     from warp_plate.result.hdf5 import describe_file

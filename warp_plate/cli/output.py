@@ -237,7 +237,7 @@ def output_file(
     """
     path = Path(default) if out is None else out
     endings = endings or (Path(default).suffix,)
-    problem = _writing_problem(path)
+    problem = writing_problem(path)
     if path.suffix.lower() not in endings:
         problem = f"must end in {' or '.join(', '.join(endings).rsplit(', ', 1))}"
     if problem:
@@ -268,7 +268,7 @@ def check_replaceable(path: Path, holds: str, force: bool) -> None:
         raise SceneError(f"{path}: {what} and would be overwritten; name another file by --out, or give --force")
 
 
-def _writing_problem(path: Path) -> str:
+def writing_problem(path: Path) -> str:
     """Return why a file or those beside it (checkpoints, pictures, temporary files) cannot be written, or ""."""
     if os.path.isdir(path):
         return "is a folder"

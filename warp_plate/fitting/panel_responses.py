@@ -23,6 +23,7 @@ from warp_plate.modal.galerkin.matrices import Galerkin, make_galerkin, patch_in
 from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.steady import CoupledModes, multiply_modes
 from warp_plate.result.frequency_response import DERIVATIVES
+from warp_plate.scene.effects import Effects
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
@@ -31,6 +32,8 @@ DENSITY = 0.5
 # Modes that damping couples: those up to REACH times the highest frequency and so many further ones, of coarse plates
 # and of full ones, to which iterations add all others.
 REACH, FURTHER, FURTHER_OF_FULL = 1.5, 12, 80
+# Knots that move by more than this part of the smallest interval are those of other functions.
+MOVED = 0.1
 # Frequencies that are computed at a time, and modes up to the highest frequency.
 BLOCK, MOST_MODES = 256, 200
 
@@ -123,7 +126,12 @@ class PanelResponses:
         high = make_galerkin(linear_part(above), self._plate.galerkin.intervals)
         low = make_galerkin(linear_part(below), high.intervals) if below is not None else self._plate.galerkin
         here, loads = self._plate.galerkin, self._loads
-        if high.mass.shape != low.mass.shape or high.mass.shape != here.mass.shape or _by_modes(high.scene):
+        # Where the functions change between the two, the difference is that to the side on which they do not.
+        if _alike(high, here) and not _alike(low, here):
+            low, factor = here, 2 * factor
+        elif _alike(low, here) and not _alike(high, here):
+            high, factor = here, 2 * factor
+        if not (_alike(high, here) and _alike(low, here)) or _by_modes(above.effects):
             slopes = factor * (self._values_of(above) - self._values_of(below))
             return lambda part, q, p: slopes[:, part]
         names = ("bending", "support", "mass", "damping")
@@ -193,10 +201,20 @@ class _Loads:
         return moved[:, range(len(self._driven)), self._driven].T
 
 
-def _by_modes(scene: Scene) -> bool:
+def _alike(one: Galerkin, other: Galerkin) -> bool:
+    """Return whether the functions of two plates are nearly the same, so that their matrices can be compared."""
+    for splines, others in ((one.along_x, other.along_x), (one.along_y, other.along_y)):
+        if splines.knots.size != others.knots.size or splines.left_out != others.left_out:
+            return False
+        if np.abs(splines.knots - others.knots).max() > MOVED * np.diff(others.breaks).min():
+            return False
+    return len(one.masses) == len(other.masses)
+
+
+def _by_modes(effects: Effects) -> bool:
     """Return whether damping is given mode by mode."""
-    loss = scene.effects.loss_factor
-    return scene.effects.modal_damping is not None or (loss is not None and isinstance(loss.eta, tuple))
+    loss = effects.loss_factor
+    return effects.modal_damping is not None or (loss is not None and isinstance(loss.eta, tuple))
 
 
 def _losses(galerkin: Galerkin) -> tuple[float, float]:

@@ -82,7 +82,9 @@ def exchangeable(found: LeastSquaresFit, pairs: Sequence[tuple[int, int]]) -> bo
     for point, sign in zip(moved, (1, -1), strict=True):
         point[first], point[second] = middle + sign * APART, middle - sign * APART
     one, other = (found.problem.residuals(point) for point in moved)
-    change = np.linalg.norm(one - found.problem.residuals(found.unknowns))
+    equal = found.unknowns.copy()
+    equal[first] = equal[second] = middle
+    change = np.linalg.norm(one - found.problem.residuals(equal))
     return bool(np.linalg.norm(one - other) < ALIKE * change)
 
 

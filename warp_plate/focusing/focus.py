@@ -141,12 +141,17 @@ def _table(scene: Scene) -> Focus:
 def _check_fit(scene: Scene, table: Focus, played: FocusResult) -> None:
     """Raise a SceneError unless waveforms that were made for another scene can be played in this one."""
     assert played.scene.focus is not None
-    kept = {"points": table.points, "time": table.time, "rate": table.rate, "burst": table.burst}
+    kept = {"points": table.points, "rate": table.rate, "burst": table.burst}
+    if played.wished is None:
+        kept["time"] = table.time
     for key, value in kept.items():
         if (other := getattr(played.scene.focus, key)) != value:
             raise SceneError(f"focus.{key}: the waveforms were made with another one, {other}")
     if played.wished is None and table.wish is not None:
         raise SceneError("focus.wish: the waveforms were made without one; delete it")
     names, others = ([actuator.name for actuator in each.actuators] for each in (scene, played.scene))
+    if played.scene.drive_unit != scene.drive_unit:
+        units = f"{played.scene.drive_unit}, not {scene.drive_unit}"
+        raise SceneError(f"actuators: the waveforms were made for actuators driven by {units}")
     if names != others:
         raise SceneError(f"actuators: the waveforms were made for others, {', '.join(others)}")

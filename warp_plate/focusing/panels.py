@@ -14,11 +14,15 @@ from warp_plate.focusing.responses import HeldResponses
 from warp_plate.focusing.waveforms import least_squares
 from warp_plate.focusing.wishes import Wish
 from warp_plate.modal.modes import modes_below
+from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.problem.uncertainty import Scenario, draw_scenarios
 from warp_plate.result.focus import PanelFigures
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.focus import L_CURVE
 from warp_plate.scene.model import Scene
+
+# Bytes for a frequency and a pair of responses: spectra, and what is made of them.
+SPECTRA = 32.0
 
 
 def filter_for_panels(scene: Scene, wish: Wish) -> tuple[np.ndarray, float]:
@@ -30,6 +34,9 @@ def filter_for_panels(scene: Scene, wish: Wish) -> tuple[np.ndarray, float]:
     robust, table = scene.search.robust, scene.focus
     assert robust is not None
     assert table is not None
+    rows, recorded = robust.scenarios * len(table.points), wish.motion.shape[1]
+    wanted = SPECTRA * rows * recorded * (rows if table.condition == L_CURVE else len(scene.actuators))
+    refuse_beyond_memory(wanted, f"search.robust.scenarios = {robust.scenarios}: responses at {rows} foci of panels")
     panels = draw_scenarios(scene, robust.scenarios, robust.seed, stepped=False)
     h = np.concatenate([_responses(panel, wish) for panel in panels], axis=1)
     problem = least_squares(h, wish)

@@ -63,6 +63,8 @@ def make_wish(scene: Scene, given: np.ndarray | None) -> Wish:
     if given is None and table.wish is not None:
         given = _read_file(scene)
     if given is not None:
+        if np.asarray(given).dtype.kind not in "fiu":
+            raise SceneError("wished: must be real numbers")
         return _wish_of(table, _checked(scene, np.asarray(given, dtype=float)))
     times = (np.arange(table.recorded) - table.moment) / table.rate
     if table.burst is not None:

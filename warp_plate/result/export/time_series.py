@@ -67,8 +67,9 @@ class WaveformSignal:
     """Waveforms of all actuators, of any shape."""
 
     names: tuple[str, ...]
-    waveforms: np.ndarray  # (actuators, samples) [N/m²]
-    full_scale: float  # value of 1.0 [N/m²]
+    waveforms: np.ndarray  # (actuators, samples) [unit]
+    full_scale: float  # value of 1.0 [unit]
+    unit: str  # of drives, such as N/m² or V
     rate: int  # [1/s]
     about: str  # for the comment of a WAV file
 
@@ -78,7 +79,7 @@ class WaveformSignal:
 
     @property
     def full_scale_text(self) -> str:
-        return f"{self.full_scale:.9g} N/m^2"
+        return f"{self.full_scale:.9g} {self.unit.replace('²', '^2')}"
 
     def blocks(self) -> Iterator[np.ndarray]:
         """Yield the (samples, 1 + actuators) times [s] and waveforms over the full scale."""
