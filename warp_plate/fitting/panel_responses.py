@@ -127,10 +127,8 @@ class PanelResponses:
         low = make_galerkin(linear_part(below), high.intervals) if below is not None else self._plate.galerkin
         here, loads = self._plate.galerkin, self._loads
         # Where the functions change between the two, the difference is that to the side on which they do not.
-        if _alike(high, here) and not _alike(low, here):
-            low, factor = here, 2 * factor
-        elif _alike(low, here) and not _alike(high, here):
-            high, factor = here, 2 * factor
+        if below is not None and _alike(high, here) != _alike(low, here):
+            high, low, factor = (high, here, 2 * factor) if _alike(high, here) else (here, low, 2 * factor)
         if not (_alike(high, here) and _alike(low, here)) or _by_modes(above.effects):
             slopes = factor * (self._values_of(above) - self._values_of(below))
             return lambda part, q, p: slopes[:, part]
