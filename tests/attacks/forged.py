@@ -61,3 +61,17 @@ def set_dataset(file, name, values):
     del file[name]
     file[name] = values
     file[name].attrs.update({key: attributes[key] for key in ("units", "long_name") if key in attributes})
+
+
+def forge_place(path, place, value, way):
+    """Replace one attribute of a file by a value, or one dataset in a way of ``ARRAYS``; ``place`` counts them."""
+    known = places(path.with_suffix(".right"))
+    name, key = known[place % len(known)]
+
+    def change(file):
+        if key is None:
+            set_dataset(file, name, ARRAYS[way](file[name][()]))
+        else:
+            set_attribute(file[name], key, value)
+
+    forge(path, change)

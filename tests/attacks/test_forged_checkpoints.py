@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from conftest import examples, scene_of
-from forged import ARRAYS, VALUES, forge, places, set_attribute, set_dataset
+from forged import ARRAYS, VALUES, forge, forge_place, set_attribute, set_dataset
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -46,16 +46,7 @@ def resume_or_refuse(path):
 @examples(10)
 @given(place=st.integers(0, 10**6), value=st.sampled_from(VALUES), way=st.sampled_from(list(ARRAYS)))
 def test_any_value_in_any_place(place, value, way, saved):
-    known = places(saved.with_suffix(".right"))
-    name, key = known[place % len(known)]
-
-    def change(file):
-        if key is None:
-            set_dataset(file, name, ARRAYS[way](file[name][()]))
-        else:
-            set_attribute(file[name], key, value)
-
-    forge(saved, change)
+    forge_place(saved, place, value, way)
     resume_or_refuse(saved)
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from conftest import error_of, examples
-from forged import ARRAYS, VALUES, forge, places, set_attribute, set_dataset
+from forged import ARRAYS, VALUES, forge, forge_place, set_dataset
 from hypothesis import given
 from hypothesis import strategies as st
 from test_command_lines import filled  # noqa: F401
@@ -46,16 +46,7 @@ def folder(filled, tmp_path, monkeypatch):  # noqa: F811
 )
 def test_any_value_in_any_place(line, place, value, way, folder, command):
     path, words = Path(line[0]), line[1].split()
-    known = places(path.with_suffix(".right"))
-    name, key = known[place % len(known)]
-
-    def change(file):
-        if key is None:
-            set_dataset(file, name, ARRAYS[way](file[name][()]))
-        else:
-            set_attribute(file[name], key, value)
-
-    forge(path, change)
+    forge_place(path, place, value, way)
     status, _, err = command(*words)
     assert status in (0, 2)
     assert "Traceback" not in err
