@@ -224,8 +224,6 @@ def _run_again(
     from warp_plate.scene.errors import SceneError
     from warp_plate.viz.fields import FIELDS
 
-    names = cases or (result.main_name,)
-    for key, value, known in [("quantity", quantity, FIELDS), *(("case", name, result.cases) for name in names)]:
-        if value not in known:
-            raise SceneError(f"{key} = {value!r}: must be one of {', '.join(known)}")
-    return motions(result.scene, {name: result.cases[name] for name in names}, span, frames, device)
+    if quantity not in FIELDS:
+        raise SceneError(f"quantity = {quantity!r}: must be one of {', '.join(FIELDS)}")
+    return motions(result.scene, result.select_cases(cases or (result.main_name,)), span, frames, device)

@@ -87,10 +87,7 @@ def export(
             if value is not None:
                 raise SceneError(f"{name} = {value:g}: waveforms of focus have a rate and a duration; leave it out")
         return _export_waveforms(result, path, to, cases, full_scale, encoding)
-    for name in cases:
-        if name not in result.cases:
-            raise SceneError(f"case = {name!r}: must be one of {', '.join(result.cases)}")
-    chosen = {name: result.cases[name] for name in cases or result.cases}
+    chosen = result.select_cases(cases or tuple(result.cases))
     if to in DRIVES:
         if len(cases) > 1:
             raise SceneError(f"case = {' '.join(cases)}: a file holds one drive; name one case")

@@ -50,10 +50,7 @@ def motion(
     Raises:
         SceneError: Unknown case, or see :func:`motions`.
     """
-    if case and case not in result.cases:
-        raise SceneError(f"case = {case!r}: must be one of {', '.join(result.cases)}")
-    name = case or result.main_name
-    return motions(result.scene, {name: result.cases[name]}, span, frames, device)[0]
+    return motions(result.scene, result.select_cases([case or result.main_name]), span, frames, device)[0]
 
 
 def period_around(result: Result, time: float) -> tuple[float, float]:

@@ -7,7 +7,7 @@ the positions of the nodes, the localization factors, and the crosstalk between 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -292,6 +292,13 @@ class Result:
     def main_name(self) -> str:
         """Name of the best drive found, or of the drive that was simulated."""
         return "best" if "best" in self.cases else next(iter(self.cases))
+
+    def select_cases(self, names: Sequence[str]) -> dict[str, Case]:
+        """Return the cases of these names, or raise a SceneError that says which there are."""
+        for name in names:
+            if name not in self.cases:
+                raise SceneError(f"case = {name!r}: must be one of {', '.join(self.cases)}")
+        return {name: self.cases[name] for name in names}
 
     @property
     def main_case(self) -> Case:
