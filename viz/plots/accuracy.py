@@ -102,7 +102,8 @@ def _plot_family(axes: Axes, rows: Sequence[Row], front: Sequence[Row]) -> None:
     text = {"textcoords": "offset points", "fontsize": 6.5, "color": colour, "ha": "right", "va": "top"}
     for row in line if single and (order, load) in NUMBERED else ():
         if row in front if order > 2 else row["error"] < 0.1:
-            axes.annotate("×".join(map(str, row["nodes"])), (row["seconds_per_plate"], row["error"]), (-5, -5), **text)
+            below = (-5, -12 if load == "modal" else -5)  # [pt]; the first modes often lie beside a grid of order 4
+            axes.annotate("×".join(map(str, row["nodes"])), (row["seconds_per_plate"], row["error"]), below, **text)
 
 
 def _annotate(axes: Axes, record: Mapping[str, Any], rows: Sequence[Row]) -> None:
