@@ -13,6 +13,7 @@ from warp_plate.analysis.check import check
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.stability_limit import find_limit
+from warp_plate.scene.errors import percent
 
 
 def test_numbers_and_words_of_the_paper(command):
@@ -26,8 +27,39 @@ def test_numbers_and_words_of_the_paper(command):
     assert found["condition"] == pytest.approx((found["fastest_frequency"] / found["slowest_frequency"]) ** 2)
     assert len(found["warnings"]) == 2
     words = " ".join(command("check", "paper", "--device", "cpu")[1].split())
-    for part in ("9.63346e-05 s", "1250 steps", "0.851 %", "43.1 steps a period", "7.48 points", "26.5 kB a plate"):
+    for part in ("9.63346e-05 s", "1250 steps", "0.851 %", "43.1 a period", "26.5 kB a plate"):
         assert part in words
+
+
+def test_summary_then_warnings_then_what_is_within_its_threshold(command):
+    """Warnings stand together; numbers that pass have a row each, without a sentence."""
+    found = json.loads(output_of(command("check", "paper", "--device", "cpu", "--json")))
+    assert found["mass"] == pytest.approx(0.2 * 0.2 * 0.5e-3 * 1000)
+    lines = [line.strip() for line in command("check", "paper", "--device", "cpu")[1].splitlines()]
+    assert lines[2].split(maxsplit=1) == ["plate", "200 × 200 × 0.5 mm, 20 g; all edges clamped"]
+    assert "first natural frequency  21.89 Hz" in lines
+    assert "drive                    290 Hz, 4 actuators" in lines
+    warned = [index for index, line in enumerate(lines) if line.startswith("!")]
+    rows = [index for index, line in enumerate(lines) if "≥" in line or "≤" in line]
+    assert (len(warned), max(warned) < min(rows)) == (2, True)
+    assert lines[rows[0]].split() == ["wavelength", "/", "thickness", "115", "≥", "10"]
+    passed = [number["name"] for number in found["numbers"] if not number["exceeded"] and number["value"] is not None]
+    assert [" ".join(lines[row].split()[:-3]) for row in rows] == passed
+
+
+def test_edges_layers_and_frequencies_in_the_summary(command, write_scene):
+    scene = scene_of(edges=("free", {"translation": 1e5}, "clamped", "free"))
+    rows = [actuator.model_dump() for actuator in scene.actuators]
+    rows[0]["frequency"] = 300.0
+    layer = {"area": (0.0, 0.1, 0.0, 0.2), "thickness": 2e-5, "young_modulus": 1e9, "density": 2000.0}
+    write_scene(scene.with_tables(effects={"layers": [layer]}, actuators=rows))
+    words = " ".join(output_of(command("check", "panel.toml", "--device", "cpu")).split())
+    assert "g with layers; left free, bottom on springs, right clamped, top free" in words
+    assert "290, 300 Hz, 3 actuators" in words
+
+
+def test_whole_percent():
+    assert [percent(share) for share in (0.99999, 0.00564, 1.234, 0.0)] == ["100 %", "0.56 %", "120 %", "0 %"]
 
 
 def test_frequencies_and_limit():

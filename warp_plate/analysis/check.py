@@ -10,9 +10,10 @@ import numpy as np
 
 from warp_plate.analysis.warnings import Finding, find_warnings, slowest_frequency, wavelengths
 from warp_plate.modal.solver import MODAL
+from warp_plate.plate.bending import mass_matrix
 from warp_plate.plate.discretization import discretize
 from warp_plate.plate.scheme import Scheme
-from warp_plate.plate.signals import highest_frequency
+from warp_plate.plate.signals import carrier_frequencies, highest_frequency
 from warp_plate.plate.stability_limit import StabilityLimit
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.solve.devices import find_device
@@ -20,11 +21,17 @@ from warp_plate.solve.paths import choose_path, describe_plan
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import bytes_per_plate
 
+# Most frequencies of a drive that are listed one by one.
+MOST_NAMED = 4
+
 
 @dataclass(frozen=True)
 class Check:
-    """Numerical properties of a scene."""
+    """Properties of a scene, most of them numerical."""
 
+    plate: str  # sides, thickness, mass and edges
+    mass: float  # mass of the plate and its layers [kg]
+    drive: str  # frequencies and number of actuators
     nodes: tuple[int, int]  # nodes (nx, ny)
     order: int  # spatial order
     precision: str  # precision of the time steps
@@ -51,15 +58,22 @@ class Check:
     plan: str  # distribution of plates over the device
     findings: tuple[Finding, ...]  # see ``find_warnings``
 
-    def sentences(self) -> list[str]:
-        """Return the properties as sentences."""
+    @property
+    def summary(self) -> dict[str, str]:
+        """Plate, first mode, drive and engine as texts by name."""
+        nx, ny = self.nodes
+        engine = f"time steps on {self.device}, {nx} × {ny} nodes of order {self.order}, {self.precision}"
         if self.path == MODAL:
-            return [
-                "Modes need no time steps and no grid; pictures have "
-                f"{self.nodes[0]} × {self.nodes[1]} points. The lowest natural frequency is "
-                f"{self.slowest_frequency:.4g} Hz, the highest drive frequency {self.drive_frequency:g} Hz."
-            ]
-        limit, growth = self.limit, ""
+            engine = f"modes, without time steps or grid; pictures have {nx} × {ny} points"
+        first = f"{self.slowest_frequency:.4g} Hz" if self.slowest_frequency else "none above zero"
+        return {"plate": self.plate, "first natural frequency": first, "drive": self.drive, "engine": engine}
+
+    @property
+    def numerics(self) -> dict[str, str]:
+        """Time step, its limit, and memory as texts by name; empty for a run by modes."""
+        if self.path == MODAL:
+            return {}
+        limit, growth, count = self.limit, "", self.plates
         shares = sorted(limit.shares.items(), key=lambda share: -share[1])
         causes = ", ".join(f"{name} {100 * share:.3g} %" for name, share in shares if share >= 0.005)
         origin = "shortest wave on the grid, by formula"
@@ -67,26 +81,23 @@ class Check:
             x, y = limit.place
             origin = f"fastest motion of this scene's matrices, largest at x = {x:.3g} m, y = {y:.3g} m"
         if not self.stable:
-            growth = f" It is too long: the fastest motion grows {self.growth_a_step:.3g} times in every step."
-        swarm = f"{_bytes_text(self.bytes_a_plate * self.plates)} for the {self.plates} plates of a search"
-        sentences = [
-            f"The time step is {self.time_step:.6g} s, {self.time_step / limit.time_step:.3g} of the limit of "
-            f"{limit.time_step:.6g} s; the run takes {self.steps} steps.{growth}",
-            f"The limit is set by the {origin}: {causes}.",
-            f"The highest drive frequency, {self.drive_frequency:g} Hz, has {self.steps_a_period:.3g} steps a period "
-            f"and {self.points_a_wavelength:.3g} points a bending wavelength.",
-            f"Natural frequencies range from {self.slowest_frequency:.4g} to {self.fastest_frequency:.4g} Hz "
-            f"(condition number {self.condition:.2g}): rounding in {self.precision} leaves errors of "
-            f"{self.rounding:.0e} of the motion or less.",
-            f"{self.nodes[0]} × {self.nodes[1]} nodes of order {self.order} take {_bytes_text(self.bytes_a_plate)} a "
-            f"plate, {swarm}, on {self.device}, path {self.path} ({self.plan}).",
-        ]
+            growth = f"; too long, the fastest motion grows {self.growth_a_step:.3g} times in every step"
+        texts = {
+            "time step": f"{self.time_step:.6g} s, {self.time_step / limit.time_step:.3g} of the limit of "
+            f"{limit.time_step:.6g} s; {self.steps} steps, {self.steps_a_period:.4g} a period{growth}",
+            "set by": f"{origin}: {causes}",
+            "rounding": f"errors up to {self.rounding:.0e} of the motion; natural frequencies up to "
+            f"{self.fastest_frequency:.0f} Hz, condition number {self.condition:.2g}",
+            "memory": f"{_bytes_text(self.bytes_a_plate)} a plate, {_bytes_text(self.bytes_a_plate * count)} for the "
+            f"{count} plates of a search",
+            "path": f"{self.path}: {self.plan}",
+        }
         if self.stretching_amplitude is not None:
-            sentences.append(
-                "Stretching is not in the limit: it makes this time step too long from an amplitude of about "
-                f"{self.stretching_amplitude:.3g} thicknesses on (of the lowest bending shape)."
+            texts["stretching"] = (
+                "not in the limit: this time step is too long from an amplitude of about "
+                f"{self.stretching_amplitude:.3g} thicknesses on (of the lowest bending shape)"
             )
-        return sentences
+        return texts
 
     def as_json(self) -> Mapping[str, object]:
         """Return the properties as numbers and texts."""
@@ -99,7 +110,7 @@ class Check:
             "limit_by_formula": limit.formula,
             "limit_place": None if place is None else list(place),
             "numbers": [vars(finding) for finding in self.findings],
-            "sentences": self.sentences(),
+            "sentences": [f"{name}: {text}" for name, text in {**self.summary, **self.numerics}.items()],
             "warnings": [finding.sentence for finding in self.findings if finding.exceeded],
         }
 
@@ -116,7 +127,14 @@ def check(scene: SceneSource, device: str = "auto", allow_unstable: bool = False
     scheme = discretization.scheme
     specialized = Specialized(discretization, find_device(device))
     limit, frequency, slowest = scheme.stability, highest_frequency(scene), slowest_frequency(scene)
+    bending, plate = scheme.bending, scene.plate
+    mass = math.prod(plate.size) * plate.thickness * plate.density
+    if bending is not None:
+        mass = float(mass_matrix(bending).sum())
     return Check(
+        plate=_plate_text(scene, mass),
+        mass=mass,
+        drive=_drive_text(scene),
         nodes=scheme.nodes,
         order=scheme.order,
         precision=scene.grid.precision,
@@ -140,6 +158,25 @@ def check(scene: SceneSource, device: str = "auto", allow_unstable: bool = False
         plan=describe_plan(specialized) if steps else "without time steps",
         findings=tuple(find_warnings(scene, None, steps)),
     )
+
+
+def _plate_text(scene: Scene, mass: float) -> str:
+    width, height = scene.plate.size
+    edges = {side: edge if isinstance(edge, str) else "on springs" for side, edge in scene.edges}
+    around = ", ".join(f"{side} {edge}" for side, edge in edges.items())
+    if len(set(edges.values())) == 1:
+        around = f"all edges {edges['left']}"
+    size = f"{1e3 * width:g} × {1e3 * height:g} × {1e3 * scene.plate.thickness:g} mm"
+    return f"{size}, {1e3 * mass:.4g} g{' with layers' * bool(scene.layers)}; {around}"
+
+
+def _drive_text(scene: Scene) -> str:
+    frequencies, count = sorted(carrier_frequencies(scene)), len(scene.actuators)
+    named = ", ".join(f"{frequency:g}" for frequency in frequencies[:MOST_NAMED])
+    if len(frequencies) > MOST_NAMED:
+        named = f"{len(frequencies)} frequencies from {frequencies[0]:g} to {frequencies[-1]:g}"
+    waveform = f" ({scene.drive.waveform_key})" if scene.drive.waveform_key else ""
+    return f"{named} Hz{waveform}, {count} actuator{'s'[: count > 1]}"
 
 
 def _critical_amplitude(scene: Scene, scheme: Scheme) -> float | None:

@@ -15,7 +15,7 @@ from warp_plate.plate.signals import carrier_frequencies, highest_frequency
 from warp_plate.plate.waveforms import read_samples
 from warp_plate.plate.weights import region_weights
 from warp_plate.scene.drive import SampledSignal
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, percent
 from warp_plate.scene.model import Scene
 
 # Displacement over thickness. By Berger's equation for a supported square, stretching raises the frequency of a motion
@@ -58,8 +58,9 @@ class Finding:
     name: str  # name of the number
     value: float  # dimensionless value; NaN if it does not apply
     threshold: float  # dimensionless threshold
-    sentence: str  # explanation
+    sentence: str  # explanation; if exceeded, with what to change
     exceeded: bool  # True if the threshold is exceeded and the scene lacks the effect
+    at_least: bool = False  # True if the value should be no smaller than the threshold, False if no larger
 
 
 def find_warnings(scene: Scene, peak_displacement: float | None, gridded: bool = True) -> list[Finding]:
@@ -143,8 +144,10 @@ def explain_missing_energies(scene: Scene, status: str = "its numbers grew beyon
     return f"A plate has no energies, {status}: {cause}"
 
 
-def _finding(name: str, value: float, threshold: float, exceeded: bool, fact: str, bad: str, good: str) -> Finding:
-    return Finding(name, value, threshold, f"{fact}: {bad if exceeded else good}", exceeded)
+def _finding(
+    name: str, value: float, threshold: float, exceeded: bool, fact: str, bad: str, at_least: bool = False
+) -> Finding:
+    return Finding(name, value, threshold, f"{fact}: {bad}" if exceeded else f"{fact}.", exceeded, at_least)
 
 
 def _amplitude(scene: Scene, peak: float) -> Finding:
@@ -154,28 +157,27 @@ def _amplitude(scene: Scene, peak: float) -> Finding:
     exceeded = value > MOST_AMPLITUDE and not included
     fact = f"The largest displacement over the run is {value:.2g} of the thickness (threshold {MOST_AMPLITUDE:g})"
     bad = "stretching matters; name [effects.stretching]."
-    good = "stretching is included." if included else "stretching does not matter."
-    return _finding(name, value, MOST_AMPLITUDE, exceeded, fact, bad, good)
+    return _finding(name, value, MOST_AMPLITUDE, exceeded, fact, bad)
 
 
 def _thinness(scene: Scene) -> Finding:
     name, value, fewest = "wavelength / thickness", min(wavelengths(scene)) / scene.plate.thickness, FEWEST_THICKNESSES
     fact = f"A bending wave of the drive's highest frequency is {value:.3g} thicknesses long (threshold {fewest:g})"
-    bad, good = "rotary inertia and shear, which this program neglects, matter.", "the plate is thin."
-    return _finding(name, value, fewest, value < fewest, fact, bad, good)
+    bad = "rotary inertia and shear, which this program neglects, matter."
+    return _finding(name, value, fewest, value < fewest, fact, bad, at_least=True)
 
 
 def _points(scene: Scene) -> Finding:
     pairs = zip(wavelengths(scene), scene.plate.size, scene.grid.nodes, strict=True)
     value, fewest = min(wave * (nodes - 1) / side for wave, side, nodes in pairs), FEWEST_POINTS[scene.grid.order]
     fact = f"The grid has {value:.3g} points a bending wave of the drive's highest frequency (threshold {fewest:g})"
-    bad, good = "take more nodes, or ask for an accuracy.", "it is fine enough."
+    bad = "take more nodes, or ask for an accuracy."
     if value < NYQUIST:
         bad = (
             "no grid holds a wave of fewer than 2 points. plate.size, plate.thickness and areas are in metres, "
             "plate.density in kg/m³, frequencies in Hz; if they are right, take more nodes, or ask for an accuracy."
         )
-    return _finding("points a wavelength", value, fewest, value < fewest, fact, bad, good)
+    return _finding("points a wavelength", value, fewest, value < fewest, fact, bad, at_least=True)
 
 
 def _added_mass(scene: Scene) -> Finding:
@@ -185,14 +187,14 @@ def _added_mass(scene: Scene) -> Finding:
         added += (2 if layer.both else 1) * (x1 - x0) * (y1 - y0) * layer.thickness * layer.density
     value = added / (plate.size[0] * plate.size[1] * plate.thickness * plate.density)
     subject = "Layers add" if named else "The scene names no layers; a film of 110 µm on each actuator would add"
-    fact = f"{subject} {100 * value:.2g} % to the plate's mass (threshold {100 * MOST_ADDED_MASS:g} %)"
-    bad, good = "name the bodies of the actuators under [[effects.layers]].", "frequencies change little."
+    fact = f"{subject} {percent(value)} to the plate's mass (threshold {percent(MOST_ADDED_MASS)})"
+    bad = "name the bodies of the actuators under [[effects.layers]]."
     if named:
-        bad = f"frequencies change by about {50 * value:.2g} %, so the layers' thickness and density must be right."
+        bad = f"frequencies change by about {percent(value / 2)}, so the layers' thickness and density must be right."
     if value > 1:
         bad = f"the plate itself weighs less; is plate.density = {plate.density:g} kg/m³ meant?"
     name, exceeded = "added mass / plate's mass", value > MOST_ADDED_MASS
-    return _finding(name, value, MOST_ADDED_MASS, exceeded, fact, bad, good)
+    return _finding(name, value, MOST_ADDED_MASS, exceeded, fact, bad)
 
 
 def _left_at_start(scene: Scene) -> Finding:
@@ -218,16 +220,14 @@ def _left_at_start(scene: Scene) -> Finding:
         rate += effects.material_damping.time * (2 * math.pi * lowest) ** 2 / 2 if effects.material_damping else 0.0
         rate += float(np.min(effects.modal_damping.ratio)) * 2 * math.pi * lowest if effects.modal_damping else 0.0
     value = math.exp(-rate * scene.window.start)
-    fact = (
-        f"When the window opens, {100 * value:.2g} % of the start-up motion is left (threshold {100 * MOST_LEFT:g} %)"
-    )
-    bad, good = "it never decays; name [effects.damping].", "the motion is steady."
+    fact = f"When the window opens, {percent(value)} of the start-up motion is left (threshold {percent(MOST_LEFT)})"
+    bad = "it never decays; name [effects.damping]."
     if rate > 0:
         start = _rounded_up(-math.log(MOST_LEFT) / rate)
         end = _rounded_up(start + scene.window.end - scene.window.start)
         later = f" and window.end = {end:.3g} s" if start >= scene.window.end else ""
         bad = f"the motion is not steady; start the window later, at window.start = {start:.3g} s{later}."
-    return _finding(name, value, MOST_LEFT, value > MOST_LEFT, fact, bad, good)
+    return _finding(name, value, MOST_LEFT, value > MOST_LEFT, fact, bad)
 
 
 def _rounded_up(value: float) -> float:
@@ -240,7 +240,7 @@ def _slenderness(scene: Scene) -> Finding:
     name, value, most = "side / thickness", min(scene.plate.size) / scene.plate.thickness, MOST_SLENDER
     fact = f"The plate's shorter side is {value:.3g} times its thickness (threshold {most:g})"
     bad = f"are plate.size and plate.thickness = {scene.plate.thickness:g} both in metres?"
-    return _finding(name, value, most, value > most, fact, bad, "it is a panel.")
+    return _finding(name, value, most, value > most, fact, bad)
 
 
 def _above_first_mode(scene: Scene) -> Finding:
@@ -252,19 +252,19 @@ def _above_first_mode(scene: Scene) -> Finding:
     name, effects, driven = "drive's frequency / first natural frequency", scene.effects, highest_frequency(scene)
     if effects.moving_load is not None:
         sentence = "A moving load has no single frequency, so it is not compared with the first natural frequency."
-        return Finding(name, math.nan, 1.0, sentence, False)
+        return Finding(name, math.nan, 1.0, sentence, False, at_least=True)
     stiffened = effects.foundation or effects.tension or effects.layers or effects.variation or effects.oscillators
     if not stiffened and max(wavelengths(scene)) < min(scene.plate.size):
         sentence = "The drive's bending waves are shorter than the plate, so it lies above the first natural frequency."
-        return Finding(name, math.nan, 1.0, sentence, False)
+        return Finding(name, math.nan, 1.0, sentence, False, at_least=True)
     try:
         first = slowest_frequency(scene)
     except SceneError as error:  # a plate that buckles has none, and may be run with stretching
-        return Finding(name, math.nan, 1.0, f"The first natural frequency is not known: {error}", False)
+        return Finding(name, math.nan, 1.0, f"The first natural frequency is not known: {error}", False, at_least=True)
     value = driven / first if first else math.nan
     fact = f"The drive's highest frequency is {driven:.4g} Hz, the first natural frequency {first:.4g} Hz"
     bad = "the plate moves quasi-statically, so that hardly any drive can move one part alone; raise the frequency."
-    return _finding(name, value, 1.0, value < 1, fact, bad, "it lies above.")
+    return _finding(name, value, 1.0, value < 1, fact, bad, at_least=True)
 
 
 def _turns(scene: Scene) -> Finding:
@@ -273,7 +273,7 @@ def _turns(scene: Scene) -> Finding:
     value = abs(phase) / (2 * math.pi)
     fact = f"The largest phase, actuators[{index}].phase = {phase:g} rad, is {value:.3g} turns (threshold 1)"
     bad = f"phases are in radians; {phase:g}° are {math.radians(phase):.4g} rad."
-    return _finding("phase / turn", value, MOST_TURNS, value > MOST_TURNS, fact, bad, "it is within one turn.")
+    return _finding("phase / turn", value, MOST_TURNS, value > MOST_TURNS, fact, bad)
 
 
 def _overlap(scene: Scene) -> Finding:
@@ -285,10 +285,10 @@ def _overlap(scene: Scene) -> Finding:
     value, fact = float(shares.max()), "No two actuators overlap"
     if value > ROUNDED:
         first, second = (scene.actuators[at].name for at in np.unravel_index(shares.argmax(), shares.shape))
-        fact = f'Actuators "{first}" and "{second}" overlap by {100 * value:.2g} %'
+        fact = f'Actuators "{first}" and "{second}" overlap by {percent(value)}'
     exceeded = value > ROUNDED
-    bad, good = "their pressures add there, but two bodies cannot be in one place; move one.", "each has its place."
-    return _finding("overlap of actuators", value, ROUNDED, exceeded, fact, bad, good)
+    bad = "their pressures add there, but two bodies cannot be in one place; move one."
+    return _finding("overlap of actuators", value, ROUNDED, exceeded, fact, bad)
 
 
 def _signal(scene: Scene, signal: SampledSignal) -> Finding:
@@ -300,6 +300,6 @@ def _signal(scene: Scene, signal: SampledSignal) -> Finding:
         f"99 % of the energy in {signal.file!r} lies below {highest:.4g} Hz, and drive.frequency is {stated:g} Hz "
         f"(threshold {MOST_BEYOND:g} times that)"
     )
-    bad, good = "the time step and grid may be too coarse; raise drive.frequency.", "it covers the file."
+    bad = "the time step and grid may be too coarse; raise drive.frequency."
     value = highest / stated
-    return _finding("file's frequency / drive.frequency", value, MOST_BEYOND, value > MOST_BEYOND, fact, bad, good)
+    return _finding("file's frequency / drive.frequency", value, MOST_BEYOND, value > MOST_BEYOND, fact, bad)

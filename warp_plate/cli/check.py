@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from rich.console import Console
+from rich.table import Table
 
 from warp_plate.cli import options, output
 
@@ -17,7 +20,8 @@ def check(
     allow_unstable: options.AllowUnstable = False,
     json: options.Json = False,
 ) -> None:
-    """Show the time step and its limit, points per wavelength, condition, memory and stepping path of a scene."""
+    """Show what a scene is, warnings about it, and the numerics of its run: time step and its limit, points per
+    wavelength, condition, memory and stepping path."""
     loaded, scene = output.load_scene(scene, assignments, accuracy)
     from warp_plate.analysis.check import check as check_scene
     from warp_plate.modal.solver import MODAL
@@ -28,7 +32,17 @@ def check(
         found = check_scene(resolved.scene, device, allow_unstable, resolved.evaluator == MODAL)
 
     def show(console: Console) -> None:
-        console.print(f"{loaded.title or scene}\n", *found.sentences(), "", sep="\n")
+        console.print(f"{loaded.title or scene}\n")
+        console.print(_lines(found.summary), "")
         output.print_findings(found.findings, console)
+        if found.numerics:
+            console.print("", _lines(found.numerics))
 
     output.report(json, lambda: {"scene": scene, **found.as_json()}, show)
+
+
+def _lines(texts: Mapping[str, str]) -> Table:
+    made = Table.grid(padding=(0, 2, 0, 0))
+    for name, text in texts.items():
+        made.add_row(name, text)
+    return made

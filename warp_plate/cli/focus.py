@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_plate.cli import options, output
+from warp_plate.scene.errors import percent
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -150,12 +151,12 @@ def _remarks(found: FocusResult, name: str) -> list[str]:
     if others.any():
         remarks.append(f"crosstalk at most {method.crosstalk_db[others].max():.1f} dB")
     if method.misfit is not None:
-        remarks.append(f"{wish} followed within {100 * method.misfit.max():.2g} %")
+        remarks.append(f"{wish} followed within {percent(method.misfit.max())}")
     if method.electrical_energy is not None:
         remarks.append(f"electrical energy at most {method.electrical_energy.max():.3g} J")
     if (panels := method.panels) is not None:
         worst = [f"{panels.crosstalk_db.max():.1f} dB"] if others.any() else []
-        worst += [] if panels.misfit is None else [f"{100 * panels.misfit.max():.2g} %"]
+        worst += [] if panels.misfit is None else [percent(panels.misfit.max())]
         least = np.abs(panels.peak).min()
         remarks.append(f"on {len(panels.peak)} panels {', '.join([*worst, f'peak at least {least:.3g} {found.unit}'])}")
     return remarks

@@ -322,9 +322,17 @@ def _seconds_text(seconds: Mapping[str, float], elapsed: float) -> str:
 
 
 def print_findings(findings: Sequence[Finding], console: Console) -> None:
-    """Print the sentence of every finding, with a mark before those that exceed their thresholds."""
+    """Print warnings, then a table of the numbers within their thresholds; what is not judged is left out."""
+    warnings = [finding for finding in findings if finding.exceeded]
+    for finding in warnings:
+        console.print(f"! {finding.sentence}")
+    made = table("within thresholds", "value", "threshold")
     for finding in findings:
-        console.print(f"{'! ' if finding.exceeded else '  '}{finding.sentence}")
+        if not finding.exceeded and not math.isnan(finding.value):
+            inside = finding.value >= finding.threshold if finding.at_least else finding.value <= finding.threshold
+            threshold = f"{'≥' if finding.at_least else '≤'} {finding.threshold:g}"
+            made.add_row(finding.name, f"{finding.value:.3g}", threshold if inside else f"{threshold}, or its effect")
+    console.print(*[""] * bool(warnings), made)
 
 
 def warnings_of(result: Result) -> list[str]:

@@ -28,7 +28,7 @@ from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.problem.evaluate_cases import reference_phasors
 from warp_plate.problem.parametrization import magnitude_unit
 from warp_plate.result.motion import DriveResponse, SwarmSnapshot
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, percent
 from warp_plate.scene.model import Scene
 from warp_plate.solve.run import Progress
 
@@ -103,7 +103,7 @@ class LiveModel:
         if not math.isfinite(residual):
             return "the motion of this run grew without bound: drive less, or write a shorter grid.time_step"
         if residual > RESIDUAL_WARNING:
-            return f"not steady: {100 * residual:.2g} % of the motion at the run's end is start-up motion, not shown"
+            return f"not steady: {percent(residual)} of the motion at the run's end is start-up motion, not shown"
         return ""
 
     def swarm(self) -> SwarmSnapshot | None:
