@@ -47,6 +47,17 @@ def test_a_burst_between_the_recorded_times_is_seen(struck, path, effects):
         assert np.abs(plain.displacement[1]).max() < 0.5 * peak
 
 
+def test_a_tone_is_recorded_a_quarter_period_apart(scene):
+    """So the two instants show the amplitude, whatever the phase of the motion at the end."""
+    made = scene(damping=2000.0, window=(0.02, 20 / 290))
+    assert record_times(made) == pytest.approx((19.75 / 290, 20 / 290))
+    solver, drive = PlateSolver(made, "cpu"), scene_phasors(made)[None]
+    both = np.hypot(*solver.run(drive, record_times(made)).displacement[0][:, 6, 6])
+    period = solver.run(drive, np.linspace(19 / 290, 20 / 290, 33)).displacement[0][:, 6, 6]
+    assert both == pytest.approx(np.abs(period).max(), rel=0.02)
+    assert record_times(made.with_tables(record={"times": (0.01,)})) == (0.01,)
+
+
 def test_few_samples_still_see_a_burst_and_a_passing_load(struck):
     late = struck.with_tables(
         window={"start": 1.0, "end": 30.0},

@@ -113,7 +113,9 @@ class Window(Table):
 class Record(Table):
     """Outputs of a run besides energies."""
 
-    times: tuple[Instant, ...] = ()  # times at which displacement fields are stored [s]
+    # Times at which displacement fields are stored [s] (default: the end of the run and a quarter period before; for
+    # bursts, sweeps and other drives without a period the middle of the run)
+    times: tuple[Instant, ...] = ()
     # Points (x, y) at which the displacement of every step is stored [m]
     points: tuple[tuple[Coordinate, Coordinate], ...] = ()
 

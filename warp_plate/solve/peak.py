@@ -41,8 +41,14 @@ def _target_nodes(scene: Scene) -> np.ndarray:
 
 
 def record_times(scene: Scene) -> tuple[float, ...]:
-    """Return the times [s] that the scene records (default: the middle of the run and its end)."""
-    return scene.record.times or (scene.window.end / 2, scene.window.end)
+    """Return the times [s] that the scene records.
+
+    The default is the end of the run and, of periodic drives, a quarter period before, so that no node passes zero at
+    both; of others the middle of the run.
+    """
+    end = scene.window.end
+    earlier = end / 2 if scene.nonperiodic_key else max(end - 0.25 / scene.drive.frequency, 0.0)
+    return scene.record.times or (earlier, end)
 
 
 def sample_times(scene: Scene) -> tuple[float, ...]:
