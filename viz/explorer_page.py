@@ -79,7 +79,7 @@ def serve_page(
     set_up_renderer()
     # JPEG cannot be compressed further; trying takes longer than drawing. Read when the server starts.
     os.environ.setdefault("WSLINK_WS_COMPRESS", "0")
-    logging.getLogger("asyncio").addFilter(_is_not_disconnection)
+    logging.getLogger("asyncio").addFilter(_is_not_of_a_connection)
     for name in SILENT:
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     with suppress(KeyboardInterrupt):
@@ -249,7 +249,7 @@ def _within(on_change: Callable[[float], object], ends: tuple[float, float], val
         on_change(min(max(float(value), ends[0]), ends[1]))
 
 
-def _is_not_disconnection(record: logging.LogRecord) -> bool:
-    """Return whether a log record reports anything but a browser that disconnected."""
+def _is_not_of_a_connection(record: logging.LogRecord) -> bool:
+    """Return whether a log record reports anything but a browser that disconnected, or too many connections."""
     error = record.exc_info[1] if record.exc_info else None
-    return not isinstance(error or sys.exc_info()[1], ConnectionError)
+    return not isinstance(error or sys.exc_info()[1], OSError)

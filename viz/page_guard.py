@@ -1,4 +1,5 @@
-"""Access control of the explorer's page: requests must name this machine, and sockets bring the secret of the run.
+"""Access control of the explorer's page: requests must name this machine, sockets bring the secret of the run, and the
+page connects to no other server.
 
 The secret is in the printed address. The browser sends that address as the referrer of the page's first request, which
 asks where the socket is. This avoids a cookie, which would be sent to other servers at this address as well.
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
 # A browser that takes no data for so long is dropped, as others wait for it [ms].
 PATIENCE = 5000
+# What the page loads beside the files of its server.
+PAGE_NEEDS = "data: blob: 'unsafe-inline' 'unsafe-eval'"
 
 
 def guard(server: Any, host: str, secret: str) -> None:
@@ -43,6 +46,8 @@ def guard(server: Any, host: str, secret: str) -> None:
                 raise web.HTTPForbidden
             _drop_if_idle(request)
         response: web.StreamResponse = await handler(request)
+        # The page's script would take any server's address, of a socket too, from a link to the page.
+        response.headers["Content-Security-Policy"] = f"default-src 'self' ws://{request.host} {PAGE_NEEDS}"
         return response
 
     server.app.middlewares.append(check)

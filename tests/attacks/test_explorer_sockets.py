@@ -22,6 +22,7 @@ aiohttp = pytest.importorskip("aiohttp")
 msgpack = pytest.importorskip("msgpack")
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGINT to send to one process")
 PATIENCE = 60.0
+FILES = 200
 ESCAPES = "\x1b[2J\x1b]0;title\x07"
 METHODS = [
     *("trame.state.get", "trame.state.update", "trame.trigger", "trame.error.client", "trame.lifecycle.update"),
@@ -89,6 +90,16 @@ async def answers_to(socket, message):
             return answer
 
 
+@pytest.fixture
+def few_files():
+    """A program that a later fixture starts may open only so many files and sockets at once."""
+    resource = pytest.importorskip("resource")
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (FILES, hard))
+    yield lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
 async def flood(socket):
     """Send messages whose answers are as long, and read none of them."""
     while True:
@@ -140,6 +151,19 @@ def test_what_clients_send_is_neither_printed_nor_obeyed(served):
     asyncio.run(talk())
     with socket.create_connection(served[0].split(":"), PATIENCE) as raw:
         raw.sendall(f"GET /{ESCAPES} HTTP/9\r\n{ESCAPES}\r\n\r\n".encode())
+    session(served)
+
+
+def test_connections_that_use_up_the_files_are_not_reported(few_files, served):
+    """Once they close, the page is served again."""
+    few_files()
+    idle = [socket.create_connection(served[0].split(":"), PATIENCE) for _ in range(FILES)]
+    with socket.create_connection(served[0].split(":"), 1.0) as late:
+        late.sendall(b"GET / HTTP/1.0\r\n\r\n")
+        with pytest.raises(TimeoutError):
+            late.recv(1)
+    for connection in idle:
+        connection.close()
     session(served)
 
 

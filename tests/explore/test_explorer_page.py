@@ -158,6 +158,11 @@ def test_connections(browser, served, tmp_path):
     with pytest.raises(OSError, match=r"refused|assign"):  # systems other than Linux lack that address
         socket.create_connection(("127.0.0.2", int(port)), PATIENCE)
 
+    with socket.create_server(("127.0.0.1", 0)) as elsewhere:
+        tab = browser.new_page()
+        with tab.expect_console_message(lambda message: "Content Security Policy" in message.text):
+            tab.goto(f"{page}?sessionURL=ws://127.0.0.1:{elsewhere.getsockname()[1]}/ws")
+
     request = partial(urllib.request.Request, page + "paraview/", b"{}")
     with urllib.request.urlopen(request({"Host": served.split("/")[2], "Referer": served}), timeout=PATIENCE) as answer:
         assert (answer.status, "Access-Control-Allow-Origin" in answer.headers) == (200, False)
