@@ -7,7 +7,13 @@ import pytest
 
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.analysis.influence import toggle
-from warp_plate.analysis.warnings import find_warnings, slowest_frequency, target_warnings, warning_texts
+from warp_plate.analysis.warnings import (
+    find_warnings,
+    search_warnings,
+    slowest_frequency,
+    target_warnings,
+    warning_texts,
+)
 from warp_plate.scene.dump import dump_scene
 from warp_plate.solve.specialize import effect_names
 
@@ -150,3 +156,11 @@ def test_a_window_that_opens_later_also_ends_later():
     start, end = (float(part.split()[0]) for part in found.sentence.split(" = ")[1:])
     assert end > start > made.window.end
     assert not left(made.with_tables(window={"start": start, "end": end})).exceeded
+
+
+def test_a_search_that_leaves_the_drive_alone_says_so(scene):
+    """The best frequency under an equal drive was taken for the best frequency."""
+    frequency = {"frequency": {"range": (200.0, 300.0)}}
+    assert "only [search.frequency] is written" in search_warnings(scene(search=frequency))[0]
+    for search in ({}, {**frequency, "phase": {}}):
+        assert search_warnings(scene(search=search)) == []

@@ -13,6 +13,7 @@ from warp_plate.problem.make_problem import make_problem
 from warp_plate.problem.methods import with_method
 from warp_plate.solve.solver import PlateSolver
 
+FREE_DRIVES = {"magnitude": {"range": (0.0, 2.0)}, "phase": {}}
 FINGER = {"area": (0.09, 0.11, 0.09, 0.11), "mass": 0.002, "stiffness": 400.0, "damping": 0.2}
 
 
@@ -120,6 +121,16 @@ def test_robust_search_by_modes_is_the_limit_of_its_simulated_matrices():
     assert losses[0] == pytest.approx(losses[1], abs=3e-3)
 
 
+def test_a_weak_amplifier_costs_no_localization():
+    """A limit had turned the exact method off: 0.0525 instead of 0.0583 on a panel of aluminium."""
+    free, limited = (
+        localize(paper(search=search), device="cpu", estimate=False).cases["best"]
+        for search in ({}, {"limits": {"magnitude": 0.5}})
+    )
+    assert limited.localization_factor == pytest.approx(free.localization_factor, rel=1e-9)
+    assert np.abs(limited.phasors).max() == pytest.approx(0.5)
+
+
 @pytest.mark.parametrize(
     ("tables", "key"),
     [
@@ -133,7 +144,7 @@ def test_what_has_no_modes_is_refused_by_name(tables, key):
 
 
 def test_a_search_without_a_method_is_exact_and_by_modes_where_it_can_be():
-    """Keys of a swarm, other objectives and nonlinear scenes keep the swarm."""
+    """Keys of a swarm, other objectives, limits of ratios, fixed numbers and nonlinear scenes keep the swarm."""
     result = localize(paper(search={}), device="cpu", estimate=False)
     assert (result.evaluator, result.scene.search.method) == ("modal", "exact")
     assert result.cases["best"].localization_factor == pytest.approx(0.654, abs=1e-4)
@@ -143,7 +154,13 @@ def test_a_search_without_a_method_is_exact_and_by_modes_where_it_can_be():
         ({"search": {"objectives": [{"kind": "contrast"}]}}, "pso"),
         ({"search": {}, "effects": {"stretching": {}}}, "pso"),
         ({"search": {"method": "ring"}}, "ring"),
+        ({"search": {"limits": {"equal_magnitudes": True}}}, "pso"),
+        ({"search": {"magnitude": {"range": (0.5, 2.0)}, "phase": {}}}, "pso"),
+        ({"search": {"phase": {}}}, "pso"),
+        ({"search": {**FREE_DRIVES, "frequency": {"range": (200.0, 300.0)}}}, "pso"),
         ({"search": {}, "drive": chirp}, "exact"),
+        ({"search": FREE_DRIVES}, "exact"),
+        ({"search": {"limits": {"magnitude": 2.0, "power": 3.0}}}, "exact"),
     ):
         assert with_method(paper(**tables)).search.method == method
 

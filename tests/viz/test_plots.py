@@ -98,6 +98,15 @@ def test_plots_of_the_first_of_several_targets_say_so(drawn, draw):
     assert not any(part in words for part in ("search for", "mean"))
 
 
+def test_small_localization_factors_fill_a_spectrum(drawn):
+    result = searched(**FREE)
+    small = {name: 0.1 * result.spectrum[name] for name in ("equal", "single", "best")}
+    cases = {"best": replace(result.cases["best"], energy={"plate": 1.0, "target": 0.05})}
+    axes = drawn(draw_spectrum, replace(result, cases=cases, spectrum=result.spectrum | small))[0].axes[0]
+    assert axes.get_ylim()[0] == 0
+    assert 0.05 < axes.get_ylim()[1] < 0.06
+
+
 @pytest.mark.parametrize(
     ("changes", "best", "any_size"),
     [

@@ -120,9 +120,10 @@ def draw_spectrum(result: Result, path: str | Path) -> None:
             axes.plot(spectrum["frequency"], spectrum[name], color=colour, linewidth=width, label=labels[name])
         _write_target(axes, result.scene)
         axes.set(xlabel="frequency [Hz]", ylabel="localization factor")
-        axes.set(ylim=(0, 1.05), xlim=spectrum["frequency"][[0, -1]])
+        axes.set(ylim=(0, None), xlim=spectrum["frequency"][[0, -1]])
         # Short ticks, so that many of them hide no curve.
-        axes.vlines(spectrum["resonances"], 0, 0.05, color="#b2182b", linewidth=0.9, label="natural frequency")
+        ticks = {"color": "#b2182b", "linewidth": 0.9, "transform": axes.get_xaxis_transform()}
+        axes.vlines(spectrum["resonances"], 0, 0.05, label="natural frequency", **ticks)
         if case.frequency is not None:
             point = (case.frequency[0], case.localization_factor)
             axes.plot(*point, "o", color="#e6820e", markersize=5, clip_on=False, label="best of the search", zorder=4)

@@ -99,13 +99,21 @@ def target_warnings(scene: Scene, localization_factor: float) -> list[str]:
 
 
 def search_warnings(scene: Scene) -> list[str]:
-    """Return warnings about results of a search that cannot be built."""
-    if len(scene.targets) < 2 or scene.search.position is None:
-        return []
-    return [
-        f"The actuators have different positions for each of the {len(scene.targets)} targets, which one panel cannot "
-        "have: take the scene of one target, delete [search.position], and localize again with its positions."
-    ]
+    """Return warnings about results of a search that cannot be built, and about drives that were not searched."""
+    search, found = scene.search, []
+    if len(scene.targets) > 1 and search.position is not None:
+        found.append(
+            f"The actuators have different positions for each of the {len(scene.targets)} targets, which one panel "
+            "cannot have: take the scene of one target, delete [search.position], and localize again with its "
+            "positions."
+        )
+    others = [name for name in ("frequency", "position", "delay") if getattr(search, name) is not None]
+    if others and search.magnitude is None and search.phase is None and len(scene.actuators) > 1:
+        found.append(
+            f"Magnitudes and phases stayed those of the scene, because only [search.{'], [search.'.join(others)}] is "
+            "written: write [search.magnitude] and [search.phase] to search them too."
+        )
+    return found
 
 
 def wavelengths(scene: Scene) -> tuple[float, float]:

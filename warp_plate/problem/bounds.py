@@ -69,6 +69,12 @@ class AllowedDrives:
         """True if not every drive has a multiple that is allowed, so that limits say something about a ratio."""
         return self.equal or bool((self.lower > 0).any())
 
+    @property
+    def free(self) -> bool:
+        """True if every drive, up to a common phase, has a multiple that is allowed."""
+        sizes = (self.lower <= 0).all() and (self.upper > 0).all() and not self.equal
+        return bool(sizes and np.isnan(self.phase[1:]).all())
+
     def basis(self) -> np.ndarray:
         """Return (2M, parameters): z = basis @ parameters are the drives of the fixed phases.
 

@@ -12,8 +12,9 @@ from warp_plate.optimize.pso import Swarm, SwarmSettings
 from warp_plate.optimize.quadratic import ExactSearch, Quadratic
 from warp_plate.optimize.space import SearchSpace
 from warp_plate.plate.memory import refuse_beyond_memory
-from warp_plate.problem.design_variables import TABLES
+from warp_plate.problem.bounds import allowed_drives
 from warp_plate.problem.objectives import loss_scale
+from warp_plate.problem.parametrization import parametrization_of
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Search
@@ -90,10 +91,16 @@ def with_method(scene: Scene) -> Scene:
     search = scene.search
     if search.method is not None:
         return scene
-    read = {*READ_BY, "objectives", "limits", "robust", *TABLES}
-    plain = all(getattr(search, key) == Search.model_fields[key].default for key in read)
-    method = "exact" if plain and scene.linear and len(scene.actuators) > 1 else "pso"
+    plain = all(getattr(search, key) == Search.model_fields[key].default for key in (*READ_BY, "objectives", "robust"))
+    exact = plain and scene.linear and len(scene.actuators) > 1
+    method = "exact" if exact and _searches_all_drives(scene) else "pso"
     return scene.model_copy(update={"search": search.model_copy(update={"method": method})})
+
+
+def _searches_all_drives(scene: Scene) -> bool:
+    """Return whether magnitudes and phases alone are searched, and every drive has a multiple that is allowed."""
+    parametrization = parametrization_of(scene)
+    return parametrization.only_drives and allowed_drives(parametrization).free
 
 
 def swarm_settings(search: Search, seed: int) -> SwarmSettings:

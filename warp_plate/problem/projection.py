@@ -27,9 +27,7 @@ def has_free_drives(parametrization: Parametrization, objectives: Objectives) ->
         return False
     # Both objectives grow with the localization factor, and so does their sum.
     ratio = all(term.kind in ("localization", "contrast") for term in objectives.terms) and not objectives.limits
-    allowed = allowed_drives(parametrization)
-    free = (allowed.lower <= 0).all() and (allowed.upper > 0).all() and np.isnan(allowed.phase[1:]).all()
-    return bool(ratio and free and not allowed.equal)
+    return ratio and allowed_drives(parametrization).free
 
 
 def best_drives(parametrization: Parametrization, designs: Designs, matrices: np.ndarray) -> tuple[Designs, np.ndarray]:

@@ -141,7 +141,7 @@ class Search(Table):
     The swarm has the coefficients of the source paper: w (inertia), κ (decay), c₁ (cognitive), c₂ (social).
     """
 
-    # Method (default: "exact" if only magnitudes and phases vary, without limits, for the localization factor of a
+    # Method (default: "exact" if all magnitudes and phases vary, and nothing else, for the localization factor of a
     # linear scene, and no key of a swarm is given; otherwise "pso")
     method: Literal["pso", "constriction", "ring", "cma", "gradient", "exact"] | None = None
     particles: Annotated[int, Field(ge=2, le=10_000_000)] = 20  # candidates in each iteration
