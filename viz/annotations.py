@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
+from warp_plate.viz.captions import shortened
 from warp_plate.viz.colours import colour_map
 from warp_plate.viz.fields import TALLEST, DrawingScale
-from warp_plate.viz.styles import INK, legend_entries, length_unit
+from warp_plate.viz.styles import INK, legend_entries, length_unit, rectangle
 
 if TYPE_CHECKING:
     import pyvista
@@ -74,6 +76,56 @@ def axis_labels(size: tuple[float, float]) -> tuple[tuple[str, np.ndarray], tupl
     (width, height), away, (unit, factor) = size, 0.06 * min(size), length_unit(size)
     label_x = (f"x: 0 … {width * factor:.5g} {unit}", np.array([width / 2, -away, 0.0]))
     return label_x, (f"y: 0 … {height * factor:.5g} {unit}", np.array([-away, height / 2, 0.0]))
+
+
+def place_names(names: Sequence[str], patches: np.ndarray, plate: np.ndarray, letter: float) -> np.ndarray:
+    """Return the middles (names, 2) of names beside the actuators' patches, or none if they do not all fit.
+
+    Args:
+        patches: (names, axis, 2) bounds of the patches in the plane of the drawing.
+        plate: (axis, 2) bounds of the plate.
+        letter: width of a letter in this plane; a line is about twice as high.
+    """
+    half = letter * np.array([[len(name) / 2, 1.0] for name in names])
+    middles = patches.mean(axis=2)
+    towards = np.where(middles[:, 1] < plate[1].mean(), 1, -1)  # above patches of the lower half, below the others
+    middles[:, 1] += towards * (np.ptp(patches[:, 1], axis=1) / 2 + half[:, 1])
+    middles = np.clip(middles, plate[:, 0] + half, plate[:, 1] - half)
+    boxes = np.stack([middles - half, middles + half], axis=2)
+    drawn = np.concatenate([boxes, patches])
+    shared = np.minimum(boxes[:, None, :, 1], drawn[:, :, 1]) - np.maximum(boxes[:, None, :, 0], drawn[:, :, 0])
+    covered = (shared > 1e-9 * np.ptp(plate)).all(axis=2).sum(axis=1)
+    fit = (covered == 1).all() and (2 * half <= np.ptp(plate, axis=1)).all()  # each name covers itself
+    return middles if fit else middles[:0]
+
+
+def name_actuators(plotter: pyvista.Plotter, scene: Scene, heights: np.ndarray, font_size: int) -> None:
+    """Write the actuators' names beside their patches, if they all fit, in the active subplot, whose camera
+    :func:`look_at_plate` has set; ``heights`` [m] of the nodes (ny, nx) are those drawn."""
+    camera, (width, height) = plotter.camera, scene.plate.size
+    up = np.array(camera.up)
+    towards = np.array(camera.position) - camera.focal_point
+    towards /= np.linalg.norm(towards)
+    right = np.cross(up, towards) / np.linalg.norm(np.cross(up, towards))
+    screen = np.stack([right, np.cross(towards, right)])
+
+    def bounds(area: Area) -> np.ndarray:
+        corners = screen[:, :2] @ np.array(rectangle(area)).T
+        return np.stack([corners.min(axis=1), corners.max(axis=1)], axis=1)
+
+    names = [shortened(actuator.name) for actuator in scene.actuators]
+    last = np.array(heights.shape[::-1]) - 1
+    centres = np.array([actuator.area for actuator in scene.actuators]).reshape(-1, 2, 2).mean(axis=2)
+    columns, rows = np.rint(centres / scene.plate.size * last).astype(int).T
+    patches = np.array([bounds(actuator.area) for actuator in scene.actuators])
+    patches[:, 1] += screen[1, 2] * heights[rows, columns, None]
+    letter = 0.6 * font_size * 2 * camera.parallel_scale / plotter.renderer.GetSize()[1]
+    middles = place_names(names, patches, bounds((0.0, width, 0.0, height)), letter)
+    in_front = 1.6 * TALLEST * min(scene.plate.size) * towards  # of all hills
+    for name, middle in zip(names, middles, strict=False):
+        style = add_text(plotter, name, (*(middle @ screen + in_front),), font_size).GetTextProperty()
+        style.SetJustificationToCentered()
+        style.SetVerticalJustificationToCentered()
 
 
 def free_width(plotter: pyvista.Plotter, font_size: int) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 
 from warp_plate.result.atomic_io import atomic_path
 from warp_plate.result.model import Result, only_actuator
-from warp_plate.viz.annotations import add_legend
+from warp_plate.viz.annotations import add_legend, name_actuators
 from warp_plate.viz.availability import missing_plots, missing_renderer, prepare
 from warp_plate.viz.captions import caption, case_label, ordered_cases
 from warp_plate.viz.colours import DEFAULT_COLOURS, ColourOptions
@@ -83,9 +83,9 @@ def draw_surfaces(result: Result, path: str | Path, colours: ColourOptions = DEF
                 plotter.subplot(row, column)
                 label = letter + case_label(name, scene, only_actuator(case, scene))
                 text = caption(label, float(result.times[index]), case.localization_factor)
-                PlateActors(
-                    plotter, result.case_scene(case), case.displacement[index], scale, text, font_size, bar=False
-                )
+                driven, field = result.case_scene(case), case.displacement[index]
+                PlateActors(plotter, driven, field, scale, text, font_size, bar=False)
+                name_actuators(plotter, driven, scale.warp_factor * field, round(0.75 * font_size))
             plotter.subplot(row, len(shown))
             add_legend(plotter, scene, scale, font_size)
         take_picture().save(path, format="PNG", compress_level=3)

@@ -16,6 +16,7 @@ from warp_plate.result.model import Case, save_result
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.viz import availability, notebook
+from warp_plate.viz.annotations import place_names
 from warp_plate.viz.colours import ColourOptions
 from warp_plate.viz.notebook import result_html, scene_html
 from warp_plate.viz.plots.search import plot_history
@@ -200,6 +201,21 @@ def test_the_layout_is_drawn(scene):
     middle = {name: np.argwhere(mask[: int(0.8 * len(mask))]).mean(axis=0) for name, mask in drawn.items()}
     assert middle["green"][0] > middle["purple"][0]
     assert middle["green"][1] < middle["purple"][1]
+
+
+def test_actuators_are_named_where_all_names_fit(scene):
+    """Names stand inside the plate, beside their own patches, and cover nothing; too long ones are left out."""
+    patches = np.array([[[0.0, 0.02], [0.0, 0.02]], [[0.18, 0.2], [0.18, 0.2]]])
+    plate, letter = np.array([[0.0, 0.2], [0.0, 0.2]]), 0.004
+    middles = place_names(["lower left", "8"], patches, plate, letter)
+    np.testing.assert_allclose(middles, [(0.02, 0.024), (0.19, 0.176)])
+    assert not place_names(["a" * 51, "8"], patches, plate, letter).size
+    assert not place_names(["abc", "abc"], np.array([patches[0], patches[0]]), plate, letter).size
+    made, dark = scene(), []
+    for length in (1, 5):
+        rows = [{**each.model_dump(), "name": f"{index}" * length} for index, each in enumerate(made.actuators)]
+        dark.append((picture_of(scene_html(made.with_tables(actuators=rows))).max(axis=-1) < 100).sum())
+    assert dark[1] > dark[0]
 
 
 def test_results_show_tables_and_a_picture(drawing, result):

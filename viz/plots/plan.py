@@ -13,7 +13,8 @@ from warp_plate.result.motion import Motion
 from warp_plate.result.targets import outlines
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
-from warp_plate.viz.captions import frame_caption
+from warp_plate.viz.annotations import place_names
+from warp_plate.viz.captions import frame_caption, shortened
 from warp_plate.viz.colours import DEFAULT_COLOURS, ColourOptions, colour_map
 from warp_plate.viz.fields import DrawingScale, motion_scales
 from warp_plate.viz.plots.frame import add_panels, figure
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 
 # Longer side of a plate [inch].
 LENGTH = 2.3
+# Size of actuators' names [pt].
+NAME_SIZE = 6
 LAYER, OSCILLATOR = "#8c6bb1", "#e6820e"
 
 
@@ -134,9 +137,16 @@ def draw_field(axes: Axes, scene: Scene, values: np.ndarray, scale: DrawingScale
 
 
 def _draw_outlines(axes: Axes, scene: Scene) -> None:
-    """Draw actuators, targets and edges."""
+    """Draw actuators, with their names if these fit, targets and edges."""
     for actuator in scene.actuators:
         draw_outline(axes, actuator.area, INK)
+    names = [shortened(actuator.name) for actuator in scene.actuators]
+    patches = np.array([actuator.area for actuator in scene.actuators]).reshape(-1, 2, 2)
+    letter = 0.6 * NAME_SIZE / 72 / LENGTH * max(scene.plate.size)
+    middles = place_names(names, patches, np.array([(0.0, side) for side in scene.plate.size]), letter)
+    centred = {"ha": "center", "va": "center", "zorder": 5}
+    for name, (x, y) in zip(names, middles, strict=False):
+        axes.text(x, y, name, fontsize=NAME_SIZE, color=INK, path_effects=light_rim(0), **centred)
     for outline in outlines(scene):
         axes.plot(*outline.T, color=TARGET, linewidth=1.4, clip_on=False, zorder=4, path_effects=light_rim(1.4))
     draw_edges(axes, scene)

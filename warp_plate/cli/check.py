@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from warp_plate.cli import options, output
+from warp_plate.cli.tables import print_findings
 
 
 def check(
@@ -34,7 +35,7 @@ def check(
     def show(console: Console) -> None:
         console.print(f"{loaded.title or scene}\n")
         console.print(_lines(found.summary), "")
-        output.print_findings(found.findings, console)
+        print_findings(found.findings, console)
         if found.numerics:
             console.print("", _lines(found.numerics))
 

@@ -6,6 +6,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from warp_plate.cli import options, output
+from warp_plate.cli.tables import print_findings
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -46,7 +47,7 @@ def effects(
     def show(console: Console) -> None:
         console.print(f"{loaded.title or scene}\n")
         _print(found, console)
-        output.print_findings(findings, console)
+        print_findings(findings, console)
 
     output.report(json, lambda: record, show)
 

@@ -35,7 +35,6 @@ STAGES = {
 }
 
 if TYPE_CHECKING:
-    from warp_plate.analysis.warnings import Finding
     from warp_plate.result.model import Result
     from warp_plate.scene.model import Scene
     from warp_plate.studies.checkpointing import StudyFile
@@ -319,20 +318,6 @@ def _seconds_text(seconds: Mapping[str, float], elapsed: float) -> str:
     spent = {text: seconds[stage] for stage, text in STAGES.items() if stage in seconds}
     spent["loading, files and pictures"] = elapsed - sum(spent.values())
     return f"{elapsed:.2f} s in all: {', '.join(f'{value:.2f} s {text}' for text, value in spent.items())}."
-
-
-def print_findings(findings: Sequence[Finding], console: Console) -> None:
-    """Print warnings, then a table of the numbers within their thresholds; what is not judged is left out."""
-    warnings = [finding for finding in findings if finding.exceeded]
-    for finding in warnings:
-        console.print(f"! {finding.sentence}")
-    made = table("within thresholds", "value", "threshold")
-    for finding in findings:
-        if not finding.exceeded and not math.isnan(finding.value):
-            inside = finding.value >= finding.threshold if finding.at_least else finding.value <= finding.threshold
-            threshold = f"{'≥' if finding.at_least else '≤'} {finding.threshold:g}"
-            made.add_row(finding.name, f"{finding.value:.3g}", threshold if inside else f"{threshold}, or its effect")
-    console.print(*[""] * bool(warnings), made)
 
 
 def warnings_of(result: Result) -> list[str]:

@@ -1,9 +1,9 @@
-"""Tables and JSON records that ``localize`` prints: drives, objectives, crosstalk and robustness."""
+"""Tables and JSON records that commands print: drives, objectives, crosstalk, robustness and warnings."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from rich.table import Table
@@ -15,6 +15,7 @@ from warp_plate.scene.errors import printable
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from warp_plate.analysis.warnings import Finding
     from warp_plate.result.model import Case, Result
     from warp_plate.result.robust import RobustComparison
     from warp_plate.scene.model import Scene
@@ -211,3 +212,17 @@ def robust_json(compared: RobustComparison | None) -> dict[str, object] | None:
 
 def _robust_quantity(compared: RobustComparison) -> str:
     return "localization factor" if compared.localization else "weighted sum of objectives"
+
+
+def print_findings(findings: Sequence[Finding], console: Console) -> None:
+    """Print warnings, then a table of the numbers within their thresholds; what is not judged is left out."""
+    warnings = [finding for finding in findings if finding.exceeded]
+    for finding in warnings:
+        console.print(f"! {finding.sentence}")
+    made = output.table("within thresholds", "value", "threshold")
+    for finding in findings:
+        if not finding.exceeded and not math.isnan(finding.value):
+            inside = finding.value >= finding.threshold if finding.at_least else finding.value <= finding.threshold
+            threshold = f"{'≥' if finding.at_least else '≤'} {finding.threshold:g}"
+            made.add_row(finding.name, f"{finding.value:.3g}", threshold if inside else f"{threshold}, or its effect")
+    console.print(*[""] * bool(warnings), made)
