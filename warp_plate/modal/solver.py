@@ -15,6 +15,7 @@ from warp_plate.modal.loads import has_exponential_loads
 from warp_plate.modal.modes import ModalPlate, solve_modes
 from warp_plate.modal.motion import fields
 from warp_plate.modal.motion import trace as displacement_at
+from warp_plate.modal.peaks import largest_displacements
 from warp_plate.modal.slopes import EnergySlopes, energy_slopes
 from warp_plate.modal.tones import ToneMatrices
 from warp_plate.modal.waveforms import WaveformEnergies
@@ -158,13 +159,17 @@ class ModalSolver:
         energy = self._energies(designs)
         energy[~np.isfinite(designs.drives).all(axis=1)] = np.nan
         displacement, trace, trace_times = self._records(designs.drives, times, points)
+        peak, outline_peak = np.zeros((len(energy), 1, 1)), None
+        if len(peak_times):
+            peak, outline_peak = largest_displacements(self.plate, designs.drives, np.asarray(peak_times, dtype=float))
         run = Run(
             energy=energy,
             regions=self.regions,
             masses=self._masses,
             displacement=displacement,
             times=np.asarray(times, dtype=float),
-            peak=self._peak(designs.drives, np.asarray(peak_times, dtype=float)),
+            peak=peak,
+            outline_peak=outline_peak,
             trace=trace,
             trace_times=trace_times,
             node_steps=0,
@@ -257,16 +262,6 @@ class ModalSolver:
         if len(points):
             trace[:] = displacement_at(self.plate, phasors, points, trace_times)
         return displacement, trace, trace_times
-
-    def _peak(self, phasors: np.ndarray, times: np.ndarray) -> np.ndarray:
-        """Return (plates, ny, nx) largest magnitudes of the displacement [m] at ``times``, a part of them at a time."""
-        x, y = node_positions(self.scene)
-        largest = np.zeros((len(phasors), y.size, x.size))
-        some = max(1, BLOCK_NUMBERS // max(1, largest.size))
-        for first in range(0, times.size, some):
-            displacement = fields(self.plate, phasors, times[first : first + some], x, y)
-            np.maximum(largest, np.abs(displacement, out=displacement).max(axis=1), out=largest)
-        return largest
 
 
 def make_solver(

@@ -27,17 +27,20 @@ def run_with_peaks(
     Returns:
         The run, and the largest displacements (plates, 2) [m] in the target and in the rest; 0 for an empty region.
     """
-    scene, target = solver.scene, _target_nodes(solver.scene)
+    scene = solver.scene
     recorded = record_times(scene)
     run = solver.run(phasors, recorded, scene.record.points, progress, (*recorded, *sample_times(scene)))
-    return run, np.stack([run.peak[:, nodes].max(axis=1, initial=0.0) for nodes in (target, ~target)], axis=1)
+    target = _target_nodes(scene, run.peak.shape[:0:-1])
+    peaks = np.stack([run.peak[:, nodes].max(axis=1, initial=0.0) for nodes in (target, ~target)], axis=1)
+    return run, peaks if run.outline_peak is None else np.maximum(peaks, run.outline_peak[:, None])
 
 
-def _target_nodes(scene: Scene) -> np.ndarray:
-    """Return (ny, nx) true for nodes with half of their cell in the target, or if there are none, with any of it."""
-    plate, target = region_weights(scene)
-    nodes = np.asarray(2 * target >= np.maximum(plate, SMALLEST))
-    return nodes if nodes.any() else np.asarray(target > 0)
+def _target_nodes(scene: Scene, nodes: tuple[int, ...]) -> np.ndarray:
+    """Return (ny, nx) true for those of nx, ny nodes with half of their cell in the target, or if there are none, with
+    any of it."""
+    plate, target = region_weights(scene.model_copy(update={"grid": scene.grid.model_copy(update={"nodes": nodes})}))
+    within = np.asarray(2 * target >= np.maximum(plate, SMALLEST))
+    return within if within.any() else np.asarray(target > 0)
 
 
 def record_times(scene: Scene) -> tuple[float, ...]:

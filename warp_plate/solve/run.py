@@ -39,13 +39,16 @@ class Run:
     masses: np.ndarray  # (regions,) masses [kg]
     displacement: np.ndarray  # (plates, times, ny, nx) [m]
     times: np.ndarray  # (times,) times of the grid nearest to those asked for [s]
-    peak: np.ndarray  # (plates, ny, nx) largest magnitude of the displacement at ``peak_times`` [m]; 0 for none
+    # (plates, rows, columns) largest magnitude of the displacement at ``peak_times`` [m], at the nodes, or by modes on
+    # a finer grid; 0 for none
+    peak: np.ndarray
     trace: np.ndarray  # (plates, points, steps) displacement [m]
     trace_times: np.ndarray  # (steps,) [s]
     node_steps: int  # Nodes updated × steps × plates
     # Fault of each faulty plate (see ``solve.status``), and the time at which it was found to grow without
     # bound [s], NaN if it was not
     faults: dict[int, tuple[str, float]]
+    outline_peak: np.ndarray | None = None  # (plates,) the same as ``peak`` on the target's outline; None by time steps
 
     @property
     def finite(self) -> np.ndarray:
