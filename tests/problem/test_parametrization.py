@@ -60,10 +60,14 @@ def test_without_tables_it_is_the_papers_reading():
     assert np.array_equal(paper_phasors(position), designs.drives)
     assert not np.signbit(designs.drives[0, 0].imag)
     assert parametrized(actuators=NARROW[:1]).space.dimension == 0
-    # Magnitudes of a nonlinear scene are relative to its largest.
-    parametrization = parametrization_of(with_magnitudes(scene_of(**STRETCHING), 0, 10, 20))
-    assert not parametrization.quadratic
+
+
+@pytest.mark.parametrize("tables", [{}, STRETCHING], ids=["linear", "nonlinear"])
+def test_magnitudes_are_relative_to_the_scenes_largest(tables):
+    parametrization = parametrization_of(with_magnitudes(scene_of(**tables), 0, 10, -20))
+    assert parametrization.quadratic == (not tables)
     assert parametrization.designs(np.zeros((1, 4))).drives[0, 0] == 20
+    assert parametrization_of(with_magnitudes(scene_of(**tables), 0, 0, 0)).unit == 1
 
 
 def test_each_table_adds_its_variables():

@@ -14,14 +14,7 @@ from typing import Any
 import numpy as np
 
 from warp_plate.analysis.superposition import SimulatedResponses, UnitResponses, unit_responses
-from warp_plate.explore.settings import (
-    LiveSettings,
-    changed_scene,
-    largest_magnitude,
-    polar,
-    slider_ranges,
-    viscous_damping,
-)
+from warp_plate.explore.settings import LiveSettings, changed_scene, polar, slider_ranges, viscous_damping
 from warp_plate.explore.watched_search import WatchedSearch
 from warp_plate.modal.solver import MODAL, has_modes
 from warp_plate.plate.scene_overrides import scene_phasors
@@ -65,7 +58,7 @@ class LiveModel:
         self.ranges = slider_ranges(scene)
         self.by_modes = path == MODAL or (path == "auto" and has_modes(scene))
         self._device, self._path = device, MODAL if self.by_modes else path
-        self._scale = largest_magnitude(scene)
+        self._scale = magnitude_unit(scene)
         phasors = scene_phasors(scene)
         self.settings = LiveSettings(scene.drive.frequency, viscous_damping(scene), *polar(phasors))
         self._random = np.random.default_rng()
@@ -249,9 +242,7 @@ class LiveModel:
                 raise SceneError(f"exact best: {self.scene.nonlinear_table} is not linear in the drives")
             phasors = self._scale * responses.best_drive
         else:
-            references = reference_phasors(self.scene, responses.energies)
-            unit = self._scale / magnitude_unit(self.scene)
-            phasors = unit * references["equal" if choice == "equal" else "single"]
+            phasors = reference_phasors(self.scene, responses.energies)["equal" if choice == "equal" else "single"]
         self._drive_by(phasors)
 
     def _drive_by(self, phasors: np.ndarray) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warp_plate.problem.parametrization import magnitude_unit
 from warp_plate.scene.effects import Damping
 from warp_plate.scene.model import Scene
 
@@ -61,17 +62,12 @@ def slider_ranges(scene: Scene) -> SliderRanges:
     if scene.grid.time_step is not None:
         highest = max(frequency, min(highest, 1 / (MIN_STEPS_PER_PERIOD * scene.grid.time_step)))
     lowest = min(frequency, max(FREQUENCY_RANGE[0] * frequency, 1 / scene.window.end))
-    return SliderRanges(MAGNITUDE_RANGE * largest_magnitude(scene), damping, (lowest, highest))
+    return SliderRanges(MAGNITUDE_RANGE * magnitude_unit(scene), damping, (lowest, highest))
 
 
 def viscous_damping(scene: Scene) -> float:
     """Return the viscous damping of the scene [N·s/m³]; 0 if it has none."""
     return scene.effects.damping.viscous if scene.effects.damping else 0.0
-
-
-def largest_magnitude(scene: Scene) -> float:
-    """Return the largest magnitude of the scene's actuators [N/m²], or 1 if all are 0."""
-    return max((abs(actuator.magnitude) for actuator in scene.actuators), default=0.0) or 1.0
 
 
 def changed_scene(scene: Scene, frequency: float, damping: float) -> Scene:

@@ -196,12 +196,11 @@ def paper_phasors(positions: np.ndarray) -> np.ndarray:
 
 
 def magnitude_unit(scene: Scene) -> float:
-    """Return the drive for a magnitude of one: the largest magnitude of the scene's actuators.
+    """Return the drive for a magnitude of one: the largest magnitude of the scene's actuators, or 1 if all are 0.
 
-    It is one if displacements are linear in the drives, because a common factor then changes no localization factor.
+    Its unit is ``Scene.drive_unit``.
     """
-    largest = max(abs(actuator.magnitude) for actuator in scene.actuators)
-    return 1.0 if scene.linear or largest == 0 else largest
+    return max(abs(actuator.magnitude) for actuator in scene.actuators) or 1.0
 
 
 def _scale_down(most: float, sizes: np.ndarray) -> np.ndarray:

@@ -22,6 +22,7 @@ from warp_plate.modal.solver import ModalSolver, make_solver
 from warp_plate.plate.signals import carrier_frequencies
 from warp_plate.plate.weights import REGIONS, bilinear, node_positions
 from warp_plate.problem.evaluate_cases import cases_from_run
+from warp_plate.problem.parametrization import magnitude_unit
 from warp_plate.problem.problem import Problem
 from warp_plate.result.model import Case
 from warp_plate.scene.errors import SceneError
@@ -85,12 +86,12 @@ def time_reversal(solver: PlateSolver | ModalSolver, transfer: np.ndarray) -> np
     middle = (float(target.sum(axis=0) @ x / target.sum()), float(target.sum(axis=1) @ y / target.sum()))
     corners, shares = bilinear([middle], scene.grid.nodes, scene.plate.size)
     rows, columns = corners[0].T
-    return _normalised((transfer[:, rows, columns] @ shares[0]).conj())
+    return _scaled(scene, (transfer[:, rows, columns] @ shares[0]).conj())
 
 
 def inverse_filter(solver: PlateSolver | ModalSolver, transfer: np.ndarray) -> np.ndarray:
     """Return the phasors (actuators,) with the motion closest to one in the target and zero elsewhere."""
-    weights = solver.discretization.region_weights
+    scene, weights = solver.scene, solver.discretization.region_weights
     plate, target = (weights[REGIONS.index(name)] for name in ("plate", "target"))
     weight = np.sqrt(np.maximum(plate, 0)).ravel()
     desired = (target / np.where(plate > 0, plate, 1)).ravel()
@@ -99,10 +100,10 @@ def inverse_filter(solver: PlateSolver | ModalSolver, transfer: np.ndarray) -> n
     if not values[0] > 0:
         return np.zeros(len(transfer), dtype=complex)
     filtered = values / (values**2 + (REGULARISATION * values[0]) ** 2)
-    return _normalised(right.conj().T @ (filtered * (left.conj().T @ (weight * desired))))
+    return _scaled(scene, right.conj().T @ (filtered * (left.conj().T @ (weight * desired))))
 
 
-def _normalised(phasors: np.ndarray) -> np.ndarray:
-    """Return phasors scaled to a largest magnitude of one; all zero where nothing moves."""
+def _scaled(scene: Scene, phasors: np.ndarray) -> np.ndarray:
+    """Return phasors scaled to the largest magnitude of the scene; all zero where nothing moves."""
     largest = np.abs(phasors).max()
-    return phasors / largest if largest > 0 else phasors
+    return phasors / largest * magnitude_unit(scene) if largest > 0 else phasors
