@@ -126,14 +126,14 @@ def test_a_task_that_no_worker_survives(pool):
 def test_no_scheduler_is_one_line(tmp_path, monkeypatch):
     monkeypatch.setattr(dask_pool, "ANSWER_SECONDS", 0.5)
     file = tmp_path / "scheduler.json"
-    for text in ("x", '{"address": 7}', "[1]"):
+    for text in ("x", '{"address": 7}', "[1]", "[" * 10**5):
         file.write_text(text, encoding="utf-8")
         line = r"scheduler.json: (has no address|no scheduler answers there)"
         with pytest.raises(SceneError, match=line), open_pool(None, str(file)):
             pass
-    where = "tcp://127.0.0.1:1"  # a reserved port
-    with pytest.raises(SceneError, match=f"--cluster {where}: no scheduler answers there"), open_pool(None, where):
-        pass
+    for where in ("tcp://127.0.0.1:1", "tls://127.0.0.1:1", "ucx://127.0.0.1:1"):  # a reserved port
+        with pytest.raises(SceneError, match=f"--cluster {where}: no scheduler answers there"), open_pool(None, where):
+            pass
 
 
 def start(*words):

@@ -106,7 +106,7 @@ def connect(address: str, device: str, log: Callable[[str], object]) -> DaskPool
     scheduler = address if cluster or "://" in address else _address_in(address)
     try:
         client = distributed.Client(cluster or scheduler, timeout=ANSWER_SECONDS)
-    except (OSError, ValueError, distributed.TimeoutError) as error:
+    except Exception as error:  # Dask raises a different one for each scheme of an address
         line = str(error).partition("\n")[0] or type(error).__name__
         raise SceneError(f"--cluster {address}: no scheduler answers there: {line}") from None
     pool = DaskPool(client, cluster, address, device)
@@ -121,7 +121,7 @@ def _address_in(path: str) -> str:
         raise SceneError(f"--cluster {path}: no such file; must be local:4, tcp://HOST:PORT or a scheduler's file")
     try:
         return str(json.loads(Path(path).read_text(encoding="utf-8"))["address"])
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         raise SceneError(f"--cluster {path}: has no address, so no scheduler wrote it") from None
 
 
