@@ -267,5 +267,5 @@ def test_large_items_of_hdf5_files_are_refused(kind, tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["frequency"] = [1.0, 2.0]
         file.create_dataset("response", (2,), kind)
-    with pytest.raises(SceneError, match="response is not an array of numbers"):
+    with pytest.raises(SceneError, match=r"response is not an array of numbers|bytes when unpacked"):
         read_responses(tmp_path / "a.h5", 1)

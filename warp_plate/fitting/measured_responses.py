@@ -132,6 +132,8 @@ def _arrays(path: Path) -> Columns:
     found = read_arrays(path, ARRAYS)
     if "frequency" not in found or not ("response" in found or {"real", "imaginary"} <= set(found)):
         raise ValueError(f"needs the arrays frequency, and response or real and imaginary; has {', '.join(found)}")
+    if turned := [name for name, values in found.items() if name != "response" and np.iscomplexobj(values)]:
+        raise ValueError(f"{turned[0]} is complex; only response may be")
     frequencies = found["frequency"].ravel()
     shaped = {name: _along(name, values, len(frequencies)) for name, values in found.items() if name != "frequency"}
     if len({values.shape for values in shaped.values()}) > 1:
@@ -147,4 +149,4 @@ def _along(name: str, values: np.ndarray, count: int) -> np.ndarray:
         raise ValueError(
             f"{name} has shape {values.shape}; one axis, and no other, must be as long as frequency, {count}"
         )
-    return np.moveaxis(values, axes[0], -1).reshape(-1, count)
+    return np.moveaxis(values, axes[0], -1).reshape(values.size // max(count, 1), count)

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from warp_plate.plate.files import number_rows
-from warp_plate.plate.waveforms import MOST_SAMPLES, even_step, wav_channels
+from warp_plate.plate.waveforms import LOUDEST, MOST_SAMPLES, even_step, wav_channels
 from warp_plate.scene.fit import TimeSignals
 
 
@@ -34,8 +34,8 @@ def read_signals(path: Path) -> tuple[np.ndarray, float]:
         values, rate = table[:, 1:].T, 1 / even_step(table[:, 0])
     if values.size > MOST_SAMPLES:
         raise ValueError(f"{values.size} samples; at most {MOST_SAMPLES} are read")
-    if len(values) < 2 or not np.isfinite(values).all() or not rate > 0:
-        raise ValueError("needs a channel with the force and at least one with a motion, all of them numbers")
+    if len(values) < 2 or not np.abs(values).max(initial=0) <= LOUDEST or not rate > 0:
+        raise ValueError(f"needs a channel with the force and one or more with a motion, numbers up to {LOUDEST:g}")
     return values, rate
 
 

@@ -1,6 +1,7 @@
 """Named arrays of numbers in files of other programs: MAT files of MATLAB, and HDF5 files such as those of xarray.
 
-Nothing in them is executed. Every array has at most ``MOST_NUMBERS``, whatever its compressed size in the file.
+Nothing in them is executed. Every array has at most ``MOST_NUMBERS``, and all together ``MOST_EXPANDED`` bytes,
+whatever their compressed size in the file.
 """
 
 from __future__ import annotations
@@ -20,15 +21,15 @@ from warp_plate.scene.errors import SceneError
 
 MAT, HDF5 = (".mat",), (".h5", ".hdf5", ".nc")
 MOST_NUMBERS, MOST_EXPANDED = 2**24, 2**28
+# Variables of a MAT file.
+MOST_VARIABLES = 100_000
 # MAT files of level 5: bytes of the header; types of elements; flag of complex arrays; classes of numbers.
 HEADER, MATRIX, COMPRESSED, COMPLEX, NUMERIC = 128, 14, 15, 0x800, range(6, 16)
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-# Bytes of the longest complex number.
-LONGEST = 32
 
 
 def read_arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """Return the arrays of real or complex numbers with these names that a MAT or HDF5 file has.
+    """Return the float64 or complex128 arrays with these names that a MAT or HDF5 file has.
 
     Args:
         path: File that ends in .mat, .h5, .hdf5 or .nc.
@@ -51,7 +52,7 @@ def read_arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     for name, values in found.items():
         if values.dtype.kind not in "fiuc":
             raise ValueError(f"{name} is not an array of numbers")
-    return found
+    return {name: values.astype(complex if values.dtype.kind == "c" else float) for name, values in found.items()}
 
 
 def _mat(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
@@ -62,7 +63,9 @@ def _mat(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     order = {b"IM": "<", b"MI": ">"}.get(bytes(data[126:HEADER]))
     if order is None:
         raise SceneError("cannot be read as a MAT file of version 6 or 7; save it with -v7")
-    for kind, body in _elements(data[HEADER:], order):
+    for count, (kind, body) in enumerate(_elements(data[HEADER:], order)):
+        if count == MOST_VARIABLES:
+            raise SceneError(f"holds more than {MOST_VARIABLES} variables")
         if kind == COMPRESSED:
             unpacked = zlib.decompressobj().decompress(body, left)
             if (left := left - len(unpacked)) <= 0:
@@ -97,7 +100,7 @@ def _matrix(name: str, parts: Sequence[tuple[int, memoryview]], order: str) -> n
         raise SceneError(f"{name} is not an array of numbers")
     _check_sizes({name: values[0].size})
     complex_ = len(values) == 2 and bool(flags[0] & COMPLEX)
-    return (values[0] + 1j * values[1] if complex_ else values[0].astype(float)).reshape(shape.tolist(), order="F")
+    return (values[0] + 1j * values[1] if complex_ else values[0]).reshape(shape.tolist(), order="F")
 
 
 def _hdf5(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
@@ -106,9 +109,12 @@ def _hdf5(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
         for name, dataset in found.items():
             if dataset.is_virtual or dataset.external:
                 raise SceneError(f"{name} is kept in another file; write its values")
-            if dataset.dtype.hasobject or dataset.dtype.itemsize > LONGEST:
+            if dataset.shape is None or dataset.dtype.hasobject:
                 raise SceneError(f"{name} is not an array of numbers")
-        _check_sizes({name: max(math.prod(item.shape), math.prod(item.chunks or ())) for name, item in found.items()})
+        sizes = {name: max(math.prod(item.shape), math.prod(item.chunks or ())) for name, item in found.items()}
+        _check_sizes(sizes)
+        if sum(sizes[name] * item.dtype.itemsize for name, item in found.items()) > MOST_EXPANDED:
+            raise SceneError(f"holds more than {MOST_EXPANDED} bytes when unpacked")
         return {name: _complex(dataset[()]) for name, dataset in found.items()}
 
 

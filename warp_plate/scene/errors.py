@@ -7,12 +7,16 @@ import json
 import unicodedata
 from collections.abc import Mapping
 
+# Characters of an error; files from others may have as many names as they like.
+LONGEST = 10_000
+
 
 class SceneError(ValueError):
     """Invalid input: one line that names the key or file at fault, its value and what would be valid."""
 
     def __init__(self, message: str) -> None:
-        super().__init__(printable(" ".join(line.strip() for line in message.splitlines())))
+        line = printable(" ".join(line.strip() for line in message.splitlines()))
+        super().__init__(line if len(line) <= LONGEST else f"{line[:LONGEST]} ...")
 
 
 def printable(text: str) -> str:

@@ -1,0 +1,73 @@
+"""Measurements from strangers: bombs, complex frequencies, loud signals and headings of any length end in a line."""
+
+import struct
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import scipy
+from conftest import error_of
+
+from warp_plate import SceneError
+from warp_plate.fitting.measured_responses import read_responses
+from warp_plate.result import arrays
+
+FIT = {"fit": {"free": {"plate.young_modulus": (6e8, 2e9)}}}
+
+
+def refusal(path):
+    with pytest.raises(SceneError) as caught:
+        read_responses(path, 1)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("numbers", ["f8", np.clongdouble, (float, 4), [("r", np.longdouble), ("i", np.longdouble)]])
+def test_the_arrays_of_a_file_are_bounded_together(numbers, tmp_path, monkeypatch):
+    monkeypatch.setattr(arrays, "MOST_EXPANDED", 2**20)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for name in ("frequency", "response", "real", "imaginary", "coherence"):
+            file.create_dataset(name, (2**15,), numbers, chunks=(2**10,), compression="gzip")
+    assert "more than 1048576 bytes when unpacked" in refusal(tmp_path / "a.h5")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ({"frequency": [10 + 5j, 20, 30], "response": [1, 2, 3j]}, "frequency is complex; only response may be"),
+        ({"frequency": [10, 20], "response": [1, 2], "coherence": [1j, 1]}, "coherence is complex; only response"),
+        ({"frequency": h5py.Empty("f8"), "response": [1, 2, 3]}, "frequency is not an array of numbers"),
+        ({"frequency": [], "response": np.zeros((0, 3))}, "has 0 responses; the scene has 1 tables"),
+    ],
+)
+def test_odd_arrays(content, message, tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for name, values in content.items():
+            file[name] = values
+    assert message in refusal(tmp_path / "a.h5")
+
+
+def test_half_precision_is_read_without_warnings(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["frequency"], file["response"] = np.array([[10, 20, 30], [1, 2, 3]], np.float16)
+    np.testing.assert_array_equal(read_responses(tmp_path / "a.h5", 1).responses, [[1, 2, 3]])
+
+
+def test_a_mat_file_of_empty_variables(tmp_path, monkeypatch):
+    monkeypatch.setattr(arrays, "MOST_VARIABLES", 100)
+    header = b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM"
+    (tmp_path / "a.mat").write_bytes(header + struct.pack("<II", arrays.COMPRESSED, 0) * 101)
+    assert "holds more than 100 variables" in refusal(tmp_path / "a.mat")
+
+
+def test_a_signal_too_loud_for_its_squares(tmp_path):
+    scipy.io.wavfile.write(tmp_path / "a.wav", 10_000, np.full((20_000, 2), 1e200))
+    assert "numbers up to 1e+30" in refusal(tmp_path / "a.wav")
+
+
+def test_errors_are_lines_that_can_be_read(write_scene, command):
+    write_scene(damping=88.5, **FIT)
+    Path("a.csv").write_text(",".join(f"name{number}" for number in range(100_000)), encoding="utf-8")
+    line = error_of(command("fit", "panel.toml", "--data", "a.csv"))
+    assert "a.csv: needs 1 to 200 numbers in a column 'frequency'" in line
+    assert len(line) < 11_000
