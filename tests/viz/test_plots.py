@@ -12,14 +12,16 @@ from warp_plate.result.comparison import MethodComparison, Trial
 from warp_plate.result.model import Case
 from warp_plate.result.sweep import REFUSED
 from warp_plate.scene.vary import make_plan, parse_vary
+from warp_plate.studies.frequency_response import compute_frequency_response
 from warp_plate.studies.quantities_of_interest import QUANTITIES
 from warp_plate.studies.sweep import start_sweep
 from warp_plate.viz.plots.compare import draw_comparison
 from warp_plate.viz.plots.crosstalk import draw_crosstalk
 from warp_plate.viz.plots.frame import figure, number_log_axis
+from warp_plate.viz.plots.frequency_response import draw_frequency_response
 from warp_plate.viz.plots.search import curve_labels, draw_history, draw_spectrum
 from warp_plate.viz.plots.sweep import COLOURS, REFUSED_COLOUR, cell_edges, draw_sweep
-from warp_plate.viz.styles import INK
+from warp_plate.viz.styles import GRID, INK
 
 figures = pytest.importorskip("matplotlib.figure", reason="Matplotlib is not installed: pip install 'warp-plate[viz]'")
 
@@ -60,6 +62,22 @@ def drawn(monkeypatch, tmp_path):
     monkeypatch.setattr(figures.Figure, "savefig", saves)
     monkeypatch.setattr(Text, "draw", writes)
     return draw
+
+
+def test_the_largest_responses_are_coloured_and_natural_frequencies_explained(drawn):
+    """Of eight inputs at one point the five with the largest peaks; the other curves are grey and not in the legend."""
+    made = scene_of(damping=20.0)
+    forces = [(0.02 + 0.02 * index, 0.05) for index in range(8)]
+    found = compute_frequency_response(made, forces, [(0.07, 0.11)], (50.0, 300.0))
+    figure, texts = drawn(draw_frequency_response, found)
+    peaks = np.abs(found.responses).max(axis=1)
+    largest = set(np.argsort(-peaks)[:5])
+    magnitude = figure.axes[0]
+    assert "the 5 largest of 8" in texts
+    assert "natural frequency" in texts
+    shown = {line.get_color() for line in magnitude.lines if line.get_color() != GRID}
+    assert (len(magnitude.lines), len(shown)) == (8, 5)
+    assert {f"({20 + 20 * index}, 50) mm → (70, 110) mm" in texts for index in largest} == {True}
 
 
 def searched(names=(), **search):

@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 # Colours of responses, which repeat; the dashes of curves that cover earlier ones to the relative distance COVERED;
-# most entries of a legend.
+# most curves in colour and in the legend: the largest ones, the others are grey.
 COLOURS = ("#08519c", "#d94801", "#1b7837", "#762a83", "#8c6d31", "#c51b7d", "#4d4d4d", "#3288bd")
 DASHES, COVERED = ("-", (0, (4, 4)), (0, (2, 6)), (0, (1, 7))), 0.1
-MOST_LABELS = 9
+MOST_COLOURED = 5
 FACTOR, BOUND, MARK = "#08519c", "#b2182b", "#b2182b"
 # Decades of an axis of squares, twice those of magnitudes; undamped responses have no upper limit.
 MOST_DECADES = 8.0
@@ -32,23 +32,20 @@ def draw_frequency_response(response: FrequencyResponse, path: str | Path) -> No
     x = response.frequencies
     with figure(path, (7.2, 8.0), font_size=9) as made:
         magnitude, phase, localization, velocity = made.subplots(4, 1, sharex=True, height_ratios=[2.2, 1, 1.2, 1.4])
-        styles = _styles(np.abs(response.responses))
         extent = np.abs(np.concatenate([response.points, response.input_places])).max(initial=0)
         names = [_input_label(response, index, extent) for index in range(len(response.inputs))]
         places = [f"({point_text(point, [extent])})" for point in response.points]
         unit = length_unit([extent])[0]
-        labels = _shown([f"{name} → {place} {unit}" for name in names for place in places])
-        for label, values, style in zip(labels, response.responses, styles, strict=True):
-            magnitude.plot(x, np.abs(values), label=label, **style)
-            phase.plot(x, _unbroken(np.degrees(np.angle(values))), **style)
-        velocities, styles = response.mean_square_velocity, _styles(response.mean_square_velocity)
-        for name, values, style in zip(_shown(names), velocities, styles, strict=True):
-            velocity.plot(x, values, label=name, **style)
+        labels = [f"{name} → {place} {unit}" for name in names for place in places]
+        for index, look in _plot(magnitude, x, np.abs(response.responses), labels).items():
+            phase.plot(x, _unbroken(np.degrees(np.angle(response.responses[index]))), **look)
+        _plot(velocity, x, response.mean_square_velocity, names)
         localization.plot(x, response.bound, color=BOUND, linewidth=1.0, linestyle="--", label="bound")
         localization.plot(x, response.localization_factor, color=FACTOR, linewidth=1.2, label="drive of the scene")
         _set_axes(response, magnitude, phase, localization, velocity)
-        for axes in (magnitude, localization, velocity):
-            _add_legend(axes, len(response.responses) if axes is magnitude else len(response.inputs))
+        _add_legend(magnitude, len(response.responses), marked=response.natural_frequencies.size > 0)
+        _add_legend(localization, 0)
+        _add_legend(velocity, len(names))
         made.suptitle(response.title or f"{response.quantity} of the plate", fontsize=10)
         made.align_ylabels()
 
@@ -73,8 +70,7 @@ def _set_axes(response: FrequencyResponse, magnitude: Axes, phase: Axes, localiz
     for axes in (magnitude, phase, localization, velocity):
         axes.grid(True, color=GRID, linewidth=0.4, alpha=0.4)
         ticks = axes.get_xaxis_transform()
-        label = "natural frequency" if axes is localization else None
-        axes.vlines(response.natural_frequencies, 0, 0.05, color=MARK, linewidth=0.8, transform=ticks, label=label)
+        axes.vlines(response.natural_frequencies, 0, 0.05, color=MARK, linewidth=0.8, transform=ticks)
 
 
 def _limits(values: np.ndarray, decades: float) -> tuple[float, float]:
@@ -92,14 +88,19 @@ def _unbroken(degrees: np.ndarray) -> np.ndarray:
     return np.where(jumps, np.nan, degrees)
 
 
-def _styles(curves: np.ndarray) -> list[dict[str, Any]]:
-    """Return the line styles of curves (curves, frequencies)."""
-    styles = []
-    for index, curve in enumerate(curves):
-        covered = sum(np.allclose(curve, earlier, rtol=COVERED, atol=0) for earlier in curves[:index])
-        colour = COLOURS[index % len(COLOURS)]
-        styles.append({"color": colour, "linestyle": DASHES[min(covered, len(DASHES) - 1)], "linewidth": 1.0})
-    return styles
+def _plot(axes: Axes, x: np.ndarray, curves: np.ndarray, labels: list[str]) -> dict[int, dict[str, Any]]:
+    """Plot curves (curves, frequencies), the largest in colours and the others in grey; return the former's looks."""
+    peaks = np.nan_to_num(curves).max(axis=1)
+    chosen = sorted(np.argsort(-peaks, kind="stable")[:MOST_COLOURED].tolist())
+    for index in sorted(set(range(len(curves))) - set(chosen)):
+        axes.plot(x, curves[index], color=GRID, linewidth=0.6, alpha=0.6)
+    looks: dict[int, dict[str, Any]] = {}
+    for rank, index in enumerate(chosen):
+        covered = sum(np.allclose(curves[index], curves[earlier], rtol=COVERED, atol=0) for earlier in chosen[:rank])
+        dashes = DASHES[min(covered + index // len(COLOURS), len(DASHES) - 1)]
+        looks[index] = {"color": COLOURS[index % len(COLOURS)], "linestyle": dashes, "linewidth": 1.0}
+        axes.plot(x, curves[index], label=labels[index], **looks[index])
+    return looks
 
 
 def _input_label(response: FrequencyResponse, index: int, extent: float) -> str:
@@ -109,13 +110,13 @@ def _input_label(response: FrequencyResponse, index: int, extent: float) -> str:
     return f"({point_text(place, [extent])}) {length_unit([extent])[0]}" if is_point else shortened(name)
 
 
-def _shown(labels: list[str]) -> list[str | None]:
-    """Return labels with None for those that have no room in a legend."""
-    return [label if index < MOST_LABELS else None for index, label in enumerate(labels)]
+def _add_legend(axes: Axes, count: int, marked: bool = False) -> None:
+    """Add a legend beside the axes, which says that other curves are grey, and explains the natural frequencies."""
+    from matplotlib.lines import Line2D
 
-
-def _add_legend(axes: Axes, count: int) -> None:
-    """Add a legend beside the axes, which says if it leaves out curves."""
-    more = f"the first {MOST_LABELS} of {count}" if count > MOST_LABELS else None
-    legend = axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=7.5, title=more, title_fontsize=7.5)
-    legend.set_in_layout(True)
+    handles = axes.get_legend_handles_labels()[0]
+    if marked:
+        handles.append(Line2D([], [], color=MARK, linestyle="", marker="|", markersize=7, label="natural frequency"))
+    more = f"the {MOST_COLOURED} largest of {count}" if count > MOST_COLOURED else None
+    place = {"loc": "center left", "bbox_to_anchor": (1.01, 0.5)}
+    axes.legend(handles=handles, fontsize=7.5, title=more, title_fontsize=7.5, **place).set_in_layout(True)
