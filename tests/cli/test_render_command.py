@@ -82,6 +82,14 @@ def test_movies_play_all_frames(render, drawing, tmp_path):
     assert np.abs(played[0] - played[3]).mean() > np.abs(played[0] - played[6]).mean()
 
 
+def test_large_gifs_are_remarked_on(render, drawing, monkeypatch):
+    """Standard error says what makes them smaller."""
+    words = ("--out", "a.gif", "--frames", "3", "--case", "best")
+    assert render(*words)[2] == ""
+    monkeypatch.setattr("warp_plate.cli.render.LARGE_GIF", 1000)
+    assert "a.gif has 0 MB: fewer --frames, a smaller --width or an .mp4 are smaller" in render(*words)[2]
+
+
 def test_pages_and_plans_need_no_window(render, monkeypatch, tmp_path):
     """A browser or Matplotlib draws them, without VTK's windows."""
     monkeypatch.setattr(availability, "TRIAL", "raise SystemExit(1)")

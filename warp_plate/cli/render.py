@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 # As in viz.render, which is imported later.
 PLOTS = (".svg", ".pdf")
 ENDINGS = (".png", *PLOTS, ".gif", ".mp4", ".html")
+# Size [bytes] from which a GIF is remarked on: many mail servers and web pages take no more.
+LARGE_GIF = 10_000_000
 
 
 def render(
@@ -90,6 +92,10 @@ def render(
         raise SceneError(str(problem)) from None
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"; wrote only {', '.join(map(str, files))}" if files else "") from None
+    for file in files:
+        size = file.stat().st_size
+        if file.suffix.lower() == ".gif" and size > LARGE_GIF:
+            output.log(f"{file} has {size / 1e6:.0f} MB: fewer --frames, a smaller --width or an .mp4 are smaller")
     output.report(json, lambda: {"result": result}, lambda _: None, (files, None))
 
 
