@@ -111,6 +111,20 @@ def test_many_names_of_one_case(written):
     assert "take 4 times as much memory as the file" in refusal_of("result", path)
 
 
+def test_groups_that_each_hold_the_next_twice(written):
+    path = written["result"]
+
+    def change(file):
+        group = file.require_group("objectives_of")
+        for _ in range(40):
+            following = group.create_group("next")
+            group["again"] = following
+            group = following
+
+    forge(path, change)
+    assert "take 4 times as much memory as the file" in refusal_of("result", path)
+
+
 def test_chunks(written):
     """A chunk may be far larger than what is in it."""
     path = written["checkpoint"]

@@ -227,7 +227,7 @@ class Datasets(Layout):
     def read(self, group: h5py.Group, name: str, sizes: Sizes) -> dict[str, Any]:
         values, known = {}, dict(sizes)
         inner = member(group, name) if name in group else {}
-        for key in (self.names or inner) if inner else ():
+        for key in (self.names or names_in(inner)) if inner else ():
             nested = not self.names and isinstance(member(inner, key, h5py.HLObject), h5py.Group)
             values[key] = (self if nested else self.layout(key)).read(inner, key, known)
         return values
@@ -249,7 +249,7 @@ class Groups(Layout):
     def read(self, group: h5py.Group, name: str, sizes: Sizes) -> Any:
         if self.container is None:
             return read_fields(self.cls, member(group, name), sizes)
-        names = list(member(group, name)) if name in group else []
+        names = names_in(member(group, name)) if name in group else []
         keys = names if self.container is Mapping else [str(index) for index in range(len(names))]
         instances: dict[str, Any] = {key: read_fields(self.cls, member(group, f"{name}/{key}"), sizes) for key in keys}
         return instances if self.container is Mapping else tuple(instances.values())
@@ -268,7 +268,7 @@ class SearchState(Layout):
     def read(self, group: h5py.Group, name: str, sizes: Sizes) -> dict[str, Any]:
         state = member(group, name)
         rest = Attribute(Mapping[str, Any]).read(state, "numbers", sizes)
-        return {**rest, **{key: read_array(state, key) for key in state}}
+        return {**rest, **{key: read_array(state, key) for key in names_in(state)}}
 
 
 def _fields(cls: type) -> Iterator[tuple[str, str, Layout, bool]]:
@@ -328,6 +328,25 @@ def member(group: h5py.Group, name: str, kind: type = h5py.Group) -> Any:
     if not isinstance(found, kind):
         raise SceneError(f"{path} is not a {kind.__name__.lower()}")
     return found
+
+
+def names_in(group: h5py.Group) -> list[str]:
+    """Return the sorted names in a group, each of which costs its bytes: a file may hold them compressed."""
+    names: list[str] = []
+
+    def take(name: bytes) -> SceneError | None:
+        names.append(name.decode(errors="surrogateescape"))
+        try:
+            spend(group.name, len(name))
+        except SceneError as error:  # h5py ends at a returned value, but cannot pass errors on
+            return error
+        return None
+
+    # In HDF5's other orders all names are read before the first.
+    refusal, _ = group.id.links.iterate(take, order=h5py.h5.ITER_NATIVE)
+    if refusal is not None:
+        raise refusal
+    return sorted(names)
 
 
 def read_attribute(item: h5py.HLObject, name: str) -> Any:
