@@ -29,7 +29,7 @@ from warp_plate.problem.clearance import Clearance
 from warp_plate.problem.design_variables import has_design_tables
 from warp_plate.problem.objectives import PLATE, TARGET, Objectives, keeps_limit
 from warp_plate.problem.parametrization import Parametrization
-from warp_plate.problem.projection import best_drives
+from warp_plate.problem.projection import best_drives, has_free_drives
 from warp_plate.problem.scenario_losses import ScenarioLosses, apply_measure
 from warp_plate.problem.slopes import ModalSlopes
 from warp_plate.result.model import BoundKind
@@ -112,7 +112,8 @@ class Problem:
     @cached_property
     def nominal(self) -> Problem:
         """The same search on the nominal plate only, with the same solvers."""
-        return replace(self, scenario_losses=None)
+        projected = self.evaluator_name == "modal" and has_free_drives(self.parametrization, self.objectives)
+        return replace(self, scenario_losses=None, projected=projected)
 
     @property
     def node_steps(self) -> int:

@@ -1,5 +1,5 @@
-"""The end of a search: by modes, from the best position down to the nearest minimum; of a robust one, the best drive of
-the nominal plate if that is better."""
+"""The end of a search: by modes, from the best position down to the nearest minimum; of a robust one, the best position
+of the nominal plate if that is better."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 import scipy
 
 from warp_plate.modal.solver import MODAL
-from warp_plate.optimize.optimizer import MethodError, Optimizer
+from warp_plate.optimize.optimizer import MethodError, Optimizer, minimize
 from warp_plate.optimize.quadratic import best_position
 from warp_plate.problem.objectives import loss_scale
 from warp_plate.problem.problem import Problem
-from warp_plate.studies.driver import history_of
+from warp_plate.studies.driver import history_of, search_optimizer
 from warp_plate.studies.spectrum import spectrum_frequencies
 
 # Differences for slopes, in initial ranges.
@@ -33,12 +33,12 @@ class Polished(NamedTuple):
 
 
 def finish_search(
-    optimizer: Optimizer | None, problem: Problem, interrupted: bool
+    optimizer: Optimizer | None, problem: Problem, seed: int, interrupted: bool
 ) -> tuple[np.ndarray | None, int, dict[str, np.ndarray]]:
     """Return the position of all design variables, the evaluations and the history of a search that has ended.
 
-    Where places, frequencies or delays are searched by modes, a descent follows it. A robust search tries the exact
-    drive of the nominal plate.
+    Where places, frequencies or delays are searched by modes, a descent follows it. A robust search tries the best
+    position of the nominal plate, which takes another search from the same seed if it is not known exactly.
     """
     history = history_of(optimizer, problem)
     if optimizer is None or optimizer.result.xbest is None:
@@ -50,7 +50,7 @@ def finish_search(
     if by_modes and not problem.parametrization.only_drives and not interrupted:
         polished = polish(problem, position, optimizer.result.fbest)
     elif problem.scenario_losses is not None and not interrupted:
-        polished = _nominal_drive(problem, optimizer.result.fbest)
+        polished = _nominal_position(problem, seed, optimizer.result.fbest)
     if polished is not None:
         evaluations += polished.evaluations
         value = problem.value_from_loss(polished.loss)
@@ -60,14 +60,29 @@ def finish_search(
     return complete, evaluations, history
 
 
-def _nominal_drive(problem: Problem, loss: float) -> Polished | None:
-    """Return the best drive of the nominal plate if its loss over the scenarios is less than ``loss``."""
+def _nominal_position(problem: Problem, seed: int, loss: float) -> Polished | None:
+    """Return the best position of the nominal plate if its loss over the scenarios is less than ``loss``."""
     try:
         position = best_position(problem.space, problem.nominal.quadratic)
     except MethodError:  # it is not known exactly
+        found = search_nominal(problem, seed)
+        if found is None:
+            return None
+        position = found
+    tried = Polished(position, float(problem.losses(position[None])[0]), 1)
+    return tried if tried.loss < loss else None
+
+
+def search_nominal(problem: Problem, seed: int) -> np.ndarray | None:
+    """Return the position (dimension,) that a robust search finds without uncertainty; None if it finds nothing or is
+    interrupted."""
+    optimizer = search_optimizer(problem.nominal, seed)
+    try:
+        if optimizer is not None:
+            minimize(optimizer, problem.nominal.losses)
+        return finish_search(optimizer, problem.nominal, seed, interrupted=False)[0]
+    except KeyboardInterrupt:
         return None
-    found = Polished(position, float(problem.losses(position[None])[0]), 1)
-    return found if found.loss < loss else None
 
 
 def polish(problem: Problem, position: np.ndarray, loss: float) -> Polished:

@@ -96,10 +96,11 @@ def _best_position(problem: Problem) -> np.ndarray | None:
             return best_position(problem.space, problem.quadratic)
         except MethodError:  # a limit or a fixed number keeps the search from the eigenvector
             pass
-    optimizer = search_optimizer(problem, problem.scene.search.seed)
+    seed = problem.scene.search.seed
+    optimizer = search_optimizer(problem, seed)
     if optimizer is not None:
         minimize(optimizer, problem.losses)
-    return finish_search(optimizer, problem, interrupted=False)[0]
+    return finish_search(optimizer, problem, seed, interrupted=False)[0]
 
 
 def _simulation_quantities(scene: Scene, settings: Settings) -> Values:

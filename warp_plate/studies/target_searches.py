@@ -53,7 +53,7 @@ def search_targets(
                 on_progress(before * total + iterations, count * total, best)
 
         optimizer, interrupted = run_search(start, problem, on_iteration, checkpoints)
-        position, evaluations, history = finish_search(optimizer, problem, interrupted)
+        position, evaluations, history = finish_search(optimizer, problem, start.seed, interrupted)
         search = TargetSearch(
             position=position,
             single_actuator=start.single_actuator,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from warp_plate.modal.solver import MODAL
@@ -14,7 +12,7 @@ from warp_plate.problem.uncertainty import draw_scenarios
 from warp_plate.result.checkpoint import Checkpoint
 from warp_plate.result.model import Case
 from warp_plate.result.robust import RobustComparison
-from warp_plate.studies.driver import run_search, search_optimizer
+from warp_plate.studies.polish import search_nominal
 
 
 def compare_with_nominal(
@@ -22,8 +20,8 @@ def compare_with_nominal(
 ) -> tuple[RobustComparison, dict[str, Case], int] | None:
     """Compare the position (dimension,) found by a robust search with that of the same search without uncertainty.
 
-    The nominal search has the same method, seed, particles and iterations, and simulates one plate an evaluation in
-    place of one a scenario. Both drives are then simulated, as two plates of one launch, in each of
+    The nominal search has the same method, seed, particles and iterations, and takes one plate an evaluation in place
+    of one a scenario. Both drives are then simulated, as two plates of one launch, in each of
     ``search.robust.fresh`` new scenarios.
 
     Returns:
@@ -31,14 +29,11 @@ def compare_with_nominal(
         if the nominal search found nothing or was interrupted.
     """
     nominal, table = problem.nominal, problem.robust
-    optimizer = search_optimizer(nominal, start.seed)
-    if optimizer is None:
+    found = search_nominal(problem, start.seed)
+    if found is None:
         return None
-    found, interrupted = run_search(replace(start, search_state=optimizer.state()), nominal)
-    if interrupted or found is None or found.result.xbest is None:
-        return None
-    evaluated = evaluate_cases(nominal, start.single_actuator, found.result.xbest)
-    designs = problem.parametrization.designs(np.stack([position, found.result.xbest]))
+    evaluated = evaluate_cases(nominal, start.single_actuator, found)
+    designs = problem.parametrization.designs(np.stack([position, found]))
     losses, node_steps = [], evaluated.node_steps
     stepped = problem.path != MODAL
     for scenario in draw_scenarios(problem.scene, table.fresh, table.seed, validation=True, stepped=stepped):
