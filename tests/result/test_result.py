@@ -54,6 +54,13 @@ def result(random):
     )  # fmt: skip
 
 
+def test_results_compare_by_identity(result):
+    """A comparison of arrays would have no single truth value."""
+    assert result == result
+    assert result != replace(result)
+    assert len({result, result.robust, *result.cases.values(), *result.target_searches}) == 7
+
+
 def assert_equal(one, other):
     """Compare nested data classes to the bit."""
     if is_dataclass(one) and not isinstance(one, Scene):

@@ -36,7 +36,7 @@ SAME = 1e-7
 PRODUCT, ABOVE = 0.8, 0.03
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class NaturalModes:
     """The lowest modes of a scene's plate or of its grid, by rising frequency.
 

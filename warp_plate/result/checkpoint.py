@@ -25,7 +25,7 @@ ENDING = ".checkpoint.h5"
 PREVIOUS_ENDING = ".checkpoint.previous.h5"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Checkpoint:
     """A search between two iterations. Together with the device it determines the rest of the search to the last bit.
 

@@ -19,7 +19,7 @@ FORMAT = FileFormat("comparison", 1)
 METHODS = Attribute(tuple[str, ...])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Trial:
     """A run of one method from one seed."""
 
@@ -34,7 +34,7 @@ class Trial:
         return float(self.loss[-1])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MethodComparison:
     """Trials of several methods on one scene.
 

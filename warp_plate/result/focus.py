@@ -18,7 +18,7 @@ FOCI = ("foci",)
 UNITS = {"displacement": "m", "velocity": "m/s"}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PanelFigures:
     """What waveforms do on panels within the tolerances of ``[search.robust]``, other ones than they were made for."""
 
@@ -40,7 +40,7 @@ class PanelFigures:
         return found
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FocusedWaveforms:
     """Waveforms of one method, a set for each focus, and their results.
 
@@ -88,7 +88,7 @@ class FocusedWaveforms:
             return np.asarray(20 * np.log10(np.abs(self.responses).max(axis=2) / np.abs(self.peak)[:, None]))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Ranking:
     """What a method reaches with fewer and fewer actuators.
 
@@ -104,7 +104,7 @@ class Ranking:
     misfit: Annotated[np.ndarray | None, Dataset("1", "largest misfit of the foci", ("number",))] = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FocusResult:
     """Result of ``focus``.
 

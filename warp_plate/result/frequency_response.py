@@ -19,7 +19,7 @@ DERIVATIVES: Mapping[str, int] = {name: power for power, name in enumerate(get_a
 UNITS: Mapping[str, str] = {"receptance": "m/N", "mobility": "(m/s)/N", "accelerance": "(m/s²)/N"}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FrequencyResponse:
     """Steady responses of a plate to unit forces that vary as exp(iωt).
 

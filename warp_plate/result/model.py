@@ -131,7 +131,7 @@ class RegionMotion:
     contrast: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Case:
     """A drive and the motion of the plate under it.
 
@@ -194,7 +194,7 @@ def only_actuator(case: Case, scene: Scene) -> str:
     return driven[0] if len(driven) == 1 else ""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TargetSearch:
     """A finished search for one target; see :class:`Result`.
 
@@ -211,7 +211,7 @@ class TargetSearch:
     objective_values: Annotated[Mapping[str, float], OBJECTIVES, "objectives"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Result:
     """Outcome of ``localize`` or ``simulate``, with all that is needed to run it again.
 

@@ -17,7 +17,7 @@ STILL = 1e-4
 QUADRANTS = ("lower left", "lower right", "upper left", "upper right")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Motion:
     """Motion of one plate, frame by frame.
 
@@ -83,7 +83,7 @@ class Motion:
         return np.where(moving, np.arctan2(sine, cosine), math.nan)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SteadyMotion:
     """Steady motion of a plate, u(θ) = Re Σ amplitudes[k] exp(i orders[k] θ) at the phase θ = ωt of the drive."""
 
@@ -106,7 +106,7 @@ class SteadyMotion:
         return float(max(np.abs(self.at(phase)).max() for phase in np.linspace(0, 2 * math.pi, 48, endpoint=False)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DriveResponse:
     """A drive, and the motion and energies of the plate under it."""
 
@@ -125,7 +125,7 @@ class DriveResponse:
         return self.energy[region] / self.energy["plate"] if self.energy["plate"] > 0 else float("nan")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SwarmSnapshot:
     """A particle swarm at one iteration."""
 

@@ -16,7 +16,7 @@ DRIVES = ("robust", "nominal")
 _ROWS = "of the robust and of the nominal drive"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RobustComparison:
     """Values of the robust drive and of the nominal drive, in this order (``DRIVES``).
 

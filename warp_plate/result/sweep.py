@@ -46,7 +46,7 @@ class SweepOutput:
     axis: Literal["mode", "frequency"] | None = None  # further axis of the output; None for one number per point
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Sweep:
     """Outputs of a command at the points of a plan."""
 

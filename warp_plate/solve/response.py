@@ -20,7 +20,7 @@ from warp_plate.solve.run import Progress
 from warp_plate.solve.solver import PlateSolver
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Response:
     """Energies as quadratic forms zᵀ matrix z of the drives, for regions of which the first are REGIONS."""
 

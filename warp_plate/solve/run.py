@@ -28,7 +28,7 @@ class PlateRunner(Protocol):
         """Return energies and records of a batch of plates."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Run:
     """Energies, records and faults of a batch of plates."""
 

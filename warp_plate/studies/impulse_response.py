@@ -32,7 +32,7 @@ MOST_NUMBERS = 2**24
 BLOCK = 2**20
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ImpulseResponse:
     """Responses of points to impulses of 1 N·s at t = 0.
 

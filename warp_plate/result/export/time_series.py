@@ -32,7 +32,7 @@ MOST_BYTES = 2**32 - 2**20  # a WAV file counts its bytes with 32 bits; 2**20 fo
 TRIED_PERIODS = 10_000  # lengths that are compared to find the loop whose end is nearest to a sample
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DriveSignal:
     """Signals of all actuators over a whole number of periods."""
 
@@ -62,7 +62,7 @@ class DriveSignal:
             yield np.column_stack([time, (turns[:, None] * self.phasors).real])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class WaveformSignal:
     """Waveforms of all actuators, of any shape."""
 
