@@ -11,7 +11,8 @@ import pytest
 from conftest import error_of, output_of, scene_of
 from scipy.io import wavfile
 
-from warp_plate import load_result, localize, save_result
+from warp_plate import load_result, localize, save_result, simulate
+from warp_plate.analysis.motion import motions
 
 GUIDE = Path(__file__).parents[2] / "docs" / "exports.md"
 
@@ -79,7 +80,9 @@ def test_a_motion_repeats_the_run(command, folder):
     for to, count in (("pvd", 5), ("vtkhdf", 1)):
         record = json.loads(output_of(command("export", "run.h5", "--to", to, *options, "--json")))
         assert (record["times"], record["recorded"], len(record["files"])) == (4, False, count)
-        assert record["fields"] == ["displacement_best", "displacement_single", "velocity_best", "velocity_single"]
+        names = ("displacement", "velocity", "rms_velocity")
+        assert record["fields"] == [f"{name}_{case}" for name in names for case in ("best", "single")]
+        assert sum(Path(file).read_bytes().count(b"rms_velocity_best") > 0 for file in record["files"]) >= count - 1
     recorded = load_result("run.h5")
     with h5py.File("run.vtkhdf") as file:
         root = file["VTKHDF"]
@@ -87,6 +90,10 @@ def test_a_motion_repeats_the_run(command, folder):
         assert root["PointData/velocity_best"].attrs["units"] == "m/s"
         assert np.abs(root["PointData/velocity_best"]).max() > 0
         first = root["PointData/displacement_single"][0]
+        (moved,) = motions(recorded.scene, {"best": recorded.cases["best"]}, (0.002, 0.004), 4, "cpu")
+        np.testing.assert_array_equal(root["PointData/rms_velocity_best"], moved.rms_velocity[None].astype("<f4"))
+        assert root["PointData/rms_velocity_best"].attrs["units"] == "m/s"
+        assert root["Steps/PointDataOffsets/rms_velocity_best"][:].tolist() == [0] * 4
     np.testing.assert_array_equal(first, recorded.cases["single"].displacement[0])
 
 
@@ -104,10 +111,10 @@ def test_invalid_options_are_one_line(command, folder):
         assert new_files() == []
 
 
-def test_matlab_can_read_a_result(folder):
+def test_matlab_can_read_a_result(command, folder):
     """Datasets hold plain numbers (no compounds, enumerations or references) or text, attributes text in UTF-8, but for
     those of netCDF's dimensions; those of the guide's example exist, with the dimensions that it states."""
-    (example,) = re.findall(r"```matlab\n(.*?)```", GUIDE.read_text(encoding="utf-8"), re.S)
+    example, _, series = re.findall(r"```matlab\n(.*?)```", GUIDE.read_text(encoding="utf-8"), re.S)
     datasets = re.findall(r"h5read\(f, '([^']+)'\)", example)
     attributes = re.findall(r"h5readatt\(f, '([^']+)', '([^']+)'\)", example)
     assert (len(example.splitlines()), len(datasets), len(attributes)) == (10, 8, 2)
@@ -130,3 +137,21 @@ def test_matlab_can_read_a_result(folder):
         assert file["/cases/best/displacement"].shape == (2, len(file["/y"]), len(file["/x"]))
         phasors = file["/cases/best/magnitude"][:] * np.exp(-1j * file["/cases/best/phase"][:])
     np.testing.assert_allclose(phasors, load_result("run.h5").cases["best"].phasors)
+    command("export", "run.h5", "--to", "vtkhdf", "--frames", 20, "--device", "cpu")
+    names = re.findall(r"h5read\('paper-localize\.vtkhdf', '([^']+)'\)", series)
+    with h5py.File("run.vtkhdf") as file:
+        assert [file[name].shape for name in names] == [(20, 13, 13), (1, 13, 13), (20,)]
+
+
+def test_formulas_of_the_guide_for_the_steady_field(tmp_path):
+    """Two instants of a result file give the RMS velocity that frames over a period have."""
+    _, steady, _ = re.findall(r"```matlab\n(.*?)```", GUIDE.read_text(encoding="utf-8"), re.S)
+    result = simulate(scene_of(damping=2000.0, window=(0.02, 0.0333)), device="cpu", estimate=False)
+    with h5py.File(save_result(result, tmp_path / "run.h5")) as file:
+        omega = 2 * np.pi * float(re.search(re.search(r"regexp\(scene, '(.*?)'", steady)[1], file.attrs["scene"])[0])
+        times, displacement = file["times"][:], file["cases/drive/displacement"][:]
+    matrix = np.stack([np.cos(omega * times), -np.sin(omega * times)], axis=1)
+    real, imaginary = np.linalg.lstsq(matrix, displacement.reshape(len(times), -1), rcond=None)[0]
+    velocity = omega / np.sqrt(2) * np.abs(real + 1j * imaginary).reshape(displacement.shape[1:])
+    (moved,) = motions(result.scene, result.cases, device="cpu")
+    np.testing.assert_allclose(velocity, moved.rms_velocity, atol=0.01 * moved.rms_velocity.max())

@@ -119,6 +119,7 @@ def _export_fields(
         times = moving[0].times
         fields = {f"displacement_{motion.name}": motion.displacement for motion in moving}
         fields |= {f"velocity_{motion.name}": motion.velocity for motion in moving}
+        fields |= {f"rms_velocity_{motion.name}": motion.rms_velocity[None] for motion in moving}
     # Actuators are drawn at their positions in the first case.
     scene = result.case_scene(next(iter(cases.values())))
     files = (write_pvd if to == "pvd" else write_vtkhdf)(scene, times, fields, path)

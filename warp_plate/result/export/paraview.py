@@ -21,7 +21,7 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
 # By the first word of a field's name.
-UNITS = {"displacement": "m", "velocity": "m/s", "target": "1", "actuators": "1"}
+UNITS = {"displacement": "m", "velocity": "m/s", "rms": "m/s", "target": "1", "actuators": "1"}
 
 
 def write_pvd(scene: Scene, times: np.ndarray, fields: Mapping[str, np.ndarray], path: Path) -> list[Path]:
@@ -30,7 +30,8 @@ def write_pvd(scene: Scene, times: np.ndarray, fields: Mapping[str, np.ndarray],
     Args:
         scene: The scene.
         times: (times,) times [s].
-        fields: (times, ny, nx) fields by name, which begins with a word of ``UNITS``; the first one is active.
+        fields: (times, ny, nx) fields, or (1, ny, nx) constant ones, by names that begin with a word of ``UNITS``; the
+            first one is active.
         path: The index, a .pvd file.
 
     Raises:
@@ -40,7 +41,7 @@ def write_pvd(scene: Scene, times: np.ndarray, fields: Mapping[str, np.ndarray],
     parts = [path.with_name(f"{path.stem}-{index:0{digits}}.vti") for index in range(len(times))]
     with atomic_paths(*parts, path) as (*temporaries, index_file):
         for index, (time, temporary) in enumerate(zip(times.tolist(), temporaries, strict=True)):
-            current = {name: field[index] for name, field in fields.items()}
+            current = {name: field[min(index, len(field) - 1)] for name, field in fields.items()}
             temporary.write_text(_vti_text(scene, time, current | constant), encoding="utf-8")
         index_file.write_text(_pvd_text(times, parts), encoding="utf-8")
     return [*parts, path]
