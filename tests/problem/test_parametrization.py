@@ -68,6 +68,16 @@ def test_magnitudes_are_relative_to_the_scenes_largest(tables):
     assert parametrization.quadratic == (not tables)
     assert parametrization.designs(np.zeros((1, 4))).drives[0, 0] == 20
     assert parametrization_of(with_magnitudes(scene_of(**tables), 0, 0, 0)).unit == 1
+    # A drive found is no stronger than the scene's strongest actuator if only ratios count.
+    strong = parametrization.drive(np.array([-3.0, 0.5, 0.0, 0.0]))
+    np.testing.assert_allclose(strong, np.array([1, -3, 0.5]) * (20 / 3 if not tables else 20))
+
+
+def test_magnitudes_without_a_range_go_up_to_the_scenes_largest():
+    """An amplifier's limit is written once, as the force of the actuators, and not again as a pressure."""
+    space = parametrization_of(with_magnitudes(scene_of(search={"magnitude": {}, "phase": {}}), 3, 10, -20)).space
+    np.testing.assert_array_equal(space.lower[:3], 0)
+    np.testing.assert_array_equal(space.upper[:3], 20)
 
 
 def test_each_table_adds_its_variables():

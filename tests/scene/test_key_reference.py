@@ -33,7 +33,7 @@ def test_command(command):
 @pytest.mark.parametrize(
     ("assignment", "line"),
     [
-        ("search.magnitude={}", "search.magnitude.range: is missing; it has no default, write for example [0.5, 1.0]"),
+        ("search.delay={}", "search.delay.range: is missing; it has no default, write for example ["),
         ("plate={size=[0.2,0.2],thicknes=1e-3,young_modulus=1e9,poisson_ratio=0.3,density=1e3}",
          "plate.thicknes: unknown key; did you mean 'thickness'?\n"),
     ],

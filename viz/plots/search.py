@@ -137,7 +137,8 @@ def curve_labels(search: Search) -> dict[str, str]:
     choose every phase, and every magnitude from zero on. Otherwise the former is only a bound.
     """
     magnitude, phase = search.magnitude, search.phase
-    any_magnitude = magnitude is not None and magnitude.actuators is None and magnitude.range[0] <= 0
+    any_magnitude = magnitude is not None and magnitude.actuators is None
+    any_magnitude = any_magnitude and (magnitude.range is None or magnitude.range[0] <= 0)
     any_magnitude = any_magnitude and not search.limits.equal_magnitudes
     best = BOUND_DESCRIPTIONS["attained within limits"]
     if magnitude is None and phase is None:

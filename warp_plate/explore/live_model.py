@@ -18,8 +18,8 @@ from warp_plate.explore.settings import LiveSettings, changed_scene, polar, slid
 from warp_plate.explore.watched_search import WatchedSearch
 from warp_plate.modal.solver import MODAL, has_modes
 from warp_plate.plate.scene_overrides import scene_phasors
+from warp_plate.problem.design_variables import magnitude_unit
 from warp_plate.problem.evaluate_cases import reference_phasors
-from warp_plate.problem.parametrization import magnitude_unit
 from warp_plate.result.motion import DriveResponse, SwarmSnapshot
 from warp_plate.scene.errors import SceneError, percent
 from warp_plate.scene.model import Scene

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warp_plate.problem.parametrization import magnitude_unit
+from warp_plate.problem.design_variables import magnitude_unit
 from warp_plate.scene.effects import Damping
 from warp_plate.scene.model import Scene
 

@@ -58,6 +58,14 @@ def only_ratios(scene: Scene) -> bool:
     return scene.linear and all(objective.kind in RATIOS for objective in scene.search.objectives)
 
 
+def magnitude_unit(scene: Scene) -> float:
+    """Return the drive for a magnitude of one: the largest magnitude of the scene's actuators, or 1 if all are 0.
+
+    Its unit is ``Scene.drive_unit``.
+    """
+    return max(abs(actuator.magnitude) for actuator in scene.actuators) or 1.0
+
+
 def make_design_variables(scene: Scene) -> tuple[DesignVariable, ...]:
     """Return the design variables; none only where the paper's reading meets a single actuator.
 
@@ -168,7 +176,8 @@ def _magnitudes(scene: Scene, table: FreeMagnitude) -> list[DesignVariable]:
         raise SceneError("search.magnitude.actuators: limits.equal_magnitudes gives all the same; delete one of them")
     if equal and only_ratios(scene):  # one magnitude of all changes nothing
         return []
-    return _ranged(scene, "magnitude", not equal, [actuator.magnitude for actuator in scene.actuators], table.range)
+    ends = table.range or (0.0, magnitude_unit(scene))
+    return _ranged(scene, "magnitude", not equal, [actuator.magnitude for actuator in scene.actuators], ends)
 
 
 def _phases(scene: Scene, table: FreePhase) -> Iterator[DesignVariable]:

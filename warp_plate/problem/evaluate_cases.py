@@ -12,8 +12,8 @@ from warp_plate.modal.solver import make_solver
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.plate.signals import actuator_frequencies
 from warp_plate.plate.weights import localization_factor, region_weights
+from warp_plate.problem.design_variables import magnitude_unit
 from warp_plate.problem.objectives import LEAST_REST, PLATE, TARGET, decibels
-from warp_plate.problem.parametrization import magnitude_unit
 from warp_plate.problem.problem import Energies, Problem
 from warp_plate.result.model import Case, RegionMotion
 from warp_plate.result.targets import target_regions
@@ -55,7 +55,7 @@ def evaluate_cases(problem: Problem, single: int, position: np.ndarray | None) -
     if position is None:
         phasors["best"] = phasors["single"]
     elif parametrization.only_drives:
-        phasors["best"] = parametrization.designs(position[None]).drives[0]
+        phasors["best"] = parametrization.drive(position)
     run, peaks = run_with_peaks(problem.drive_solver, np.array(list(phasors.values())))
     cases = cases_from_run(phasors, run, scene, peaks)
     if position is None or parametrization.only_drives:

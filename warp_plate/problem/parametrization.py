@@ -19,7 +19,13 @@ from warp_plate.optimize.space import SearchSpace
 from warp_plate.plate.designs import Designs
 from warp_plate.plate.scene_overrides import actuator_centres, scene_with
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
-from warp_plate.problem.design_variables import DesignVariable, has_design_tables, make_design_variables, only_ratios
+from warp_plate.problem.design_variables import (
+    DesignVariable,
+    has_design_tables,
+    magnitude_unit,
+    make_design_variables,
+    only_ratios,
+)
 from warp_plate.row_blocks import over_blocks
 from warp_plate.scene.model import Scene
 
@@ -106,6 +112,18 @@ class Parametrization:
             array = values[variable.kind]
             column[:] = variable.fixed if array is None else array[:, variable.actuators[0]]
         return np.clip(positions, self.space.lower, self.space.upper)
+
+    def drive(self, position: np.ndarray) -> np.ndarray:
+        """Return the phasors (actuators,) of a position (dimension,) as a result has them.
+
+        With the source paper's reading the first actuator has magnitude 1. If only ratios matter and no limit says
+        otherwise, the drive is scaled so that none is stronger than the strongest of the scene.
+        """
+        phasors = self.designs(position[None]).drives[0]
+        limits = self.scene.search.limits
+        if has_design_tables(self.scene) or not only_ratios(self.scene) or limits.magnitude or limits.power:
+            return phasors
+        return np.asarray(phasors * _scale_down(self.unit, np.abs(phasors).max()))
 
     def scene_of(self, position: np.ndarray) -> Scene:
         """Return the scene with the design of a position (dimension,), which runs as the position's plate does.
@@ -195,14 +213,6 @@ def paper_phasors(positions: np.ndarray) -> np.ndarray:
     return np.concatenate([first, magnitude * np.exp(-1j * phase)], axis=1)
 
 
-def magnitude_unit(scene: Scene) -> float:
-    """Return the drive for a magnitude of one: the largest magnitude of the scene's actuators, or 1 if all are 0.
-
-    Its unit is ``Scene.drive_unit``.
-    """
-    return max(abs(actuator.magnitude) for actuator in scene.actuators) or 1.0
-
-
 def _scale_down(most: float, sizes: np.ndarray) -> np.ndarray:
-    """Return factors (n,) that bring sizes (n,) down to ``most``; one where they are no larger."""
+    """Return factors (n,) or a factor that bring sizes (n,) down to ``most``; one where they are no larger."""
     return np.asarray(most / np.maximum(sizes, most))

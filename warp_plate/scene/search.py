@@ -23,12 +23,12 @@ Tolerance = Annotated[float, Field(ge=0, lt=1)]
 
 
 class _Range(Table):
-    range: tuple[float, float]  # smallest and largest value
+    range: tuple[float, float] | None  # smallest and largest value
     actuators: Names | None = None  # names of those that vary (default: all)
 
     @model_validator(mode="after")
     def _ordered(self) -> _Range:
-        low, high = self.range
+        low, high = self.range or (0.0, 1.0)
         if high <= low:
             raise ValueError(f"range: [{low:g}, {high:g}] has no inside; write the smaller number first")
         return self
@@ -43,7 +43,9 @@ class FreePhase(Table):
 class FreeMagnitude(_Range):
     """Magnitudes vary within ``range`` [N/m², or V under ``[drive.electrostatic]``]."""
 
-    range: tuple[NotNegative, NotNegative]  # smallest and largest value [N/m², or V of an electrostatic drive]
+    # Smallest and largest value (default: 0 and the largest magnitude of the scene's actuators) [N/m², or V of an
+    # electrostatic drive]
+    range: tuple[NotNegative, NotNegative] | None = None
 
 
 class FreeFrequency(_Range):
@@ -175,7 +177,7 @@ class Search(Table):
 
     def check_limits(self, names: Sequence[str]) -> None:
         """Raise ValueError, naming the key, if limits exclude every magnitude that the named actuators may have."""
-        if self.magnitude is None:
+        if self.magnitude is None or self.magnitude.range is None:
             return
         limits, low = self.limits, self.magnitude.range[0]
         range_text = f"search.magnitude.range[0] = {low:g}; raise it or lower the range"

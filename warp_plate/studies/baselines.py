@@ -21,8 +21,8 @@ from warp_plate.analysis.superposition import LINEAR_ORDERS, LINEAR_SAMPLES, las
 from warp_plate.modal.solver import ModalSolver, make_solver
 from warp_plate.plate.signals import carrier_frequencies
 from warp_plate.plate.weights import REGIONS, bilinear, node_positions
+from warp_plate.problem.design_variables import magnitude_unit
 from warp_plate.problem.evaluate_cases import cases_from_run
-from warp_plate.problem.parametrization import magnitude_unit
 from warp_plate.problem.problem import Problem
 from warp_plate.result.model import Case
 from warp_plate.scene.errors import SceneError

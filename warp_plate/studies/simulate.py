@@ -12,8 +12,8 @@ import numpy as np
 
 from warp_plate.modal.solver import MODAL, ModalSolver
 from warp_plate.plate.scene_overrides import scene_phasors
+from warp_plate.problem.design_variables import magnitude_unit
 from warp_plate.problem.evaluate_cases import cases_from_run, reference_phasors
-from warp_plate.problem.parametrization import magnitude_unit
 from warp_plate.result.model import Result, load_result
 from warp_plate.result.targets import target_regions
 from warp_plate.scene.errors import SceneError
