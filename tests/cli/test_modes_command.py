@@ -50,7 +50,13 @@ def test_json_table_and_picture(command, write_scene):
         assert part in out
     assert "mass 0" not in out
     write_scene(edges=("free",) * 4)
-    assert output_of(command("modes", "panel.toml", "--no-pictures", "--count", 4)).count("0 (rigid)") == 3
+    out = output_of(command("modes", "panel.toml", "--no-pictures", "--count", 4))
+    assert out.count("0 (rigid)") == 3
+    # A free plate moves as a whole, tilts twice and twists: lobes are counted where there are no half-waves.
+    assert [line.split()[-3:] for line in out.splitlines() if " × " in line][1:] == [
+        ["1", "×", "1"], ["1", "×", "2"], ["2", "×", "1"], ["2", "×", "2"]
+    ]  # fmt: skip
+    assert "lobes x × y" in out
     assert sorted(path.name for path in Path().iterdir()) == ["m.svg", "panel.toml"]
 
 

@@ -132,7 +132,7 @@ def _print(
     console.print(f"{scene.title or name}{grid}\n")
     masses = [index for index, oscillator in enumerate(scene.effects.oscillators) if oscillator.mass > 0]
     columns = _columns(found, errors)
-    made = output.table("mode", *columns, "waves x × y", *(f"mass {index}" for index in masses))
+    made = output.table("mode", *columns, "lobes x × y", *(f"mass {index}" for index in masses))
     rows = zip(zip(*columns.values(), strict=True), found.half_waves(), found.oscillators, strict=True)
     for number, (cells, waves, motion) in enumerate(rows, start=1):
         made.add_row(
@@ -144,7 +144,7 @@ def _print(
     console.print(made)
     console.print(
         ("" if errors is None else f"\nIn a run: frequencies of time steps of {found.time_step:.3g} s.")
-        + "\nWaves: number of half-waves along x and y."
+        + "\nLobes: parts of one sign along x and y, one more than the nodal lines across them."
         + (" Mass: displacement of the oscillator relative to the largest of the plate." if masses else "")
     )
     if left_out:

@@ -61,7 +61,8 @@ class NaturalModes:
         return stepped
 
     def half_waves(self) -> list[tuple[int, int] | None]:
-        """Return the numbers of half-waves of each shape along x and y; None if its nodal lines run askew."""
+        """Return the numbers of lobes of each shape along x and y, one more than the nodal lines across them; None if
+        nodal lines run askew. Between clamped or supported edges they are half-waves."""
         return [_half_waves(shape) for shape in self.shapes]
 
 
