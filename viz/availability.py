@@ -14,6 +14,7 @@ import os
 import subprocess
 import sys
 import threading
+from contextlib import suppress
 
 WINDOW_VARIABLE = "VTK_DEFAULT_OPENGL_WINDOW"
 X_WINDOW = "vtkXOpenGLRenderWindow"
@@ -77,10 +78,11 @@ def prepare() -> None:
     """Start the trial drawing and import the drawing libraries in a thread, beside other work."""
 
     def import_libraries() -> None:
-        if missing_renderer() is None:
-            importlib.import_module("pyvista")
-        if missing_plots() is None:
-            importlib.import_module("matplotlib.figure")
+        with suppress(Exception):  # drawing raises it again
+            if missing_renderer() is None:
+                importlib.import_module("pyvista")
+            if missing_plots() is None:
+                importlib.import_module("matplotlib.figure")
 
     threading.Thread(target=import_libraries, name="trial drawing", daemon=True).start()
 

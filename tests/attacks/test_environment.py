@@ -85,3 +85,24 @@ def test_a_pipe_is_refused(write_scene, command):
     os.mkfifo("pipe.h5")
     assert "is a pipe" in error_of(command("simulate", "panel.toml", *QUICK, "--out", "pipe.h5"))
     assert Path("pipe.h5").is_fifo()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such limit")
+@pytest.mark.parametrize("limit", [50_000, 150_000, 300_000])
+def test_libraries_that_do_not_fit_in_a_limit_of_memory(limit, write_scene):
+    write_scene(damping=88.5)
+    line = [sys.executable, "-m", "warp_plate", "simulate", "panel.toml", *QUICK]
+    script = f'ulimit -v {limit}; exec "$@"'
+    run = subprocess.run(["sh", "-c", script, "sh", *line], capture_output=True, text=True)
+    assert (run.returncode, run.stdout) == (2, "")
+    assert "Traceback" not in run.stderr
+    assert "memory" in run.stderr
+    assert not Path("panel-simulate.h5").exists()
+
+
+def test_a_backend_of_matplotlib_that_it_does_not_know(write_scene):
+    write_scene(damping=88.5)
+    line = [sys.executable, "-m", "warp_plate", "frf", "panel.toml", "--range", "100:200"]
+    run = subprocess.run(line, capture_output=True, text=True, env={**os.environ, "MPLBACKEND": "none"})
+    assert (run.returncode, run.stderr) == (0, "")
+    assert list(Path().glob("*.png"))

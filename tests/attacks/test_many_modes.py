@@ -50,3 +50,12 @@ def test_functions():
 
 def test_a_search_keeps_its_result_where_resonances_are_too_many_to_mark():
     assert np.array_equal(resonances(scene_of(damping=88.5), 100, 1e6), [])
+
+
+@pytest.mark.parametrize("line", ["check", "simulate", "localize", "accuracy"])
+def test_waves_too_short_for_any_reference(line, write_scene, command):
+    """Grids that do not resolve the waves are not run, which took minutes before the same answer."""
+    write_scene(scene_of(damping=88.5, frequency=1e5, window=(0.05, 0.1), grid={"accuracy": 0.01}))
+    error = error_of(command(line, "panel.toml", "--device", "cpu"))
+    assert "drive.frequency: bending waves of 0.0031 m on a plate of [0.2, 0.2] m until 0.1 s" in error
+    assert "write a [grid]" in error

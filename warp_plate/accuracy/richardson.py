@@ -16,6 +16,7 @@ import numpy as np
 from warp_plate.accuracy.configurations import (
     Configuration,
     aligned,
+    bending_wavelength,
     configuration_of,
     highest_order,
     node_steps,
@@ -41,6 +42,8 @@ EXTRAPOLATIONS = ((0, 2), (1, 2), (0, 3), (1, 3))
 CHANGE_FACTOR, GAIN_FACTOR = 3.0, 0.2
 # Nominal time of a node-step in float64 [s], as on two cores.
 STEPPED_SECONDS = 2e-9
+# Cells in a bending wave without which no extrapolation is near, and the longest nominal time of such a grid [s].
+FEWEST_CELLS_A_WAVE, MOST_SECONDS = 4.0, 30.0
 
 
 @dataclass(frozen=True)
@@ -80,8 +83,9 @@ def extrapolate(
         change: Returns the largest relative difference of what is observed from other values.
 
     Raises:
-        SceneError: Fewer than four grids are left.
+        SceneError: Fewer than four grids are left, or those that resolve bending waves take too long.
     """
+    _refuse_short_waves(scene, plates)
     scenes: list[Scene] = []
     values: list[np.ndarray] = []
     refusal, uncertainty = None, math.inf
@@ -149,6 +153,18 @@ def _scenes(scene: Scene) -> Iterator[Scene]:
         # The drive limits the first.
         fraction = fraction or min(SAFETY, 1 / (STEPS_A_PERIOD * highest_frequency(scene)) / limit)
         yield scene_with(scene, Configuration(order, "moments", nodes, aligned(scene, fraction * limit), "float64"))
+
+
+def _refuse_short_waves(scene: Scene, plates: int) -> None:
+    """Refuse a scene with a SceneError if no grid within MOST_SECONDS resolves its bending waves."""
+    spacing = bending_wavelength(scene) / FEWEST_CELLS_A_WAVE
+    for gridded in _scenes(scene):
+        if STEPPED_SECONDS * plates * node_steps(scene, configuration_of(gridded)) > MOST_SECONDS:
+            break
+        if spacing_of(scene, gridded.grid.nodes) <= spacing:
+            return
+    wave = f"bending waves of {4 * spacing:.2g} m on a plate of {list(scene.plate.size)} m until {scene.window.end:g} s"
+    raise SceneError(f"drive.frequency: {wave} take too long to be solved to a known accuracy; write a [grid]")
 
 
 def _limit(

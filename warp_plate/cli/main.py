@@ -15,6 +15,7 @@ def main(arguments: list[str] | None = None) -> None:
     clock.restart()
     # Threads of linear algebra sleep soon while they wait for a task: commands have small ones, far apart.
     os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")
+    os.environ.pop("MPLBACKEND", None)  # commands draw to files
     _prepare_streams()
     interrupt_on_termination()
     remember_lost_interrupts()
@@ -25,6 +26,10 @@ def main(arguments: list[str] | None = None) -> None:
     except KeyboardInterrupt as interrupt:
         print(f"warp-plate: interrupted{interrupt}", file=sys.stderr)
         sys.exit(130)
+    except ImportError as error:
+        line = " ".join(str(error).split())
+        print(f"warp-plate: a library cannot be loaded: {line}; is it damaged, or memory limited?", file=sys.stderr)
+        sys.exit(2)
     except BrokenPipeError:
         _discard_output()
         sys.exit(0)

@@ -25,11 +25,15 @@ def find_device(name: str) -> wp.Device:
 
     Raises:
         SceneError: Warp knows no such device here, cannot compile for it, or has no folder to do so.
+        ImportError: Warp's library cannot be loaded.
     """
     if wp.config.log_level == wp.LOG_INFO:  # Warp's default, at which it greets on standard output
         wp.config.log_level = wp.LOG_ERROR
-    with _quiet_standard_error(), cache_errors():
-        wp.init()
+    try:
+        with _quiet_standard_error(), cache_errors():
+            wp.init()
+    except RuntimeError as error:  # its library cannot be loaded
+        raise ImportError(str(error)) from None
     try:
         with _quiet_standard_error():
             usable = nvidia.usable_devices()
