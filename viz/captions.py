@@ -7,6 +7,7 @@ import math
 from warp_plate.result.model import Case, Result
 from warp_plate.result.motion import Motion
 from warp_plate.result.targets import target_cases
+from warp_plate.scene.errors import printable
 from warp_plate.scene.model import Scene
 
 LONGEST_NAME = 22  # characters of a name in a caption or legend
@@ -29,7 +30,8 @@ def case_label(name: str, scene: Scene, actuator: str = "") -> str:
 
 
 def shortened(name: str) -> str:
-    """Return a name cut after LONGEST_NAME characters."""
+    """Return a name cut after LONGEST_NAME characters, with control characters escaped."""
+    name = printable(name)
     return name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 1]}…"
 
 

@@ -5,11 +5,12 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
-from conftest import error_of, output_of
+from conftest import error_of, output_of, scene_of
 
-from warp_plate import load_result
+from warp_plate import Scene, load_result
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="shells of Unix")
 QUICK = ("--device", "cpu", "--no-pictures", "--no-estimate")
@@ -64,3 +65,20 @@ def test_names_that_are_not_utf8(write_scene, command):
         assert list(Path().glob(f"{name}-{study}.*"))
     assert load_result(f"{name}-localize.h5").source == r"caf\udce9.toml"
     error_of(command("simulate", f"{name}x.toml"))
+
+
+def test_names_of_any_letters_are_drawn_exported_and_printed(write_scene, command):
+    """They are neither formulas nor commands of a terminal, and XML cannot hold them as they are."""
+    name = "ü $\\frac{1}{$ \x1b[2J"
+    targets = [{"name": key, "area": (0.0, 0.1, 0.0, end)} for key, end in (("a", 0.1), (name, 0.2))]
+    actuators = [{"name": key, "area": (x, x + 0.05, 0.1, 0.15)} for key, x in (("b", 0.02), (name, 0.1))]
+    tables = {"record": {"times": (0.01,)}, "search": {"particles": 3, "iterations": 2}}
+    made = scene_of(title=name, damping=88.5, **tables).model_dump(exclude={"target", "targets", "actuators"})
+    write_scene(Scene.model_validate({**made, "targets": targets, "actuators": actuators}))
+    lines = ["localize panel.toml --device cpu --no-estimate", "render panel-localize.h5 --out a.svg --device cpu"]
+    case = ("--case", f"best {name}")
+    for line in (*lines, *(f"export panel-localize.h5 --to {kind}" for kind in ("pvd", "vtkhdf", "drive-wav"))):
+        out = output_of(command(*line.split(), *case * (not line.startswith("localize"))))
+        assert out.replace("\n", "").isprintable()
+    for file in Path().glob("*.vti"):
+        ElementTree.parse(file)

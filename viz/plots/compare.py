@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warp_plate.scene.errors import printable
 from warp_plate.scene.vary import counted
 from warp_plate.viz.plots.frame import figure, number_log_axis
 
@@ -39,7 +38,7 @@ def draw_comparison(comparison: MethodComparison, path: str | Path) -> None:
         made.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
         seeds = len({trial.seed for trial in comparison.trials})
         title = f"{comparison.scene.title or comparison.source}: median, best and worst of {counted(seeds, 'seed')}"
-        made.suptitle(printable(title), fontsize=9)
+        made.suptitle(title, fontsize=9)
 
 
 def loss_statistics(trials: Sequence[Trial], clock: str, budget: int) -> tuple[np.ndarray, np.ndarray]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from warp_plate.result.model import Result
 from warp_plate.result.targets import crosstalk, decibels, target_cases, target_outlines
+from warp_plate.scene.errors import printable
 from warp_plate.viz.colours import DEFAULT_COLOURS, ColourOptions
 from warp_plate.viz.fields import DrawingScale, drawing_scale
 from warp_plate.viz.plots.frame import add_panels, figure
@@ -33,7 +34,7 @@ def draw_crosstalk(result: Result, path: str | Path, colours: ColourOptions = DE
     rows, columns = math.ceil(len(drawn) / PLATES_PER_ROW), min(len(drawn), PLATES_PER_ROW)
     width, height = drawn_size(result.scene, PLATE)
     total_width = max(CELL[0] * len(cases) + 1.5, columns * (width + 0.2), NOTE[0])
-    names = [_wrapped(name, CELL[0]) for name in cases]
+    names = [_wrapped(printable(name), CELL[0]) for name in cases]
     titles = {target: _wrapped(f"drive for {target}", total_width / columns) for target in drawn}
     table_height = CELL[1] * len(cases) + 0.6 + LINE * max(name.count("\n") for name in names)
     title_lines = max((title.count("\n") for title in titles.values()), default=0)

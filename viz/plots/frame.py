@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_plate.result.atomic_io import atomic_path
+from warp_plate.scene.errors import printable
 from warp_plate.viz.availability import missing_plots
 from warp_plate.viz.fields import unit_with_prefix
 
@@ -21,6 +23,8 @@ if TYPE_CHECKING:
 
 # Powers of ten that tick labels may have; any other power is written once, with the unit.
 PLAIN_POWERS = range(-1, 4)
+# The only formula in texts of the plots.
+POWER_OF_TEN = re.compile(r"[^$]*\$10\^\{-?\d+\}\$[^$]*")
 STYLE = {"axes.linewidth": 0.8, "legend.frameon": False, "svg.hashsalt": "warp-plate"}
 
 
@@ -35,11 +39,16 @@ def figure(
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.text import Text
 
     with rc_context({**STYLE, "font.size": font_size, "axes.spines.top": box, "axes.spines.right": box}):
         made = Figure(figsize=size, layout="constrained")
         FigureCanvasAgg(made)
         yield made
+        for text in made.findobj(Text):  # names and titles may hold control characters and "$"
+            text.set_text(printable(text.get_text()))
+            if "$" in text.get_text() and not POWER_OF_TEN.fullmatch(text.get_text()):
+                text.set_parse_math(False)
         made.savefig(path, dpi=dpi)
 
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from warp_plate.result.model import BOUND_DESCRIPTIONS, Result, only_actuator
 from warp_plate.result.robust import DRIVES, TAIL, RobustComparison, mean_of_worst
-from warp_plate.scene.errors import printable
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Search
 from warp_plate.viz.captions import case_label
@@ -155,7 +154,7 @@ def draw_robust(result: Result, path: str | Path) -> None:
         above, below = made.subplots(2, 1, sharex=True, height_ratios=[1, 1.5])
         _plot_histograms(above, result.robust)
         _plot_cumulative(below, result.robust)
-        made.suptitle(printable(result.scene.title or result.source), fontsize=9)
+        made.suptitle(result.scene.title or result.source, fontsize=9)
 
 
 def _plot_histograms(axes: Axes, compared: RobustComparison) -> None:

@@ -48,7 +48,7 @@ def draw_sweep(sweep: Sweep, path: str | Path, colormap: str | None = None) -> N
     if not sampled:
         draw = _draw_lines if keys == 1 else partial(_draw_maps if keys == 2 else _draw_small_maps, cmap=cmap)
     with figure(path, box=keys > 1 and not sampled) as made:
-        notes, title = [draw(made, sweep)], printable(sweep.scene.title or sweep.source)
+        notes, title = [draw(made, sweep)], sweep.scene.title or sweep.source
         if refused := np.count_nonzero(sweep.status == REFUSED):
             notes.append(f"{counted(refused, 'point')} refused ({'ticks' if sampled else 'grey'})")
         made.suptitle(": ".join(filter(None, (title, "; ".join(filter(None, notes))))), fontsize=9, wrap=True)
@@ -243,7 +243,7 @@ def _set_key_axis(axis: Axis, sweep: Sweep, key: int, most: int | None = None, s
     _set_axis(axis, *_label_and_unit(sweep, key), most, size)
     values = sweep.plan.coordinates[key]
     if values.dtype.kind != "f":
-        texts = list(dict.fromkeys(values.tolist()))
+        texts = [printable(str(text)) for text in dict.fromkeys(values.tolist())]
         shown = texts if len(texts) <= MOST_TEXTS else []
         axis.set_ticks(range(len(shown)), shown)
 

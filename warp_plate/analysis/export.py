@@ -20,7 +20,7 @@ from warp_plate.result.export.time_series import (
 )
 from warp_plate.result.focus import FocusResult
 from warp_plate.result.model import Case, Result
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, printable
 from warp_plate.solve.run import Progress
 
 DRIVES: tuple[Format, ...] = ("drive-wav", "drive-csv")
@@ -110,7 +110,7 @@ def _export_fields(
 ) -> Exported:  # fmt: skip
     """Write the recorded displacements, or displacements and velocities of another run."""
     # ParaView begins with the first field, so the best case comes first.
-    cases = {name: cases[name] for name in sorted(cases, key=lambda name: name != "best")}
+    cases = {printable(name): cases[name] for name in sorted(cases, key=lambda name: name != "best")}
     recorded = span is None and frames is None
     if recorded:
         times, fields = result.times, {f"displacement_{name}": case.displacement for name, case in cases.items()}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from warp_plate.cli import motion_options, options, output
 from warp_plate.result.export import Format
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, printable
 
 if TYPE_CHECKING:
     from warp_plate.result.focus import FocusResult
@@ -138,15 +138,16 @@ def _draw(file: Path, contents: Mapping[str, Any], picture: Path) -> output.Draw
 
 def _print(files: list[Path], to: Format, record: Mapping[str, Any]) -> None:
     beside = f" and {len(files) - 1} .vti files beside it" if to == "pvd" else ""
+    case = printable(str(record.get("case")))
     print("\n".join(f"wrote {file}" for file in files[-1 if beside else 0 :]) + beside)
     if to in ("pvd", "vtkhdf") and record["recorded"] and record["times"] < FEW_TIMES:
         print(f"It holds the {record['times']} recorded times; --frames 60 writes a motion of 60 frames a period.")
     if "periods" in record:
         jump = f"with a phase jump of {record['seam_degrees']:.2g} degrees" if record["seam_degrees"] else "seamlessly"
         print(
-            f"Drive {record['case']}: {record['periods']} periods of {record['frequency']:g} Hz in "
+            f"Drive {case}: {record['periods']} periods of {record['frequency']:g} Hz in "
             f"{record['samples']} samples at {record['rate']} Hz, which repeat {jump}. 1.0 stands for "
             f"{record['full_scale']:.6g} {record['unit']} in every channel."
         )
     elif "full_scale" in record:
-        print(f"{record['case']}: 1.0 stands for {record['full_scale']:.6g} {record['unit']} in every channel")
+        print(f"{case}: 1.0 stands for {record['full_scale']:.6g} {record['unit']} in every channel")

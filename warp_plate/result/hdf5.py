@@ -34,7 +34,7 @@ import h5py
 import numpy as np
 
 from warp_plate.result.atomic_io import check_seal, make_seal, write_atomically
-from warp_plate.result.reading_limits import reading_limit, spend
+from warp_plate.result.reading_limits import names_in, reading_limit, spend
 from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import LARGEST, Count, as_kind
@@ -328,25 +328,6 @@ def member(group: h5py.Group, name: str, kind: type = h5py.Group) -> Any:
     if not isinstance(found, kind):
         raise SceneError(f"{path} is not a {kind.__name__.lower()}")
     return found
-
-
-def names_in(group: h5py.Group) -> list[str]:
-    """Return the sorted names in a group, each of which costs its bytes: a file may hold them compressed."""
-    names: list[str] = []
-
-    def take(name: bytes) -> SceneError | None:
-        names.append(name.decode(errors="surrogateescape"))
-        try:
-            spend(group.name, len(name))
-        except SceneError as error:  # h5py ends at a returned value, but cannot pass errors on
-            return error
-        return None
-
-    # In HDF5's other orders all names are read before the first.
-    refusal, _ = group.id.links.iterate(take, order=h5py.h5.ITER_NATIVE)
-    if refusal is not None:
-        raise refusal
-    return sorted(names)
 
 
 def read_attribute(item: h5py.HLObject, name: str) -> Any:

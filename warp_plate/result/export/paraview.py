@@ -71,7 +71,7 @@ def write_vtkhdf(scene: Scene, times: np.ndarray, fields: Mapping[str, np.ndarra
             offsets[name] = np.minimum(np.arange(len(times)), len(field) - 1)
         # The active array, for older readers and for those of version 2.6 of the format.
         active = next(iter(fields))
-        points.attrs["Scalars"] = np.bytes_(active)
+        points.attrs["Scalars"] = np.bytes_(active.encode())
         points[active].attrs["Attribute"] = "Scalars"
     return [path]
 
