@@ -1,9 +1,12 @@
 """Gram matrices of the modal plate, against the limits of the source paper's scene and each other."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
 from warp_plate import Scene
+from warp_plate.modal import energy
 from warp_plate.modal.energy import gram_matrices, mean_exponential, mean_exponential_with_time
 from warp_plate.modal.modes import solve_modes
 from warp_plate.scene.model import Window
@@ -50,3 +53,17 @@ def test_means_of_exponentials():
     assert np.array_equal(mean, mean_exponential(first, second, window))
     assert np.allclose(mean, exponentials.sum(axis=-1), rtol=1e-11, atol=0)
     assert np.allclose(with_time, (exponentials * times).sum(axis=-1), rtol=1e-11, atol=0)
+
+
+def test_matrices_of_all_poles_are_not_in_memory_as_a_whole(monkeypatch):
+    plate, early = solve_modes(Scene.load("paper")), Window(start=0.0, end=0.004)
+    found, peaks = [], []
+    for rows in (10**6, 50):
+        monkeypatch.setattr(energy, "ROWS", rows)
+        matrices(plate, early)
+        tracemalloc.start()
+        found.append(matrices(plate, early))
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert np.allclose(*found, rtol=1e-12, atol=1e-12 * found[0].max())
+    assert peaks[1] < peaks[0] / 2

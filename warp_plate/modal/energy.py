@@ -36,6 +36,8 @@ from warp_plate.scene.model import Window
 NEGLIGIBLE = 1e-6
 # Means of exponentials whose exponent changes by less than SLOW over the window are computed by series.
 SLOW = 1e-2
+# Rows of matrices between all poles that are in memory at a time: the whole ones of 7000 poles take gigabytes.
+ROWS = 1024
 
 
 def gram_matrices(
@@ -148,29 +150,35 @@ class _Motion:
     def products(self, regions: Sequence[np.ndarray], window: Window) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return (designs, M, M) means of v_kᵀ G v_l and of v̄_kᵀ G v_l for each region."""
         poles, turn = self.poles, self.drive[:, None, :]
-        columns = np.ascontiguousarray(self.free.mT)
-        sides = []
+        moved = [multiply_modes(as_sparse(region), self.forced) for region in regions]
+        shapes, sides = [poles.moved(region) for region in regions], []
         for conjugate in (False, True):
             decay = (poles.values.conj() if conjugate else poles.values)[:, None]
-            forced, free, rates = (
-                (self.forced.conj(), columns.conj(), turn.conj()) if conjugate else (self.forced, columns, turn)
-            )
-            means = (rates.mT, turn), (decay, turn), (decay, poles.values)
-            of_forced, across, of_free = (mean_exponential(*pair, window) for pair in means)
-            sides.append((conjugate, forced.mT, free, of_forced, across, of_free))
-        found = []
-        for region in regions:
-            moved, shapes = multiply_modes(as_sparse(region), self.forced), poles.moved(region)
-            products = []
-            for conjugate, forced, free, of_forced, across, of_free in sides:
-                both = self._by_actuator(self._by_actuator((forced @ moved) * of_forced).mT).mT
-                mixed = self._by_actuator((free @ (poles.pressed(moved, conjugate) * across)).mT).mT
-                inner = poles.pressed(shapes, conjugate) * of_free
-                rows = free.reshape(free.shape[0] * free.shape[1], -1)
-                alone = (rows @ as_sparse(inner)).reshape(free.shape) @ self.free
-                products.append(both + mixed + (mixed.conj() if conjugate else mixed).mT + alone)
-            found.append((products[0], products[1]))
-        return found
+            forced, free, rates = self.forced, self.free.mT, turn
+            if conjugate:
+                forced, free, rates = forced.conj(), free.conj(), rates.conj()
+            of_forced, across = (mean_exponential(first, turn, window) for first in (rates.mT, decay))
+            products = self._of_free(shapes, conjugate, np.ascontiguousarray(free), decay, window)
+            for index, each in enumerate(moved):
+                both = self._by_actuator(self._by_actuator((forced.mT @ each) * of_forced).mT).mT
+                mixed = self._by_actuator((free @ (poles.pressed(each, conjugate) * across)).mT).mT
+                products[index] += both + mixed + (mixed.conj() if conjugate else mixed).mT
+            sides.append(products)
+        return list(zip(*sides, strict=True))
+
+    def _of_free(
+        self, shapes: Sequence[np.ndarray], conjugate: bool, free: np.ndarray, decay: np.ndarray, window: Window
+    ) -> list[np.ndarray]:
+        """Return (designs, M, M) products of the free motions for each region, by rows of the matrices of all poles."""
+        count = self.poles.values.size
+        sums = [np.zeros((*free.shape[:2], self.free.shape[2]), dtype=complex) for _ in shapes]
+        for rows in np.split(np.arange(count), range(ROWS, count, ROWS)):
+            part, columns = self.poles.part(rows), free[..., rows].reshape(math.prod(free.shape[:2]), rows.size)
+            means = mean_exponential(decay[rows], self.poles.values, window)
+            for total, each in zip(sums, shapes, strict=True):
+                inner = as_sparse(part.pressed(each, conjugate) * means)
+                total += (columns @ inner).reshape(*free.shape[:2], count) @ self.free
+        return sums
 
     def _by_actuator(self, rows: np.ndarray) -> np.ndarray:
         """Return (designs, M, columns) sums of rows over the terms of each actuator."""
