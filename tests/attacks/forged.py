@@ -7,7 +7,7 @@ from warp_plate.result.atomic_io import SEAL_BYTES, make_seal
 
 # Replacements of attributes and items of JSON.
 VALUES = [None, True, -1, 0, 99, 2**62, 10**400, 1.5, float("nan"), float("inf"), "", "a", "NaN", "9" * 30, [], [1], {}]
-# Replacements of datasets, by their content.
+# Replacements of datasets, by their content; those of texts get zeros.
 ARRAYS = {
     "nan": lambda values: np.full(values.shape, np.nan),
     "one nan": lambda values: np.where(np.arange(values.size).reshape(values.shape) == 0, np.nan, values),
@@ -70,7 +70,8 @@ def forge_place(path, place, value, way):
 
     def change(file):
         if key is None:
-            set_dataset(file, name, ARRAYS[way](file[name][()]))
+            values = np.asarray(file[name][()])
+            set_dataset(file, name, ARRAYS[way](np.zeros(values.shape) if values.dtype.kind in "OS" else values))
         else:
             set_attribute(file[name], key, value)
 

@@ -62,3 +62,11 @@ def test_drives_that_no_amplifier_plays(path, name, way, folder, command):
     forge(Path(path), lambda file: set_dataset(file, name, ARRAYS[way](file[name][()])))
     for line in LINES[path]:
         assert f"{path}: damaged: {name} must hold numbers from" in error_of(command(*line.split()))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", ["nan", "huge", "negative"])
+def test_points_of_a_sweep_of_no_known_status(way, folder, command):
+    forge(Path("sweep.h5"), lambda file: set_dataset(file, "status", ARRAYS[way](file["status"][()])))
+    answer = command(*LINES["sweep.h5"][0].split())
+    assert "sweep.h5: damaged: status must hold 0, 1 or 2 for each point" in error_of(answer)

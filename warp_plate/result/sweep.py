@@ -191,6 +191,8 @@ def load_sweep(path: str | Path) -> Sweep:
         plan = _read_plan(file, scene)
         outputs = {name: SweepOutput(**entry) for name, entry in OUTPUTS.read(file, "outputs", {}).items()}
         status = hdf5.read_array(file, "status", plan.shape).ravel()
+        if not np.isin(status, (NOT_RUN, RUN, REFUSED)).all():
+            raise SceneError("status must hold 0, 1 or 2 for each point: not run, run or refused")
         texts = hdf5.read_array(file, "reason", plan.shape, text=True).ravel()
         reasons = {point: str(texts[point]) for point in np.flatnonzero(status == REFUSED).tolist()}
         found = hdf5.read_fields(
