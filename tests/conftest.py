@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import time
+import unicodedata
 import zlib
 from functools import lru_cache
 from pathlib import Path
@@ -123,6 +124,11 @@ def refusal(text):
     assert line.startswith("panel.toml: ")
     assert len(line.splitlines()) == 1
     return line.removeprefix("panel.toml: ")
+
+
+def is_printable(text):
+    """Return whether a text has no characters but printable ones and spaces, such as those that do not break."""
+    return all(c.isprintable() or unicodedata.category(c) == "Zs" for c in text)
 
 
 def edges_id(edges):

@@ -1,23 +1,28 @@
-"""Command lines of any options, values and names: a result without NaN, or one line and status 2."""
+"""Command lines of any options, values and names: a result without NaN, or one line and status 2, in the memory of a
+small machine. What hangs meets the time limit of all tests."""
 
 import json
 import re
 import shutil
+import sys
 from functools import cache
 from pathlib import Path
 
 import pytest
-from conftest import examples, scene_of
+from conftest import examples, is_printable, scene_of
 from hypothesis import given
 from hypothesis import strategies as st
 
 from warp_plate import focus, localize, save_focus, save_result, save_sweep, sweep
 from warp_plate.cli.commands import COMMANDS, app
+from warp_plate.plate import memory
 from warp_plate.result.export.frequency_response import write_hdf5
 from warp_plate.studies.frequency_response import compute_frequency_response
 
 # Commands that wait for a person or measure this machine, and options that start other programs.
 LEFT_OUT, PROGRAMS = ("view", "explore", "bench"), ("--devices", "--cluster")
+# Memory of a small machine [bytes].
+ROOM = 6 * 2**30
 # Commands that take a result file; options without a word.
 RESULTS = ("render", "export", "verify")
 FLAGS = ("--json", "--force", "--estimate", "--spectrum", "--pictures", "--allow-unstable", "--grid", "--modes")
@@ -130,16 +135,27 @@ def is_bad(value):
     raise AssertionError(value)
 
 
+@pytest.fixture
+def peak_memory(monkeypatch):
+    """A function that returns the most memory that this process has taken [bytes], in a machine that has little."""
+    resource = pytest.importorskip("resource", reason="Windows counts the memory of a process otherwise")
+    monkeypatch.setattr(memory, "machine_memory", lambda: float(ROOM))
+    unit = 1 if sys.platform == "darwin" else 1024
+    return lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
+
+
 @pytest.mark.slow
 @pytest.mark.hour
 @examples(80)
 @given(line=command_lines())
-def test_any_command_line(line, enter, command):
+def test_any_command_line(line, enter, command, peak_memory):
     enter()
+    before = peak_memory()
     status, out, err = command(*line)
+    assert peak_memory() - before < ROOM
     assert status in (0, 2)
     assert "Traceback" not in err
-    assert err.replace("\n", "").replace("\r", "").isprintable()
+    assert is_printable(err.replace("\n", "").replace("\r", ""))
     if status:
         assert err.splitlines()[-1].startswith("warp-plate: ")
         assert not [path.name for path in Path().iterdir() if ".part" in path.name]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import PAPER
+from conftest import PAPER, is_printable
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -72,7 +72,7 @@ def read(tables):
 
 
 def check_line(error):
-    assert str(error).isprintable()
+    assert is_printable(str(error))
     own_words = QUOTED.sub("", str(error))  # a scene may say "None" itself
     assert "not TOML" in own_words or not PYTHON_WORDS.search(own_words)
     assert len(str(error)) < 600
