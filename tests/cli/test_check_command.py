@@ -9,11 +9,11 @@ import pytest
 from conftest import error_of, output_of, scene_of
 
 from warp_plate import PlateSolver, load_result
+from warp_plate.accuracy.configurations import percent
 from warp_plate.analysis.check import check
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.stability_limit import find_limit
-from warp_plate.scene.errors import percent
 
 
 def test_numbers_and_words_of_the_paper(command):

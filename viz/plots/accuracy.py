@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from warp_plate.viz.plots.frame import figure
+from warp_plate.viz.plots.frame import figure, number_log_axis
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,7 +36,7 @@ def draw_accuracy(record: Mapping[str, Any], path: str | Path) -> None:
     front = [record["rows"][index] for index in record["front"]]
     with figure(path, (7.0, 5.2)) as made:
         axes = made.subplots()
-        axes.set(xscale="log", yscale="log")
+        axes.set(xscale="log", yscale="log", xmargin=0.12)  # grids are written to the left of their marks
         look = {"drawstyle": "steps-post", "color": FRONT_COLOUR, "linewidth": 4.5, "solid_capstyle": "round"}
         axes.plot(*_points(front), **look, zorder=1, label="best for its time")
         for family in families(rows):
@@ -120,3 +120,4 @@ def _annotate(axes: Axes, record: Mapping[str, Any], rows: Sequence[Row]) -> Non
         axes.axhspan(smallest / 3, uncertainty, color="#eeeeee", zorder=0, label="uncertainty of the reference")
     axes.set(xlabel="seconds per plate", ylabel="relative error of localization factors")
     axes.yaxis.set_minor_formatter(NullFormatter())
+    number_log_axis(axes.xaxis)

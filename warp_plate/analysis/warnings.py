@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warp_plate.accuracy.configurations import percent
 from warp_plate.analysis.influence import film, with_one_frequency
 from warp_plate.modal.continuous_modes import linear_part
 from warp_plate.modal.modes import solve_modes
@@ -15,7 +16,7 @@ from warp_plate.plate.signals import carrier_frequencies, highest_frequency
 from warp_plate.plate.waveforms import read_samples
 from warp_plate.plate.weights import region_weights
 from warp_plate.scene.drive import SampledSignal
-from warp_plate.scene.errors import SceneError, percent
+from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
 # Displacement over thickness. By Berger's equation for a supported square, stretching raises the frequency of a motion

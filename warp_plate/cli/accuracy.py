@@ -15,12 +15,13 @@ if TYPE_CHECKING:
     from warp_plate.accuracy.measure import AccuracyRow
     from warp_plate.accuracy.report import AccuracyReport
 
-HEADINGS = ("nodes", "Δt (s)", "bits", "single", "bound", "error %", "u %", "modes %", "a plate", "")
+HEADINGS = ("single", "bound", "error %", "u %", "modes %", "a plate", "")
+MODES = "modes, without a grid"
 LEGEND = (
     "single, bound: localization factor of the best single actuator, and the largest that any drive can have. error: "
     "largest relative error of single, best drive and bound; u: error of the displacement under the best drive (L2 "
     "norm over plate and window); modes: error of the first natural frequencies. a plate: seconds per plate in a "
-    "swarm. Of modes: functions in place of nodes, and a plate's share of all that a swarm takes, from the scene on. "
+    "swarm, of modes its share of all that the swarm takes, from the scene on. "
     "≤ no larger than the reference's own error: a bound. * no other row is both more accurate and faster; ~ not "
     "measured because it would take too long."
 )
@@ -76,7 +77,8 @@ def _print(report: AccuracyReport, device: str, console: Console) -> None:
     reference = report.reference
     console.print(f"{report.scene} on {device}\n")
     for kind in dict.fromkeys(map(_kind, report.rows)):
-        made = output.table(*HEADINGS, title=kind)
+        head = ("functions",) if kind == MODES else ("nodes", "Δt (s)", "bits")
+        made = output.table(*head, *HEADINGS, title=kind)
         for index, row in enumerate(report.rows):
             if _kind(row) == kind and not row.status.startswith("skipped"):
                 made.add_row(*_cells(row, index in report.front, reference.uncertainty))
@@ -88,10 +90,11 @@ def _print(report: AccuracyReport, device: str, console: Console) -> None:
         f"{reference.bound:.5f}, known to {reference.uncertainty:.1g}.\n"
     )
     laws = output.table("measured laws", "error ∝ h^", "u ∝ h^", "modes ∝ h^", "s ∝ n^")
-    for law in report.laws:
+    for law in (law for law in report.laws if law.family != "modal"):  # modes converge faster than any power
         powers = (law.order, law.order_displacement, law.order_frequencies, law.cost_exponent)
         laws.add_row(law.family, *("–" if power is None else f"{power:.2f}" for power in powers))
-    console.print(laws, "")
+    if laws.row_count:
+        console.print(laws, "")
     console.print(_recommendations(report), "")
     missing: dict[str, list[str]] = {}
     for row in report.rows:
@@ -112,23 +115,26 @@ def _recommendations(report: AccuracyReport) -> Table:
     swarm = f"{report.particles} × {report.iterations} plates"
     made = output.table("for", "use", "error", "kept in", "a plate", swarm)
     made.columns[1].justify = "left"
+    tolerances: dict[tuple[str, ...], list[str]] = {}  # by the other cells
     for recommended in report.recommended:
         cells = ["none within the budget"]
         if recommended.row is not None:
             row = report.rows[recommended.row]
-            use = f"modes, {_size(row)} functions"
+            use = f"modes, {_size(row)}"
             if row.time_step is not None:
                 use = f"{_size(row)}, order {row.order}, {row.load}, {row.time_step:.2g} s, {row.precision}"
             seconds = (row.seconds_per_plate or 0.0, recommended.seconds or 0.0)
             kept = "factors and u" if recommended.keeps_displacement else "factors alone"
             cells = [use, f"{error_text(row.error, report.reference.uncertainty)} %", kept, *map(seconds_text, seconds)]
-        made.add_row(percent(recommended.tolerance), *cells)
+        tolerances.setdefault(tuple(cells), []).append(percent(recommended.tolerance))
+    for cells_of, asked in tolerances.items():
+        made.add_row(", ".join(text.removesuffix(" %") for text in asked) + " %", *cells_of)
     return made
 
 
 def _kind(row: AccuracyRow) -> str:
     if row.load == "modal":
-        return "modes, without a grid"
+        return MODES
     kind = f"order {row.order}, {row.load}"
     return f"as written: {kind}, {row.damping or 'no'} damping" if row.as_written else kind
 
@@ -151,8 +157,9 @@ def _cells(row: AccuracyRow, on_front: bool, uncertainty: float) -> list[str]:
     from warp_plate.accuracy.configurations import seconds_text
     from warp_plate.accuracy.report import displacement_floor
 
-    step = "" if row.time_step is None else f"{row.time_step:.2g}"
-    head = [_size(row), step, row.precision.removeprefix("float")]
+    head = [_size(row)]
+    if _kind(row) != MODES:
+        head += ["" if row.time_step is None else f"{row.time_step:.2g}", row.precision.removeprefix("float")]
     if not row.measured:
         return [*head, *[""] * 5, row.status.partition(":")[0], ""]
     head += [f"{row.localization_factor:.4f}", "~" if row.bound is None else f"{row.bound:.4f}"]

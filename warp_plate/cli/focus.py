@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_plate.cli import options, output
-from warp_plate.scene.errors import percent
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -146,6 +145,8 @@ def _print(name: str, found: FocusResult, console: Console) -> None:
 
 def _remarks(found: FocusResult, name: str) -> list[str]:
     """Return what a line says of a method, for all foci together."""
+    from warp_plate.accuracy.configurations import percent
+
     method, others, remarks = found.methods[name], ~np.eye(len(found.bound), dtype=bool), []
     wish = "burst" if found.wished is None else "wish"
     if others.any():

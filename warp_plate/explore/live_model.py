@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_plate.accuracy.configurations import percent
 from warp_plate.analysis.superposition import SimulatedResponses, UnitResponses, unit_responses
 from warp_plate.explore.settings import LiveSettings, changed_scene, polar, slider_ranges, viscous_damping
 from warp_plate.explore.watched_search import WatchedSearch
@@ -21,7 +22,7 @@ from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.problem.design_variables import magnitude_unit
 from warp_plate.problem.evaluate_cases import reference_phasors
 from warp_plate.result.motion import DriveResponse, SwarmSnapshot
-from warp_plate.scene.errors import SceneError, percent
+from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.run import Progress
 

@@ -26,11 +26,6 @@ def printable(text: str) -> str:
     )
 
 
-def percent(share: float) -> str:
-    """Return a share in percent with two digits: 0.56 %, 100 %."""
-    return f"{float(f'{100 * share:.2g}'):g} %"
-
-
 def toml_text(value: object) -> str:
     """Return a value as TOML, tables inline."""
     if isinstance(value, bool):
