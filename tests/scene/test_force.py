@@ -113,6 +113,9 @@ def test_a_drive_comes_back_in_newtons(magnitude, heading):
     factors = (PATCH_AREAS if magnitude is None else 1) * case.phasors
     assert signal.unit == ("N" if magnitude is None else "N/m²")
     np.testing.assert_allclose(signal.phasors * signal.full_scale, factors, rtol=1e-12)
+    # The limit that the scene says is full scale, although force / area · area may be more in its last digit.
+    full_scale = float(np.abs(factors).max()) * (1 - 1e-15)
+    assert make_drive_signal(made, case, 48000, 0.1, full_scale).full_scale == pytest.approx(full_scale)
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from warp_plate.result.export.paraview import write_pvd, write_vtkhdf
 from warp_plate.result.export.time_series import (
     Encoding,
     WaveformSignal,
+    full_scale_of,
     make_drive_signal,
     write_drive_csv,
     write_traces,
@@ -137,9 +138,7 @@ def _export_waveforms(
         raise SceneError(f"case = {' '.join(methods)}: name one of {', '.join(found.methods)}")
     waveforms = found.methods[name].waveforms
     largest = float(abs(waveforms).max())
-    full_scale = largest if full_scale is None else full_scale
-    if not 0 < largest <= full_scale < float("inf"):
-        raise SceneError(f"full_scale = {full_scale:g}: must be at least the largest drive, {largest!r} {unit}")
+    full_scale = full_scale_of(full_scale, largest, unit)
     names, files = tuple(actuator.name for actuator in found.scene.actuators), []
     for index, ((x, y), each) in enumerate(zip(table.points, waveforms, strict=True), 1):
         file = path if len(table.points) == 1 else path.with_name(f"{path.stem}-{index}{path.suffix}")

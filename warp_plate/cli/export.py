@@ -62,8 +62,8 @@ def export(
     duration
         drive-wav and drive-csv: longest duration in seconds (default: 1).
     full_scale
-        drive-wav and drive-csv: pressure in N/m² (or voltage) that 1.0 stands for (default: the drive's largest
-        magnitude).
+        drive-wav and drive-csv: force in N that 1.0 stands for, if the scene gives a force for every actuator; else
+        pressure in N/m² or voltage (default: the drive's largest).
     encoding
         drive-wav: float32 (default), pcm16 or pcm24.
     out

@@ -20,7 +20,7 @@ class Actuator(Table):
     """
 
     name: Name  # name, different for each actuator
-    area: Area  # rectangle x0, x1, y0, y1 [m]
+    area: Area  # rectangle x0, x1, y0, y1; for a disc, the square of the same area [m]
     magnitude: Moderate = 1.0  # amplitude of the pressure [N/m²], or of the voltage [V], see ``Scene.drive_unit``
     force: Moderate | None = None  # amplitude of the patch's total force [N], in place of the magnitude
     phase: Moderate = 0.0  # phase lag [rad]

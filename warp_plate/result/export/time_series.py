@@ -29,6 +29,7 @@ FORMATS: dict[Encoding, tuple[int, int]] = {"float32": (3, 4), "pcm16": (1, 2), 
 # Code of WAVE_FORMAT_EXTENSIBLE and the common end of the GUIDs of the formats in it.
 EXTENSIBLE, GUID_END = 0xFFFE, bytes.fromhex("0000 1000 8000 00aa 0038 9b71")
 MOST_BYTES = 2**32 - 2**20  # a WAV file counts its bytes with 32 bits; 2**20 for the chunks before the samples
+ROUNDING = 1e-9  # by which a drive may pass full scale: of forces, 2 N becomes 2.0000000000000004 N
 TRIED_PERIODS = 10_000  # lengths that are compared to find the loop whose end is nearest to a sample
 
 
@@ -100,11 +101,7 @@ def make_drive_signal(
     if all(actuator.force is not None for actuator in scene.actuators):
         phasors, unit = phasors * [actuator.amplitude_area for actuator in scene.actuators], "N"
     largest = float(np.abs(phasors).max())
-    full_scale = largest if full_scale is None else full_scale
-    if not largest > 0:
-        raise SceneError("its drive is zero: there is nothing to play")
-    if not largest <= full_scale < float("inf"):
-        raise SceneError(f"--full-scale {full_scale:g}: must be at least the largest magnitude, {largest!r} {unit}")
+    full_scale = full_scale_of(full_scale, largest, unit)
     if rate <= 2 * frequency:
         raise SceneError(f"--rate {rate}: {frequency:g} Hz takes more than {2 * frequency:g} samples a second")
     if not 1 <= duration * frequency < float("inf"):
@@ -114,6 +111,16 @@ def make_drive_signal(
     periods, samples, seam = whole_periods(frequency, rate, duration)
     names = tuple(actuator.name for actuator in scene.actuators)
     return DriveSignal(names, phasors / full_scale, full_scale, unit, frequency, rate, samples, periods, seam)
+
+
+def full_scale_of(asked: float | None, largest: float, unit: str) -> float:
+    """Return the number that 1.0 stands for (default: the largest of the drive), which the largest may pass by rounding
+    only."""
+    if not largest > 0:
+        raise SceneError("its drive is zero: there is nothing to play")
+    if asked is not None and not largest * (1 - ROUNDING) <= asked < float("inf"):
+        raise SceneError(f"--full-scale {asked:g}: must be at least the largest of the drive, {largest:.9g} {unit}")
+    return max(asked or 0.0, largest)
 
 
 def whole_periods(frequency: float, rate: int, duration: float) -> tuple[int, int, float]:
