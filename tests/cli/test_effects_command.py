@@ -4,12 +4,13 @@ import json
 import math
 
 import pytest
-from conftest import error_of, output_of, scene_of
+from conftest import output_of, scene_of
 
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.analysis import influence
 from warp_plate.analysis.influence import DRIVES, bare_scene, is_on, toggle
 from warp_plate.analysis.warnings import find_warnings, warning_texts
+from warp_plate.modal.solver import make_solver
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.plate.scheme import make_scheme
@@ -52,6 +53,23 @@ def test_table_and_json(command, write_scene, monkeypatch):
         assert part in text
     judged = [number for number in record["numbers"] if not number["exceeded"] and number["value"] is not None]
     assert all(f"{number['name']} " in text for number in judged)
+
+
+@pytest.mark.parametrize("grid", ["grid.accuracy=0.01", "grid.nodes=[13, 13]"])
+def test_a_scene_with_a_loss_factor_is_solved_by_modes(grid, command, write_scene, monkeypatch):
+    """It was refused, with the advice to use an evaluator that the command does not have."""
+    monkeypatch.setattr(influence, "names", lambda: ["edges", "foundation", "stretching"])
+    write_scene(effects={"loss_factor": {"eta": 0.02}}, edges=("clamped", "free", "clamped", "free"))
+    options = ("effects", "panel.toml", "--device", "cpu", "--set", grid)
+    record = json.loads(output_of(command(*options, "--json")))
+    edges, foundation, stretching = record["effects"]
+    clamped = scene_of(effects={"loss_factor": {"eta": 0.02}})
+    energy = make_solver(clamped, "cpu", "modal").run(scene_phasors(clamped)[None]).energy[0]
+    assert edges["localization_factor"] == pytest.approx(energy[1] / energy[0], rel=0.01)
+    assert foundation["localization_factor"] != record["localization_factor"]
+    assert (edges["price"], edges["steps"], record["bare_step_seconds"]) == (None, None, None)
+    assert (stretching["localization_factor"], stretching["alternative"][:7]) == (None, "refused")
+    assert "solved by modes" in " ".join(output_of(command(*options)).split())
 
 
 def test_every_effect_is_switched_both_ways():
@@ -115,13 +133,6 @@ def test_a_plate_that_becomes_non_finite_is_reported_with_the_cause(command, wri
         causes = [line for line in warnings if "grew without bound by t = " in line]
         assert len(causes) == (part == 1)
         assert all(f"{step:.3g} s" in cause for cause in causes)
-
-
-@pytest.mark.parametrize("grid", ["grid.accuracy=0.01", "grid.nodes=[13, 13]"])
-def test_scenes_without_time_steps_are_refused_by_their_effect(grid, command, write_scene):
-    write_scene(scene_of())
-    line = error_of(command("effects", "panel.toml", "--set", grid, "--set", "effects.modal_damping.ratio=0.01"))
-    assert "effects.modal_damping: cannot be stepped in time" in line
 
 
 @pytest.mark.parametrize("name", EFFECTS_OF_PRESETS)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warp_plate.modal.solver import MODAL, ModalSolver, make_solver
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.plate.signals import carrier_frequencies
 from warp_plate.plate.weights import REGIONS, localization_factor, region_weights
@@ -49,7 +50,7 @@ class EffectToggle:
 
     name: str  # key of the effect
     on: bool  # True if the scene names the effect
-    price: float | None  # time that it adds to a step, in % of a step of the bare plate
+    price: float | None  # time that it adds to a step, in % of a step of the bare plate; None too by modes
     deviation: float | None  # median absolute deviation of the price between rounds
     steps: float | None  # factor by which it changes the number of steps
     localization_factor: float | None  # localization factor of the alternative
@@ -63,7 +64,8 @@ class Influence:
 
     localization_factor: float  # localization factor of the scene
     peak: float  # largest displacement during the run [m]
-    bare_step: float  # time of a step of a plate without effects, with clamped or supported edges [s]
+    # Time of a step of a plate without effects, with clamped or supported edges [s]; None if the scene needs modes
+    bare_step: float | None
     toggles: tuple[EffectToggle, ...]  # one for each effect
 
 
@@ -73,7 +75,8 @@ def measure_influence(
     """Switch each effect off or on, and measure its cost and the results under the scene's own drive.
 
     An effect that is off gets a typical value. If the scene's time step is too long for the alternative, the
-    alternative takes its own time step. Both are stated in ``EffectToggle.alternative``.
+    alternative takes its own time step. Both are stated in ``EffectToggle.alternative``. A scene that cannot be stepped
+    is solved by modes, and then no cost is measured.
 
     Args:
         scene: A scene with a grid.
@@ -84,37 +87,40 @@ def measure_influence(
         SceneError: see :class:`PlateSolver`.
     """
     effects, scene = names(), Scene.load(scene)
-    base = PlateSolver(scene, device)
-    others: dict[str, tuple[PlateSolver | None, str]] = {}
+    path = "auto" if scene.modal_only_key is None else MODAL
+    base = make_solver(scene, device, path)
+    others: dict[str, tuple[PlateSolver | ModalSolver | None, str]] = {}
     for index, name in enumerate(effects):
         if on_progress is not None:
             on_progress(index, len(effects), name)
-        others[name] = _alternative(scene, name, device)
+        others[name] = _alternative(scene, name, device, path)
     solvers = {"": base} | {name: solver for name, (solver, _) in others.items() if solver is not None}
     results = {}
     for name, solver in solvers.items():
         run = solver.run(scene_phasors(solver.scene)[None], peak_times=sample_times(solver.scene))
         results[name] = float(localization_factor(run.energy)[0]), float(run.peak.max())
-    seconds = seconds_a_step({**solvers, "bare": PlateSolver(bare_scene(scene), device)}, device, ROUNDS)
-    bare_step = float(np.median(seconds["bare"]))
+    steppers = {name: solver for name, solver in solvers.items() if path != MODAL and isinstance(solver, PlateSolver)}
+    if steppers:
+        steppers["bare"] = PlateSolver(bare_scene(scene), device)
+    seconds = seconds_a_step(steppers, device, ROUNDS) if steppers else {}
+    bare_step = float(np.median(seconds["bare"])) if seconds else None
     toggles = []
-    for name, (other, text) in others.items():
-        on = is_on(scene, name)
-        if other is None:
-            toggles.append(EffectToggle(name, on, None, None, None, None, None, text))
-            continue
-        sign = 1 if on else -1
-        prices = 100 * sign * (seconds[""] - seconds[name]) / bare_step
-        price = float(np.median(prices))
-        deviation = float(np.median(np.abs(prices - price)))
-        ratio = base.specialized.scheme.steps / other.specialized.scheme.steps
-        toggles.append(EffectToggle(name, on, price, deviation, ratio**sign, *results[name], text))
+    for name, (_, text) in others.items():
+        on, price, deviation, steps = is_on(scene, name), None, None, None
+        if bare_step is not None and name in steppers:
+            sign = 1 if on else -1
+            prices = 100 * sign * (seconds[""] - seconds[name]) / bare_step
+            price = float(np.median(prices))
+            deviation = float(np.median(np.abs(prices - price)))
+            steps = (steppers[""].specialized.scheme.steps / steppers[name].specialized.scheme.steps) ** sign
+        factor, peak = results.get(name, (None, None))
+        toggles.append(EffectToggle(name, on, price, deviation, steps, factor, peak, text))
     if on_progress is not None:
         on_progress(len(effects), len(effects), "")
     return Influence(*results[""], bare_step, tuple(toggles))
 
 
-def _alternative(scene: Scene, name: str, device: str) -> tuple[PlateSolver | None, str]:
+def _alternative(scene: Scene, name: str, device: str, path: str) -> tuple[PlateSolver | ModalSolver | None, str]:
     """Return the scene with one effect switched, and its description; or None and why it is refused."""
     try:
         other, text = toggle(scene, name)
@@ -123,11 +129,11 @@ def _alternative(scene: Scene, name: str, device: str) -> tuple[PlateSolver | No
     refusal = ""
     for grid in (other.grid, other.grid.model_copy(update={"time_step": None})):
         try:
-            solver = PlateSolver(other.model_copy(update={"grid": grid}).with_tables(), device)
+            solver = make_solver(other.model_copy(update={"grid": grid}).with_tables(), device, path)
         except SceneError as error:
             refusal = f"refused ({text}): {error}"
         else:
-            step = solver.specialized.scheme.time_step
+            step = solver.discretization.scheme.time_step
             return solver, text if grid is other.grid else f"{text}; with its own time step of {step:.2g} s"
     return None, refusal
 

@@ -30,7 +30,7 @@ def effects(
     from warp_plate.studies.grid_choice import resolve_grid
 
     with output.scene_errors(scene):
-        loaded = resolve_grid(loaded, device).scene
+        loaded = resolve_grid(loaded, device, engine="steps" if loaded.modal_only_key is None else "modes").scene
         with output.progress_bar("switching effects", shown=not json) as progress:
             found = measure_influence(loaded, device, progress)
     findings = find_warnings(loaded, found.peak)
@@ -53,19 +53,27 @@ def effects(
 
 
 def _print(found: Influence, console: Console) -> None:
-    made = output.table("effect", "now", "price of a step", "steps", "factor", "largest displacement (m)")
-    made.add_row("the scene as it is", "", "", "", f"{found.localization_factor:.4f}", f"{found.peak:.3g}")
+    costs = () if found.bare_step is None else ("price of a step", "steps")
+    made = output.table("effect", "now", *costs, "factor", "largest displacement (m)")
+    blank = [""] * len(costs)
+    made.add_row("the scene as it is", "", *blank, f"{found.localization_factor:.4f}", f"{found.peak:.3g}")
     for switch in found.toggles:
         cells = ["refused"]
+        if switch.localization_factor is not None:
+            cells = [f"{switch.localization_factor:.4f}", f"{switch.peak:.3g}"]
         if switch.price is not None:
-            price, factor = f"{switch.price:+.0f} ± {switch.deviation:.0f} %", f"{switch.localization_factor:.4f}"
-            cells = [price, f"× {switch.steps:.3g}", factor, f"{switch.peak:.3g}"]
+            cells = [f"{switch.price:+.0f} ± {switch.deviation:.0f} %", f"× {switch.steps:.3g}", *cells]
         made.add_row(_words(switch.name), "on" if switch.on else "off", *cells)
     console.print(made)
+    price = "\nThe scene is solved by modes, without steps, so no cost is measured. "
+    if found.bare_step is not None:
+        price = (
+            "\nPrice: time that the effect adds to a step, in % of the bare plate's step "
+            f"({found.bare_step:.2g} s), measured. Steps: factor by which it changes the number of steps. "
+        )
     console.print(
-        f"\nPrice: time that the effect adds to a step, in % of the bare plate's step ({found.bare_step:.2g} s), "
-        "measured. Steps: factor by which it changes the number of steps. Factor (localization) and displacement: with "
-        "the effect switched on or off, under the scene's own drive:\n"
+        price + "Factor (localization) and displacement: with the effect switched on or off, under the scene's own "
+        "drive:\n"
     )
     for switch in found.toggles:
         console.print(f"{'without' if switch.on else 'with'} {_words(switch.name)}: {switch.alternative}")
