@@ -34,7 +34,7 @@ class Trial:
         return float(self.loss[-1])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class MethodComparison:
     """Trials of several methods on one scene.
 
