@@ -209,6 +209,16 @@ def test_workers_that_are_killed_cost_no_plate(pool, scene, random):
     assert not evaluator.lost
 
 
+@POSIX
+def test_a_pool_ends_workers_that_hang():
+    others = set(multiprocessing.active_children())
+    with open_pool("cpu", None) as made:
+        assert made.submit(doubled, 4).result() == 8
+        (worker,) = set(multiprocessing.active_children()) - others
+        os.kill(worker.pid, signal.SIGSTOP)
+    assert not worker.is_alive()
+
+
 def test_a_block_that_no_worker_survives_is_named(pool, scene, random, monkeypatch):
     monkeypatch.setattr(evaluators, "run_block", poisoned)
     monkeypatch.setattr(scheduler, "ATTEMPTS", 2)

@@ -14,6 +14,7 @@ from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from typing import Any
 
 from warp_plate.cluster.pool import WorkerPool
@@ -51,6 +52,7 @@ class LocalPool(WorkerPool):
         self._context = multiprocessing.get_context("spawn")
         # Workers hold the other end, and end themselves when this one is closed, be it by the end of this process.
         self._workers_end, self._lifeline = self._context.Pipe(duplex=False)
+        self._processes: set[BaseProcess] = set()
         self._workers = [_Worker(device, self._start(device)) for device in devices]
 
     @property
@@ -77,14 +79,18 @@ class LocalPool(WorkerPool):
 
     def close(self) -> None:
         self._lifeline.close()
+        for process in self._processes:  # one that hangs, or was stopped, would never end itself
+            process.kill()
         for worker in self._workers:
             worker.executor.shutdown(cancel_futures=True)
         self._workers_end.close()
 
     def _start(self, device: str) -> ProcessPoolExecutor:
         executor = ProcessPoolExecutor(1, self._context, _start_worker, (device, self._workers_end))
+        others = set(multiprocessing.active_children())
         with interrupts_blocked(), patched_environment(ONE_THREAD if device == "cpu" else {}):
             executor.submit(os.getpid)  # starts the process now
+        self._processes |= set(multiprocessing.active_children()) - others
         return executor
 
 
