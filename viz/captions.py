@@ -41,10 +41,18 @@ def ordered_cases(result: Result) -> dict[str, Case]:
     return {name: result.cases[name] for name in names if name in result.cases}
 
 
-def caption(label: str, time: float, localization_factor: float, decimals: int | None = None) -> str:
-    """Return two lines: the drive and the time [s], with so many decimals or four digits; the localization factor."""
+def caption(label: str, time: float, localization_factor: float, decimals: int | None = None, tone: str = "") -> str:
+    """Return two lines: the drive and the time [s], with so many decimals or four digits; the localization factor and
+    the text of :func:`at_frequency`."""
     moment = f"{time:.4g}" if decimals is None else f"{time:.{decimals}f}"
-    return f"{label}, t = {moment} s\nlocalization factor {percent(localization_factor)}"
+    return f"{label}, t = {moment} s\nlocalization factor {percent(localization_factor)}{tone}"
+
+
+def at_frequency(scene: Scene, frequency: float) -> str:
+    """Return " at ... Hz" if a common frequency was searched, so that the cases of a result may differ in it."""
+    searched = scene.search.frequency
+    common = searched is not None and searched.actuators is None and not searched.own
+    return f" at {frequency:.4g} Hz" if common else ""
 
 
 def frame_caption(motion: Motion, frame: int, scene: Scene) -> str:
@@ -54,7 +62,8 @@ def frame_caption(motion: Motion, frame: int, scene: Scene) -> str:
     # Enough decimals to tell one frame from the next.
     decimals = max(0, math.ceil(-math.log10((motion.span[1] - motion.span[0]) / len(motion.times))))
     label = case_label(motion.name, scene, motion.only_actuator)
-    return caption(label, float(motion.times[frame]), motion.localization_factor, decimals)
+    tone = at_frequency(scene, motion.frequency)
+    return caption(label, float(motion.times[frame]), motion.localization_factor, decimals, tone)
 
 
 def percent(share: float, decimals: int = 2) -> str:

@@ -10,7 +10,7 @@ from warp_plate.result.atomic_io import atomic_path
 from warp_plate.result.model import Result, only_actuator
 from warp_plate.viz.annotations import add_legend, name_actuators
 from warp_plate.viz.availability import missing_plots, missing_renderer, prepare
-from warp_plate.viz.captions import caption, case_label, ordered_cases
+from warp_plate.viz.captions import at_frequency, caption, case_label, ordered_cases
 from warp_plate.viz.colours import DEFAULT_COLOURS, ColourOptions
 from warp_plate.viz.fields import drawing_scale
 from warp_plate.viz.pictures import SUPERSAMPLING, off_screen_plotter
@@ -79,10 +79,12 @@ def draw_surfaces(result: Result, path: str | Path, colours: ColourOptions = DEF
             letter = f"({chr(ord('a') + row)}) " if len(cases) > 1 else ""
             together = cases.values() if colours.limits == "common" else [case]
             scale = drawing_scale([each.displacement for each in together], scene.plate.size, colours=colours)
+            frequency = scene.drive.frequency if case.frequency is None else float(case.frequency[0])
+            tone = at_frequency(scene, frequency)
             for column, index in enumerate(shown):
                 plotter.subplot(row, column)
                 label = letter + case_label(name, scene, only_actuator(case, scene))
-                text = caption(label, float(result.times[index]), case.localization_factor)
+                text = caption(label, float(result.times[index]), case.localization_factor, tone=tone)
                 driven, field = result.case_scene(case), case.displacement[index]
                 PlateActors(plotter, driven, field, scale, text, font_size, bar=False)
                 name_actuators(plotter, driven, scale.warp_factor * field, round(0.75 * font_size))

@@ -167,6 +167,10 @@ def test_cases_are_labelled_and_ordered(scene):
         cases = dict.fromkeys(("best", "best b", "equal", "mine", "single"))
         assert " ".join(ordered_cases(SimpleNamespace(cases=cases, scene=made))) == "equal single best best b mine"
     assert "not defined" in caption("given drive", 0.0464, math.nan)
+    tuned = scene(search={"frequency": {"range": (100.0, 400.0)}})
+    wave = standing_wave("best", 1e-7)
+    assert frame_caption(wave, 0, tuned).endswith(f" % at {wave.frequency:.4g} Hz")
+    assert "Hz" not in frame_caption(wave, 0, single)
     assert [rows_and_columns(count) for count in (1, 3, 4, 7)] == [(1, 1), (1, 3), (2, 3), (3, 3)]
 
 

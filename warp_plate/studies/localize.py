@@ -172,6 +172,8 @@ def save_best_scenes(result: Result, path: Path) -> list[Path]:
         file = path if number == 1 else path.with_suffix(f".{number}.toml")
         command = f"warp-plate simulate {file.name}" + (" --path modal" if result.evaluator == MODAL else "")
         head = f"# Found by: warp-plate localize {result.source}\n# Run it by: {command}\n"
+        if result.evaluator == MODAL:
+            head += "# By modes, [grid] only says at which points results are given.\n"
         write_atomically((printable(head) + dump_scene(scene)).encode(), file)
         files.append(file)
     return files
