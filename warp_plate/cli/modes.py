@@ -127,6 +127,8 @@ def _as_json(
 def _print(
     name: str, scene: Scene, found: NaturalModes, errors: np.ndarray | None, left_out: list[str], console: Console
 ) -> None:
+    from warp_plate.plate.signals import highest_frequency
+
     nx, ny = scene.grid.nodes
     grid = "" if errors is None else f": {nx} × {ny} nodes, order {scene.grid.order}"
     console.print(f"{scene.title or name}{grid}\n")
@@ -147,6 +149,9 @@ def _print(
         + "\nLobes: parts of one sign along x and y, one more than the nodal lines across them."
         + (" Mass: displacement of the oscillator relative to the largest of the plate." if masses else "")
     )
+    highest, count = highest_frequency(scene), found.frequencies.size
+    if errors is None and found.frequencies[-1] < highest:
+        console.print(f"The drive's frequency, {highest:g} Hz, is above these; --count {2 * count} shows more.")
     if left_out:
         console.print(f"Not included in natural modes: {', '.join(left_out)}.")
 
