@@ -106,3 +106,28 @@ def test_a_backend_of_matplotlib_that_it_does_not_know(write_scene):
     run = subprocess.run(line, capture_output=True, text=True, env={**os.environ, "MPLBACKEND": "none"})
     assert (run.returncode, run.stderr) == (0, "")
     assert list(Path().glob("*.png"))
+
+
+FORKED = """
+import os, signal, time
+import numpy as np
+from warp_plate import PlateSolver, Scene
+from warp_plate.row_blocks import FEWEST_ROWS, over_blocks
+
+def energies():
+    over_blocks(lambda rows: time.sleep(0.1), 4 * FEWEST_ROWS)
+    return PlateSolver(Scene.load("panel.toml"), "cpu").run(np.tile(np.eye(3), (20, 1))).energy
+
+expected, child = energies(), os.fork()
+if child == 0:
+    signal.alarm(60)
+    os._exit(0 if np.array_equal(energies(), expected) else 1)
+raise SystemExit(abs(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])))
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="Windows has no forks")
+def test_a_forked_process_has_threads_of_its_own(write_scene):
+    write_scene(damping=88.5)
+    run = subprocess.run([sys.executable, "-c", FORKED], env={**os.environ, "WARP_PLATE_THREADS": "2"})
+    assert run.returncode == 0

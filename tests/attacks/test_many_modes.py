@@ -48,6 +48,12 @@ def test_functions():
         modes(scene, MOST_MODES + 1)
 
 
+@pytest.mark.parametrize("highest", [float("nan"), float("inf"), 0, -1])
+def test_highest_frequencies_that_are_none(highest):
+    with pytest.raises(SceneError, match=r"^highest = .*: must be a frequency above 0"):
+        modes(scene_of(damping=88.5), highest=highest)
+
+
 def test_a_search_keeps_its_result_where_resonances_are_too_many_to_mark():
     assert np.array_equal(resonances(scene_of(damping=88.5), 100, 1e6), [])
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from warp_plate.modal.modes import ModalPlate, solve_modes
@@ -25,8 +27,10 @@ def modes(scene: SceneSource, count: int | None = None, highest: float | None = 
         highest: Frequency up to which responses are accurate [Hz] (default: the highest of the scene's drive).
 
     Raises:
-        SceneError: ``count`` is below 1, or see :func:`solve_modes`.
+        SceneError: ``count`` is below 1, ``highest`` is no frequency, or see :func:`solve_modes`.
     """
+    if highest is not None and not 0 < highest < math.inf:
+        raise SceneError(f"highest = {highest:g}: must be a frequency above 0 (hertz)")
     if count is None:
         return solve_modes(scene, highest)
     if count < 1:

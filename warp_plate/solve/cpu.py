@@ -54,6 +54,10 @@ def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(max_workers=threads, thread_name_prefix="warp-plate", initializer=bind)
 
 
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pool.cache_clear)  # a fork copies no threads
+
+
 def run_concurrently(calls: Sequence[Callable[[], None]], on_failure: Callable[[], object] = lambda: None) -> None:
     """Make the calls on a thread each; none still runs when this returns or is interrupted."""
     if len(calls) == 1:
