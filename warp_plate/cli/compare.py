@@ -151,7 +151,7 @@ def _print(result: MethodComparison, console: Console) -> None:
         made.add_row(row["method"], *shown, *near, f"{row['evaluations']:.0f}", f"{row['seconds']:.2g}")
     output.print_uncropped(console, made)
     if result.bound is None:
-        console.print("\nbound: none claimed")
+        console.print("\nbound: none")
     else:
         value = 1 - result.bound if result.localization else result.bound
         words = {

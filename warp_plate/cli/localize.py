@@ -257,7 +257,10 @@ def _print_factors(result: Result, console: Console) -> None:
     for name, label in _labels(result).items():
         factor = output.number_text(result.cases[name].localization_factor, ".4f")
         made.add_row(label, factor, *([f"{published[name]:.4f}"] if name in published else []))
-    bound = "none claimed" if result.bound is None else output.number_text(result.bound, ".4f")
+    search = result.scene.search
+    searched = [name for name in ("frequency", "position", "delay") if getattr(search, name) is not None]
+    none = f"none: {' and '.join(searched)} searched" if searched else "none"
+    bound = none if result.bound is None else output.number_text(result.bound, ".4f")
     made.add_row(BOUND_DESCRIPTIONS["" if result.bound is None else result.bound_kind], bound)
     console.print(made, "")
     reached = result.cases["best"].localization_factor

@@ -150,7 +150,7 @@ def crosstalk_table(result: Result) -> Table:
     for row, name in enumerate(names):
         bound = result.target_searches[row].bound if row < len(result.target_searches) else None
         cells = [cell(row, column) for column in range(len(names))]
-        made.add_row(name, *cells, "none claimed" if bound is None else f"{bound:.4f}")
+        made.add_row(name, *cells, "none" if bound is None else f"{bound:.4f}")
     return made
 
 
