@@ -55,6 +55,15 @@ def test_table_and_json(command, write_scene, monkeypatch):
     assert all(f"{number['name']} " in text for number in judged)
 
 
+def test_a_plate_at_rest_has_no_factor(command, write_scene, monkeypatch):
+    """It was nan."""
+    monkeypatch.setattr(influence, "names", lambda: ["foundation"])
+    write_scene(effects={"loss_factor": {"eta": 0.02}})
+    zero = [word for index in range(3) for word in ("--set", f"actuators[{index}].magnitude=0")]
+    rows = output_of(command("effects", "panel.toml", "--device", "cpu", *zero)).splitlines()
+    assert [row.split()[-2:] for row in rows if row.startswith(("the scene", "foundation"))] == [["none", "0"]] * 2
+
+
 @pytest.mark.parametrize("grid", ["grid.accuracy=0.01", "grid.nodes=[13, 13]"])
 def test_a_scene_with_a_loss_factor_is_solved_by_modes(grid, command, write_scene, monkeypatch):
     """It was refused, with the advice to use an evaluator that the command does not have."""

@@ -56,11 +56,11 @@ def _print(found: Influence, console: Console) -> None:
     costs = () if found.bare_step is None else ("price of a step", "steps")
     made = output.table("effect", "now", *costs, "factor", "largest displacement (m)")
     blank = [""] * len(costs)
-    made.add_row("the scene as it is", "", *blank, f"{found.localization_factor:.4f}", f"{found.peak:.3g}")
+    made.add_row("the scene as it is", "", *blank, *_moved(found.localization_factor, found.peak))
     for switch in found.toggles:
         cells = ["refused"]
         if switch.localization_factor is not None:
-            cells = [f"{switch.localization_factor:.4f}", f"{switch.peak:.3g}"]
+            cells = _moved(switch.localization_factor, switch.peak)
         if switch.price is not None:
             cells = [f"{switch.price:+.0f} ± {switch.deviation:.0f} %", f"× {switch.steps:.3g}", *cells]
         made.add_row(_words(switch.name), "on" if switch.on else "off", *cells)
@@ -78,6 +78,10 @@ def _print(found: Influence, console: Console) -> None:
     for switch in found.toggles:
         console.print(f"{'without' if switch.on else 'with'} {_words(switch.name)}: {switch.alternative}")
     console.print()
+
+
+def _moved(localization_factor: float, peak: float | None) -> list[str]:
+    return [output.number_text(localization_factor, ".4f"), output.number_text(peak, ".3g")]
 
 
 def _words(name: str) -> str:
