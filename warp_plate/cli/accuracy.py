@@ -48,8 +48,9 @@ def accuracy(
     Parameters
     ----------
     budget
-        Nominal seconds for the measurements. They are counted in node-steps, so a busy machine measures the same
-        grids. Grids beyond the budget are listed as skipped; modes and the first six grids are always measured.
+        Nominal seconds for the grids. They are counted in node-steps, so a busy machine measures the same grids. Grids
+        beyond the budget are listed as skipped. The reference solution, modes and the first six grids come on top: up
+        to a minute or two where damping couples the modes.
     out
         The file of measurements (.json; default: SCENE-accuracy.json in this folder).
     """
