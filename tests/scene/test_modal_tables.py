@@ -99,7 +99,7 @@ def test_time_stepping_refuses_them_by_name(effects, command, write_scene):
     assert made.modal_only_key == key
     with pytest.raises(SceneError, match=f'^{key}: .*"modal".*effects.damping'):
         PlateSolver(made, "cpu")
-    status, _, line = command("effects", "panel.toml", "--device", "cpu")
+    status, _, line = command("simulate", "panel.toml", "--device", "cpu", "--path", "resident")
     assert status == 2
     assert len(line.splitlines()) == 1
     assert f"panel.toml: {key}: " in line

@@ -99,25 +99,34 @@ def measure_influence(
     for name, solver in solvers.items():
         run = solver.run(scene_phasors(solver.scene)[None], peak_times=sample_times(solver.scene))
         results[name] = float(localization_factor(run.energy)[0]), float(run.peak.max())
-    steppers = {name: solver for name, solver in solvers.items() if path != MODAL and isinstance(solver, PlateSolver)}
-    if steppers:
-        steppers["bare"] = PlateSolver(bare_scene(scene), device)
-    seconds = seconds_a_step(steppers, device, ROUNDS) if steppers else {}
-    bare_step = float(np.median(seconds["bare"])) if seconds else None
+    stepped = {name: solver for name, solver in solvers.items() if isinstance(solver, PlateSolver)}
+    bare_step, costs = _measure_costs(scene, stepped, device) if path != MODAL else (None, {})
     toggles = []
     for name, (_, text) in others.items():
-        on, price, deviation, steps = is_on(scene, name), None, None, None
-        if bare_step is not None and name in steppers:
-            sign = 1 if on else -1
-            prices = 100 * sign * (seconds[""] - seconds[name]) / bare_step
-            price = float(np.median(prices))
-            deviation = float(np.median(np.abs(prices - price)))
-            steps = (steppers[""].specialized.scheme.steps / steppers[name].specialized.scheme.steps) ** sign
+        price, deviation, steps = costs.get(name, (None, None, None))
         factor, peak = results.get(name, (None, None))
-        toggles.append(EffectToggle(name, on, price, deviation, steps, factor, peak, text))
+        toggles.append(EffectToggle(name, is_on(scene, name), price, deviation, steps, factor, peak, text))
     if on_progress is not None:
         on_progress(len(effects), len(effects), "")
     return Influence(*results[""], bare_step, tuple(toggles))
+
+
+def _measure_costs(
+    scene: Scene, solvers: Mapping[str, PlateSolver], device: str
+) -> tuple[float, dict[str, tuple[float, float, float]]]:
+    """Return the time of a step of the bare plate [s], and ``price``, ``deviation`` and ``steps`` of each effect.
+
+    ``solvers`` are those of the alternatives, and of the scene under "".
+    """
+    seconds = seconds_a_step({**solvers, "bare": PlateSolver(bare_scene(scene), device)}, device, ROUNDS)
+    bare_step, costs = float(np.median(seconds["bare"])), {}
+    steps = {name: solver.specialized.scheme.steps for name, solver in solvers.items()}
+    for name in solvers.keys() - {""}:
+        sign = 1 if is_on(scene, name) else -1
+        prices = 100 * sign * (seconds[""] - seconds[name]) / bare_step
+        price = float(np.median(prices))
+        costs[name] = price, float(np.median(np.abs(prices - price))), (steps[""] / steps[name]) ** sign
+    return bare_step, costs
 
 
 def _alternative(scene: Scene, name: str, device: str, path: str) -> tuple[PlateSolver | ModalSolver | None, str]:
