@@ -24,6 +24,7 @@ from warp_plate.cluster.pool import WorkersGone
 from warp_plate.cluster.scheduler import Task, run_tasks
 
 pytest.importorskip("distributed")
+dask = pytest.importorskip("dask")
 psutil = pytest.importorskip("psutil")  # which Dask needs as well
 needs_listeners = pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells who listens where")
 
@@ -134,6 +135,7 @@ def test_no_scheduler_is_one_line(tmp_path, monkeypatch):
     for where in ("tcp://127.0.0.1:1", "tls://127.0.0.1:1", "ucx://127.0.0.1:1"):  # a reserved port
         with pytest.raises(SceneError, match=f"--cluster {where}: no scheduler answers there"), open_pool(None, where):
             pass
+    assert dask.config.get("scheduler", None) is None  # Dask's other users in this process keep theirs
 
 
 def start(*words):

@@ -105,7 +105,7 @@ def connect(address: str, device: str, log: Callable[[str], object]) -> DaskPool
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # errors are reported here in one line
     scheduler = address if cluster or "://" in address else _address_in(address)
     try:
-        client = distributed.Client(cluster or scheduler, timeout=ANSWER_SECONDS)
+        client = distributed.Client(cluster or scheduler, timeout=ANSWER_SECONDS, set_as_default=False)
     except Exception as error:  # Dask raises a different one for each scheme of an address
         line = str(error).partition("\n")[0] or type(error).__name__
         raise SceneError(f"--cluster {address}: no scheduler answers there: {line}") from None
