@@ -167,7 +167,7 @@ class ExplorerPage:
         for index, (magnitude, phase) in enumerate(zip(settings.magnitude, settings.phase, strict=True)):
             state[f"magnitude_{index}"], state[f"phase_{index}"] = magnitude, phase
         state.factor = percent(reading.localization_factor)
-        state.bound = "none claimed" if reading.bound is None else percent(reading.bound)
+        state.bound = "none" if reading.bound is None else percent(reading.bound)
         state.energy = f"{reading.energy['plate']:.3g} J"
         state.shares = share_texts(reading)
         state.engine = "by modes, without time steps" if self.model.by_modes else "in time steps"

@@ -57,7 +57,7 @@ def test_json_table_and_picture(command, write_scene):
         ["1", "×", "1"], ["1", "×", "2"], ["2", "×", "1"], ["2", "×", "2"]
     ]  # fmt: skip
     assert "lobes x × y" in out
-    assert "The drive's frequency, 290 Hz, is above these; --count 8 shows more." in out
+    assert "The plate is driven at up to 290 Hz, above these; --count 8 shows more." in out
     assert sorted(path.name for path in Path().iterdir()) == ["m.svg", "panel.toml"]
 
 

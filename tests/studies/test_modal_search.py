@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from conftest import MATERIAL, scene_of
 
-from warp_plate import Scene, SceneError, localize
+from warp_plate import Scene, SceneError, localize, simulate
 from warp_plate.modal.energy import gram_matrices
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.optimize.quadratic import real_parts
@@ -183,3 +183,16 @@ def test_a_spectrum_follows_every_resonance(scene):
     gaps = np.abs(frequencies[:, None] - resonances).min(axis=0)
     np.testing.assert_array_less(gaps, 0.001 * resonances)
     assert found.spectrum["best"].max() <= found.cases["best"].localization_factor + 1e-6
+
+
+def test_all_cases_are_recorded_at_the_times_of_the_result():
+    """The best case has a frequency of its own, of which a quarter period would be another time."""
+    search = {"frequency": {"range": (150, 350)}, "magnitude": {}, "phase": {}, "particles": 4, "iterations": 3}
+    made = scene_of(damping=88.5, search=search)
+    result = localize(made, device="cpu", estimate=False, spectrum=False)
+    assert result.cases["best"].frequency is not None
+    for name in ("equal", "best"):
+        driven = result.driven_scene(result.cases[name]).with_tables(record={"times": tuple(result.times.tolist())})
+        again = simulate(driven, device="cpu", path="modal", estimate=False)
+        stored, expected = result.cases[name].displacement, again.main_case.displacement
+        np.testing.assert_allclose(stored, expected, rtol=0, atol=1e-5 * np.abs(expected).max())

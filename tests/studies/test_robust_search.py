@@ -12,6 +12,8 @@ from warp_plate.optimize.quadratic import best_position
 from warp_plate.problem.make_problem import make_problem
 from warp_plate.problem.scenario_losses import apply_measure
 from warp_plate.result.model import load_result, save_result
+from warp_plate.scene.errors import SceneError
+from warp_plate.studies import polish
 from warp_plate.studies.compare import compare
 from warp_plate.studies.localize import localize, resume
 
@@ -128,3 +130,20 @@ def test_the_nominal_drive_of_a_robust_search_by_modes_is_that_of_a_plain_search
     assert found.cases["nominal"].localization_factor == pytest.approx(plain.cases["best"].localization_factor)
     robust_drive, nominal_drive = found.robust.rows()["searched"]
     assert robust_drive >= nominal_drive
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, SceneError])
+def test_a_nominal_search_that_ends_early_leaves_the_robust_result(error, monkeypatch):
+    """It is not begun again for the comparison, which is left out."""
+    free = {"magnitude": {"range": [0.0, 1.0]}, "phase": {}, "frequency": {"range": [100.0, 400.0]}}
+    scene = robust({"loss_factor": {"eta": 0.02}}, search={"iterations": 4, **free}, fresh=3)
+    begun = []
+
+    def end(*_):
+        begun.append(1)
+        raise error
+
+    monkeypatch.setattr(polish, "minimize", end)
+    found = localize(scene, device="cpu", estimate=False)
+    assert (len(begun), found.robust) == (1, None)
+    assert np.isfinite(found.cases["best"].localization_factor)

@@ -164,7 +164,7 @@ def _refuse_short_waves(scene: Scene, plates: int) -> None:
         if spacing_of(scene, gridded.grid.nodes) <= spacing:
             return
     wave = f"bending waves of {4 * spacing:.2g} m on a plate of {list(scene.plate.size)} m until {scene.window.end:g} s"
-    raise SceneError(f"drive.frequency: {wave} take too long to be solved to a known accuracy; write a [grid]")
+    raise SceneError(f"drive.frequency: {wave} take too long on {plates} plates for a known accuracy; write a [grid]")
 
 
 def _limit(

@@ -59,9 +59,8 @@ def localize(
 ) -> None:
     """Search for the drive that puts most of the plate's kinetic energy into the target.
 
-    Every actuator's magnitude and phase is searched, with those of the first actuator fixed at 1 and 0. In a scene that
-    is not linear in its drives (stretching, electrostatic force, a moving load) the magnitude of the first actuator is
-    the largest one in the scene.
+    Every actuator's magnitude and phase is searched. If only their ratios matter, the strongest actuator of the drive
+    found presses with the largest magnitude or force of the scene.
 
     [search.magnitude], [search.phase], [search.frequency], [search.position] and [search.delay] in the scene select
     what is searched (docs/searching.md), and method under [search] how (docs/methods.md).

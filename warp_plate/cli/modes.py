@@ -151,7 +151,7 @@ def _print(
     )
     highest, count = highest_frequency(scene), found.frequencies.size
     if errors is None and found.frequencies[-1] < highest:
-        console.print(f"The drive's frequency, {highest:g} Hz, is above these; --count {2 * count} shows more.")
+        console.print(f"The plate is driven at up to {highest:g} Hz, above these; --count {2 * count} shows more.")
     if left_out:
         console.print(f"Not included in natural modes: {', '.join(left_out)}.")
 

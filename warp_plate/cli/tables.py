@@ -224,5 +224,6 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
         if not finding.exceeded and not math.isnan(finding.value):
             inside = finding.value >= finding.threshold if finding.at_least else finding.value <= finding.threshold
             threshold = f"{'≥' if finding.at_least else '≤'} {finding.threshold:g}"
-            made.add_row(finding.name, f"{finding.value:.3g}", threshold if inside else f"{threshold}, or its effect")
+            included = "" if inside else "; its effect is included"
+            made.add_row(finding.name, f"{finding.value:.3g}", threshold + included)
     console.print(*[""] * bool(warnings), made)

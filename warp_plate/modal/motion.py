@@ -37,9 +37,13 @@ def trace(
 
 def fields(plate: ModalPlate, drives: np.ndarray, times: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return (drives, times, ny, nx) displacement [m] on the grid of x and y [m]; see :func:`trace`."""
+    return plate.displacement(modal_amplitudes(plate, drives, times), x, y)
+
+
+def modal_amplitudes(plate: ModalPlate, drives: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Return (drives, times, modes) amplitudes of the modes at times [s]; see :func:`trace`."""
     motion = unit_motion(plate, np.eye(len(plate.frequencies)), np.asarray(times, dtype=float))
-    amplitudes = np.einsum("da,rat->dtr", with_moving_load(plate, drives), motion, optimize=True).real
-    return plate.displacement(amplitudes, x, y)
+    return np.asarray(np.einsum("da,rat->dtr", with_moving_load(plate, drives), motion, optimize=True).real)
 
 
 def unit_motion(plate: ModalPlate, outputs: np.ndarray, times: np.ndarray, velocity: bool = False) -> np.ndarray:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from warp_plate.modal.modes import ModalPlate
-from warp_plate.modal.motion import fields, trace
+from warp_plate.modal.motion import modal_amplitudes
 from warp_plate.plate.signals import actuator_frequencies
 from warp_plate.result.targets import target_outlines
 
@@ -31,16 +31,17 @@ def largest_displacements(plate: ModalPlate, phasors: np.ndarray, times: np.ndar
     scene = plate.scene
     x, y = (np.linspace(0, side, SIDE) for side in scene.plate.size)
     points = _along(target_outlines(scene, "target", scene.target), max(scene.plate.size) / SIDE)
+    at_points = plate.at_points(points)
     over_plate, on_outline = np.zeros((len(phasors), SIDE, SIDE)), np.zeros((len(phasors), len(points)))
     frequencies = set(actuator_frequencies(scene).tolist())
     steady = scene.steady and len(frequencies) == 1
     if steady:
         times = np.array([0.0, 0.25 / frequencies.pop()])
-    some = max(2, BLOCK_NUMBERS // max(1, over_plate.size))
+    some = max(2, BLOCK_NUMBERS // max(1, over_plate.size + on_outline.size))
     for first in range(0, times.size, some):
-        part = times[first : first + some]
-        on_grid, on_points = fields(plate, phasors, part, x, y), trace(plate, phasors, points, part)
-        for largest, moved in ((over_plate, on_grid), (on_outline, np.moveaxis(on_points, 2, 1))):
+        amplitudes = modal_amplitudes(plate, phasors, times[first : first + some])
+        on_grid, on_points = plate.displacement(amplitudes, x, y), amplitudes @ at_points
+        for largest, moved in ((over_plate, on_grid), (on_outline, on_points)):
             size = np.hypot(moved[:, 0], moved[:, 1]) if steady else np.abs(moved).max(axis=1)
             np.maximum(largest, size, out=largest)
     return over_plate, on_outline.max(axis=1, initial=0.0)

@@ -143,7 +143,7 @@ def _paper_variables(scene: Scene) -> Iterator[DesignVariable]:
         if objective.kind not in RATIOS and objective.rest_limit is None and not bounded:
             raise SceneError(
                 f"search.objectives[{index}].kind = {objective.kind!r}: grows with the magnitudes without end; write "
-                "[search.magnitude] with a range, search.limits, or a rest_limit"
+                "[search.magnitude], search.limits, or a rest_limit"
             )
     others = range(1, len(scene.actuators))
     if not search.limits.equal_magnitudes:

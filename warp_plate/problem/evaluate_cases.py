@@ -19,7 +19,7 @@ from warp_plate.result.model import Case, RegionMotion
 from warp_plate.result.targets import target_regions
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.solve.peak import run_with_peaks
+from warp_plate.solve.peak import record_times, run_with_peaks
 from warp_plate.solve.run import Run
 
 
@@ -64,7 +64,7 @@ def evaluate_cases(problem: Problem, single: int, position: np.ndarray | None) -
     best_scene, designs = parametrization.scene_of(position), parametrization.designs(position[None])
     solver = make_solver(best_scene, problem.drive_solver.device.alias, problem.path, areas=target_regions(best_scene))
     best = {"best": scene_phasors(best_scene)}
-    best_run, peaks = run_with_peaks(solver, best["best"][None])
+    best_run, peaks = run_with_peaks(solver, best["best"][None], recorded=record_times(scene))
     names = ("frequency", "centre", "delay")
     varied = {name: values[0] for name in names if (values := getattr(designs, name)) is not None}
     cases["best"] = replace(cases_from_run(best, best_run, best_scene, peaks)["best"], **varied)

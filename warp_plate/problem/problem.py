@@ -42,7 +42,7 @@ from warp_plate.solve.solver import PlateSolver
 Energies = Callable[[np.ndarray], np.ndarray]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Problem:
     """A scene's search, compiled. In a robust search all but its losses and their bound is about the nominal plate.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -20,15 +21,15 @@ GOLDEN = (math.sqrt(5) - 1) / 2
 
 
 def run_with_peaks(
-    solver: PlateRunner, phasors: np.ndarray, progress: Progress | None = None
+    solver: PlateRunner, phasors: np.ndarray, progress: Progress | None = None, recorded: Sequence[float] = ()
 ) -> tuple[Run, np.ndarray]:
-    """Run phasors (plates, actuators) with the scene's records.
+    """Run phasors (plates, actuators) with the scene's records, or with displacements at other times ``recorded`` [s].
 
     Returns:
-        The run, and the largest displacements (plates, 2) [m] in the target and in the rest; 0 for an empty region.
+        The run, and the largest displacements (plates, 2) [m] in the target and in the rest.
     """
     scene = solver.scene
-    recorded = record_times(scene)
+    recorded = recorded or record_times(scene)
     run = solver.run(phasors, recorded, scene.record.points, progress, (*recorded, *sample_times(scene)))
     target = _target_nodes(scene, run.peak.shape[:0:-1])
     peaks = np.stack([run.peak[:, nodes].max(axis=1, initial=0.0) for nodes in (target, ~target)], axis=1)
@@ -46,11 +47,11 @@ def _target_nodes(scene: Scene, nodes: tuple[int, ...]) -> np.ndarray:
 def record_times(scene: Scene) -> tuple[float, ...]:
     """Return the times [s] that the scene records.
 
-    The default is the end of the run and, of periodic drives, a quarter period before, so that no node passes zero at
-    both; of others the middle of the run.
+    The default is the end of the run and, of periodic drives, a quarter period of the highest frequency before, so that
+    under a tone no node passes zero at both; of others the middle of the run.
     """
     end = scene.window.end
-    earlier = end / 2 if scene.nonperiodic_key else max(end - 0.25 / scene.drive.frequency, 0.0)
+    earlier = end / 2 if scene.nonperiodic_key else max(end - 0.25 / highest_frequency(scene), 0.0)
     return scene.record.times or (earlier, end)
 
 

@@ -36,7 +36,7 @@ REGULARISATION = 0.1
 
 
 def baseline_phasors(solver: PlateSolver | ModalSolver) -> dict[str, np.ndarray]:
-    """Return the phasors (actuators,) of "time_reversal" and "inverse_filter", of largest magnitude one."""
+    """Return the phasors (actuators,) of "time_reversal" and "inverse_filter", as strong as the scene's strongest."""
     transfer = transfer_functions(solver)
     return {"time_reversal": time_reversal(solver, transfer), "inverse_filter": inverse_filter(solver, transfer)}
 

@@ -4,7 +4,9 @@ of the nominal plate if that is better."""
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy
@@ -14,6 +16,7 @@ from warp_plate.optimize.optimizer import MethodError, Optimizer, minimize
 from warp_plate.optimize.quadratic import best_position
 from warp_plate.problem.objectives import loss_scale
 from warp_plate.problem.problem import Problem
+from warp_plate.scene.errors import SceneError
 from warp_plate.studies.driver import history_of, search_optimizer
 from warp_plate.studies.spectrum import spectrum_frequencies
 
@@ -22,6 +25,8 @@ STEP = 1e-6
 # A descent ends where a step gains less, and the search where a round of descents does, as a part of the loss's scale.
 TOLERANCE, GAIN = 1e-10, 1e-7
 MOST_STEPS, MOST_ROUNDS = 40, 5
+# Nominal positions of the robust problems in use.
+_known: WeakKeyDictionary[Problem, np.ndarray | None] = WeakKeyDictionary()
 
 
 class Polished(NamedTuple):
@@ -62,27 +67,33 @@ def finish_search(
 
 def _nominal_position(problem: Problem, seed: int, loss: float) -> Polished | None:
     """Return the best position of the nominal plate if its loss over the scenarios is less than ``loss``."""
-    try:
-        position = best_position(problem.space, problem.nominal.quadratic)
-    except MethodError:  # it is not known exactly
-        found = search_nominal(problem, seed)
-        if found is None:
-            return None
-        position = found
+    position = best_nominal(problem, seed)
+    if position is None:
+        return None
     tried = Polished(position, float(problem.losses(position[None])[0]), 1)
     return tried if tried.loss < loss else None
 
 
-def search_nominal(problem: Problem, seed: int) -> np.ndarray | None:
-    """Return the position (dimension,) that a robust search finds without uncertainty; None if it finds nothing or is
-    interrupted."""
-    optimizer = search_optimizer(problem.nominal, seed)
-    try:
-        if optimizer is not None:
-            minimize(optimizer, problem.nominal.losses)
-        return finish_search(optimizer, problem.nominal, seed, interrupted=False)[0]
-    except KeyboardInterrupt:
-        return None
+def best_nominal(problem: Problem, seed: int) -> np.ndarray | None:
+    """Return the best position (dimension,) of a robust search's nominal plate: the exact one if it is known, else that
+    of the same search without uncertainty.
+
+    It is None if that search finds nothing, is refused or is interrupted, and is found once for a problem.
+    """
+    if problem not in _known:
+        _known[problem] = None
+        with suppress(KeyboardInterrupt, SceneError):
+            _known[problem] = _search_nominal(problem.nominal, seed)
+    return _known[problem]
+
+
+def _search_nominal(nominal: Problem, seed: int) -> np.ndarray | None:
+    with suppress(MethodError):  # it is not known exactly
+        return best_position(nominal.space, nominal.quadratic)
+    optimizer = search_optimizer(nominal, seed)
+    if optimizer is not None:
+        minimize(optimizer, nominal.losses)
+    return finish_search(optimizer, nominal, seed, interrupted=False)[0]
 
 
 def polish(problem: Problem, position: np.ndarray, loss: float) -> Polished:

@@ -12,24 +12,23 @@ from warp_plate.problem.uncertainty import draw_scenarios
 from warp_plate.result.checkpoint import Checkpoint
 from warp_plate.result.model import Case
 from warp_plate.result.robust import RobustComparison
-from warp_plate.studies.polish import search_nominal
+from warp_plate.studies.polish import best_nominal
 
 
 def compare_with_nominal(
     problem: Problem, start: Checkpoint, position: np.ndarray
 ) -> tuple[RobustComparison, dict[str, Case], int] | None:
-    """Compare the position (dimension,) found by a robust search with that of the same search without uncertainty.
+    """Compare the position (dimension,) found by a robust search with the best one of the nominal plate.
 
-    The nominal search has the same method, seed, particles and iterations, and takes one plate an evaluation in place
-    of one a scenario. Both drives are then simulated, as two plates of one launch, in each of
-    ``search.robust.fresh`` new scenarios.
+    See :func:`~warp_plate.studies.polish.best_nominal`. Both drives are then simulated, as two plates of one launch, in
+    each of ``search.robust.fresh`` new scenarios.
 
     Returns:
         The comparison, the nominal drive as the case "nominal", and the node-steps besides those of the problem; None
-        if the nominal search found nothing or was interrupted.
+        without a nominal position.
     """
     nominal, table = problem.nominal, problem.robust
-    found = search_nominal(problem, start.seed)
+    found = best_nominal(problem, start.seed)
     if found is None:
         return None
     evaluated = evaluate_cases(nominal, start.single_actuator, found)
