@@ -132,7 +132,7 @@ def test_the_nominal_drive_of_a_robust_search_by_modes_is_that_of_a_plain_search
     assert robust_drive >= nominal_drive
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt, SceneError])
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), SceneError("no places were found")], ids=["Ctrl-C", "refusal"])
 def test_a_nominal_search_that_ends_early_leaves_the_robust_result(error, monkeypatch):
     """It is not begun again for the comparison, which is left out."""
     free = {"magnitude": {"range": [0.0, 1.0]}, "phase": {}, "frequency": {"range": [100.0, 400.0]}}
