@@ -7,6 +7,7 @@ the secret of this run, which is in the address of the page (`page_guard.py`).
 from __future__ import annotations
 
 import asyncio
+import errno
 import importlib.util
 import logging
 import math
@@ -251,5 +252,6 @@ def _within(on_change: Callable[[float], object], ends: tuple[float, float], val
 
 def _is_not_of_a_connection(record: logging.LogRecord) -> bool:
     """Return whether a log record reports anything but a browser that disconnected, or too many connections."""
-    error = record.exc_info[1] if record.exc_info else None
-    return not isinstance(error or sys.exc_info()[1], OSError)
+    error = record.exc_info[1] if record.exc_info else sys.exc_info()[1]
+    too_many = isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE)
+    return not (isinstance(error, ConnectionError) or too_many)

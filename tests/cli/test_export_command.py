@@ -82,7 +82,7 @@ def test_a_motion_repeats_the_run(command, folder):
         assert (record["times"], record["recorded"], len(record["files"])) == (4, False, count)
         names = ("displacement", "velocity", "rms_velocity")
         assert record["fields"] == [f"{name}_{case}" for name in names for case in ("best", "single")]
-        assert sum(Path(file).read_bytes().count(b"rms_velocity_best") > 0 for file in record["files"]) >= count - 1
+        assert sum(b"rms_velocity_best" in Path(file).read_bytes() for file in record["files"]) == max(1, count - 1)
     recorded = load_result("run.h5")
     with h5py.File("run.vtkhdf") as file:
         root = file["VTKHDF"]
