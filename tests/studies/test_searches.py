@@ -55,7 +55,8 @@ def test_the_scene_found_simulates_to_the_result(name, tmp_path):
     assert best.localization_factor == pytest.approx(result.history["best"][-1], abs=2e-5)
     assert np.all(np.diff(result.history["best"]) >= 0)
     path = "modal" if result.evaluator == "modal" else "auto"
-    again = simulate(result.driven_scene(best), device="cpu", path=path, estimate=False).cases["drive"]
+    driven = result.driven_scene(best).with_tables(record={"times": tuple(result.times.tolist())})
+    again = simulate(driven, device="cpu", path=path, estimate=False).cases["drive"]
     assert np.float32(again.localization_factor) == np.float32(best.localization_factor)
     np.testing.assert_array_equal(again.displacement, best.displacement)
     loaded = load_result(save_result(result, tmp_path / "one.h5"))
