@@ -79,13 +79,13 @@ def draw_surfaces(result: Result, path: str | Path, colours: ColourOptions = DEF
             letter = f"({chr(ord('a') + row)}) " if len(cases) > 1 else ""
             together = cases.values() if colours.limits == "common" else [case]
             scale = drawing_scale([each.displacement for each in together], scene.plate.size, colours=colours)
-            frequency = scene.drive.frequency if case.frequency is None else float(case.frequency[0])
-            tone = at_frequency(scene, frequency)
+            driven = result.case_scene(case)
+            tone = at_frequency(scene, driven.drive.frequency)
             for column, index in enumerate(shown):
                 plotter.subplot(row, column)
                 label = letter + case_label(name, scene, only_actuator(case, scene))
                 text = caption(label, float(result.times[index]), case.localization_factor, tone=tone)
-                driven, field = result.case_scene(case), case.displacement[index]
+                field = case.displacement[index]
                 PlateActors(plotter, driven, field, scale, text, font_size, bar=False)
                 name_actuators(plotter, driven, scale.warp_factor * field, round(0.75 * font_size))
             plotter.subplot(row, len(shown))

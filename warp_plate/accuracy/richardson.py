@@ -157,13 +157,13 @@ def _scenes(scene: Scene) -> Iterator[Scene]:
 
 def _refuse_short_waves(scene: Scene, plates: int) -> None:
     """Refuse a scene with a SceneError if no grid within MOST_SECONDS resolves its bending waves."""
-    spacing = bending_wavelength(scene) / FEWEST_CELLS_A_WAVE
+    length = bending_wavelength(scene)
     for gridded in _scenes(scene):
         if STEPPED_SECONDS * plates * node_steps(scene, configuration_of(gridded)) > MOST_SECONDS:
             break
-        if spacing_of(scene, gridded.grid.nodes) <= spacing:
+        if spacing_of(scene, gridded.grid.nodes) <= length / FEWEST_CELLS_A_WAVE:
             return
-    wave = f"bending waves of {4 * spacing:.2g} m on a plate of {list(scene.plate.size)} m until {scene.window.end:g} s"
+    wave = f"bending waves of {length:.2g} m on a plate of {list(scene.plate.size)} m until {scene.window.end:g} s"
     raise SceneError(f"drive.frequency: {wave} take too long on {plates} plates for a known accuracy; write a [grid]")
 
 
