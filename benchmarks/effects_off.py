@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from warp_plate import PlateSolver, Scene, SceneError
+from warp_plate.accuracy.machine import busy, describe_machine, describe_versions
 from warp_plate.analysis.influence import bare_scene, names, seconds_a_step, toggle
-from warp_plate.bench.machine import busy, describe_machine, describe_versions
 
 EFFECTS = [name for name in names() if name != "signal"]  # a signal is a file
 

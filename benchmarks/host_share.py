@@ -21,7 +21,7 @@ import numpy as np
 import warp as wp
 
 from warp_plate import Scene, SceneError
-from warp_plate.bench.machine import busy, describe_machine, describe_versions
+from warp_plate.accuracy.machine import busy, describe_machine, describe_versions
 from warp_plate.problem.make_problem import make_problem
 from warp_plate.problem.methods import make_optimizer
 from warp_plate.problem.problem import Problem

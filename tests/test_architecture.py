@@ -15,7 +15,7 @@ FLOORS = (
     {"reference", "result"},
     {"solve", "viz"},
     {"modal"},
-    {"accuracy", "bench", "cluster", "fitting"},
+    {"accuracy", "cluster", "fitting"},
     {"problem"},
     {"analysis", "focusing"},
     {"studies"},
@@ -25,7 +25,7 @@ FLOORS = (
 ROOMS = set().union(*FLOORS)
 # The libraries that only some rooms may import, and the rooms.
 OWNERS = {
-    "warp": {"kernels", "solve", "modal", "accuracy", "bench", "cluster", "analysis", "studies"},
+    "warp": {"kernels", "solve", "modal", "accuracy", "cluster", "analysis", "studies"},
     **{name: {"viz"} for name in ("pyvista", "vtkmodules", "matplotlib", "trame")},
     **{name: {"cluster"} for name in ("dask", "distributed")},
     **{name: {"cli"} for name in ("cyclopts", "rich")},

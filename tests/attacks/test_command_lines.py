@@ -20,7 +20,7 @@ from warp_plate.result.export.frequency_response import write_hdf5
 from warp_plate.studies.frequency_response import compute_frequency_response
 
 # Commands that wait for a person or measure this machine, and options that start other programs.
-LEFT_OUT, PROGRAMS = ("view", "explore", "bench"), ("--devices", "--cluster")
+LEFT_OUT, PROGRAMS = ("view", "explore"), ("--devices", "--cluster")
 # Memory of a small machine [bytes].
 ROOM = 6 * 2**30
 # Commands that take a result file; options without a word.

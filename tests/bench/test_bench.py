@@ -1,25 +1,27 @@
-"""``warp-plate bench``: consistency of its figures, its files, and what it skips; no test asserts a speed."""
+"""``benchmarks/bench.py``: consistency of its figures, its files, and what it skips; no test asserts a speed."""
 
 import json
 import os
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import bench as program
 import numpy as np
 import pytest
 import warp as wp
+from step_rates import cases, limits, measure
+from step_rates.cases import BenchCase, filling_plates, make_cases
+from step_rates.measure import BenchRow, TimingBudget, measure_all, paper_like, prepare
+from step_rates.multiply_adds import make_multiply_adds
+from step_rates.plots import commonest_size, draw_bench, fastest_of_each_size
 
-from warp_plate.bench import cases, limits, machine, measure
-from warp_plate.bench.cases import BenchCase, filling_plates, make_cases
-from warp_plate.bench.measure import BenchRow, TimingBudget, measure_all, paper_like, prepare
+from warp_plate.accuracy.machine import busy, describe_machine
 from warp_plate.kernels.cuda import THREAD_REGISTERS
-from warp_plate.kernels.limits import make_multiply_adds
 from warp_plate.plate.discretization import discretize
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import bytes_per_plate
-from warp_plate.viz.plots.bench import commonest_size, draw_bench, fastest_of_each_size
 from warp_plate.viz.plots.frame import save_plots
 
 HASTE = dict.fromkeys(("cpu", "cuda"), TimingBudget(0.002, 2))
@@ -34,12 +36,18 @@ def small_limits(monkeypatch):
 
 
 @pytest.fixture
-def bench(command, tmp_path, monkeypatch):
-    """Run ``bench`` in an empty folder: (status, standard output, standard error without the warning on load)."""
+def bench(capsys, tmp_path, monkeypatch):
+    """Run the program in an empty folder: (status, standard output, standard error without the warning on load)."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
 
     def run(*arguments):
-        status, out, err = command("bench", *arguments)
+        status = 0
+        try:
+            program.main(list(arguments))
+        except SystemExit as left:
+            status = left.code
+        out, err = capsys.readouterr()
         lines = [line for line in err.splitlines() if "this machine is busy" not in line]
         return status, out, "\n".join(lines)
 
@@ -178,7 +186,7 @@ def test_bad_options(bench, words):
     option, value = words.split()
     status, out, err = bench(option, value)
     assert (status, out) == (2, "")
-    assert len(err.splitlines()) == 1
+    err = err.splitlines()[-1]  # after the usage
     assert option.removeprefix("--") in err
     assert value.partition("/")[0] in err
     assert os.listdir() == []
@@ -198,7 +206,7 @@ def test_cases_cover_sizes_and_numbers_of_plates(monkeypatch):
     both = make_cases(["cpu"], ["float32"], [1, 2], [9, 11], "streaming")
     assert both == [BenchCase("cpu", "float32", *sizes, "streaming") for sizes in ((9, 1), (9, 2), (11, 1), (11, 2))]
     monkeypatch.setenv("WARP_PLATE_THREADS", "3")
-    assert machine.describe_machine(["cpu"]).threads == 3
+    assert describe_machine(["cpu"]).threads == 3
     counts = [filling_plates("cpu", nodes) for nodes in cases.NODES]  # the same for every thread
     assert all(count % 3 == 0 and count > 0 for count in counts)
     assert counts == sorted(counts, reverse=True)
@@ -218,10 +226,10 @@ def test_ctrl_c_keeps_finished_rows():
         measure_all(wanted[1:], HASTE, interrupt)
 
 
-@pytest.mark.parametrize(("load", "busy"), [(100.0, True), (0.0, False)])
-def test_busy_machines_are_reported(monkeypatch, load, busy):
+@pytest.mark.parametrize(("load", "warned"), [(100.0, True), (0.0, False)])
+def test_busy_machines_are_reported(monkeypatch, load, warned):
     monkeypatch.setattr(os, "getloadavg", lambda: (load,) * 3, raising=False)
-    assert (machine.busy() is not None) == busy
+    assert (busy() is not None) == warned
 
 
 def test_short_runs_are_repeated():

@@ -25,8 +25,6 @@ VALUES = {
     "seed": [*NO_NUMBER, "1_0", "0x10", "٣", "-1", "1.5", str(2**63)],
     "count": [*NO_NUMBER, "0", "-1", "1.5"],
     "budget": [*NO_NUMBER, "0", "-1", "inf", "-inf"],
-    "plates": [*NO_NUMBER, "0", "1,,2", ",", "1;2", "99999999"],
-    "nodes": [*NO_NUMBER, "4", "8194", "27x27"],
     "samples": [*NO_NUMBER, "0", "-1", "1.5", "1000001"],
     "vary": ["", "=", "a", "drive=1,2", "drive.frequency=", "drive.frequency=1:2", "drive.frequency=\x1b[31m,2", LONG],
     "what": NO_WORD,
@@ -35,7 +33,6 @@ VALUES = {
     "evaluations": [*NO_NUMBER, "0", "-1", "1.5", "2"],
     "path": NO_WORD,
     "evaluator": NO_WORD,
-    "precision": [*NO_WORD, "float16"],
     "accuracy": NO_ACCURACY,
     "drive": ["best", *(f"{name}.h5" for name in NO_RESULT)],
     "out": NO_FILE,
@@ -53,7 +50,6 @@ COMMANDS = {
     "focus": (".h5", ["out"]),
     "effects": ("", ["device"]),
     "accuracy": (".json", ["device", "budget", "out"]),
-    "bench": (".json", ["plates", "nodes", "precision", "device", "quick"]),
 }
 
 
@@ -75,7 +71,7 @@ def files():
 @pytest.mark.parametrize(("name", "option"), [(name, one) for name, (_, known) in COMMANDS.items() for one in known])
 def test_every_option_with_values_that_it_does_not_take(name, option, folder, command):
     before = files()
-    scene = [] if name == "bench" else ["panel.toml"]
+    scene = ["panel.toml"]
     if name == "sweep" and option not in ("vary", "resume"):
         scene += ["--vary", "drive.frequency=200,300", *(["--what", "check"] if option != "what" else [])]
     for value in VALUES.get(option, NO_FLAG):

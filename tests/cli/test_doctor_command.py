@@ -14,7 +14,7 @@ import pytest
 import warp as wp
 from conftest import output_of, start_program
 
-from warp_plate.bench import capacity
+from warp_plate.accuracy import machine as machines
 from warp_plate.solve import nvidia
 
 TURING = SimpleNamespace(alias="cuda:0", name="RTX 2080", arch=75, is_cuda=True, is_cpu=False)
@@ -220,7 +220,7 @@ def test_a_check_that_fails_is_a_finding(command, monkeypatch):
 def test_what_a_gpu_holds(command, machine, monkeypatch):
     memory = {"free_memory": 7 * 2**30, "total_memory": 8 * 2**30, "max_shared_memory_per_block": 64 * 1024}
     machine(driver=(13, 1), devices=[SimpleNamespace(**vars(TURING), **memory), PASCAL])
-    monkeypatch.setattr(capacity, "plates_in_memory", lambda scene, device: 123_456)
+    monkeypatch.setattr(machines, "plates_in_memory", lambda scene, device: 123_456)
     found = checks(command)
     assert found["cuda:0"]["resident_sides"] == {"order 2": 130, "order 4": 96, "free edges": 60}
     for part in ("RTX 2080, sm_75, driver for CUDA 13.1, 7 of 8 GiB free", "130² (order 2)", "in memory 123456"):
@@ -232,4 +232,4 @@ def test_what_a_gpu_holds(command, machine, monkeypatch):
 @pytest.mark.parametrize(("kib", "sides"), [(99, (130, 104, 75)), (227, (162, 128, 115))])
 def test_largest_plates_on_a_chip(kib, sides):
     device = SimpleNamespace(max_shared_memory_per_block=kib * 1024)
-    assert tuple(capacity.largest_resident_sides(device).values()) == sides
+    assert tuple(machines.largest_resident_sides(device).values()) == sides

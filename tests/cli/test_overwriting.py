@@ -55,7 +55,7 @@ def test_files_of_other_programs_stay(command, tmp_path):
 
 def test_measurements_stay(command, tmp_path):
     file = tmp_path / "a.json"
-    file.write_text(json.dumps({"reference": 1}, indent=1))
-    status, _, error = command("bench", "--quick", "--out", file)
+    file.write_text(json.dumps({"limits": 1}, indent=1))
+    status, _, error = command("accuracy", "paper", "--out", file)
     assert status == 2
     assert "--force" in error

@@ -60,8 +60,8 @@ def accuracy(
     if not 0 < budget < float("inf"):
         raise SceneError(f"--budget {budget:g}: must be a positive number of seconds")
     loaded, scene = output.load_scene(scene, assignments)
+    from warp_plate.accuracy.machine import describe_machine, describe_versions
     from warp_plate.accuracy.report import measure_configurations
-    from warp_plate.bench.machine import describe_machine, describe_versions
     from warp_plate.solve.devices import find_device
     from warp_plate.viz.plots.accuracy import draw_accuracy
 

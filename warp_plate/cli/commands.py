@@ -21,7 +21,7 @@ app = cyclopts.App(
 )
 COMMANDS = (
     "localize compare sweep simulate check modes fit plan-measurement frf focus effects accuracy view explore render "
-    "export verify init keys bench doctor"
+    "export verify init keys doctor"
 )
 for name in COMMANDS.split():
     module = name.replace("-", "_")

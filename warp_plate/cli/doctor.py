@@ -95,13 +95,13 @@ def _check_devices() -> Iterator[Diagnosis]:
 
 
 def _diagnose_gpu(device: wp.Device) -> Diagnosis:
-    from warp_plate.bench import capacity
+    from warp_plate.accuracy import machine
     from warp_plate.scene.model import Scene
     from warp_plate.solve import nvidia
 
     if device not in nvidia.usable_devices():
         return Diagnosis(device.alias, "missing", nvidia.too_old(device))
-    sides, plates = capacity.largest_resident_sides(device), capacity.plates_in_memory(Scene.load("paper"), device)
+    sides, plates = machine.largest_resident_sides(device), machine.plates_in_memory(Scene.load("paper"), device)
     on_chip = ", ".join(f"{side}² ({kind})" for kind, side in sides.items())
     driver = nvidia.driver_version()
     text = (

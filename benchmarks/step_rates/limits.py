@@ -20,7 +20,7 @@ from functools import partial
 
 import warp as wp
 
-from warp_plate.kernels.limits import make_multiply_adds
+from step_rates.multiply_adds import make_multiply_adds
 from warp_plate.solve.devices import cpu_threads
 from warp_plate.solve.kernel_cache import load_kernel
 from warp_plate.solve.specialize import Specialized

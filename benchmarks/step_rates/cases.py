@@ -1,4 +1,4 @@
-"""The cases of ``warp-plate bench``: devices, precisions, grids and numbers of plates."""
+"""The cases of ``bench.py``: devices, precisions, grids and numbers of plates."""
 
 from __future__ import annotations
 

@@ -10,9 +10,9 @@ from statistics import median
 import numpy as np
 import warp as wp
 
-from warp_plate.bench.cases import BenchCase, Kind
-from warp_plate.bench.limits import DeviceLimits, measure_limits, seconds_of, share_of_limit
-from warp_plate.bench.machine import Machine, describe_machine, describe_versions
+from step_rates.cases import BenchCase, Kind
+from step_rates.limits import DeviceLimits, measure_limits, seconds_of, share_of_limit
+from warp_plate.accuracy.machine import Machine, describe_machine, describe_versions
 from warp_plate.plate.discretization import discretize
 from warp_plate.plate.memory import machine_memory
 from warp_plate.scene.errors import SceneError

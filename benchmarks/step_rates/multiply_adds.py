@@ -1,6 +1,6 @@
 """Peak arithmetic of a device: independent chains of fused multiply-adds in registers.
 
-Not part of the simulation: ``warp-plate bench`` measures with it the limit that the other kernels are compared to.
+Not part of the simulation: ``bench.py`` measures with it the limit that the other kernels are compared to.
 """
 
 from functools import cache

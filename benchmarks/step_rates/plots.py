@@ -21,7 +21,7 @@ BYTES_PER_NODE_STEP = 16
 
 
 def draw_bench(record: Mapping[str, Any], path: str | Path) -> None:
-    """Plot the object that ``warp-plate bench --json`` prints.
+    """Plot the object that ``bench.py --json`` prints.
 
     Left: over the number of plates, for the size with most measurements and its first kind. Right: over the nodes per
     side, at the fastest number of plates, with the limit of methods with one launch a step (dotted).
