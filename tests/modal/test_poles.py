@@ -8,7 +8,6 @@ import pytest
 from conftest import scene_of
 
 from warp_plate.modal.modes import solve_modes
-from warp_plate.modal.poles import make_poles
 
 SIZE = (0.2, 0.15)
 DAMPER = {"area": (0.05, 0.09, 0.03, 0.06), "mass": 2e-3, "stiffness": 80.0, "damping": 0.3}
@@ -33,7 +32,7 @@ def test_transfer_matrix(name):
     scene = scene_of(size=SIZE, edges=("clamped", "supported", "free", "clamped"), effects=EFFECTS[name])
     plate = solve_modes(scene, highest=100.0, density=0.5)
     assert plate.proportional == (name in ("none", "viscous"))
-    poles = make_poles(plate, 0.1)
+    poles = plate.poles(0.1)
     for sigma in (120.0, -3 + 900j, 40 - 2500j):
         series, exact = sides(plate, poles, sigma)
         assert np.allclose(series, exact, rtol=0, atol=1e-5 * np.abs(exact).max())
@@ -42,13 +41,13 @@ def test_transfer_matrix(name):
 def test_rigid_motions():
     plate = solve_modes(scene_of(size=SIZE, edges=("free",) * 4, effects=EFFECTS["viscous"]))
     assert np.count_nonzero(plate.frequencies == 0) == 3
-    series, exact = sides(plate, make_poles(plate, 0.1), 20 + 300j)
+    series, exact = sides(plate, plate.poles(0.1), 20 + 300j)
     assert np.allclose(series, exact, rtol=0, atol=1e-4 * np.abs(exact).max())
 
 
 def test_poles_are_kept_as_long_as_their_plate():
     plate = solve_modes(scene_of(size=SIZE), highest=20.0, density=0.4)
-    assert make_poles(plate, 0.1) is make_poles(plate, 0.1)
+    assert plate.poles(0.1) is plate.poles(0.1)
     known = weakref.ref(plate)
     del plate
     gc.collect()

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from warp_plate.modal.modes import ModalPlate
-from warp_plate.modal.poles import Poles, make_poles
+from warp_plate.modal.poles import Poles
 
 # Numbers of an array of poles and samples, to limit memory.
 BLOCK = 2**20
@@ -32,7 +32,7 @@ class HeldResponses:
     """
 
     def __init__(self, plate: ModalPlate, rate: int, samples: int, velocity: bool) -> None:
-        every = make_poles(plate, samples / rate)
+        every = plate.poles(samples / rate)
         # One pole of each conjugate pair is enough, counted twice, because motion is real.
         self._poles: Poles = every.part(np.flatnonzero(every.values.imag >= 0))
         s, self._samples, self._step = self._poles.values, samples, 1 / rate
@@ -42,7 +42,7 @@ class HeldResponses:
 
     def at_points(self, points: Sequence[tuple[float, float]]) -> np.ndarray:
         """Return h (actuators, points, samples) [m or m/s per N/m²] at points (x, y) [m]."""
-        shapes = self._poles.moved(self.plate.at_points(points).T)
+        shapes = self._poles.observe(self.plate.at_points(points).T)
         pairs = (self._gains.T[:, None] * shapes).reshape(-1, self._poles.values.size)
         blocks = [pairs.real @ decays.real - pairs.imag @ decays.imag for decays in self._decays(self._samples)]
         return np.hstack(blocks).reshape(self._gains.shape[1], len(points), -1)

@@ -24,7 +24,7 @@ import numpy as np
 from warp_plate.modal.loads import ExponentialLoads, has_exponential_loads
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.motion import Excitation, make_excitation, with_moving_load
-from warp_plate.modal.poles import Poles, make_poles, rates_apart
+from warp_plate.modal.poles import Poles
 from warp_plate.modal.quadrature import by_quadrature
 from warp_plate.modal.steady import as_sparse, multiply_modes
 from warp_plate.modal.transient import forced_states, next_state
@@ -83,8 +83,8 @@ def _tone_motion(
     """Return the motion under tones from t = 0 on."""
     if (frequency == frequency[:, :1]).all():
         frequency = frequency[:, :1]
-    poles = make_poles(plate, window.end)
-    drive, gains = rates_apart(poles, 2j * math.pi * frequency, window.end), poles.gains(forces)
+    poles = plate.poles(window.end)
+    drive, gains = poles.shift_rates(2j * math.pi * frequency, window.end), poles.gains(forces)
     states = 1 / (drive[:, None, :] - poles.values[:, None])
     forced, free, velocity = poles.forced(states, forces, gains), -states, quantity == "velocity"
     if velocity:
@@ -151,7 +151,7 @@ class _Motion:
         """Return (designs, M, M) means of v_kᵀ G v_l and of v̄_kᵀ G v_l for each region."""
         poles, turn = self.poles, self.drive[:, None, :]
         moved = [multiply_modes(as_sparse(region), self.forced) for region in regions]
-        shapes, sides = [poles.moved(region) for region in regions], []
+        shapes, sides = [poles.observe(region) for region in regions], []
         for conjugate in (False, True):
             decay = (poles.values.conj() if conjugate else poles.values)[:, None]
             forced, free, rates = self.forced, self.free.mT, turn
@@ -161,7 +161,7 @@ class _Motion:
             products = self._of_free(shapes, conjugate, np.ascontiguousarray(free), decay, window)
             for index, each in enumerate(moved):
                 both = self._by_actuator(self._by_actuator((forced.mT @ each) * of_forced).mT).mT
-                mixed = self._by_actuator((free @ (poles.pressed(each, conjugate) * across)).mT).mT
+                mixed = self._by_actuator((free @ (poles.project(each, conjugate) * across)).mT).mT
                 products[index] += both + mixed + (mixed.conj() if conjugate else mixed).mT
             sides.append(products)
         return list(zip(*sides, strict=True))
@@ -176,7 +176,7 @@ class _Motion:
             part, columns = self.poles.part(rows), free[..., rows].reshape(math.prod(free.shape[:2]), rows.size)
             means = mean_exponential(decay[rows], self.poles.values, window)
             for total, each in zip(sums, shapes, strict=True):
-                inner = as_sparse(part.pressed(each, conjugate) * means)
+                inner = as_sparse(part.project(each, conjugate) * means)
                 total += (columns @ inner).reshape(*free.shape[:2], count) @ self.free
         return sums
 

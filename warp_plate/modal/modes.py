@@ -22,6 +22,7 @@ from warp_plate.modal.galerkin.integrals import Integrals
 from warp_plate.modal.galerkin.matrices import Galerkin, load_integrals, make_galerkin, patch_integrals, point_values
 from warp_plate.modal.galerkin.regions import region_matrix
 from warp_plate.modal.galerkin.splines import gauss, make_splines
+from warp_plate.modal.poles import Poles, make_poles
 from warp_plate.modal.steady import CoupledModes
 from warp_plate.plate.signals import highest_frequency
 from warp_plate.scene.effects import per_mode
@@ -101,6 +102,16 @@ class ModalPlate:
         if self.proportional:
             return None
         return CoupledModes(self.angular_frequencies**2, self.damping, self.hysteretic, self.highest)
+
+    @cached_property
+    def _poles(self) -> dict[float, Poles]:
+        return {}
+
+    def poles(self, longest: float) -> Poles:
+        """Return the poles under viscous damping for times up to ``longest`` [s], computed once for each."""
+        if longest not in self._poles:
+            self._poles[longest] = make_poles(self.angular_frequencies, self.damping, self.proportional, longest)
+        return self._poles[longest]
 
     @property
     def resonances(self) -> tuple[np.ndarray, np.ndarray]:

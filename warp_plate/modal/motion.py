@@ -13,7 +13,7 @@ import numpy as np
 
 from warp_plate.modal.loads import ExponentialLoads, exponential_loads, has_exponential_loads
 from warp_plate.modal.modes import ModalPlate
-from warp_plate.modal.poles import Poles, make_poles, poles_apart
+from warp_plate.modal.poles import Poles
 from warp_plate.modal.sampled import SampledLoads, moving_loads, sampled_loads
 from warp_plate.modal.transient import motion_from_rest, motion_of_samples
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
@@ -84,7 +84,7 @@ class Excitation:
         """Return (outputs, actuators, times), see :func:`unit_motion`."""
         order = np.argsort(times, kind="stable")
         poles, rising = self.poles, times[order]
-        shapes = poles.moved(outputs) * (poles.values if velocity else 1)
+        shapes = poles.observe(outputs) * (poles.values if velocity else 1)
         exponential = [load for load in self.loads if isinstance(load, ExponentialLoads)]
         sampled = [load for load in self.loads if isinstance(load, SampledLoads)]
         if exponential:
@@ -124,7 +124,7 @@ def make_excitation(
     Raises:
         SceneError: The file of the drive is missing or malformed.
     """
-    scene, poles = plate.scene, make_poles(plate, end)
+    scene, poles = plate.scene, plate.poles(end)
     forces = plate.actuator_forces() if forces is None else forces
     frequency = actuator_frequencies(scene) if frequency is None else frequency
     delay = actuator_delays(scene) if delay is None else delay
@@ -140,7 +140,7 @@ def unit_loads(
     if not has_exponential_loads(scene):
         return poles, sampled_loads(scene, frequency, delay, end)
     loads = exponential_loads(scene, frequency, delay, end)
-    return poles_apart(poles, np.concatenate([load.rates.ravel() for load in loads]), end), loads
+    return poles.apart_from(np.concatenate([load.rates.ravel() for load in loads]), end), loads
 
 
 def _steady_motion(plate: ModalPlate, outputs: np.ndarray, times: np.ndarray, velocity: bool) -> np.ndarray:

@@ -17,15 +17,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.steady import coupled_poles, multiply_modes
 
-# Two poles of one mode are kept apart by this part of one over the longest time: where they meet, as at critical
-# damping or of a rigid motion, exponentials cancel, and the error is about as large as this.
+# Poles of one mode, and poles and exponents of a load, are kept apart by this part of one over the longest time: where
+# they meet, exponentials cancel, and the error is about as large as this.
 APART = 1e-5
 # Modes that damping couples; that of higher ones is taken as proportional.
 COUPLED = 700
@@ -47,18 +45,32 @@ class Poles:
     inputs: np.ndarray
     modes: np.ndarray | None
 
+    @property
+    def sizes(self) -> np.ndarray:
+        """(poles,) the only number of each free motion, if damping does not couple modes."""
+        assert self.modes is not None
+        return self.vectors[self.modes, np.arange(self.values.size)]
+
+    @property
+    def norms(self) -> tuple[np.ndarray, np.ndarray]:
+        """(poles,) ‖ψ‖, and ‖ψ‖ ‖χ‖, the response of each pole to a unit force."""
+        if self.modes is not None:
+            return np.abs(self.sizes), np.abs(self.sizes) ** 2
+        sizes = np.linalg.norm(self.vectors, axis=0)
+        return sizes, sizes * np.linalg.norm(self.inputs, axis=1)
+
     def part(self, indices: np.ndarray) -> Poles:
         """Return some of the poles."""
         modes = None if self.modes is None else self.modes[indices]
         return Poles(self.values[indices], self.vectors[:, indices], self.inputs[indices], modes)
 
-    def moved(self, matrix: np.ndarray) -> np.ndarray:
+    def observe(self, matrix: np.ndarray) -> np.ndarray:
         """Return the product of a real matrix (rows, modes) and the free motions."""
         if self.modes is None:
             return multiply_modes(matrix, self.vectors)
         return matrix[:, self.modes] * self.sizes
 
-    def pressed(self, columns: np.ndarray, conjugate: bool = False) -> np.ndarray:
+    def project(self, columns: np.ndarray, conjugate: bool = False) -> np.ndarray:
         """Return ψᵀ columns (..., poles, columns), or ψ̄ᵀ columns, of columns (..., modes, columns)."""
         if self.modes is None:
             return multiply_modes((self.vectors.conj() if conjugate else self.vectors).T, columns)
@@ -67,7 +79,7 @@ class Poles:
 
     def gains(self, forces: np.ndarray) -> np.ndarray:
         """Return χ forces (..., poles, loads) of modal forces (..., modes, loads)."""
-        return multiply_modes(self.inputs, forces) if self.modes is None else self.pressed(forces)
+        return multiply_modes(self.inputs, forces) if self.modes is None else self.project(forces)
 
     def forced(self, states: np.ndarray, forces: np.ndarray, gains: np.ndarray) -> np.ndarray:
         """Return the steady motion (..., modes, loads) Σ_p ψ_p χ_p f / (σ − s_p) of all poles.
@@ -82,40 +94,47 @@ class Poles:
         both = self.sizes[:, None] ** 2 * states
         return np.asarray(forces * (both[..., : len(self.vectors), :] + both[..., len(self.vectors) :, :]))
 
-    @property
-    def norms(self) -> tuple[np.ndarray, np.ndarray]:
-        """(poles,) ‖ψ‖, and ‖ψ‖ ‖χ‖, the response of each pole to a unit force."""
-        if self.modes is not None:
-            return np.abs(self.sizes), np.abs(self.sizes) ** 2
-        sizes = np.linalg.norm(self.vectors, axis=0)
-        return sizes, sizes * np.linalg.norm(self.inputs, axis=1)
+    def superpose(self, states: np.ndarray) -> np.ndarray:
+        """Return the motion Σ_p ψ_p states (modes, ...) of states (poles, ...) of all poles."""
+        flat, count = states.reshape(len(states), -1), len(self.vectors)
+        if self.modes is None:
+            motion = self.vectors @ flat
+        else:
+            scaled = self.sizes[:, None] * flat
+            motion = scaled[:count] + scaled[count:]
+        return np.asarray(motion.reshape(-1, *states.shape[1:]))
 
-    @property
-    def sizes(self) -> np.ndarray:
-        """(poles,) the only number of each free motion, if damping does not couple modes."""
-        assert self.modes is not None
-        return self.vectors[self.modes, np.arange(self.values.size)]
+    def apart_from(self, rates: np.ndarray, longest: float) -> Poles:
+        """Return the poles, with those that meet exponents ``rates`` [1/s] of a load shifted by the same small amount.
+
+        An undamped mode that is driven at its natural frequency grows with time, as the difference of two exponentials
+        that are nearly the same.
+        """
+        least, values = APART / longest, self.values.copy()
+        for rate in np.unique(rates):
+            values[np.abs(values - rate) < least] -= least
+        return replace(self, values=values)
+
+    def shift_rates(self, rates: np.ndarray, longest: float) -> np.ndarray:
+        """Return exponents (designs, loads) of loads, with those that meet a pole shifted; see :meth:`apart_from`."""
+        least = APART / longest
+        undamped = self.values[np.abs(self.values.real) < least]
+        distance = np.abs(rates[..., None] - undamped).min(axis=-1, initial=math.inf)
+        return np.asarray(rates + np.where(distance < least, least, 0))
 
 
-# Poles of the plates in use, by the longest time [s].
-_known: WeakKeyDictionary[ModalPlate, dict[float, Poles]] = WeakKeyDictionary()
+def make_poles(omega: np.ndarray, damping: np.ndarray, proportional: bool, longest: float) -> Poles:
+    """Return the poles of viscously damped modes, for times up to ``longest`` [s].
 
-
-def make_poles(plate: ModalPlate, longest: float) -> Poles:
-    """Return the poles of a plate with viscous damping, for times up to ``longest`` [s].
-
-    They are computed once and kept as long as the plate is in use.
+    Args:
+        omega: (modes,) angular frequencies of the undamped modes [rad/s], rising.
+        damping: (modes, modes) C [1/s].
+        proportional: True if damping does not couple the modes.
+        longest: Longest time [s].
     """
-    known = _known.setdefault(plate, {})
-    if longest not in known:
-        known[longest] = _compute_poles(plate, longest)
-    return known[longest]
-
-
-def _compute_poles(plate: ModalPlate, longest: float) -> Poles:
     least = APART / longest
-    square, loss = np.maximum(plate.angular_frequencies, least) ** 2, np.diag(plate.damping) / 2
-    coupled = 0 if plate.proportional else min(COUPLED, square.size)
+    square, loss = np.maximum(omega, least) ** 2, np.diag(damping) / 2
+    coupled = 0 if proportional else min(COUPLED, square.size)
     split = np.sqrt(loss**2 - square + 0j)
     split = np.where(np.abs(split) < least, least, split)
     fast = -loss - split
@@ -126,30 +145,10 @@ def _compute_poles(plate: ModalPlate, longest: float) -> Poles:
     for column, sign in enumerate((1, -1)):
         vectors[rest, column * rest.size + rest - coupled] = 1 / np.sqrt(sign * 2 * split[coupled:])
     inputs = vectors.T
-    if coupled:
-        lowest = square[:coupled]
-        more, shapes, gains = coupled_poles(np.diag(lowest), plate.damping[:coupled, :coupled], np.sqrt(lowest))
-        values = np.concatenate([values, more])
-        vectors = np.hstack([vectors, np.vstack([shapes, np.zeros((rest.size, more.size))])])
-        inputs = np.vstack([inputs, np.hstack([gains, np.zeros((more.size, rest.size))])])
-    modes = None if coupled else np.tile(rest, 2)
-    return Poles(values, vectors, inputs, modes)
-
-
-def poles_apart(poles: Poles, rates: np.ndarray, longest: float) -> Poles:
-    """Return the poles with those that meet exponents ``rates`` [1/s] of the load moved by the same small amount.
-
-    An undamped mode that is driven at its natural frequency grows with time, as the difference of two exponentials
-    that are nearly the same.
-    """
-    least, values = APART / longest, poles.values.copy()
-    for rate in np.unique(rates):
-        values[np.abs(values - rate) < least] -= least
-    return replace(poles, values=values)
-
-
-def rates_apart(poles: Poles, rates: np.ndarray, longest: float) -> np.ndarray:
-    """Return exponents (designs, loads) of loads with those that meet a pole moved; see :func:`poles_apart`."""
-    undamped = poles.values[np.abs(poles.values.real) < APART / longest]
-    distance = np.abs(rates[..., None] - undamped).min(axis=-1, initial=math.inf)
-    return np.asarray(rates + np.where(distance < APART / longest, APART / longest, 0))
+    if not coupled:
+        return Poles(values, vectors, inputs, np.tile(rest, 2))
+    lowest = square[:coupled]
+    more, shapes, gains = coupled_poles(np.diag(lowest), damping[:coupled, :coupled], np.sqrt(lowest))
+    vectors = np.hstack([vectors, np.vstack([shapes, np.zeros((rest.size, more.size))])])
+    inputs = np.vstack([inputs, np.hstack([gains, np.zeros((more.size, rest.size))])])
+    return Poles(np.concatenate([values, more]), vectors, inputs, None)

@@ -27,7 +27,7 @@ from warp_plate.modal.energy import lasting_poles, mean_exponential, mean_expone
 from warp_plate.modal.galerkin.matrices import load_integrals
 from warp_plate.modal.loads import ExponentialLoads, exponential_loads
 from warp_plate.modal.modes import ModalPlate
-from warp_plate.modal.poles import Poles, make_poles, poles_apart, rates_apart
+from warp_plate.modal.poles import Poles
 from warp_plate.modal.steady import multiply_modes
 from warp_plate.plate.signals import actuator_delays
 from warp_plate.scene.model import Window
@@ -158,7 +158,7 @@ def _from_rest(
     quantity: str,
 ) -> tuple[np.ndarray, ...]:
     """Return the arrays of :class:`EnergySlopes` over a window; under bursts, of a single design."""
-    poles, velocity = make_poles(plate, window.end), quantity == "velocity"
+    poles, velocity = plate.poles(window.end), quantity == "velocity"
     alike = bool((frequency == frequency[:, :1]).all() and (delay is None or (delay == delay[:, :1]).all()))
     gains = poles.gains(forces[0])
     pushed, gained = forces[0] * phasors[:, None, :], gains * phasors[:, None, :]
@@ -166,11 +166,11 @@ def _from_rest(
         frequency, delay = frequency[:, :1], None if delay is None else delay[:, :1]
         pushed, gained = pushed.sum(axis=2, keepdims=True), gained.sum(axis=2, keepdims=True)
     if delay is None:
-        rates = rates_apart(poles, 2j * math.pi * frequency, window.end)[..., None]
+        rates = poles.shift_rates(2j * math.pi * frequency, window.end)[..., None]
         loads = [ExponentialLoads(0.0, window.end, rates, np.ones_like(rates))]
     else:
         loads = exponential_loads(plate.scene, frequency[0], delay[0], window.end)
-        poles = poles_apart(poles, np.concatenate([load.rates.ravel() for load in loads]), window.end)
+        poles = poles.apart_from(np.concatenate([load.rates.ravel() for load in loads]), window.end)
         loads = [replace(load, rates=load.rates[None], weights=load.weights[None]) for load in loads]
     total = np.zeros((3, len(phasors), len(regions), *gained.shape[1:]), dtype=complex)
     # Poles that a place does not excite count too, if a neighbouring place excites them.
@@ -229,7 +229,7 @@ class _Motion:
         sides = [_side_means(rates, lasting.values, conjugate, part) for conjugate in (False, True)]
         found = np.empty((3, designs, len(regions), count, self.rates.shape[1]), dtype=complex)
         for number, region in enumerate(regions):
-            shapes, moved = lasting.moved(region), multiply_modes(region, forced)
+            shapes, moved = lasting.observe(region), multiply_modes(region, forced)
             rising = np.zeros((2, *forced.shape), dtype=complex)
             inner = np.zeros_like(free)
             for conjugate, (of_forced, of_free, crossed, decayed) in enumerate(sides):
@@ -237,9 +237,9 @@ class _Motion:
                 columns, across, amplitudes = side
                 for target, mean, other in zip(rising, of_forced, of_free, strict=True):
                     target += columns @ mean / 2 + multiply_modes(across, amplitudes[:, :, None] * other) / 2
-                inner += (lasting.pressed(columns) * crossed).sum(axis=2) / 2
-                inner += amplitudes @ (lasting.pressed(across) * decayed).T / 2
-            pressed, bent = poles.pressed(rising).reshape(2, *self.forced.shape[1:3], *self.rates.shape[1:])
+                inner += (lasting.project(columns) * crossed).sum(axis=2) / 2
+                inner += amplitudes @ (lasting.project(across) * decayed).T / 2
+            pressed, bent = poles.project(rising).reshape(2, *self.forced.shape[1:3], *self.rates.shape[1:])
             values = (self.forced * pressed).sum(axis=4)
             values[1] += 2j * math.pi * (self.forced[0] * bent).sum(axis=3)
             values[:, :, kept] += self.free[:, :, kept] * inner[:, :, None]

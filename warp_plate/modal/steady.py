@@ -1,4 +1,4 @@
-"""Steady responses of modes that damping couples, at many frequencies.
+"""Steady responses of modes that damping couples, and frequencies at which to compute responses.
 
 The lowest modes are those of their own reduced system, whose transfer matrix is a sum over its poles,
 
@@ -7,6 +7,11 @@ The lowest modes are those of their own reduced system, whose transfer matrix is
 and all others are taken as uncoupled. The remainder is restored by iterative refinement with the full matrices
 (G. H. Golub and C. F. Van Loan, Matrix Computations, 4th edition, section 3.5.3); frequencies at which it does not
 converge are solved directly.
+
+Near a resonance of frequency f₀ and half-width δ the response is proportional to 1/(x − i), x = (f − f₀)/δ, a circle in
+the complex plane. Frequencies f₀ + δ tan θ with evenly spaced θ lie evenly on it, and the response at one of them is
+within 1 − cos(step/2) = 0.4 % of the peak, whatever δ. Beyond them x doubles from one to the next up to the spacing of
+a plain grid, so the number of frequencies of a resonance depends only on the logarithm of its sharpness.
 """
 
 from __future__ import annotations
@@ -22,10 +27,20 @@ import scipy
 REACH, FEWEST, MOST = 1.5, 80, 500
 # Relative residual of the forces, and largest number of refinements.
 RESIDUAL, REFINEMENTS = 1e-8, 12
-# Matrices with fewer nonzero entries than this part are kept as sparse ones.
+# Matrices with fewer nonzero entries than this part are stored as sparse ones.
 SPARSE = 0.05
 # Rigid motions count as slower than the fastest mode by this factor.
 SLOWEST = 1e-9
+# Frequencies of the plain grid, evenly spaced on a logarithmic axis.
+PLAIN = 400
+# (points,) x on the circle, every 10 degrees.
+CIRCLE = np.tan(np.radians(np.arange(-80, 81, 10)))
+# Frequencies closer than this part of their distance from the nearest pole are merged, unless they are farther apart
+# than half the spacing of the plain grid, which overdamped modes must not thin out.
+CLOSE = 0.05
+# Half-widths relative to the frequency: below SHARPEST a resonance counts as undamped, and is sampled as one of the
+# half-width UNDAMPED, on either side of its peak.
+SHARPEST, UNDAMPED = 1e-12, 5e-6
 
 
 @dataclass(frozen=True)
@@ -50,11 +65,11 @@ class CoupledModes:
     def resonances(self) -> tuple[np.ndarray, np.ndarray]:
         """Frequencies and half-widths [Hz] of the resonances of the lowest modes."""
         poles = self._poles[0]
-        turning = poles[poles.imag > 0] / (2 * math.pi)
-        return turning.imag, np.maximum(-turning.real, 0)
+        oscillating = poles[poles.imag > 0] / (2 * math.pi)
+        return oscillating.imag, np.maximum(-oscillating.real, 0)
 
     def respond(self, omega: np.ndarray, forces: np.ndarray) -> np.ndarray:
-        """Return (n, modes, loads) amplitudes under forces (n, modes, loads) that turn at omega (n,) [rad/s]."""
+        """Return (n, modes, loads) amplitudes under forces (n, modes, loads) that vary as exp(iωt), ω (n,) [rad/s]."""
         amplitudes, left = self.approximate(omega, forces), np.arange(len(omega))
         limit = RESIDUAL * np.linalg.norm(forces, axis=1)
         for _ in range(REFINEMENTS):
@@ -73,17 +88,17 @@ class CoupledModes:
     def approximate(self, omega: np.ndarray, forces: np.ndarray) -> np.ndarray:
         """Return the amplitudes of :meth:`respond` without the coupling of the highest modes."""
         poles, vectors, inputs = self._poles
-        count, turn = len(vectors), omega[:, None]
-        losses = turn * np.diag(self.damping) + np.diag(self.hysteretic)
-        amplitudes = forces / (self.squares - turn**2 + 1j * losses)[:, :, None]
-        shares = multiply_modes(inputs, forces[:, :count]) / (1j * turn - poles)[:, :, None]
+        count, column = len(vectors), omega[:, None]
+        losses = column * np.diag(self.damping) + np.diag(self.hysteretic)
+        amplitudes = forces / (self.squares - column**2 + 1j * losses)[:, :, None]
+        shares = multiply_modes(inputs, forces[:, :count]) / (1j * column - poles)[:, :, None]
         amplitudes[:, :count] = multiply_modes(vectors, shares)
         return np.asarray(amplitudes)
 
     def _forces(self, omega: np.ndarray, amplitudes: np.ndarray) -> np.ndarray:
         """Return the forces that amplitudes (n, modes, loads) balance."""
-        turn = 1j * omega[:, None, None]
-        balanced = (self.squares[:, None] + turn**2) * amplitudes + turn * multiply_modes(self.damping, amplitudes)
+        rate = 1j * omega[:, None, None]
+        balanced = (self.squares[:, None] + rate**2) * amplitudes + rate * multiply_modes(self.damping, amplitudes)
         return balanced + 1j * multiply_modes(self.hysteretic, amplitudes) if self.hysteretic.any() else balanced
 
     @cached_property
@@ -128,3 +143,46 @@ def multiply_modes(matrix: np.ndarray | scipy.sparse.csr_array, columns: np.ndar
     real = not np.iscomplexobj(matrix)
     product = (matrix @ flat.view(float)).view(complex) if real else matrix @ flat
     return np.moveaxis(product.reshape(matrix.shape[0], *first.shape[1:]), 0, -2)
+
+
+def adaptive_frequencies(centres: np.ndarray, widths: np.ndarray, low: float, high: float) -> np.ndarray:
+    """Return rising frequencies [Hz] from ``low`` to ``high`` that follow every resonance between them.
+
+    Args:
+        centres: (resonances,) [Hz], 0 for rigid motions.
+        widths: (resonances,) half-widths [Hz], 0 without damping.
+    """
+    undamped = widths <= SHARPEST * centres
+    widths = np.where(undamped, UNDAMPED * centres, widths)
+    reach = CIRCLE[-1] * widths
+    near = (centres > 0) & (centres + reach > low) & (centres - reach < high)
+    centres, widths, undamped = centres[near], widths[near], undamped[near]
+    plain = np.geomspace(low, high, PLAIN)
+    groups = [plain]
+    for centre, width in zip(centres, widths, strict=True):
+        spacing = centre * (plain[1] / plain[0] - 1)
+        doublings = max(0, math.ceil(math.log2(spacing / width / CIRCLE[-1])))
+        skirt = CIRCLE[-1] * 2.0 ** np.arange(1, doublings + 1)
+        groups.append(centre + width * np.concatenate([-skirt, CIRCLE, skirt]))
+    frequencies = np.unique(np.concatenate(groups))
+    frequencies = frequencies[(frequencies >= low) & (frequencies <= high)]
+    frequencies = _thin_out(frequencies, plain[1] / plain[0] - 1, centres, widths)
+    for centre, width in zip(centres[undamped], widths[undamped], strict=True):
+        ends = (frequencies == low) | (frequencies == high)
+        frequencies = frequencies[np.abs(frequencies - centre) > np.where(ends, SHARPEST * centre, width / 10)]
+    return frequencies
+
+
+def _thin_out(frequencies: np.ndarray, spacing: float, centres: np.ndarray, widths: np.ndarray) -> np.ndarray:
+    """Drop frequencies, but for the last, that are too close to the one before.
+
+    Too close is measured by the distance from the nearest pole and by the plain grid's relative ``spacing``.
+    """
+    near = 0.5 * spacing * frequencies
+    for centre, width in zip(centres, widths, strict=True):
+        near = np.minimum(near, CLOSE * np.hypot(frequencies - centre, width))
+    selected = [0]
+    for index in range(1, len(frequencies) - 1):
+        if frequencies[index] - frequencies[selected[-1]] > near[index]:
+            selected.append(index)
+    return frequencies[[*selected, len(frequencies) - 1]]

@@ -15,7 +15,7 @@ import scipy
 
 from warp_plate.modal.energy import lasting_poles, mean_exponential, real_form
 from warp_plate.modal.modes import ModalPlate
-from warp_plate.modal.poles import Poles, make_poles, rates_apart
+from warp_plate.modal.poles import Poles
 from warp_plate.modal.steady import as_sparse, multiply_modes
 from warp_plate.plate.designs import actuator_spaces, per_plate_of
 from warp_plate.plate.signals import actuator_frequencies
@@ -59,7 +59,7 @@ class ToneMatrices:
         plates = max(len(frequency), len(forces))
         if (frequency == frequency[:, :1]).all():  # means of one tone serve all actuators, and all plates
             frequency = frequency[:, :1] if (frequency != frequency[0]).any() else frequency[:1, :1]
-        window, drive = self.window, rates_apart(self.poles, 2j * math.pi * frequency, self.window.end)
+        window, drive = self.window, self.poles.shift_rates(2j * math.pi * frequency, self.window.end)
         states, gains = 1 / (drive[:, None, :] - self.poles.values[:, None]), self.poles.gains(forces)
         forced, free = self.poles.forced(states, forces, gains), -(gains * states)[:, self.kept]
         poles = self.poles.part(self.kept)
@@ -71,7 +71,7 @@ class ToneMatrices:
         matrices = []
         for region, forms in zip(self._sparse_regions, self._free_forms, strict=True):
             moved = multiply_modes(region, forced)
-            pressed = poles.pressed(moved), poles.pressed(moved, conjugate=True).conj()
+            pressed = poles.project(moved), poles.project(moved, conjugate=True).conj()
             crossed = [(inner * mean).mT @ free for inner, mean in zip(pressed, across, strict=True)]
             alone = [multiply_modes(form, free) for form in forms]
             plain = (forced.mT @ moved) * of_tones[0] + crossed[0] + crossed[0].mT + free.mT @ alone[0]
@@ -88,7 +88,7 @@ class ToneMatrices:
     @cached_property
     def poles(self) -> Poles:
         """Poles of the plate, for times up to the end of the window."""
-        return make_poles(self.plate, self.window.end)
+        return self.plate.poles(self.window.end)
 
     @cached_property
     def kept(self) -> np.ndarray:
@@ -96,7 +96,7 @@ class ToneMatrices:
         scene, poles, end = self.plate.scene, self.poles, self.window.end
         searched = scene.search.frequency
         tones = {*actuator_frequencies(scene).tolist(), *(searched.range if searched is not None else ())}
-        drive = rates_apart(poles, 2j * math.pi * np.array(sorted(tones))[:, None], end)
+        drive = poles.shift_rates(2j * math.pi * np.array(sorted(tones))[:, None], end)
         forced = 1 / (drive[:, None, :] - poles.values[:, None])
         free, velocity = -forced, self.quantity == "velocity"
         if velocity:
@@ -111,8 +111,8 @@ class ToneMatrices:
         rates = poles.values, poles.values.conj()
         means = [mean_exponential(rate[:, None], poles.values, self.window) for rate in rates]
         for region in self.regions:
-            moved = poles.moved(region)
-            products = [poles.pressed(moved, bool(conjugate)) * mean for conjugate, mean in enumerate(means)]
+            moved = poles.observe(region)
+            products = [poles.project(moved, bool(conjugate)) * mean for conjugate, mean in enumerate(means)]
             forms.append([as_sparse(product) for product in products])
         return forms
 

@@ -16,7 +16,7 @@ import scipy
 from warp_plate.modal.loads import ExponentialLoads
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.motion import Excitation, unit_loads
-from warp_plate.modal.poles import Poles, make_poles
+from warp_plate.modal.poles import Poles
 from warp_plate.modal.quadrature import time_rule
 from warp_plate.modal.sampled import SampledLoads
 from warp_plate.modal.tones import trial_forces
@@ -44,7 +44,7 @@ class WaveformEnergies:
         self._modes = modes = self._moving_modes(plate, np.sqrt((trial_forces(plate) ** 2).mean(axis=1)))
         both = np.ix_(modes, modes)
         self._plate = plate.part(modes)
-        self._poles = make_poles(self._plate, self._window.end)
+        self._poles = self._plate.poles(self._window.end)
         self._factors = [_factor(region[both]) for region in regions]
 
     def matrices(self, frequency: np.ndarray, forces: np.ndarray, delay: np.ndarray) -> np.ndarray:
@@ -88,7 +88,7 @@ class WaveformEnergies:
         searched = scene.search.frequency
         tones = {*actuator_frequencies(scene).tolist(), *(searched.range if searched is not None else ())}
         end, energy = scene.window.end, np.zeros(len(forces))
-        poles, delay = make_poles(plate, end), actuator_delays(scene)
+        poles, delay = plate.poles(end), actuator_delays(scene)
         columns = delay.size if scene.drive.signal is not None and scene.drive.signal.per_actuator else 1
         shared, drives = np.repeat(forces[:, None], columns, axis=1), np.eye(columns)
         for tone in tones:

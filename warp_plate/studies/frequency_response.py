@@ -13,11 +13,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from warp_plate.modal.adaptive_frequencies import adaptive_frequencies
 from warp_plate.modal.galerkin.integrals import Matrix
 from warp_plate.modal.galerkin.regions import region_matrix
 from warp_plate.modal.modes import ModalPlate, solve_modes
-from warp_plate.modal.steady import as_sparse, multiply_modes
+from warp_plate.modal.steady import adaptive_frequencies, as_sparse, multiply_modes
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.result.frequency_response import DERIVATIVES, FrequencyResponse, Quantity
 from warp_plate.scene.errors import SceneError

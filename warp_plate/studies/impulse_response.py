@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from warp_plate.modal.modes import modes_below
-from warp_plate.modal.poles import make_poles
 from warp_plate.result.frequency_response import DERIVATIVES, Quantity
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene, SceneSource
@@ -85,8 +84,8 @@ def compute_impulse_response(
     check_on_plate(scene, [*points, *inputs])
     _check(scene, quantity, duration, rate, MOST_NUMBERS // (len(inputs) * len(points)))
     plate = modes_below(scene, highest)
-    poles, times = make_poles(plate, duration), np.arange(math.ceil(duration * rate)) / rate
-    shapes = poles.moved(plate.at_points(points).T) * poles.values ** DERIVATIVES[quantity]
+    poles, times = plate.poles(duration), np.arange(math.ceil(duration * rate)) / rate
+    shapes = poles.observe(plate.at_points(points).T) * poles.values ** DERIVATIVES[quantity]
     pairs = (poles.gains(input_forces(plate, inputs)[1]).T[:, None] * shapes).reshape(-1, poles.values.size)
     blocks = np.array_split(times, math.ceil(times.size * poles.values.size / BLOCK))
     responses = np.hstack([(pairs @ np.exp(poles.values[:, None] * block)).real for block in blocks])

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from warp_plate.modal.adaptive_frequencies import adaptive_frequencies
 from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.solver import MODAL, ModalSolver, make_solver
+from warp_plate.modal.steady import adaptive_frequencies
 from warp_plate.plate.designs import Designs, per_plate_of
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.bounds import allowed_drives, bound_localization
