@@ -25,8 +25,8 @@ _HOME = {
     "Actuator": "warp_plate.scene.actuator:Actuator",
     "CheckpointFile": "warp_plate.studies.checkpointing:CheckpointFile",
     "Drive": "warp_plate.scene.drive:Drive",
-    "Edges": "warp_plate.scene.model:Edges",
-    "Effects": "warp_plate.scene.effects:Effects",
+    "Edges": "warp_plate.effects.edges:Edges",
+    "Effects": "warp_plate.effects.table:Effects",
     "Grid": "warp_plate.scene.grid:Grid",
     "Plate": "warp_plate.scene.model:Plate",
     "PlateSolver": "warp_plate.solve.solver:PlateSolver",
@@ -39,7 +39,6 @@ _HOME = {
     "Window": "warp_plate.scene.model:Window",
     "check": "warp_plate.analysis.check:check",
     "compare": "warp_plate.studies.compare:compare",
-    "effects": "warp_plate.analysis.influence:measure_influence",
     "export": "warp_plate.analysis.export:export",
     "fit": "warp_plate.fitting.fit:fit",
     "focus": "warp_plate.focusing.focus:focus",
@@ -51,6 +50,7 @@ _HOME = {
     "load_sweep": "warp_plate.result.sweep:load_sweep",
     "localize": "warp_plate.studies.localize:localize",
     "measure_accuracy": "warp_plate.accuracy.report:measure_configurations",
+    "measure_effects": "warp_plate.analysis.influence:measure_influence",
     "modes": "warp_plate.modal.continuous_modes:modes",
     "motion": "warp_plate.analysis.motion:motion",
     "plan_measurement": "warp_plate.fitting.plan_measurement:plan_measurement",
@@ -85,7 +85,6 @@ __all__ = [
     "__version__",
     "check",
     "compare",
-    "effects",
     "export",
     "fit",
     "focus",
@@ -97,6 +96,7 @@ __all__ = [
     "load_sweep",
     "localize",
     "measure_accuracy",
+    "measure_effects",
     "modes",
     "motion",
     "plan_measurement",
@@ -117,8 +117,10 @@ if TYPE_CHECKING:
     from warp_plate.accuracy.report import measure_configurations as measure_accuracy
     from warp_plate.analysis.check import check
     from warp_plate.analysis.export import export
-    from warp_plate.analysis.influence import measure_influence as effects
+    from warp_plate.analysis.influence import measure_influence as measure_effects
     from warp_plate.analysis.motion import motion
+    from warp_plate.effects.edges import Edges
+    from warp_plate.effects.table import Effects
     from warp_plate.fitting.fit import fit
     from warp_plate.fitting.plan_measurement import plan_measurement
     from warp_plate.focusing.focus import focus
@@ -131,10 +133,9 @@ if TYPE_CHECKING:
     from warp_plate.result.sweep import load_sweep, save_sweep
     from warp_plate.scene.actuator import Actuator
     from warp_plate.scene.drive import Drive
-    from warp_plate.scene.effects import Effects
     from warp_plate.scene.errors import SceneError
     from warp_plate.scene.grid import Grid
-    from warp_plate.scene.model import Edges, Plate, Record, Scene, Window
+    from warp_plate.scene.model import Plate, Record, Scene, Window
     from warp_plate.scene.search import Search
     from warp_plate.scene.target import Target
     from warp_plate.solve.solver import PlateSolver

@@ -40,7 +40,7 @@ def conserved(name: str, where: Where) -> Measured:
     frequency = 1 / (41 * step)
     scene = scene.with_tables(drive={"frequency": frequency, "burst": {"duration": 20 * step}})
     bending = make_bending(scene)
-    stiffness, masses = system(scene, bending)
+    stiffness, masses = system(bending)
     at = np.unique(np.geomspace(100, steps - 1, SAMPLES).astype(int))
     random = np.random.default_rng(1)
     drives = random.normal(size=(DRAWN, 2)) + 1j * random.normal(size=(DRAWN, 2))
@@ -156,7 +156,7 @@ def _decades() -> np.ndarray:
 def _static(scene) -> float:
     """Static deflection [m] under the first actuator at its middle, from the stiffness matrix."""
     bending = make_bending(scene)
-    stiffness, _ = system(scene, bending)
+    stiffness, _ = system(bending)
     cell = bending.spacing[0] * bending.spacing[1]
     shape = np.zeros(bending.moves.shape)
     shape[bending.moves] = spsolve(stiffness.tocsc(), cell * patches(scene)[0][bending.moves])

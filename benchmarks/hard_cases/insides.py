@@ -62,7 +62,7 @@ def _against_numpy(where: Where, scene: Scene, drives: np.ndarray = DRIVES, part
 def pressed(where: Where) -> Measured:
     """The same at 99 % of the load that buckles the plate."""
     trial = scene_of((15, 13), effects={"tension": {"x": -1.0, "y": -0.4}})
-    factor = 0.99 * buckling_factor(trial, make_bending(trial))
+    factor = 0.99 * buckling_factor(make_bending(trial))
     scene = scene_of((15, 13), effects={"tension": {"x": -factor, "y": -0.4 * factor}})
     return _against_numpy(where, stepped(scene, 0.9, 400))
 

@@ -93,7 +93,7 @@ def above(name: str, where: Where) -> Measured:
 
 def true_largest(scene: Scene) -> float:
     """Largest eigenvalue [1/s²] of the scene's matrices, all of them worked out."""
-    stiffness, masses = system(scene, make_bending(scene))
+    stiffness, masses = system(make_bending(scene))
     root = np.sqrt(masses)
     return float(np.linalg.eigvalsh(stiffness.toarray() / root / root[:, None])[-1])
 

@@ -30,7 +30,7 @@ UNDAMPED = Scene.from_tables(
 
 def test_density_gives_functions_along_each_side() -> None:
     plain, dense = (solve_modes(UNDAMPED.with_tables(grid={"modal_density": density})) for density in (1.0, 1.5))
-    for few, many in zip(plain.galerkin.shape, dense.galerkin.shape, strict=True):
+    for few, many in zip(plain.space.shape, dense.space.shape, strict=True):
         assert many == pytest.approx(1.5 * few, rel=0.15)
     assert dense.frequencies[:5] == pytest.approx(plain.frequencies[:5], rel=1e-5)
 

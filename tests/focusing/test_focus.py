@@ -148,7 +148,7 @@ def test_quiet_waveforms_keep_the_rest_within_its_bound():
     plate = modes_below(scene, 600.0)
     responses = HeldResponses(plate, TABLE["rate"], scene.focus.recorded, velocity=False)
     inside = [plate.kinetic_matrix(Target(disc=(*point, 0.03))) for point in TABLE["points"]]
-    mass = plate.galerkin.plate_mass * (1 - math.pi * 0.03**2 / 0.04)
+    mass = plate.space.plate_mass * (1 - math.pi * 0.03**2 / 0.04)
 
     def figures(waveforms, focus):
         amplitudes = responses.amplitudes(responses.states(waveforms))

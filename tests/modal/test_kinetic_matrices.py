@@ -85,7 +85,7 @@ def test_parts_add_up(plate):
     assert np.allclose(sum(plate.kinetic_matrix(cell)[lowest] for cell in cells), whole, rtol=0, atol=1e-9)
     outline = Target(polygon=[(0, 0), (width, 0), (width, height), (0, height)])
     assert np.allclose(plate.kinetic_matrix(outline)[lowest], whole, rtol=0, atol=1e-9)
-    motion = plate.oscillator_motions[:300, 0]
+    motion = plate.attached_motions[:300, 0]
     assert np.allclose(whole + 3e-3 * np.outer(motion, motion), np.eye(300), rtol=0, atol=1e-9)
 
 

@@ -15,7 +15,7 @@ from levy import isotropic, levy_frequencies
 from ritz_polynomials import extrapolated_frequencies, ritz_frequencies
 
 from warp_plate import SceneError
-from warp_plate.modal.galerkin import eigenproblem
+from warp_plate.modal import eigenproblem
 from warp_plate.modal.modes import modes_below, solve_modes
 
 SIZE = (0.23, 0.17)

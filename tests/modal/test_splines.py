@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from warp_plate.modal.galerkin.splines import make_splines
+from warp_plate.modal.spaces.splines import make_splines
 
 ENDS = {("free", "free"): (0, 0), ("clamped", "supported"): (2, 1)}
 CORNERS = (0.05, 1), (0.1, 2), (0.1001, 3)

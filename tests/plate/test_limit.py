@@ -12,7 +12,7 @@ import pytest
 import scipy.optimize
 
 from warp_plate import SceneError
-from warp_plate.plate.bending import buckling_factor, make_bending, oscillator_shares, stiffness_matrix, system
+from warp_plate.plate.bending import buckling_factor, make_bending, stiffness_matrix, system
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.operator import biharmonic
 from warp_plate.plate.scheme import make_scheme
@@ -91,7 +91,7 @@ def dense_matrices(made):
         stiffness = scheme.kappa**2 * biharmonic(scheme.taps_x, scheme.taps_y, scheme.spacing, 4).toarray()
         return stiffness, scheme.viscous / scheme.surface_density * scheme.backward * np.eye(len(stiffness))
     bending, oscillators = make_bending(made), made.effects.oscillators
-    stiffness, masses = system(made, bending)
+    stiffness, masses = system(bending)
     root, moves = np.sqrt(masses), bending.moves.ravel()
     attached, nodes = [item for item in oscillators if item.mass > 0], int(moves.sum())
     loss = np.zeros((len(masses), len(masses)))
@@ -99,9 +99,9 @@ def dense_matrices(made):
         cell = bending.spacing[0] * bending.spacing[1] * bending.weight
         loss[:nodes, :nodes] += np.diag((scheme.viscous * cell).ravel()[moves])
     if made.effects.material_damping:
-        bare = stiffness_matrix(replace(bending, spring=0 * bending.spring, tension=(0.0, 0.0))).toarray()
+        bare = stiffness_matrix(replace(bending, springs={}, membrane=(0.0, 0.0))).toarray()
         loss[:nodes, :nodes] += made.effects.material_damping.time * bare[np.ix_(moves, moves)]
-    for oscillator, share in zip(oscillators, oscillator_shares(made), strict=True):
+    for oscillator, share in zip(oscillators, make_bending(made).shares, strict=True):
         reach = np.concatenate([share.ravel()[moves], [-1.0 * (other is oscillator) for other in attached]])
         loss += oscillator.damping * np.outer(reach, reach)
     return stiffness.toarray() / root / root[:, None], loss / root / root[:, None]
@@ -185,7 +185,7 @@ def test_buckling_load_against_the_lowest_frequency(edge, nodes, scene):
         def pulled(factor, x=x, y=y):
             return scene(nodes, edges=EDGES[edge], effects={"tension": {"x": factor * x, "y": factor * y}})
 
-        factor = buckling_factor(pulled(1), make_bending(pulled(1)))
+        factor = buckling_factor(make_bending(pulled(1)))
         low, high = (natural_modes(pulled(part * factor), 1).frequencies[0] for part in (0.999, 0.5))
         assert 0 < low < 0.1 * high
         with pytest.raises(SceneError, match="the plate buckles"):

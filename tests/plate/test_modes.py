@@ -10,7 +10,7 @@ import scipy.sparse.linalg
 
 from warp_plate import PlateSolver, SceneError
 from warp_plate.modal.modes import solve_modes
-from warp_plate.plate.bending import make_bending, mass_matrix, oscillator_shares, system
+from warp_plate.plate.bending import make_bending, mass_matrix, system
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.signals import make_signals
@@ -101,7 +101,7 @@ def test_static_deflection(scene, held, load, coefficient):
         )  # fmt: skip
         made = with_ratio(made, 0.3)
         bending, middle = make_bending(made), (nodes // 2, nodes // 2)
-        stiffness, _ = system(made, bending)
+        stiffness, _ = system(bending)
         solved = np.zeros((nodes, nodes))
         pressed = patches(made)[0][bending.moves] * (2 * half) ** 2
         solved[bending.moves] = scipy.sparse.linalg.spsolve(stiffness.tocsc(), pressed)
@@ -163,7 +163,7 @@ def test_modes_with_attached_masses(scene):
     made = scene((11, 9), (0.2, 0.18), effects={"oscillators": [only_damped, attached]})
     found, whole = natural_modes(made, 6), natural_modes(bare, 200)
     assert whole.frequencies.size == 9 * 7
-    share = oscillator_shares(made)[1]
+    share = make_bending(made).shares[1]
     squares = (2 * math.pi * whole.frequencies) ** 2
     modal_mass = (whole.shapes**2).reshape(len(squares), -1) @ mass_matrix(make_bending(bare))
     coupled = (whole.shapes * share).sum(axis=(1, 2)) ** 2 / modal_mass

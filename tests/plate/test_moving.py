@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from warp_plate import PlateSolver, SceneError
-from warp_plate.plate.moving_load import moving_weights
 from warp_plate.plate.scheme import make_scheme
+from warp_plate.plate.travelling import moving_weights
 from warp_plate.plate.weights import moments, overlap
 
 TIME_STEP, STEPS = 1e-3, 200

@@ -7,8 +7,8 @@ import pytest
 from numpy.polynomial import legendre
 
 from warp_plate import Scene, SceneError
+from warp_plate.effects.table import Effects
 from warp_plate.reference import series
-from warp_plate.scene.effects import Effects
 
 DRIVE = np.array([1, 0.3 - 0.4j, 0, 0.2j])
 X, Y = np.linspace(0, 0.2, 8), np.linspace(0, 0.2, 11)

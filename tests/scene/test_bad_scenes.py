@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.plate import memory
 from warp_plate.plate.discretization import discretize
-from warp_plate.plate.moving_load import moving_weights
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.signals import make_signals
+from warp_plate.plate.travelling import moving_weights
 from warp_plate.plate.weights import patches, region_weights
 from warp_plate.problem.objectives import make_objectives
 from warp_plate.reference.numpy_moment_form import run_moment_form

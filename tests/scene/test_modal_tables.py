@@ -6,10 +6,10 @@ from conftest import PAPER, refusal, scene_of
 
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.analysis.warnings import find_warnings
+from warp_plate.effects.effect import per_mode
 from warp_plate.plate.modes import natural_modes
 from warp_plate.problem.uncertainty import draw_scenarios
 from warp_plate.scene.dump import dump_scene
-from warp_plate.scene.effects import per_mode
 from warp_plate.scene.keys import label_of, scalar_keys, unit_of, with_values
 
 ETA, RATIO = "[effects.loss_factor]\neta = {}\n", "[effects.modal_damping]\nratio = {}\n"

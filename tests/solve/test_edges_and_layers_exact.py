@@ -38,7 +38,7 @@ def test_layer_over_the_whole_plate_is_the_laminate(scene):
 
 def lowest_frequency(scene):
     """Return the lowest natural frequency ω [rad/s] of the plate on its grid, as the paths step it."""
-    stiffness, masses = system(scene, make_bending(scene))
+    stiffness, masses = system(make_bending(scene))
     root = scipy.sparse.diags_array(1 / np.sqrt(masses))
     matrix = root @ stiffness @ root
     value = scipy.sparse.linalg.eigsh(matrix, k=1, sigma=-1.0, which="LM", return_eigenvectors=False)

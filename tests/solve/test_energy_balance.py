@@ -16,8 +16,8 @@ import pytest
 from oracle import random_edge, random_effects
 
 from warp_plate import PlateSolver
-from warp_plate.plate.moving_load import moving_weights
 from warp_plate.plate.scheme import make_scheme
+from warp_plate.plate.travelling import moving_weights
 from warp_plate.plate.weights import patches, region_weights
 from warp_plate.reference.numpy_moment_form import inverse, make_matrices
 

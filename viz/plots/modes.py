@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warp_plate.effects.effect import attachments
 from warp_plate.scene.model import Scene
 from warp_plate.viz.colours import DEFAULT_COLOURS, ColourOptions, colour_map
 from warp_plate.viz.plots.frame import add_panels, figure
@@ -53,7 +54,7 @@ def draw_modes(
         handles = [*edge_handles(scene), line_handle("nodal line", color=INK, linewidth=0.9)]
         if scene.layers:
             handles.append(line_handle("layer", color=TARGET, linewidth=0.9))
-        if scene.effects.oscillators:
+        if attachments(scene.terms):
             handles.append(line_handle("oscillator", color=TARGET, linewidth=0.9, linestyle=":"))
         made.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=7)
 
@@ -86,8 +87,8 @@ def _draw_shape(axes: Axes, scene: Scene, shape: np.ndarray, cmap: str) -> objec
         axes.contour(fine_x, fine_y, field, levels=[0.0], colors=INK, linewidths=0.9)
     for layer in scene.layers:
         draw_outline(axes, layer.area, TARGET)
-    for oscillator in scene.effects.oscillators:
-        draw_outline(axes, oscillator.area, TARGET, ":")
+    for attachment in attachments(scene.terms):
+        draw_outline(axes, attachment.area, TARGET, ":")
     draw_edges(axes, scene)
     return mesh
 

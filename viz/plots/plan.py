@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warp_plate.effects.effect import attachments
 from warp_plate.result.motion import Motion
 from warp_plate.result.targets import outlines
 from warp_plate.scene.fields import Area
@@ -62,7 +63,7 @@ def draw_plan(
 
 
 def draw_layout(scene: Scene, path: Path) -> None:
-    """Draw edges, targets, actuators, layers and oscillators of a scene."""
+    """Draw edges, targets, actuators, layers and attached masses of a scene."""
     width, height = drawn_size(scene, LENGTH)
     with figure(path, (max(width, 2.6) + 0.7, height + 0.9), font_size=8, dpi=110) as made:
         axes, handles = made.subplots(), _outline_handles(scene)
@@ -71,9 +72,9 @@ def draw_layout(scene: Scene, path: Path) -> None:
             for layer in scene.layers
         ]
         handles += layers[:1]
-        for oscillator in scene.effects.oscillators:
-            draw_outline(axes, oscillator.area, OSCILLATOR)
-        if scene.effects.oscillators:
+        for attachment in attachments(scene.terms):
+            draw_outline(axes, attachment.area, OSCILLATOR)
+        if attachments(scene.terms):
             handles.append(line_handle("oscillator", color=OSCILLATOR, linewidth=0.9))
         _draw_outlines(axes, scene)
         _label_sides(axes, scene)

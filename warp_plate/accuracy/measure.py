@@ -153,8 +153,7 @@ def measure_modal(context: MeasurementContext, density: float) -> AccuracyRow:
     """
     scene, reference, window = context.scene, context.reference, context.scene.window
     plate, response = solve_response(scene, density)
-    splines = (plate.galerkin.along_x, plate.galerkin.along_y)
-    nodes = (splines[0].functions, splines[1].functions)
+    nodes = plate.space.shape[::-1]
     times = np.linspace(window.start, window.end, SNAPSHOTS + 1)[1:]
     factors = response.localization_factors(np.array(list(reference.drives.values())))
     drive, plates = reference.drives["best"], scene.search.particles
@@ -162,7 +161,7 @@ def measure_modal(context: MeasurementContext, density: float) -> AccuracyRow:
     once = median(seconds_of(lambda: solve_response(scene, density), RUNS, TIMING_SECONDS))
     each = median(seconds_of(lambda: response.energy(phasors), RUNS, TIMING_SECONDS)) / plates
     row = AccuracyRow(
-        order=splines[0].degree,
+        order=plate.space.degree,
         load=MODAL,
         nodes=nodes,
         time_step=None,

@@ -182,17 +182,17 @@ def _drive_text(scene: Scene) -> str:
 def _critical_amplitude(scene: Scene, scheme: Scheme) -> float | None:
     """Return the amplitude, in thicknesses, at which stretching lowers the limit to the time step; None without it.
 
-    A tension N, κN along y, adds N(4/hx² + 4κ/hy²)/ρH to the largest eigenvalue 4/limit². Berger's tension is
+    A membrane force N, κN along y, adds N(4/hx² + 4κ/hy²)/ρH to the largest eigenvalue 4/limit². Berger's is
     proportional to ∫ u_x² + κu_y² dA, which is a²π²/4 · area · (1/width² + κ/height²) for the shape a sin sin.
     """
     bending = scheme.bending
-    if bending is None or scene.effects.stretching is None:
+    if bending is None or not scene.effects.stretches:
         return None
     (hx, hy), (width, height), ratio = scheme.spacing, scene.plate.size, bending.stretch_ratio
     spare = 4 / scheme.time_step**2 - 4 / scheme.stability.time_step**2
-    tension = max(spare, 0.0) * float(bending.mass.min()) / (4 / hx**2 + 4 * ratio / hy**2)
+    force = max(spare, 0.0) * float(bending.mass.min()) / (4 / hx**2 + 4 * ratio / hy**2)
     slopes = math.pi**2 / 4 * width * height * (1 / width**2 + ratio / height**2)
-    return math.sqrt(tension / (bending.berger * slopes)) / scene.plate.thickness
+    return math.sqrt(force / (bending.berger * slopes)) / scene.plate.thickness
 
 
 def _bytes_text(count: float) -> str:

@@ -9,33 +9,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warp_plate.effects.edges import Edges, ElasticEdge
+from warp_plate.effects.effect import Setting
+from warp_plate.effects.table import Effects, effect_type
 from warp_plate.modal.solver import MODAL, ModalSolver, make_solver
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.plate.signals import carrier_frequencies
 from warp_plate.plate.weights import REGIONS, localization_factor, region_weights
-from warp_plate.scene.drive import Burst, Chirp, Drive, Electrostatic, MovingLoad
-from warp_plate.scene.effects import (
-    Damping,
-    Effects,
-    Foundation,
-    Layer,
-    LossFactor,
-    MaterialDamping,
-    ModalDamping,
-    Orthotropic,
-    Oscillator,
-    Stretching,
-    Tension,
-    Variation,
-)
+from warp_plate.scene.drive import Burst, Chirp, Drive, Electrostatic
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
-from warp_plate.scene.model import Edges, ElasticEdge, Scene, SceneSource
+from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.solve.peak import sample_times
 from warp_plate.solve.solver import PlateSolver
 
-# Loss factor at the drive's frequency of all kinds of damping, typical of plastics and glued joints.
-LOSS_FACTOR = 0.02
 # Tables of the drive, and a second frequency relative to the drive's.
 DRIVES, OTHER_FREQUENCY = ("burst", "chirp", "signal", "electrostatic"), 0.9
 # Rounds of timing all scenes in turn, so that a disturbance affects all of them.
@@ -174,9 +161,10 @@ def seconds_a_step(solvers: Mapping[str, PlateSolver], device: str, rounds: int 
 def _shortened(solver: PlateSolver, most_steps: int) -> Scene:
     """Return the solver's scene cut to at most this number of steps, with all loads acting from the start."""
     scene, scheme = with_value(solver.scene, "burst", None), solver.specialized.scheme
-    if scene.effects.moving_load is not None:
+    if (force := scene.effects.travelling) is not None:
         middle = (scene.plate.size[0] / 2, scene.plate.size[1] / 2)
-        scene = with_value(scene, "moving_load", MovingLoad(force=1.0, start=middle))
+        resting = type(force)(force=1.0, start=middle)
+        scene = scene.model_copy(update={"effects": scene.effects.with_travelling(resting)})
     grid = scene.grid.model_copy(update={"time_step": scheme.time_step})
     end = min(scheme.steps, most_steps) * scheme.time_step
     return scene.model_copy(update={"grid": grid, "window": scene.window.model_copy(update={"start": 0.0, "end": end})})
@@ -218,11 +206,20 @@ def toggle(scene: Scene, name: str) -> tuple[Scene, str]:
     if on:
         empty = None if name in DRIVES else Effects.model_fields[name].default
         return with_value(scene, name, empty), "left out"
-    values = (_typical_drives if name in DRIVES else _typical_effects)(scene)
-    if name not in values:
+    if name not in DRIVES:
+        value, text = effect_type(name).typical(setting_of(scene))
+        return with_value(scene, name, value), text
+    if name not in (values := _typical_drives(scene)):
         raise SceneError("no typical value is known")
     value, text = values[name]
     return with_value(scene, name, value), text
+
+
+def setting_of(scene: Scene) -> Setting:
+    """Return what the typical values of effects depend on."""
+    areas = tuple(actuator.area for actuator in scene.actuators)
+    spot = scene.target.area or _middle_of_target(scene)
+    return Setting(scene.plate, scene.drive_angular_frequency, scene.window.end, areas, spot)
 
 
 def with_value(scene: Scene, name: str, value: object) -> Scene:
@@ -242,12 +239,6 @@ def _clamped(scene: Scene) -> Scene:
     return scene.model_copy(update={"edges": Edges.model_validate(edges)})
 
 
-def film(scene: Scene) -> tuple[Layer, ...]:
-    """Return a film of polyvinylidene fluoride, glued on as an actuator, on one face under each actuator."""
-    material = {"thickness": 110e-6, "young_modulus": 2.5e9, "density": 1780.0}
-    return tuple(Layer(area=actuator.area, **material) for actuator in scene.actuators)
-
-
 def _springs(scene: Scene) -> tuple[Scene, str]:
     side, bending = min(scene.plate.size), scene.plate.rigidity
     edge = ElasticEdge(translation=1000 * bending / side**3, rotation=10 * bending / side)
@@ -262,47 +253,6 @@ def _two_frequencies(scene: Scene) -> tuple[Scene, str]:
     other, (*rest, last) = OTHER_FREQUENCY * scene.drive.frequency, scene.actuators
     actuators = (*rest, last.model_copy(update={"frequency": other}))
     return scene.model_copy(update={"actuators": actuators}), f"the last actuator at {other:.3g} Hz"
-
-
-def _typical_effects(scene: Scene) -> dict[str, tuple[object, str]]:
-    """Return typical values of the tables under [effects], with descriptions."""
-    plate, bending, ratio = scene.plate, scene.plate.rigidity, scene.plate.poisson_ratio
-    viscous = LOSS_FACTOR * scene.drive_angular_frequency * plate.density * plate.thickness
-    retardation = LOSS_FACTOR / scene.drive_angular_frequency
-    tension = 0.1 * math.pi**2 * bending / min(plate.size) ** 2
-    x0, x1, y0, y1 = scene.target.area or _middle_of_target(scene)
-    half = min(5e-3, (x1 - x0) / 2, (y1 - y0) / 2)
-    x, y = (x0 + x1) / 2, (y0 + y1) / 2
-    speed = plate.size[0] / scene.window.end
-    return {
-        "damping": (Damping(viscous=viscous), f"{viscous:.2g} N·s/m³ (loss factor {LOSS_FACTOR:g})"),
-        "material_damping": (
-            MaterialDamping(time=retardation),
-            f"{retardation:.2g} s (loss factor {LOSS_FACTOR:g} at the drive's frequency)",
-        ),
-        "loss_factor": (LossFactor(eta=LOSS_FACTOR), f"loss factor {LOSS_FACTOR:g}"),
-        "modal_damping": (ModalDamping(ratio=LOSS_FACTOR / 2), f"damping ratio {LOSS_FACTOR / 2:g} of all modes"),
-        "tension": (
-            Tension(x=tension, y=tension),
-            f"{tension:.2g} N/m along x and y (a tenth of π²D/L², the buckling load of a supported strip)",
-        ),
-        "foundation": (Foundation(stiffness=1e7), "1e7 N/m³ (10 mm of foam of 0.1 MPa)"),
-        "orthotropic": (
-            Orthotropic(Dx=1.1 * bending, Dy=bending, D1=ratio * bending, Dxy=(1 - ratio) / 2 * bending),
-            "Dx a tenth above that of the isotropic plate",
-        ),
-        "variation": (Variation(thickness=((0.95, 1.05),)), "thickness from 0.95 at x = 0 to 1.05"),
-        "layers": (film(scene), "a piezoelectric film of 110 µm, 2.5 GPa, 1780 kg/m³ on each actuator"),
-        "oscillators": (
-            (Oscillator(area=(x - half, x + half, y - half, y + half), mass=5e-3, stiffness=500.0, damping=2.0),),
-            "a fingertip in the middle of the target: 5 g, 500 N/m, 2 N·s/m (orders of magnitude of a light touch)",
-        ),
-        "stretching": (Stretching(), "named"),
-        "moving_load": (
-            MovingLoad(force=1e-3, start=(0.0, plate.size[1] / 2), velocity=(speed, 0.0)),
-            f"1 mN on a point that crosses the plate along x at {speed:.2g} m/s",
-        ),
-    }
 
 
 def _middle_of_target(scene: Scene) -> Area:

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from warp_plate.accuracy.configurations import percent
-from warp_plate.analysis.influence import film, with_one_frequency
+from warp_plate.analysis.influence import with_one_frequency
+from warp_plate.effects.effect import Edge, losses
+from warp_plate.effects.layers import film
 from warp_plate.modal.continuous_modes import linear_part
 from warp_plate.modal.modes import solve_modes
 from warp_plate.plate.scheme import make_scheme
@@ -119,8 +121,8 @@ def search_warnings(scene: Scene) -> list[str]:
 
 def wavelengths(scene: Scene) -> tuple[float, float]:
     """Return the lengths [m] of bending waves along x and y at the highest frequency, in the plate without layers."""
-    isotropic, orthotropic = scene.plate.rigidity, scene.effects.orthotropic
-    rigidities = (orthotropic.Dx, orthotropic.Dy) if orthotropic else (isotropic, isotropic)
+    isotropic = scene.plate.rigidity
+    rigidities = scene.effects.rigidities[::2] if scene.effects.rigidities else (isotropic, isotropic)
     inertia = scene.plate.density * scene.plate.thickness * (2 * math.pi * highest_frequency(scene)) ** 2
     x, y = (2 * math.pi * (bending / inertia) ** 0.25 for bending in rigidities)
     return x, y
@@ -135,7 +137,7 @@ def slowest_frequency(scene: Scene) -> float:
 def explain_missing_energies(scene: Scene, status: str = "its numbers grew beyond all bounds") -> str:
     """Return a sentence about a plate whose status is not "ok", with the likely cause.
 
-    A linear plate cannot grow below the stability limit, which does not include the tension of stretching.
+    A linear plate cannot grow below the stability limit, which does not include the membrane force of large motion.
     """
     scheme = None if scene.modal_only_key is not None else make_scheme(scene, allow_unstable=True)
     if scheme is not None and not scheme.stable:
@@ -143,7 +145,7 @@ def explain_missing_energies(scene: Scene, status: str = "its numbers grew beyon
             f"the time step of {scheme.time_step:.6g} s is above the stability limit of {scheme.limit:.6g} s; write a "
             "shorter grid.time_step."
         )
-    elif scheme is None or scene.effects.stretching is None:
+    elif scheme is None or not scene.effects.stretches:
         cause = f"check the drive (magnitudes are in {scene.drive_unit}, precision is {scene.grid.precision})."
     else:
         cause = (
@@ -160,7 +162,7 @@ def _finding(
 
 
 def _amplitude(scene: Scene, peak: float) -> Finding:
-    name, value, included = "displacement / thickness", peak / scene.plate.thickness, bool(scene.effects.stretching)
+    name, value, included = "displacement / thickness", peak / scene.plate.thickness, scene.effects.stretches
     if not math.isfinite(value):
         return Finding(name, value, MOST_AMPLITUDE, explain_missing_energies(scene), True)
     exceeded = value > MOST_AMPLITUDE and not included
@@ -191,7 +193,7 @@ def _points(scene: Scene) -> Finding:
 
 def _added_mass(scene: Scene) -> Finding:
     plate, named, added = scene.plate, bool(scene.layers), 0.0
-    for layer in scene.layers or film(scene):
+    for layer in scene.layers or film(tuple(actuator.area for actuator in scene.actuators)):
         x0, x1, y0, y1 = layer.area
         added += (2 if layer.both else 1) * (x1 - x0) * (y1 - y0) * layer.thickness * layer.density
     value = added / (plate.size[0] * plate.size[1] * plate.thickness * plate.density)
@@ -207,27 +209,25 @@ def _added_mass(scene: Scene) -> Finding:
 
 
 def _left_at_start(scene: Scene) -> Finding:
-    """Return the finding about start-up motion, which decays at the rate c/2ρH + time·ω²/2 + ζω, without oscillators.
+    """Return the finding about start-up motion, which decays at the rate c/2ρH + τω²/2 + ζω, without attached masses.
 
     ω is the lowest frequency of the drive, near which the strongest modes lie. The square of a voltage also has a
     constant part; its step at t = 0 excites the lowest modes.
     """
-    name, key, effects = "start-up motion left", with_one_frequency(scene).nonperiodic_key, scene.effects
+    name, key, lost = "start-up motion left", with_one_frequency(scene).nonperiodic_key, losses(scene.terms)
     if scene.steady:
         sentence = f"The motion is the steady one ({scene.modal_only_key}), without start-up motion."
         return Finding(name, 0.0, MOST_LEFT, sentence, False)
     if key is not None:
         sentence = f"The motion does not become steady ({key}), so its start-up motion is not judged."
         return Finding(name, math.nan, MOST_LEFT, sentence, False)
-    viscous = effects.damping.viscous if effects.damping else 0.0
-    viscous += effects.foundation.damping if effects.foundation else 0.0
-    rate = viscous / (2 * scene.plate.density * scene.plate.thickness)
-    if effects.material_damping or effects.modal_damping:
+    rate = lost.viscous / (2 * scene.plate.density * scene.plate.thickness)
+    if lost.retardation or lost.ratios is not None:
         lowest = min(carrier_frequencies(scene))
         if scene.drive.electrostatic is not None:
             lowest = min(lowest, slowest_frequency(scene))
-        rate += effects.material_damping.time * (2 * math.pi * lowest) ** 2 / 2 if effects.material_damping else 0.0
-        rate += float(np.min(effects.modal_damping.ratio)) * 2 * math.pi * lowest if effects.modal_damping else 0.0
+        rate += lost.retardation * (2 * math.pi * lowest) ** 2 / 2
+        rate += float(np.min(lost.ratios)) * 2 * math.pi * lowest if lost.ratios is not None else 0.0
     value = math.exp(-rate * scene.window.start)
     fact = f"When the window opens, {percent(value)} of the start-up motion is left (threshold {percent(MOST_LEFT)})"
     bad = "it never decays; name [effects.damping]."
@@ -258,11 +258,12 @@ def _above_first_mode(scene: Scene) -> Finding:
     The first mode of a clamped plate has waves no longer than 1.33 times its shorter side (4.73 for a strip), and no
     other edges shorten them: only stiffness beside that of bending raises its frequency.
     """
-    name, effects, driven = "drive's frequency / first natural frequency", scene.effects, highest_frequency(scene)
-    if effects.moving_load is not None:
+    name, driven = "drive's frequency / first natural frequency", highest_frequency(scene)
+    if scene.effects.travelling is not None:
         sentence = "A moving load has no single frequency, so it is not compared with the first natural frequency."
         return Finding(name, math.nan, 1.0, sentence, False, at_least=True)
-    stiffened = effects.foundation or effects.tension or effects.layers or effects.variation or effects.oscillators
+    springs = any(term.role == "stiffness" and not isinstance(term.place, Edge) for term in scene.terms)
+    stiffened = springs or scene.effects.layers or scene.effects.factor_maps
     if not stiffened and max(wavelengths(scene)) < min(scene.plate.size):
         sentence = "The drive's bending waves are shorter than the plate, so it lies above the first natural frequency."
         return Finding(name, math.nan, 1.0, sentence, False, at_least=True)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_plate.cli import options, output
+from warp_plate.effects.effect import attachments
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
@@ -73,7 +74,7 @@ def _grid_modes(scene: Scene, count: int) -> tuple[Scene, NaturalModes]:
     from warp_plate.plate.modes import natural_modes, refuse_many_nodes
     from warp_plate.studies.grid_choice import resolve_grid
 
-    effects = scene.effects.model_copy(update={"loss_factor": None, "modal_damping": None})
+    effects = scene.effects.keeping(lambda effect: effect.stepped)
     gridded = resolve_grid(scene.model_copy(update={"effects": effects}), "auto").scene
     refuse_many_nodes(gridded)
     return gridded, natural_modes(gridded, count)
@@ -98,18 +99,9 @@ def _draw(scene: Scene, found: NaturalModes, path: Path, colours: options.Colour
 
 def _left_out(scene: Scene, grid: bool) -> list[str]:
     """Return the effects of the scene that these modes leave out."""
-    effects = scene.effects
-    present = {
-        "damping": grid and effects.damping is not None,
-        "material damping": grid and effects.material_damping is not None,
-        "loss factor": grid and effects.loss_factor is not None,
-        "modal damping": grid and effects.modal_damping is not None,
-        "damping of the foundation": grid and effects.foundation is not None and effects.foundation.damping > 0,
-        "damping of oscillators": grid and any(oscillator.damping > 0 for oscillator in effects.oscillators),
-        "stretching": effects.stretching is not None,
-        "electrostatic force": scene.drive.electrostatic is not None,
-    }
-    return [name for name, active in present.items() if active]
+    left_out = scene.effects.damping_names(scene.plate) if grid else []
+    left_out += [name.replace("_", " ") for name in scene.effects.keeping(lambda effect: not effect.linear).names]
+    return [*left_out, "electrostatic force"] if scene.drive.electrostatic is not None else left_out
 
 
 def _as_json(
@@ -132,7 +124,7 @@ def _print(
     nx, ny = scene.grid.nodes
     grid = "" if errors is None else f": {nx} × {ny} nodes, order {scene.grid.order}"
     console.print(f"{scene.title or name}{grid}\n")
-    masses = [index for index, oscillator in enumerate(scene.effects.oscillators) if oscillator.mass > 0]
+    masses = [index for index, row in enumerate(attachments(scene.terms)) if row.mass > 0]
     columns = _columns(found, errors)
     made = output.table("mode", *columns, "lobes x × y", *(f"mass {index}" for index in masses))
     rows = zip(zip(*columns.values(), strict=True), found.half_waves(), found.oscillators, strict=True)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warp_plate.effects.damping import Damping
 from warp_plate.problem.design_variables import magnitude_unit
-from warp_plate.scene.effects import Damping
 from warp_plate.scene.model import Scene
 
 # Ends of the sliders as multiples of the scene's values; if it has no damping, as a loss factor at its frequency.

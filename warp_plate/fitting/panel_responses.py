@@ -5,7 +5,7 @@ With the dynamic stiffness Z in splines, which is symmetric, loads f and sensors
     Z = (1 + iη + iωτ) B + S − ω²M + iωC,     Z q = f,     Z p = s,     H = sᵀ q
     dH = dsᵀ q + pᵀ (df − dZ q)
 
-in which B, S, M and C are the matrices of :mod:`warp_plate.modal.galerkin`. Their derivatives are differences,
+in which B, S, M and C are the matrices of :mod:`warp_plate.modal.assemble`. Their derivatives are differences,
 which are exact for numbers that they are linear in, as moduli, densities and springs. Damping that is given mode by
 mode is no matrix in splines: responses of such panels are themselves differenced.
 """
@@ -17,13 +17,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from warp_plate.fitting.measured_responses import MeasuredResponses
+from warp_plate.modal.assemble import Galerkin, make_galerkin
 from warp_plate.modal.continuous_modes import linear_part
-from warp_plate.modal.galerkin.integrals import Matrix
-from warp_plate.modal.galerkin.matrices import Galerkin, make_galerkin, patch_integrals, point_values
 from warp_plate.modal.modes import solve_modes
+from warp_plate.modal.spaces.space import Matrix
 from warp_plate.modal.steady import CoupledModes, multiply_modes
 from warp_plate.result.frequency_response import DERIVATIVES
-from warp_plate.scene.effects import Effects
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
@@ -62,9 +61,7 @@ class PanelResponses:
             key=key,
         )
         if not plate.loss_factors.any():
-            raise SceneError(
-                "effects: responses of a panel without damping are not finite; write [effects.loss_factor]"
-            )
+            raise undamped_error()
         self._plate, self._omega, self._measured, self._coarse = plate, 2 * np.pi * frequencies, measured, coarse
         reached = int((plate.frequencies <= REACH * frequencies[-1]).sum())
         self._modes = CoupledModes(
@@ -123,18 +120,19 @@ class PanelResponses:
 
     def _difference(self, above: Scene, below: Scene | None, factor: float) -> Callable[..., np.ndarray]:
         """Return the function of frequencies, q and p that returns (measurements, n) derivatives."""
-        high = make_galerkin(linear_part(above), self._plate.galerkin.intervals)
-        low = make_galerkin(linear_part(below), high.intervals) if below is not None else self._plate.galerkin
         here, loads = self._plate.galerkin, self._loads
+        high, low = (_galerkin_like(here, scene) if scene is not None else here for scene in (above, below))
         # Where the functions change between the two, the difference is that to the side on which they do not.
         if below is not None and _alike(high, here) != _alike(low, here):
             high, low, factor = (high, here, 2 * factor) if _alike(high, here) else (here, low, 2 * factor)
-        if not (_alike(high, here) and _alike(low, here)) or _by_modes(above.effects):
+        if not (_alike(high, here) and _alike(low, here)) or high.losses.by_modes:
             slopes = factor * (self._values_of(above) - self._values_of(below))
             return lambda part, q, p: slopes[:, part]
         names = ("bending", "support", "mass", "damping")
         bending, support, mass, damping = (_change(getattr(high, name), getattr(low, name), factor) for name in names)
-        (loss, time), (loss_high, time_high), (loss_low, time_low) = map(_losses, (here, high, low))
+        (loss, time), (loss_high, time_high), (loss_low, time_low) = (
+            (one.losses.hysteretic, one.losses.retardation) for one in (here, high, low)
+        )
         changed_loss, changed_time = factor * (loss_high - loss_low), factor * (time_high - time_low)
         at_high, at_low = _Loads(high, self._omega), _Loads(low, self._omega)
         of_forces, of_sensors = factor * (at_high.forces - at_low.forces), factor * (at_high.sensors - at_low.sensors)
@@ -182,14 +180,14 @@ class _Loads:
         forces = []
         for name, point in kinds:
             if point is not None:
-                forces.append(point_values(galerkin, [point])[0])
+                forces.append(galerkin.space.at_points([point])[0])
             else:
                 x0, x1, y0, y1 = areas[str(name)]
-                along = galerkin.along_x, galerkin.along_y
-                forces.append(patch_integrals(*along, np.array([areas[str(name)]]))[0] / ((x1 - x0) * (y1 - y0)))
+                integrals = galerkin.space.patch_integrals(np.array([areas[str(name)]]))[0]
+                forces.append(integrals / ((x1 - x0) * (y1 - y0)))
         masses = len(galerkin.masses)
         self.forces = np.pad(np.array(forces).T, ((0, masses), (0, 0)))
-        self.sensors = np.pad(point_values(galerkin, [row.point for row in rows]).T, ((0, masses), (0, 0)))
+        self.sensors = np.pad(galerkin.space.at_points([row.point for row in rows]).T, ((0, masses), (0, 0)))
         self._driven = [kinds.index(each) for each in driven]
         powers = np.array([DERIVATIVES[row.quantity] for row in rows])[:, None]
         self.gains = np.array([row.gain for row in rows])[:, None] * (1j * omega) ** powers
@@ -199,30 +197,20 @@ class _Loads:
         return moved[:, range(len(self._driven)), self._driven].T
 
 
+def undamped_error() -> SceneError:
+    """Return the error for a panel whose responses are not finite."""
+    return SceneError("effects: responses of a panel without damping are not finite; write [effects.modal_damping]")
+
+
+def _galerkin_like(galerkin: Galerkin, scene: Scene) -> Galerkin:
+    """Return the matrices of another scene's linear part, over as many functions."""
+    linear = linear_part(scene)
+    return make_galerkin(linear, galerkin.space.of_scene(linear))
+
+
 def _alike(one: Galerkin, other: Galerkin) -> bool:
     """Return whether the functions of two plates are nearly the same, so that their matrices can be compared."""
-    for splines, others in ((one.along_x, other.along_x), (one.along_y, other.along_y)):
-        if splines.knots.size != others.knots.size or splines.left_out != others.left_out:
-            return False
-        if np.abs(splines.knots - others.knots).max() > MOVED * np.diff(others.breaks).min():
-            return False
-    return len(one.masses) == len(other.masses)
-
-
-def _by_modes(effects: Effects) -> bool:
-    """Return whether damping is given mode by mode."""
-    loss = effects.loss_factor
-    return effects.modal_damping is not None or (loss is not None and isinstance(loss.eta, tuple))
-
-
-def _losses(galerkin: Galerkin) -> tuple[float, float]:
-    """Return the loss factor η and the time τ [s] of the material's damping."""
-    effects = galerkin.scene.effects
-    loss = effects.loss_factor.eta if effects.loss_factor is not None else 0.0
-    return (
-        loss if isinstance(loss, float) else 0.0,
-        effects.material_damping.time if effects.material_damping is not None else 0.0,
-    )
+    return one.space.is_near(other.space, MOVED) and len(one.masses) == len(other.masses)
 
 
 def _change(high: Matrix, low: Matrix, factor: float) -> np.ndarray | None:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from warp_plate.fitting.free_numbers import FreeNumbers, free_numbers
-from warp_plate.fitting.panel_responses import MOST_MODES
+from warp_plate.fitting.panel_responses import MOST_MODES, undamped_error
 from warp_plate.modal.continuous_modes import linear_part
 from warp_plate.modal.modes import solve_modes
 from warp_plate.result.frequency_response import DERIVATIVES
@@ -185,7 +185,7 @@ def _responses(scene: Scene, frequencies: np.ndarray, candidates: np.ndarray) ->
     """Return (actuators, candidates, n) accelerances."""
     plate = solve_modes(linear_part(scene), frequencies[-1], most=MOST_MODES, key=f"fit.range: {frequencies[-1]:g} Hz")
     if not plate.loss_factors.any():
-        raise SceneError("effects: responses of a panel without damping are not finite; write [effects.loss_factor]")
+        raise undamped_error()
     forces = plate.actuator_forces() / [(x1 - x0) * (y1 - y0) for x0, x1, y0, y1 in (a.area for a in scene.actuators)]
     amplitudes = plate.respond(frequencies, forces)
     turn = (2j * np.pi * frequencies) ** DERIVATIVES["accelerance"]

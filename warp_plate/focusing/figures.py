@@ -17,7 +17,7 @@ HALF = 0.5  # −6 dB
 
 def field_at_end(plate: ModalPlate, amplitudes: np.ndarray) -> np.ndarray:
     """Return the (ny, nx) field of amplitudes (modes,) in the middles of equal cells."""
-    rows, columns = plate.galerkin.shape
+    rows, columns = plate.space.shape
     x, y = (
         side * (np.arange(CELLS * count) + 0.5) / (CELLS * count)
         for side, count in zip(plate.scene.plate.size, (columns, rows), strict=True)

@@ -131,7 +131,7 @@ def _table(scene: Scene) -> Focus:
     if scene.nonlinear_table is not None:
         raise SceneError(f"{scene.nonlinear_table}: waveforms are focused on a linear plate without it")
     if scene.steady:
-        raise SceneError("effects.loss_factor: has no motion in time; take viscous damping or effects.modal_damping")
+        raise SceneError(f"{scene.steady_key}: has no motion in time; take viscous damping or effects.modal_damping")
     if scene.focus.condition == L_CURVE and scene.search.robust is None:
         what = "exact responses of one panel have an L-curve without a corner"
         raise SceneError(f'focus.condition = "{L_CURVE}": {what}; write a number, or tolerances in [search.robust]')

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from warp_plate.focusing.responses import HeldResponses
-from warp_plate.modal.galerkin.integrals import Integrals
 from warp_plate.modal.modes import modes_below
 from warp_plate.result.focus import FocusResult
 from warp_plate.result.motion import Motion
@@ -40,7 +39,7 @@ def focus_motions(
     plate = modes_below(found.scene, table.highest, "focus.highest")
     x, y = (
         np.linspace(0, side, POINTS * count + 1)
-        for side, count in zip(found.scene.plate.size, plate.galerkin.shape[::-1], strict=True)
+        for side, count in zip(found.scene.plate.size, plate.space.shape[::-1], strict=True)
     )
     recorded, moment = found.times.size, table.moment
     if found.wished is not None:
@@ -60,7 +59,7 @@ def focus_motions(
             fields.append(np.stack(both).astype(np.float32))
     displacement, velocity = np.stack(fields, axis=2)
     largest = [float(np.abs(each).max()) or 1.0 for each in displacement]
-    mass = Integrals(found.scene, plate.galerkin.along_x, plate.galerkin.along_y).fields_at(x, y)[4]
+    mass = plate.space.density(x, y)
     return [
         Motion(
             name=f"{name.replace('_', ' ')}: {_length(largest[index])}",

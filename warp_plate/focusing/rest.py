@@ -71,7 +71,7 @@ def _root_mean_square(responses: HeldResponses, disc: tuple[float, float, float]
     plate = responses.plate
     width, height = plate.scene.plate.size
     inside = plate.kinetic_matrix(Target(disc=disc), (0.0, width, 0.0, height))
-    outside, total = plate.kinetic_matrix() - inside, plate.galerkin.plate_mass
+    outside, total = plate.kinetic_matrix() - inside, plate.space.plate_mass
     mass = total * (1 - math.pi * disc[2] ** 2 / (width * height))
     squares, vectors = scipy.linalg.eigh(outside)
     return np.asarray((vectors * np.sqrt(np.maximum(squares, 0) / mass)) @ vectors.T)

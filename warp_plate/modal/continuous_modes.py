@@ -57,7 +57,7 @@ def continuous_modes(scene: Scene, count: int, nodes: tuple[int, int] | None = N
     plate = plate.part(np.arange(count + SPARE))
     nx, ny = nodes or _raster(scene)
     x, y = np.linspace(-1, 1, nx), np.linspace(-1, 1, ny)
-    (width, height), masses = scene.plate.size, plate.oscillator_motions
+    (width, height), masses = scene.plate.size, plate.attached_motions
     shapes = plate.shapes((1 + x) / 2 * width, (1 + y) / 2 * height).reshape(len(masses), -1)
     weight = np.append((x**2 + (y**2)[:, None] / 2).ravel(), np.zeros(masses.shape[1]))
     vectors = separated(plate.angular_frequencies**2, np.hstack([shapes, masses]).T, weight)
@@ -66,15 +66,10 @@ def continuous_modes(scene: Scene, count: int, nodes: tuple[int, int] | None = N
 
 
 def linear_part(scene: Scene) -> Scene:
-    """Return the scene without stretching and electrostatic force; masses that only a damper holds are at rest."""
-    oscillators = tuple(
-        oscillator if oscillator.stiffness > 0 else oscillator.model_copy(update={"mass": 0.0})
-        for oscillator in scene.effects.oscillators
-    )
-    effects = scene.effects.model_copy(update={"stretching": None, "oscillators": oscillators})
-    return scene.model_copy(
-        update={"effects": effects, "drive": scene.drive.model_copy(update={"electrostatic": None})}
-    )
+    """Return the scene for small motion: without effects and forces that are not linear, and with masses that only a
+    damper holds at rest."""
+    drive = scene.drive.model_copy(update={"electrostatic": None})
+    return scene.model_copy(update={"effects": scene.effects.linearized(), "drive": drive})
 
 
 def _raster(scene: Scene) -> tuple[int, int]:

@@ -18,6 +18,7 @@ from warp_plate.kernels import tones as kernels
 from warp_plate.modal.energy import mean_exponential
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.poles import APART
+from warp_plate.modal.spaces.tensor_splines import TensorSplines
 from warp_plate.modal.steady import as_sparse
 from warp_plate.modal.tones import ToneMatrices
 from warp_plate.scene.model import Window
@@ -71,7 +72,8 @@ class DeviceToneMatrices:
         ]
         # Piezo patches stay in their places; their forces are moments along their edges, which no kernel integrates.
         self._fixed = plate.actuator_forces() if plate.scene.piezo else None
-        sides = plate.galerkin.along_x, plate.galerkin.along_y
+        assert isinstance(plate.space, TensorSplines)
+        sides = plate.space.along
         tables = [side.breaks for side in sides] + [side.integral_pieces for side in sides]
         self._splines, self._unknowns = [self._put(table) for table in tables], math.prod(x.functions for x in sides)
         self._shapes, self._modes = self._put_tiles(plate.vectors[: self._unknowns].T), len(place)

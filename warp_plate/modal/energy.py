@@ -101,7 +101,7 @@ def energies(
     A moving load presses beside the actuators. See :func:`gram_matrices`.
     """
     scene, window = plate.scene, plate.scene.window
-    if scene.effects.moving_load is None:
+    if scene.effects.travelling is None:
         forces, frequency = plate.actuator_forces()[None], actuator_frequencies(scene)[None]
         matrices = gram_matrices(plate, regions, forces, frequency, None if scene.steady else window, quantity)[0]
     else:

@@ -2,7 +2,7 @@
 
     K φ = ω² M φ,     Φᵀ M Φ = 1,     u = Σ_r φ_r(x, y) q_r(t),     q̈ + C q̇ + (Λ + iH) q = Φᵀ f
 
-With the matrices of :mod:`warp_plate.modal.galerkin`, Λ = diag(ω_r²) and C = Φᵀ C Φ, which is not diagonal where
+With the matrices of :mod:`warp_plate.modal.assemble`, Λ = diag(ω_r²) and C = Φᵀ C Φ, which is not diagonal where
 dampers sit on patches or the plate's mass varies. H is the imaginary part of the stiffness of a plate with a constant
 loss factor, which has only steady responses. All modes of a small plate are kept, so that nothing is truncated; of a
 large one those that matter below a frequency.
@@ -17,15 +17,14 @@ from functools import cached_property
 
 import numpy as np
 
-from warp_plate.modal.galerkin.eigenproblem import bending_energies, solve_eigenproblem
-from warp_plate.modal.galerkin.integrals import Integrals
-from warp_plate.modal.galerkin.matrices import Galerkin, load_integrals, make_galerkin, patch_integrals, point_values
-from warp_plate.modal.galerkin.regions import region_matrix
-from warp_plate.modal.galerkin.splines import gauss, make_splines
+from warp_plate.effects.effect import per_mode
+from warp_plate.modal.assemble import Galerkin, load_integrals, make_galerkin, make_space
+from warp_plate.modal.eigenproblem import bending_energies, solve_eigenproblem
 from warp_plate.modal.poles import Poles, make_poles
+from warp_plate.modal.spaces.integrals import mean_wave_frequency
+from warp_plate.modal.spaces.space import FunctionSpace
 from warp_plate.modal.steady import CoupledModes
 from warp_plate.plate.signals import highest_frequency
-from warp_plate.scene.effects import per_mode
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene, SceneSource
@@ -40,8 +39,6 @@ MOST_MODES, MOST_ALONE = 1000, 1500
 # Modes that are wanted: those up to REACH times the highest frequency, and FURTHER ones for what higher ones add to
 # responses, or SPARE without responses.
 REACH, FURTHER, SPARE = 4.0, 600, 40
-# Gauss's points between two lines of the plate for its mean wave.
-POINTS_OF_MEAN = 2
 # Frequencies below this part of √(D/ρH)(π/longer side)² are those of rigid motions.
 STILL = 1e-4
 # Damping that couples two modes by less than this part of their own has no effect; by less than the other of the
@@ -73,6 +70,11 @@ class ModalPlate:
     def scene(self) -> Scene:
         """The scene."""
         return self.galerkin.scene
+
+    @property
+    def space(self) -> FunctionSpace:
+        """Functions that the shapes are sums of."""
+        return self.galerkin.space
 
     @property
     def angular_frequencies(self) -> np.ndarray:
@@ -134,18 +136,15 @@ class ModalPlate:
 
     def shapes(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return (modes, ny, nx) shapes φ [1/√kg] on the grid of x and y [m]."""
-        along_x, along_y = self.galerkin.along_x, self.galerkin.along_y
-        coefficients = self._plate_vectors.T.reshape(-1, along_y.functions, along_x.functions)
-        return np.asarray(along_y.values(y).T @ coefficients @ along_x.values(x))
+        return self.space.on_grid(self._plate_vectors.T, x, y)
 
     def at_points(self, points: Sequence[tuple[float, float]] | np.ndarray) -> np.ndarray:
         """Return (modes, points) shapes φ [1/√kg] at points (x, y) [m]."""
-        return np.asarray(self._plate_vectors.T @ point_values(self.galerkin, points).T)
+        return np.asarray(self._plate_vectors.T @ self.space.at_points(points).T)
 
     def patch_forces(self, areas: Sequence[Area] | np.ndarray) -> np.ndarray:
         """Return (modes, areas) ∫ φ dA [m²/√kg] over rectangles x0, x1, y0, y1 [m], the modal forces of 1 N/m²."""
-        integrals = patch_integrals(self.galerkin.along_x, self.galerkin.along_y, np.asarray(areas, dtype=float))
-        return np.asarray(self._plate_vectors.T @ integrals.T)
+        return np.asarray(self._plate_vectors.T @ self.space.patch_integrals(np.asarray(areas, dtype=float)).T)
 
     def actuator_forces(self) -> np.ndarray:
         """Return (modes, actuators) modal forces of 1 N/m², or of 1 V on piezo patches, for the scene's actuators."""
@@ -157,14 +156,11 @@ class ModalPlate:
 
     def displacement(self, amplitudes: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return displacements (..., ny, nx) [m] of modal amplitudes (..., modes) on the grid of x and y [m]."""
-        along_x, along_y = self.galerkin.along_x, self.galerkin.along_y
-        coefficients = amplitudes @ self._plate_vectors.T
-        coefficients = coefficients.reshape(*amplitudes.shape[:-1], along_y.functions, along_x.functions)
-        return np.asarray(along_y.values(y).T @ coefficients @ along_x.values(x))
+        return self.space.on_grid(amplitudes @ self._plate_vectors.T, x, y)
 
     @property
-    def oscillator_motions(self) -> np.ndarray:
-        """(modes, oscillators with a mass) motions of the masses [1/√kg]."""
+    def attached_motions(self) -> np.ndarray:
+        """(modes, attached masses) motions of the masses [1/√kg]."""
         return self.vectors[self._plate_unknowns :].T
 
     def kinetic_matrix(self, region: str | Area | Target = "plate", within: Area | None = None) -> np.ndarray:
@@ -178,10 +174,10 @@ class ModalPlate:
             SceneError: The file of a mask cannot be read.
         """
         if isinstance(region, str) and within is None:
-            attached = self.oscillator_motions * np.sqrt([oscillator.mass for oscillator in self.galerkin.masses])
+            attached = self.attached_motions * np.sqrt([attachment.mass for attachment in self.galerkin.masses])
             return np.eye(len(self.frequencies)) - attached @ attached.T
         area = (0.0, self.scene.plate.size[0], 0.0, self.scene.plate.size[1])
-        matrix = region_matrix(self.galerkin, area if isinstance(region, str) else region, within)
+        matrix = self.galerkin.region_matrix(area if isinstance(region, str) else region, within)
         return np.asarray(self.vectors.T @ (matrix @ self.vectors))
 
     def respond(self, frequencies: np.ndarray, forces: np.ndarray) -> np.ndarray:
@@ -229,7 +225,7 @@ class ModalPlate:
 
     @property
     def _plate_unknowns(self) -> int:
-        return math.prod(self.galerkin.shape)
+        return self.space.unknowns
 
     @property
     def _plate_vectors(self) -> np.ndarray:
@@ -264,17 +260,17 @@ def solve_modes(
             cannot be read.
     """
     scene = Scene.load(scene)
-    if scene.nonlinear_table not in (None, "effects.moving_load"):
-        raise SceneError(f"{scene.nonlinear_table}: has no modes, for it is not linear; simulate it in time steps")
+    if scene.nonlinear_key is not None:
+        raise SceneError(f"{scene.nonlinear_key}: has no modes, for it is not linear; simulate it in time steps")
     # More functions follow shorter waves, and higher modes are kept of a plate that has too many for all.
     finer = scene.grid.modal_density
     highest, density = finer * (highest_frequency(scene) if highest is None else highest), finer * density
-    wave, area = _wave_frequency(scene), math.prod(scene.plate.size)
+    wave, area = mean_wave_frequency(scene), math.prod(scene.plate.size)
     counted = wave * (math.sqrt(4 / math.pi * count) + 2) ** 2 / area if count else 0.0
     intervals = _intervals(scene, max(highest, counted), wave, density)
     below = max(math.pi / 4 * area * highest / wave, count)
     _check_size(scene, key or ("drive.frequency" if highest >= counted else "count"), below, most, intervals)
-    galerkin = make_galerkin(scene, intervals)
+    galerkin = make_galerkin(scene, make_space(scene, intervals))
     # Weyl's law, and a margin for its boundary term.
     wanted = 1.1 * math.pi / 4 * area * max(REACH * highest, counted) / wave + (FURTHER if highest else SPARE)
     least = 0.0
@@ -285,17 +281,16 @@ def solve_modes(
     frequencies = np.sqrt(np.maximum(squares, 0.0)) / (2 * math.pi)
     frequencies[frequencies < STILL * lowest] = 0.0
     damping, hysteretic = _viscous(galerkin, vectors), np.zeros((squares.size, squares.size))
-    effects = scene.effects
-    if effects.material_damping is not None:
-        damping += effects.material_damping.time * bending_energies(galerkin, squares, vectors, improve)
-    if effects.modal_damping is not None:
-        ratios = per_mode(effects.modal_damping.ratio, frequencies.size)
+    lost = galerkin.losses
+    if lost.retardation:
+        damping += lost.retardation * bending_energies(galerkin, squares, vectors, improve)
+    if lost.ratios is not None:
+        ratios = per_mode(lost.ratios, frequencies.size)
         damping[np.diag_indices_from(damping)] += 2 * ratios * 2 * math.pi * frequencies
-    if (loss := effects.loss_factor) is not None:
-        if isinstance(loss.eta, tuple):
-            hysteretic = np.diag(per_mode(loss.eta, frequencies.size) * np.maximum(squares, 0))
-        else:
-            hysteretic = loss.eta * bending_energies(galerkin, squares, vectors, improve)
+    if lost.loss_factors is not None:
+        hysteretic = np.diag(per_mode(lost.loss_factors, frequencies.size) * np.maximum(squares, 0))
+    elif lost.hysteretic:
+        hysteretic = lost.hysteretic * bending_energies(galerkin, squares, vectors, improve)
     return ModalPlate(galerkin, frequencies, vectors, damping, hysteretic, highest)
 
 
@@ -334,23 +329,13 @@ def _check_size(scene: Scene, key: str, below: float, most: int, intervals: tupl
 
 
 def _intervals(scene: Scene, highest: float, wave: float, density: float) -> tuple[int, int]:
-    """Return the number of intervals between knots along x and along y; ``wave`` as :func:`_wave_frequency`."""
+    """Return the number of intervals between knots along x and along y; ``wave`` as :func:`mean_wave_frequency`."""
     waves, longer = math.sqrt(highest / wave), max(scene.plate.size)
     counts = [
         math.ceil(max(FEWEST * math.sqrt(side / longer), PER_HALF_WAVE * waves * side)) for side in scene.plate.size
     ]
     x, y = (math.ceil(density * count) for count in counts)
     return x, y
-
-
-def _wave_frequency(scene: Scene) -> float:
-    """Return the frequency [Hz] of a bending wave with one half-wave per metre, by the mean of mass over rigidity."""
-    along_x, along_y = (make_splines(side, ("free", "free"), 1, 2) for side in scene.plate.size)
-    integrals = Integrals(scene, along_x, along_y)
-    (x, weights_x), (y, weights_y) = (gauss(breaks, POINTS_OF_MEAN) for breaks in integrals.breaks)
-    bend_xx, _, bend_yy, _, mass = integrals.fields_at(x, y)
-    total = weights_y @ (mass / np.minimum(bend_xx, bend_yy)) @ weights_x
-    return math.pi / 2 * math.sqrt(math.prod(scene.plate.size) / total)
 
 
 def _is_diagonal(matrix: np.ndarray) -> bool:

@@ -129,7 +129,7 @@ def make_excitation(
     frequency = actuator_frequencies(scene) if frequency is None else frequency
     delay = actuator_delays(scene) if delay is None else delay
     poles, loads = unit_loads(scene, poles, frequency, delay, end)
-    moving = moving_loads(plate, end) if scene.effects.moving_load is not None else []
+    moving = moving_loads(plate, end) if scene.effects.travelling is not None else []
     return Excitation(poles, poles.gains(forces), loads, [load.times_inputs(poles.inputs) for load in moving])
 
 
@@ -152,5 +152,5 @@ def _steady_motion(plate: ModalPlate, outputs: np.ndarray, times: np.ndarray, ve
 
 def with_moving_load(plate: ModalPlate, drives: np.ndarray) -> np.ndarray:
     """Return drives (drives, actuators) with the phasor 1 of a moving load, if there is one."""
-    moving = plate.scene.effects.moving_load is not None
+    moving = plate.scene.effects.travelling is not None
     return np.concatenate([drives, np.ones((len(drives), int(moving)))], axis=1)

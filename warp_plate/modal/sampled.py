@@ -106,17 +106,17 @@ def sampled_loads(scene: Scene, frequency: np.ndarray, delay: np.ndarray, end: f
 def moving_loads(plate: ModalPlate, end: float) -> list[SampledLoads]:
     """Return the modal forces [N/√kg] of a scene's moving load, as one column, from t = 0 to ``end`` [s]."""
     scene = plate.scene
-    load = scene.effects.moving_load
+    load = scene.effects.travelling
     assert load is not None
     last = end if load.to_time is None else min(load.to_time, end)
     cuts, spans = {0.0, end, load.from_time, last}, []
-    for start, speed, side, splines in zip(
-        load.start, load.velocity, scene.plate.size, (plate.galerkin.along_x, plate.galerkin.along_y), strict=True
+    for start, speed, side, interval in zip(
+        load.start, load.velocity, scene.plate.size, plate.space.interval_sizes, strict=True
     ):
         if speed:
             edges = [edge + sign * load.size / 2 for edge in (0.0, side) for sign in (-1, 1)]
             cuts.update(load.from_time + (edge - start) / speed for edge in edges)
-            spans.append(float(np.diff(splines.breaks).mean()) / 2 / abs(speed))
+            spans.append(interval / 2 / abs(speed))
     moments = sorted(cut for cut in cuts if 0 <= cut <= end)
     turn, loads = 2 * math.pi * (load.frequency or 0.0), []
     for low, high in pairwise(moments):
@@ -131,7 +131,7 @@ def moving_loads(plate: ModalPlate, end: float) -> list[SampledLoads]:
 
 def _moving_forces(plate: ModalPlate, times: np.ndarray) -> np.ndarray:
     """Return (modes, times) modal forces [N/√kg] while the load is on the plate."""
-    load, (width, height) = plate.scene.effects.moving_load, plate.scene.plate.size
+    load, (width, height) = plate.scene.effects.travelling, plate.scene.plate.size
     assert load is not None
     x, y = _places(plate.scene, times)
     force = load.force * np.cos(2 * math.pi * (load.frequency or 0.0) * times)
@@ -144,7 +144,7 @@ def _moving_forces(plate: ModalPlate, times: np.ndarray) -> np.ndarray:
 
 def _touches(scene: Scene, time: float) -> bool:
     """Return whether the moving load is on the plate at a time [s]."""
-    load = scene.effects.moving_load
+    load = scene.effects.travelling
     assert load is not None
     slack = load.size / 2 + 1e-12 * max(scene.plate.size)
     places = zip(_places(scene, np.array([time])), scene.plate.size, strict=True)
@@ -153,7 +153,7 @@ def _touches(scene: Scene, time: float) -> bool:
 
 def _places(scene: Scene, times: np.ndarray) -> Iterable[np.ndarray]:
     """Return x and y of the moving load's middle [m] at times [s]."""
-    load = scene.effects.moving_load
+    load = scene.effects.travelling
     assert load is not None
     return [start + speed * (times - load.from_time) for start, speed in zip(load.start, load.velocity, strict=True)]
 

@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 
+from warp_plate.modal.assemble import load_integrals
 from warp_plate.modal.energy import lasting_poles, mean_exponential, mean_exponential_with_time
-from warp_plate.modal.galerkin.matrices import load_integrals
 from warp_plate.modal.loads import ExponentialLoads, exponential_loads
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.poles import Poles
@@ -99,12 +99,7 @@ def energy_slopes(
 
 def _patch_forces(plate: ModalPlate, areas: np.ndarray) -> np.ndarray:
     """Return (3, designs, modes, M) modal forces over areas (designs, M, 4) and their slopes by x and y."""
-    along_x, along_y = plate.galerkin.along_x, plate.galerkin.along_y
-    x0, x1, y0, y1 = areas.reshape(-1, 4).T
-    across = (along_x.values(x1) - along_x.values(x0)).T, (along_y.values(y1) - along_y.values(y0)).T
-    by_x = along_y.integrals(y0, y1).T[:, :, None] * across[0][:, None, :]
-    by_y = across[1][:, :, None] * along_x.integrals(x0, x1).T[:, None, :]
-    integrals = np.stack([load_integrals(plate.galerkin, areas), *(by.reshape(len(x0), -1) for by in (by_x, by_y))])
+    integrals = np.stack([load_integrals(plate.galerkin, areas), *plate.space.patch_slopes(areas)])
     forces = integrals @ plate.vectors[: integrals.shape[2]]
     return np.asarray(forces.reshape(3, *areas.shape[:2], -1).swapaxes(2, 3))
 

@@ -1,4 +1,4 @@
-"""The plate in moment form: rigidity, mass and springs of every node, with a scene's edges, layers and effects.
+"""The plate in moment form: rigidity, mass and springs of every node, from the terms of a scene.
 
 Bending stores ½∫ Dx u_xx² + 2 D1 u_xx u_yy + Dy u_yy² + 4 Dxy u_xy² dA. On the grid, curvatures and moments belong to
 nodes and twists to cells, and a node on an edge has half a cell (a quarter at a corner). There the curvature across the
@@ -14,15 +14,17 @@ from an energy: it is symmetric in the nodes' masses, and never negative.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy
 
+from warp_plate.effects.effect import DISPLACEMENT, IN_PLANE, SLOPE, Attachment, Edge, Patch, Term, attachments
 from warp_plate.plate.section import Section, make_section
 from warp_plate.plate.weights import EDGE_LINES, moving_nodes, node_positions, overlap
-from warp_plate.scene.model import ElasticEdge, Scene
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
 
 # Up to this many unknowns, all buckling loads are computed by a dense solver.
 DENSE = 400
@@ -30,68 +32,150 @@ DENSE = 400
 
 @dataclass(frozen=True)
 class Bending:
-    """Fields of the plate on its grid."""
+    """Fields of the plate on its grid.
 
-    spacing: tuple[float, float]  # (hx, hy) [m]
-    bend_xx: np.ndarray  # (ny, nx) Cxx above [N·m]
-    bend_xy: np.ndarray  # (ny, nx) Cxy [N·m]
-    bend_yy: np.ndarray  # (ny, nx) Cyy [N·m]
-    twist: np.ndarray  # (ny − 1, nx − 1) 4Dxy of the cells [N·m]
-    mass: np.ndarray  # (ny, nx) mass per area [kg/m²]
-    weight: np.ndarray  # (ny, nx) share of each node's cell on the plate: 1, ½ or ¼
-    spring: np.ndarray  # (ny, nx) springs per area, of the bed and of elastic edges [N/m³]
-    moves: np.ndarray  # (ny, nx) true for nodes that move
-    tension: tuple[float, float]  # Tension along x and y [N/m]
-    stretch: tuple[float, float]  # Resistance to stretching of the whole plate along x and y [N/m], see ``section``
+    Attributes:
+        spacing: (hx, hy) [m].
+        bend_xx, bend_xy, bend_yy: (ny, nx) Cxx, Cxy and Cyy above [N·m].
+        twist: (ny − 1, nx − 1) 4Dxy of the cells [N·m].
+        mass: (ny, nx) mass per area [kg/m²].
+        weight: (ny, nx) share of each node's cell on the plate: 1, ½ or ¼.
+        moves: (ny, nx) true for nodes that move.
+        stretch: Resistance to stretching of the whole plate along x and y [N/m], see ``section``.
+        springs: (ny, nx) springs per area [N/m³], by what they belong to.
+        membrane: In-plane force along x and y [N/m], positive in tension.
+        retardation: Retardation time of the bending moments [s].
+        attachments: Masses, springs and dampers on patches.
+        shares: (attachments, ny, nx) shares of the nodes in the mean displacement of each patch.
+        labels: Names of ``membrane`` and ``retardation`` in texts.
+    """
+
+    spacing: tuple[float, float]
+    bend_xx: np.ndarray
+    bend_xy: np.ndarray
+    bend_yy: np.ndarray
+    twist: np.ndarray
+    mass: np.ndarray
+    weight: np.ndarray
+    moves: np.ndarray
+    stretch: tuple[float, float]
+    springs: Mapping[str, np.ndarray] = field(default_factory=dict)
+    membrane: tuple[float, float] = (0.0, 0.0)
+    retardation: float = 0.0
+    attachments: Sequence[Attachment] = ()
+    shares: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    labels: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def spring(self) -> np.ndarray:
+        """(ny, nx) all springs per area [N/m³]."""
+        return sum(self.springs.values(), start=np.zeros_like(self.mass))
+
+    @property
+    def cell(self) -> float:
+        """Area of a cell [m²]."""
+        return self.spacing[0] * self.spacing[1]
 
     @property
     def stretch_ratio(self) -> float:
-        """κ of ``section``: stretching tension along y relative to that along x; 1 for an isotropic plate."""
+        """κ of ``section``: tension by stretching along y relative to that along x; 1 for an isotropic plate."""
         return math.sqrt(self.stretch[1] / self.stretch[0])
 
     @property
     def berger(self) -> float:
         """Berger's tension along x for ∫ u_x² + κu_y² dA = 1 m² [N/m³]; for an isotropic plate 6D/(H² area)."""
-        area = self.spacing[0] * self.spacing[1] * float(self.weight.sum())
-        return self.stretch[0] / (2 * area)
+        return self.stretch[0] / (2 * self.cell * float(self.weight.sum()))
 
 
 def make_bending(scene: Scene) -> Bending:
-    """Return the fields of a scene on its grid."""
-    effects, (width, height), (nx, ny) = scene.effects, scene.plate.size, scene.grid.nodes
-    hx, hy = width / (nx - 1), height / (ny - 1)
-    section = make_section(scene)
-    compliance_x, compliance_y = np.zeros((ny, nx)), np.zeros((ny, nx))
-    spring = np.full((ny, nx), effects.foundation.stiffness if effects.foundation else 0.0)
-    for side, line in EDGE_LINES.items():
-        edge = getattr(scene.edges, side)
-        across, compliance = (hx, compliance_x) if side in ("left", "right") else (hy, compliance_y)
-        if isinstance(edge, ElasticEdge):
-            compliance[line] = 2 / (edge.rotation * across) if edge.rotation > 0 else math.inf
-            spring[line] += 2 * edge.translation / across
-        else:
-            compliance[line] = 0 if edge == "clamped" else math.inf
-    bend_xx, bend_xy, bend_yy = _in_series(section, compliance_x, compliance_y)
+    """Return the fields of a scene on its grid.
+
+    Raises:
+        SceneError: The scene has a term that the grid does not have, or a file that it names cannot be read.
+    """
+    (width, height), (nx, ny) = scene.plate.size, scene.grid.nodes
+    spacing, section = (width / (nx - 1), height / (ny - 1)), make_section(scene)
+    bend_xx, bend_xy, bend_yy = _in_series(section, *_edge_compliances(scene, spacing))
     corners = section.twist
     half_x, half_y = np.ones(nx), np.ones(ny)
     half_x[[0, -1]] = half_y[[0, -1]] = 0.5
-    return Bending(
-        spacing=(hx, hy),
+    bare = Bending(
+        spacing=spacing,
         bend_xx=bend_xx,
         bend_xy=bend_xy,
         bend_yy=bend_yy,
         twist=corners[:-1, :-1] + corners[1:, :-1] + corners[:-1, 1:] + corners[1:, 1:],
         mass=section.mass,
         weight=np.outer(half_y, half_x),
-        spring=spring,
         moves=moving_nodes(scene),
-        tension=(effects.tension.x, effects.tension.y) if effects.tension else (0.0, 0.0),
         stretch=section.stretch,
+    )
+    attached = attachments(scene.terms)
+    return replace(
+        _with_terms(bare, scene.terms), attachments=attached, shares=_patch_shares(scene, attached)
     )
 
 
-def stiffness_matrix(bending: Bending) -> scipy.sparse.csr_array:
-    """Return the symmetric matrix K [N/m] of all nodes, row by row, edges included: ½uᵀKu is the energy stored."""
+def _edge_compliances(scene: Scene, spacing: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Return (ny, nx) compliances 2/(r h) along x and y of what holds the slope of the edges."""
+    rotations = {side: math.inf if edge == "clamped" else 0.0 for side, edge in scene.edges}
+    for term in scene.terms:
+        if isinstance(term.place, Edge) and term.factors == SLOPE:
+            rotations[term.place.side] += term.coefficient
+    compliances = np.zeros((2, *scene.grid.nodes[::-1]))
+    for side, line in EDGE_LINES.items():
+        axis, rotation = 0 if side in ("left", "right") else 1, rotations[side]
+        compliances[axis][line] = 2 / (rotation * spacing[axis]) if rotation > 0 else math.inf
+    return compliances[0], compliances[1]
+
+
+def _with_terms(bare: Bending, terms: Sequence[Term]) -> Bending:
+    """Return the plate with the terms of edges and effects."""
+    springs: dict[str, np.ndarray] = {}
+    membrane, retardation = [0.0, 0.0], 0.0
+    labels: dict[str, list[str]] = {"membrane": [], "retardation": []}
+    for term in sorted(terms, key=lambda term: isinstance(term.place, Edge)):
+        if term.role == "stiffness" and not isinstance(term.place, Patch):
+            if term.factors in IN_PLANE:
+                membrane[IN_PLANE.index(term.factors)] += term.coefficient
+                labels["membrane"].append(term.label)
+            elif term.factors == DISPLACEMENT:
+                field = springs.setdefault(term.label, np.zeros_like(bare.mass))
+                _add_spring(field, bare, term)
+            elif term.factors != SLOPE:
+                raise _refused(term)
+        elif term.of == "bending" and term.role == "damping":
+            retardation += term.coefficient
+            labels["retardation"].append(term.label)
+        elif term.distributed and term.factors != DISPLACEMENT:
+            raise _refused(term)
+    return replace(
+        bare,
+        springs=springs,
+        membrane=(membrane[0], membrane[1]),
+        retardation=retardation,
+        labels={key: " and ".join(dict.fromkeys(names)) for key, names in labels.items() if names},
+    )
+
+
+def _add_spring(field: np.ndarray, bare: Bending, term: Term) -> None:
+    """Add a spring of the whole plate [N/m³], or along an edge [N/m²], to a field of springs per area, in place."""
+    if isinstance(term.place, Edge):
+        across = bare.spacing[0 if term.place.side in ("left", "right") else 1]
+        field[EDGE_LINES[term.place.side]] += 2 * term.coefficient / across
+    else:
+        field += term.coefficient
+
+
+def _refused(term: Term) -> SceneError:
+    return SceneError(f"effects: {term.label} has no term on a grid, and so no time steps; take the modal engine")
+
+
+def stiffness_parts(bending: Bending) -> dict[str, scipy.sparse.csr_array]:
+    """Return the symmetric matrices [N/m] of all nodes, row by row, edges included, that add up to K, by name.
+
+    ½uᵀKu is the energy stored by "bending", by in-plane forces and by springs.
+    """
     (hx, hy), (ny, nx) = bending.spacing, bending.mass.shape
     curve_x = scipy.sparse.kron(scipy.sparse.eye_array(ny), _mirrored_second_difference(nx)) / hx**2
     curve_y = scipy.sparse.kron(_mirrored_second_difference(ny), scipy.sparse.eye_array(nx)) / hy**2
@@ -101,46 +185,55 @@ def stiffness_matrix(bending: Bending) -> scipy.sparse.csr_array:
     def diagonal(values: np.ndarray) -> scipy.sparse.dia_array:
         return scipy.sparse.diags_array(np.ravel(values))
 
-    stiffness = (
-        curve_x.T @ diagonal(weight * bending.bend_xx) @ curve_x
+    parts = {
+        "bending": curve_x.T @ diagonal(weight * bending.bend_xx) @ curve_x
         + curve_x.T @ diagonal(weight * bending.bend_xy) @ curve_y
         + curve_y.T @ diagonal(weight * bending.bend_xy) @ curve_x
         + curve_y.T @ diagonal(weight * bending.bend_yy) @ curve_y
         + cells.T @ diagonal(bending.twist) @ cells
-        + diagonal(weight * bending.spring)
-        - bending.tension[0] * diagonal(weight) @ curve_x
-        - bending.tension[1] * diagonal(weight) @ curve_y
-    )
-    return scipy.sparse.csr_array(hx * hy * stiffness)
+    }
+    if any(bending.membrane):
+        curved = bending.membrane[0] * diagonal(weight) @ curve_x + bending.membrane[1] * diagonal(weight) @ curve_y
+        parts[bending.labels.get("membrane", "membrane")] = -curved
+    for label, springs in bending.springs.items():
+        if springs.any():
+            parts[label] = diagonal(weight * springs)
+    return {label: scipy.sparse.csr_array(hx * hy * part) for label, part in parts.items()}
 
 
-def system(scene: Scene, bending: Bending) -> tuple[scipy.sparse.csr_array, np.ndarray]:
-    """Return stiffness [N/m] and masses [kg] of the moving nodes, row by row, then of the oscillators' masses."""
-    moves, oscillators = np.flatnonzero(bending.moves), scene.effects.oscillators
+def stiffness_matrix(bending: Bending) -> scipy.sparse.csr_array:
+    """Return K [N/m], the sum of :func:`stiffness_parts`."""
+    first, *others = stiffness_parts(bending).values()
+    return scipy.sparse.csr_array(sum(others, start=first))
+
+
+def system(bending: Bending) -> tuple[scipy.sparse.csr_array, np.ndarray]:
+    """Return stiffness [N/m] and masses [kg] of the moving nodes, row by row, then of the attached masses."""
+    moves = np.flatnonzero(bending.moves)
     stiffness = stiffness_matrix(bending)[moves][:, moves]
-    stiffness = with_oscillators(scene, stiffness, moves, [oscillator.stiffness for oscillator in oscillators])
-    return stiffness, moving_masses(scene, bending)
+    stiffness = with_attachments(bending, stiffness, [attachment.stiffness for attachment in bending.attachments])
+    return stiffness, moving_masses(bending)
 
 
-def moving_masses(scene: Scene, bending: Bending) -> np.ndarray:
-    """Return the masses [kg] of the moving nodes, then those of the oscillators."""
-    attached = [oscillator.mass for oscillator in scene.effects.oscillators if oscillator.mass > 0]
+def moving_masses(bending: Bending) -> np.ndarray:
+    """Return the masses [kg] of the moving nodes, then those of the attached masses."""
+    attached = [attachment.mass for attachment in bending.attachments if attachment.mass > 0]
     return np.concatenate([mass_matrix(bending)[bending.moves.ravel()], attached])
 
 
-def with_oscillators(
-    scene: Scene, matrix: scipy.sparse.csr_array, moves: np.ndarray, values: Sequence[float]
+def with_attachments(
+    bending: Bending, matrix: scipy.sparse.csr_array, values: Sequence[float]
 ) -> scipy.sparse.csr_array:
-    """Return a matrix over the nodes ``moves`` extended by the oscillators' masses.
+    """Return a matrix over the moving nodes extended by the attached masses.
 
-    The springs (or dampers) ``values`` join the oscillators' patches to their masses, or to the ground without one.
+    The springs (or dampers) ``values`` join the patches to their masses, or to the ground without one.
     """
     if not values:
         return matrix
-    shares = oscillator_shares(scene)
-    attached = [index for index, oscillator in enumerate(scene.effects.oscillators) if oscillator.mass > 0]
+    shares = bending.shares
+    attached = [index for index, attachment in enumerate(bending.attachments) if attachment.mass > 0]
     springs = np.array(values)
-    on_plate = scipy.sparse.csr_array(shares.reshape(len(shares), -1)[:, moves])
+    on_plate = scipy.sparse.csr_array(shares.reshape(len(shares), -1)[:, np.flatnonzero(bending.moves)])
     plate = matrix + on_plate.T @ scipy.sparse.diags_array(springs) @ on_plate
     if not attached:
         return scipy.sparse.csr_array(plate)
@@ -149,19 +242,19 @@ def with_oscillators(
     return scipy.sparse.csr_array(scipy.sparse.block_array([[plate, between.T], [between, diagonal]]))
 
 
-def buckling_factor(scene: Scene, bending: Bending) -> float:
+def buckling_factor(bending: Bending) -> float:
     """Return the factor by which the in-plane forces can grow until the plate buckles; infinite if they never press.
 
     It is the smallest μ with (K₀ + μG)u = 0, K₀ being the stiffness without in-plane forces and G their part of it.
     """
     moves = np.flatnonzero(bending.moves)
-    bare = stiffness_matrix(replace(bending, tension=(0.0, 0.0), spring=np.zeros_like(bending.spring)))
-    springs = scipy.sparse.diags_array((mass_matrix(bending) / bending.mass.ravel()) * bending.spring.ravel())
-    in_plane = (stiffness_matrix(bending) - bare - springs)[moves][:, moves]
+    held = stiffness_matrix(replace(bending, membrane=(0.0, 0.0)))
+    in_plane = (stiffness_matrix(bending) - held)[moves][:, moves]
     if abs(in_plane).max() == 0:
         return math.inf
     # The rigid motion of a plate that nothing holds is no buckling: it gets a stiffness of rounding's size.
-    held = (bare + springs)[moves][:, moves] + 1e-9 * bare.diagonal().max() * scipy.sparse.eye_array(len(moves))
+    stiffest = stiffness_parts(bending)["bending"].diagonal().max()
+    held = held[moves][:, moves] + 1e-9 * stiffest * scipy.sparse.eye_array(len(moves))
     if len(moves) <= DENSE:
         largest = scipy.linalg.eigh(-in_plane.toarray(), held.toarray(), eigvals_only=True)[-1]
     else:
@@ -173,10 +266,10 @@ def buckling_factor(scene: Scene, bending: Bending) -> float:
     return math.inf if largest <= 1e-6 else 1 / float(largest)
 
 
-def oscillator_shares(scene: Scene) -> np.ndarray:
-    """Return (oscillators, ny, nx) shares of the nodes in the mean displacement of each oscillator's patch."""
+def _patch_shares(scene: Scene, attached: Sequence[Attachment]) -> np.ndarray:
+    """Return (attachments, ny, nx) shares of the nodes in the mean displacement of each patch."""
     x, y = node_positions(scene)
-    areas = (oscillator.area for oscillator in scene.effects.oscillators)
+    areas = (attachment.area for attachment in attached)
     shares = np.array([np.outer(overlap(y, y0, y1), overlap(x, x0, x1)) for x0, x1, y0, y1 in areas])
     return np.array([share / share.sum() for share in shares]).reshape(-1, y.size, x.size)
 

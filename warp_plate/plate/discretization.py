@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 
 from warp_plate.plate.designs import NO_PER_PLATE, PerPlate, carriers_of
-from warp_plate.plate.moving_load import MovingWeights, moving_weights
 from warp_plate.plate.scheme import Scheme, make_scheme
 from warp_plate.plate.section import make_section
 from warp_plate.plate.signals import Signals, make_signals
+from warp_plate.plate.travelling import MovingWeights, moving_weights
 from warp_plate.plate.weights import patches, region_weights
 from warp_plate.scene.model import Scene
 
@@ -39,7 +39,7 @@ class Discretization:
     @cached_property
     def moving(self) -> MovingWeights | None:
         """Factors of the moving load, only for time steps; None without one."""
-        if self.scene.effects.moving_load is None:
+        if self.scene.effects.travelling is None:
             return None
         return moving_weights(self.scene, self.scheme.time_step, self.scheme.steps)
 
@@ -54,7 +54,7 @@ class Discretization:
 
     @cached_property
     def surface_density(self) -> np.ndarray:
-        """(ny, nx) mass per area [kg/m²], with layers and variation."""
+        """(ny, nx) mass per area [kg/m²], with layers and maps of factors."""
         bending = self.scheme.bending
         return make_section(self.scene).mass if bending is None else bending.mass
 

@@ -49,9 +49,7 @@ def named_files(scene: Scene) -> dict[str, str]:
     """Return the names of the files that a scene refers to, by key."""
     signals = {"drive.signal": scene.drive.signal, "focus.wish": scene.focus and scene.focus.wish}
     files = {f"{key}.file": signal.file for key, signal in signals.items() if signal}
-    for key, value in scene.effects.variation or ():
-        if isinstance(value, str):
-            files[f"effects.variation.{key}"] = value
+    files |= scene.effects.map_files
     masks = {f"{key}.mask": target.mask for key, target in scene.targets_by_key.items()}
     return files | {key: name for key, name in masks.items() if name is not None}
 

@@ -7,6 +7,7 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
+from warp_plate.effects.effect import attachments
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
@@ -48,12 +49,13 @@ def refuse_beyond_memory(needed: float, what: str) -> None:
 
 def check_grid_memory(scene: Scene, moment_form: bool) -> None:
     """Refuse a grid with fields that do not fit."""
-    effects, nodes = scene.effects, math.prod(scene.grid.nodes)
+    terms, nodes = scene.terms, math.prod(scene.grid.nodes)
     each = PLAIN + 16.0 * (len(scene.actuators) + CASES * len(scene.record.times))
     if moment_form:
-        each += MOMENT_FORM + 32 * len(effects.oscillators)
-        each += MATRICES * bool(scene.layers or effects.oscillators)
-        each += FACTORISED * (effects.tension is not None and min(effects.tension.x, effects.tension.y) < 0)
+        attached = attachments(terms)
+        each += MOMENT_FORM + 32 * len(attached)
+        each += MATRICES * bool(scene.layers or attached)
+        each += FACTORISED * any(term.role == "stiffness" and term.coefficient < 0 for term in terms)
     times = f" and {len(scene.record.times)} record.times" if scene.record.times else ""
     what = f"grid.nodes = {list(scene.grid.nodes)} with {len(scene.actuators)} actuators{times}"
     refuse_beyond_memory(nodes * each, what)
@@ -65,7 +67,7 @@ def check_steps_memory(scene: Scene, steps: int) -> None:
     terms = 2 * frequencies if scene.drive.electrostatic is None else 4 * frequencies + 2
     each = TERM * terms + POINT * CASES * len(scene.record.points)
     beside = f", {len(scene.record.points)} record.points" if scene.record.points else ""
-    if scene.effects.moving_load is not None:
+    if scene.effects.travelling is not None:
         each += 24 * sum(scene.grid.nodes)
         beside += f", a moving load on {list(scene.grid.nodes)} nodes"
     refuse_beyond_memory(float(steps) * each, f"window.end = {scene.window.end:g}: {steps} steps{beside}")

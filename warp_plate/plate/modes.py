@@ -2,8 +2,8 @@
 
     K φ = ω² M φ
 
-K and M are the matrices that the kernels step with, with edges, layers, tension, bed, springs and attached masses.
-Damping is left out, and so is stretching, which small motion does not feel. Time is continuous: a run with steps of Δt
+K and M are the matrices that the kernels step with, with edges, layers, in-plane forces, springs and attached masses.
+Damping is left out, and so is the membrane stiffness of large motion. Time is continuous: a run with steps of Δt
 rings at asin(ωΔt/2)/(πΔt) instead, see :attr:`NaturalModes.stepped`.
 """
 
@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from warp_plate.effects.effect import attachments
 from warp_plate.plate.bending import make_bending, system
 from warp_plate.plate.operator import biharmonic
 from warp_plate.plate.scheme import Scheme, make_scheme
@@ -87,8 +88,7 @@ def natural_modes(scene: Scene, count: int) -> NaturalModes:
     """
     if count < 1:
         raise SceneError(f"count = {count}: must be at least 1")
-    effects = scene.effects.model_copy(update={"loss_factor": None, "modal_damping": None})  # which are not stepped
-    scene = scene.model_copy(update={"effects": effects})
+    scene = scene.model_copy(update={"effects": scene.effects.keeping(lambda effect: effect.stepped)})
     scheme = make_scheme(scene)
     stiffness, masses, moving = _matrices(scene, scheme)
     scale = (scheme.kappa * (math.pi / max(scene.plate.size)) ** 2) ** 2
@@ -108,10 +108,10 @@ def _matrices(scene: Scene, scheme: Scheme) -> tuple[scipy.sparse.csc_array, np.
     """Return stiffness [N/m] and masses [kg] of the moving nodes, then of masses on springs; (ny, nx) which move."""
     if scheme.order == 2:
         bending = make_bending(scene)
-        stiffness, masses = system(scene, bending)
+        stiffness, masses = system(bending)
         nodes = np.count_nonzero(bending.moves)
         # A mass that only a damper holds is at rest in every mode.
-        swinging = [oscillator.stiffness > 0 for oscillator in scene.effects.oscillators if oscillator.mass > 0]
+        swinging = [attachment.stiffness > 0 for attachment in bending.attachments if attachment.mass > 0]
         kept = np.flatnonzero([True] * nodes + swinging)
         return scipy.sparse.csc_array(stiffness[kept][:, kept]), masses[kept], bending.moves
     moves = np.zeros(scheme.nodes[::-1], dtype=bool)
@@ -150,7 +150,7 @@ def separated(squares: np.ndarray, vectors: np.ndarray, weight: np.ndarray) -> n
 
 
 def normalised_shapes(scene: Scene, vectors: np.ndarray, moving: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return shapes (modes, ny, nx) and motions of the oscillators (modes, oscillators), the largest displacement 1.
+    """Return shapes (modes, ny, nx) and motions of attached masses (modes, attachments), the largest displacement 1.
 
     Args:
         scene: Scene.
@@ -160,9 +160,9 @@ def normalised_shapes(scene: Scene, vectors: np.ndarray, moving: np.ndarray) -> 
     nodes, count = np.count_nonzero(moving), vectors.shape[1]
     shapes = np.zeros((count, *moving.shape))
     shapes[:, moving] = vectors[:nodes].T
-    oscillators = scene.effects.oscillators
-    motions = np.tile([0.0 if oscillator.mass > 0 else math.nan for oscillator in oscillators], (count, 1))
-    swinging = [oscillator.mass > 0 and oscillator.stiffness > 0 for oscillator in oscillators]
+    attached = attachments(scene.terms)
+    motions = np.tile([0.0 if attachment.mass > 0 else math.nan for attachment in attached], (count, 1))
+    swinging = [attachment.swings for attachment in attached]
     motions[:, swinging] = vectors[nodes:].T
     for shape, motion in zip(shapes, motions, strict=True):
         peak = _peak(shape)

@@ -1,4 +1,4 @@
-"""The section of the plate at every node: its rigidities, mass and stretching stiffness, with layers and variation.
+"""The section of the plate at every node: rigidities, mass and membrane stiffness, with layers and maps of factors.
 
 A laminate bends about its own neutral plane: with A, S and J the sums of E, Ez and Ez² over its height, z from the
 plate's middle, D = (J − S²/A)/(1 − ν²). Edges of layers cut the nodes' cells into rectangles, each of one laminate.
@@ -25,11 +25,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from warp_plate.effects.effect import DISPLACEMENT
+from warp_plate.effects.table import FACTOR_MAPS
+from warp_plate.effects.variation import LEAST_FACTOR, MOST_FACTOR
 from warp_plate.plate.files import read_table
-from warp_plate.scene.effects import LEAST_FACTOR, MOST_FACTOR, Orthotropic, Variation
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
+# Keys of ``[plate]`` that maps of factors multiply.
+VARIED = ("thickness", "young_modulus", "density")
 # Dxx, Dxy = D1, Dyy of a plate.
 Rigidities = tuple[np.ndarray, np.ndarray, np.ndarray]
 
@@ -90,7 +94,7 @@ def factors_at_nodes(scene: Scene) -> dict[str, np.ndarray]:
         SceneError: A file cannot be read or holds no such array, or the plate is not thin everywhere.
     """
     nx, ny = scene.grid.nodes
-    factors = {key: np.ones((ny, nx)) for key in Variation.model_fields}
+    factors = {key: np.ones((ny, nx)) for key in VARIED}
     for key, array in factor_arrays(scene).items():
         rows, columns = np.linspace(0, len(array) - 1, ny), np.linspace(0, array.shape[1] - 1, nx)
         factors[key] = interpolate(interpolate(array, rows).T, columns).T
@@ -98,16 +102,14 @@ def factors_at_nodes(scene: Scene) -> dict[str, np.ndarray]:
 
 
 def factor_arrays(scene: Scene) -> dict[str, np.ndarray]:
-    """Return the arrays (rows, columns) of factors that the scene's variation gives, by name.
+    """Return the arrays (rows, columns) of factors of the scene's maps, by name.
 
     Raises:
         SceneError: A file cannot be read or holds no such array, or the plate is not thin everywhere.
     """
     arrays = {}
-    for key, given in scene.effects.variation or ():
-        if given is None:
-            continue
-        head = f"effects.variation.{key}"
+    for key, given in scene.effects.factor_maps.items():
+        head = f"{FACTOR_MAPS}.{key}"
         if isinstance(given, str):
             array = read_table(head, given, scene.folder, LEAST_FACTOR, MOST_FACTOR)
             head += f" = {given!r}"
@@ -139,25 +141,25 @@ def laminates(
 
     ``factors`` are those of :func:`factors_at_nodes`, at the points (y, x).
     """
-    plate, orthotropic, ratio = scene.plate, scene.effects.orthotropic, scene.plate.poisson_ratio
+    plate, ratio = scene.plate, scene.plate.poisson_ratio
     thickness = plate.thickness * factors["thickness"]
     mass = plate.density * factors["density"] * thickness
     # Factor of the plate's own rigidities.
     stiffer = factors["young_modulus"] * factors["thickness"] ** 3
-    if orthotropic is None:
-        rigidity = plate.young_modulus * plate.thickness**3 / 12 / (1 - ratio**2)
-        orthotropic = Orthotropic.model_construct(
-            Dx=rigidity, Dy=rigidity, D1=ratio * rigidity, Dxy=(1 - ratio) / 2 * rigidity
-        )
-    own = (orthotropic.Dx, orthotropic.D1, orthotropic.Dy, orthotropic.Dxy)
-    bend_xx, bend_xy, bend_yy, twist = (rigidity * stiffer for rigidity in own)
+    rigidity = plate.young_modulus * plate.thickness**3 / 12 / (1 - ratio**2)
+    isotropic = (rigidity, ratio * rigidity, rigidity, (1 - ratio) / 2 * rigidity)
+    of_plate = scene.effects.rigidities or isotropic
+    bend_xx, bend_xy, bend_yy, twist = (rigidity * stiffer for rigidity in of_plate)
     # A sheet of rigidity D and thickness H resists stretching with 12 D/H².
     membrane = 12 * factors["young_modulus"] * factors["thickness"] / plate.thickness**2
-    along_x, along_y = orthotropic.Dx * membrane, orthotropic.Dy * membrane
+    along_x, along_y = of_plate[0] * membrane, of_plate[2] * membrane
     if scene.layers:
         added, layers, mass = _with_layers(scene, x, y, thickness, factors["young_modulus"], mass)
         bend_xx, bend_xy, bend_yy = bend_xx + added, bend_xy + ratio * added, bend_yy + added
         twist, along_x, along_y = twist + (1 - ratio) / 2 * added, along_x + layers, along_y + layers
+    for term in scene.terms:
+        if term.role == "mass" and term.distributed and term.factors == DISPLACEMENT:
+            mass = mass + term.coefficient
     return (bend_xx, bend_xy, bend_yy), twist, mass, (along_x, along_y)
 
 

@@ -19,6 +19,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from warp_plate.effects.table import TRAVELLING
 from warp_plate.plate.waveforms import burst_means, read_samples, resample, tone
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -189,7 +190,7 @@ def _square(scene: Scene) -> int:
 def _named_frequencies(scene: Scene) -> Iterator[tuple[str, float, int]]:
     """Yield key, frequency [Hz] and the drive's factor of every tone, end of a sweep and moving load."""
     frequencies = [actuator.frequency for actuator in scene.actuators]
-    load, square = scene.effects.moving_load, _square(scene)
+    load, square = scene.effects.travelling, _square(scene)
     if None in frequencies:
         yield "drive.frequency", scene.drive.frequency, square
     for index, frequency in enumerate(frequencies):
@@ -198,7 +199,7 @@ def _named_frequencies(scene: Scene) -> Iterator[tuple[str, float, int]]:
     if scene.drive.chirp is not None:
         yield "drive.chirp.end_frequency", scene.drive.chirp.end_frequency, square
     if load is not None and load.frequency is not None:
-        yield "effects.moving_load.frequency", load.frequency, 1
+        yield f"{TRAVELLING}.frequency", load.frequency, 1
 
 
 def _envelope(

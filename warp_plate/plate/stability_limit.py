@@ -17,21 +17,22 @@ is 4: without losses Δt = 2/√λ. c does not count.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
 import scipy
 
+from warp_plate.effects.effect import DISPLACEMENT, Term, losses
 from warp_plate.plate.bending import (
     Bending,
     buckling_factor,
     make_bending,
     mass_matrix,
     moving_masses,
-    stiffness_matrix,
-    with_oscillators,
+    stiffness_parts,
+    with_attachments,
 )
 from warp_plate.plate.operator import LARGEST, biharmonic, plain_taps
 from warp_plate.plate.signals import waves_apart
@@ -77,36 +78,34 @@ def find_limit(scene: Scene, moment_form: bool = False) -> tuple[StabilityLimit,
             "damping and actuators of one frequency; write 2 for other edges, effects and drives"
         )
     bending = make_bending(scene)
-    x, y = bending.tension
-    # Compression by itself is quickly checked and mostly enough, because tension only helps.
-    pressed = replace(bending, tension=(min(x, 0.0), min(y, 0.0)))
-    if min(x, y) < 0 and buckling_factor(scene, pressed) <= 1 and (factor := buckling_factor(scene, bending)) <= 1:
-        raise SceneError(
-            f"effects.tension = {{x = {x:g}, y = {y:g}}}: the plate buckles; the "
-            f"critical load is x = {factor * x:.4g}, y = {factor * y:.4g} N/m, {factor:.3g} of this one"
-        )
-    if _homogeneous(bending) and not scene.effects.oscillators and min(scene.grid.nodes) >= FORMULA_NODES:
+    x, y = bending.membrane
+    # Compression by itself is quickly checked and mostly enough, because a pull only helps.
+    pressed = replace(bending, membrane=(min(x, 0.0), min(y, 0.0)))
+    if min(x, y) < 0 and buckling_factor(pressed) <= 1 and (factor := buckling_factor(bending)) <= 1:
+        raise buckled(bending.labels["membrane"], bending.membrane, factor)
+    if _homogeneous(bending) and not bending.attachments and min(scene.grid.nodes) >= FORMULA_NODES:
         return _by_formula(*_largest_of_homogeneous(scene, bending)), bending
     stiff, losses = _named_matrices(scene, bending)
-    masses = moving_masses(scene, bending)
+    masses = moving_masses(bending)
     return _by_matrices(scene, stiff, losses, masses, np.flatnonzero(bending.moves)), bending
 
 
 def viscous_damping(scene: Scene) -> tuple[float, bool]:
     """Return all viscous damping [N·s/m³], and whether it is taken backward in time."""
-    damping, bed = scene.effects.damping, scene.effects.foundation
-    viscous = (damping.viscous if damping else 0.0) + (bed.damping if bed else 0.0)
-    return viscous, damping is not None and damping.scheme == "backward"
+    return losses(scene.terms).viscous, scene.effects.backward
 
 
 def needs_moment_form(scene: Scene) -> bool:
     """Return whether a scene is more than a uniform plate with viscous damping under one carrier."""
-    effects = scene.effects
-    named = (
-        effects.material_damping, effects.tension, effects.foundation, effects.oscillators, effects.stretching,
-        effects.moving_load, scene.drive.electrostatic,
-    )  # fmt: skip
-    return not scene.uniform or any(named) or waves_apart(scene) > 1
+    beside = scene.effects.stretches or scene.effects.travelling or scene.drive.electrostatic
+    beyond = bool(beside) or waves_apart(scene) > 1 or not all(_of_plain_plate(term) for term in scene.terms)
+    return beyond or not scene.uniform
+
+
+def _of_plain_plate(term: Term) -> bool:
+    """Return whether a term is viscous damping of the whole plate, or damping that is not stepped."""
+    viscous = term.role == "damping" and term.distributed and term.factors == DISPLACEMENT
+    return viscous or term.role == "hysteretic" or term.of == "modes"
 
 
 def _limit_of_plain_plate(scene: Scene) -> StabilityLimit:
@@ -193,31 +192,29 @@ def _largest_eigenpair(matrix: scipy.sparse.csr_array) -> tuple[float, np.ndarra
 
 def _named_matrices(scene: Scene, bending: Bending) -> tuple[Matrices, Matrices]:
     """Return the parts of K [N/m] and of C [N·s/m] by name."""
-    effects, moves = scene.effects, np.flatnonzero(bending.moves)
-    area = mass_matrix(bending) / bending.mass.ravel()
+    moves, attached = np.flatnonzero(bending.moves), bending.attachments
+    nothing = scipy.sparse.csr_array((len(moves), len(moves)))
 
-    def of_plate(matrix: scipy.sparse.sparray, springs: Sequence[float] | None = None) -> scipy.sparse.csr_array:
-        kept = scipy.sparse.csr_array(matrix)[moves][:, moves]
-        return with_oscillators(scene, kept, moves, springs or [0.0] * len(effects.oscillators))
+    def of_plate(matrix: scipy.sparse.sparray) -> scipy.sparse.csr_array:
+        among_moving = scipy.sparse.csr_array(matrix)[moves][:, moves]
+        return with_attachments(bending, among_moving, [0.0] * len(attached))
 
-    no_spring = np.zeros_like(bending.spring)
-    bare = stiffness_matrix(replace(bending, spring=no_spring, tension=(0.0, 0.0)))
-    stiff = {"bending": of_plate(bare)}
-    if effects.tension:
-        stiff["tension"] = of_plate(stiffness_matrix(replace(bending, spring=no_spring)) - bare)
-    if bending.spring.any():
-        stiff["foundation and springs of edges"] = of_plate(scipy.sparse.diags_array(area * bending.spring.ravel()))
-    if effects.oscillators:
-        stiff["oscillators"] = of_plate(0 * bare, [oscillator.stiffness for oscillator in effects.oscillators])
+    stiff = {name: of_plate(part) for name, part in stiffness_parts(bending).items()}
     losses = {}
     viscous, backward = viscous_damping(scene)
     if backward and viscous:
-        losses["backward damping"] = of_plate(scipy.sparse.diags_array(viscous * area))
-    if effects.material_damping and effects.material_damping.time:
-        losses["material damping"] = effects.material_damping.time * stiff["bending"]
-    dampers = [oscillator.damping for oscillator in effects.oscillators]
-    if any(dampers):
-        losses["dampers of oscillators"] = of_plate(0 * bare, dampers)
+        losses["backward damping"] = of_plate(
+            scipy.sparse.diags_array(viscous * mass_matrix(bending) / bending.mass.ravel())
+        )
+    if bending.retardation:
+        losses[bending.labels["retardation"]] = bending.retardation * stiff["bending"]
+    for label in dict.fromkeys(attachment.label for attachment in attached):
+        of_label = [attachment if attachment.label == label else None for attachment in attached]
+        springs = [attachment.stiffness if attachment else 0.0 for attachment in of_label]
+        dampers = [attachment.damping if attachment else 0.0 for attachment in of_label]
+        stiff[f"{label}s"] = with_attachments(bending, nothing, springs)
+        if any(dampers):
+            losses[f"dampers of {label}s"] = with_attachments(bending, nothing, dampers)
     return stiff, losses
 
 
@@ -230,18 +227,26 @@ def _homogeneous(bending: Bending) -> bool:
 
 def _largest_of_homogeneous(scene: Scene, bending: Bending) -> tuple[dict[str, float], dict[str, float]]:
     """Return the ends of the periodic plate's spectrum [1/s²], and the losses of that motion [1/s], by name."""
-    (hx, hy), (tension_x, tension_y), mass = bending.spacing, bending.tension, float(bending.mass[0, 0])
+    (hx, hy), (pull_x, pull_y), mass = bending.spacing, bending.membrane, float(bending.mass[0, 0])
     middle = bending.mass.shape[0] // 2, bending.mass.shape[1] // 2
     mixed = bending.bend_xy[middle] + bending.twist[middle] / 2  # D1 + 2Dxy
     along_x, along_y = bending.bend_xx[middle] / hx**4, bending.bend_yy[middle] / hy**4
     stiff = {
         "bending": float(16 * max(along_x, along_y, along_x + along_y + 2 * mixed / (hx * hy) ** 2)) / mass,
-        "tension": 4 * (max(tension_x, 0) / hx**2 + max(tension_y, 0) / hy**2) / mass,
-        "foundation and springs of edges": float(bending.spring[middle]) / mass,
+        bending.labels.get("membrane", "membrane"): 4 * (max(pull_x, 0) / hx**2 + max(pull_y, 0) / hy**2) / mass,
+        **{label: float(springs[middle]) / mass for label, springs in bending.springs.items()},
     }
     viscous, backward = viscous_damping(scene)
-    material = scene.effects.material_damping
     return stiff, {
         "backward damping": viscous / mass if backward else 0.0,
-        "material damping": material.time * stiff["bending"] if material else 0.0,
+        bending.labels.get("retardation", "retardation"): bending.retardation * stiff["bending"],
     }
+
+
+def buckled(label: str, membrane: tuple[float, float], factor: float) -> SceneError:
+    """Return the error for a plate that in-plane forces [N/m] buckle already when multiplied by ``factor``."""
+    x, y = membrane
+    return SceneError(
+        f"effects.{label} = {{x = {x:g}, y = {y:g}}}: the plate buckles; the critical load is x = {factor * x:.4g}, "
+        f"y = {factor * y:.4g} N/m, {factor:.3g} of this one"
+    )

@@ -196,7 +196,7 @@ def _common_phase_counts(scene: Scene) -> bool:
     It counts for bursts, sweeps, files and moving loads, and for tones from rest where drives are found exactly. Other
     searches for drives of a tone take the motion for steady, as the source paper does.
     """
-    if scene.drive.waveform_key or scene.effects.moving_load:
+    if scene.drive.waveform_key or scene.effects.travelling:
         return True
     search = scene.search
     return not scene.steady and bool(search.method == "exact" or search.frequency or search.position)
@@ -274,7 +274,7 @@ def _check_fixed_magnitudes(scene: Scene) -> None:
             "and are fixed; write the same for all, or search them: [search.magnitude]"
         )
     bias = scene.drive.electrostatic is not None and scene.drive.electrostatic.bias
-    if not any(sizes) and not bias and scene.effects.moving_load is None:
+    if not any(sizes) and not bias and scene.effects.travelling is None:
         raise SceneError(
             "search: the actuators' magnitudes are all 0 and fixed, so that nothing moves; write others, or search "
             "them: [search.magnitude]"

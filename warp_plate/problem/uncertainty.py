@@ -21,22 +21,13 @@ from warp_plate.scene.search import Robust
 # Memory of a scenario's scene and of each of its actuators [bytes].
 SCENE_BYTES, ACTUATOR_BYTES = 20_000.0, 2_000.0
 
-# Tables and keys of the damping of the panel, but for that of oscillators.
-DAMPING = (
-    ("damping", "viscous"),
-    ("material_damping", "time"),
-    ("loss_factor", "eta"),
-    ("modal_damping", "ratio"),
-    ("foundation", "damping"),
-)
-
 
 @dataclass(frozen=True)
 class Scenario:
     """A panel within the tolerances.
 
     Attributes:
-        scene: scene with the panel's stiffness, thickness, damping, oscillators and places of actuators.
+        scene: scene with the panel's stiffness, thickness, damping, attached masses and places of actuators.
         gain: (actuators,) factors of the drives.
         offset: (actuators, 2) displacements of the actuators along x and y [m], as drawn; ``scene`` keeps them on the
             plate.
@@ -98,29 +89,16 @@ def _scenario(scene: Scene, robust: Robust, numbers: np.ndarray) -> Scenario:
     offset, plate = robust.place * (2 * offsets.reshape(-1, 2) - 1), scene.plate.model_dump()
     plate["young_modulus"] *= stiffness
     plate["thickness"] *= thickness
+    effects = scene.effects.scaled(stiffness, thickness, damping)
+    if panel[3] < robust.without_oscillators:
+        effects |= scene.effects.without_attachments()
     variant = scene.with_tables(
         plate=plate,
-        effects=_effects(scene, stiffness, thickness, damping, bool(panel[3] < robust.without_oscillators)),
+        effects=effects,
         actuators=_moved_actuators(scene, offset),
         search={**scene.search.model_dump(), "robust": None},
     )
     return Scenario(variant, 1 + robust.gain * (2 * gains - 1), offset, _per_plate(scene, robust.place))
-
-
-def _effects(scene: Scene, stiffness: float, thickness: float, damping: float, bare: bool) -> dict[str, Any]:
-    """Return the table ``[effects]`` with factors; one for all damping of the panel, not for that of oscillators."""
-    tables = scene.effects.model_dump()
-    for table, key in DAMPING:
-        if tables[table] is not None:
-            value = tables[table][key]
-            listed = isinstance(value, tuple)  # a number for each mode
-            tables[table][key] = tuple(damping * number for number in value) if listed else value * damping
-    if tables["orthotropic"] is not None:  # rigidities in place of EH³
-        rigidity = tables["orthotropic"].items()
-        tables["orthotropic"] = {key: value * stiffness * thickness**3 for key, value in rigidity}
-    if bare:
-        tables["oscillators"] = ()
-    return tables
 
 
 def _moved_actuators(scene: Scene, offset: np.ndarray) -> list[dict[str, Any]]:

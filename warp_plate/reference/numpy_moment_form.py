@@ -1,14 +1,14 @@
 """The plate with all effects in plain NumPy float64, stepped by sparse matrices; it shares no step with the kernels.
 
-With M the nodes' masses, K_b the stiffness of bending and K_e the rest of the stiffness (bed, elastic edges, tension),
+With M the nodes' masses, K_b the stiffness of bending and K_e the rest of the stiffness (springs, in-plane forces),
 both from ``plate.bending``, and C the viscous losses, a step from t_n to t_{n+1} is
 
     M (v⁺ − v)/Δt = f − K_b (u + τ v) − K_e u − C r + Σ s_o p_o − N L u,   u⁺ = u + Δt v⁺
 
-r is (v⁺ + v)/2 (centred) or v (backward); τ the retardation of the material. Oscillator o is attached to the mean sᵀu
-of its patch; it pushes the plate with p = k (z − sᵀu) + d (ż − sᵀv) and itself with −p/m. Stretching adds Berger's
-tension N = B·uᵀLu, L being the matrix of −(∂xx + κ∂yy) times areas, with B and κ of ``plate.bending``. The load of the
-first step is halved (see ``plate.signals``). Slow; for tests.
+r is (v⁺ + v)/2 (centred) or v (backward); τ the retardation of the material. Mass o is attached to the mean sᵀu
+of its patch; it pushes the plate with p = k (z − sᵀu) + d (ż − sᵀv) and itself with −p/m. A plate that stretches
+adds Berger's force N = B·uᵀLu, L being the matrix of −(∂xx + κ∂yy) times areas, with B and κ of ``plate.bending``.
+The load of the first step is halved (see ``plate.signals``). Slow; for tests.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from warp_plate.plate.bending import mass_matrix, oscillator_shares, stiffness_matrix
-from warp_plate.plate.moving_load import moving_weights
+from warp_plate.plate.bending import mass_matrix, stiffness_matrix, stiffness_parts
 from warp_plate.plate.scheme import Scheme, make_scheme
 from warp_plate.plate.signals import make_signals
+from warp_plate.plate.travelling import moving_weights
 from warp_plate.plate.weights import patches, region_weights
 from warp_plate.scene.model import Scene
 
@@ -37,10 +37,10 @@ class Matrices:
     slopes: scipy.sparse.csr_array  # L, so that uᵀLu = ∫ u_x² + κu_y² dA
     retardation: float  # τ [s]
     berger: float  # N for uᵀLu = 1 m² [N/m³]
-    shares: np.ndarray  # (oscillators, nodes) s_o
-    springs: np.ndarray  # (oscillators,) k [N/m]
-    dampers: np.ndarray  # (oscillators,) d [N·s/m]
-    attached: np.ndarray  # (oscillators,) m [kg]; zero for a spring on the ground
+    shares: np.ndarray  # (attachments, nodes) s_o
+    springs: np.ndarray  # (attachments,) k [N/m]
+    dampers: np.ndarray  # (attachments,) d [N·s/m]
+    attached: np.ndarray  # (attachments,) m [kg]; zero for a spring on the ground
     moves: np.ndarray  # (nodes,) true for nodes that move
 
 
@@ -49,7 +49,7 @@ class History:
     """Motion of plates."""
 
     displacement: np.ndarray  # (plates, steps + 1, ny, nx) [m], from rest on
-    attached: np.ndarray  # (plates, steps + 1, oscillators) displacement of the oscillators' masses [m]
+    attached: np.ndarray  # (plates, steps + 1, attachments) displacement of the attached masses [m]
     energy: np.ndarray  # (plates, regions) kinetic energy averaged over the window [J]
 
 
@@ -59,25 +59,25 @@ def make_matrices(scene: Scene, scheme: Scheme) -> Matrices:
     Raises:
         ValueError: The scene is a plain plate; see :func:`warp_plate.reference.numpy_plate.run_plate`.
     """
-    fields, effects = scheme.bending, scene.effects
+    fields = scheme.bending
     if fields is None:
         raise ValueError("scene: a plain plate has no matrices; take reference.numpy_plate")
-    nothing = np.zeros_like(fields.mass)
-    unbent = replace(fields, bend_xx=nothing, bend_xy=nothing, bend_yy=nothing, twist=np.zeros_like(fields.twist))
+    bending, *others = stiffness_parts(fields).values()
+    slopes = replace(fields, springs={}, membrane=(1.0, fields.stretch_ratio))
     cell = scheme.spacing[0] * scheme.spacing[1]
-    oscillators = effects.oscillators
+    attached = fields.attachments
     return Matrices(
         mass=mass_matrix(fields),
-        bending=stiffness_matrix(replace(fields, spring=nothing, tension=(0.0, 0.0))),
-        other=stiffness_matrix(unbent),
+        bending=bending,
+        other=scipy.sparse.csr_array(sum(others, start=0 * bending)),
         viscous=scheme.viscous * cell * fields.weight.ravel(),
-        slopes=stiffness_matrix(replace(unbent, spring=nothing, tension=(1.0, fields.stretch_ratio))),
-        retardation=effects.material_damping.time if effects.material_damping else 0.0,
-        berger=fields.berger if effects.stretching else 0.0,
-        shares=oscillator_shares(scene).reshape(len(oscillators), fields.mass.size),
-        springs=np.array([oscillator.stiffness for oscillator in oscillators]),
-        dampers=np.array([oscillator.damping for oscillator in oscillators]),
-        attached=np.array([oscillator.mass for oscillator in oscillators]),
+        slopes=scipy.sparse.csr_array(stiffness_matrix(slopes) - bending),
+        retardation=fields.retardation,
+        berger=fields.berger if scene.effects.stretches else 0.0,
+        shares=fields.shares.reshape(len(attached), fields.mass.size),
+        springs=np.array([attachment.stiffness for attachment in attached]),
+        dampers=np.array([attachment.damping for attachment in attached]),
+        attached=np.array([attachment.mass for attachment in attached]),
         moves=fields.moves.ravel(),
     )
 
@@ -96,7 +96,7 @@ def run_moment_form(scene: Scene, drives: np.ndarray) -> History:
     signals = make_signals(scene, step, scheme.steps, scene.folder)
     forces = np.einsum("nt,ptk->npk", signals.wave, signals.coefficients(drives))
     travel = np.zeros((scheme.steps, 1))
-    if scene.effects.moving_load is not None:
+    if scene.effects.travelling is not None:
         wave, along_x, along_y = moving_weights(scene, step, scheme.steps)
         travel = cell * np.einsum("n,nj,ni->nji", wave, along_y, along_x).reshape(scheme.steps, -1)
     # Nodes are rows, plates are columns.

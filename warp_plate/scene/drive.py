@@ -1,4 +1,4 @@
-"""The table ``[drive]``, the voltage of the actuators over time, and the table of a moving load.
+"""The table ``[drive]``, the voltage of the actuators over time.
 
 Actuator k applies Re(Z_k · carrier_k(t)) · envelope(t), where Z_k is its phasor. By default the carrier is exp(iωt)
 and the envelope is one.
@@ -13,8 +13,6 @@ from pydantic import Field, model_validator
 
 from warp_plate.scene.actuator import Actuator
 from warp_plate.scene.fields import Flag, Gain, Instant, Moderate, NotNegative, Positive, Table, check_file_name
-
-Place = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
 class Burst(Table):
@@ -97,26 +95,6 @@ class Drive(Table):
         """First key that makes the drive other than tones from t = 0 on; None if none."""
         names = ("burst", "chirp", "signal")
         return next((f"drive.{name}" for name in names if getattr(self, name) is not None), None)
-
-
-class MovingLoad(Table):
-    """A force that travels over the plate at constant velocity."""
-
-    force: Moderate  # force in the direction of positive displacement [N]
-    start: tuple[Place, Place]  # position (x, y) at ``from_time`` [m]
-    velocity: tuple[Place, Place] = (0.0, 0.0)  # velocity (x, y) [m/s]
-    # Side of the square over which the force is distributed [m]; 0 for a point
-    size: Annotated[float, Field(ge=0, le=1e6)] = 0.0
-    from_time: Instant = 0.0  # start of the force [s]
-    to_time: Positive | None = None  # end of the force [s] (default: the end of the run)
-    # Frequency f of a force that varies as cos(2πft) [Hz] (default: a constant force)
-    frequency: Positive | None = None
-
-    @model_validator(mode="after")
-    def _times_in_order(self) -> MovingLoad:
-        if self.to_time is not None and self.to_time <= self.from_time:
-            raise ValueError(f"to_time: {self.to_time:g} s must be later than from_time = {self.from_time:g} s")
-        return self
 
 
 def check_drive(drive: Drive, actuators: Sequence[Actuator], end: float) -> None:

@@ -30,7 +30,7 @@ NARROWEST = 1e-6
 class Table(BaseModel):
     """A table of the scene file. It refuses unknown keys and cannot be changed."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True)
 
     if not TYPE_CHECKING:
 
@@ -79,6 +79,10 @@ def _without(letter: str, name: str) -> Callable[[str], str]:
         return text
 
     return validate
+
+
+class Unit(str):
+    """Unit of a field, as metadata of its annotation."""
 
 
 Moderate = Annotated[float, AfterValidator(_moderate)]

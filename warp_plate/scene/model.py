@@ -5,23 +5,24 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Discriminator, Field, PrivateAttr, Tag, ValidationError, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
+from warp_plate.effects.edges import Edges
+from warp_plate.effects.effect import Term
+from warp_plate.effects.layers import Layer
+from warp_plate.effects.table import Effects, check_modal_tables
 from warp_plate.scene.actuator import Actuator
 from warp_plate.scene.assignments import assign
 from warp_plate.scene.drive import Drive, check_drive
 from warp_plate.scene.dump import dump_scene
-from warp_plate.scene.effects import Effects, Layer, check_modal_tables
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.explain_errors import explain_error
 from warp_plate.scene.fields import (
     Area,
     Coordinate,
     Instant,
-    NotNegative,
     Positive,
     Table,
     Text,
@@ -35,29 +36,6 @@ from warp_plate.scene.load import parse_toml, read_scene_text
 from warp_plate.scene.piezo import check_piezo, piezo_layers
 from warp_plate.scene.search import Search
 from warp_plate.scene.target import NamedTarget, Target
-
-
-class ElasticEdge(Table):
-    """An edge on springs."""
-
-    translation: NotNegative = 0.0  # stiffness against displacement, per length [N/m²]
-    rotation: NotNegative = 0.0  # stiffness against slope, per length [N·m/(rad·m)]
-
-
-def _edge_word(value: object) -> object:
-    if value not in ("clamped", "supported", "free"):
-        raise PydanticCustomError(
-            "edge_word",
-            "must be 'clamped', 'supported', 'free', or a table of springs such as { translation = 1e6 }",
-        )
-    return value
-
-
-Edge = Annotated[
-    Annotated[Literal["clamped", "supported", "free"], BeforeValidator(_edge_word), Tag("word")]
-    | Annotated[ElasticEdge, Tag("springs")],
-    Discriminator(lambda value: "springs" if isinstance(value, dict | ElasticEdge) else "word"),
-]
 
 
 class Plate(Table):
@@ -84,17 +62,6 @@ class Plate(Table):
         if thickness > min(self.size) / 5:
             limit = "a plate is thinner than a fifth of its side (lengths are in metres)"
             raise ValueError(f"{head}{thickness:g} m is not thin for a side of {min(self.size):g} m; {limit}")
-
-
-class Edges(Table):
-    """The four edges, each "clamped" (no displacement, no slope), "supported" (no displacement, no bending moment),
-    "free" (no moment, no shear force) or on springs, such as ``{ translation = 1e6, rotation = 1e2 }`` with stiffnesses
-    per length in N/m² and N·m/(rad·m)."""
-
-    left: Edge = "clamped"  # x = 0
-    bottom: Edge = "clamped"  # y = 0
-    right: Edge = "clamped"  # x = size[0]
-    top: Edge = "clamped"  # y = size[1]
 
 
 class Window(Table):
@@ -210,10 +177,7 @@ class Scene(Table):
         }
         if self.search.position is not None and self.search.position.area is not None:
             areas["search.position.area"] = self.search.position.area
-        for name in ("layers", "oscillators"):
-            rows = getattr(self.effects, name)
-            areas |= {f"effects.{name}[{index}].area": row.area for index, row in enumerate(rows)}
-        for key, area in areas.items():
+        for key, area in (areas | self.effects.areas).items():
             check_area(key, area, size)
         _check_names("actuators", actuators)
         for key, target in self.targets_by_key.items():
@@ -225,7 +189,8 @@ class Scene(Table):
             self.plate.check_thin(layer.thickness, f"effects.layers[{index}].thickness: ")
         check_piezo(self)
         check_drive(self.drive, actuators, self.window.end)
-        check_modal_tables(self.effects, self.drive)
+        drives = ("burst", "chirp", "signal", "electrostatic")
+        check_modal_tables(self.effects, {f"drive.{name}": getattr(self.drive, name) for name in drives})
         self.search.check_limits([actuator.name for actuator in actuators])
         if self.search.robust is not None:
             self.search.robust.check(self.effects, self.grid.load)
@@ -260,18 +225,22 @@ class Scene(Table):
         return (*self.effects.layers, *piezo_layers(self.actuators))
 
     @property
+    def terms(self) -> tuple[Term, ...]:
+        """Terms of the equation of motion besides bending and inertia: those of elastic edges, then of the effects."""
+        return (*self.edges.terms(), *self.effects.terms(self.plate))
+
+    @property
     def uniform(self) -> bool:
         """True if the plate is isotropic, homogeneous, and clamped or supported along all edges."""
-        varied = self.effects.orthotropic or self.effects.variation or self.layers
+        varied = self.effects.section_keys or self.layers
         return not varied and all(edge in ("clamped", "supported") for _, edge in self.edges)
 
     @property
     def names_files(self) -> bool:
         """True if parts of the scene lie in other files."""
-        variation = self.effects.variation
         masks = any(target.mask is not None for target in self.targets_by_key.values())
         signals = (self.drive.signal, self.focus and self.focus.wish)
-        return masks or any(signals) or (variation is not None and any(variation.files))
+        return masks or any(signals) or bool(self.effects.map_files)
 
     @property
     def targets_by_key(self) -> dict[str, Target]:
@@ -334,11 +303,13 @@ class Scene(Table):
     @property
     def nonlinear_table(self) -> str | None:
         """First table that makes displacements nonlinear in the drives, so that superposition fails; None if none."""
-        if self.effects.stretching is not None:
-            return "effects.stretching"
-        if self.drive.electrostatic is not None:
-            return "drive.electrostatic"
-        return None if self.effects.moving_load is None else "effects.moving_load"
+        return self.nonlinear_key or self.effects.first(lambda effect: effect.travels)
+
+    @property
+    def nonlinear_key(self) -> str | None:
+        """First table that keeps the motion from obeying a linear equation; None if none."""
+        electrostatic = "drive.electrostatic" if self.drive.electrostatic is not None else None
+        return self.effects.first(lambda effect: not effect.linear) or electrostatic
 
     @property
     def linear(self) -> bool:
@@ -347,8 +318,7 @@ class Scene(Table):
     @property
     def modal_only_key(self) -> str | None:
         """First key that only the modal engine knows, because it has no time steps; None if none."""
-        tables = ("loss_factor", "modal_damping")
-        return next((f"effects.{name}" for name in tables if getattr(self.effects, name) is not None), None)
+        return self.effects.first(lambda effect: not effect.stepped)
 
     def check_stepped(self) -> None:
         """Raise a SceneError if only the modal engine knows the scene's effects."""
@@ -360,7 +330,12 @@ class Scene(Table):
     @property
     def steady(self) -> bool:
         """True if the response is the steady one: energies are means over all time, and ``window`` is not read."""
-        return self.effects.loss_factor is not None
+        return self.steady_key is not None
+
+    @property
+    def steady_key(self) -> str | None:
+        """First effect that is defined for steady tones alone, without motion in time; None if none."""
+        return self.effects.first(lambda effect: effect.steady)
 
     @property
     def nonharmonic_key(self) -> str | None:
@@ -375,7 +350,7 @@ class Scene(Table):
         for index, actuator in enumerate(self.actuators):
             if actuator.frequency not in (None, self.drive.frequency):
                 return f"actuators[{index}].frequency"
-        return None if self.effects.moving_load is None else "effects.moving_load"
+        return self.effects.first(lambda effect: effect.travels)
 
     @property
     def drive_unit(self) -> str:

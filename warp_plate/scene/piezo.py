@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
+from warp_plate.effects.layers import Layer
 from warp_plate.scene.actuator import Actuator
-from warp_plate.scene.effects import Layer
 
 if TYPE_CHECKING:
     from warp_plate.scene.model import Scene
@@ -45,14 +45,8 @@ def check_piezo(scene: Scene) -> None:
         if actuator.thickness is None:
             raise ValueError(f'actuators[{index}].kind: "pressure" beside "piezo"; all must be of one kind')
         scene.plate.check_thin(actuator.thickness, f"actuators[{index}].thickness: ")
-    varied = scene.effects.variation
-    excluded = {
-        "drive.electrostatic": scene.drive.electrostatic,
-        "search.position": scene.search.position,
-        "effects.orthotropic": scene.effects.orthotropic,
-        "effects.variation.thickness": varied and varied.thickness,
-        "effects.variation.young_modulus": varied and varied.young_modulus,
-    }
-    for key, table in excluded.items():
-        if table is not None:
-            raise ValueError(f"{key}: not with piezo patches; delete it")
+    tables = {"drive.electrostatic": scene.drive.electrostatic, "search.position": scene.search.position}
+    excluded = [key for key, table in tables.items() if table is not None]
+    excluded += [key for key in scene.effects.section_keys if not key.endswith(".density")]
+    for key in excluded:
+        raise ValueError(f"{key}: not with piezo patches; delete it")

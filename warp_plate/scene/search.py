@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from warp_plate.scene.effects import Effects
+from warp_plate.effects.table import ATTACHED, Effects
 from warp_plate.scene.fields import Area, Flag, Instant, Name, NotNegative, Positive, Table
 
 Weight = Annotated[float, Field(ge=0, le=1e6)]
@@ -110,10 +110,10 @@ class Robust(Table):
     quantile: Annotated[float, Field(gt=0, lt=1)] = 0.9  # quantile of the measure "quantile" [1]
     young_modulus: Tolerance = 0.0  # tolerance of Young's modulus, as a fraction of the nominal value [1]
     thickness: Tolerance = 0.0  # tolerance of the thickness, as a fraction of the nominal value [1]
-    damping: Tolerance = 0.0  # tolerance of all damping of the plate and its foundation, as a fraction [1]
+    damping: Tolerance = 0.0  # tolerance of all damping of the plate and its bed, as a fraction [1]
     gain: Tolerance = 0.0  # tolerance of each actuator's magnitude, as a fraction [1]
     place: NotNegative = 0.0  # largest error of each actuator's position along x and along y [m]
-    without_oscillators: Annotated[float, Field(ge=0, le=1)] = 0.0  # probability that oscillators are absent [1]
+    without_oscillators: Annotated[float, Field(ge=0, le=1)] = 0.0  # probability that masses on springs are absent [1]
     # Number of further scenarios, over which the robust and the nominal optimum are compared
     fresh: Annotated[int, Field(ge=1, le=100_000)] = 200
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0  # random seed of the scenarios
@@ -125,13 +125,11 @@ class Robust(Table):
         # The default is allowed, because dumped scenes contain it.
         if self.measure != "quantile" and self.quantile != type(self).model_fields["quantile"].default:
             raise ValueError(f"search.robust.quantile = {self.quantile:g}: is for measure = 'quantile'; delete it")
-        of_plate = (effects.damping, effects.material_damping, effects.loss_factor, effects.modal_damping)
-        of_foundation = effects.foundation is not None and effects.foundation.damping
-        if self.damping and not (any(of_plate) or of_foundation):
+        if self.damping and not any(effect.lossy for _, effect in effects.rows):
             raise ValueError(f"search.robust.damping: {self.damping:g} of no damping; write [effects.damping]")
-        if self.without_oscillators and not effects.oscillators:
+        if self.without_oscillators and not effects.attached:
             share = f"search.robust.without_oscillators: {self.without_oscillators:g}"
-            raise ValueError(f"{share}, but there is none; write [[effects.oscillators]]")
+            raise ValueError(f"{share}, but there is none; write [[{ATTACHED}]]")
         if self.place and load == "nodes":
             grid = 'grid.load = "nodes" moves actuators by whole nodes; write load = "overlap" or "moments"'
             raise ValueError(f"search.robust.place: {self.place:g} m, but {grid}")

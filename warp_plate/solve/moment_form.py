@@ -16,7 +16,6 @@ from warp_plate.kernels import (
 )
 from warp_plate.kernels.cuda import LANES
 from warp_plate.kernels.moment_form import make_passes, make_structs
-from warp_plate.plate.bending import oscillator_shares
 from warp_plate.solve import cuda
 from warp_plate.solve.cpu import distribute
 from warp_plate.solve.specialize import Specialized
@@ -27,9 +26,15 @@ from warp_plate.solve.streaming import Launcher, loaded_ahead, several_steps_a_l
 BLOCKING_BLOCK, SUMMED_ROWS = 128, 64
 
 
+def attached_count(specialized: Specialized) -> int:
+    """Return the number of patches with something attached."""
+    assert specialized.scheme.bending is not None
+    return len(specialized.scheme.bending.attachments)
+
+
 def make_material(specialized: Specialized) -> Any:
     """Return the struct of what all plates share, in the kernels' scaled units."""
-    scene, scheme, effects = specialized.scene, specialized.scheme, specialized.scene.effects
+    scheme = specialized.scheme
     bending, (hx, hy), step = scheme.bending, scheme.spacing, scheme.time_step
     assert bending is not None
     unit = step**2 / scheme.surface_density  # rate gained in a step per pressure
@@ -37,14 +42,14 @@ def make_material(specialized: Specialized) -> Any:
     ratio = bending.mass / scheme.surface_density
     gain = np.ones_like(loss) if scheme.backward else 1 / (1 + loss / 2)
     on_plate = unit / (hx * hy)
-    oscillators = [
+    attached = [
         (
-            oscillator.stiffness * on_plate,
-            oscillator.damping * on_plate / step,
-            scheme.surface_density * hx * hy / oscillator.mass if oscillator.mass else 0.0,
+            attachment.stiffness * on_plate,
+            attachment.damping * on_plate / step,
+            scheme.surface_density * hx * hy / attachment.mass if attachment.mass else 0.0,
             0.0,
         )
-        for oscillator in effects.oscillators
+        for attachment in bending.attachments
     ]
     moving = specialized.discretization.moving
     arrays = {
@@ -56,8 +61,8 @@ def make_material(specialized: Specialized) -> Any:
         "decay": 1 - loss if scheme.backward else (1 - loss / 2) / (1 + loss / 2),
         "spring": bending.spring * unit,
         "weight": bending.weight,
-        "oscillator_shares": oscillator_shares(scene),
-        "oscillators": np.array(oscillators).reshape(-1, 4),
+        "oscillator_shares": bending.shares,
+        "oscillators": np.array(attached).reshape(-1, 4),
         "strength": moving.wave / moving.largest if moving else np.zeros(1),
         "along_x": moving.along_x if moving else np.zeros((1, 1)),
         "along_y": moving.along_y if moving else np.zeros((1, 1)),
@@ -67,8 +72,8 @@ def make_material(specialized: Specialized) -> Any:
         setattr(material, name, specialized.to_device(values))
     material.aspect = scheme.aspect
     material.root_aspect = hx / hy
-    material.tension_x, material.tension_y = (tension * unit / hx**2 for tension in bending.tension)
-    material.retardation = effects.material_damping.time / step if effects.material_damping else 0.0
+    material.tension_x, material.tension_y = (force * unit / hx**2 for force in bending.membrane)
+    material.retardation = bending.retardation / step
     material.stretching = bending.berger * (hy / hx) * unit / hx**2
     material.stretch_ratio = bending.stretch_ratio
     return material
@@ -78,7 +83,7 @@ def _make_fields(specialized: Specialized, state: State) -> Any:
     """Return the struct of a state's fields, with those that only the passes of a step use."""
     effects = specialized.effects
     (nx, ny), device, real = specialized.scheme.nodes, specialized.device, specialized.real
-    oscillators = len(specialized.scene.effects.oscillators)
+    oscillators = attached_count(specialized)
 
     def zeros(*shape: int) -> wp.array:
         return wp.zeros((state.capacity, *shape), dtype=real, device=device)
@@ -222,7 +227,7 @@ def resident_path(specialized: Specialized) -> Advance:
 
 def plan_of(specialized: Specialized, few: bool) -> moment_form_plan.BlockPlan:
     """Return the distribution of a plate over a block of the CUDA device, see ``plan_block``."""
-    (nx, ny), oscillators = specialized.scheme.nodes, len(specialized.scene.effects.oscillators)
+    (nx, ny), oscillators = specialized.scheme.nodes, attached_count(specialized)
     real, effects, shared_bytes = specialized.real, specialized.effects, specialized.shared_bytes
     return moment_form_plan.plan_block(nx, ny, real, effects, oscillators, few, shared_bytes)
 
@@ -230,7 +235,7 @@ def plan_of(specialized: Specialized, few: bool) -> moment_form_plan.BlockPlan:
 def block_path(specialized: Specialized, plan: moment_form_plan.BlockPlan) -> Advance:
     """Return the path with a block per plate, distributed over its threads by a plan."""
     (nx, ny), device, real = specialized.scheme.nodes, specialized.device, specialized.real
-    effects, oscillators = specialized.effects, len(specialized.scene.effects.oscillators)
+    effects, oscillators = specialized.effects, attached_count(specialized)
     kernel = moment_form_cuda.make_run_steps(effects, real, nx, ny, specialized.stride, oscillators, plan)
     specialized.load(kernel, block_dim=plan.threads)
     material = make_material(specialized)
@@ -269,7 +274,7 @@ def _material_plane(material: Any, name: str) -> np.ndarray:
 
 def _cpu_path(specialized: Specialized) -> Advance:
     device, real, (nx, ny) = specialized.device, specialized.real, specialized.scheme.nodes
-    rows, stride, oscillators = specialized.rows, specialized.stride, len(specialized.scene.effects.oscillators)
+    rows, stride, oscillators = specialized.rows, specialized.stride, attached_count(specialized)
     kernel = moment_form_cpu.make_run_steps(specialized.effects, real, ny, stride)
     specialized.load(kernel)
     material = make_material(specialized)

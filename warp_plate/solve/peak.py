@@ -66,7 +66,7 @@ def sample_times(scene: Scene) -> tuple[float, ...]:
     if wanted <= MOST_SAMPLES:
         return tuple((end * np.arange(1, wanted + 1) / wanted).tolist())
     spans = [(0.0, end)]
-    burst, load = scene.drive.burst, scene.effects.moving_load
+    burst, load = scene.drive.burst, scene.effects.travelling
     if burst is not None:
         spans.append((burst.start, min(burst.start + burst.duration, end)))
     if load is not None and load.from_time < end:

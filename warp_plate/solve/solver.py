@@ -199,7 +199,7 @@ class PlateSolver:
 
         Nothing is copied to the host, and on CUDA the work is only queued, on Warp's current stream of the device.
         Handing arrays over by DLPack orders that stream after the producer's and before the consumer's. Only where
-        plates may grow (stretching, a step above the limit) does the host wait, to look for growth. Gradients do not
+        plates may grow (large motion, a step above the limit) does the host wait, to look for growth. Gradients do not
         flow through.
 
         Args:

@@ -9,6 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 import warp as wp
 
+from warp_plate.effects.effect import DISPLACEMENT, IN_PLANE, Patch
 from warp_plate.kernels.cuda import RESERVED_BYTES
 from warp_plate.kernels.effects import KernelEffects
 from warp_plate.kernels.update import make_parameters
@@ -171,35 +172,28 @@ def effect_names(scene: Scene, several_waves: bool = False) -> tuple[str, ...]:
         several_waves: Plates have more waves than the scene's drive needs.
     """
     several_waves = several_waves or scene.drive.electrostatic is not None or waves_apart(scene) > 1
-    damping = scene.effects.damping
-    named = {
-        f"viscous damping ({damping.scheme})" if damping else "": damping,
-        "bending by moments": several_waves or needs_moment_form(scene),
-        **{
-            name.replace("_", " "): getattr(scene.effects, name)
-            for name in ("material_damping", "tension", "foundation", "oscillators", "stretching", "moving_load")
-        },
-        "several waves": several_waves,
-    }
-    return tuple(name for name, table in named.items() if table)
+    names, damped = scene.effects.compiled, scene.effects.damping is not None
+    moments = several_waves or needs_moment_form(scene)
+    before, after = names[:damped], names[damped:]
+    return (*before, *["bending by moments"][:moments], *after, *["several waves"][:several_waves])
 
 
 def kernel_effects(discretization: Discretization) -> KernelEffects:
     """Return the compile key of the kernels."""
-    scheme, effects = discretization.scheme, discretization.scene.effects
-    elastic = any(not isinstance(edge, str) for _, edge in discretization.scene.edges)
+    scheme, scene = discretization.scheme, discretization.scene
+    kinds = {(term.role, term.of, term.factors) for term in scene.terms if not isinstance(term.place, Patch)}
     return KernelEffects(
-        damping=effects.damping is not None or scheme.viscous > 0,
+        damping=("damping", "", DISPLACEMENT) in kinds,
         square_cells=scheme.square_cells or scheme.order == 4,
         order=scheme.order,
         terms=discretization.signals.terms,
-        moments=discretization.carriers > 1 or needs_moment_form(discretization.scene),
-        material_damping=effects.material_damping is not None,
-        tension=effects.tension is not None,
-        foundation=effects.foundation is not None or elastic,
-        stretching=effects.stretching is not None,
-        oscillators=bool(effects.oscillators),
-        moving_load=effects.moving_load is not None,
+        moments=discretization.carriers > 1 or needs_moment_form(scene),
+        material_damping=("damping", "bending", DISPLACEMENT) in kinds,
+        tension=any(("stiffness", "", factors) in kinds for factors in IN_PLANE),
+        foundation=("stiffness", "", DISPLACEMENT) in kinds,
+        stretching=scene.effects.stretches,
+        oscillators=scene.effects.attached,
+        moving_load=scene.effects.travelling is not None,
     )
 
 

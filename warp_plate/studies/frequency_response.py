@@ -13,9 +13,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from warp_plate.modal.galerkin.integrals import Matrix
-from warp_plate.modal.galerkin.regions import region_matrix
 from warp_plate.modal.modes import ModalPlate, solve_modes
+from warp_plate.modal.spaces.space import Matrix
 from warp_plate.modal.steady import adaptive_frequencies, as_sparse, multiply_modes
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.result.frequency_response import DERIVATIVES, FrequencyResponse, Quantity
@@ -165,10 +164,10 @@ def _responses(
     scene, inputs = plate.scene, forces.shape[1]
     loads = np.column_stack([forces, plate.actuator_forces()])
     # Without masses on springs, all of the kinetic energy is the plate's.
-    attached = any(oscillator.mass > 0 for oscillator in scene.effects.oscillators)
+    attached = bool(plate.galerkin.masses)
     of_plate = plate.kinetic_matrix("plate") if attached else None
     of_target = _moved_by(plate, scene.target)
-    drive, mass, blocks = scene_phasors(scene), plate.galerkin.plate_mass, []
+    drive, mass, blocks = scene_phasors(scene), plate.space.plate_mass, []
     for chosen in np.array_split(frequencies, -(-len(frequencies) * loads.size // BLOCK)):
         amplitudes = plate.respond(chosen, loads)
         unit, driven = amplitudes[:, :, :inputs], amplitudes[:, :, inputs:]
@@ -183,7 +182,7 @@ def _responses(
 
 def _moved_by(plate: ModalPlate, target: Target) -> tuple[np.ndarray, np.ndarray | Matrix]:
     """Return (unknowns, modes) rows of Φ that move a target, few for a small one, and their mass matrix [kg]."""
-    matrix = region_matrix(plate.galerkin, target)
+    matrix = plate.galerkin.region_matrix(target)
     matrix.eliminate_zeros()
     moved = np.flatnonzero(np.diff(matrix.indptr))
     return plate.vectors[moved], as_sparse(matrix[moved][:, moved].toarray())

@@ -104,7 +104,7 @@ def _check(scene: Scene, quantity: Quantity, duration: float, rate: int, most: i
     if quantity not in UNITS:
         raise SceneError(f"quantity {quantity}: an impulse has no sampled acceleration; take receptance or mobility")
     if scene.steady:
-        raise SceneError("effects.loss_factor: has no motion in time, so no impulse response; take viscous damping")
+        raise SceneError(f"{scene.steady_key}: has no motion in time, so no impulse response; take viscous damping")
     if not 1 <= duration * rate <= most:
         raise SceneError(
             f"impulse {duration:g} s at {rate:g} samples a second: must be 1 to {most} samples for as many responses"

@@ -17,6 +17,7 @@ from typing import Literal
 
 import numpy as np
 
+from warp_plate.effects.table import TRAVELLING
 from warp_plate.result.atomic_io import atomic_paths
 from warp_plate.result.model import Case, Result
 from warp_plate.scene.errors import SceneError
@@ -95,7 +96,7 @@ def make_drive_signal(
     Full scale is in newtons if the scene gives a force for every actuator, else in the unit of its magnitudes (default:
     the largest of them).
     """
-    if (key := scene.nonperiodic_key) is not None and key != "effects.moving_load":
+    if (key := scene.nonperiodic_key) is not None and key != TRAVELLING:
         raise SceneError(f"{key}: only tones of drive.frequency are written, which this drive is not")
     frequency, phasors, unit = scene.drive.frequency, case.phasors, scene.drive_unit
     if all(actuator.force is not None for actuator in scene.actuators):

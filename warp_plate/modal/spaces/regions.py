@@ -13,40 +13,30 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from warp_plate.modal.galerkin.integrals import Integrals, Matrix
-from warp_plate.modal.galerkin.lines import lines
-from warp_plate.modal.galerkin.matrices import Galerkin
-from warp_plate.modal.galerkin.splines import gauss
+from warp_plate.modal.spaces.integrals import Integrals
+from warp_plate.modal.spaces.knots import lines
+from warp_plate.modal.spaces.splines import Splines, gauss
 from warp_plate.plate.section import interpolate
 from warp_plate.plate.shapes import clipped, read_mask
 from warp_plate.scene.fields import Area
+from warp_plate.scene.model import Scene
 from warp_plate.scene.target import Target
 
 # Corners of the polygon for the part of a disc in a rectangle.
 DISC_CORNERS = 512
 
 
-def region_matrix(galerkin: Galerkin, region: Area | Target, within: Area | None = None) -> Matrix:
-    """Return the mass matrix [kg] of a region of the plate, without the oscillators' masses but of the same size.
-
-    Args:
-        galerkin: Plate.
-        region: Rectangle x0, x1, y0, y1 [m], or target.
-        within: Rectangle outside which the region does not count (default: none).
-
-    Raises:
-        SceneError: The file of a mask cannot be read.
-    """
+def region_values(
+    scene: Scene, along: tuple[Splines, Splines], region: Area | Target, within: Area | None
+) -> np.ndarray:
+    """Return ∫ ρH u u dA over a region [kg], for each pair of functions of y and of x; see ``region_matrix``."""
     area = region.area if isinstance(region, Target) else region
     if area is not None:
-        matrix = _over_rectangle(galerkin, _common(area, within))
-    elif isinstance(region, Target) and region.mask is not None:
-        matrix = _over_mask(galerkin, region, within)
-    else:
-        assert isinstance(region, Target)
-        matrix = _over_chords(galerkin, region, within)
-    matrix.resize(galerkin.mass.shape)
-    return matrix
+        return _over_rectangle(scene, along, _common(area, within))
+    assert isinstance(region, Target)
+    if region.mask is not None:
+        return _over_mask(scene, along, region, within)
+    return _over_chords(scene, along, region, within)
 
 
 def _common(first: Area, second: Area | None) -> Area:
@@ -55,29 +45,27 @@ def _common(first: Area, second: Area | None) -> Area:
     return max(first[0], second[0]), min(first[1], second[1]), max(first[2], second[2]), min(first[3], second[3])
 
 
-def _over_rectangle(galerkin: Galerkin, area: Area) -> Matrix:
-    integrals = Integrals(galerkin.scene, galerkin.along_x, galerkin.along_y, (area[:2], area[2:]))
-    return integrals.matrix(integrals.fields()[-1] * integrals.inside(area))
+def _over_rectangle(scene: Scene, along: tuple[Splines, Splines], area: Area) -> np.ndarray:
+    integrals = Integrals(scene, *along, (area[:2], area[2:]))
+    return integrals.values(integrals.fields()[-1] * integrals.inside(area))
 
 
-def _over_mask(galerkin: Galerkin, target: Target, within: Area | None) -> Matrix:
-    """Return the matrix of a mask, which is bilinear between its numbers."""
-    scene = galerkin.scene
-    key = next((key for key, each in scene.targets_by_key.items() if each == target), "target")
-    values = read_mask(scene, key, target)
-    (width, height), (rows, columns) = scene.plate.size, values.shape
+def _over_mask(scene: Scene, along: tuple[Splines, Splines], target: Target, within: Area | None) -> np.ndarray:
+    """Return the values of a mask, which is bilinear between its numbers."""
+    key = next((key for key, listed in scene.targets_by_key.items() if listed == target), "target")
+    mask = read_mask(scene, key, target)
+    (width, height), (rows, columns) = scene.plate.size, mask.shape
     area = _common((0.0, width, 0.0, height), within)
     cuts = [*np.linspace(0, width, max(columns, 2)), *area[:2]], [*np.linspace(0, height, max(rows, 2)), *area[2:]]
-    integrals = Integrals(scene, galerkin.along_x, galerkin.along_y, cuts)
+    integrals = Integrals(scene, *along, cuts)
     x, y = integrals.points
-    share = interpolate(interpolate(values, y / height * (rows - 1)).T, x / width * (columns - 1)).T
-    return integrals.matrix(integrals.fields()[-1] * share * integrals.inside(area))
+    share = interpolate(interpolate(mask, y / height * (rows - 1)).T, x / width * (columns - 1)).T
+    return integrals.values(integrals.fields()[-1] * share * integrals.inside(area))
 
 
-def _over_chords(galerkin: Galerkin, target: Target, within: Area | None) -> Matrix:
-    """Return the matrix of a disc or polygon; part of a disc counts as part of a polygon of DISC_CORNERS corners."""
-    scene, along_x, along_y = galerkin.scene, galerkin.along_x, galerkin.along_y
-    integrals = Integrals(scene, along_x, along_y)
+def _over_chords(scene: Scene, along: tuple[Splines, Splines], target: Target, within: Area | None) -> np.ndarray:
+    """Return the values of a disc or polygon; part of a disc counts as part of a polygon of DISC_CORNERS corners."""
+    integrals = Integrals(scene, *along)
     count, (breaks_x, breaks_y) = integrals.rule, integrals.breaks
     places = np.array([place for place, _ in lines(scene, 0)])
     if target.disc is not None and within is None:
@@ -88,16 +76,16 @@ def _over_chords(galerkin: Galerkin, target: Target, within: Area | None) -> Mat
         corners = corners if within is None else clipped(corners, within)
         y, weights, chords = _polygon_chords(corners, places, breaks_y, count)
     rows, columns = integrals.pairs[0]
-    along = np.empty((y.size, rows.size))
+    along_x = np.empty((y.size, rows.size))
     for number, (low, high) in enumerate(chords):
         inside = breaks_x[(breaks_x > low) & (breaks_x < high)]
         x, shares = gauss(np.concatenate([[low], inside, [high]]), count)
-        values = along_x.values(x)
+        values = along[0].values(x)
         density = integrals.fields_at(x, y[number : number + 1])[-1][0]
-        along[number] = (values[rows] * values[columns]) @ (shares * density * weights[number])
+        along_x[number] = (values[rows] * values[columns]) @ (shares * density * weights[number])
     rows, columns = integrals.pairs[1]
-    values = along_y.values(y)
-    return integrals.scatter((values[rows] * values[columns]) @ along)
+    values = along[1].values(y)
+    return np.asarray((values[rows] * values[columns]) @ along_x)
 
 
 def _disc_chords(
@@ -131,8 +119,8 @@ def _polygon_chords(
     ends = (y0 + share * (y1 - y0))[(share > 0) & (share < 1)]
     inside = breaks[(breaks > y0.min()) & (breaks < y0.max())]
     y, weights = gauss(np.unique(np.concatenate([y0, inside, ends])), count)
-    found = [(at, weight, chord) for at, weight in zip(y, weights, strict=True) for chord in _chords_at(corners, at)]
-    ordinates, shares, chords = zip(*found, strict=True)
+    crossed = [(at, weight, chord) for at, weight in zip(y, weights, strict=True) for chord in _chords_at(corners, at)]
+    ordinates, shares, chords = zip(*crossed, strict=True)
     return np.array(ordinates), np.array(shares), list(chords)
 
 

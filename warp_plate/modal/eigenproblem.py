@@ -13,14 +13,16 @@ import math
 import numpy as np
 import scipy
 
-from warp_plate.modal.galerkin.integrals import Integrals, Matrix
-from warp_plate.modal.galerkin.matrices import Galerkin, make_galerkin
+from warp_plate.effects.effect import IN_PLANE
+from warp_plate.modal.assemble import Galerkin, make_galerkin, make_space
+from warp_plate.modal.spaces.space import Matrix
 from warp_plate.plate.memory import refuse_beyond_memory
+from warp_plate.plate.stability_limit import buckled
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
-# Modes that are solved for again, and the largest number of points with curvatures in memory.
-LOWEST, POINTS = 12, 1 << 18
+# Modes that are solved for again.
+LOWEST = 12
 # All modes are computed unless fewer than one in SPARSE is wanted: then Lanczos' method takes less time.
 SPARSE = 5
 # Matrices of all unknowns, and vectors of a wanted mode, that the two ways hold.
@@ -48,7 +50,7 @@ def solve_eigenproblem(
     Raises:
         SceneError: The plate buckles, or the matrices do not fit into memory.
     """
-    bases = _parity_bases(galerkin)
+    bases = _bases(galerkin)
     # Up to a frequency, nearly equal numbers of modes have each parity; the difference grows as the plate's perimeter.
     share = math.ceil(wanted / len(bases) + (len(bases) - 1) * math.sqrt(wanted) / 2)
     if least:
@@ -75,26 +77,12 @@ def _freedom(scene: Scene) -> float:
     return sum(not isinstance(edge, str) or edge == "free" for _, edge in scene.edges) / 4
 
 
-def _parity_bases(galerkin: Galerkin) -> list[Matrix]:
-    """Return bases (unknowns, n) of the motions that are even or odd about the middle of each side, where modes are.
-
-    The modes of a plate whose opposite edges are alike, and that is the same everywhere, are one or the other.
-    """
-    effects, edges = galerkin.scene.effects, galerkin.scene.edges
-    if galerkin.scene.layers or effects.variation or effects.oscillators:
+def _bases(galerkin: Galerkin) -> list[Matrix]:
+    """Return bases (unknowns, n) of motions that the modes do not mix."""
+    scene = galerkin.scene
+    if scene.layers or scene.effects.factor_maps or galerkin.attachments:
         return [scipy.sparse.eye_array(galerkin.mass.shape[0], format="csr")]
-    alike, (rows, columns) = (edges.bottom == edges.top, edges.left == edges.right), galerkin.shape
-    along_y, along_x = (
-        _parities(count) if same else [np.eye(count)] for count, same in zip((rows, columns), alike, strict=True)
-    )
-    return [Matrix(scipy.sparse.kron(Matrix(y), Matrix(x))) for y in along_y for x in along_x]
-
-
-def _parities(count: int) -> list[np.ndarray]:
-    """Return orthonormal bases (count, n) of the even and the odd sequences."""
-    identity = np.eye(count)
-    even, odd = identity + identity[::-1], identity - identity[::-1]
-    return [part / np.linalg.norm(part, axis=0) for part in (even[:, : (count + 1) // 2], odd[:, : count // 2])]
+    return galerkin.space.parity_bases()
 
 
 def _solve_up_to(
@@ -126,10 +114,10 @@ def _improve_lowest(galerkin: Galerkin, squares: np.ndarray, vectors: np.ndarray
     """Solve for the lowest modes once more, in the space that those of each parity (modes,) span; in place."""
     low = vectors[:, :LOWEST]
     energies = _from_curvatures(galerkin, low) + low.T @ (galerkin.support @ low)
-    for each in np.unique(parity[: low.shape[1]]):
-        alike = np.flatnonzero(parity[: low.shape[1]] == each)
-        squares[alike], turn = scipy.linalg.eigh(energies[np.ix_(alike, alike)])
-        vectors[:, alike] = vectors[:, alike] @ turn
+    for index in np.unique(parity[: low.shape[1]]):
+        alike = np.flatnonzero(parity[: low.shape[1]] == index)
+        squares[alike], rotation = scipy.linalg.eigh(energies[np.ix_(alike, alike)])
+        vectors[:, alike] = vectors[:, alike] @ rotation
 
 
 def _all(stiffness: Matrix, mass: Matrix, scale: float) -> tuple[np.ndarray, np.ndarray]:
@@ -172,47 +160,20 @@ def bending_energies(galerkin: Galerkin, squares: np.ndarray, vectors: np.ndarra
 
 
 def _from_curvatures(galerkin: Galerkin, vectors: np.ndarray) -> np.ndarray:
-    """Return (modes, modes) Φᵀ B Φ of vectors Φ (unknowns, modes), from their curvatures at Gauss's points."""
-    integrals, (rows, columns) = Integrals(galerkin.scene, galerkin.along_x, galerkin.along_y), galerkin.shape
-    bend_xx, bend_xy, bend_yy, twist, _ = (integrals.weights * field for field in integrals.fields())
-    coefficients = vectors[: rows * columns].reshape(rows, columns, -1)
-    along_x, along_y = (
-        [Matrix(splines.values(points, derivative).T) for derivative in (0, 1, 2)]
-        for splines, points in zip(integrals.along, integrals.points, strict=True)
-    )
-    total = np.zeros((vectors.shape[1], vectors.shape[1]))
-    step = max(1, POINTS // integrals.points[0].size)
-    for part in (slice(start, start + step) for start in range(0, integrals.points[1].size, step)):
-        xx, xy, yy = (_values(along_y[2 - i][part], along_x[i], coefficients) for i in (2, 1, 0))
-        for field, first, second in ((bend_xx, xx, xx), (bend_yy, yy, yy), (4 * twist, xy, xy)):
-            total += (field[part].ravel() * first) @ second.T
-        coupled = (bend_xy[part].ravel() * xx) @ yy.T
-        total += coupled + coupled.T
-    return total
-
-
-def _values(along_y: Matrix, along_x: Matrix, coefficients: np.ndarray) -> np.ndarray:
-    """Return (modes, points) from functions at y (ny, rows) and x (nx, columns) and (rows, columns, modes)."""
-    rows, columns, modes = coefficients.shape
-    strips = (along_y @ coefficients.reshape(rows, -1)).reshape(-1, columns, modes).transpose(1, 2, 0)
-    values = (along_x @ strips.reshape(columns, -1)).reshape(along_x.shape[0], modes, -1)
-    return np.ascontiguousarray(values.transpose(1, 2, 0)).reshape(modes, -1)
+    """Return (modes, modes) Φᵀ B Φ of vectors Φ (unknowns, modes), from their curvatures."""
+    return galerkin.space.bending_energies(vectors[: galerkin.space.unknowns])
 
 
 def _buckled(scene: Scene) -> SceneError:
-    """Return the error for a plate that its tension T buckles: for some μ < 1, K − T + μT is singular."""
-    tension = scene.effects.tension
-    assert tension is not None
-    effects = scene.effects.model_copy(update={"tension": None})
+    """Return the error for a plate that in-plane forces T buckle: for some μ < 1, K − T + μT is singular."""
+    forces = {term.factors: term for term in scene.terms if term.factors in IN_PLANE}
+    free = scene.effects.keeping(lambda effect: all(term.factors not in IN_PLANE for term in effect.terms(scene.plate)))
+    space = make_space(scene, (INTERVALS, INTERVALS))
     pressed, bare = (
-        make_galerkin(each, (INTERVALS, INTERVALS)).stiffness
-        for each in (scene, scene.model_copy(update={"effects": effects}))
+        make_galerkin(one, space).stiffness for one in (scene, scene.model_copy(update={"effects": free}))
     )
     # The rigid motion of a plate that nothing holds gets a stiffness of rounding's size.
     held = bare + 1e-12 * bare.diagonal().max() * scipy.sparse.eye_array(bare.shape[0])
     largest = scipy.sparse.linalg.eigsh(bare - pressed, 1, held.tocsc(), which="LA", return_eigenvectors=False)[0]
-    x, y, factor = tension.x, tension.y, 1 / largest
-    return SceneError(
-        f"effects.tension = {{x = {x:g}, y = {y:g}}}: the plate buckles; the critical load is x = {factor * x:.4g}, "
-        f"y = {factor * y:.4g} N/m, {factor:.3g} of this one"
-    )
+    x, y = (forces[factors].coefficient if factors in forces else 0.0 for factors in IN_PLANE)
+    return buckled(next(iter(forces.values())).label, (x, y), 1 / largest)

@@ -14,8 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from warp_plate.effects.moving_load import MovingLoad
+from warp_plate.effects.table import TRAVELLING
 from warp_plate.plate.waveforms import step_means
-from warp_plate.scene.drive import MovingLoad
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
@@ -45,9 +46,9 @@ def moving_weights(scene: Scene, time_step: float, steps: int) -> MovingWeights:
     Raises:
         SceneError: The scene has no such load, or it never touches the plate during the run.
     """
-    load = scene.effects.moving_load
+    load = scene.effects.travelling
     if load is None:
-        raise SceneError("effects.moving_load: this scene has none")
+        raise SceneError(f"{TRAVELLING}: this scene has none")
     times, presence = time_step * np.arange(steps), _presence(load, scene, 2 * time_step * steps)
     present = step_means(lambda time: np.clip(time, *presence), time_step, steps)
     wave = load.force * present * np.cos(2 * math.pi * (load.frequency or 0.0) * times)
@@ -59,7 +60,7 @@ def moving_weights(scene: Scene, time_step: float, steps: int) -> MovingWeights:
     ]
     if not (wave.any() and (along[0].any(axis=1) & along[1].any(axis=1) & (wave != 0)).any()):
         raise SceneError(
-            f"effects.moving_load.start = {list(load.start)}: the load is never on the plate of "
+            f"{TRAVELLING}.start = {list(load.start)}: the load is never on the plate of "
             f"{list(scene.plate.size)} m during the run; change start, velocity, from_time or force"
         )
     spacing = [side / (nodes - 1) for side, nodes in zip(scene.plate.size, scene.grid.nodes, strict=True)]

@@ -1,7 +1,7 @@
 """Lines across which the section of a plate or its load is not smooth, and the splines that follow them.
 
 Where the rigidity jumps, at the edges of layers, only the slope is continuous; where it has a kink, at the columns of a
-map of thickness, the curvature; and where the load jumps, at the edges of an oscillator's patch, the third derivative.
+map of thickness, the curvature; and where the load jumps, at the edges of a patch with a mass, the third derivative.
 """
 
 from __future__ import annotations
@@ -10,15 +10,17 @@ from itertools import pairwise
 
 import numpy as np
 
-from warp_plate.modal.galerkin.splines import Splines, make_splines
+from warp_plate.effects.edges import ElasticEdge
+from warp_plate.effects.effect import attachments
+from warp_plate.modal.spaces.splines import Splines, make_splines
 from warp_plate.plate.section import factor_arrays
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import ElasticEdge, Scene
+from warp_plate.scene.model import Scene
 
 # Degree of the splines, of those of a section with jumps or up to FEW_KINKS kinks along a side, and with more: each
 # repeats knots, fewer of a low degree.
 DEGREE, DEGREE_OF_JUMPS, DEGREE_OF_KINKS, FEW_KINKS = 7, 5, 4, 10
-# Up to this many oscillators, knots are added near the edges of their patches, across which the load jumps.
+# Up to this many patches with masses, knots are added at their edges, across which the load jumps.
 MOST_PATCHES = 8
 # The curvature alone is continuous across a line of a map where the slope of a factor changes by more than KINK times
 # its value over the columns' distance, if there are no more than MOST_KINKS of them along either side.
@@ -50,15 +52,15 @@ def plate_splines(scene: Scene, axis: int, intervals: int) -> Splines:
 
 def lines(scene: Scene, axis: int, degree: int = DEGREE) -> list[tuple[float, int]]:
     """Return where section or load are not smooth along x (0) or y (1) [m], and the derivatives of splines there."""
-    found = []
-    if len(scene.effects.oscillators) <= MOST_PATCHES:
-        for oscillator in scene.effects.oscillators:
-            found += [(position, degree - 2) for position in oscillator.area[2 * axis : 2 * axis + 2]]
-    for layer in scene.layers:
-        found += [(position, 1) for position in layer.area[2 * axis : 2 * axis + 2]]
+    loaded = attachments(scene.terms)
+    places: list[tuple[float, int]] = []
+    if len(loaded) <= MOST_PATCHES:
+        ends = (position for attachment in loaded for position in attachment.area[2 * axis : 2 * axis + 2])
+        places += [(position, degree - 2) for position in ends]
+    places += [(position, 1) for layer in scene.layers for position in layer.area[2 * axis : 2 * axis + 2]]
     kinks = _kinks(scene)
     followed = _most(kinks) <= MOST_KINKS
-    return found + [(place, 2 if sharp and followed else degree) for place, sharp in kinks[axis].items()]
+    return places + [(place, 2 if sharp and followed else degree) for place, sharp in kinks[axis].items()]
 
 
 def _kinks(scene: Scene) -> tuple[dict[float, bool], dict[float, bool]]:
@@ -96,7 +98,7 @@ def _near_layers(scene: Scene, axis: int, interval: float) -> list[float]:
         {place for layer in scene.layers for place in layer.area[2 * i : 2 * i + 2] if 0 < place < side}
         for i, side in enumerate(scene.plate.size)
     ]
-    found, parts = [], LAYER_INTERVALS[: max(1, 4 - len(edges[axis]) // 2)] if all(edges) else ()
+    places, parts = [], LAYER_INTERVALS[: max(1, 4 - len(edges[axis]) // 2)] if all(edges) else ()
     side = scene.plate.size[axis]
     for low, high in pairwise(sorted({0.0, side, *edges[axis]})):
         if SAME * side < high - low < CLOSE * side:
@@ -105,9 +107,9 @@ def _near_layers(scene: Scene, axis: int, interval: float) -> list[float]:
                 f"coincide or move them at least {CLOSE * side:.3g} m apart"
             )
         steps = [part * min(interval, high - low) for part in parts if high - low > NARROW * interval]
-        found += [low + step for step in steps if low in edges[axis]]
-        found += [high - step for step in steps if high in edges[axis]]
-    return found
+        places += [low + step for step in steps if low in edges[axis]]
+        places += [high - step for step in steps if high in edges[axis]]
+    return places
 
 
 def _singular(first: object, second: object) -> bool:

@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import pairwise
+from typing import TypeAlias
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -21,6 +22,9 @@ CONDITIONS = {"free": 0, "supported": 1, "clamped": 2}
 MERGED = 5e-5
 # Splines that are kept, with what is computed of them, for further plates.
 SPLINES_KEPT = 32
+# Products along a side that are kept for further plates.
+PRODUCTS_KEPT = 128
+Pairs: TypeAlias = "tuple[np.ndarray, np.ndarray]"
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,3 +138,47 @@ def _bsplines(knots: np.ndarray, degree: int, x: np.ndarray, derivative: int = 0
         else:
             values = (x - knots[: -order - 1, None]) * rising + (knots[order + 1 :, None] - x) * falling
     return values
+
+
+@lru_cache(PRODUCTS_KEPT)
+def side_products(splines: Splines, first: int, second: int) -> np.ndarray:
+    """Return (pairs,) ∫ of two derivatives over a whole side, the first of the function in the row."""
+    products, of_pairs = weighted_products(splines, (first, second), *gauss(splines.breaks, splines.degree + 1))
+    return np.asarray(products.sum(axis=1)[of_pairs])
+
+
+@lru_cache(PRODUCTS_KEPT)
+def end_products(splines: Splines, high: bool, derivative: int) -> np.ndarray:
+    """Return (pairs,) products of a derivative at the low or the high end of a side."""
+    place = splines.breaks[-1 if high else 0]
+    values = splines.values(np.array([place]), derivative)[:, 0]
+    rows, columns = overlapping_pairs(splines)
+    return np.asarray(values[rows] * values[columns])
+
+
+def weighted_products(
+    splines: Splines, derivatives: tuple[int, int], points: np.ndarray, weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray | slice]:
+    """Return (products, points) weighted products of derivatives of two functions, and which of them is that of each
+    pair; of equal derivatives those of (i, k) and (k, i) are the same."""
+    equal = derivatives[0] == derivatives[1]
+    (rows, columns), of_pairs = _unordered(splines) if equal else (overlapping_pairs(splines), slice(None))
+    values = [splines.values(points, derivative) for derivative in derivatives]
+    return values[0][rows] * values[1][columns] * weights, of_pairs
+
+
+@lru_cache(PRODUCTS_KEPT)
+def _unordered(splines: Splines) -> tuple[Pairs, np.ndarray]:
+    """Return the distinct unordered pairs, and the index of each pair among them."""
+    ordered = np.sort(np.stack(overlapping_pairs(splines)), axis=0)
+    (first, second), of_pairs = np.unique(ordered, axis=1, return_inverse=True)
+    return (first, second), of_pairs.ravel()
+
+
+@lru_cache(PRODUCTS_KEPT)
+def overlapping_pairs(splines: Splines) -> Pairs:
+    """Return rows and columns of all pairs of functions that are not zero in a common interval."""
+    index = np.arange(splines.functions)
+    near = np.abs(index[:, None] - index) <= splines.degree
+    rows, columns = np.nonzero(near)
+    return rows, columns

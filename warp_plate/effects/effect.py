@@ -1,0 +1,241 @@
+"""What an effect is: a table of the scene, and the terms that it adds to the equation of motion.
+
+A linear plate is a sum of quadratic forms in its displacement u or velocity u̇,
+
+    T = ½ Σ ∫ m ∂u̇ ∂'u̇,     U = ½ Σ ∫ k ∂u ∂'u,     F = ½ Σ ∫ c ∂u̇ ∂'u̇,
+
+each over the plate, along an edge, or of the mean displacement of a patch. A :class:`Term` is one of them, as data; it
+is read by ``modal/assemble.py`` (matrices over a function space), ``plate/bending.py`` (fields on the grid) and the
+plain NumPy plate in ``reference/``. What is not a sum of terms says so by the attributes of its :class:`Effect`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, Protocol, Self, TypeAlias
+
+import numpy as np
+
+from warp_plate.scene.fields import Area, Table
+
+Role = Literal["mass", "stiffness", "damping", "hysteretic"]
+Derivative = Literal["", "x", "y", "xx", "yy", "xy", "n"]
+Factors: TypeAlias = "tuple[Derivative, Derivative]"
+# Coefficient: a number, or values at the points of a grid (y, x).
+Coefficient: TypeAlias = "float | np.ndarray"
+
+DISPLACEMENT: Factors = ("", "")
+SLOPE: Factors = ("n", "n")
+# Factors of in-plane forces along x and along y.
+IN_PLANE: tuple[Factors, Factors] = (("x", "x"), ("y", "y"))
+
+
+@dataclass(frozen=True)
+class Edge:
+    """An edge of the plate as the place of a term."""
+
+    side: str
+    """"left", "bottom", "right" or "top"."""
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """A rectangle whose mean displacement a term acts on, relative to the mass that is attached to it."""
+
+    area: Area
+    """Rectangle x0, x1, y0, y1 [m]."""
+    mass: float = 0.0
+    """Mass [kg] with a displacement of its own; without one, the term acts between the patch and the ground."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """A quadratic form of the equation of motion.
+
+    Attributes:
+        role: Energy that the term adds to: mass (kinetic), stiffness (stored), damping (dissipated by viscous forces),
+            or hysteretic (imaginary part of the stiffness).
+        coefficient: Factor in SI units.
+        factors: Derivatives of the two factors; "" is the displacement, "n" the slope across an edge.
+        place: Where the form is taken; None for the whole plate.
+        of: "bending" for a multiple of all bending terms of the plate, "modes" for a number for each mode (a loss
+            factor of its stiffness, or a damping ratio); ``factors`` and ``place`` do not count then.
+        label: Name of the effect in texts.
+    """
+
+    role: Role
+    coefficient: Any
+    factors: Factors = DISPLACEMENT
+    place: Edge | Patch | None = None
+    of: Literal["", "bending", "modes"] = ""
+    label: str = ""
+
+    @property
+    def distributed(self) -> bool:
+        """True for a form over the whole plate."""
+        return self.place is None and not self.of
+
+
+class Panel(Protocol):
+    """The table ``[plate]`` as effects see it; see :class:`warp_plate.scene.model.Plate`."""
+
+    @property
+    def size(self) -> tuple[float, float]: ...
+    @property
+    def thickness(self) -> float: ...
+    @property
+    def density(self) -> float: ...
+    @property
+    def poisson_ratio(self) -> float: ...
+    @property
+    def rigidity(self) -> float: ...
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A scene as typical values see it.
+
+    Attributes:
+        plate: The table ``[plate]``.
+        angular_frequency: Angular frequency of the drive [rad/s].
+        end: End of the run [s].
+        patches: Rectangles of the actuators [m].
+        spot: Rectangle in the target [m].
+    """
+
+    plate: Panel
+    angular_frequency: float
+    end: float
+    patches: tuple[Area, ...]
+    spot: Area
+
+
+class Effect(Table):
+    """Base class of the tables under ``[effects]``; a subclass overrides what differs from a linear, stepped effect."""
+
+    linear: ClassVar[bool] = True
+    """False if displacements are not proportional to the drives."""
+    stepped: ClassVar[bool] = True
+    """False if the effect exists by modes alone."""
+    steady: ClassVar[bool] = False
+    """True if the effect is defined for steady tones alone."""
+    travels: ClassVar[bool] = False
+    """True for a load of its own that never repeats."""
+    in_kernels: ClassVar[bool] = True
+    """False if the effect only changes the rigidity and mass of the plate, without arithmetic of its own in a step."""
+    damping_keys: ClassVar[tuple[str, ...]] = ()
+    """Keys of damping of the plate, which the tolerance ``search.robust.damping`` multiplies."""
+
+    def terms(self, plate: Panel) -> Iterable[Term]:
+        """Yield the terms that the effect adds to the equation of motion."""
+        return ()
+
+    @classmethod
+    def typical(cls, setting: Setting) -> tuple[Any, str]:
+        """Return a typical value of the table, or of the list of tables, and its description."""
+        raise NotImplementedError
+
+    def scaled(self, stiffness: float, thickness: float, damping: float) -> dict[str, Any]:
+        """Return the table of a panel with factors of Young's modulus, thickness and damping."""
+        table = self.model_dump()
+        for key in self.damping_keys:
+            value = table[key]
+            listed = isinstance(value, tuple)  # a number for each mode
+            table[key] = tuple(damping * number for number in value) if listed else value * damping
+        return table
+
+    @property
+    def at_rest(self) -> Self:
+        """The effect as natural modes of the linear plate have it."""
+        return self
+
+    @property
+    def section_keys(self) -> tuple[str, ...]:
+        """Keys by which the plate is not isotropic and uniform; "" for the whole table."""
+        return ()
+
+    @property
+    def lossy(self) -> bool:
+        """True if the table damps the plate."""
+        return any(np.any(getattr(self, key)) for key in self.damping_keys)
+
+
+@dataclass(frozen=True)
+class Losses:
+    """The damping of the whole plate by kind.
+
+    Attributes:
+        viscous: Viscous damping [N·s/m³].
+        retardation: Retardation time of the material [s].
+        hysteretic: Loss factor of the bending stiffness [1].
+        ratios: Damping ratios [1], a number for all modes or one for each; None without.
+        loss_factors: Loss factors [1] of each mode; None without.
+    """
+
+    viscous: float
+    retardation: float
+    hysteretic: float
+    ratios: Any
+    loss_factors: Any
+
+    @property
+    def by_modes(self) -> bool:
+        """True if damping is given mode by mode."""
+        return self.ratios is not None or self.loss_factors is not None
+
+
+def losses(terms: Iterable[Term]) -> Losses:
+    """Return the damping of the whole plate that terms add up to; that of patches is left out."""
+    viscous, of_bending = 0.0, {"damping": 0.0, "hysteretic": 0.0}
+    of_modes: dict[str, Any] = {"damping": None, "hysteretic": None}
+    for term in terms:
+        if term.of == "bending":
+            of_bending[term.role] += term.coefficient
+        elif term.of == "modes":
+            of_modes[term.role] = term.coefficient
+        elif term.role == "damping" and term.distributed:
+            viscous += term.coefficient
+    return Losses(viscous, *of_bending.values(), *of_modes.values())
+
+
+@dataclass(frozen=True)
+class Attachment:
+    """A mass on a patch with its spring and damper; see :class:`Patch`."""
+
+    area: Area
+    mass: float
+    stiffness: float
+    damping: float
+    label: str
+
+    @property
+    def swings(self) -> bool:
+        """True if a mass is held by a spring, and so has natural modes."""
+        return self.mass > 0 and self.stiffness > 0
+
+
+def attachments(terms: Iterable[Term]) -> list[Attachment]:
+    """Return what is attached to patches, in the order of the terms."""
+    patches: dict[Patch, dict[str, float]] = {}
+    labels = {}
+    for term in terms:
+        if isinstance(term.place, Patch):
+            values = patches.setdefault(term.place, {"stiffness": 0.0, "damping": 0.0})
+            values[term.role] += term.coefficient
+            labels[term.place] = term.label
+    return [Attachment(patch.area, patch.mass, **values, label=labels[patch]) for patch, values in patches.items()]
+
+
+def per_mode(values: float | tuple[float, ...], count: int) -> np.ndarray:
+    """Return (count,) values for the lowest modes: of one number, or of a list whose last one holds for the rest."""
+    listed = np.atleast_1d(values)
+    return listed[np.minimum(np.arange(count), len(listed) - 1)]
+
+
+def rows_of(value: Any) -> Iterator[tuple[str, Effect]]:
+    """Yield the tables of a field of ``[effects]``, with the index that a key takes in a list."""
+    if isinstance(value, tuple):
+        yield from ((f"[{index}]", row) for index, row in enumerate(value))
+    elif value is not None:
+        yield "", value

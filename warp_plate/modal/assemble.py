@@ -1,0 +1,175 @@
+"""Galerkin matrices of a scene's plate: its terms over a function space.
+
+With u = Σ q_i ψ_i(x, y), the energies of the plate, its edges and what is attached to it are quadratic forms:
+
+    T = ½ ∫ ρH u̇² dA + Σ ½ m ż²                                                          mass M
+    U = ½ ∫ Dx u_xx² + 2 D1 u_xx u_yy + Dy u_yy² + 4 Dxy u_xy² dA                          bending B, part of K
+      + ½ ∫ Tx u_x² + Ty u_y² + k u² dA + ½ ∮ k u² + r u_n² ds + Σ ½ s (ū − z)²            stiffness K
+    F = ½ ∫ c u̇² dA + Σ ½ d (ū̇ − ż)² + τ B                                               viscous damping C
+
+in which ū is the mean displacement of a patch and z that of the mass on it. Only the displacement of a supported edge
+and the slope of a clamped one need functions that keep them; moments and forces of all other edges follow from the
+energies (A. W. Leissa, J. Sound Vib. 31, 1973, pp. 257-293).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy
+
+from warp_plate.effects.effect import DISPLACEMENT, Attachment, Losses, Patch, attachments, losses
+from warp_plate.modal.spaces.space import FunctionSpace, Matrix
+from warp_plate.modal.spaces.tensor_splines import TensorSplines
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.fields import Area
+from warp_plate.scene.model import Scene
+from warp_plate.scene.piezo import piezo_moments
+from warp_plate.scene.target import Target
+
+# Attached springs that are stiffer than this, relative to the largest entry of the plate's own stiffness, would hide it
+# in rounding; those of a thousandth already hold their patch as a rigid one.
+STIFFEST = 1e10
+
+
+@dataclass(frozen=True)
+class Galerkin:
+    """Matrices over the functions of a space, then over the attached masses.
+
+    Attributes:
+        scene: Scene.
+        space: Functions on the plate.
+        mass: M [kg].
+        bending: B, the stiffness of the plate without edges and effects [N/m].
+        support: K − B, of edges and effects [N/m].
+        damping: C [N·s/m] but for τB, the damping of the material.
+        attachments: Springs, dampers and masses on patches.
+    """
+
+    scene: Scene
+    space: FunctionSpace
+    mass: Matrix
+    bending: Matrix
+    support: Matrix
+    damping: Matrix
+    attachments: Sequence[Attachment]
+
+    @cached_property
+    def stiffness(self) -> Matrix:
+        """K [N/m]."""
+        return self.bending + self.support
+
+    @cached_property
+    def losses(self) -> Losses:
+        """Damping of the whole plate by kind."""
+        return losses(self.scene.terms)
+
+    @cached_property
+    def masses(self) -> list[Attachment]:
+        """Attachments that have a mass, in the order of their unknowns."""
+        return [attachment for attachment in self.attachments if attachment.mass > 0]
+
+    def region_matrix(self, region: Area | Target, within: Area | None = None) -> Matrix:
+        """Return the mass matrix [kg] of a region, without attached masses but of the same size as ``mass``."""
+        matrix = self.space.region_matrix(region, within)
+        matrix.resize(self.mass.shape)
+        return matrix
+
+
+def make_space(scene: Scene, intervals: tuple[int, int]) -> FunctionSpace:
+    """Return the function space of a scene's plate, with about a number of intervals along x and along y."""
+    return TensorSplines(scene, intervals)
+
+
+def make_galerkin(scene: Scene, space: FunctionSpace) -> Galerkin:
+    """Return the matrices of a scene over a function space.
+
+    Raises:
+        SceneError: A file that the scene names cannot be read, or an attached spring is too stiff.
+    """
+    first, *others = (space.form(term.coefficient, term.factors) for term in space.bending_terms())
+    bending = np.asarray(sum(others, start=first))
+    forms: dict[str, list[np.ndarray]] = {"mass": [], "stiffness": [], "damping": []}
+    for term in scene.terms:
+        of_section = term.role == "mass" and term.factors == DISPLACEMENT  # which the mass per area contains
+        if term.role in forms and not (term.of or isinstance(term.place, Patch) or of_section):
+            forms[term.role].append(space.form(term.coefficient, term.factors, term.place))
+    support, damping, inertia = (
+        np.asarray(sum(forms[role], start=np.zeros_like(bending))) for role in ("stiffness", "damping", "mass")
+    )
+    attached = attachments(scene.terms)
+    masses = [attachment.mass for attachment in attached if attachment.mass > 0]
+    _check_springs(space, attached, float(bending.max()))
+    mass = space.mass_matrix()
+    if forms["mass"]:
+        mass = Matrix(mass + space.scatter(inertia))
+    return Galerkin(
+        scene=scene,
+        space=space,
+        mass=_with_masses(mass, masses),
+        bending=_with_masses(space.scatter(bending), np.zeros(len(masses))),
+        support=_with_links(space, attached, support, "stiffness"),
+        damping=_with_links(space, attached, damping, "damping"),
+        attachments=attached,
+    )
+
+
+def load_integrals(galerkin: Galerkin, areas: np.ndarray) -> np.ndarray:
+    """Return (rectangles, unknowns of the plate) loads of unit drives of the scene's actuators.
+
+    Args:
+        galerkin: Plate.
+        areas: (..., actuators, 4) rectangles x0, x1, y0, y1 [m] of the actuators.
+    """
+    if not galerkin.scene.piezo:
+        return galerkin.space.patch_integrals(areas)
+    rectangles = np.asarray(areas, dtype=float).reshape(-1, 4)
+    moments = np.resize(piezo_moments(galerkin.scene), len(rectangles))
+    return -moments[:, None] * galerkin.space.curvature_integrals(rectangles)
+
+
+def _patch_means(space: FunctionSpace, attached: Sequence[Attachment]) -> np.ndarray:
+    """Return (attachments, unknowns of the plate) mean values of the functions over the patches."""
+    rectangles = np.array([attachment.area for attachment in attached], dtype=float).reshape(-1, 4)
+    size = (rectangles[:, 1] - rectangles[:, 0]) * (rectangles[:, 3] - rectangles[:, 2])
+    return space.patch_integrals(rectangles) / size[:, None]
+
+
+def _with_links(space: FunctionSpace, attached: Sequence[Attachment], values: np.ndarray, key: str) -> Matrix:
+    """Return the matrix of a form of the plate and Σ value (ū − z)², for the attached springs or dampers.
+
+    Those without a mass have z = 0.
+    """
+    matrix = space.scatter(values)
+    if not attached:
+        return matrix
+    means = _patch_means(space, attached)
+    masses = sum(attachment.mass > 0 for attachment in attached)
+    rows, index = np.zeros((len(attached), means.shape[1] + masses)), 0
+    rows[:, : means.shape[1]] = means
+    for row, attachment in zip(rows, attached, strict=True):
+        if attachment.mass > 0:
+            row[means.shape[1] + index] = -1
+            index += 1
+    sparse, factors = Matrix(rows), np.array([getattr(attachment, key) for attachment in attached])
+    padded = _with_masses(matrix, np.zeros(masses))
+    return Matrix(padded + sparse.T @ (scipy.sparse.diags_array(factors) @ sparse))
+
+
+def _check_springs(space: FunctionSpace, attached: Sequence[Attachment], largest: float) -> None:
+    """Raise a SceneError if an attached spring is too stiff beside the ``largest`` stiffness of two functions."""
+    for index, (attachment, row) in enumerate(zip(attached, _patch_means(space, attached), strict=True)):
+        limit = STIFFEST * largest / (1.0 if attachment.mass > 0 else float(np.max(row**2)))
+        if attachment.stiffness > limit:
+            key = f"effects.{attachment.label}s[{index}].stiffness = {attachment.stiffness:g}"
+            raise SceneError(f"{key}: hides the plate in rounding; {limit / 1000:.1g} N/m are as good as rigid")
+
+
+def _with_masses(matrix: Matrix, masses: Sequence[float] | np.ndarray) -> Matrix:
+    """Return a matrix of the plate with further unknowns, the motions of masses, and these on its diagonal."""
+    if not len(masses):
+        return matrix
+    return Matrix(scipy.sparse.block_diag([matrix, scipy.sparse.diags_array(masses)], format="csr"))

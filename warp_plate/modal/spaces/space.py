@@ -1,0 +1,89 @@
+"""What the modal engine asks of the functions that a plate's displacement is a sum of.
+
+A new shape of plate is a new implementation in this folder. The functions keep the displacement of supported edges and
+the slope of clamped ones; other conditions follow from the energies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any, Protocol, Self, TypeAlias
+
+import numpy as np
+import scipy
+
+from warp_plate.effects.effect import DISPLACEMENT, Edge, Factors, Term
+from warp_plate.scene.fields import Area
+from warp_plate.scene.model import Scene
+from warp_plate.scene.target import Target
+
+Matrix: TypeAlias = scipy.sparse.csr_array
+
+
+class FunctionSpace(Protocol):
+    """A finite number of functions on a plate, and integrals of their products."""
+
+    @property
+    def degree(self) -> int:
+        """Degree of the polynomials."""
+
+    @property
+    def unknowns(self) -> int:
+        """Number of functions."""
+
+    @property
+    def plate_mass(self) -> float:
+        """Mass of the plate with its layers [kg]."""
+
+    @property
+    def interval_sizes(self) -> tuple[float, float]:
+        """Mean sizes of the functions' pieces along x and along y [m]."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Numbers of points along y and along x that resolve the functions."""
+
+    def of_scene(self, scene: Scene) -> Self:
+        """Return the space of another scene, with as many functions where its lines are the same."""
+
+    def is_near(self, other: Self, share: float) -> bool:
+        """Return whether another space has the same functions up to a share of the size of their pieces."""
+
+    def bending_terms(self) -> Iterable[Term]:
+        """Yield the terms of the plate's own bending."""
+
+    def mass_matrix(self) -> Matrix:
+        """Return the mass matrix of the plate [kg]."""
+
+    def form(self, coefficient: Any, factors: Factors = DISPLACEMENT, place: Edge | None = None) -> np.ndarray:
+        """Return the integral of a term, over the plate or along an edge, as an array that may be added to others."""
+
+    def scatter(self, values: np.ndarray) -> Matrix:
+        """Return the sparse matrix (unknowns, unknowns) of a sum of arrays by :meth:`form`."""
+
+    def bending_energies(self, vectors: np.ndarray) -> np.ndarray:
+        """Return (n, n) bending energies of vectors (unknowns, n) from their curvatures, with small relative errors."""
+
+    def density(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return the mass per area [kg/m²] on the grid (y, x) of points [m]."""
+
+    def at_points(self, points: Sequence[tuple[float, float]] | np.ndarray) -> np.ndarray:
+        """Return (points, unknowns) values at points (x, y) [m]."""
+
+    def on_grid(self, coefficients: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return (..., ny, nx) values of sums of functions (..., unknowns) on the grid of x and y [m]."""
+
+    def patch_integrals(self, areas: np.ndarray) -> np.ndarray:
+        """Return (areas, unknowns) integrals over rectangles (areas, 4) x0, x1, y0, y1 [m]."""
+
+    def patch_slopes(self, areas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return (areas, unknowns) derivatives of :meth:`patch_integrals` by the rectangles' places."""
+
+    def curvature_integrals(self, areas: np.ndarray) -> np.ndarray:
+        """Return (areas, unknowns) integrals of the functions' Laplacians over rectangles [m]."""
+
+    def region_matrix(self, region: Area | Target, within: Area | None = None) -> Matrix:
+        """Return the mass matrix [kg] of a rectangle or target, or of its part in the rectangle ``within``."""
+
+    def parity_bases(self) -> list[Matrix]:
+        """Return bases (unknowns, n) of motions that the modes of a uniform plate do not mix."""

@@ -1,0 +1,219 @@
+"""Products of splines X_i(x) Y_j(y) as a function space of a rectangular plate; x is fastest."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
+
+import numpy as np
+import scipy
+
+from warp_plate.effects.effect import DISPLACEMENT, SLOPE, Edge, Factors, Term
+from warp_plate.modal.spaces.integrals import Field, Integrals
+from warp_plate.modal.spaces.knots import plate_splines
+from warp_plate.modal.spaces.regions import region_values
+from warp_plate.modal.spaces.space import Matrix
+from warp_plate.modal.spaces.splines import Splines, end_products, overlapping_pairs, side_products
+from warp_plate.scene.fields import Area
+from warp_plate.scene.model import Scene
+from warp_plate.scene.target import Target
+
+# Derivatives along x and y of the factors of terms.
+ORDERS = {"": (0, 0), "x": (1, 0), "y": (0, 1), "xx": (2, 0), "xy": (1, 1), "yy": (0, 2)}
+# Matrices of so many unknowns at most keep the places of their entries for further plates, and of how many plates.
+MOST_UNKNOWNS, PLACES_KEPT = 4096, 4
+# Largest number of points with curvatures in memory.
+POINTS = 1 << 18
+
+
+class TensorSplines:
+    """Function space of a rectangular plate; see :class:`warp_plate.modal.spaces.space.FunctionSpace`.
+
+    Attributes:
+        scene: Scene.
+        intervals: Intervals between knots along x and along y that were asked for.
+        along: (2,) splines along x and along y.
+        integrals: Gauss's rule for the fields of the scene.
+    """
+
+    def __init__(self, scene: Scene, intervals: tuple[int, int]) -> None:
+        self.scene, self.intervals = scene, intervals
+        self.along: tuple[Splines, Splines] = (
+            plate_splines(scene, 0, intervals[0]),
+            plate_splines(scene, 1, intervals[1]),
+        )
+        self.integrals = Integrals(scene, *self.along)
+
+    @property
+    def degree(self) -> int:
+        """Degree of the splines."""
+        return self.along[0].degree
+
+    @property
+    def unknowns(self) -> int:
+        """Number of functions."""
+        return self.along[0].functions * self.along[1].functions
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Numbers of functions along y and along x."""
+        return self.along[1].functions, self.along[0].functions
+
+    @property
+    def interval_sizes(self) -> tuple[float, float]:
+        """Mean distances between knots along x and along y [m]."""
+        x, y = (float(np.diff(splines.breaks).mean()) for splines in self.along)
+        return x, y
+
+    @property
+    def plate_mass(self) -> float:
+        """Mass of the plate with its layers [kg]."""
+        return self.integrals.integral(self.integrals.fields()[-1])
+
+    def density(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return the mass per area [kg/m²] on the grid (y, x) of points [m]."""
+        return self.integrals.fields_at(x, y)[-1]
+
+    def bending_terms(self) -> Iterator[Term]:
+        """Yield the terms of bending: Dx u_xx² + Dy u_yy² + 4 Dxy u_xy² + 2 D1 u_xx u_yy."""
+        bend_xx, bend_xy, bend_yy, twist, _ = self.integrals.fields()
+        yield Term("stiffness", bend_xx, ("xx", "xx"))
+        yield Term("stiffness", bend_yy, ("yy", "yy"))
+        yield Term("stiffness", 4 * twist, ("xy", "xy"))
+        yield Term("stiffness", bend_xy, ("xx", "yy"))
+        yield Term("stiffness", bend_xy, ("yy", "xx"))
+
+    def mass_matrix(self) -> Matrix:
+        """Return the mass matrix of the plate [kg]."""
+        return self.scatter(self.form(self.integrals.fields()[-1]))
+
+    def form(self, coefficient: Field, factors: Factors = DISPLACEMENT, place: Edge | None = None) -> np.ndarray:
+        """Return the integral of a term, over the plate or along an edge, for each pair of functions."""
+        if place is None:
+            x, y = zip(*(ORDERS[factor] for factor in factors), strict=True)
+            return self.integrals.values(coefficient, x=x, y=y)
+        axis, derivative = 0 if place.side in ("left", "right") else 1, int(factors == SLOPE)
+        across = coefficient * end_products(self.along[axis], place.side in ("right", "top"), derivative)
+        along = side_products(self.along[1 - axis], 0, 0)
+        return np.outer(along, across) if axis == 0 else np.outer(across, along)
+
+    def scatter(self, values: np.ndarray) -> Matrix:
+        """Return the sparse matrix of the values of :meth:`form`, or of sums of them."""
+        places = (_places if self.unknowns <= MOST_UNKNOWNS else _places.__wrapped__)(*self.along)
+        # SciPy sorts and prunes matrices in place, so that the places are copied.
+        return Matrix((values.ravel()[places.data], places.indices, places.indptr), places.shape, copy=True)
+
+    def bending_energies(self, vectors: np.ndarray) -> np.ndarray:
+        """Return (n, n) Φᵀ B Φ of vectors Φ (unknowns, n), from their curvatures at Gauss's points."""
+        integrals, (rows, columns) = self.integrals, self.shape
+        bend_xx, bend_xy, bend_yy, twist, _ = (integrals.weights * field for field in integrals.fields())
+        coefficients = vectors.reshape(rows, columns, -1)
+        along_x, along_y = (
+            [Matrix(splines.values(points, derivative).T) for derivative in (0, 1, 2)]
+            for splines, points in zip(self.along, integrals.points, strict=True)
+        )
+        total = np.zeros((vectors.shape[1], vectors.shape[1]))
+        step = max(1, POINTS // integrals.points[0].size)
+        for part in (slice(start, start + step) for start in range(0, integrals.points[1].size, step)):
+            xx, xy, yy = (_values(along_y[2 - i][part], along_x[i], coefficients) for i in (2, 1, 0))
+            for field, first, second in ((bend_xx, xx, xx), (bend_yy, yy, yy), (4 * twist, xy, xy)):
+                total += (field[part].ravel() * first) @ second.T
+            coupled = (bend_xy[part].ravel() * xx) @ yy.T
+            total += coupled + coupled.T
+        return total
+
+    def at_points(self, points: Sequence[tuple[float, float]] | np.ndarray) -> np.ndarray:
+        """Return (points, unknowns) values of the functions at points (x, y) [m]."""
+        x, y = np.asarray(points, dtype=float).reshape(-1, 2).T
+        products = self.along[1].values(y).T[:, :, None] * self.along[0].values(x).T[:, None, :]
+        return np.asarray(products.reshape(len(x), -1))
+
+    def on_grid(self, coefficients: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return (..., ny, nx) values of sums of functions (..., unknowns) on the grid of x and y [m]."""
+        tables = coefficients.reshape(*coefficients.shape[:-1], *self.shape)
+        return np.asarray(self.along[1].values(y).T @ tables @ self.along[0].values(x))
+
+    def patch_integrals(self, areas: np.ndarray) -> np.ndarray:
+        """Return (areas, unknowns) ∫ X_i Y_j dA over rectangles (areas, 4) x0, x1, y0, y1 [m]."""
+        x0, x1, y0, y1 = np.asarray(areas, dtype=float).reshape(-1, 4).T
+        products = self.along[1].integrals(y0, y1).T[:, :, None] * self.along[0].integrals(x0, x1).T[:, None, :]
+        return np.asarray(products.reshape(len(x0), products.shape[1] * products.shape[2]))
+
+    def patch_slopes(self, areas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return (areas, unknowns) derivatives of :meth:`patch_integrals` by the rectangles' places."""
+        along_x, along_y = self.along
+        x0, x1, y0, y1 = areas.reshape(-1, 4).T
+        across = (along_x.values(x1) - along_x.values(x0)).T, (along_y.values(y1) - along_y.values(y0)).T
+        by_x = along_y.integrals(y0, y1).T[:, :, None] * across[0][:, None, :]
+        by_y = across[1][:, :, None] * along_x.integrals(x0, x1).T[:, None, :]
+        return by_x.reshape(len(x0), -1), by_y.reshape(len(x0), -1)
+
+    def curvature_integrals(self, areas: np.ndarray) -> np.ndarray:
+        """Return (areas, unknowns) ∫ ∇²(X_i Y_j) dA over rectangles (areas, 4) x0, x1, y0, y1 [m]."""
+        along_x, along_y = self.along
+        x0, x1, y0, y1 = areas.T
+        bent_x, bent_y = along_x.values(x1, 1) - along_x.values(x0, 1), along_y.values(y1, 1) - along_y.values(y0, 1)
+        products = along_y.integrals(y0, y1).T[:, :, None] * bent_x.T[:, None, :]
+        products = products + bent_y.T[:, :, None] * along_x.integrals(x0, x1).T[:, None, :]
+        return np.asarray(products.reshape(len(areas), -1))
+
+    def region_matrix(self, region: Area | Target, within: Area | None = None) -> Matrix:
+        """Return the mass matrix [kg] of a region of the plate.
+
+        Args:
+            region: Rectangle x0, x1, y0, y1 [m], or target.
+            within: Rectangle outside which the region does not count (default: none).
+
+        Raises:
+            SceneError: The file of a mask cannot be read.
+        """
+        return self.scatter(region_values(self.scene, self.along, region, within))
+
+    def parity_bases(self) -> list[Matrix]:
+        """Return bases (unknowns, n) of the motions that are even or odd about the middle of each side.
+
+        The modes of a plate whose opposite edges are alike, and that is the same everywhere, are one or the other.
+        """
+        edges = self.scene.edges
+        alike = edges.bottom == edges.top, edges.left == edges.right
+        along_y, along_x = (
+            _parities(count) if same else [np.eye(count)] for count, same in zip(self.shape, alike, strict=True)
+        )
+        return [Matrix(scipy.sparse.kron(Matrix(y), Matrix(x))) for y in along_y for x in along_x]
+
+    def of_scene(self, scene: Scene) -> TensorSplines:
+        """Return the space of another scene with as many intervals."""
+        return TensorSplines(scene, self.intervals)
+
+    def is_near(self, other: TensorSplines, share: float) -> bool:
+        """Return whether the functions of another space are the same up to a share of the distance of its knots."""
+        for splines, others in zip(self.along, other.along, strict=True):
+            if splines.knots.size != others.knots.size or splines.left_out != others.left_out:
+                return False
+            if np.abs(splines.knots - others.knots).max() > share * np.diff(others.breaks).min():
+                return False
+        return True
+
+
+def _values(along_y: Matrix, along_x: Matrix, coefficients: np.ndarray) -> np.ndarray:
+    """Return (modes, points) from functions at y (ny, rows) and x (nx, columns) and (rows, columns, modes)."""
+    rows, columns, modes = coefficients.shape
+    strips = (along_y @ coefficients.reshape(rows, -1)).reshape(-1, columns, modes).transpose(1, 2, 0)
+    values = (along_x @ strips.reshape(columns, -1)).reshape(along_x.shape[0], modes, -1)
+    return np.ascontiguousarray(values.transpose(1, 2, 0)).reshape(modes, -1)
+
+
+def _parities(count: int) -> list[np.ndarray]:
+    """Return orthonormal bases (count, n) of the even and the odd sequences."""
+    identity = np.eye(count)
+    even, odd = identity + identity[::-1], identity - identity[::-1]
+    return [part / np.linalg.norm(part, axis=0) for part in (even[:, : (count + 1) // 2], odd[:, : count // 2])]
+
+
+@lru_cache(PLACES_KEPT)
+def _places(along_x: Splines, along_y: Splines) -> Matrix:
+    """Return the sparse matrix of the places of its entries among the pairs."""
+    (row_x, column_x), (row_y, column_y) = overlapping_pairs(along_x), overlapping_pairs(along_y)
+    count, unknowns = along_x.functions, along_x.functions * along_y.functions
+    rows, columns = row_y[:, None] * count + row_x, column_y[:, None] * count + column_x
+    return Matrix((np.arange(rows.size), (rows.ravel(), columns.ravel())), (unknowns, unknowns))
