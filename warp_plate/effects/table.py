@@ -75,7 +75,8 @@ class Effects(Table):
             roles = {term.role for term in terms}
             if any(np.any(term.coefficient) for term in terms if term.role in ("damping", "hysteretic")):
                 shown = name.replace("_", " ")
-                names.append(shown if "stiffness" not in roles else f"damping of the {shown}")
+                article = "" if isinstance(value, tuple) else "the "
+                names.append(shown if "stiffness" not in roles else f"damping of {article}{shown}")
         return names
 
     def first(self, condition: Callable[[Effect], object]) -> str | None:

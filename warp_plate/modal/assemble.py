@@ -21,7 +21,17 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from warp_plate.effects.effect import DISPLACEMENT, Attachment, Losses, Patch, attachments, losses
+from warp_plate.effects.effect import (
+    DISPLACEMENT,
+    Attachment,
+    Edge,
+    Factors,
+    Losses,
+    Patch,
+    Role,
+    attachments,
+    losses,
+)
 from warp_plate.modal.spaces.space import FunctionSpace, Matrix
 from warp_plate.modal.spaces.tensor_splines import TensorSplines
 from warp_plate.scene.errors import SceneError
@@ -92,19 +102,12 @@ def make_galerkin(scene: Scene, space: FunctionSpace) -> Galerkin:
     """
     first, *others = (space.form(term.coefficient, term.factors) for term in space.bending_terms())
     bending = np.asarray(sum(others, start=first))
-    forms: dict[str, list[np.ndarray]] = {"mass": [], "stiffness": [], "damping": []}
-    for term in scene.terms:
-        of_section = term.role == "mass" and term.factors == DISPLACEMENT  # which the mass per area contains
-        if term.role in forms and not (term.of or isinstance(term.place, Patch) or of_section):
-            forms[term.role].append(space.form(term.coefficient, term.factors, term.place))
-    support, damping, inertia = (
-        np.asarray(sum(forms[role], start=np.zeros_like(bending))) for role in ("stiffness", "damping", "mass")
-    )
+    support, damping, inertia = (_forms(scene, space, role) for role in ("stiffness", "damping", "mass"))
     attached = attachments(scene.terms)
     masses = [attachment.mass for attachment in attached if attachment.mass > 0]
     _check_springs(space, attached, float(bending.max()))
     mass = space.mass_matrix()
-    if forms["mass"]:
+    if inertia.any():
         mass = Matrix(mass + space.scatter(inertia))
     return Galerkin(
         scene=scene,
@@ -115,6 +118,24 @@ def make_galerkin(scene: Scene, space: FunctionSpace) -> Galerkin:
         damping=_with_links(space, attached, damping, "damping"),
         attachments=attached,
     )
+
+
+def _forms(scene: Scene, space: FunctionSpace, role: Role) -> np.ndarray:
+    """Return the sum of the forms of the terms with a role, but for bending, patches and the mass per area."""
+    area = space.form(1.0)
+    total, springs = 0 * area, dict[Edge, dict[Factors, float]]()
+    for term in scene.terms:
+        if term.role != role or isinstance(term.place, Patch):
+            continue
+        if isinstance(term.place, Edge):
+            springs.setdefault(term.place, {})[term.factors] = term.coefficient
+        elif term.distributed and term.factors != DISPLACEMENT:
+            total += space.form(term.coefficient, term.factors)
+        elif term.distributed and role != "mass":
+            total += term.coefficient * area
+    for edge, coefficients in springs.items():
+        total += space.edge_form(edge.side, coefficients)
+    return total
 
 
 def load_integrals(galerkin: Galerkin, areas: np.ndarray) -> np.ndarray:

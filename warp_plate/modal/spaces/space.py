@@ -6,13 +6,13 @@ the slope of clamped ones; other conditions follow from the energies.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Protocol, Self, TypeAlias
 
 import numpy as np
 import scipy
 
-from warp_plate.effects.effect import DISPLACEMENT, Edge, Factors, Term
+from warp_plate.effects.effect import DISPLACEMENT, Factors, Term
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
 from warp_plate.scene.target import Target
@@ -55,8 +55,11 @@ class FunctionSpace(Protocol):
     def mass_matrix(self) -> Matrix:
         """Return the mass matrix of the plate [kg]."""
 
-    def form(self, coefficient: Any, factors: Factors = DISPLACEMENT, place: Edge | None = None) -> np.ndarray:
-        """Return the integral of a term, over the plate or along an edge, as an array that may be added to others."""
+    def form(self, coefficient: Any, factors: Factors = DISPLACEMENT) -> np.ndarray:
+        """Return the integral of a term over the plate, as an array that may be added to others."""
+
+    def edge_form(self, side: str, coefficients: Mapping[Factors, float]) -> np.ndarray:
+        """Return the integral along an edge of terms, whose coefficients are given by their factors."""
 
     def scatter(self, values: np.ndarray) -> Matrix:
         """Return the sparse matrix (unknowns, unknowns) of a sum of arrays by :meth:`form`."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
 import scipy
 
-from warp_plate.effects.effect import DISPLACEMENT, SLOPE, Edge, Factors, Term
+from warp_plate.effects.effect import DISPLACEMENT, SLOPE, Factors, Term
 from warp_plate.modal.spaces.integrals import Field, Integrals
 from warp_plate.modal.spaces.knots import plate_splines
 from warp_plate.modal.spaces.regions import region_values
@@ -87,13 +87,19 @@ class TensorSplines:
         """Return the mass matrix of the plate [kg]."""
         return self.scatter(self.form(self.integrals.fields()[-1]))
 
-    def form(self, coefficient: Field, factors: Factors = DISPLACEMENT, place: Edge | None = None) -> np.ndarray:
-        """Return the integral of a term, over the plate or along an edge, for each pair of functions."""
-        if place is None:
-            x, y = zip(*(ORDERS[factor] for factor in factors), strict=True)
-            return self.integrals.values(coefficient, x=x, y=y)
-        axis, derivative = 0 if place.side in ("left", "right") else 1, int(factors == SLOPE)
-        across = coefficient * end_products(self.along[axis], place.side in ("right", "top"), derivative)
+    def form(self, coefficient: Field, factors: Factors = DISPLACEMENT) -> np.ndarray:
+        """Return the integral of a term over the plate for each pair of functions."""
+        x, y = zip(*(ORDERS[factor] for factor in factors), strict=True)
+        return self.integrals.values(coefficient, x=x, y=y)
+
+    def edge_form(self, side: str, coefficients: Mapping[Factors, float]) -> np.ndarray:
+        """Return the integral along an edge of terms, whose coefficients are given by their factors."""
+        axis, high = 0 if side in ("left", "right") else 1, side in ("right", "top")
+        products = (
+            coefficient * end_products(self.along[axis], high, int(factors == SLOPE))
+            for factors, coefficient in coefficients.items()
+        )
+        across = np.asarray(sum(products))
         along = side_products(self.along[1 - axis], 0, 0)
         return np.outer(along, across) if axis == 0 else np.outer(across, along)
 
