@@ -85,7 +85,7 @@ def words(draw, option, choices):
 
 @st.composite
 def command_lines(draw):
-    command = draw(st.sampled_from([name for name in COMMANDS.split() if name not in LEFT_OUT]))
+    command = draw(st.sampled_from([name for name in COMMANDS if name not in LEFT_OUT]))
     right, known = FILES[:4] if command in RESULTS else RIGHT, dict(options_of(command))
     names = st.sampled_from(right) if draw(st.integers(0, 3)) else st.sampled_from([*WRONG, *RIGHT, *FILES])
     line = [command, *draw(st.lists(names, min_size=1, max_size=draw(st.sampled_from([1, 1, 1, 2]))))]

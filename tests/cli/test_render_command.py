@@ -8,8 +8,7 @@ import pytest
 from conftest import error_of, output_of, scene_of
 
 from warp_plate.analysis.motion import frame_at, motions
-from warp_plate.cli.motion_options import FrameOptions
-from warp_plate.cli.render import frames_around
+from warp_plate.cli.render import FrameOptions, frames_around
 from warp_plate.result.model import load_result, save_result
 from warp_plate.studies.localize import localize
 from warp_plate.viz import availability, pictures

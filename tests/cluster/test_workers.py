@@ -16,7 +16,7 @@ from inline_pool import InlinePool
 from worker_tasks import doubled, poisoned
 
 from warp_plate import CheckpointFile, PlateSolver, SceneError, load_checkpoint, load_result, localize, resume
-from warp_plate.cli.options import failure_lines
+from warp_plate.cli.tables import failure_lines
 from warp_plate.cluster import evaluator as evaluators
 from warp_plate.cluster import scheduler, tasks
 from warp_plate.cluster.evaluator import block_size, make_evaluator

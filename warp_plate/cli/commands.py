@@ -1,4 +1,4 @@
-"""The application: each command is the function that its module is named after."""
+"""The application and its commands."""
 
 from __future__ import annotations
 
@@ -19,13 +19,28 @@ app = cyclopts.App(
     help_format="markdown",
     suppress_keyboard_interrupt=False,
 )
-COMMANDS = (
-    "localize compare sweep simulate check modes fit plan-measurement frf focus effects accuracy view explore render "
-    "export verify init keys doctor"
-)
-for name in COMMANDS.split():
-    module = name.replace("-", "_")
-    app.command(getattr(import_module(f"warp_plate.cli.{module}"), module))
+# Commands by module.
+MODULES = {
+    "localize": ("localize",),
+    "compare": ("compare",),
+    "sweep": ("sweep",),
+    "simulate": ("simulate",),
+    "check": ("check", "effects", "accuracy"),
+    "modes": ("modes",),
+    "measurement": ("fit", "plan_measurement", "verify"),
+    "frf": ("frf",),
+    "focus": ("focus",),
+    "render": ("view", "render"),
+    "explore": ("explore",),
+    "export": ("export",),
+    "init": ("init",),
+    "keys": ("keys",),
+    "doctor": ("doctor",),
+}
+for module, names in MODULES.items():
+    for name in names:
+        app.command(getattr(import_module(f"warp_plate.cli.{module}"), name))
+COMMANDS = [name.replace("_", "-") for names in MODULES.values() for name in names]
 
 
 class _OneLine(logging.Handler):

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from warp_plate.cli import options, output
+from cyclopts import Parameter
+
+from warp_plate.cli import options, output, tables
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -21,20 +24,40 @@ LEGEND = (
 )
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class TrialOptions:
+    """Options of the trials.
+
+    Attributes:
+        methods: Comma-separated, such as pso,ring,cma: pso, constriction, ring, cma, gradient, exact (default: all that
+            fit the scene).
+        seeds: Number of seeds, from the scene's own on.
+        evaluations: Evaluations of each trial, rounded down to whole iterations (default: the scene's particles times
+            iterations).
+        evaluator: direct simulates a plate for each evaluation; response uses Gram matrices of simulated unit
+            responses; modal computes energies from the modes of the plate, for tones and linear scenes (default:
+            response where it applies).
+    """
+
+    methods: str | None = None
+    seeds: options.Count = 10
+    evaluations: options.Count | None = None
+    evaluator: Literal["direct", "response", "modal"] | None = None
+
+
+TRIALS = TrialOptions()
+
+
 def compare(
     scene: options.SceneName,
     /,
     *,
     assignments: options.Assignments = None,
-    methods: str | None = None,
-    seeds: options.Count = 10,
-    evaluations: options.Count | None = None,
-    evaluator: Literal["direct", "response", "modal"] | None = None,
-    workers: options.WorkerOptions = options.DEFAULT_WORKERS,
+    trials: TrialOptions = TRIALS,
+    workers: options.WorkerOptions = options.WORKERS,
     out: Path | None = None,
-    force: options.Force = False,
-    pictures: options.Pictures = True,
-    json: options.Json = False,
+    files: options.FileOptions = options.FILES,
 ) -> None:
     """Compare search methods on a scene: each from several seeds, with the same number of evaluations.
 
@@ -42,22 +65,11 @@ def compare(
 
     Parameters
     ----------
-    methods
-        Comma-separated, such as pso,ring,cma: pso, constriction, ring, cma, gradient, exact (default: all that fit
-        the scene).
-    seeds
-        Number of seeds, from the scene's own on.
-    evaluations
-        Evaluations of each trial, rounded down to whole iterations (default: the scene's particles times iterations).
-    evaluator
-        direct simulates a plate for each evaluation; response uses Gram matrices of simulated unit responses; modal
-        computes energies from the modes of the plate, for tones and linear scenes (default: response
-        where it applies).
     out
         The file of results (.h5; default: SCENE-compare.h5 in this folder).
     """
-    target = output.output_file(out, f"{Path(scene).stem}-compare.h5", holds="a comparison", force=force)
-    names = None if methods is None else [name.strip() for name in methods.split(",")]
+    target = output.output_file(out, f"{Path(scene).stem}-compare.h5", holds="a comparison", force=files.force)
+    names = None if trials.methods is None else [name.strip() for name in trials.methods.split(",")]
     loaded, scene = output.load_scene(scene, assignments)
     from warp_plate.result.comparison import save_comparison
     from warp_plate.studies.compare import compare as run
@@ -68,23 +80,23 @@ def compare(
     with (
         output.scene_errors(scene),
         workers.open_pool() as pool,
-        output.progress_bar("comparing", not json, loaded) as show,
+        output.progress_bar("comparing", not files.json, loaded) as show,
     ):
         result = run(
             loaded,
             source=scene,
             methods=names,
-            seeds=seeds,
+            seeds=trials.seeds,
             device=on,
             path=path,
-            evaluator=evaluator,
-            evaluations=evaluations,
+            evaluator=trials.evaluator,
+            evaluations=trials.evaluations,
             on_progress=show,
             pool=pool,
         )
     draw = partial(save_plots, draw_comparison, result)
-    written = output.write_files(target, partial(save_comparison, result), draw, pictures)
-    output.report(json, partial(_as_json, result), partial(_print, result), written)
+    written = output.write_files(target, partial(save_comparison, result), draw, files.pictures)
+    output.report(files.json, _as_json, _print, result, written=written)
 
 
 def rows(result: MethodComparison) -> list[dict[str, Any]]:
@@ -96,12 +108,12 @@ def rows(result: MethodComparison) -> list[dict[str, Any]]:
 
     bound = result.bound
     near = NEAR * tolerance_scale(bound or 0.0, loss_scale(result.scene.search.objectives))
-    made = []
+    records = []
     for method in result.methods:
         trials = result.trials_of(method)
         losses = np.array([trial.best_loss for trial in trials])
         cost = {name: np.median([getattr(trial, name)[-1] for trial in trials]) for name in ("evaluations", "seconds")}
-        made.append(
+        records.append(
             {
                 "method": method,
                 "seeds": len(trials),
@@ -113,7 +125,7 @@ def rows(result: MethodComparison) -> list[dict[str, Any]]:
                 **cost,
             }
         )
-    return made
+    return records
 
 
 def _as_json(result: MethodComparison) -> dict[str, object]:
@@ -142,14 +154,14 @@ def _as_json(result: MethodComparison) -> dict[str, object]:
 def _print(result: MethodComparison, console: Console) -> None:
     title = "localization factor" if result.localization else "loss"
     console.print(f"{result.scene.title or result.source} on {result.device}, evaluator {result.evaluator}\n")
-    made = output.table("method", "best", "median", "worst", "gap", "near", "tried", "s", title=title)
-    made.collapse_padding = True  # eight columns of losses with exponents just fit in 80 characters
+    table = output.table("method", "best", "median", "worst", "gap", "near", "tried", "s", title=title)
+    table.collapse_padding = True  # eight columns of losses with exponents just fit in 80 characters
     for row in rows(result):
         losses = (row[name] for name in ("best", "median", "worst"))
         shown = [f"{1 - loss if result.localization else loss:.6g}" for loss in losses]
         near = ["–", "–"] if row["gap"] is None else [f"{row['gap']:.1e}", f"{row['at_bound']}/{row['seeds']}"]
-        made.add_row(row["method"], *shown, *near, f"{row['evaluations']:.0f}", f"{row['seconds']:.2g}")
-    output.print_uncropped(console, made)
+        table.add_row(row["method"], *shown, *near, f"{row['evaluations']:.0f}", f"{row['seconds']:.2g}")
+    output.print_uncropped(console, table)
     if result.bound is None:
         console.print("\nbound: none")
     else:
@@ -164,4 +176,4 @@ def _print(result: MethodComparison, console: Console) -> None:
         console.print(f"not timed: {result.seconds['prepare']:.2g} s for the plates that all methods share.")
     for method, reason in result.skipped.items():
         console.print(f"{method}: left out: {reason}")
-    options.print_failures(result, console, "the finished trials are shown")
+    tables.print_failures(result, console, "the finished trials are shown")

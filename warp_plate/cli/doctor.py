@@ -42,18 +42,13 @@ def doctor(*, json: options.Json = False) -> None:
 
     The exit status is 1 if something that every command needs is broken.
     """
-    found = [diagnosis for name, check in CHECKS.items() for diagnosis in _run(name, check)]
-    broken = any(diagnosis.state == "error" for diagnosis in found)
+    diagnoses = [diagnosis for name, check in CHECKS.items() for diagnosis in _run(name, check)]
+    broken = any(diagnosis.state == "error" for diagnosis in diagnoses)
 
     def show(console: Console) -> None:
-        from rich.table import Table
+        console.print(output.lines_table((line.name, line.state, line.text) for line in diagnoses))
 
-        made = Table.grid(padding=(0, 2, 0, 0))
-        for diagnosis in found:
-            made.add_row(diagnosis.name, diagnosis.state, diagnosis.text)
-        console.print(made)
-
-    lines = [{"name": line.name, "state": line.state, "text": line.text, **line.details} for line in found]
+    lines = [{"name": line.name, "state": line.state, "text": line.text, **line.details} for line in diagnoses]
     output.report(json, lambda: {"ok": not broken, "checks": lines}, show)
     if broken:
         sys.exit(1)
@@ -142,7 +137,7 @@ def _check_packages() -> Iterator[Diagnosis]:
         yield Diagnosis("packages", "missing", "warp-plate is not installed, only found: pip install -e .")
         return
     requirements = [
-        found.groups() for text in stated.get_all("Requires-Dist", []) if (found := REQUIREMENT.fullmatch(text))
+        match.groups() for text in stated.get_all("Requires-Dist", []) if (match := REQUIREMENT.fullmatch(text))
     ]
     for extra in (None, *stated.get_all("Provides-Extra", [])):
         packages = dict(_packages_of(extra, requirements))
@@ -172,8 +167,8 @@ def _why_unfit(package: str, least: str | None) -> str | None:
         version = metadata.version(package)
     except metadata.PackageNotFoundError:
         return f"{package} is not installed"
-    own, wanted = ([int(part) for part in re.findall(r"\d+", text)] for text in (version, least or "0"))
-    return f"{package} {version} is older than {least}" if own < wanted else None
+    installed, wanted = ([int(part) for part in re.findall(r"\d+", text)] for text in (version, least or "0"))
+    return f"{package} {version} is older than {least}" if installed < wanted else None
 
 
 CHECKS: dict[str, Callable[[], Iterator[Diagnosis]]] = {

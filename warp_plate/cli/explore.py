@@ -6,23 +6,42 @@ import os
 import sys
 import threading
 import webbrowser
+from dataclasses import dataclass
+
+from cyclopts import Parameter
 
 from warp_plate.cli import options, output
 from warp_plate.scene.errors import SceneError
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class PageOptions:
+    """Options of the page.
+
+    Attributes:
+        web: Serve the page without opening a browser, for example on a remote machine.
+        host: Address of the page; 127.0.0.1 can be reached from this machine only.
+        port: Port of the page; 0 takes any free one.
+    """
+
+    web: options.Flag = False
+    host: str = "127.0.0.1"
+    port: int = 8080
+
+
+PAGE = PageOptions()
 
 
 def explore(
     scene: options.SceneName,
     /,
     *,
-    assignments: options.Assignments = None,
-    web: options.Flag = False,
-    host: str = "127.0.0.1",
-    port: int = 8080,
+    changes: options.SceneOptions = options.SCENE,
+    page: PageOptions = PAGE,
     device: options.Device = "auto",
     path: options.SteppingOrModes = "auto",
-    accuracy: options.Accuracy | None = None,
-    colormap: options.Colormap | None = None,
+    colormap: options.Colormap = None,
 ) -> None:
     """Explore a scene in the browser: sliders for every actuator, frequency and damping (needs the extra web).
 
@@ -30,21 +49,13 @@ def explore(
     Buttons select the scene's drive, equal drives, the best single actuator, the best of the swarm (shown as it
     searches), the exact optimum, or a random drive. The swarm optimizes all magnitudes and phases for the localization
     factor and ignores the scene's [search]. With --path auto, linear scenes use the modal engine.
-
-    Parameters
-    ----------
-    web
-        Serve the page without opening a browser, for example on a remote machine.
-    host
-        Address of the page; 127.0.0.1 can be reached from this machine only.
-    port
-        Port of the page; 0 takes any free one.
     """
+    host, port = page.host, page.port
     if not 0 <= port <= 65535:
         raise SceneError(f"--port {port}: must be from 1 to 65535, or 0 for any free one")
     if not host.strip():
         raise SceneError("--host '': must be an address of this machine, such as 127.0.0.1, or 0.0.0.0 for all")
-    loaded, scene = output.load_scene(scene, assignments, accuracy)
+    loaded, scene = changes.load(scene)
     from warp_plate.explore.live_model import LiveModel
     from warp_plate.modal.solver import MODAL, has_modes
     from warp_plate.studies.grid_choice import resolve_grid, resolve_search_grid
@@ -58,7 +69,7 @@ def explore(
 
     def on_ready(address: str) -> None:
         print(f"open {address} in a browser; Ctrl-C ends it", flush=True)
-        if not web and has_desktop():
+        if not page.web and has_desktop():
             # In a thread, as some browsers return only when they are closed.
             threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
 

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from warp_plate.cli import motion_options, options, output
+from cyclopts import Parameter
+
+from warp_plate.cli import options, output
+from warp_plate.cli.render import FRAMES, FrameOptions, select_cases, span_of
 from warp_plate.result.export import Format
 from warp_plate.scene.errors import SceneError, printable
 
@@ -30,16 +35,35 @@ FEW_TIMES = 10
 PICTURES, PERIODS = (".png", ".svg", ".pdf"), 10
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class SignalOptions:
+    """Options of drive files.
+
+    Attributes:
+        rate: drive-wav and drive-csv: samples a second (default: 48000).
+        duration: drive-wav and drive-csv: longest duration in seconds (default: 1).
+        full_scale: drive-wav and drive-csv: force in N that 1.0 stands for, if the scene gives a force for every
+            actuator; else pressure in N/m² or voltage (default: the drive's largest).
+        encoding: drive-wav: float32 (default), pcm16 or pcm24.
+    """
+
+    rate: int | None = None
+    duration: float | None = None
+    full_scale: float | None = None
+    encoding: Literal["float32", "pcm16", "pcm24"] | None = None
+
+
+SIGNAL_OPTIONS = SignalOptions()
+
+
 def export(
     result: options.ResultFile,
     /,
     *,
     to: Format,
-    shown: motion_options.FrameOptions = motion_options.DEFAULT_FRAMES,
-    rate: int | None = None,
-    duration: float | None = None,
-    full_scale: float | None = None,
-    encoding: Literal["float32", "pcm16", "pcm24"] | None = None,
+    shown: FrameOptions = FRAMES,
+    signal: SignalOptions = SIGNAL_OPTIONS,
     out: Path | None = None,
     preview: Path | None = None,
     json: options.Json = False,
@@ -57,26 +81,17 @@ def export(
         pvd: a time series for ParaView, a .pvd index with a .vti file for each time; vtkhdf: the same as one file;
         traces-csv: displacement at the scene's record.points; drive-wav, drive-csv: a channel for each actuator over a
         whole number of periods, of the best drive unless --case names another.
-    rate
-        drive-wav and drive-csv: samples a second (default: 48000).
-    duration
-        drive-wav and drive-csv: longest duration in seconds (default: 1).
-    full_scale
-        drive-wav and drive-csv: force in N that 1.0 stands for, if the scene gives a force for every actuator; else
-        pressure in N/m² or voltage (default: the drive's largest).
-    encoding
-        drive-wav: float32 (default), pcm16 or pcm24.
     out
         The file to write (default: RESULT with another ending, in this folder).
     preview
         drive-wav: a picture (.png, .svg or .pdf) of the channels of the first file, of ten periods or of a waveform.
     """
-    ending, known = FORMATS[to]
+    ending, taken = FORMATS[to]
     target = output.output_file(out, f"{result.stem}{ending}")
-    series = {name: getattr(shown, name) for name in SERIES}
-    signal = {"rate": rate, "duration": duration, "full-scale": full_scale, "encoding": encoding}
-    for name, value in {**series, **signal}.items():
-        if value is not None and name not in known:
+    series, signals = output.attributes(shown, *SERIES), vars(signal)
+    for name, value in {**series, **signals}.items():
+        name = name.replace("_", "-")
+        if value is not None and name not in taken:
             raise SceneError(f"--{name} {value}: has no effect with --to {to}; leave it out")
     if shown.device is not None and shown.start is shown.end is shown.frames is None:
         raise SceneError(f"--device {shown.device}: nothing is run without --frames, --start or --end; leave it out")
@@ -91,30 +106,29 @@ def export(
 
     span = None
     if describe_file(result) == "a focus":
-        if to not in DRIVES or (name := next((key for key in SIGNAL[:2] if signal[key]), "")):
-            what = f"--to {to}" if to not in DRIVES else f"--{name} {signal[name]}"
+        if to not in DRIVES or (name := next((key for key in SIGNAL[:2] if signals[key]), "")):
+            what = f"--to {to}" if to not in DRIVES else f"--{name} {signals[name]}"
             raise SceneError(
                 f"{what}: {result} has waveforms of a given rate and duration, for drive-wav and drive-csv"
             )
         loaded: Result | FocusResult = load_focus(result)
     else:
         loaded = load_result(result)
-        motion_options.select_cases(loaded, result, shown.case)
+        select_cases(loaded, result, shown.case)
         if to in DRIVES and len(shown.case or ()) > 1:
             raise SceneError(f"--case {' '.join(shown.case or ())}: a file holds one drive; name one case")
-        span = motion_options.span_of(shown, loaded.scene.window.end)
-    given: dict[str, Any] = {"rate": rate, "duration": duration, "full_scale": full_scale, "encoding": encoding}
-    given |= {"frames": shown.frames, "device": shown.device}
-    arguments = {name: value for name, value in given.items() if value is not None}
+        span = span_of(shown, loaded.scene.window.end)
+    given = {**signals, "frames": shown.frames, "device": shown.device}
+    arguments: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     with output.progress_bar("simulating", shown=not json) as show:
         try:
-            found = export(loaded, target, to, cases=shown.case or (), span=span, progress=show, **arguments)
+            exported = export(loaded, target, to, cases=shown.case or (), span=span, progress=show, **arguments)
         except SceneError as error:
             named = str(error).startswith(("--", f"{target}:", f"{result}:"))
             raise error if named else SceneError(f"{result}: {error}") from None
-    drawn, missing = ([], None) if preview is None else _draw(found.files[0], found.contents, preview)
-    answer = {"result": result, "to": to, **found.contents, "files": [*found.files, *drawn]}
-    output.report(json, lambda: answer, lambda _: _print(found.files, to, found.contents))
+    drawn, missing = ([], None) if preview is None else _draw(exported.files[0], exported.contents, preview)
+    answer = {"result": result, "to": to, **exported.contents, "files": [*exported.files, *drawn]}
+    output.report(json, lambda: answer, lambda _: _print(exported.files, to, exported.contents))
     for line in [f"wrote {preview}"] * bool(drawn) + [missing] * bool(missing):
         print(line, file=sys.stderr if json else sys.stdout)
 
@@ -122,18 +136,13 @@ def export(
 def _draw(file: Path, contents: Mapping[str, Any], picture: Path) -> output.Drawn:
     """Draw the channels of a WAV file, of a tone ten periods."""
     from warp_plate.plate.waveforms import wav_channels
-    from warp_plate.result.atomic_io import atomic_paths
-    from warp_plate.viz.availability import missing_plots
     from warp_plate.viz.plots.channels import draw_channels
 
-    if (problem := missing_plots()) is not None:
-        return [], problem
     values, rate = wav_channels(file.read_bytes())
     if "frequency" in contents:
         values = values[:, : round(PERIODS * rate / contents["frequency"]) + 1]
-    with atomic_paths(picture) as (temporary,):
-        draw_channels(values, rate, contents["channels"], f"{contents['full_scale']:.4g} {contents['unit']}", temporary)
-    return [picture], None
+    unit = f"{contents['full_scale']:.4g} {contents['unit']}"
+    return output.draw_picture(partial(draw_channels, values, rate, contents["channels"], unit), picture)
 
 
 def _print(files: list[Path], to: Format, record: Mapping[str, Any]) -> None:

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from warp_plate.result.focus import FocusResult, Ranking
-    from warp_plate.viz.colours import ColourOptions
 
 FIGURES = (
     "peak",
@@ -39,10 +38,8 @@ def focus(
     waveforms: Path | None = None,
     rank: str | None = None,
     out: Path | None = None,
-    force: options.Force = False,
-    pictures: options.Pictures = True,
-    colours: options.ColourChoice = options.DEFAULT_COLOURS,
-    json: options.Json = False,
+    files: options.FileOptions = options.FILES,
+    colours: options.ColourChoice = options.COLOURS,
 ) -> None:
     """Compute a waveform for each actuator, so that the plate moves most at a point and a moment.
 
@@ -63,66 +60,55 @@ def focus(
         The .h5 file with waveforms, responses and fields (default: SCENE-focus.h5 in this folder).
     """
     chosen = colours.chosen()
-    target = output.output_file(out, f"{Path(scene).stem}-focus.h5", holds=HOLDS, force=force)
+    target = output.output_file(out, f"{Path(scene).stem}-focus.h5", holds=HOLDS, force=files.force)
     loaded, scene = output.load_scene(scene, assignments)
     from warp_plate.focusing.focus import focus as compute
     from warp_plate.result.focus import load_focus, save_focus
 
     played = None if waveforms is None else load_focus(waveforms)
     with output.scene_errors(scene):
-        found = compute(loaded, played, rank=rank)
-    files, missing = [save_focus(found, target)], None
-    if pictures:
-        drawn, missing = _draw(found, target.with_suffix(".png"), chosen)
-        files += drawn
-    output.report(json, partial(_as_json, found), partial(_print, scene, found), (files, missing))
-
-
-def _draw(found: FocusResult, path: Path, colours: ColourOptions) -> output.Drawn:
-    from warp_plate.result.atomic_io import atomic_paths
-    from warp_plate.viz.availability import missing_plots
+        result = compute(loaded, played, rank=rank)
     from warp_plate.viz.plots.focus import draw_focus
 
-    if (problem := missing_plots()) is not None:
-        return [], problem
-    with atomic_paths(path) as (temporary,):
-        draw_focus(found, temporary, colours)
-    return [path], None
+    written = [save_focus(result, target)]
+    draw = partial(draw_focus, result, colours=chosen)
+    drawn, missing = output.draw_picture(draw, target.with_suffix(".png"), files.pictures)
+    output.report(files.json, _as_json, _print, scene, result, written=([*written, *drawn], missing))
 
 
-def _as_json(found: FocusResult) -> dict[str, object]:
-    assert found.scene.focus is not None
+def _as_json(name: str, result: FocusResult) -> dict[str, object]:
+    assert result.scene.focus is not None
     return {
-        **output.attributes(found.scene.focus, "points", "quantity", "time", "rate", "lowest", "highest"),
-        **output.attributes(found, "unit", "modes", "bound", "condition", "half_wave", "seconds"),
-        "methods": {name: _method_as_json(found, name) for name in found.methods},
-        "ranking": None if found.ranking is None else output.attributes(found.ranking, *RANKED),
+        **output.attributes(result.scene.focus, "points", "quantity", "time", "rate", "lowest", "highest"),
+        **output.attributes(result, "unit", "modes", "bound", "condition", "half_wave", "seconds"),
+        "methods": {method: _method_as_json(result, method) for method in result.methods},
+        "ranking": None if result.ranking is None else output.attributes(result.ranking, *RANKED),
     }
 
 
-def _method_as_json(found: FocusResult, name: str) -> dict[str, object]:
-    method = found.methods[name]
-    record = {**output.attributes(method, *FIGURES), "resolution": found.resolution(name).tolist()}
+def _method_as_json(result: FocusResult, name: str) -> dict[str, object]:
+    method = result.methods[name]
+    record = {**output.attributes(method, *FIGURES), "resolution": result.resolution(name).tolist()}
     if method.panels is not None:
         record["panels"] = method.panels.summary()
     return record
 
 
-def _print(name: str, found: FocusResult, console: Console) -> None:
-    table = found.scene.focus
-    assert table is not None
-    samples = next(iter(found.methods.values())).waveforms.shape[-1]
-    moment = f"at {1e3 * table.time:g} ms" if found.wished is None else "that follows focus.wish"
+def _print(name: str, result: FocusResult, console: Console) -> None:
+    wish = result.scene.focus
+    assert wish is not None
+    samples = next(iter(result.methods.values())).waveforms.shape[-1]
+    moment = f"at {1e3 * wish.time:g} ms" if result.wished is None else "that follows focus.wish"
     console.print(
-        f"{found.scene.title or name}: {table.quantity} {moment}, {len(found.scene.actuators)} "
-        f"waveforms of {samples} samples, {found.modes} modes up to {table.highest:g} Hz\n"
+        f"{result.scene.title or name}: {wish.quantity} {moment}, {len(result.scene.actuators)} "
+        f"waveforms of {samples} samples, {result.modes} modes up to {wish.highest:g} Hz\n"
     )
-    for index, (x, y) in enumerate(table.points):
-        made = output.table(
-            f"at {x:g},{y:g}", f"peak ({found.unit})", "area (mm²)", "contrast (dB)", "energy", "gap", "limited by"
+    for index, (x, y) in enumerate(wish.points):
+        table = output.table(
+            f"at {x:g},{y:g}", f"peak ({result.unit})", "area (mm²)", "contrast (dB)", "energy", "gap", "limited by"
         )
-        for method, reached in found.methods.items():
-            made.add_row(
+        for method, reached in result.methods.items():
+            table.add_row(
                 method.replace("_", " "),
                 f"{reached.peak[index]:.4g}",
                 f"{1e6 * reached.focus_area[index]:.4g}",
@@ -131,24 +117,23 @@ def _print(name: str, found: FocusResult, console: Console) -> None:
                 f"{max(reached.gap[index], 0):.2g}",
                 reached.limits[index],
             )
-        output.print_uncropped(console, made)
-        console.print()
+        output.print_uncropped(console, table, "")
     console.print(
-        f"Energy in ({found.scene.drive_unit})²·s. Gap: relative distance of the peak from the bound for all waveforms."
+        f"Energy in ({result.scene.drive_unit})²·s. Gap: relative distance of the peak from the bound of all waveforms."
     )
-    for method in found.methods:
-        if remarks := _remarks(found, method):
+    for method in result.methods:
+        if remarks := _remarks(result, method):
             console.print(f"{method.replace('_', ' ')}: {', '.join(remarks)}")
-    if found.ranking is not None:
-        _print_ranking(found.ranking, found.unit, console)
+    if result.ranking is not None:
+        _print_ranking(result.ranking, result.unit, console)
 
 
-def _remarks(found: FocusResult, name: str) -> list[str]:
+def _remarks(result: FocusResult, name: str) -> list[str]:
     """Return what a line says of a method, for all foci together."""
     from warp_plate.accuracy.configurations import percent
 
-    method, others, remarks = found.methods[name], ~np.eye(len(found.bound), dtype=bool), []
-    wish = "burst" if found.wished is None else "wish"
+    method, others, remarks = result.methods[name], ~np.eye(len(result.bound), dtype=bool), []
+    wish = "burst" if result.wished is None else "wish"
     if others.any():
         remarks.append(f"crosstalk at most {method.crosstalk_db[others].max():.1f} dB")
     if method.misfit is not None:
@@ -159,17 +144,18 @@ def _remarks(found: FocusResult, name: str) -> list[str]:
         worst = [f"{panels.crosstalk_db.max():.1f} dB"] if others.any() else []
         worst += [] if panels.misfit is None else [percent(panels.misfit.max())]
         least = np.abs(panels.peak).min()
-        remarks.append(f"on {len(panels.peak)} panels {', '.join([*worst, f'peak at least {least:.3g} {found.unit}'])}")
+        worst.append(f"peak at least {least:.3g} {result.unit}")
+        remarks.append(f"on {len(panels.peak)} panels {', '.join(worst)}")
     return remarks
 
 
 def _print_ranking(ranking: Ranking, unit: str, console: Console) -> None:
     """Print what fewer actuators reach."""
-    made = output.table("actuators", "with", f"least peak ({unit})", "crosstalk (dB)", "misfit (%)")
+    table = output.table("actuators", "with", f"least peak ({unit})", "crosstalk (dB)", "misfit (%)")
     for index, (name, peak, crosstalk) in enumerate(
         zip(ranking.actuators, ranking.peak, ranking.crosstalk_db, strict=True)
     ):
         wrong = "" if ranking.misfit is None else f"{100 * ranking.misfit[index]:.2g}"
-        made.add_row(str(index + 1), name, f"{peak:.4g}", f"{crosstalk:.1f}" if np.isfinite(crosstalk) else "", wrong)
+        table.add_row(str(index + 1), name, f"{peak:.4g}", f"{crosstalk:.1f}" if np.isfinite(crosstalk) else "", wrong)
     console.print(f"\nFewer actuators, by {ranking.method.replace('_', ' ')}; each row has those above it too:")
-    output.print_uncropped(console, made)
+    output.print_uncropped(console, table)

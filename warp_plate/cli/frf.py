@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -29,22 +30,44 @@ NUMBER = r"[-+]?(?:[0-9]{1,30}\.?[0-9]{0,30}|\.[0-9]{1,30})(?:[eE][-+]?[0-9]{1,2
 MOST_ROWS = 20
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ResponseOptions:
+    """Options of the responses.
+
+    Attributes:
+        inputs: Name of an actuator, or a point X,Y in metres on which 1 N acts; may be repeated (default: all
+            actuators).
+        at: Point X,Y in metres that responds; may be repeated (default: the scene's record.points, or the middle of
+            each target).
+        range: Lowest and highest frequency in hertz, LOW:HIGH (default: from half the lowest natural frequency, or half
+            the drive's frequency if that is lower, to twice the drive's frequency, and at least to the sixth mode).
+        quantity: Displacement (receptance), velocity (mobility) or acceleration (accelerance) per force.
+        impulse: Write responses to an impulse of 1 N·s over so many seconds instead, as CSV (default: SCENE-impulse.csv
+            in this folder), from the modes up to HIGH of --range; there is no picture.
+        rate: Samples a second of --impulse.
+    """
+
+    inputs: Annotated[list[str] | None, Parameter(name="--from", negative="", allow_leading_hyphen=True)] = None
+    at: Annotated[list[str] | None, Parameter(negative="", allow_leading_hyphen=True)] = None
+    range: str | None = None
+    quantity: Quantity = "mobility"
+    impulse: float | None = None
+    rate: int = 48000
+
+
+RESPONSES = ResponseOptions()
+
+
 def frf(
     scene: options.SceneName,
     /,
     *,
     assignments: options.Assignments = None,
-    inputs: Annotated[list[str] | None, Parameter(name="--from", negative="", allow_leading_hyphen=True)] = None,
-    at: Annotated[list[str] | None, Parameter(negative="", allow_leading_hyphen=True)] = None,
-    range: str | None = None,
-    quantity: Quantity = "mobility",
-    impulse: float | None = None,
-    rate: int = 48000,
+    responses: ResponseOptions = RESPONSES,
     to: Annotated[list[Format] | None, Parameter(negative="")] = None,
     out: Path | None = None,
-    force: options.Force = False,
-    pictures: options.Pictures = True,
-    json: options.Json = False,
+    files: options.FileOptions = options.FILES,
 ) -> None:
     """Show frequency responses of a linear plate, its localization factor and its mean square velocity.
 
@@ -53,21 +76,6 @@ def frf(
 
     Parameters
     ----------
-    inputs
-        Name of an actuator, or a point X,Y in metres on which 1 N acts; may be repeated (default: all actuators).
-    at
-        Point X,Y in metres that responds; may be repeated (default: the scene's record.points, or the middle of each
-        target).
-    range
-        Lowest and highest frequency in hertz, LOW:HIGH (default: from half the lowest natural frequency, or half the
-        drive's frequency if that is lower, to twice the drive's frequency, and at least to the sixth mode).
-    quantity
-        Displacement (receptance), velocity (mobility) or acceleration (accelerance) per force.
-    impulse
-        Write responses to an impulse of 1 N·s over so many seconds instead, as CSV (default: SCENE-impulse.csv in this
-        folder), from the modes up to HIGH of --range; there is no picture.
-    rate
-        Samples a second of --impulse.
     to
         File with the numbers; may be repeated: csv; uff, dataset 58 of the universal file format (needs the extra uff);
         hdf5, which xarray opens.
@@ -77,6 +85,7 @@ def frf(
     """
     from warp_plate.result.export.frequency_response import WRITERS, missing_uff
 
+    impulse, wanted = responses.impulse, responses.range
     if impulse is not None and to:
         raise SceneError(f"--to {to[0]}: --impulse writes CSV alone; leave it out")
     by_ending = {ending: name for name, (ending, _) in WRITERS.items()}
@@ -85,29 +94,31 @@ def frf(
     formats = [*(to or ()), *([by_ending[target.suffix.lower()]] if target.suffix.lower() in by_ending else ())]
     if "uff" in formats and (problem := missing_uff()) is not None:
         raise SceneError(f"--to uff: {problem}")
-    points = [_point("--at", text) for text in at or ()]
-    limits = None if range is None else _range(range)
+    points = [_point("--at", text) for text in responses.at or ()]
+    limits = None if wanted is None else _range(wanted)
     if "hdf5" in formats:
-        output.check_replaceable(target.with_suffix(".h5"), "a frequency response", force)
+        output.check_replaceable(target.with_suffix(".h5"), "a frequency response", files.force)
     loaded, scene = output.load_scene(scene, assignments)
     from warp_plate.studies.frequency_response import check_on_plate, compute_frequency_response
 
-    sources = [_source(loaded, text) for text in inputs or ()]
+    sources = [_source(loaded, text) for text in responses.inputs or ()]
     check_on_plate(loaded, points, "--at")
     check_on_plate(loaded, sources, "--from")
-    if impulse is not None:
-        from warp_plate.studies.impulse_response import compute_impulse_response
+    with output.scene_errors(scene), _errors_of_range(wanted):
+        if impulse is not None:
+            from warp_plate.studies.impulse_response import compute_impulse_response
 
-        highest = None if limits is None else limits[1]
-        with output.scene_errors(scene), _errors_of_range(range):
-            impulses = compute_impulse_response(loaded, sources, points, impulse, rate, highest, quantity)
-        files = _write_impulses(impulses, target), None
-        output.report(json, partial(_impulses_as_json, impulses), partial(_print_impulses, impulses), files)
-        return
-    with output.scene_errors(scene), _errors_of_range(range):
-        found = compute_frequency_response(loaded, sources, points, limits, quantity)
-    written = _write(found, target, formats, pictures)
-    output.report(json, partial(_as_json, found), partial(_print, scene, loaded, found), written)
+            highest = None if limits is None else limits[1]
+            span = (impulse, responses.rate, highest)
+            impulses = compute_impulse_response(loaded, sources, points, *span, responses.quantity)
+        else:
+            response = compute_frequency_response(loaded, sources, points, limits, responses.quantity)
+    if impulse is not None:
+        tables = _write_impulses(impulses, target), None
+        output.report(files.json, _impulses_as_json, _print_impulses, impulses, written=tables)
+    else:
+        written = _write(response, target, formats, files.pictures)
+        output.report(files.json, _as_json, _print, scene, loaded, response, written=written)
 
 
 def _point(option: str, text: str) -> tuple[float, float]:
@@ -148,80 +159,76 @@ def _errors_of_range(text: str | None) -> Iterator[None]:
         raise SceneError(f"--range {text}: {str(error).removeprefix(key[0])}") from None
 
 
-def _write(found: FrequencyResponse, target: Path, formats: list[Format], pictures: bool) -> output.Drawn:
+def _write(response: FrequencyResponse, target: Path, formats: list[Format], pictures: bool) -> output.Drawn:
     """Write the files of the formats and the picture; return them, and why there is no picture."""
-    from warp_plate.result.atomic_io import atomic_paths
     from warp_plate.result.export.frequency_response import WRITERS
-    from warp_plate.viz.availability import missing_plots
     from warp_plate.viz.plots.frequency_response import draw_frequency_response
 
     written = []
     for name in dict.fromkeys(formats):
         ending, write = WRITERS[name]
         file = target if target.suffix.lower() == ending else target.with_suffix(ending)
-        write(found, file)
+        write(response, file)
         written.append(file)
-    if not pictures or (problem := missing_plots()) is not None:
-        return written, problem if pictures else None
     picture = target if target.suffix.lower() in PICTURES else target.with_suffix(".png")
-    with atomic_paths(picture) as (temporary,):
-        draw_frequency_response(found, temporary)
-    return [*written, picture], None
+    drawn, missing = output.draw_picture(partial(draw_frequency_response, response), picture, pictures)
+    return [*written, *drawn], missing
 
 
-def _write_impulses(found: ImpulseResponse, path: Path) -> list[Path]:
+def _write_impulses(impulses: ImpulseResponse, path: Path) -> list[Path]:
     from warp_plate.result.export.time_series import write_table
 
-    heading = ["time [s]", *(f"{label} [{found.unit}]" for label in found.labels)]
-    return write_table(path, heading, [np.column_stack([found.times, *found.responses.reshape(len(found.labels), -1)])])
+    heading = ["time [s]", *(f"{label} [{impulses.unit}]" for label in impulses.labels)]
+    rows = impulses.responses.reshape(len(impulses.labels), -1)
+    return write_table(path, heading, [np.column_stack([impulses.times, *rows])])
 
 
-def _impulses_as_json(found: ImpulseResponse) -> dict[str, object]:
-    return output.attributes(found, "unit", "labels", "times", "responses", "highest", "modes")
+def _impulses_as_json(impulses: ImpulseResponse) -> dict[str, object]:
+    return output.attributes(impulses, "unit", "labels", "times", "responses", "highest", "modes")
 
 
-def _print_impulses(found: ImpulseResponse, console: Console) -> None:
-    console.print(f"Responses to 1 N·s by {found.modes} modes up to {found.highest:g} Hz\n")
-    made = output.table("response", f"largest ({found.unit})", "at (ms)")
-    rows = found.responses.reshape(len(found.labels), -1)
-    for label, values in list(zip(found.labels, rows, strict=True))[:MOST_ROWS]:
+def _print_impulses(impulses: ImpulseResponse, console: Console) -> None:
+    console.print(f"Responses to 1 N·s by {impulses.modes} modes up to {impulses.highest:g} Hz\n")
+    table = output.table("response", f"largest ({impulses.unit})", "at (ms)")
+    rows = impulses.responses.reshape(len(impulses.labels), -1)
+    for label, values in list(zip(impulses.labels, rows, strict=True))[:MOST_ROWS]:
         peak = int(np.abs(values).argmax())
-        made.add_row(label, f"{values[peak]:.4g}", f"{1e3 * found.times[peak]:.4g}")
-    console.print(made)
+        table.add_row(label, f"{values[peak]:.4g}", f"{1e3 * impulses.times[peak]:.4g}")
+    console.print(table)
 
 
-def _as_json(found: FrequencyResponse) -> dict[str, object]:
+def _as_json(name: str, scene: Scene, response: FrequencyResponse) -> dict[str, object]:
     return {
-        **output.attributes(found, "quantity", "unit", "frequencies"),
-        "pairs": [{"from": name, "at": point} for name, point in found.pairs],
-        "real": found.responses.real,
-        "imaginary": found.responses.imag,
-        "inputs": found.inputs,
-        **output.attributes(found, "localization_factor", "bound", "mean_square_velocity"),
-        **output.attributes(found, "natural_frequencies", "loss_factors", "undamped"),
+        **output.attributes(response, "quantity", "unit", "frequencies"),
+        "pairs": [{"from": name, "at": point} for name, point in response.pairs],
+        "real": response.responses.real,
+        "imaginary": response.responses.imag,
+        "inputs": response.inputs,
+        **output.attributes(response, "localization_factor", "bound", "mean_square_velocity"),
+        **output.attributes(response, "natural_frequencies", "loss_factors", "undamped"),
     }
 
 
-def _print(name: str, scene: Scene, found: FrequencyResponse, console: Console) -> None:
-    low, high, count = found.frequencies[0], found.frequencies[-1], len(found.natural_frequencies)
+def _print(name: str, scene: Scene, response: FrequencyResponse, console: Console) -> None:
+    low, high, count = response.frequencies[0], response.frequencies[-1], len(response.natural_frequencies)
     console.print(
-        f"{scene.title or name}: {found.quantity} at {len(found.frequencies)} frequencies from {low:g} to {high:g} Hz, "
-        f"{count} modes\n"
+        f"{scene.title or name}: {response.quantity} at {len(response.frequencies)} frequencies from {low:g} to "
+        f"{high:g} Hz, {count} modes\n"
     )
-    made = output.table("response", f"largest ({found.unit})", "at (Hz)", "phase (°)")
-    for label, values in list(zip(found.labels, found.responses, strict=True))[:MOST_ROWS]:
+    table = output.table("response", f"largest ({response.unit})", "at (Hz)", "phase (°)")
+    for label, values in list(zip(response.labels, response.responses, strict=True))[:MOST_ROWS]:
         peak = int(np.abs(values).argmax())
         phase = np.degrees(np.angle(values[peak]))
-        made.add_row(label, f"{abs(values[peak]):.4g}", f"{found.frequencies[peak]:.6g}", f"{phase:.1f}")
-    console.print(made)
-    if len(found.labels) > MOST_ROWS:
-        console.print(f"and {len(found.labels) - MOST_ROWS} more, in the files of --to and in --json")
-    best = int(np.nanargmax(found.bound))
+        table.add_row(label, f"{abs(values[peak]):.4g}", f"{response.frequencies[peak]:.6g}", f"{phase:.1f}")
+    console.print(table)
+    if len(response.labels) > MOST_ROWS:
+        console.print(f"and {len(response.labels) - MOST_ROWS} more, in the files of --to and in --json")
+    best = int(np.nanargmax(response.bound))
     console.print(
-        f"\nLocalization factor of the scene's drive: {_extremes(found.localization_factor)}; the best drive at each "
-        f"frequency reaches up to {found.bound[best]:.4f}, at {found.frequencies[best]:.6g} Hz."
+        f"\nLocalization factor of the scene's drive: {_extremes(response.localization_factor)}; the best drive at "
+        f"each frequency reaches up to {response.bound[best]:.4f}, at {response.frequencies[best]:.6g} Hz."
     )
-    if found.undamped:
+    if response.undamped:
         console.print("! The plate has undamped modes: their peaks have no height; frequencies beside them are shown.")
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from warp_plate.cli import clock, options, output, tables
+from cyclopts import Parameter
+
+from warp_plate.cli import main, options, output, tables
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
@@ -37,25 +39,45 @@ NOT_REPRODUCED = (
 )
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class SearchOptions:
+    """Options of a search.
+
+    Attributes:
+        seed: Random seed of the search (default: the scene's).
+        evaluator: direct simulates a plate for each evaluation; response uses Gram matrices of simulated unit
+            responses; modal computes energies from the modes of the plate, for tones and linear scenes (default:
+            direct; for a robust search response where it applies).
+        baselines: Compare with drives that need no search: time reversal and inverse filter at one frequency.
+        spectrum: After a search for a common frequency, compute the localization factors over its range: of the equal
+            drive, of the best single actuator, and the bound at each frequency, with the plate's resonances.
+        resume: The checkpoint (.checkpoint.h5) of a search to continue; the one before it is taken if it is damaged.
+            Scene, seed, evaluator, path and accuracy are the checkpoint's, and may only be given again as they were.
+    """
+
+    seed: options.Integer | None = None
+    evaluator: Literal["direct", "response", "modal"] | None = None
+    estimate: options.Estimate = True
+    baselines: options.Flag = False
+    spectrum: bool = True
+    resume: Path | None = None
+
+
+SEARCH = SearchOptions()
+
+
 def localize(
     scene: options.SceneName | None = None,
     /,
     *,
-    assignments: options.Assignments = None,
-    workers: options.WorkerOptions = options.DEFAULT_WORKERS,
-    seed: options.Integer | None = None,
-    evaluator: Literal["direct", "response", "modal"] | None = None,
-    accuracy: options.Accuracy | None = None,
-    estimate: options.Estimate = True,
-    baselines: options.Flag = False,
-    spectrum: bool = True,
+    changes: options.SceneOptions = options.SCENE,
+    search: SearchOptions = SEARCH,
+    workers: options.WorkerOptions = options.WORKERS,
     checkpoint_every: options.CheckpointEvery = 30.0,
-    resume: Path | None = None,
     out: Path | None = None,
-    force: options.Force = False,
-    pictures: options.Pictures = True,
-    colours: options.ColourChoice = options.DEFAULT_COLOURS,
-    json: options.Json = False,
+    files: options.FileOptions = options.FILES,
+    colours: options.ColourChoice = options.COLOURS,
 ) -> None:
     """Search for the drive that puts most of the plate's kinetic energy into the target.
 
@@ -82,36 +104,24 @@ def localize(
 
     Parameters
     ----------
-    seed
-        Random seed of the search (default: the scene's).
-    evaluator
-        direct simulates a plate for each evaluation; response uses Gram matrices of simulated unit responses; modal
-        computes energies from the modes of the plate, for tones and linear scenes (default: direct;
-        for a robust search response where it applies).
-    baselines
-        Compare with drives that need no search: time reversal and inverse filter at one frequency.
-    spectrum
-        After a search for a common frequency, compute the localization factors over its range: of the equal drive, of
-        the best single actuator, and the bound at each frequency, with the plate's resonances.
-    resume
-        The checkpoint (.checkpoint.h5) of a search to continue; the one before it is taken if it is damaged. Scene,
-        seed, evaluator, path and accuracy are the checkpoint's, and may only be given again as they were.
     out
         The result file (.h5; default: SCENE-localize.h5 in this folder; with --resume beside the checkpoint).
     """
+    resume = search.resume
     if scene is None and resume is None:
         raise SceneError("localize needs a SCENE (a preset's name or a TOML file), or --resume FILE")
     chosen = colours.chosen()
     default = f"{Path(scene or '').stem}-localize.h5"
     target = output.output_file(
-        out or (resume and _result_beside(resume)), default, holds="a result of localize", force=force
+        out or (resume and _result_beside(resume)), default, holds="a result of localize", force=files.force
     )
-    output.check_replaceable(target.with_suffix(".best.toml"), "# Found by: warp-plate localize", force)
+    output.check_replaceable(target.with_suffix(".best.toml"), "# Found by: warp-plate localize", files.force)
     loaded = None
     if scene is not None:
-        loaded, scene = output.load_scene(scene, assignments, accuracy)
-    elif assignments:
-        raise SceneError(f"--set {assignments[0]}: changes a SCENE, but an unfinished search has its own; leave it out")
+        loaded, scene = changes.load(scene)
+    elif changes.assignments:
+        first = f"--set {changes.assignments[0]}"
+        raise SceneError(f"{first}: changes a SCENE, but an unfinished search has its own; leave it out")
     from warp_plate.result.checkpoint import ENDING, load_newest
     from warp_plate.studies.checkpointing import CheckpointFile
     from warp_plate.studies.localize import load_to_resume
@@ -120,22 +130,22 @@ def localize(
 
     checkpoint = None
     local = workers.local_device
+    given: dict[str, Any] = {"seed": search.seed, "evaluator": search.evaluator}
     if resume is not None:
-        if loaded is None and accuracy is not None:
-            loaded = output.with_accuracy_option(load_newest(resume)[0].scene_as_written, accuracy)
+        if loaded is None and changes.accuracy is not None:
+            loaded = output.with_accuracy_option(load_newest(resume)[0].scene_as_written, changes.accuracy)
         # A search that is resumed runs on the device that it began on unless --device names another.
         local = replace(workers, devices=None).local_device
-        given = {"seed": seed, "evaluator": evaluator, "path": workers.path}
         with output.scene_errors(scene or "--accuracy"):
-            checkpoint = load_to_resume(resume, loaded, local, output.log, **given)
-    output.check_replaceable(target.with_suffix(ENDING), "a checkpoint", force or resume is not None)
+            checkpoint = load_to_resume(resume, loaded, local, output.log, path=workers.path, **given)
+    output.check_replaceable(target.with_suffix(ENDING), "a checkpoint", files.force or resume is not None)
     file = CheckpointFile(target.with_suffix(ENDING), checkpoint_every, resume is not None, output.log)
     if checkpoint is None and file.path.exists():
         output.log(f"{file.path} holds an unfinished search; a checkpoint of this one will replace it")
-    output.prepare_pictures(pictures)
+    output.prepare_pictures(files.pictures)
     with (
         workers.open_pool() as pool,
-        output.progress_bar("searching", not json, loaded, "running the drives found") as show,
+        output.progress_bar("searching", not files.json, loaded, "running the drives found") as show,
         output.scene_errors(scene),
         output.resumable(file, "localize"),
     ):
@@ -147,19 +157,18 @@ def localize(
 
         if pool is not None:
             pool.on_progress = lambda done, total: show(*latest[:2], f"{latest[2]} block {done}/{total}")
-        common: dict[str, Any] = {"on_progress": on_progress, "estimate": estimate, "checkpoints": file}
-        common |= {"spectrum": spectrum, "pool": pool, "baselines": baselines}
+        common: dict[str, Any] = {"on_progress": on_progress, "estimate": search.estimate, "checkpoints": file}
+        common |= {"spectrum": search.spectrum, "pool": pool, "baselines": search.baselines}
         if checkpoint is not None:
             result = run_resume(checkpoint, local, **common)
         else:
             assert loaded is not None
             on, path = "auto" if local is None else local, workers.path or "auto"
-            result = run_localize(
-                loaded, source=scene or "", device=on, seed=seed, evaluator=evaluator, path=path, **common
-            )
-    written = _write(result, target, pictures, file, chosen)
-    record = partial(_as_json, result, file.path if result.interrupted and file.saved else None)
-    output.report(json, record, partial(_print, result, resume is not None), written)
+            result = run_localize(loaded, source=scene or "", device=on, path=path, **given, **common)
+    written = _write(result, target, files.pictures, file, chosen)
+    left = file.path if result.interrupted and file.saved else None
+    elapsed = None if resume is not None else main.elapsed()
+    output.report(files.json, partial(_as_json, left), partial(_print, elapsed), result, written=written)
 
 
 def _result_beside(checkpoint: Path) -> Path:
@@ -187,7 +196,7 @@ def _write(result: Result, target: Path, pictures: bool, file: CheckpointFile, c
     return files, missing
 
 
-def _as_json(result: Result, checkpoint: Path | None) -> dict[str, object]:
+def _as_json(checkpoint: Path | None, result: Result) -> dict[str, object]:
     """Return the record for ``--json``; ``checkpoint`` is the file that an interrupted search resumes from."""
     from warp_plate.result.model import only_actuator
 
@@ -205,22 +214,21 @@ def _as_json(result: Result, checkpoint: Path | None) -> dict[str, object]:
         "objectives_of": result.objective_values_by_case,
         "robust": tables.robust_json(result.robust),
         "crosstalk": tables.crosstalk_json(result),
-        "warnings": output.warnings_of(result),
+        "warnings": tables.warnings_of(result),
         "lost": result.lost_plates,
         "checkpoint": checkpoint,
     }
 
 
-def _print(result: Result, resumed: bool, console: Console) -> None:
+def _print(elapsed: float | None, result: Result, console: Console) -> None:
     from warp_plate.result.targets import target_cases
     from warp_plate.scene.vary import counted
 
     console.print(result.scene.title or result.source)
     _print_factors(result, console)
-    moved = tables.motion_table({name.replace("_", " "): case for name, case in result.cases.items()}, result.scene)
-    if moved is not None:
-        output.print_uncropped(console, moved)
-        console.print()
+    motion = tables.motion_table({name.replace("_", " "): case for name, case in result.cases.items()}, result.scene)
+    if motion is not None:
+        output.print_uncropped(console, motion, "")
     tables.print_objectives(result, console)
     tables.print_robust(result, console)
     for target, case in (target_cases(result.scene) or {"": "best"}).items():
@@ -228,13 +236,13 @@ def _print(result: Result, resumed: bool, console: Console) -> None:
             console.print(tables.drive_table(result.cases[case], result.scene, target), "")
     if result.target_searches:
         console.print(tables.crosstalk_table(result), "")
-    options.print_failures(result, console, "the best drive so far is shown")
+    tables.print_failures(result, console, "the best drive so far is shown")
     if result.source == "paper":
         console.print(NOT_REPRODUCED)
     in_all = {"direct": ", in all ", "response": " on Gram matrices, in all ", "modal": ", "}
     unit, way = "plate" if result.evaluator == "direct" else "drive", in_all[result.evaluator]
     searched = f"{counted(result.evaluations, unit)} in the search{way}"
-    output.print_cost(result, console, searched, None if resumed else clock.elapsed())
+    tables.print_cost(result, console, searched, elapsed)
 
 
 def _labels(result: Result) -> dict[str, str]:
@@ -252,16 +260,16 @@ def _print_factors(result: Result, console: Console) -> None:
 
     published = PUBLISHED if result.source == "paper" else {}
     target = f", target {result.scene.targets[0].name}" if result.target_searches else ""
-    made = output.table(f"localization factor{target}", "this run", *(["published"] if published else []))
+    table = output.table(f"localization factor{target}", "this run", *(["published"] if published else []))
     for name, label in _labels(result).items():
         factor = output.number_text(result.cases[name].localization_factor, ".4f")
-        made.add_row(label, factor, *([f"{published[name]:.4f}"] if name in published else []))
+        table.add_row(label, factor, *([f"{published[name]:.4f}"] if name in published else []))
     search = result.scene.search
     searched = [name for name in ("frequency", "position", "delay") if getattr(search, name) is not None]
     none = f"none: {' and '.join(searched)} searched" if searched else "none"
     bound = none if result.bound is None else output.number_text(result.bound, ".4f")
-    made.add_row(BOUND_DESCRIPTIONS["" if result.bound is None else result.bound_kind], bound)
-    console.print(made, "")
+    table.add_row(BOUND_DESCRIPTIONS["" if result.bound is None else result.bound_kind], bound)
+    console.print(table, "")
     reached = result.cases["best"].localization_factor
     if result.bound is not None and result.bound_kind == "attained" and result.bound - reached > MISSED:
         console.print('The bound can be reached: method = "exact" in [search] finds that drive.\n')

@@ -5,14 +5,22 @@ from __future__ import annotations
 import io
 import os
 import sys
+import time
 
-from warp_plate.cli import clock
 from warp_plate.interrupts import interrupt_on_termination, remember_lost_interrupts
+
+_began = time.perf_counter()
+
+
+def elapsed() -> float:
+    """Return the seconds since the command began."""
+    return time.perf_counter() - _began
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run a command and exit: status 0; 2 after one line about bad input; 130 after Ctrl-C or SIGTERM."""
-    clock.restart()
+    global _began
+    _began = time.perf_counter()
     # Threads of linear algebra sleep soon while they wait for a task: commands have small ones, far apart.
     os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")
     os.environ.pop("MPLBACKEND", None)  # commands draw to files

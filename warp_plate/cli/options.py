@@ -1,9 +1,9 @@
-"""Arguments and options that several commands share, each with its help text, and the workers of ``--devices``."""
+"""Options that several commands share, each with its help text."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,11 +16,8 @@ from warp_plate.cli import output
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from warp_plate.cluster.pool import WorkerPool
-    from warp_plate.result.comparison import MethodComparison
-    from warp_plate.result.model import Result
+    from warp_plate.scene.model import Scene
     from warp_plate.viz.colours import ColourOptions
 
 
@@ -44,32 +41,22 @@ Assignments = Annotated[
         name="--set",
         negative="",
         help="KEY=VALUE: a value in place of the scene file's; may be repeated. KEY is any key of a scene, such as "
-        "drive.frequency, plate.size[0], effects.loss_factor.eta or 'actuators.lower left.phase'; VALUE is TOML, or a "
+        "drive.frequency, plate.size[0], effects.damping.viscous or 'actuators.lower left.phase'; VALUE is TOML, or a "
         "text without quotes.",
     ),
 ]
 ResultFile = Annotated[Path, Parameter(help="An .h5 file written by localize or simulate.")]
 Device = Annotated[str, Parameter(help="cpu, cuda, cuda:1, ...; auto takes a CUDA device if there is one.")]
-Stepping = Annotated[
-    Literal["auto", "resident", "streaming"],
-    Parameter(
-        help="How plates are stepped: resident (all steps in one launch), streaming (one or a few steps a launch) or "
-        "auto (the faster of the two)."
-    ),
-]
+_STEPPING = (
+    "How plates are stepped: resident (all steps in one launch), streaming (one or a few steps a launch) or auto (the "
+    "faster of the two)"
+)
+Stepping = Annotated[Literal["auto", "resident", "streaming"], Parameter(help=f"{_STEPPING}.")]
 SteppingOrModes = Annotated[
     Literal["auto", "resident", "streaming", "modal"],
     Parameter(
-        help="How plates are stepped: resident (all steps in one launch), streaming (one or a few steps a launch) or "
-        "auto (the faster of the two); or modal, without time steps or a grid's error, for linear scenes. auto takes "
-        "modal for effects.loss_factor and effects.modal_damping."
-    ),
-]
-Accuracy = Annotated[
-    str,
-    Parameter(
-        help="Relative error allowed in localization factors, such as 1% or 0.01: a grid that keeps it replaces the "
-        "scene's own."
+        help=f"{_STEPPING}; or modal, without time steps or a grid's error, for linear scenes. auto takes modal for "
+        "scenes whose damping cannot be stepped."
     ),
 ]
 Estimate = Annotated[bool, Parameter(help="Estimate the error of the result at the end.")]
@@ -87,14 +74,42 @@ Force = Annotated[
     bool, Parameter(negative="", help="Overwrite files that another command, or another program, has written.")
 ]
 Pictures = Annotated[bool, Parameter(help="Draw pictures beside the file that is written (needs the extra viz).")]
-Colormap = Annotated[str, Parameter(help="Colour map of Matplotlib, such as viridis or PuOr.")]
+Colormap = Annotated[str | None, Parameter(help="Colour map of Matplotlib, such as viridis or PuOr.")]
 Json = Annotated[bool, Parameter(negative="", help="Print one JSON object instead of text and tables.")]
 
 
 @Parameter(name="*")
 @dataclass(frozen=True)
+class SceneOptions:
+    """Options that change a scene.
+
+    Attributes:
+        accuracy: Relative error allowed in localization factors, such as 1% or 0.01: a grid that keeps it replaces the
+            scene's own.
+    """
+
+    assignments: Assignments = None
+    accuracy: str | None = None
+
+    def load(self, source: str) -> tuple[Scene, str]:
+        """Return the scene and its name, see :func:`output.load_scene`."""
+        return output.load_scene(source, self.assignments, self.accuracy)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class FileOptions:
+    """Options of commands that write a file and print what it holds."""
+
+    force: Force = False
+    pictures: Pictures = True
+    json: Json = False
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
 class WorkerOptions:
-    """Options of commands whose plates workers can simulate; their help texts are the lines below.
+    """Options of commands whose plates workers can simulate.
 
     Attributes:
         device: cpu, cuda, cuda:1, ...; auto (the default) takes a CUDA device if there is one. With --cluster, the
@@ -129,13 +144,10 @@ class WorkerOptions:
         return open_pool(self.devices, self.cluster, self.device, output.log)
 
 
-DEFAULT_WORKERS = WorkerOptions()
-
-
 @Parameter(name="*")
 @dataclass(frozen=True)
 class ColourChoice:
-    """Options of the colours of fields over the plate; their help texts are the lines below.
+    """Options of the colours of fields over the plate.
 
     Attributes:
         colormap: Colour map of Matplotlib, such as viridis, for the field over the plate (default: one that suits it).
@@ -154,20 +166,4 @@ class ColourChoice:
         return colour_options(self.colormap, self.limits)
 
 
-DEFAULT_COLOURS = ColourChoice()
-
-
-def print_failures(result: Result | MethodComparison, console: Console, shown: str) -> None:
-    """Print why workers failed to simulate plates, and which part of an interrupted study is shown."""
-    for line in failure_lines(result.lost_plates):
-        console.print(f"! {line}")
-    if result.interrupted:
-        console.print(f"Interrupted by Ctrl-C; {shown}.")
-
-
-def failure_lines(failures: Mapping[str, int]) -> list[str]:
-    """Return a line for each reason for which workers failed to simulate plates of a search."""
-    from warp_plate.scene.vary import counted
-
-    failed = "of the search failed on the workers and counted as worst"
-    return [f"{counted(count, 'plate')} {failed}: {reason}" for reason, count in failures.items()]
+SCENE, FILES, WORKERS, COLOURS = SceneOptions(), FileOptions(), WorkerOptions(), ColourChoice()

@@ -8,7 +8,7 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from json import dumps
@@ -23,17 +23,6 @@ from warp_plate.scene.errors import SceneError, printable
 
 # The longest ending of the files that are written beside a result.
 LONGEST_ENDING = ".checkpoint.h5.123456789abc.part.h5"
-# The stages of ``Result.seconds``.
-STAGES = {
-    "choose": "choosing the engine or grid",
-    "compile": "compiling or loading",
-    "solve": "solving",
-    "robust": "validating",
-    "baselines": "of baselines",
-    "spectrum": "of the spectrum",
-    "estimate": "estimating the error",
-}
-
 if TYPE_CHECKING:
     from warp_plate.result.model import Result
     from warp_plate.scene.model import Scene
@@ -82,8 +71,8 @@ def resumable(file: StudyFile[Any], command: str) -> Iterator[None]:
     try:
         yield
     except SceneError as error:
-        kept = "" if file.saved is None else "; there is a checkpoint"
-        raise SceneError(f"{error}{kept}{how_to_resume(file, command)}") from None
+        saved = "" if file.saved is None else "; there is a checkpoint"
+        raise SceneError(f"{error}{saved}{how_to_resume(file, command)}") from None
     except KeyboardInterrupt:
         raise KeyboardInterrupt(how_to_resume(file, command)) from None
 
@@ -102,22 +91,24 @@ def log(line: str) -> None:
 
 def report(
     json: bool,
-    record: Callable[[], Mapping[str, object]],
-    show: Callable[[Console], object],
+    as_json: Callable[..., Mapping[str, object]],
+    show: Callable[..., object],
+    *results: Any,
     written: Drawn | None = None,
 ) -> None:
     """Print the answer of a command as one JSON object, or as text and tables.
 
     Args:
-        record: returns the JSON object, to which "files" are added. Numbers that are not finite become null.
-        show: prints text and tables.
-        written: the files written, and why pictures are missing.
+        as_json: Function of the results that returns the JSON object, to which "files" are added. Numbers that are not
+            finite become null.
+        show: Function of the results and a console that prints text and tables.
+        written: The files written, and why pictures are missing.
     """
     files, missing = written or ([], None)
     if json:
-        print(dumps(_json_value({**record(), **({"files": files} if written else {})}), indent=2))
+        print(dumps(_json_value({**as_json(*results), **({"files": files} if written else {})}), indent=2))
         return
-    show(console())
+    show(*results, console())
     for line in (*(f"wrote {file}" for file in files), *([missing] if missing else [])):
         print(printable(line))
 
@@ -141,20 +132,31 @@ def attributes(data: object, *names: str) -> dict[str, Any]:
 
 def table(*headings: str, title: str | None = None) -> Table:
     """Return an empty table whose first column is text and whose other columns are numbers."""
-    made = Table(title=title, title_justify="left", box=None, header_style="bold", pad_edge=False)
+    table = Table(title=title, title_justify="left", box=None, header_style="bold", pad_edge=False)
     for index, heading in enumerate(headings):
-        made.add_column(heading, justify="left" if index == 0 else "right")
-    return made
+        table.add_column(heading, justify="left" if index == 0 else "right")
+    return table
 
 
-def print_uncropped(console: Console, made: Table) -> None:
-    """Print a table without cropping numbers, however narrow the terminal; headings and the first column may wrap."""
-    for index, column in enumerate(made.columns):
+def lines_table(rows: Iterable[Iterable[str]]) -> Table:
+    """Return a table of texts without headings."""
+    table = Table.grid(padding=(0, 2, 0, 0))
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def print_uncropped(console: Console, table: Table, *after: str) -> None:
+    """Print a table without cropping numbers, however narrow the terminal; headings and the first column may wrap.
+    Lines may follow."""
+    for index, column in enumerate(table.columns):
         cells = [str(cell) for cell in column.cells]
         wrapped, fixed = ([column.header, *cells], []) if index == 0 else ([column.header], cells)
         words = [word for text in wrapped for word in str(text).split()]
         column.min_width = max(map(len, [*words, *fixed]), default=0)
-    console.print(made, crop=False)
+    console.print(table, crop=False)
+    for line in after:
+        console.print(line)
 
 
 def number_text(value: float | None, digits: str, unit: str = "") -> str:
@@ -257,13 +259,13 @@ def check_replaceable(path: Path, holds: str, force: bool) -> None:
     if path.suffix.lower() == ".h5":
         from warp_plate.result.hdf5 import describe_file
 
-        found = describe_file(path)
+        content = describe_file(path)
     else:
         text = path.read_text(encoding="utf-8", errors="replace")
         key = holds.removeprefix("measurements with ")
-        found = holds if (f'\n "{key}":' in text if key != holds else text.startswith(holds)) else ""
-    if found != holds:
-        what = f"is {found}" if found else "was written by another command or program"
+        content = holds if (f'\n "{key}":' in text if key != holds else text.startswith(holds)) else ""
+    if content != holds:
+        what = f"is {content}" if content else "was written by another command or program"
         raise SceneError(f"{path}: {what} and would be overwritten; name another file by --out, or give --force")
 
 
@@ -288,67 +290,27 @@ def writing_problem(path: Path) -> str:
     return ""
 
 
-def print_cost(result: Result, console: Console, start: str = "", elapsed: float | None = None) -> None:
-    """Print where a result was computed, its cost and accuracy, the effects in the compiled kernels, and warnings.
-
-    Args:
-        elapsed: seconds of the whole command; None if the result has seconds of earlier ones too.
-    """
-    by_steps = f"{result.node_steps:.3g} node-steps on {result.device}, "
-    work, before, included = ("", "finding the modes", "included") if result.by_modes else (
-        by_steps, "compiling or loading kernels", "compiled in"
-    )  # fmt: skip
-    console.print(
-        f"{start}{work}{result.path}: {result.seconds['solve']:.2f} s solving after {result.seconds['compile']:.2f} s "
-        f"{before}. Effects {included}: {', '.join(result.effects) or 'none'}."
-    )
-    if "reason" in result.accuracy:
-        took = f", chosen in {result.seconds['choose']:.2f} s" if "choose" in result.seconds else ""
-        console.print(f"engine: {result.accuracy['reason']}{took}")
-    if elapsed is not None:
-        console.print(_seconds_text(result.seconds, elapsed))
-    if "estimate" in result.accuracy:
-        console.print(result.accuracy["estimate"]["line"])
-    for sentence in warnings_of(result):
-        console.print(f"! {sentence}")
-
-
-def _seconds_text(seconds: Mapping[str, float], elapsed: float) -> str:
-    """Return the seconds of the stages, which add up to those of the command."""
-    spent = {text: seconds[stage] for stage, text in STAGES.items() if stage in seconds}
-    spent["loading, files and pictures"] = elapsed - sum(spent.values())
-    return f"{elapsed:.2f} s in all: {', '.join(f'{value:.2f} s {text}' for text, value in spent.items())}."
-
-
-def warnings_of(result: Result) -> list[str]:
-    """Return warnings about effects that the result calls for but its scene lacks, and about search settings that have
-    no effect."""
-    from warp_plate.analysis.warnings import (
-        explain_missing_energies,
-        search_warnings,
-        target_warnings,
-        warning_texts,
-    )
-    from warp_plate.problem.methods import unread_keys
-
-    failed = next((case.status for case in result.cases.values() if case.status != "ok"), None)
-    if failed is not None:
-        return [explain_missing_energies(result.scene, failed)]
-    best = result.history.get("best")
-    if best is not None and len(best) and not math.isfinite(best[-1]):
-        return ["No plate that the search tried has energies; the best single actuator is shown in place of a result."]
-    found = [*search_warnings(result.scene), *unread_keys(result.scene.search)] if result.command == "localize" else []
-    scene = result.case_scene(result.main_case)
-    found += target_warnings(scene, result.main_case.localization_factor)
-    return found + warning_texts(scene, result.peak_displacement, gridded=not result.by_modes)
-
-
 def prepare_pictures(pictures: bool) -> None:
     """Start loading the drawing libraries while the command runs."""
     if pictures:
         from warp_plate.viz import prepare
 
         prepare()
+
+
+def draw_picture(draw: Callable[[Path], object], path: Path, wanted: bool = True) -> Drawn:
+    """Draw a plot of Matplotlib; return the file written, or why there is none."""
+    from warp_plate.result.atomic_io import atomic_paths
+    from warp_plate.viz.availability import missing_plots
+
+    if not wanted or (problem := missing_plots()) is not None:
+        return [], problem if wanted else None
+    try:
+        with atomic_paths(path) as (temporary,):
+            draw(temporary)
+    except SceneError as error:
+        return [], str(error)
+    return [path], None
 
 
 def write_files(

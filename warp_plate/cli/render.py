@@ -1,25 +1,134 @@
-"""``warp-plate render RESULT``: pictures, movies and pages of a result."""
+"""``warp-plate view`` and ``warp-plate render``: plates of a result in motion, in a window or in files."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
-from warp_plate.cli import motion_options, options, output
+from warp_plate.cli import options, output
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
-    from warp_plate.result.model import Result
+    from warp_plate.result.model import Case, Result
+    from warp_plate.result.motion import Motion
+    from warp_plate.scene.model import Scene
 
 # As in viz.render, which is imported later.
 PLOTS = (".svg", ".pdf")
 ENDINGS = (".png", *PLOTS, ".gif", ".mp4", ".html")
 # Size [bytes] from which a GIF is remarked on: many mail servers and web pages take no more.
 LARGE_GIF = 10_000_000
+# Limits of the frames a second, and the shortest time in which a period is played [s].
+RATES, PERIOD_SECONDS = (1, 120), 1.4
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class FrameOptions:
+    """Options that select cases of a result and frames.
+
+    Attributes:
+        case: A case of the result (equal, single, best, drive, ...); repeat the option for more (default: all).
+        start: First time of the frames in seconds. Without --start and --end frames cover the last period of the drive;
+            for a drive that does not repeat, the first burst or the scene's window.
+        end: Last time of the frames in seconds (default: the end of the run).
+        frames: Number of frames, 600 at most (default: 60 a period, or as many as there are time steps).
+        device: Device of the run that yields the frames: cpu, cuda, cuda:1, ...; auto (the default) takes a CUDA device
+            if there is one.
+    """
+
+    case: Annotated[list[str] | None, Parameter(negative="")] = None
+    start: float | None = None
+    end: float | None = None
+    frames: Annotated[int | None, Parameter(validator=Number(gte=2))] = None
+    device: str | None = None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class PlaybackOptions:
+    """Options for the content and playback of moving plates.
+
+    Attributes:
+        field: Quantity shown in colour (energy: kinetic energy density). Heights always show displacements.
+        modes: Show this many natural mode shapes, 6 at most, instead of the cases.
+        rate: Frames a second (default: 30, or fewer so that a period takes at least 1.4 s).
+        heights: Factor by which displacements are exaggerated (default: automatic).
+    """
+
+    field: Literal["displacement", "velocity", "energy", "rms-velocity", "phase"] = "displacement"
+    modes: Annotated[int, Parameter(validator=Number(gte=0, lte=6))] = 0
+    rate: float | None = None
+    heights: float | None = None
+
+    def check(self) -> None:
+        """Check ``--rate`` and ``--heights``."""
+        if self.rate is not None and not RATES[0] <= self.rate <= RATES[1]:
+            raise SceneError(f"--rate {self.rate:g}: must be from {RATES[0]} to {RATES[1]} frames a second")
+        if self.heights is not None and not 0 < self.heights < float("inf"):
+            raise SceneError(f"--heights {self.heights:g}: must be above 0")
+
+    def frame_rate(self, motions: Sequence[Motion]) -> float:
+        """Return the frames a second: ``rate``, or 30 unless a period would be shorter than ``PERIOD_SECONDS``."""
+        if self.rate is not None:
+            return self.rate
+        first = motions[0]
+        periods = (first.span[1] - first.span[0]) * first.frequency
+        return min(30.0, max(RATES[0], len(first.times) / max(periods, 1e-9) / PERIOD_SECONDS))
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class PictureOptions:
+    """Options of pictures.
+
+    Attributes:
+        plan: Draw the .png seen from above as well.
+        time: Time of a picture in seconds (default: when the quantity in colour is largest).
+        width: Width of one plate's picture in pixels.
+    """
+
+    plan: options.Flag = False
+    time: float | None = None
+    width: Annotated[int, Parameter(validator=Number(gte=120, lte=4000))] = 560
+
+
+FRAMES, PLAYBACK, PICTURE = FrameOptions(), PlaybackOptions(), PictureOptions()
+
+
+def view(
+    result: options.ResultFile,
+    /,
+    *,
+    playback: PlaybackOptions = PLAYBACK,
+    colours: options.ColourChoice = options.COLOURS,
+    frames: FrameOptions = FRAMES,
+) -> None:
+    """Show the plates of a result in motion, in a window; the key h lists what its keys do.
+
+    A result holds few displacements, so its scene is run again under its drives to make the frames.
+    """
+    playback.check()
+    chosen = colours.chosen()
+    from warp_plate.result.model import load_result
+    from warp_plate.viz.availability import missing_window
+
+    loaded = load_result(result)
+    if (problem := missing_window()) is not None:
+        raise SceneError(
+            f"no window can be opened: {problem}; write pictures, movies or a page with 'warp-plate render {result}'"
+            ", or look in a browser with 'warp-plate explore SCENE'"
+        )
+    motions = select_motions(loaded, result, frames, playback, quiet=False)
+    from warp_plate.viz.window import open_window
+
+    pictures, rate = Path(f"{result.stem}-view"), playback.frame_rate(motions)
+    open_window(loaded.scene, motions, playback.field, pictures, rate, playback.heights, chosen)
 
 
 def render(
@@ -28,12 +137,10 @@ def render(
     *,
     out: Annotated[list[Path] | None, Parameter(negative="")] = None,
     figures: Literal["paper"] | None = None,
-    playback: motion_options.PlaybackOptions = motion_options.DEFAULT_PLAYBACK,
-    colours: options.ColourChoice = options.DEFAULT_COLOURS,
-    shown: motion_options.FrameOptions = motion_options.DEFAULT_FRAMES,
-    plan: options.Flag = False,
-    time: float | None = None,
-    width: Annotated[int, Parameter(validator=Number(gte=120, lte=4000))] = 560,
+    playback: PlaybackOptions = PLAYBACK,
+    colours: options.ColourChoice = options.COLOURS,
+    shown: FrameOptions = FRAMES,
+    picture: PictureOptions = PICTURE,
     json: options.Json = False,
 ) -> None:
     """Draw pictures, movies and pages of a result; needs no display.
@@ -49,12 +156,6 @@ def render(
     figures
         paper: figures 2 and 3 of the source paper, as RESULT-figure-2.png (the recorded times) and
         RESULT-figure-3.png, .svg and .pdf (the search).
-    plan
-        Draw the .png seen from above as well.
-    time
-        Time of a picture in seconds (default: when the quantity in colour is largest).
-    width
-        Width of one plate's picture in pixels.
     """
     given = out or ([] if figures else [Path(f"{result.stem}.png")])
     targets = [output.output_file(path, ".png", ENDINGS) for path in given]
@@ -69,24 +170,25 @@ def render(
     files: list[Path] = []
     try:
         if describe_file(result) == "a focus" and figures is None:
-            _check_drawable(targets, plan)
-            scene, motions = motion_options.select_focus_motions(result, shown, playback)
+            _check_drawable(targets, picture.plan)
+            scene, motions = select_focus_motions(result, shown, playback)
         else:
             loaded = load_result(result)
             scene = loaded.scene
             if figures == "paper":
                 files += _paper_figures(loaded, result)
             if targets:
-                _check_drawable(targets, plan)
-                around = frames_around(loaded, time, shown)
-                motions = motion_options.select_motions(loaded, result, around, playback, json)
+                _check_drawable(targets, picture.plan)
+                around = frames_around(loaded, picture.time, shown)
+                motions = select_motions(loaded, result, around, playback, json)
         if targets:
+            time = picture.time
             frame = largest_frame(motions, playback.field) if time is None else frame_at(motions[0], time)
             rate = playback.frame_rate(motions)
-            style = PictureStyle(playback.field, width, playback.heights, colours.chosen())
+            style = PictureStyle(playback.field, picture.width, playback.heights, colours.chosen())
             for target in targets:
                 with output.progress_bar(f"drawing {target.name}", shown=not json) as show:
-                    draw_motions(scene, motions, target, style, frame, rate, plan, show)
+                    draw_motions(scene, motions, target, style, frame, rate, picture.plan, show)
                 files.append(target)
     except DrawingUnavailable as problem:
         raise SceneError(str(problem)) from None
@@ -96,7 +198,7 @@ def render(
         size = file.stat().st_size
         if file.suffix.lower() == ".gif" and size > LARGE_GIF:
             output.log(f"{file} has {size / 1e6:.0f} MB: fewer --frames, a smaller --width or an .mp4 are smaller")
-    output.report(json, lambda: {"result": result}, lambda _: None, (files, None))
+    output.report(json, lambda: {"result": result}, lambda _: None, written=(files, None))
 
 
 def _check_drawable(targets: list[Path], plan: bool) -> None:
@@ -108,9 +210,7 @@ def _check_drawable(targets: list[Path], plan: bool) -> None:
             raise SceneError(problem)
 
 
-def frames_around(
-    result: Result, time: float | None, shown: motion_options.FrameOptions
-) -> motion_options.FrameOptions:
+def frames_around(result: Result, time: float | None, shown: FrameOptions) -> FrameOptions:
     """Return the options with the period around a time that is given without ``--start`` and ``--end``."""
     if time is None or shown.start is not None or shown.end is not None:
         return shown
@@ -136,3 +236,62 @@ def _paper_figures(result: Result, name: Path) -> list[Path]:
         for path in histories:
             draw_history(result, path, loss=True)
     return drawn
+
+
+def select_motions(
+    result: Result, file: Path, shown: FrameOptions, playback: PlaybackOptions, quiet: bool
+) -> list[Motion]:
+    """Return the motions of a result to show; errors name its file."""
+    from warp_plate.analysis.motion import motions
+
+    if playback.modes:
+        return _mode_shapes(result, shown.frames, playback)
+    span = span_of(shown, result.scene.window.end)
+    cases = select_cases(result, file, shown.case)
+    with output.progress_bar("simulating", shown=not quiet) as show:
+        try:
+            return motions(result.scene, cases, span, shown.frames, shown.device or "auto", show)
+        except SceneError as error:
+            raise SceneError(f"{file}: {error}") from None
+
+
+def span_of(shown: FrameOptions, end: float) -> tuple[float, float] | None:
+    """Return the start and end that the options give, of a run that ends at ``end`` [s]; None if they give neither."""
+    if shown.start is None and shown.end is None:
+        return None
+    return shown.start or 0.0, end if shown.end is None else shown.end
+
+
+def select_focus_motions(file: Path, shown: FrameOptions, playback: PlaybackOptions) -> tuple[Scene, list[Motion]]:
+    """Return the scene and the motions to show of a file of ``focus``."""
+    from warp_plate.focusing.motion import FRAMES, focus_motions
+    from warp_plate.result.focus import load_focus
+
+    if playback.modes:
+        raise SceneError(f"--modes {playback.modes}: {file} holds waveforms; leave it out")
+    result = load_focus(file)
+    span = span_of(shown, float(result.times[-1]))
+    try:
+        return result.scene, focus_motions(result, shown.case or (), span, shown.frames or FRAMES)
+    except SceneError as error:
+        raise SceneError(f"{file}: {error}") from None
+
+
+def _mode_shapes(result: Result, frames: int | None, playback: PlaybackOptions) -> list[Motion]:
+    from warp_plate.analysis.motion import mode_motions
+
+    count = playback.modes
+    if playback.field != "displacement":
+        raise SceneError(f"--field {playback.field}: mode shapes have displacements only; leave out --modes")
+    return mode_motions(result.scene, range(1, count + 1), **({} if frames is None else {"frames": frames}))
+
+
+def select_cases(result: Result, file: Path, names: Sequence[str] | None) -> dict[str, Case]:
+    """Return the named cases of a result, or all if no name is given, in the order in which they are shown."""
+    from warp_plate.viz.captions import ordered_cases
+
+    cases = ordered_cases(result)
+    for name in names or ():
+        if name not in cases:
+            raise SceneError(f"--case {name}: {file} holds {', '.join(cases)}")
+    return {name: cases[name] for name in names or cases}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -22,26 +23,54 @@ MOST_ROWS, MOST_COLUMNS = 40, 7
 MOST_REASONS = 3
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class SweepOptions:
+    """Options of a sweep.
+
+    Attributes:
+        vary: KEY=START:STOP:COUNT, KEY=log:START:STOP:COUNT or KEY=a,b,c. KEY is any number or text of the scene file,
+            such as drive.frequency, target.area[1], actuators[0].phase, "actuators.lower left.phase" or edges.left; of
+            a key that names a file, KEY=*.csv stands for all such files beside the scene. Several ranges form a grid.
+        what: localize (localization factors of the equal drive, the best single actuator and the best drive, and the
+            bound; the default), simulate (localization factor, energies and largest displacement under the scene's
+            drive), frf (mean square velocity, localization factor and bound at each of --frequencies), modes (natural
+            frequencies) or check (time step and its limit, steps a period, nodes a wavelength).
+        evaluator: modal (without time steps or a grid's error) or direct (time steps), with localize and simulate
+            (default: modal for linear scenes, unless a key of the grid is varied or --path says how to step).
+        frequencies: Frequencies of --what frf in hertz, as START:STOP:COUNT, log:START:STOP:COUNT or a,b,c.
+        samples: Number of points of a Latin hypercube over the ranges in place of the grid; COUNT may then be left out.
+            As many samples as a list has values take each once.
+        seed: Random seed of the samples (default: 0).
+        count: Number of modes, with --what modes (default: 6).
+        resume: The unfinished sweep (.checkpoint.h5) to continue, or the result that it is to become. Other options
+            must be the same as before.
+    """
+
+    vary: Annotated[list[str] | None, Parameter(consume_multiple=True, negative="")] = None
+    what: Literal["localize", "simulate", "frf", "modes", "check"] | None = None
+    evaluator: Literal["modal", "direct"] | None = None
+    frequencies: str | None = None
+    samples: options.Integer | None = None
+    seed: options.Integer | None = None
+    count: options.Integer | None = None
+    resume: Path | None = None
+
+
+POINTS = SweepOptions()
+
+
 def sweep(
     scene: options.SceneName | None = None,
     /,
     *,
     assignments: options.Assignments = None,
-    vary: Annotated[list[str] | None, Parameter(consume_multiple=True, negative="")] = None,
-    what: Literal["localize", "simulate", "frf", "modes", "check"] | None = None,
-    evaluator: Literal["modal", "direct"] | None = None,
-    frequencies: str | None = None,
-    samples: options.Integer | None = None,
-    seed: options.Integer | None = None,
-    count: options.Integer | None = None,
-    workers: options.WorkerOptions = options.DEFAULT_WORKERS,
+    points: SweepOptions = POINTS,
+    workers: options.WorkerOptions = options.WORKERS,
     checkpoint_every: options.CheckpointEvery = 30.0,
-    resume: Path | None = None,
     out: Path | None = None,
-    force: options.Force = False,
-    pictures: options.Pictures = True,
-    colormap: options.Colormap | None = None,
-    json: options.Json = False,
+    files: options.FileOptions = options.FILES,
+    colormap: options.Colormap = None,
 ) -> None:
     """Compute the results of one command over many scenes that differ in the values of some keys.
 
@@ -54,41 +83,18 @@ def sweep(
 
     Parameters
     ----------
-    vary
-        KEY=START:STOP:COUNT, KEY=log:START:STOP:COUNT or KEY=a,b,c. KEY is any number or text of the scene file, such
-        as drive.frequency, target.area[1], actuators[0].phase, "actuators.lower left.phase" or edges.left; of files,
-        effects.variation.thickness=*.csv stands for all such beside the scene. Several ranges form a grid.
-    what
-        localize (localization factors of the equal drive, the best single actuator and the best drive, and the bound;
-        the default), simulate (localization factor, energies and largest displacement under the scene's drive), frf
-        (mean square velocity, localization factor and bound at each of --frequencies), modes (natural frequencies) or
-        check (time step and its limit, steps a period, nodes a wavelength).
-    evaluator
-        modal (without time steps or a grid's error) or direct (time steps), with localize and simulate (default: modal
-        for linear scenes, unless a key of the grid is varied or --path says how to step).
-    frequencies
-        Frequencies of --what frf in hertz, as START:STOP:COUNT, log:START:STOP:COUNT or a,b,c.
-    samples
-        Number of points of a Latin hypercube over the ranges in place of the grid; COUNT may then be left out. As many
-        samples as a list has values take each once.
-    seed
-        Random seed of the samples (default: 0).
-    count
-        Number of modes, with --what modes (default: 6).
-    resume
-        The unfinished sweep (.checkpoint.h5) to continue, or the result that it is to become. Other options must be the
-        same as before.
     out
         The result file (.h5), which xarray opens (default: SCENE-sweep.h5 in this folder; with --resume beside the
         unfinished one).
     """
+    resume, seed, samples = points.resume, points.seed, points.samples
     if scene is None and resume is None:
         raise SceneError("sweep needs a SCENE (a preset's name or a TOML file) and --vary KEY=RANGE, or --resume FILE")
     if seed is not None and samples is None:
         raise SceneError(f"--seed {seed}: is the seed of samples; give --samples N as well, or leave it out")
     if colormap is not None:
         options.ColourChoice(colormap).chosen()
-    if samples is not None and not vary:
+    if samples is not None and not points.vary:
         raise SceneError(f"--samples {samples}: are drawn from the ranges of --vary; give those too, or leave it out")
     beside = None if resume is None else resume.parent / resume.name.replace(".checkpoint.h5", ".h5")
     target = output.output_file(out or beside, f"{Path(scene or '').stem}-sweep.h5")
@@ -103,23 +109,24 @@ def sweep(
     from warp_plate.viz.plots.frame import save_plots
     from warp_plate.viz.plots.sweep import draw_sweep
 
-    options_given = (what, samples, seed, count, workers.path, evaluator, frequencies)
-    request = SweepRequest(loaded, scene or "", vary, *options_given)
+    ways = (points.what, samples, seed, points.count, workers.path, points.evaluator, points.frequencies)
+    request = SweepRequest(loaded, scene or "", points.vary, *ways)
     on_workers = workers.devices is not None or workers.cluster is not None
     with output.scene_errors(scene):
-        start = open_sweep(request, target, resume, workers.device, on_workers, output.log, force)
+        start = open_sweep(request, target, resume, workers.device, on_workers, output.log, files.force)
     unfinished = target.with_suffix(".checkpoint.h5")
     file = SweepFile(unfinished, checkpoint_every, unfinished.exists(), output.log)
     # Devices that are named are used, also where another kind began.
     on_device_change = None if workers.devices is None and workers.device is None else output.log
     with output.resumable(file, "sweep"):
-        with workers.open_pool() as pool, output.progress_bar("sweeping", not json, start.scene) as show:
+        with workers.open_pool() as pool, output.progress_bar("sweeping", not files.json, start.scene) as show:
             show(len(start.plan) - len(start.pending), len(start.plan), start.progress)
             note = "{} of {}: {}".format
             result = run_sweep(start, lambda *done: show(*done[:2], note(*done)), file, pool, on_device_change)
         draw = partial(save_plots, partial(draw_sweep, colormap=colormap), result)
-        written = output.write_files(target, lambda path: save_finished(result, path, file, force), draw, pictures)
-    output.report(json, partial(_as_json, result), partial(_print, result), written)
+        save = partial(save_finished, result, file=file, force=files.force)
+        written = output.write_files(target, save, draw, files.pictures)
+    output.report(files.json, _as_json, _print, result, written=written)
 
 
 def _as_json(result: Sweep) -> dict[str, object]:
@@ -162,19 +169,19 @@ def _print(result: Sweep, console: Console) -> None:
     console.print(head, highlight=False)
     keys = [_with_unit(label_of(scene, key), unit_of(scene, key)) for key in plan.keys]
     if len(plan) <= MOST_ROWS and len(keys) + len(columns) <= MOST_COLUMNS:
-        made = output.table(*keys, *(_with_unit(name, unit) for name, (unit, _) in columns.items()))
+        table = output.table(*keys, *(_with_unit(name, unit) for name, (unit, _) in columns.items()))
         for point, values_here in enumerate(plan.points.tolist()):
-            found = (output.number_text(values[point], ".4g") for _, values in columns.values())
-            made.add_row(*map(value_text, values_here), *found)
+            results = (output.number_text(values[point], ".4g") for _, values in columns.values())
+            table.add_row(*map(value_text, values_here), *results)
     else:
-        made = output.table("quantity", "value", *(f"at {key}" for key in keys))
+        table = output.table("quantity", "value", *(f"at {key}" for key in keys))
         for name, (unit, values) in columns.items():
-            known = [point for point, value in enumerate(values) if math.isfinite(value)]
-            for word, choose in (("smallest", min), ("largest", max)) if known else ():
-                point = choose(known, key=values.__getitem__)
+            finite = [point for point, value in enumerate(values) if math.isfinite(value)]
+            for word, choose in (("smallest", min), ("largest", max)) if finite else ():
+                point = choose(finite, key=values.__getitem__)
                 at = (value_text(value, 5) for value in plan.values(point).values())
-                made.add_row(f"{name}, {word}", f"{values[point]:.5g} {unit if unit != '1' else ''}".strip(), *at)
-    console.print(made)
+                table.add_row(f"{name}, {word}", f"{values[point]:.5g} {unit if unit != '1' else ''}".strip(), *at)
+    console.print(table)
     if result.reasons:
         console.print(f"\n{len(result.reasons)} of {counted(len(plan), 'point')} refused:")
         for point in sorted(result.reasons)[:MOST_REASONS]:

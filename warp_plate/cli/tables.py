@@ -1,4 +1,4 @@
-"""Tables and JSON records that commands print: drives, objectives, crosstalk, robustness and warnings."""
+"""Tables and JSON records of results that several commands print: drives, objectives, robustness, cost, warnings."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from warp_plate.analysis.warnings import Finding
+    from warp_plate.result.comparison import MethodComparison
     from warp_plate.result.model import Case, Result
     from warp_plate.result.robust import RobustComparison
     from warp_plate.scene.model import Scene
@@ -30,6 +31,16 @@ ROBUST_ROWS = {
     "nominal_plate": "nominal plate",
     "searched": "scenarios of the search",
 }
+# The stages of ``Result.seconds``.
+STAGES = {
+    "choose": "choosing the engine or grid",
+    "compile": "compiling or loading",
+    "solve": "solving",
+    "robust": "validating",
+    "baselines": "of baselines",
+    "spectrum": "of the spectrum",
+    "estimate": "estimating the error",
+}
 
 
 def motion_table(cases: Mapping[str, Case], scene: Scene) -> Table | None:
@@ -39,7 +50,7 @@ def motion_table(cases: Mapping[str, Case], scene: Scene) -> Table | None:
     headings = ["share", "contrast dB", "velocity mm/s rms", "displacement µm peak", *["acceleration g rms"] * tones]
     searched = any(case.frequency is not None for case in cases.values())
     drives = ["frequency Hz"] * searched + [f"largest {amplitude_column(scene, [0.0] * len(scene.actuators), '')[0]}"]
-    made = output.table("drive", *drives, *headings, title="Motion in the target / outside")
+    table = output.table("drive", *drives, *headings, title="Motion in the target / outside")
     for label, (case, motion) in moving.items():
         frequencies = sorted({scene.drive.frequency} if case.frequency is None else set(case.frequency.tolist()))
         largest = amplitude_column(scene, case.magnitude, ".3g")[1][int(case.magnitude.argmax())]
@@ -48,8 +59,8 @@ def motion_table(cases: Mapping[str, Case], scene: Scene) -> Table | None:
         cells += [_pair(motion.velocity, 1e3), _pair(motion.displacement, 1e6)]
         if tones:
             cells.append("none" if motion.acceleration is None else _pair(motion.acceleration, 1 / GRAVITY))
-        made.add_row(label, *cells)
-    return made if moving else None
+        table.add_row(label, *cells)
+    return table if moving else None
 
 
 def _pair(values: tuple[float, float], factor: float) -> str:
@@ -72,12 +83,12 @@ def drive_table(case: Case, scene: Scene, target: str = "") -> Table:
     """Return the table of a drive, as Table 1 of the source paper. ``target``: its name if there are several."""
     heading, amplitudes = amplitude_column(scene, case.magnitude, ".4f")
     headings = ("actuator", heading, "phase (rad)", "phase / π", *case.per_actuator)
-    made = output.table(*headings, title=f"Drive found{f' for {printable(target)}' if target else ''}")
+    table = output.table(*headings, title=f"Drive found{f' for {printable(target)}' if target else ''}")
     for index, actuator in enumerate(scene.actuators):
         phase = case.phase[index]
         others = (f"{values[index]:.5g}" for values in case.per_actuator.values())
-        made.add_row(actuator.name, amplitudes[index], f"{phase:.4f}", f"{phase / math.pi:.4f}", *others)
-    return made
+        table.add_row(actuator.name, amplitudes[index], f"{phase:.4f}", f"{phase / math.pi:.4f}", *others)
+    return table
 
 
 def drive_json(case: Case, scene: Scene) -> list[dict[str, object]]:
@@ -105,8 +116,8 @@ def print_objectives(result: Result, console: Console) -> None:
     if result.only_localization or not result.objective_values:
         return
     searches = result.target_searches or [result]
-    found = [search.objective_values for search in searches]
-    columns = [target.name for target in result.scene.targets][: len(found)] or ["found"]
+    values_of = [search.objective_values for search in searches]
+    columns = [target.name for target in result.scene.targets][: len(values_of)] or ["found"]
     by_case = result.objective_values_by_case
     others = {name.replace("_", "\n"): by_case[name] for name in COMPARED_CASES if name in by_case}
     rows: list[tuple[str, str, str, float | None]] = []  # key, label, weight, limit
@@ -116,21 +127,23 @@ def print_objectives(result: Result, console: Console) -> None:
         if objective.rest_limit is not None:
             rows.append((f"{kind} of the rest", f"{kind} of the rest ({unit})", "", objective.rest_limit))
     rows.append(("sum", "weighted sum", "", None))
-    if any("bound" in values for values in found):
+    if any("bound" in values for values in values_of):
         kinds = [search.bound_kind for search in searches]
         rows.append(("bound", f"{'bound only' if 'bound only' in kinds else 'bound'} of the sum", "", None))
-    made, exceeded = output.table("objective", "weight", "limit", *columns, *others), []
+    table, exceeded = output.table("objective", "weight", "limit", *columns, *others), []
     for key, label, weight, limit in rows:
-        cells = [output.number_text(values.get(key), ".4g") for values in found]
+        cells = [output.number_text(values.get(key), ".4g") for values in values_of]
         cells += [output.number_text(values[key], ".4g") if key in values else "" for values in others.values()]
-        made.add_row(label, weight, "" if limit is None else f"{limit:g}", *cells)
-        if limit is not None and not all(keeps_limit(values.get(key, 0.0), limit) for values in found):
+        table.add_row(label, weight, "" if limit is None else f"{limit:g}", *cells)
+        if limit is not None and not all(keeps_limit(values.get(key, 0.0), limit) for values in values_of):
             exceeded.append(label)
-    output.print_uncropped(console, made)
+    output.print_uncropped(console, table)
     if others and not exceeded:
-        console.print("Only the drives found are restricted to what the search may choose.", style="dim")
+        ignoring = ", ".join(others).replace("\n", " ")
+        console.print(f"{ignoring}: these drives ignore the limits of the search.", style="dim")
+    remedy = "" if result.scene.search.magnitude else " as strong as the scene's; [search.magnitude] allows weaker ones"
     for label in exceeded:
-        console.print(f"! {label}: no drive within the limit was found; the nearest one is shown")
+        console.print(f"! {label}: no drive within the limit was found{remedy}; the nearest one is shown")
     console.print()
 
 
@@ -146,12 +159,12 @@ def crosstalk_table(result: Result) -> Table:
             return "not searched"
         return f"{shares[row, column]:.4f}" + (f" ({relative[row, column]:+.1f} dB)" if row != column else "")
 
-    made = output.table("drive for", *names, "bound", title="Crosstalk: share of the plate's kinetic energy in")
+    table = output.table("drive for", *names, "bound", title="Crosstalk: share of the plate's kinetic energy in")
     for row, name in enumerate(names):
         bound = result.target_searches[row].bound if row < len(result.target_searches) else None
         cells = [cell(row, column) for column in range(len(names))]
-        made.add_row(name, *cells, "none" if bound is None else f"{bound:.4f}")
-    return made
+        table.add_row(name, *cells, "none" if bound is None else f"{bound:.4f}")
+    return table
 
 
 def crosstalk_json(result: Result) -> dict[str, object] | None:
@@ -185,16 +198,16 @@ def print_robust(result: Result, console: Console) -> None:
         why = "no drive was found, Ctrl-C came first, or a validation scenario is not a valid plate"
         console.print(f"Not compared with a nominal drive: {why}.\n")
         return
-    made = output.table(_robust_quantity(compared), "robust drive", "nominal drive")
+    table = output.table(_robust_quantity(compared), "robust drive", "nominal drive")
     for key, values in compared.rows().items():
         measure = f" ({compared.measure} of {compared.scenarios})" if key == "searched" else ""
-        made.add_row(ROBUST_ROWS[key] + measure, *(f"{value:.4f}" for value in values))
+        table.add_row(ROBUST_ROWS[key] + measure, *(f"{value:.4f}" for value in values))
     if compared.bound is not None:
-        made.add_row("bound for the search's scenarios", f"{compared.bound:.4f}", "")
+        table.add_row("bound for the search's scenarios", f"{compared.bound:.4f}", "")
     if compared.failed.any():
-        made.add_row("plates that failed", *map(str, compared.failed.tolist()))
+        table.add_row("plates that failed", *map(str, compared.failed.tolist()))
     console.print(f"Over {compared.validation.shape[1]} fresh scenarios, which neither search has used:")
-    console.print(made, "")
+    console.print(table, "")
 
 
 def robust_json(compared: RobustComparison | None) -> dict[str, object] | None:
@@ -219,11 +232,84 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
     warnings = [finding for finding in findings if finding.exceeded]
     for finding in warnings:
         console.print(f"! {finding.sentence}")
-    made = output.table("within thresholds", "value", "threshold")
+    table = output.table("within thresholds", "value", "threshold")
     for finding in findings:
         if not finding.exceeded and not math.isnan(finding.value):
             inside = finding.value >= finding.threshold if finding.at_least else finding.value <= finding.threshold
             threshold = f"{'≥' if finding.at_least else '≤'} {finding.threshold:g}"
             included = "" if inside else "; its effect is included"
-            made.add_row(finding.name, f"{finding.value:.3g}", threshold + included)
-    console.print(*[""] * bool(warnings), made)
+            table.add_row(finding.name, f"{finding.value:.3g}", threshold + included)
+    console.print(*[""] * bool(warnings), table)
+
+
+def print_failures(result: Result | MethodComparison, console: Console, shown: str) -> None:
+    """Print why workers failed to simulate plates, and which part of an interrupted study is shown."""
+    for line in failure_lines(result.lost_plates):
+        console.print(f"! {line}")
+    if result.interrupted:
+        console.print(f"Interrupted by Ctrl-C; {shown}.")
+
+
+def failure_lines(failures: Mapping[str, int]) -> list[str]:
+    """Return a line for each reason for which workers failed to simulate plates of a search."""
+    from warp_plate.scene.vary import counted
+
+    failed = "of the search failed on the workers and counted as worst"
+    return [f"{counted(count, 'plate')} {failed}: {reason}" for reason, count in failures.items()]
+
+
+def print_cost(result: Result, console: Console, start: str = "", elapsed: float | None = None) -> None:
+    """Print where a result was computed, its cost and accuracy, the effects in the compiled kernels, and warnings.
+
+    Args:
+        elapsed: seconds of the whole command; None if the result has seconds of earlier ones too.
+    """
+    work, before, included = "", "finding the modes", "included"
+    if not result.by_modes:
+        work = f"{result.node_steps:.3g} node-steps on {result.device}, "
+        before, included = "compiling or loading kernels", "compiled in"
+    console.print(
+        f"{start}{work}{result.path}: {result.seconds['solve']:.2f} s solving after {result.seconds['compile']:.2f} s "
+        f"{before}. Effects {included}: {', '.join(result.effects) or 'none'}."
+    )
+    if "reason" in result.accuracy:
+        took = f", chosen in {result.seconds['choose']:.2f} s" if "choose" in result.seconds else ""
+        console.print(f"engine: {result.accuracy['reason']}{took}")
+    if elapsed is not None:
+        console.print(_seconds_text(result.seconds, elapsed))
+    if "estimate" in result.accuracy:
+        console.print(result.accuracy["estimate"]["line"])
+    for sentence in warnings_of(result):
+        console.print(f"! {sentence}")
+
+
+def _seconds_text(seconds: Mapping[str, float], elapsed: float) -> str:
+    """Return the seconds of the stages, which add up to those of the command."""
+    spent = {text: seconds[stage] for stage, text in STAGES.items() if stage in seconds}
+    spent["loading, files and pictures"] = elapsed - sum(spent.values())
+    return f"{elapsed:.2f} s in all: {', '.join(f'{value:.2f} s {text}' for text, value in spent.items())}."
+
+
+def warnings_of(result: Result) -> list[str]:
+    """Return warnings about effects that the result calls for but its scene lacks, and about search settings that have
+    no effect."""
+    from warp_plate.analysis.warnings import (
+        explain_missing_energies,
+        search_warnings,
+        target_warnings,
+        warning_texts,
+    )
+    from warp_plate.problem.methods import unread_keys
+
+    failed = next((case.status for case in result.cases.values() if case.status != "ok"), None)
+    if failed is not None:
+        return [explain_missing_energies(result.scene, failed)]
+    best = result.history.get("best")
+    if best is not None and len(best) and not math.isfinite(best[-1]):
+        return ["No plate that the search tried has energies; the best single actuator is shown in place of a result."]
+    sentences = []
+    if result.command == "localize":
+        sentences += [*search_warnings(result.scene), *unread_keys(result.scene.search)]
+    scene = result.case_scene(result.main_case)
+    sentences += target_warnings(scene, result.main_case.localization_factor)
+    return sentences + warning_texts(scene, result.peak_displacement, gridded=not result.by_modes)

@@ -1,0 +1,311 @@
+"""``warp-plate fit``, ``plan-measurement`` and ``verify``: a panel's measurements and its scene."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+from cyclopts import Parameter
+
+from warp_plate.cli import options, output
+from warp_plate.scene.errors import SceneError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from warp_plate.fitting.fit_modes import ModeFit
+    from warp_plate.fitting.fit_responses import ResponseFit
+    from warp_plate.fitting.plan_measurement import MeasurementPlan
+    from warp_plate.scene.model import Scene
+    from warp_plate.studies.verify import Verification
+
+# First words of the files; correlations that are reported.
+FITTED, PLANNED, STRONG = "# Fitted by warp-plate", "# Planned by warp-plate", 0.9
+
+
+def fit(
+    scene: options.SceneName,
+    /,
+    *,
+    data: Annotated[list[Path], Parameter(negative="")],
+    assignments: options.Assignments = None,
+    out: Path | None = None,
+    files: options.FileOptions = options.FILES,
+) -> None:
+    """Fit properties of a panel to its measured natural frequencies or frequency responses, with 95 % intervals.
+
+    The table [fit.free] of the scene lists the free properties and their ranges, such as
+    "plate.young_modulus" = [6e10, 8e10]. The fitted scene is written as a scene file. Properties that the data cannot
+    distinguish are reported and have no interval. fit.bootstrap = 200 adds intervals by the bootstrap, and
+    fit.profile = 11 the profile likelihood of each property.
+
+    Parameters
+    ----------
+    data
+        CSV file whose first line names its columns: frequency (hertz) and, if they are known, damping (damping ratio),
+        mode (number of the mode, from 1 for the lowest) and shapes (shape X Y for each point); or a universal file
+        (.uff, .unv; needs the extra uff) with a dataset 55 for each mode. For a scene with tables [[measurement]] its
+        frequency responses: CSV with the columns frequency, real and imaginary part of each; a universal file with a
+        dataset 58 for each; .mat, .h5 or .nc with the arrays frequency and response; or time signals, as .wav, or as
+        .csv with the table [fit.signals]. May be repeated, for files with as many responses each.
+    out
+        The fitted scene (.toml; default: SCENE.fitted.toml in this folder). Pictures of measured and fitted values
+        (.png and .svg) are written beside it under the same name, and those of profile likelihoods under
+        SCENE.fitted.profiles.
+    """
+    target = output.output_file(out, f"{Path(scene).stem}.fitted.toml", (), FITTED, files.force)
+    loaded, scene = output.load_scene(scene, assignments)
+    from warp_plate.fitting.fit import fit as fit_files
+
+    _check_folder(loaded, target)
+    with output.scene_errors(scene):
+        if len(data) > 1 and not loaded.measurement:
+            raise SceneError(f"--data {data[1]}: several files hold responses of tables [[measurement]]; there is none")
+        fitted = fit_files(loaded, data)
+    _write_scene(fitted.scene, target, f"{FITTED} to {', '.join(repr(path.name) for path in data)}")
+    drawn, missing = _draw(fitted, target) if files.pictures else ([], None)
+    output.report(files.json, _fit_as_json, _print_fit, scene, fitted, written=([target, *drawn], missing))
+
+
+def _check_folder(scene: Scene, target: Path) -> None:
+    """Refuse to write a scene away from the files that it names."""
+    if scene.folder is not None and scene.folder.resolve() != target.parent.resolve():
+        raise SceneError(f"--out {target}: the scene names files in {scene.folder}; write there")
+
+
+def _write_scene(scene: Scene, target: Path, heading: str) -> None:
+    from warp_plate.result.atomic_io import atomic_paths
+
+    with atomic_paths(target) as (temporary,):
+        temporary.write_text(f"{heading}\n{scene.to_toml()}", encoding="utf-8")
+
+
+def _draw(fitted: ModeFit | ResponseFit, target: Path) -> output.Drawn:
+    from warp_plate.fitting.assurance import assurance
+    from warp_plate.fitting.fit_responses import ResponseFit
+    from warp_plate.viz.plots.fit import draw_mode_fit, draw_profiles, draw_response_fit
+    from warp_plate.viz.plots.frame import save_plots
+
+    if isinstance(fitted, ResponseFit):
+        drawn, missing = save_plots(draw_response_fit, fitted, target)
+    else:
+        mac = assurance(fitted.scene, fitted.measured, fitted.numbers)
+        drawn, missing = save_plots(partial(draw_mode_fit, mac=mac), fitted, target)
+    if fitted.profiles is not None and missing is None:
+        drawn = [*drawn, *save_plots(draw_profiles, fitted, target.with_suffix(".profiles.toml"))[0]]
+    return drawn, missing
+
+
+def _fit_as_json(name: str, fitted: ModeFit | ResponseFit) -> dict[str, object]:
+    columns = {"value": fitted.values, "low": fitted.low, "high": fitted.high, "at_limit": fitted.at_limit}
+    if fitted.bootstrap is not None:
+        columns["bootstrap"] = fitted.bootstrap.T
+    if fitted.profiles is not None:
+        columns["profile"], columns["profile_rise"] = fitted.profiles
+    return {
+        "scene": name,
+        "parameters": {key: {name: of[row] for name, of in columns.items()} for row, key in enumerate(fitted.keys)},
+        **output.attributes(fitted, "correlations", "inseparable", "mirrored", "evaluations"),
+        **_compared(fitted),
+    }
+
+
+def _compared(fitted: ModeFit | ResponseFit) -> dict[str, object]:
+    """Return measured and fitted values, for ``--json``."""
+    from warp_plate.fitting.fit_responses import ResponseFit
+
+    if isinstance(fitted, ResponseFit):
+        record = {"frequencies": fitted.measured.frequencies, "real": fitted.responses.real}
+        record |= {"imaginary": fitted.responses.imag}
+        return record | output.attributes(fitted, "rms_decibels", "rms_degrees")
+    return {
+        "modes": fitted.numbers,
+        "frequencies_measured": fitted.measured.frequencies,
+        **output.attributes(fitted, "frequencies", "errors"),
+        "damping_ratios_measured": fitted.measured.damping,
+        "damping_ratios": fitted.damping,
+    }
+
+
+def _print_fit(name: str, fitted: ModeFit | ResponseFit, console: Console) -> None:
+    from warp_plate.fitting.fit_responses import ResponseFit
+    from warp_plate.scene.keys import unit_of
+
+    console.print(f"{fitted.scene.title or name}\n")
+    resampled = () if fitted.bootstrap is None else ("bootstrap from", "to")
+    table = output.table("number", "unit", "value", "95 % from", "to", *resampled)
+    ends = () if fitted.bootstrap is None else fitted.bootstrap
+    for key, *numbers in zip(fitted.keys, fitted.values, fitted.low, fitted.high, *ends, strict=True):
+        table.add_row(key, unit_of(fitted.scene, key), *(output.number_text(value, ".5g") for value in numbers))
+    output.print_uncropped(console, table, "")
+    output.print_uncropped(console, _responses(fitted) if isinstance(fitted, ResponseFit) else _modes(fitted))
+    for line in _remarks(fitted):
+        console.print(f"! {line}")
+
+
+def _responses(fitted: ResponseFit) -> Table:
+    """Return the table of the errors of each response."""
+    table = output.table("response", "rms error (dB)", "rms error (°)")
+    rows = zip(fitted.scene.measurement, fitted.rms_decibels, fitted.rms_degrees, strict=True)
+    for measured, decibels, degrees in rows:
+        driven, (x, y) = measured.actuator or "{:g},{:g}".format(*measured.force_at or ()), measured.point
+        table.add_row(f"{driven} → {x:g},{y:g}", f"{decibels:.2g}", f"{degrees:.2g}")
+    return table
+
+
+def _modes(fitted: ModeFit) -> Table:
+    """Return the table of modes, measured and fitted."""
+    damped = bool(np.isfinite(fitted.measured.damping).any())
+    ratios = ("damping measured", "fitted") if damped else ()
+    table = output.table("mode", "measured (Hz)", "fitted (Hz)", "error (%)", *ratios)
+    measured = fitted.measured
+    columns = (fitted.numbers, measured.frequencies, fitted.frequencies, 100 * fitted.errors, measured.damping)
+    for number, before, after, error, *pair in zip(*columns, fitted.damping, strict=True):
+        cells = [output.number_text(value, ".3g") for value in pair] if damped else []
+        table.add_row(str(number), f"{before:.6g}", f"{after:.6g}", f"{error:.2g}", *cells)
+    return table
+
+
+def _remarks(fitted: ModeFit | ResponseFit) -> list[str]:
+    """Return lines about properties that the data do not determine."""
+    lines = []
+    for group in fitted.inseparable:
+        fault = "cannot be told apart by these data; fix all but one" if len(group) > 1 else "has no influence here"
+        lines.append(f"{' and '.join(group)}: {fault}")
+    for group in fitted.mirrored:
+        lines.append(f"{' and '.join(group)}: may change places; give them different ranges, or measure off the middle")
+    for key, limited in zip(fitted.keys, fitted.at_limit, strict=True):
+        if limited:
+            lines.append(f"{key}: is at an end of its range, so its interval is not valid; widen the range")
+    for first, second in np.argwhere(np.triu(np.abs(fitted.correlations) > STRONG, 1)):
+        value = fitted.correlations[first, second]
+        lines.append(f"{fitted.keys[first]} and {fitted.keys[second]}: their errors are correlated by {value:+.3f}")
+    return lines
+
+
+def plan_measurement(
+    scene: options.SceneName,
+    /,
+    *,
+    sensors: options.Count = 4,
+    noise: float = 0.02,
+    assignments: options.Assignments = None,
+    out: Path | None = None,
+    force: options.Force = False,
+    json: options.Json = False,
+) -> None:
+    """Plan a measurement: choose the actuator and the sensor places that best determine the keys of [fit.free].
+
+    The plan is D-optimal: it minimises the product of the widths of all intervals. The scene is written with a table
+    [[measurement]] for each sensor, ready for warp-plate fit.
+
+    Parameters
+    ----------
+    sensors
+        Number of accelerometers.
+    noise
+        Standard deviation of measured responses relative to each, such as 0.02.
+    out
+        The scene with the plan (.toml; default: SCENE.plan.toml in this folder).
+    """
+    if not 1e-9 <= noise <= 1:
+        raise SceneError(f"--noise {noise:g}: must be from 1e-9 to 1, such as 0.02")
+    target = output.output_file(out, f"{Path(scene).stem}.plan.toml", (), PLANNED, force)
+    loaded, scene = output.load_scene(scene, assignments)
+    from warp_plate.fitting.plan_measurement import plan_measurement as make_plan
+
+    _check_folder(loaded, target)
+    with output.scene_errors(scene):
+        plan = make_plan(loaded, sensors, noise)
+    _write_scene(plan.scene, target, PLANNED)
+    output.report(json, _plan_as_json, _print_plan, scene, plan, written=([target], None))
+
+
+def _plan_as_json(name: str, plan: MeasurementPlan) -> dict[str, object]:
+    rows = zip(plan.keys, plan.values, plan.low, plan.high, strict=True)
+    return {
+        **output.attributes(plan, "actuator", "points"),
+        "range": plan.frequencies[[0, -1]],
+        "parameters": {key: dict(zip(("value", "low", "high"), row, strict=True)) for key, *row in rows},
+        **output.attributes(plan, "random", "actuators"),
+    }
+
+
+def _print_plan(name: str, plan: MeasurementPlan, console: Console) -> None:
+    from warp_plate.scene.keys import unit_of
+
+    low, high = plan.frequencies[[0, -1]]
+    console.print(f"{plan.scene.title or name}: drive {plan.actuator!r} from {low:.4g} to {high:.4g} Hz\n")
+    places = output.table("sensor", "x (m)", "y (m)")
+    for number, (x, y) in enumerate(plan.points, 1):
+        places.add_row(str(number), f"{x:.4g}", f"{y:.4g}")
+    output.print_uncropped(console, places, "")
+    table = output.table("number", "unit", "value", "95 % from", "to")
+    for key, *numbers in zip(plan.keys, plan.values, plan.low, plan.high, strict=True):
+        table.add_row(key, unit_of(plan.scene, key), *(output.number_text(value, ".5g") for value in numbers))
+    output.print_uncropped(console, table)
+    console.print(f"\nRandom places: intervals {plan.random:.3g} times as wide.")
+    for other, times in plan.actuators.items():
+        console.print(f"Driving {other!r}: {times:.3g} times as wide.")
+
+
+def verify(
+    result: options.ResultFile,
+    /,
+    *,
+    data: Path,
+    case: str | None = None,
+    json: options.Json = False,
+) -> None:
+    """Compare velocities measured under a drive with those that its result predicts.
+
+    The measured localization factor comes with its uncertainty. One part is the noise; the other is the small number of
+    points, estimated from the predicted field.
+
+    Parameters
+    ----------
+    data
+        CSV file whose first line names its columns: x and y (metres), velocity (root mean square, in any unit) and
+        optionally uncertainty (standard deviation, in the same unit). Without that column, the spread of repeated
+        readings at a point is the uncertainty.
+    case
+        Name of the drive in the result (default: best, or the one that was simulated).
+    """
+    from warp_plate.result.model import load_result
+    from warp_plate.studies.verify import verify as compare_velocities
+
+    verified = compare_velocities(load_result(result), data, case)
+    output.report(json, _verified_as_json, _print_verified, verified)
+
+
+def _verified_as_json(verified: Verification) -> dict[str, object]:
+    names = ("case", "promised_factor", "localization_factor", "deviation", "sampling", "interval", "kept", "scale")
+    return {
+        **output.attributes(verified, *names, "correlation"),
+        "points": verified.measured.points,
+        "measured": verified.measured.velocity,
+        "promised": verified.promised,
+    }
+
+
+def _print_verified(verified: Verification, console: Console) -> None:
+    low, high = verified.interval
+    table = output.table("localization factor", "")
+    table.add_row("promised", f"{100 * verified.promised_factor:.2f} %")
+    table.add_row("measured", f"{100 * verified.localization_factor:.2f} %")
+    table.add_row("standard deviation by noise", output.number_text(100 * verified.deviation, ".2g", " %"))
+    table.add_row("error of sampling", f"{100 * verified.sampling:.2g} %")
+    table.add_row("measured, from", f"{100 * low:.2f} %")
+    table.add_row("to", f"{100 * high:.2f} %")
+    output.print_uncropped(console, table)
+    console.print(
+        f"\n{len(verified.promised)} points: measured velocities are {verified.scale:.4g} times the promised ones, and "
+        f"their cosine is {verified.correlation:.4f}."
+    )
+    if not verified.kept:
+        console.print("! The drive does not keep its promise: fit the scene to a measurement, and search again.")
+    if np.isnan(verified.deviation):
+        console.print("! The noise is not known: add a column uncertainty, or measure each point twice.")
