@@ -107,8 +107,8 @@ def working_window() -> tuple[str | None, str | None]:
         return None, problem
     linux, chosen, answer = sys.platform.startswith("linux"), os.environ.get(WINDOW_VARIABLE), ""
     # With a display X comes first, as for a window on the screen: GLX and EGL clash in one process.
-    known = [*([X_WINDOW] if os.environ.get("DISPLAY") else []), "vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow"]
-    for window in known if linux and not chosen else [chosen or None]:
+    classes = [*([X_WINDOW] if os.environ.get("DISPLAY") else []), "vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow"]
+    for window in classes if linux and not chosen else [chosen or None]:
         drawn, answer = _try_window(window)
         if drawn:
             # VTK may have fallen back to another class, which gives no warnings when asked for by name.

@@ -1,7 +1,9 @@
 """The explorer as a web page: pictures are drawn here and sent, sliders and buttons run in the browser.
 
-All that the page loads comes from this server. It listens at one address of this machine, and answers those who know
-the secret of this run, which is in the address of the page (`page_guard.py`).
+All that the page loads comes from this server. It listens at one address of this machine; requests must name this
+machine, and sockets bring the secret of this run, which is in the printed address. The browser sends that address as
+the referrer of the page's first request, which asks where the socket is. This avoids a cookie, which would be sent to
+other servers at this address as well.
 """
 
 from __future__ import annotations
@@ -9,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import importlib.util
+import ipaddress
 import logging
 import math
 import os
@@ -20,14 +23,16 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
+from urllib.parse import parse_qs, urlsplit
 
-from warp_plate.viz.captions import percent
-from warp_plate.viz.colours import DEFAULT_COLOURS, ColourOptions
+from warp_plate.viz.annotations import percent
 from warp_plate.viz.explorer_view import ROW_WEIGHTS, ExplorerView, share_texts
-from warp_plate.viz.page_guard import guard
+from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions
 from warp_plate.viz.pictures import make_plotter
 
 if TYPE_CHECKING:
+    from aiohttp import web
+
     from warp_plate.explore.live_model import LiveModel
 
 EXTRA = "pip install 'warp-plate[web]'"
@@ -58,6 +63,10 @@ NUMBERS = """
 <div style="font-size: 13px">Computed {{ engine }}</div>
 <div style="min-height: 3em; color: #b2182b; font-size: 13px">{{ status }}</div>
 """
+# A browser that takes no data for so long is dropped, as others wait for it [ms].
+PATIENCE = 5000
+# What the page loads beside the files of its server.
+PAGE_NEEDS = "data: blob: 'unsafe-inline' 'unsafe-eval'"
 
 
 def missing_page() -> str | None:
@@ -107,11 +116,10 @@ class ExplorerPage:
         """Answer browsers; for the arguments see :func:`serve_page`."""
         secret = secrets.token_hex()  # the page sends it in lower case
         self.server.controller.on_server_bind.add(lambda server: guard(server, host, secret))
-        # trame reads the command line.
-        before, sys.argv = sys.argv, [sys.argv[0], f"--authKey={secret}", "--nosignalhandlers"]
+        os.environ["TRAME_ARGS"] = ""  # in place of the command line, which is not trame's
+        self.server.cli.set_defaults(authKey=secret, nosignalhandlers=True)
         quiet = {"open_browser": False, "show_connection_info": False, "disable_logging": True}
         task = self.server.start(port=port, host=host, exec_mode="task", timeout=0, **quiet)
-        sys.argv = before
         while not self.server.running:
             if task.done():
                 task.result()
@@ -255,3 +263,59 @@ def _is_not_of_a_connection(record: logging.LogRecord) -> bool:
     error = record.exc_info[1] if record.exc_info else sys.exc_info()[1]
     too_many = isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE)
     return not (isinstance(error, ConnectionError) or too_many)
+
+
+def guard(server: Any, host: str, secret: str) -> None:
+    """Let a trame server answer those who have the secret, and refuse what comes from elsewhere."""
+    from aiohttp import web
+
+    def is_secret(text: str) -> bool:
+        return secrets.compare_digest(text.encode(errors="replace"), secret.encode())
+
+    names = {name.lower() for name in ("localhost", host, socket.gethostname(), socket.getfqdn())}
+
+    async def answer(request: web.Request) -> web.Response:
+        if not is_secret(_key_in(request.headers.get("Referer", ""))):
+            raise web.HTTPForbidden
+        return web.json_response({"sessionURL": f"ws://{request.host}/ws?secret={secret}", "secret": secret})
+
+    @web.middleware
+    async def check(request: web.Request, handler: Any) -> web.StreamResponse:
+        name, origin = request.url.host or "", request.headers.get("Origin")
+        if not (name.lower() in names or _is_address(name)) or origin not in (None, f"http://{request.host}"):
+            raise web.HTTPForbidden
+        if request.path == "/ws":
+            if not is_secret(request.query.get("secret", "")) or not web.WebSocketResponse().can_prepare(request).ok:
+                raise web.HTTPForbidden
+            _drop_if_idle(request)
+        response: web.StreamResponse = await handler(request)
+        # The page's script would take any server's address, of a socket too, from a link to the page.
+        response.headers["Content-Security-Policy"] = f"default-src 'self' ws://{request.host} {PAGE_NEEDS}"
+        return response
+
+    server.app.middlewares.append(check)
+    server.app.router.add_post("/paraview/", answer)
+
+
+def _key_in(address: str) -> str:
+    """Return the secret that a page's address holds, or nothing."""
+    try:
+        return parse_qs(urlsplit(address).query).get("key", [""])[0]
+    except ValueError:
+        return ""
+
+
+def _is_address(name: str) -> bool:
+    """Return whether a host is a number, to which no other site can lead a browser by a name of its own."""
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def _drop_if_idle(request: web.Request) -> None:
+    """End a connection through which nothing can be sent any more; others would wait for it (Linux only)."""
+    connection = request.get_extra_info("socket")
+    if connection is not None and hasattr(socket, "TCP_USER_TIMEOUT"):
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, PATIENCE)

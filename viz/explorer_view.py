@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_plate.result.motion import QUADRANTS, DriveResponse, SwarmSnapshot
-from warp_plate.viz.annotations import add_text, style_text
-from warp_plate.viz.captions import percent
-from warp_plate.viz.colours import DEFAULT_COLOURS, ColourOptions
-from warp_plate.viz.fields import DrawingScale, drawing_scale
+from warp_plate.viz.annotations import add_text, percent, style_text
+from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions, DrawingScale, drawing_scale
 from warp_plate.viz.scene3d import PlateActors
 
 if TYPE_CHECKING:

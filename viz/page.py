@@ -18,12 +18,17 @@ import numpy as np
 
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
-from warp_plate.viz.annotations import AZIMUTH, ELEVATION, LABEL_FORMAT, lookup_table
-from warp_plate.viz.captions import frame_caption
-from warp_plate.viz.colours import DEFAULT_COLOURS, ColourOptions
-from warp_plate.viz.fields import DISPLACEMENT, MODE, DrawingScale, PlateField, motion_scales
-from warp_plate.viz.meshes import PlateMeshes
-from warp_plate.viz.scene3d import line_layers, rows_and_columns
+from warp_plate.viz.annotations import AZIMUTH, ELEVATION, LABEL_FORMAT, frame_caption, lookup_table
+from warp_plate.viz.fields import (
+    DEFAULT_COLOURS,
+    DISPLACEMENT,
+    MODE,
+    ColourOptions,
+    DrawingScale,
+    PlateField,
+    motion_scales,
+)
+from warp_plate.viz.scene3d import PlateMeshes, line_layers, rows_and_columns
 from warp_plate.viz.styles import legend_entries
 
 # Values are integers −PEAK … PEAK in the page; NAN stands for NaN.
@@ -54,7 +59,7 @@ def page_data(
     scale, heights = scales[0], [motion.displacement for motion in motions]
     field, frames = scale.field, len(colours[0])
     peak = max(float(np.abs(np.nan_to_num(array)).max()) for array in heights) or 1.0
-    if field in (DISPLACEMENT, MODE) and not options.each and peak <= scale.limit:
+    if field in (DISPLACEMENT, MODE) and not options.separate and peak <= scale.limit:
         peak, colours = scale.limit, []
     all_nodes = heights[0].shape[1:]
     values = sum(len(array) for array in [*heights, *colours]) * math.prod(all_nodes)
@@ -62,10 +67,10 @@ def page_data(
     heights = [_resampled(array, (ny, nx), DISPLACEMENT) for array in heights]
     colours = [_resampled(array, (ny, nx), field) for array in colours]
     meshes, (low, high) = PlateMeshes(scene, heights[0][0], scale), scale.clim
-    legends = [_legend(each) for each in scales]
+    legends = [_legend(one) for one in scales]
     return {
         "heightWords": bool(scale.heights),
-        **({"title": "", "ticks": []} if options.each else legends[0]),
+        **({"title": "", "ticks": []} if options.separate else legends[0]),
         "limits": [low / high, 1.0],
         "cyclic": scale.field.kind == "cyclic",
         "none": _rgb(scale.field.nan_colour),
@@ -92,7 +97,7 @@ def page_data(
                 # null: the heights are the colours, and the outlines those of the scene.
                 "colours": _integers(colours[index], scales[index].limit) if colours else None,
                 "factor": scales[index].warp_factor / scale.warp_factor,  # relative to that of the page
-                "legend": legends[index] if options.each else None,
+                "legend": legends[index] if options.separate else None,
                 "outlines": _outlines(PlateMeshes(motion.scene, heights[0][0], scale)) if motion.scene else None,
             }
             for index, motion in enumerate(motions)

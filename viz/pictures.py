@@ -1,4 +1,4 @@
-"""Pictures and movies of plates in motion, drawn off screen: PNG, GIF, MP4.
+"""Pictures, movies and pages of plates in motion, drawn off screen, by the ending of the file.
 
 They raise DrawingUnavailable if VTK cannot draw here, and OSError if the file cannot be written.
 """
@@ -17,11 +17,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warp_plate.result.atomic_io import atomic_paths
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
-from warp_plate.viz.availability import EXTRA, set_up_renderer
-from warp_plate.viz.colours import DEFAULT_COLOURS, ColourOptions
-from warp_plate.viz.fields import field_of
+from warp_plate.viz.availability import EXTRA, missing_meshes, missing_plots, missing_renderer, set_up_renderer
+from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions, field_of
+from warp_plate.viz.page import write_page
+from warp_plate.viz.plots.plan import draw_plan
 from warp_plate.viz.scene3d import SideBySide, plate_subplots
 
 if TYPE_CHECKING:
@@ -37,6 +39,8 @@ SHORTEST_GIF_FRAME = 2
 
 OnFrame = Callable[[int, int], object]  # called with the numbers of frames done and in all
 TakePicture = Callable[[], "Image.Image"]
+PLOTS, MOVIES = (".svg", ".pdf"), (".gif", ".mp4")
+ENDINGS = (".png", *PLOTS, *MOVIES, ".html")
 
 
 @dataclass(frozen=True)
@@ -109,7 +113,7 @@ def _write_mp4(path: Path, pictures: Iterator[Image.Image], size: tuple[int, int
     raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{rate:g}", "-i", "-"]
     encoded = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-movflags", "+faststart", str(path)]
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-v", "error", *raw, *encoded]
-    kept: list[bytes] = []
+    frames: list[bytes] = []
     with TemporaryFile() as errors:
         encoder = Popen(command, stdin=PIPE, stderr=errors)
         with suppress(BrokenPipeError), encoder:
@@ -117,9 +121,9 @@ def _write_mp4(path: Path, pictures: Iterator[Image.Image], size: tuple[int, int
             for picture in pictures:
                 pixels = picture.crop((0, 0, width, height)).tobytes()
                 encoder.stdin.write(pixels)
-                kept += [pixels] * (repeats > 1)
+                frames += [pixels] * (repeats > 1)
             for _ in range(repeats - 1):
-                encoder.stdin.writelines(kept)
+                encoder.stdin.writelines(frames)
         if encoder.returncode != 0:
             errors.seek(0)
             raise OSError(errors.read().decode(errors="replace").strip())
@@ -139,7 +143,7 @@ def off_screen_plates(
     scene: Scene, motions: Sequence[Motion], style: PictureStyle
 ) -> Iterator[tuple[SideBySide, TakePicture]]:
     """Yield the plates in an off-screen plotter, and a function that takes a picture of them."""
-    subplots = plate_subplots(len(motions), style.width, style.font_size, style.colours.each)
+    subplots = plate_subplots(len(motions), style.width, style.font_size, style.colours.separate)
     size = (sum(subplots["col_weights"]), round(subplots["shape"][0] * ASPECT * style.width))
     with off_screen_plotter(size, **subplots) as (plotter, take_picture):
         font_size = round(SUPERSAMPLING * style.font_size)
@@ -175,3 +179,47 @@ def make_plotter(size: tuple[int, int], **options: Any) -> pyvista.Plotter:
     # VTK's anti-aliasing breaks wide lines here and there.
     plotter.disable_anti_aliasing()
     return plotter
+
+
+def missing_library(path: Path, plan: bool = False) -> str | None:
+    """Return a sentence on what is missing to draw this file, or None; ``plan``: a .png seen from above."""
+    ending = path.suffix.lower()
+    if ending in PLOTS or (plan and ending == ".png"):
+        return missing_plots()
+    if ending == ".html":
+        return missing_meshes()
+    return missing_renderer() or (missing_movies() if ending == ".mp4" else None)
+
+
+def draw_motions(
+    scene: Scene,
+    motions: Sequence[Motion],
+    path: Path,
+    style: PictureStyle,
+    frame: int,
+    rate: float,
+    plan: bool = False,
+    on_frame: OnFrame = lambda done, total: None,
+) -> None:
+    """Write motions as the ending of the path says.
+
+    Args:
+        scene: Scene of the motions.
+        motions: Plates, side by side.
+        path: .png (a picture), .svg, .pdf (seen from above), .gif, .mp4 (movies) or .html (a page that plays them).
+        style: Quantity in colour, width, heights and colours.
+        frame: Frame of a picture.
+        rate: Frames per second of movies and pages.
+        plan: Draw a .png seen from above too.
+        on_frame: Called with the numbers of frames done and in all of a movie.
+    """
+    ending = path.suffix.lower()
+    with atomic_paths(path) as (temporary,):
+        if ending in PLOTS or (plan and ending == ".png"):
+            draw_plan(scene, motions, temporary, style.quantity, frame, style.colours)
+        elif ending == ".png":
+            draw_picture(scene, motions, temporary, style, frame)
+        elif ending == ".html":
+            write_page(scene, motions, temporary, style.quantity, rate, style.heights, style.colours)
+        else:
+            draw_movie(scene, motions, temporary, style, rate, on_frame)

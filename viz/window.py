@@ -16,10 +16,8 @@ import numpy as np
 from warp_plate.interrupts import END_SIGNALS
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
-from warp_plate.viz.annotations import LEGEND_WIDTH, add_text, free_width, look_at_plate, style_text
-from warp_plate.viz.captions import case_label
-from warp_plate.viz.colours import DEFAULT_COLOURS, ColourOptions
-from warp_plate.viz.fields import FIELDS
+from warp_plate.viz.annotations import LEGEND_WIDTH, add_text, case_label, free_width, look_at_plate, style_text
+from warp_plate.viz.fields import DEFAULT_COLOURS, FIELDS, ColourOptions
 from warp_plate.viz.pictures import make_plotter
 from warp_plate.viz.scene3d import SideBySide, plate_subplots, rows_and_columns
 from warp_plate.viz.styles import INK
@@ -147,7 +145,7 @@ class ViewerWindow:
         """Point all cameras as at first."""
         for index in range(len(self.names)):
             self.plotter.subplot(*divmod(index, self._columns))
-            share = free_width(self.plotter, FONT_SIZE) if self.plates.colours.each else 1.0
+            share = free_width(self.plotter, FONT_SIZE) if self.plates.colours.separate else 1.0
             look_at_plate(self.plotter, self.scene.plate.size, FONT_SIZE, share)
         self.plotter.render()
 
@@ -241,15 +239,15 @@ class ViewerWindow:
         ]
 
 
-def window_plotter(plates: int, each: bool = False, **options: object) -> pyvista.Plotter:
-    """Return a plotter with subplots for the plates, their legend or ``each`` plate's, and the strip of controls below
+def window_plotter(plates: int, separate: bool = False, **options: object) -> pyvista.Plotter:
+    """Return a plotter with subplots for the plates, their legend or ``separate`` ones, and the strip of controls below
     them."""
     rows, columns = rows_and_columns(plates)
-    most_wide = (MOST_WIDE - LEGEND_WIDTH * FONT_SIZE * (columns if each else 1)) / columns
+    most_wide = (MOST_WIDE - LEGEND_WIDTH * FONT_SIZE * (columns if separate else 1)) / columns
     width = round(min(PLATE * (1.6 if plates == 1 else 1), most_wide, (MOST_HIGH - STRIP) / rows / ASPECT))
     # A drive shown alone takes the whole row.
     height = max(round(width * ASPECT), LEAST_HIGH if rows == 1 else 0)
-    subplots = plate_subplots(plates, width, FONT_SIZE, each)
+    subplots = plate_subplots(plates, width, FONT_SIZE, separate)
     subplots |= {"shape": (rows + 1, subplots["shape"][1]), "row_weights": [height] * rows + [STRIP]}
     subplots["groups"] = [(rows, np.s_[:])]
     size = (sum(subplots["col_weights"]), rows * height + STRIP)
@@ -261,7 +259,7 @@ def open_window(
     colours: ColourOptions = DEFAULT_COLOURS,
 ) -> None:  # fmt: skip
     """Show motions until the window is closed."""
-    plotter = window_plotter(len(motions), colours.each)
+    plotter = window_plotter(len(motions), colours.separate)
     window = ViewerWindow(plotter, scene, motions, quantity, stem, rate, colours)
     if heights is not None:
         window.exaggerate(heights / window.plates.scales[0].warp_factor)

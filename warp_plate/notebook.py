@@ -37,9 +37,9 @@ def register(shell: Any) -> None:
 
 
 def _html(function: str, shown: Scene | Result) -> str:
-    from warp_plate.viz import notebook
+    from warp_plate.viz import figures
 
-    return str(getattr(notebook, function)(shown))
+    return str(getattr(figures, function)(shown))
 
 
 @dataclass(frozen=True)
@@ -90,12 +90,12 @@ def plot(
     from warp_plate.result.model import Result
     from warp_plate.result.sweep import Sweep
     from warp_plate.viz.availability import DrawingUnavailable, missing_plots
-    from warp_plate.viz.colours import colour_options
+    from warp_plate.viz.fields import colour_options
     from warp_plate.viz.figures import draw_all
-    from warp_plate.viz.plots.compare import draw_comparison
-    from warp_plate.viz.plots.focus import draw_focus
     from warp_plate.viz.plots.frequency_response import draw_frequency_response
+    from warp_plate.viz.plots.search import draw_comparison
     from warp_plate.viz.plots.sweep import draw_sweep
+    from warp_plate.viz.plots.waveforms import draw_focus
 
     colours = colour_options(colormap, limits)
     if isinstance(shown, Result):
@@ -150,7 +150,7 @@ def view(
         DrawingUnavailable: PyVista is not installed.
     """
     from warp_plate.viz.availability import DrawingUnavailable, missing_meshes
-    from warp_plate.viz.colours import colour_options
+    from warp_plate.viz.fields import colour_options
     from warp_plate.viz.page import write_page
 
     colours = colour_options(colormap, limits)
@@ -198,9 +198,8 @@ def render(
     from warp_plate.analysis.motion import frame_at, period_around
     from warp_plate.scene.errors import SceneError
     from warp_plate.viz.availability import DrawingUnavailable
-    from warp_plate.viz.colours import colour_options
-    from warp_plate.viz.pictures import PictureStyle, largest_frame
-    from warp_plate.viz.render import ENDINGS, draw_motions, missing_library
+    from warp_plate.viz.fields import colour_options
+    from warp_plate.viz.pictures import ENDINGS, PictureStyle, draw_motions, largest_frame, missing_library
 
     path, style = Path(path), PictureStyle(quantity, width, heights, colour_options(colormap, limits))
     if path.suffix.lower() not in ENDINGS:

@@ -13,7 +13,7 @@ from warp_plate.cli.compare import rows
 from warp_plate.result.comparison import MethodComparison, Trial, load_comparison, save_comparison
 from warp_plate.studies.compare import METHODS, compare
 from warp_plate.studies.localize import localize
-from warp_plate.viz.plots.compare import loss_statistics
+from warp_plate.viz.plots.search import loss_statistics
 
 SEARCH = {"particles": 8, "iterations": 30, "seed": 5}
 

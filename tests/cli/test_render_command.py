@@ -151,7 +151,7 @@ def test_ctrl_c_keeps_the_files_that_are_done(render, monkeypatch, tmp_path):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("warp_plate.viz.render.draw_plan", interrupted)
+    monkeypatch.setattr("warp_plate.viz.pictures.draw_plan", interrupted)
     for out, line in (("a.html", "interrupted; wrote only a.html"), ("a.svg", "interrupted")):
         assert render("--out", out, "--out", "b.svg") == (130, "", f"warp-plate: {line}\n")
     assert [path.name for path in tmp_path.iterdir()] == ["a.html"]

@@ -15,10 +15,10 @@ from warp_plate import view, viz
 from warp_plate.result.model import Case, save_result
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.viz import availability, notebook
+from warp_plate.viz import availability, figures
 from warp_plate.viz.annotations import place_names
-from warp_plate.viz.colours import ColourOptions
-from warp_plate.viz.notebook import result_html, scene_html
+from warp_plate.viz.fields import ColourOptions
+from warp_plate.viz.figures import result_html, scene_html
 from warp_plate.viz.plots.search import plot_history
 
 pytest.importorskip("pyvista", reason="PyVista is not installed: pip install 'warp-plate[viz]'")
@@ -148,7 +148,7 @@ def test_off_screen_drawing_is_quiet_and_loads_libraries_when_needed(drawing):
     """Not on import; neither does it load the solver."""
     code = """
 import sys
-import warp_plate.viz, warp_plate.viz.notebook
+import warp_plate.viz, warp_plate.viz.figures
 print({"pyvista", "vtkmodules", "matplotlib", "PIL", "warp", "IPython"} & set(sys.modules))
 warp_plate.viz.availability.set_up_renderer()
 import pyvista
@@ -172,7 +172,7 @@ def picture_of(html):
 
 
 def test_scenes_show_their_settings(monkeypatch):
-    monkeypatch.setattr(notebook, "missing_plots", lambda: "install it")
+    monkeypatch.setattr(figures, "missing_plots", lambda: "install it")
     made, name = Scene.load("touch-panel").model_dump(exclude_none=True), "<script>alert('&')</script>"
     made |= {"grid": {"accuracy": 0.01}, "title": 'a < b & "c" > d'}
     made["actuators"] = [{"name": name, "area": (0.03, 0.06, 0.01, 0.07)}]
@@ -234,9 +234,9 @@ def test_results_show_tables_and_a_picture(drawing, result):
 
 
 def test_without_drawing_libraries_tables_remain(result, monkeypatch):
-    monkeypatch.setattr(notebook, "missing_renderer", lambda: "install a renderer")
+    monkeypatch.setattr(figures, "missing_renderer", lambda: "install a renderer")
     assert picture_of(result_html(result)).std() > 0  # the history
-    monkeypatch.setattr(notebook, "missing_plots", lambda: "install Matplotlib")
+    monkeypatch.setattr(figures, "missing_plots", lambda: "install Matplotlib")
     assert "install Matplotlib" in result_html(result)
     simulation = replace(result, cases={"drive": result.cases["best"]}, history={}, bound=None, interrupted=True)
     html = result_html(simulation)

@@ -8,7 +8,7 @@ import pytest
 from warp_plate import Scene
 from warp_plate.fitting.assurance import modal_assurance
 from warp_plate.fitting.measured_responses import MeasuredResponses
-from warp_plate.viz.plots import fit as plots
+from warp_plate.viz.plots import frequency_response as plots
 
 Figure = pytest.importorskip("matplotlib.figure").Figure
 

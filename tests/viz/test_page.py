@@ -9,10 +9,9 @@ from conftest import drag, motion_of, pixels, until
 from scipy.interpolate import interp1d
 
 from warp_plate.viz import page as page_module
-from warp_plate.viz.colours import DEFAULT_COLOURS, ColourOptions
-from warp_plate.viz.fields import motion_scales
-from warp_plate.viz.meshes import PlateMeshes
+from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions, motion_scales
 from warp_plate.viz.page import NAN, PEAK, page_data, write_page
+from warp_plate.viz.scene3d import PlateMeshes
 
 pytest.importorskip("pyvista", reason="PyVista is not installed: pip install 'warp-plate[viz]'")
 

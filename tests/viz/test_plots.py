@@ -15,11 +15,10 @@ from warp_plate.scene.vary import make_plan, parse_vary
 from warp_plate.studies.frequency_response import compute_frequency_response
 from warp_plate.studies.quantities_of_interest import QUANTITIES
 from warp_plate.studies.sweep import start_sweep
-from warp_plate.viz.plots.compare import draw_comparison
-from warp_plate.viz.plots.crosstalk import draw_crosstalk
 from warp_plate.viz.plots.frame import figure, number_log_axis
 from warp_plate.viz.plots.frequency_response import draw_frequency_response
-from warp_plate.viz.plots.search import curve_labels, draw_history, draw_spectrum
+from warp_plate.viz.plots.plan import draw_crosstalk
+from warp_plate.viz.plots.search import curve_labels, draw_comparison, draw_history, draw_spectrum
 from warp_plate.viz.plots.sweep import COLOURS, REFUSED_COLOUR, cell_edges, draw_sweep
 from warp_plate.viz.styles import GRID, INK
 

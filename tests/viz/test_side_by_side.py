@@ -13,13 +13,10 @@ from conftest import motion_of
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.target import NamedTarget
-from warp_plate.viz.annotations import axis_labels
-from warp_plate.viz.captions import caption, case_label, frame_caption, ordered_cases
-from warp_plate.viz.colours import ColourOptions
-from warp_plate.viz.fields import FIELDS, DrawingScale, drawing_scale, motion_scales, short_number
-from warp_plate.viz.meshes import SCALARS, PlateMeshes
+from warp_plate.viz.annotations import axis_labels, caption, case_label, frame_caption, ordered_cases
+from warp_plate.viz.fields import FIELDS, ColourOptions, DrawingScale, drawing_scale, motion_scales, short_number
 from warp_plate.viz.pictures import largest_frame, make_plotter
-from warp_plate.viz.scene3d import SideBySide, plate_subplots, rows_and_columns
+from warp_plate.viz.scene3d import SCALARS, PlateMeshes, SideBySide, plate_subplots, rows_and_columns
 from warp_plate.viz.styles import point_text, size_text
 
 pyvista = pytest.importorskip("pyvista", reason="PyVista is not installed: pip install 'warp-plate[viz]'")
@@ -204,7 +201,7 @@ def test_plates_move_in_place_with_captions_and_heights(plates, plotter):
 
 def test_plates_may_have_limits_of_their_own(scene, drawing):
     """Each has a legend and heights of its own; a given limit holds for the first field only."""
-    columns = plate_subplots(2, 200, 8, each=True)
+    columns = plate_subplots(2, 200, 8, separate=True)
     with closing(make_plotter((sum(columns["col_weights"]), 200), off_screen=True, **columns)) as plotter:
         plates = SideBySide(plotter, scene(), PAIR, "displacement", 8, ColourOptions("PuOr", "each"))
         assert [scale.clim[1] for scale in plates.scales] == [100, 320]

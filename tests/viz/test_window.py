@@ -15,7 +15,7 @@ from warp_plate.analysis.motion import mode_motions
 from warp_plate.result.model import save_result
 from warp_plate.studies.localize import localize
 from warp_plate.viz.availability import missing_window
-from warp_plate.viz.meshes import SCALARS
+from warp_plate.viz.scene3d import SCALARS
 from warp_plate.viz.window import ALL, FASTEST, ViewerWindow, window_plotter
 
 pytest.importorskip("pyvista", reason="PyVista is not installed: pip install 'warp-plate[viz]'")

@@ -34,8 +34,8 @@ def draw_accuracy(record: Mapping[str, Any], path: str | Path) -> None:
     if not rows:
         raise ValueError("nothing was measured")
     front = [record["rows"][index] for index in record["front"]]
-    with figure(path, (7.0, 5.2)) as made:
-        axes = made.subplots()
+    with figure(path, (7.0, 5.2)) as fig:
+        axes = fig.subplots()
         axes.set(xscale="log", yscale="log", xmargin=0.12)  # grids are written to the left of their marks
         look = {"drawstyle": "steps-post", "color": FRONT_COLOUR, "linewidth": 4.5, "solid_capstyle": "round"}
         axes.plot(*_points(front), **look, zorder=1, label="best for its time")
@@ -52,14 +52,14 @@ def draw_accuracy(record: Mapping[str, Any], path: str | Path) -> None:
             cross = {"marker": "x", "color": REFUSED_COLOUR, "markersize": 6, "zorder": 4}
             axes.plot(refused, [height] * len(refused), linestyle="", label="refused: Δt above the limit", **cross)
         _annotate(axes, record, rows)
-        made.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8)
+        fig.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8)
 
 
 def families(rows: Sequence[Row]) -> list[tuple[tuple[int, str], str]]:
     """Return the measured ((order, load), precision), in the order of FAMILIES."""
-    known = [*FAMILIES]
+    order = [*FAMILIES]
     measured = {_family(row) for row in rows if not row["as_written"]}
-    return sorted(measured, key=lambda family: (known.index(family[0]) if family[0] in known else len(known), family))
+    return sorted(measured, key=lambda family: (order.index(family[0]) if family[0] in order else len(order), family))
 
 
 def longest_steps(rows: Sequence[Row]) -> tuple[list[Row], list[Row]]:
@@ -71,10 +71,10 @@ def longest_steps(rows: Sequence[Row]) -> tuple[list[Row], list[Row]]:
 
 def refused_points(all_rows: Sequence[Row], measured: Sequence[Row]) -> list[float]:
     """Return the seconds per plate that each refused or unstable row would take, from its grid's measured row."""
-    known = {(_family(row), *row["nodes"]): row for row in reversed(measured) if not row["as_written"]}
+    timed = {(_family(row), *row["nodes"]): row for row in reversed(measured) if not row["as_written"]}
     points = []
     for row in all_rows:
-        same = known.get((_family(row), *row["nodes"]))
+        same = timed.get((_family(row), *row["nodes"]))
         if same and row["status"].partition(":")[0] in ("refused", "unstable") and row["time_step"]:
             points.append(same["seconds_per_plate"] * same["time_step"] / row["time_step"])
     return points

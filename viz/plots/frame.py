@@ -42,14 +42,14 @@ def figure(
     from matplotlib.text import Text
 
     with rc_context({**STYLE, "font.size": font_size, "axes.spines.top": box, "axes.spines.right": box}):
-        made = Figure(figsize=size, layout="constrained")
-        FigureCanvasAgg(made)
-        yield made
-        for text in made.findobj(Text):  # names and titles may hold control characters and "$"
+        fig = Figure(figsize=size, layout="constrained")
+        FigureCanvasAgg(fig)
+        yield fig
+        for text in fig.findobj(Text):  # names and titles may hold control characters and "$"
             text.set_text(printable(text.get_text()))
             if "$" in text.get_text() and not POWER_OF_TEN.fullmatch(text.get_text()):
                 text.set_parse_math(False)
-        made.savefig(path, dpi=dpi)
+        fig.savefig(path, dpi=dpi)
 
 
 def add_panels(figure: FigureBase, count: int, columns: int, **options: Any) -> list[Axes]:

@@ -1,4 +1,4 @@
-"""Plot of frequency responses: magnitude, phase, localization factor and mean square velocity against frequency."""
+"""Plots of frequency responses and modes: computed, and fitted to measurements."""
 
 from __future__ import annotations
 
@@ -7,13 +7,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_plate.result.frequency_response import FrequencyResponse
-from warp_plate.viz.captions import shortened
-from warp_plate.viz.plots.frame import figure, number_log_axis
+from warp_plate.result.frequency_response import UNITS, FrequencyResponse
+from warp_plate.scene.keys import unit_of
+from warp_plate.viz.annotations import shortened
+from warp_plate.viz.plots.frame import figure, label_axis, number_log_axis
 from warp_plate.viz.styles import GRID, length_unit, point_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from warp_plate.fitting.fit_modes import ModeFit
+    from warp_plate.fitting.fit_responses import ResponseFit
+    from warp_plate.fitting.fitted_panel import FittedPanel
 
 # Colours of responses, which repeat; the dashes of curves that cover earlier ones to the relative distance COVERED;
 # most curves in colour and in the legend: the largest ones, the others are grey.
@@ -25,13 +31,19 @@ FACTOR, BOUND, MARK = "#08519c", "#b2182b", "#b2182b"
 MOST_DECADES = 8.0
 # Factor between the ends of a range from which its axis is logarithmic.
 LOGARITHMIC = 4.0
+MEASURED, FITTED = "#d94801", "#08519c"
+MOST_RESPONSES, PROFILES_IN_A_ROW = 4, 4
+# Rise of χ² at the top of profiles, relative to that at the ends of 95 % intervals.
+PROFILE_TOP = 2.4
+# Phases further apart than this are drawn without a line between them [°].
+JUMP = 270
 
 
 def draw_frequency_response(response: FrequencyResponse, path: str | Path) -> None:
     """Draw the responses of all pairs, with ticks at natural frequencies, above what goes with their drives."""
     x = response.frequencies
-    with figure(path, (7.2, 8.0), font_size=9) as made:
-        magnitude, phase, localization, velocity = made.subplots(4, 1, sharex=True, height_ratios=[2.2, 1, 1.2, 1.4])
+    with figure(path, (7.2, 8.0), font_size=9) as fig:
+        magnitude, phase, localization, velocity = fig.subplots(4, 1, sharex=True, height_ratios=[2.2, 1, 1.2, 1.4])
         extent = np.abs(np.concatenate([response.points, response.input_places])).max(initial=0)
         names = [_input_label(response, index, extent) for index in range(len(response.inputs))]
         places = [f"({point_text(point, [extent])})" for point in response.points]
@@ -46,8 +58,8 @@ def draw_frequency_response(response: FrequencyResponse, path: str | Path) -> No
         _add_legend(magnitude, len(response.responses), marked=response.natural_frequencies.size > 0)
         _add_legend(localization, 0)
         _add_legend(velocity, len(names))
-        made.suptitle(response.title or f"{response.quantity} of the plate", fontsize=10)
-        made.align_ylabels()
+        fig.suptitle(response.title or f"{response.quantity} of the plate", fontsize=10)
+        fig.align_ylabels()
 
 
 def _set_axes(response: FrequencyResponse, magnitude: Axes, phase: Axes, localization: Axes, velocity: Axes) -> None:
@@ -120,3 +132,111 @@ def _add_legend(axes: Axes, count: int, marked: bool = False) -> None:
     more = f"the {MOST_COLOURED} largest of {count}" if count > MOST_COLOURED else None
     place = {"loc": "center left", "bbox_to_anchor": (1.01, 0.5)}
     axes.legend(handles=handles, fontsize=7.5, title=more, title_fontsize=7.5, **place).set_in_layout(True)
+
+
+def draw_response_fit(fitted: ResponseFit, path: str | Path) -> None:
+    """Draw magnitude, phase and, where it was measured, coherence of the first responses, a column for each."""
+    count, coherence = min(len(fitted.responses), MOST_RESPONSES), fitted.measured.coherence
+    heights = [2.2, 1] if coherence is None else [2.2, 1, 0.7]
+    with figure(path, (max(4.6, 2.9 * count), 1.2 + 1.3 * sum(heights))) as fig:
+        rows = fig.subplots(len(heights), count, sharex=True, sharey="row", squeeze=False, height_ratios=heights)
+        for index, column in enumerate(rows.T):
+            _draw_response(fitted, index, column)
+            if coherence is not None:
+                column[2].plot(fitted.measured.frequencies, coherence[index], color=MEASURED, linewidth=0.8)
+                column[2].set(ylim=(0, 1.05))
+        for axes, label in zip(rows[:, 0], ("", "phase [°]", "coherence"), strict=False):
+            axes.set_ylabel(label)
+        first = fitted.scene.measurement[0].quantity
+        alike = all(row.quantity == first for row in fitted.scene.measurement[:count])
+        rows[0, 0].set_ylabel(f"{first} [{UNITS[first]}]" if alike else "response [SI units]")
+        rows[0, 0].set_yscale("log")
+        number_log_axis(rows[0, 0].yaxis)
+        for axes in rows[-1]:
+            axes.set_xlabel("frequency [Hz]")
+        more = f", the first {count} of {len(fitted.responses)}" if len(fitted.responses) > count else ""
+        fig.suptitle(f"{fitted.scene.title or 'Frequency responses'}{more}", fontsize=10)
+        fig.legend(*rows[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8)
+
+
+def _draw_response(fitted: ResponseFit, index: int, column: np.ndarray) -> None:
+    """Draw magnitude and phase of a response, measured and fitted."""
+    row, frequencies = fitted.scene.measurement[index], fitted.measured.frequencies
+    size = fitted.scene.plate.size
+    driven = row.actuator or f"({point_text(row.force_at or (), size)})"
+    column[0].set_title(f"{driven} → ({point_text(row.point, size)}) {length_unit(size)[0]}", fontsize=8)
+    looks = {"linestyle": "", "marker": ".", "markersize": 3, "color": MEASURED}, {"linewidth": 1, "color": FITTED}
+    curves = (fitted.measured.responses[index], fitted.responses[index])
+    for values, look, label in zip(curves, looks, ("measured", "fitted"), strict=True):
+        column[0].plot(frequencies, np.abs(values), label=label, **look)
+        degrees = np.degrees(np.angle(values))
+        jumps = (np.abs(np.diff(degrees, prepend=degrees[0])) > JUMP) & (label == "fitted")
+        column[1].plot(frequencies, np.where(jumps, np.nan, degrees), **look)
+    column[1].set(ylim=(-190, 190), yticks=(-180, -90, 0, 90, 180))
+    for axes in column:
+        axes.grid(True, color=GRID, linewidth=0.4, alpha=0.4)
+
+
+def draw_mode_fit(fitted: ModeFit, path: str | Path, mac: np.ndarray | None = None) -> None:
+    """Draw the errors of natural frequencies and, where shapes were measured, the MAC (measured, fitted)."""
+    count = len(fitted.numbers)
+    with figure(path, (4.6 if mac is None else 8.6, 3.6)) as fig:
+        errors, *others = fig.subplots(1, 1 if mac is None else 2, squeeze=False)[0]
+        places = np.arange(count)
+        errors.bar(places, 100 * fitted.errors, color=FITTED, width=0.7)
+        errors.axhline(0, color="black", linewidth=0.8)
+        shown = places[:: -(-count // 12)]
+        labels = [f"{fitted.numbers[i]}\n{fitted.measured.frequencies[i]:.4g}" for i in shown]
+        errors.set_xticks(shown, labels, fontsize=7)
+        errors.set(xlabel="mode, and measured frequency [Hz]", ylabel="fitted over measured frequency − 1 [%]")
+        errors.grid(True, axis="y", color=GRID, linewidth=0.4, alpha=0.4)
+        if mac is not None:
+            _draw_mac(fig, others[0], mac, fitted.numbers)
+        fig.suptitle(fitted.scene.title or "Natural frequencies", fontsize=10)
+
+
+def draw_profiles(fitted: FittedPanel, path: str | Path) -> None:
+    """Draw the profile likelihood of each number, and the parabola that its interval assumes."""
+    assert fitted.profiles is not None
+    columns = min(len(fitted.keys), PROFILES_IN_A_ROW)
+    rows = -(-len(fitted.keys) // columns)
+    with figure(path, (max(4.6, 2.6 * columns), 0.9 + 2.1 * rows)) as fig:
+        panels = fig.subplots(rows, columns, squeeze=False, sharey=True)
+        for axes in panels.ravel()[len(fitted.keys) :]:
+            axes.set_visible(False)
+        for index, axes in enumerate(panels.ravel()[: len(fitted.keys)]):
+            _draw_profile(fitted, index, axes)
+        for axes in panels[:, 0]:
+            axes.set_ylabel("rise of χ²")
+        panels[0, 0].set_ylim(-0.1 * fitted.rise, PROFILE_TOP * fitted.rise)
+        fig.suptitle(fitted.scene.title or "Profile likelihoods", fontsize=10)
+        fig.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8)
+
+
+def _draw_profile(fitted: FittedPanel, index: int, axes: Axes) -> None:
+    assert fitted.profiles is not None
+    (values, rise), best = fitted.profiles[:, index], fitted.values[index]
+    axes.plot(values, rise, color=FITTED, marker=".", markersize=4, linewidth=1, label="others fitted")
+    axes.axhline(fitted.rise, color="black", linewidth=0.8, linestyle=":", label="95 %")
+    half = (fitted.high[index] - fitted.low[index]) / 2
+    label = "parabola of the interval"
+    axes.plot(
+        values, fitted.rise * ((values - best) / half) ** 2, color=MEASURED, linewidth=1.2, linestyle="--", label=label
+    )
+    label_axis(axes.xaxis, fitted.keys[index], unit_of(fitted.scene, fitted.keys[index]), 7)
+    axes.locator_params(axis="x", nbins=3)
+    axes.tick_params(labelsize=7)
+    axes.grid(True, color=GRID, linewidth=0.4, alpha=0.4)
+
+
+def _draw_mac(fig: Figure, axes: Axes, mac: np.ndarray, numbers: np.ndarray) -> None:
+    """Draw a matrix of modal assurance criteria, with numbers where there is room."""
+    image = axes.imshow(mac, vmin=0, vmax=1, cmap="Blues", origin="lower")
+    shown = np.arange(0, len(mac), -(-len(mac) // 12))
+    axes.set_xticks(shown, [str(numbers[i]) for i in shown])
+    axes.set_yticks(shown, [str(numbers[i]) for i in shown])
+    axes.set(xlabel="fitted mode", ylabel="measured mode")
+    for row, column in np.ndindex(mac.shape) if len(mac) <= 12 else ():
+        colour = "white" if mac[row, column] > 0.6 else "black"
+        axes.text(column, row, f"{mac[row, column]:.2f}", ha="center", va="center", fontsize=6, color=colour)
+    fig.colorbar(image, ax=axes, label="modal assurance criterion", shrink=0.85)

@@ -11,7 +11,7 @@ import numpy as np
 
 from warp_plate.effects.effect import attachments
 from warp_plate.scene.model import Scene
-from warp_plate.viz.colours import DEFAULT_COLOURS, ColourOptions, colour_map
+from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions, colour_map
 from warp_plate.viz.plots.frame import add_panels, figure
 from warp_plate.viz.plots.plan import draw_edges, draw_outline, drawn_size, edge_handles, line_handle
 from warp_plate.viz.styles import INK, TARGET, size_text
@@ -44,19 +44,19 @@ def draw_modes(
     rows, columns = layout(count, scene.plate.size)
     width, height = drawn_size(scene, LENGTH)
     size = (max(columns * (width + 0.15), 3.2) + 0.9, rows * (height + 0.35) + 0.45)
-    with figure(path, size, font_size=8) as made:
-        panels = add_panels(made, count, columns)
+    with figure(path, size, font_size=8) as fig:
+        panels = add_panels(fig, count, columns)
         for number, (axes, frequency, shape) in enumerate(zip(panels, frequencies, shapes, strict=True), 1):
             mesh = _draw_shape(axes, scene, shape, colours.colormap or CMAP)
             axes.set_title(f"{number}: {frequency_text(frequency)}", fontsize=8, pad=4)
-        bar = made.colorbar(mesh, ax=panels, shrink=min(1.0, 1.2 / rows + 0.2), aspect=18, pad=0.02)
+        bar = fig.colorbar(mesh, ax=panels, shrink=min(1.0, 1.2 / rows + 0.2), aspect=18, pad=0.02)
         bar.set_label(f"displacement over its largest, plate of {size_text(scene.plate.size)}")
         handles = [*edge_handles(scene), line_handle("nodal line", color=INK, linewidth=0.9)]
         if scene.layers:
             handles.append(line_handle("layer", color=TARGET, linewidth=0.9))
         if attachments(scene.terms):
             handles.append(line_handle("oscillator", color=TARGET, linewidth=0.9, linestyle=":"))
-        made.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=7)
+        fig.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=7)
 
 
 def layout(count: int, size: Sequence[float]) -> tuple[int, int]:

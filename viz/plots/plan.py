@@ -1,8 +1,10 @@
-"""Plates seen from above in Matplotlib: fields of motions side by side, and the layout of a scene."""
+"""Plates seen from above: motions side by side, the layout of a scene, and the crosstalk of several targets."""
 
 from __future__ import annotations
 
+import math
 import re
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,16 +13,15 @@ import numpy as np
 
 from warp_plate.effects.effect import attachments
 from warp_plate.result.motion import Motion
-from warp_plate.result.targets import outlines
+from warp_plate.result.targets import crosstalk, decibels, outlines, target_cases, target_outlines
+from warp_plate.scene.errors import printable
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
-from warp_plate.viz.annotations import place_names
-from warp_plate.viz.captions import frame_caption, shortened
-from warp_plate.viz.colours import DEFAULT_COLOURS, ColourOptions, colour_map
-from warp_plate.viz.fields import DrawingScale, motion_scales
+from warp_plate.viz.annotations import frame_caption, place_names, shortened
+from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions, DrawingScale, colour_map, drawing_scale, motion_scales
 from warp_plate.viz.plots.frame import add_panels, figure
 from warp_plate.viz.scene3d import rows_and_columns
-from warp_plate.viz.styles import EDGE_STYLES, INK, TARGET, edges_by_kind, length_unit, rectangle
+from warp_plate.viz.styles import EDGE_STYLES, INK, TARGET, edges_by_kind, length_unit, rectangle, size_text
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -28,11 +29,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
+    from warp_plate.result.model import Result
+
 # Longer side of a plate [inch].
 LENGTH = 2.3
 # Size of actuators' names [pt].
 NAME_SIZE = 6
 LAYER, OSCILLATOR = "#8c6bb1", "#e6820e"
+# All lengths in inches: cell of the table, longer side of a plate, note below the plates, letter, line of text.
+CELL, PLATE, NOTE, LETTER, LINE = (0.9, 0.42), 1.9, (3.0, 0.4), 0.07, 0.13
+PLATES_PER_ROW = 4
 
 
 def draw_plan(
@@ -43,10 +49,10 @@ def draw_plan(
     scales, fields = motion_scales(scene, motions, quantity, colours)
     rows, columns = rows_and_columns(len(motions))
     width, height = drawn_size(scene, LENGTH)
-    wide, lines = width + 0.45 + 0.6 * colours.each, 1 + (len(fields[0]) > 1)
-    size = (max(columns * wide, 3.2) + 0.9 - 0.6 * colours.each, rows * (height + 0.6 + 0.15 * lines) + 0.3)
-    with figure(path, size, font_size=8) as made:
-        panels = add_panels(made, len(motions), columns)
+    wide, lines = width + 0.45 + 0.6 * colours.separate, 1 + (len(fields[0]) > 1)
+    size = (max(columns * wide, 3.2) + 0.9 - 0.6 * colours.separate, rows * (height + 0.6 + 0.15 * lines) + 0.3)
+    with figure(path, size, font_size=8) as fig:
+        panels = add_panels(fig, len(motions), columns)
         for index, (axes, motion, scale, values) in enumerate(zip(panels, motions, scales, fields, strict=True)):
             caption = frame_caption(motion, frame, scene)
             draw_field(axes, scene, values[frame % len(values)], scale)
@@ -55,18 +61,18 @@ def draw_plan(
             time = r"\n\1" if len(values) > 1 else ""
             axes.set_title(re.sub(", (t = .*)", time, caption), fontsize=8, pad=6)
             _label_sides(axes, scene, index + columns >= len(motions), index % columns == 0)
-            if colours.each:
-                _add_bar(made, scale, axes)
-        if not colours.each:
-            _add_bar(made, scales[0], panels)
-        made.legend(handles=_outline_handles(scene), loc="outside lower center", ncols=6, fontsize=7)
+            if colours.separate:
+                _add_bar(fig, scale, axes)
+        if not colours.separate:
+            _add_bar(fig, scales[0], panels)
+        fig.legend(handles=_outline_handles(scene), loc="outside lower center", ncols=6, fontsize=7)
 
 
 def draw_layout(scene: Scene, path: Path) -> None:
     """Draw edges, targets, actuators, layers and attached masses of a scene."""
     width, height = drawn_size(scene, LENGTH)
-    with figure(path, (max(width, 2.6) + 0.7, height + 0.9), font_size=8, dpi=110) as made:
-        axes, handles = made.subplots(), _outline_handles(scene)
+    with figure(path, (max(width, 2.6) + 0.7, height + 0.9), font_size=8, dpi=110) as fig:
+        axes, handles = fig.subplots(), _outline_handles(scene)
         layers = [
             axes.fill(*zip(*rectangle(layer.area), strict=True), color=LAYER, alpha=0.3, label="layer")[0]
             for layer in scene.layers
@@ -78,7 +84,7 @@ def draw_layout(scene: Scene, path: Path) -> None:
             handles.append(line_handle("oscillator", color=OSCILLATOR, linewidth=0.9))
         _draw_outlines(axes, scene)
         _label_sides(axes, scene)
-        made.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=7)
+        fig.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=7)
 
 
 def drawn_size(scene: Scene, length: float) -> tuple[float, float]:
@@ -164,12 +170,12 @@ def _label_sides(axes: Axes, scene: Scene, bottom: bool = True, left: bool = Tru
         axis.set_label_text(f"{name} [{unit}]" if named else "")
 
 
-def _add_bar(made: Figure, scale: DrawingScale, axes: Axes | Sequence[Axes]) -> None:
+def _add_bar(fig: Figure, scale: DrawingScale, axes: Axes | Sequence[Axes]) -> None:
     """Add the colour bar of a scale beside axes."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
-    bar = made.colorbar(ScalarMappable(Normalize(*scale.clim), colour_map(scale.cmap)), ax=axes, aspect=22, pad=0.02)
+    bar = fig.colorbar(ScalarMappable(Normalize(*scale.clim), colour_map(scale.cmap)), ax=axes, aspect=22, pad=0.02)
     bar.set_label(scale.title.replace("\n", " "))
     bar.set_ticks(scale.ticks, labels=[f"{tick:.4g}".replace("-", "−") for tick in scale.ticks])
 
@@ -177,3 +183,84 @@ def _add_bar(made: Figure, scale: DrawingScale, axes: Axes | Sequence[Axes]) -> 
 def _outline_handles(scene: Scene) -> list[Artist]:
     target = line_handle("target", color=TARGET, linewidth=1.4)
     return [target, line_handle("actuator", color=INK, linewidth=0.9), *edge_handles(scene)]
+
+
+def draw_crosstalk(result: Result, path: str | Path, colours: ColourOptions = DEFAULT_COLOURS) -> None:
+    """Draw the table, and each plate at the recorded time of its largest displacement, by default within limits of its
+    own."""
+    cases = target_cases(result.scene)
+    drawn = {target: case for target, case in cases.items() if case in result.cases and result.times.size}
+    rows, columns = math.ceil(len(drawn) / PLATES_PER_ROW), min(len(drawn), PLATES_PER_ROW)
+    width, height = drawn_size(result.scene, PLATE)
+    total_width = max(CELL[0] * len(cases) + 1.5, columns * (width + 0.2), NOTE[0])
+    names = [_wrapped(printable(name), CELL[0]) for name in cases]
+    titles = {target: _wrapped(f"drive for {target}", total_width / columns) for target in drawn}
+    table_height = CELL[1] * len(cases) + 0.6 + LINE * max(name.count("\n") for name in names)
+    title_lines = max((title.count("\n") for title in titles.values()), default=0)
+    plates_height = rows * (height + 0.3 + LINE * title_lines) + NOTE[1]
+    with figure(path, (total_width, table_height + plates_height), font_size=8) as fig:
+        above, below = fig.subfigures(2, 1, height_ratios=[table_height, plates_height])
+        _draw_table(above.subplots(), names, crosstalk(result))
+        if drawn:
+            fields = {target: _largest_field(result, case) for target, case in drawn.items()}
+            scales = _scales(result, fields, colours)
+            for axes, (target, case) in zip(add_panels(below, len(drawn), columns), drawn.items(), strict=True):
+                _draw_plate(axes, result, target, case, fields[target], scales[target])
+                axes.set_title(titles[target], fontsize=8)
+            below.supxlabel(_note(result, list(scales.values())), fontsize=8)
+
+
+def _draw_table(axes: Axes, names: list[str], shares: np.ndarray) -> None:
+    levels = decibels(shares)
+    axes.imshow(np.nan_to_num(shares), cmap="Greens", vmin=0, vmax=1, aspect="auto")
+    for (row, column), share in np.ndenumerate(shares):
+        text = f"{100 * share:.1f} %" if math.isfinite(share) else "not\nsearched"
+        if row != column and math.isfinite(levels[row, column]):
+            text += f"\n{levels[row, column]:+.1f} dB".replace("-", "−")
+        weight, colour = "bold" if row == column else "normal", "white" if share > 0.55 else INK
+        axes.text(column, row, text, ha="center", va="center", fontsize=8, color=colour, fontweight=weight)
+    axes.set_xticks(range(len(names)), names)
+    axes.set_yticks(range(len(names)), names)
+    axes.tick_params(length=0)
+    axes.xaxis.tick_top()
+    axes.xaxis.set_label_position("top")
+    axes.set(xlabel="share of the plate's kinetic energy in", ylabel="under the drive for")
+    axes.spines[:].set_visible(False)
+
+
+def _largest_field(result: Result, case: str) -> np.ndarray:
+    """Return the (ny, nx) displacement [m] of a case at the recorded time when it is largest."""
+    displacements = np.nan_to_num(result.cases[case].displacement, posinf=0, neginf=0)
+    return np.asarray(displacements[np.abs(displacements).max(axis=(1, 2)).argmax()])
+
+
+def _scales(result: Result, fields: dict[str, np.ndarray], colours: ColourOptions) -> dict[str, DrawingScale]:
+    """Return the scale of each field, by default its own."""
+    together = list(fields.values()) if colours.limits == "common" else None
+    size = result.scene.plate.size
+    return {name: drawing_scale(together or [field], size, colours=colours) for name, field in fields.items()}
+
+
+def _note(result: Result, scales: list[DrawingScale]) -> str:
+    """Return what the colours of the plates mean."""
+    limits = [f"{scale.clim[1]:.4g} {scale.unit}" for scale in scales]
+    ends = limits[0] if len(set(limits)) == 1 else f"{', '.join(limits[:-1])} and {limits[-1]}"
+    words = "red up, blue down" if scales[0].colormap is None else "the ends of the colour map are"
+    return f"displacement of the plate, {size_text(result.scene.plate.size)}:\n{words} to ±{ends}"
+
+
+def _draw_plate(axes: Axes, result: Result, name: str, case: str, field: np.ndarray, scale: DrawingScale) -> None:
+    scene = result.scene
+    draw_field(axes, scene, field, scale)
+    for actuator in result.case_scene(result.cases[case]).actuators:
+        draw_outline(axes, actuator.area, INK)
+    for key, target in zip(scene.targets_by_key, scene.targets, strict=True):
+        style = {"linewidth": 2.2} if target.name == name else {"linewidth": 0.8, "linestyle": "--"}
+        for outline in target_outlines(scene, key, target):
+            axes.plot(*outline.T, color=TARGET, clip_on=False, zorder=4, **style)
+    draw_edges(axes, scene)
+
+
+def _wrapped(text: str, width: float) -> str:
+    """Wrap text to a width [inch]."""
+    return textwrap.fill(text, int(width / LETTER))

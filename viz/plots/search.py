@@ -1,4 +1,4 @@
-"""Plots of a search: its history, the spectrum of the drives, and the robust beside the nominal drive."""
+"""Plots of searches: history, robustness, spectrum, and a comparison of methods."""
 
 from __future__ import annotations
 
@@ -12,11 +12,14 @@ from warp_plate.result.model import BOUND_DESCRIPTIONS, Result, only_actuator
 from warp_plate.result.robust import DRIVES, TAIL, RobustComparison, mean_of_worst
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Search
-from warp_plate.viz.captions import case_label
-from warp_plate.viz.plots.frame import figure, label_axis
+from warp_plate.scene.vary import counted
+from warp_plate.viz.annotations import case_label
+from warp_plate.viz.plots.frame import figure, label_axis, number_log_axis
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from warp_plate.result.comparison import MethodComparison, Trial
 
 # Label of the mean loss of an iteration by method; "exact" tries one drive only.
 MEAN_LABELS = dict.fromkeys(("pso", "constriction", "ring"), "swarm mean")
@@ -33,6 +36,10 @@ CASE_LINES = {
 CURVES = {"best": ("#08519c", 1.6), "single": ("#6baed6", 1.1), "equal": ("#8a8a8a", 1.1)}
 DRIVE_COLOURS = {"robust": "#08519c", "nominal": "#d94801"}
 BINS = 24
+COLOURS = {"pso": "#4d4d4d", "constriction": "#d95f02", "ring": "#1b7837"}
+COLOURS |= {"cma": "#762a83", "gradient": "#08519c", "exact": "#b2182b"}
+BOUND_LABELS = {"attained": "bound of these searches", "bound only": "upper bound (may be out of reach)"}
+SMALLEST_DISTANCE = 1e-12  # from the bound; smaller ones are rounding errors
 
 
 def draw_history(result: Result, path: str | Path, loss: bool = False) -> None:
@@ -44,9 +51,9 @@ def draw_history(result: Result, path: str | Path, loss: bool = False) -> None:
     """
     if not result.history:
         raise ValueError("the result holds no history: only a search leaves one")
-    with figure(path, (5, 3.6), dpi=320) as made:
-        plot_history(axes := made.add_subplot(), result, loss)
-        made.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=2, fontsize=7)
+    with figure(path, (5, 3.6), dpi=320) as fig:
+        plot_history(axes := fig.add_subplot(), result, loss)
+        fig.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=2, fontsize=7)
 
 
 def plot_history(axes: Axes, result: Result, loss: bool = False) -> None:
@@ -113,8 +120,8 @@ def draw_spectrum(result: Result, path: str | Path) -> None:
     """Plot localization factors against frequency, a tick for each resonance, and the best drive as a point."""
     spectrum, case = result.spectrum, result.main_case
     labels = curve_labels(result.scene.search)
-    with figure(path, (6.4, 3.4)) as made:
-        axes = made.add_subplot()
+    with figure(path, (6.4, 3.4)) as fig:
+        axes = fig.add_subplot()
         for name, (colour, width) in CURVES.items():
             axes.plot(spectrum["frequency"], spectrum[name], color=colour, linewidth=width, label=labels[name])
         _write_target(axes, result.scene)
@@ -126,7 +133,7 @@ def draw_spectrum(result: Result, path: str | Path) -> None:
         if case.frequency is not None:
             point = (case.frequency[0], case.localization_factor)
             axes.plot(*point, "o", color="#e6820e", markersize=5, clip_on=False, label="best of the search", zorder=4)
-        made.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=3, fontsize=8)
+        fig.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=3, fontsize=8)
 
 
 def curve_labels(search: Search) -> dict[str, str]:
@@ -150,11 +157,11 @@ def curve_labels(search: Search) -> dict[str, str]:
 
 def draw_robust(result: Result, path: str | Path) -> None:
     """Plot histograms and cumulative distributions of the robust and the nominal drive over the validation panels."""
-    with figure(path, (5.4, 4.6), dpi=320) as made:
-        above, below = made.subplots(2, 1, sharex=True, height_ratios=[1, 1.5])
+    with figure(path, (5.4, 4.6), dpi=320) as fig:
+        above, below = fig.subplots(2, 1, sharex=True, height_ratios=[1, 1.5])
         _plot_histograms(above, result.robust)
         _plot_cumulative(below, result.robust)
-        made.suptitle(result.scene.title or result.source, fontsize=9)
+        fig.suptitle(result.scene.title or result.source, fontsize=9)
 
 
 def _plot_histograms(axes: Axes, compared: RobustComparison) -> None:
@@ -197,3 +204,60 @@ def _write_target(axes: Axes, scene: Scene) -> None:
     targets = scene.targets
     if len(targets) > 1:
         axes.set_title(f"search for target {targets[0].name}, the first of {len(targets)}", fontsize=9, wrap=True)
+
+
+def draw_comparison(comparison: MethodComparison, path: str | Path) -> None:
+    """Plot median (lines) and worst to best seed (bands), and if a bound is known, the distances from it below."""
+    rows = 1 if comparison.bound is None else 2
+    with figure(path, (9.0, 0.9 + 2.7 * rows)) as fig:
+        grid = fig.subplots(rows, 2, sharex="col", sharey="row", squeeze=False)
+        for column, clock in zip(grid.T, ("evaluations", "seconds"), strict=True):
+            _plot_losses(column, comparison, clock)
+            column[-1].set_xlabel(clock)
+            number_log_axis(column[-1].xaxis)
+        grid[0, 0].set_ylabel("largest localization factor" if comparison.localization else "smallest loss")
+        if comparison.bound is not None:
+            grid[1, 0].set_ylabel(f"distance from the bound (≥ $10^{{{np.log10(SMALLEST_DISTANCE):.0f}}}$)")
+            number_log_axis(grid[1, 0].yaxis)
+        fig.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
+        seeds = len({trial.seed for trial in comparison.trials})
+        title = f"{comparison.scene.title or comparison.source}: median, best and worst of {counted(seeds, 'seed')}"
+        fig.suptitle(title, fontsize=9)
+
+
+def loss_statistics(trials: Sequence[Trial], clock: str, budget: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the (iterations,) median of a clock, "evaluations" or "seconds", over trials, and their (3, iterations)
+    smallest, median and largest loss so far, with the last loss of trials that have ended.
+    """
+    count = max(len(trial.loss) for trial in trials)
+    times, losses = (
+        np.array([np.pad(getattr(trial, name), (0, count - len(trial.loss)), mode="edge") for trial in trials], float)
+        for name in (clock, "loss")
+    )
+    clocks = np.median(times, axis=0)
+    statistics = np.stack([losses.min(axis=0), np.median(losses, axis=0), losses.max(axis=0)])
+    if clock == "evaluations" and clocks[-1] < budget:
+        clocks, statistics = np.append(clocks, budget), np.pad(statistics, ((0, 0), (0, 1)), mode="edge")
+    return clocks, statistics
+
+
+def _plot_losses(column: Sequence[Axes], comparison: MethodComparison, clock: str) -> None:
+    sign, offset = (-1, 1) if comparison.localization else (1, 0)
+    for method in comparison.methods:
+        clocks, losses = loss_statistics(comparison.trials_of(method), clock, comparison.budget)
+        _plot_method(column[0], method, clocks, offset + sign * losses)
+        if comparison.bound is not None:
+            _plot_method(column[1], method, clocks, np.maximum(losses - comparison.bound, SMALLEST_DISTANCE))
+    if comparison.bound is not None:
+        bound, label = offset + sign * comparison.bound, BOUND_LABELS[comparison.bound_kind]
+        column[0].axhline(bound, color="#111111", linewidth=1.0, linestyle="--", label=label)
+        column[1].set_yscale("log")
+    for axes in column:
+        axes.set_xscale("log")
+
+
+def _plot_method(axes: Axes, method: str, clocks: np.ndarray, values: np.ndarray) -> None:
+    colour = COLOURS.get(method, "#666666")
+    axes.fill_between(clocks, values[0], values[2], step="post", color=colour, alpha=0.13, linewidth=0)
+    marker = {"marker": "D", "markevery": [0], "markersize": 4} if method == "exact" else {}
+    axes.plot(clocks, values[1], drawstyle="steps-post", color=colour, linewidth=1.4, label=method, **marker)

@@ -15,7 +15,7 @@ from warp_plate.result.sweep import REFUSED, Sweep
 from warp_plate.scene.errors import printable
 from warp_plate.scene.keys import label_of, unit_of
 from warp_plate.scene.vary import counted, value_text
-from warp_plate.viz.colours import colour_map
+from warp_plate.viz.fields import colour_map
 from warp_plate.viz.plots.frame import add_panels, figure, label_axis, number_log_axis, with_unit
 
 if TYPE_CHECKING:
@@ -47,11 +47,11 @@ def draw_sweep(sweep: Sweep, path: str | Path, colormap: str | None = None) -> N
     draw: Callable[[Figure, Sweep], str | None] = _draw_points
     if not sampled:
         draw = _draw_lines if keys == 1 else partial(_draw_maps if keys == 2 else _draw_small_maps, cmap=cmap)
-    with figure(path, box=keys > 1 and not sampled) as made:
-        notes, title = [draw(made, sweep)], sweep.scene.title or sweep.source
+    with figure(path, box=keys > 1 and not sampled) as fig:
+        notes, title = [draw(fig, sweep)], sweep.scene.title or sweep.source
         if refused := np.count_nonzero(sweep.status == REFUSED):
             notes.append(f"{counted(refused, 'point')} refused ({'ticks' if sampled else 'grey'})")
-        made.suptitle(": ".join(filter(None, (title, "; ".join(filter(None, notes))))), fontsize=9, wrap=True)
+        fig.suptitle(": ".join(filter(None, (title, "; ".join(filter(None, notes))))), fontsize=9, wrap=True)
 
 
 def curves(sweep: Sweep) -> dict[str, tuple[str, np.ndarray]]:

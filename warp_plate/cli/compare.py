@@ -73,8 +73,8 @@ def compare(
     loaded, scene = output.load_scene(scene, assignments)
     from warp_plate.result.comparison import save_comparison
     from warp_plate.studies.compare import compare as run
-    from warp_plate.viz.plots.compare import draw_comparison
     from warp_plate.viz.plots.frame import save_plots
+    from warp_plate.viz.plots.search import draw_comparison
 
     on, path = "auto" if workers.local_device is None else workers.local_device, workers.path or "auto"
     with (

@@ -136,7 +136,7 @@ def export(
 def _draw(file: Path, contents: Mapping[str, Any], picture: Path) -> output.Drawn:
     """Draw the channels of a WAV file, of a tone ten periods."""
     from warp_plate.plate.waveforms import wav_channels
-    from warp_plate.viz.plots.channels import draw_channels
+    from warp_plate.viz.plots.waveforms import draw_channels
 
     values, rate = wav_channels(file.read_bytes())
     if "frequency" in contents:

@@ -68,7 +68,7 @@ def focus(
     played = None if waveforms is None else load_focus(waveforms)
     with output.scene_errors(scene):
         result = compute(loaded, played, rank=rank)
-    from warp_plate.viz.plots.focus import draw_focus
+    from warp_plate.viz.plots.waveforms import draw_focus
 
     written = [save_focus(result, target)]
     draw = partial(draw_focus, result, colours=chosen)

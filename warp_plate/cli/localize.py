@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from warp_plate.result.model import Result
     from warp_plate.studies.checkpointing import CheckpointFile
-    from warp_plate.viz.colours import ColourOptions
+    from warp_plate.viz.fields import ColourOptions
 
 CASE_LABELS = {
     "equal": "all actuators alike",

@@ -77,11 +77,7 @@ def modes(
             exact_frequencies = exact.frequencies[: len(natural.frequencies)]
             moving = np.where(exact_frequencies > 0, exact_frequencies, math.nan)
             errors = natural.frequencies / moving - 1
-    from warp_plate.viz.plots.modes import draw_modes
-
-    colours = options.ColourChoice(colormap).chosen() if pictures else None
-    draw = partial(draw_modes, loaded, natural.frequencies, natural.shapes, colours=colours)
-    written = output.draw_picture(draw, target, pictures)
+    written = _draw(loaded, natural, target, options.ColourChoice(colormap)) if pictures else ([], None)
     output.report(json, _as_json, _print, scene, loaded, natural, errors, left_out, written=written)
 
 
@@ -94,6 +90,13 @@ def _grid_modes(scene: Scene, count: int) -> tuple[Scene, NaturalModes]:
     gridded = resolve_grid(scene.model_copy(update={"effects": effects}), "auto").scene
     refuse_many_nodes(gridded)
     return gridded, natural_modes(gridded, count)
+
+
+def _draw(scene: Scene, natural: NaturalModes, path: Path, colours: options.ColourChoice) -> output.Drawn:
+    from warp_plate.viz.plots.modes import draw_modes
+
+    draw = partial(draw_modes, scene, natural.frequencies, natural.shapes, colours=colours.chosen())
+    return output.draw_picture(draw, path)
 
 
 def _left_out(scene: Scene, grid: bool) -> list[str]:

@@ -18,7 +18,7 @@ from warp_plate.scene.errors import SceneError
 if TYPE_CHECKING:
     from warp_plate.cluster.pool import WorkerPool
     from warp_plate.scene.model import Scene
-    from warp_plate.viz.colours import ColourOptions
+    from warp_plate.viz.fields import ColourOptions
 
 
 def _integer(kind: object, tokens: Sequence[cyclopts.Token]) -> int:
@@ -161,7 +161,7 @@ class ColourChoice:
 
     def chosen(self) -> ColourOptions:
         """Return the options; raise a SceneError if there is no such colour map, or no such limits."""
-        from warp_plate.viz.colours import colour_options
+        from warp_plate.viz.fields import colour_options
 
         return colour_options(self.colormap, self.limits)
 

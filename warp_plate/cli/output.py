@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from warp_plate.result.model import Result
     from warp_plate.scene.model import Scene
     from warp_plate.studies.checkpointing import StudyFile
-    from warp_plate.viz.colours import ColourOptions
+    from warp_plate.viz.fields import ColourOptions
 
 # Draws pictures beside a file; returns their paths and, if some are missing, the reason.
 Drawn = tuple[list[Path], str | None]

@@ -164,8 +164,7 @@ def render(
     from warp_plate.result.hdf5 import describe_file
     from warp_plate.result.model import load_result
     from warp_plate.viz.availability import DrawingUnavailable
-    from warp_plate.viz.pictures import PictureStyle, largest_frame
-    from warp_plate.viz.render import draw_motions
+    from warp_plate.viz.pictures import PictureStyle, draw_motions, largest_frame
 
     files: list[Path] = []
     try:
@@ -203,7 +202,7 @@ def render(
 
 def _check_drawable(targets: list[Path], plan: bool) -> None:
     """Check that the libraries for all files are there, before anything is simulated."""
-    from warp_plate.viz.render import missing_library
+    from warp_plate.viz.pictures import missing_library
 
     for target in targets:
         if (problem := missing_library(target, plan)) is not None:
@@ -288,7 +287,7 @@ def _mode_shapes(result: Result, frames: int | None, playback: PlaybackOptions) 
 
 def select_cases(result: Result, file: Path, names: Sequence[str] | None) -> dict[str, Case]:
     """Return the named cases of a result, or all if no name is given, in the order in which they are shown."""
-    from warp_plate.viz.captions import ordered_cases
+    from warp_plate.viz.annotations import ordered_cases
 
     cases = ordered_cases(result)
     for name in names or ():

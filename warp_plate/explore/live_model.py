@@ -1,13 +1,14 @@
 """Model of the explorer: responds to a new drive at once, to a new frequency or damping once it is simulated.
 
-Whoever draws calls ``read`` for each picture, which never waits for a simulation. A worker thread simulates the latest
-request, and a watched search has a separate thread.
+``read`` is called for each picture and never waits for a simulation. A worker thread simulates the latest request, and
+a watched search has a thread of its own.
 """
 
 from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -16,11 +17,15 @@ import numpy as np
 from warp_plate.accuracy.configurations import percent
 from warp_plate.analysis.superposition import SimulatedResponses, UnitResponses, unit_responses
 from warp_plate.explore.settings import LiveSettings, changed_scene, polar, slider_ranges, viscous_damping
-from warp_plate.explore.watched_search import WatchedSearch
 from warp_plate.modal.solver import MODAL, has_modes
+from warp_plate.optimize.optimizer import minimize
+from warp_plate.optimize.pso import Swarm
 from warp_plate.plate.scene_overrides import scene_phasors
-from warp_plate.problem.design_variables import magnitude_unit
+from warp_plate.plate.weights import localization_factor
+from warp_plate.problem.design_variables import magnitude_unit, with_paper_search
 from warp_plate.problem.evaluate_cases import reference_phasors
+from warp_plate.problem.methods import swarm_settings
+from warp_plate.problem.parametrization import paper_phasors, parametrization_of
 from warp_plate.result.motion import DriveResponse, SwarmSnapshot
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -32,7 +37,7 @@ RESIDUAL_WARNING = 0.02
 
 
 class LiveModel:
-    """A scene under settings that change while it is looked at.
+    """A scene under settings that change while it is shown.
 
     Args:
         scene: A scene with a grid, whose drive is the first one.
@@ -44,8 +49,8 @@ class LiveModel:
         by_modes: Whether responses come from modes, without time steps.
 
     Raises:
-        SceneError: The load does not repeat with the drive, or see :class:`PlateSolver`. Later errors are reported by
-            ``status`` and leave the last reading as it is.
+        SceneError: The load does not repeat with the drive, or see :class:`PlateSolver`. ``status`` reports later
+            errors, which leave the last reading unchanged.
     """
 
     def __init__(
@@ -236,8 +241,8 @@ class LiveModel:
         if choice == "scene":
             phasors = scene_phasors(self.scene)
         elif choice == "random":
-            turns = np.exp(2j * math.pi * self._random.random(actuators))
-            phasors = self._scale * self._random.random(actuators) * turns
+            rotations = np.exp(2j * math.pi * self._random.random(actuators))
+            phasors = self._scale * self._random.random(actuators) * rotations
         elif choice == "exact":
             if not isinstance(responses, UnitResponses):
                 raise SceneError(f"exact best: {self.scene.nonlinear_table} is not linear in the drives")
@@ -253,3 +258,53 @@ class LiveModel:
             phasors = phasors * (self.ranges.magnitude / largest)
         magnitude, phase = polar(phasors)
         self._request(magnitude=magnitude, phase=phase)
+
+
+class WatchedSearch(threading.Thread):
+    """A particle swarm in a thread, over all drives whatever the scene's ``[search]``; the constructor starts it.
+
+    Args:
+        scene: The scene, at the current frequency and damping.
+        energies: Function from phasors (plates, actuators) to energies (plates, regions) [J].
+        scale: Magnitude of the first actuator [N/m²]; only ratios count where the plate is linear.
+        seconds: Least duration of an iteration [s], so that it can be seen.
+
+    Attributes:
+        snapshot: The last iteration; None before the end of the first.
+        ended: Event that ends the search after the current iteration; the last snapshot stays.
+    """
+
+    def __init__(
+        self, scene: Scene, energies: Callable[[np.ndarray], np.ndarray], scale: float, seconds: float
+    ) -> None:
+        super().__init__(name="swarm", daemon=True)
+        self._energies, self._scale, self._seconds = energies, scale, seconds
+        self._factors, self._best = np.empty(0), list[float]()
+        self.snapshot: SwarmSnapshot | None = None
+        self.ended = threading.Event()
+        space = parametrization_of(with_paper_search(scene)).space
+        self._swarm = Swarm(space, swarm_settings(scene.search, scene.search.seed))
+        self.start()
+
+    def run(self) -> None:
+        """Search, in the thread."""
+        minimize(self._swarm, self._losses, self._after_iteration)
+        if self.snapshot is not None:
+            self.snapshot = replace(self.snapshot, running=False)
+
+    def _losses(self, positions: np.ndarray) -> np.ndarray:
+        self._factors = localization_factor(self._energies(self._scale * paper_phasors(positions)))
+        return np.asarray(1 - self._factors)
+
+    def _after_iteration(self, swarm: Swarm) -> bool:
+        self._best.append(1 - swarm.result.fbest)
+        best, drive = np.array(self._best), swarm.result.xbest
+        self.snapshot = SwarmSnapshot(
+            phasors=paper_phasors(swarm.positions),
+            factors=self._factors,
+            best=np.where(np.isfinite(best), best, np.nan),
+            best_phasors=None if drive is None else paper_phasors(drive[None])[0],
+            iterations=swarm.settings.iterations,
+            running=True,
+        )
+        return self.ended.wait(self._seconds)
