@@ -8,8 +8,8 @@ import pytest
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.bounds import AllowedDrives, allowed_drives, bound_energy, bound_localization
 from warp_plate.problem.make_problem import make_problem
-from warp_plate.problem.objectives import PLATE, TARGET
 from warp_plate.problem.semidefinite import least_majorant
+from warp_plate.quantities.region_quantities import PLATE, TARGET
 from warp_plate.solve.response import Response
 
 INFINITE, SEARCHED = math.inf, math.nan
@@ -165,8 +165,8 @@ def test_no_position_has_less_loss_and_every_drive_is_allowed(scene, random, sea
     if search == SEARCHES["displacement"]:
         assert losses.min() <= 0.8 * bound.value
     if search == SEARCHES["velocity, rest"]:  # so much energy there lets LF / (1 − LF) times as much into the target
-        rest, factor = objectives.masses[1] * 2e-4**2 / 2, problem.response.bound()
-        speed = math.sqrt(2 * rest * factor / (1 - factor) / objectives.masses[0])
+        rest, factor = objectives.sizes.masses[1] * 2e-4**2 / 2, problem.response.bound()
+        speed = math.sqrt(2 * rest * factor / (1 - factor) / objectives.sizes.masses[0])
         assert bound.value == pytest.approx(-speed, rel=1e-3)
     limits = allowed_drives(problem.parametrization)
     turned = phasors * np.exp(1j * np.where(np.isnan(limits.phase), -np.angle(phasors), limits.phase))

@@ -10,6 +10,7 @@ from warp_plate.plate.discretization import discretize
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import localization_factor, patches, region_weights
 from warp_plate.problem.objectives import MOST_CELLS, Objectives, make_objectives
+from warp_plate.quantities.region_quantities import RegionSizes
 from warp_plate.reference.numpy_plate import run_plate
 from warp_plate.scene.search import Objective
 
@@ -31,7 +32,7 @@ def scene_with(scene, *kinds, target=DISC, **others):
 
 def unit_objectives(*terms):
     """Return objectives of unit areas and masses and of four cells of a quarter."""
-    return Objectives(terms, dict.fromkeys("0123"), np.ones(2), np.ones(2), np.full(4, 0.25))
+    return Objectives(terms, dict.fromkeys("0123"), RegionSizes(np.ones(2), np.ones(2), np.full(4, 0.25)))
 
 
 def test_values_are_those_of_recorded_displacements(scene):
@@ -115,7 +116,7 @@ def test_a_rigid_motion_has_its_velocity_where_mass_varies(scene):
     values = objectives.values(0.5 * (mass * region_weights(made)).sum(axis=(1, 2))[None] * 0.3**2)
     assert values["velocity"] == pytest.approx(0.3, rel=1e-12)
     assert values["velocity of the rest"] == pytest.approx(0.3, rel=1e-12)
-    assert objectives.masses.sum() == pytest.approx((mass * region_weights(made)[0]).sum(), rel=1e-12)
+    assert objectives.sizes.masses.sum() == pytest.approx((mass * region_weights(made)[0]).sum(), rel=1e-12)
 
 
 def test_objectives_that_a_scene_cannot_have_are_refused(scene):
@@ -135,7 +136,7 @@ def test_uniformity_of_cells(scene):
         made = scene_with(scene, "uniformity", target=target)
         objectives = objectives_of(made)
         np.testing.assert_allclose(sum(objectives.regions.values()), region_weights(made)[1], rtol=0, atol=1e-9)
-        assert objectives.cells.sum() == pytest.approx(objectives.areas[0], rel=1e-9)
+        assert objectives.sizes.cells.sum() == pytest.approx(objectives.sizes.areas[0], rel=1e-9)
         assert 2 <= len(objectives.regions) <= MOST_CELLS**2
     corner = scene_with(scene, "uniformity", target={"area": (0.0, 0.1, 0.0, 0.06)})
     assert len(objectives_of(corner).regions) == 4 * 2

@@ -86,7 +86,7 @@ def check_arrays(scene):
         scheme = make_scheme(scene)
         objectives = make_objectives(discretize(scene))
         fields = [patches(scene), region_weights(scene, {target.name: target for target in scene.targets[1:]})]
-        fields += [objectives.areas, objectives.masses, objectives.cells]
+        fields += [objectives.sizes.areas, objectives.sizes.masses, objectives.sizes.cells]
         if scheme.steps <= LONGEST_RUN:
             signals = make_signals(scene, scheme.time_step, scheme.steps)
             fields += [signals.wave, signals.mixing]

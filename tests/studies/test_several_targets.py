@@ -14,7 +14,7 @@ from warp_plate import PlateSolver, Scene, load_result, localize, resume
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.problem import make_problem
 from warp_plate.result.model import save_result
-from warp_plate.result.targets import best_drive_scenes, crosstalk, decibels, target_cases, target_regions
+from warp_plate.result.targets import best_drive_scenes, crosstalk, relative_to_own, target_cases, target_regions
 from warp_plate.studies.simulate import simulate
 
 TARGETS = (
@@ -69,7 +69,7 @@ def test_crosstalk_is_the_share_of_each_target_under_each_drive(found):
     np.testing.assert_allclose(shares, run.energy[:, 2:] / run.energy[:, :1], rtol=1e-4)
     for row, case in enumerate(target_cases(scene).values()):
         assert shares[row, row] == found.cases[case].localization_factor
-    np.testing.assert_allclose(decibels(shares), 10 * np.log10(shares / np.diag(shares)[:, None]), atol=1e-12)
+    np.testing.assert_allclose(relative_to_own(shares), 10 * np.log10(shares / np.diag(shares)[:, None]), atol=1e-12)
 
 
 @pytest.mark.parametrize(("kind", "measured"), [("uniformity", 3), ("displacement", 2)])

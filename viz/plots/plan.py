@@ -211,7 +211,7 @@ def draw_crosstalk(result: Result, path: str | Path, colours: ColourOptions = DE
 
 
 def _draw_table(axes: Axes, names: list[str], shares: np.ndarray) -> None:
-    levels = decibels(shares)
+    levels = relative_to_own(shares)
     axes.imshow(np.nan_to_num(shares), cmap="Greens", vmin=0, vmax=1, aspect="auto")
     for (row, column), share in np.ndenumerate(shares):
         text = f"{100 * share:.1f} %" if math.isfinite(share) else "not\nsearched"

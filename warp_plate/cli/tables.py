@@ -111,7 +111,7 @@ def print_objectives(result: Result, console: Console) -> None:
     """Print a row for each objective with a column for each target's drive or case; nothing if the localization
     factor is the only objective."""
     from warp_plate.problem.objectives import keeps_limit
-    from warp_plate.scene.search import OBJECTIVE_UNITS
+    from warp_plate.quantities.region_quantities import REGION_QUANTITIES
 
     if result.only_localization or not result.objective_values:
         return
@@ -122,7 +122,7 @@ def print_objectives(result: Result, console: Console) -> None:
     others = {name.replace("_", "\n"): by_case[name] for name in COMPARED_CASES if name in by_case}
     rows: list[tuple[str, str, str, float | None]] = []  # key, label, weight, limit
     for objective in result.scene.search.objectives:
-        kind, unit = objective.kind, OBJECTIVE_UNITS[objective.kind].removeprefix("1")
+        kind, unit = objective.kind, REGION_QUANTITIES[objective.kind].unit.removeprefix("1")
         rows.append((kind, f"{kind} ({unit})" if unit else kind, f"{objective.weight:g}", None))
         if objective.rest_limit is not None:
             rows.append((f"{kind} of the rest", f"{kind} of the rest ({unit})", "", objective.rest_limit))
@@ -149,10 +149,10 @@ def print_objectives(result: Result, console: Console) -> None:
 
 def crosstalk_table(result: Result) -> Table:
     """Return the crosstalk table: a row for each drive, a column for each target."""
-    from warp_plate.result.targets import crosstalk, decibels, target_cases
+    from warp_plate.result.targets import crosstalk, relative_to_own, target_cases
 
     names, shares = list(target_cases(result.scene)), crosstalk(result)
-    relative = decibels(shares)
+    relative = relative_to_own(shares)
 
     def cell(row: int, column: int) -> str:
         if math.isnan(shares[row, column]):
@@ -170,7 +170,7 @@ def crosstalk_table(result: Result) -> Table:
 def crosstalk_json(result: Result) -> dict[str, object] | None:
     """Return shares of the plate's kinetic energy, also in decibels relative to each drive's own target; None for a
     single target."""
-    from warp_plate.result.targets import crosstalk, decibels, target_cases
+    from warp_plate.result.targets import crosstalk, relative_to_own, target_cases
 
     cases = target_cases(result.scene)
     if not cases:
@@ -181,7 +181,7 @@ def crosstalk_json(result: Result) -> dict[str, object] | None:
         "targets": list(cases),
         "cases": list(cases.values()),
         "share": shares,
-        "decibels": decibels(shares),
+        "decibels": relative_to_own(shares),
         "objectives": [search.objective_values or None for search in searches],
         "drives": {
             name: drive_json(result.cases[name], result.scene) for name in cases.values() if name in result.cases

@@ -26,9 +26,10 @@ import numpy as np
 from warp_plate.optimize.quadratic import quadratic_forms
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.design_variables import has_design_tables, only_ratios
-from warp_plate.problem.objectives import MOST_DECIBELS, PLATE, TARGET, Objectives
+from warp_plate.problem.objectives import Objectives
 from warp_plate.problem.parametrization import Parametrization
 from warp_plate.problem.semidefinite import ROUNDING, least_majorant
+from warp_plate.quantities.region_quantities import PLATE, REGION_QUANTITIES, TARGET
 from warp_plate.scene.search import Objective
 from warp_plate.solve.response import Response, largest_ratio
 
@@ -157,7 +158,7 @@ def bound_loss(
     allowed, terms = allowed_drives(parametrization), objectives.terms
     forms = {"velocity": response, "displacement": displacement}
     rests = [
-        (form.matrices[PLATE] - form.matrices[TARGET], objectives.masses[1] * term.rest_limit**2 / 2)
+        (form.matrices[PLATE] - form.matrices[TARGET], objectives.sizes.masses[1] * term.rest_limit**2 / 2)
         for term in terms
         if term.rest_limit is not None and (form := forms[term.kind]) is not None
     ]
@@ -184,20 +185,20 @@ def _bound_value(
     rests: Sequence[tuple[np.ndarray, float]],
 ) -> Bound | None:
     """Return the bound of an objective's value, in its own unit."""
-    if term.kind == "uniformity":
-        return Bound(1.0, "bound only", "a uniformity is at most 1 by its definition")
-    if term.kind in ("localization", "contrast"):
-        bound = bound_localization(response, allowed)
-        if bound is None or term.kind == "localization":
-            return bound
-        target, rest = objectives.areas
-        ratio = bound.value / (1 - bound.value) * rest / target if bound.value < 1 else math.inf
-        decibels = min(10 * math.log10(ratio), MOST_DECIBELS) if ratio > 0 else -MOST_DECIBELS
-        return Bound(decibels, bound.kind, f"contrast grows with the localization factor, and of that {bound.sentence}")
-    bound = None if form is None else bound_energy(form.matrices[TARGET], allowed, rests)
+    quantity, sentence = REGION_QUANTITIES[term.kind], ""
+    if quantity.grows_with is None:
+        return Bound(1.0, "bound only", f"a {term.kind} is at most 1 by its definition")
+    if quantity.grows_with == "localization":
+        bound, plate = bound_localization(response, allowed), 1.0
+        if term.kind != "localization":
+            sentence = f"{term.kind} grows with the localization factor, and of that "
+    else:
+        bound, plate = None if form is None else bound_energy(form.matrices[TARGET], allowed, rests), math.nan
     if bound is None:
         return None
-    return replace(bound, value=math.sqrt(2 * max(bound.value, 0.0) / objectives.masses[0]))
+    energy = np.full((1, 2), plate)
+    energy[:, TARGET] = bound.value
+    return Bound(float(quantity.evaluate(energy, objectives.sizes)[0]), bound.kind, sentence + bound.sentence)
 
 
 def allowed_drives(parametrization: Parametrization) -> AllowedDrives:

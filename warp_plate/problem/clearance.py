@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from warp_plate.plate.designs import Designs
-from warp_plate.problem.objectives import MOST_DECIBELS
+from warp_plate.quantities.region_quantities import MOST_DECIBELS
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 

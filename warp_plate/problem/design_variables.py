@@ -13,14 +13,13 @@ import numpy as np
 from warp_plate.plate.designs import per_plate_of
 from warp_plate.plate.scheme import MOST_STEPS, STEPS_A_PERIOD, make_scheme
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
+from warp_plate.quantities.region_quantities import REGION_QUANTITIES
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import FreeDelay, FreeFrequency, FreeMagnitude, FreePhase, FreePosition, Search
 
 # The tables that name design variables; without any the search is the source paper's.
 TABLES = ("magnitude", "phase", "frequency", "position", "delay")
-# Objectives that a common factor of the drive does not change, where displacements are linear in it.
-RATIOS = ("localization", "contrast", "uniformity")
 # The range in which the source paper draws its first positions.
 PAPER_RANGE = (-2.0, 2.0)
 
@@ -55,7 +54,7 @@ def with_paper_search(scene: Scene) -> Scene:
 
 def only_ratios(scene: Scene) -> bool:
     """Return whether a factor that all actuators have in common changes no objective."""
-    return scene.linear and all(objective.kind in RATIOS for objective in scene.search.objectives)
+    return scene.linear and all(REGION_QUANTITIES[objective.kind].is_ratio for objective in scene.search.objectives)
 
 
 def magnitude_unit(scene: Scene) -> float:
@@ -140,7 +139,7 @@ def _paper_variables(scene: Scene) -> Iterator[DesignVariable]:
     search = scene.search
     bounded = search.limits.magnitude or search.limits.power
     for index, objective in enumerate(search.objectives):
-        if objective.kind not in RATIOS and objective.rest_limit is None and not bounded:
+        if not REGION_QUANTITIES[objective.kind].is_ratio and objective.rest_limit is None and not bounded:
             raise SceneError(
                 f"search.objectives[{index}].kind = {objective.kind!r}: grows with the magnitudes without end; write "
                 "[search.magnitude], search.limits, or a rest_limit"

@@ -13,8 +13,8 @@ from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.plate.signals import actuator_frequencies
 from warp_plate.plate.weights import localization_factor, region_weights
 from warp_plate.problem.design_variables import magnitude_unit
-from warp_plate.problem.objectives import LEAST_REST, PLATE, TARGET, decibels
 from warp_plate.problem.problem import Energies, Problem
+from warp_plate.quantities.region_quantities import LEAST_REST, PLATE, REGION_QUANTITIES, TARGET, RegionSizes
 from warp_plate.result.model import Case, RegionMotion
 from warp_plate.result.targets import target_regions
 from warp_plate.scene.errors import SceneError
@@ -101,24 +101,28 @@ def cases_from_run(phasors: dict[str, np.ndarray], run: Run, scene: Scene, peaks
 
 def region_motions(scene: Scene, run: Run, peaks: np.ndarray) -> list[RegionMotion]:
     """Return the motion of target and rest of each plate of a run."""
-    areas, masses, energy = (
+    areas, masses = (
         np.stack([values[..., TARGET], values[..., PLATE] - values[..., TARGET]], axis=-1)
-        for values in (region_weights(scene).sum(axis=(1, 2)), run.masses, run.energy)
+        for values in (region_weights(scene).sum(axis=(1, 2)), run.masses)
     )
     exists = areas > LEAST_REST * areas.sum()
-    tone = scene.linear and scene.nonharmonic_key is None
-    omega = 2 * math.pi * actuator_frequencies(scene)[0]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        velocity = np.where(exists, np.sqrt(2 * np.maximum(energy, 0) / masses), np.nan)
-    contrast = decibels(np.where(exists, energy / areas, np.nan))
+    sizes = RegionSizes(*(np.where(exists, values, np.nan) for values in (areas, masses)))
+    velocity, contrast = REGION_QUANTITIES["velocity"], REGION_QUANTITIES["contrast"]
+    assert velocity.of_rest is not None
+    velocities = velocity.evaluate(run.energy, sizes).tolist(), velocity.of_rest(run.energy, sizes).tolist()
+    omega = (
+        2 * math.pi * float(actuator_frequencies(scene)[0]) if scene.linear and scene.nonharmonic_key is None else None
+    )
     return [
         RegionMotion(
-            velocity=(float(v[0]), float(v[1])),
-            displacement=(float(u[0]), float(u[1])),
-            acceleration=(float(omega * v[0]), float(omega * v[1])) if tone else None,
+            velocity=(target, rest),
+            displacement=(float(peak[0]), float(peak[1])),
+            acceleration=None if omega is None else (omega * target, omega * rest),
             contrast=float(level),
         )
-        for v, u, level in zip(velocity, np.where(exists, peaks, np.nan), contrast, strict=True)
+        for target, rest, peak, level in zip(
+            *velocities, np.where(exists, peaks, np.nan), contrast.evaluate(run.energy, sizes), strict=True
+        )
     ]
 
 

@@ -1,21 +1,13 @@
-"""The objectives of a search: from the energies of the plate's regions to values, and to the loss that is minimised.
+"""The objectives of a search: from energies of regions to values, and to the loss that is minimised.
 
-With E, A and M a region's energy [J], area [m²] and mass [kg], t the target and r the rest of the plate:
-
-    localization   E_t / (E_t + E_r)
-    contrast       10 log10 (E_t/A_t) / (E_r/A_r)  [dB], within ± MOST_DECIBELS
-    velocity       √(2 E_t / M_t)  [m/s], the root of the mean square over the region's mass and the window
-    displacement   √(2 U_t / M_t)  [m], the same of U = ½ ∫ ρH u² dA, averaged over the window
-    uniformity     (Σ E_i)² / (Σ A_i · Σ E_i²/A_i), over cells i of the target; 1 where all E_i/A_i are the same
-
-The loss is −Σ weight · value; for a single localization with weight 1 it is 1 − LF, as in the source paper. Beyond a
-``rest_limit`` it is the largest loss that any drive within all limits can have, plus the sum of the relative excesses:
-such a drive is worse than any that keeps the limits, the more so the farther it is beyond.
+Values are those of :mod:`warp_plate.quantities.region_quantities`. The loss is −Σ weight · value; for a single
+localization with weight 1 it is 1 − LF, as in the source paper. Beyond a ``rest_limit`` it is the largest loss that any
+drive within all limits can have, plus the sum of the relative excesses: such a drive is worse than any that keeps the
+limits, the more so the farther it is beyond.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise, product
@@ -24,21 +16,17 @@ import numpy as np
 
 from warp_plate.plate.discretization import Discretization
 from warp_plate.plate.shapes import bounds, shape_weights
-from warp_plate.plate.weights import REGIONS, Region, localization_factor
+from warp_plate.plate.weights import Region, localization_factor
+from warp_plate.quantities.region_quantities import LEAST_REST, MOST_DECIBELS, REGION_QUANTITIES, RegionSizes
 from warp_plate.result.targets import target_regions
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.search import Objective
 
-# A contrast beyond these is rounding.
-MOST_DECIBELS = 120.0
 # Largest number of cells of the target along each axis, for its uniformity, and least nodes of a cell along it.
 MOST_CELLS, CELL_NODES = 6, 2
-# Smallest rest of the plate, as a part of its area.
-LEAST_REST = 1e-9
 # Part of a limit that rounding in float32 may pass.
 ROUNDING = 1e-5
 OF_THE_REST = " of the rest"
-PLATE, TARGET = REGIONS.index("plate"), REGIONS.index("target")
 
 
 @dataclass(frozen=True)
@@ -49,21 +37,17 @@ class Objectives:
         terms: the scene's objectives.
         regions: regions that a solver must sum beside the plate and the target, by name: the cells of the target, as
             weights (ny, nx), then all targets of a scene with several.
-        areas: (2,) areas of target and rest [m²].
-        masses: (2,) masses of target and rest [kg].
-        cells: (cells,) areas of the target's cells [m²].
+        sizes: areas and masses of target and rest, and areas of the target's cells.
     """
 
     terms: tuple[Objective, ...]
     regions: Mapping[str, Region]
-    areas: np.ndarray
-    masses: np.ndarray
-    cells: np.ndarray
+    sizes: RegionSizes
 
     @property
     def needs_displacement(self) -> bool:
         """True if :meth:`losses` needs energies of displacements too."""
-        return any(term.kind == "displacement" for term in self.terms)
+        return any(REGION_QUANTITIES[term.kind].squares == "displacement" for term in self.terms)
 
     @property
     def limits(self) -> dict[str, float]:
@@ -90,25 +74,19 @@ class Objectives:
         return np.where(excess > 0, worst + excess, -values["sum"])
 
     def values(self, energy: np.ndarray, displacement_energy: np.ndarray | None = None) -> dict[str, np.ndarray]:
-        """Return values (plates,) by the objectives' kinds, in OBJECTIVE_UNITS, and their weighted "sum".
+        """Return values (plates,) by the objectives' kinds and their weighted "sum".
 
         Velocity and displacement come with those "of the rest". The arguments are those of :meth:`losses`.
         """
         values: dict[str, np.ndarray] = {}
         for term in self.terms:
-            if term.kind == "localization":
-                values[term.kind] = localization_factor(energy)
-            elif term.kind == "contrast":
-                values[term.kind] = decibels(_target_and_rest(energy) / self.areas)
-            elif term.kind == "uniformity":
-                values[term.kind] = _uniformity(energy[:, len(REGIONS) : len(REGIONS) + self.cells.size], self.cells)
-            else:
-                forms = energy if term.kind == "velocity" else displacement_energy
-                if forms is None:
-                    raise ValueError("an objective of displacement needs energies of displacement")
-                with np.errstate(invalid="ignore", divide="ignore"):  # a target that is all of the plate has no rest
-                    target, rest = np.sqrt(2 * np.maximum(_target_and_rest(forms), 0) / self.masses).T
-                values |= {term.kind: target, term.kind + OF_THE_REST: rest}
+            quantity = REGION_QUANTITIES[term.kind]
+            squares = energy if quantity.squares == "velocity" else displacement_energy
+            if squares is None:
+                raise ValueError(f"an objective of {term.kind} needs energies of displacement")
+            values[term.kind] = quantity.evaluate(squares, self.sizes)
+            if quantity.of_rest is not None:
+                values[term.kind + OF_THE_REST] = quantity.of_rest(squares, self.sizes)
         return {**values, "sum": np.asarray(sum(term.weight * values[term.kind] for term in self.terms))}
 
 
@@ -123,7 +101,7 @@ def loss_scale(objectives: Iterable[Objective]) -> float:
     Localization, contrast and uniformity are of order one, and their sum with others may change sign. The scale of a
     velocity or a displacement depends on its unit, so its own size is used.
     """
-    return float(sum(term.weight for term in objectives if term.kind not in ("velocity", "displacement")))
+    return float(sum(term.weight for term in objectives if REGION_QUANTITIES[term.kind].is_ratio))
 
 
 def make_objectives(discretization: Discretization) -> Objectives:
@@ -148,7 +126,7 @@ def make_objectives(discretization: Discretization) -> Objectives:
         if term.kind == "uniformity":
             cells = _target_cells(discretization)
     cell_areas = np.array([cell * field.sum() for field in cells.values()])
-    return Objectives(terms, {**cells, **target_regions(scene)}, areas, masses, cell_areas)
+    return Objectives(terms, {**cells, **target_regions(scene)}, RegionSizes(areas, masses, cell_areas))
 
 
 def _target_cells(discretization: Discretization) -> dict[str, np.ndarray]:
@@ -172,23 +150,3 @@ def _target_cells(discretization: Discretization) -> dict[str, np.ndarray]:
             "search.objectives with kind = 'uniformity'; enlarge it, or use more nodes"
         )
     return cells
-
-
-def _target_and_rest(energy: np.ndarray) -> np.ndarray:
-    """Return energies (plates, 2) of target and rest."""
-    return np.stack([energy[:, TARGET], energy[:, PLATE] - energy[:, TARGET]], axis=1)
-
-
-def decibels(densities: np.ndarray) -> np.ndarray:
-    """Return the level (plates,) of the first of (plates, 2) over the second; negative ones, by rounding, are zero."""
-    target, rest = np.maximum(densities, 0).T
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = 10 * (np.log10(target) - np.log10(rest))
-    return np.clip(np.where((target == 0) & (rest == 0), math.nan, ratio), -MOST_DECIBELS, MOST_DECIBELS)
-
-
-def _uniformity(energy: np.ndarray, areas: np.ndarray) -> np.ndarray:
-    """Return uniformities (plates,) of energies (plates, cells) in cells of these areas; NaN for a plate at rest."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        share = energy / np.abs(energy).max(axis=1, keepdims=True)  # squares of small energies would be lost
-        return np.asarray(share.sum(axis=1) ** 2 / (areas.sum() * (share**2 / areas).sum(axis=1)))

@@ -27,11 +27,12 @@ from warp_plate.plate.designs import Designs
 from warp_plate.problem.bounds import Bound, bound_loss
 from warp_plate.problem.clearance import Clearance
 from warp_plate.problem.design_variables import has_design_tables
-from warp_plate.problem.objectives import PLATE, TARGET, Objectives, keeps_limit
+from warp_plate.problem.objectives import Objectives, keeps_limit
 from warp_plate.problem.parametrization import Parametrization
 from warp_plate.problem.projection import best_drives, has_free_drives
 from warp_plate.problem.scenario_losses import ScenarioLosses, apply_measure
 from warp_plate.problem.slopes import ModalSlopes
+from warp_plate.quantities.region_quantities import PLATE, TARGET
 from warp_plate.result.model import BoundKind
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Limits, Robust

@@ -17,6 +17,7 @@ from warp_plate.plate.designs import Designs
 from warp_plate.problem.bounds import AllowedDrives, allowed_drives
 from warp_plate.problem.objectives import Objectives
 from warp_plate.problem.parametrization import Parametrization
+from warp_plate.quantities.region_quantities import REGION_QUANTITIES
 from warp_plate.solve.response import largest_ratio
 
 
@@ -25,8 +26,9 @@ def has_free_drives(parametrization: Parametrization, objectives: Objectives) ->
     are free up to a common factor."""
     if not parametrization.scene.linear or parametrization.only_drives:
         return False
-    # Both objectives grow with the localization factor, and so does their sum.
-    ratio = all(term.kind in ("localization", "contrast") for term in objectives.terms) and not objectives.limits
+    # Where all objectives grow with the localization factor, so does their sum.
+    grows = all(REGION_QUANTITIES[term.kind].grows_with == "localization" for term in objectives.terms)
+    ratio = grows and not objectives.limits
     return ratio and allowed_drives(parametrization).free
 
 

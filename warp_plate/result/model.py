@@ -16,13 +16,14 @@ import h5py
 import numpy as np
 
 from warp_plate.plate.scene_overrides import scene_with
+from warp_plate.quantities.region_quantities import REGION_QUANTITIES
 from warp_plate.result import hdf5
 from warp_plate.result.extras import import_xarray
 from warp_plate.result.robust import RobustComparison
 from warp_plate.result.targets import crosstalk
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.scene.search import OBJECTIVE_UNITS, Objective
+from warp_plate.scene.search import Objective
 
 if TYPE_CHECKING:
     import xarray
@@ -108,7 +109,8 @@ def _objective(path: str) -> hdf5.Dataset:
     case, _, name = path.rpartition("/")
     meaning = {"sum": "sum of the objectives with their weights", "bound": "upper bound of that sum"}
     of_case = f", of the drive {case}" if case else ""
-    return hdf5.Dataset(OBJECTIVE_UNITS.get(name.split()[0], "1"), meaning.get(name, name) + of_case)
+    quantity = REGION_QUANTITIES.get(name.split()[0])
+    return hdf5.Dataset("1" if quantity is None else quantity.unit, meaning.get(name, name) + of_case)
 
 
 OBJECTIVES = hdf5.Datasets(_objective)

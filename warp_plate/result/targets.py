@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_plate.plate.shapes import read_mask
+from warp_plate.quantities.region_quantities import decibels
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.target import NamedTarget, Target
@@ -54,10 +55,9 @@ def crosstalk(result: Result) -> np.ndarray:
     return np.array(rows).reshape(len(rows), len(regions))
 
 
-def decibels(shares: np.ndarray) -> np.ndarray:
+def relative_to_own(shares: np.ndarray) -> np.ndarray:
     """Return (drives, targets) fractions relative to each drive's own target [dB]; −∞ where nothing moves."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(10 * (np.log10(np.maximum(shares, 0)) - np.log10(np.diag(shares)[:, None])))
+    return decibels(shares, np.diag(shares)[:, None])
 
 
 def outlines(scene: Scene) -> list[np.ndarray]:

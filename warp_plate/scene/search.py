@@ -70,9 +70,6 @@ class FreeDelay(_Range):
     own: Flag = False  # true for a separate value for each actuator
 
 
-OBJECTIVE_UNITS = {"localization": "1", "contrast": "dB", "velocity": "m/s", "displacement": "m", "uniformity": "1"}
-
-
 class Objective(Table):
     """A term of the weighted sum that is maximised.
 

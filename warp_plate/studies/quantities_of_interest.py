@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from warp_plate.problem.evaluate_cases import reference_phasors
 from warp_plate.problem.make_problem import make_problem
 from warp_plate.problem.methods import with_method
 from warp_plate.problem.problem import Problem
+from warp_plate.quantities.region_quantities import REGION_QUANTITIES
 from warp_plate.result.sweep import SweepOutput
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -146,21 +148,26 @@ def _numerical_quantities(scene: Scene, settings: Settings) -> Values:
     }
 
 
+def _output(name: str, case: str = "", axis: Literal["frequency"] | None = None) -> SweepOutput:
+    quantity = REGION_QUANTITIES[name]
+    return SweepOutput(quantity.unit, f"{quantity.meaning}, {case}" if case else quantity.meaning, axis)
+
+
 QUANTITIES: Mapping[str, Quantities] = {
     "localize": Quantities(
         {
-            "best": SweepOutput("1", "localization factor, best drive"),
-            "bound": SweepOutput("1", "localization factor, bound"),
-            "single": SweepOutput("1", "localization factor, best single actuator"),
-            "equal": SweepOutput("1", "localization factor, equal drive"),
+            "best": _output("localization", "best drive"),
+            "bound": _output("localization", "bound"),
+            "single": _output("localization", "best single actuator"),
+            "equal": _output("localization", "equal drive"),
         },
         _localization_quantities,
     ),
     "simulate": Quantities(
         {
-            "localization_factor": SweepOutput("1", "localization factor"),
-            "energy_plate": SweepOutput("J", "kinetic energy of the plate"),
-            "energy_target": SweepOutput("J", "kinetic energy of the target"),
+            "localization_factor": _output("localization"),
+            "energy_plate": _output("energy_plate"),
+            "energy_target": _output("energy_target"),
             "peak_displacement": SweepOutput("m", "largest displacement"),
         },
         _simulation_quantities,
@@ -168,9 +175,9 @@ QUANTITIES: Mapping[str, Quantities] = {
     "modes": Quantities({"frequency": SweepOutput("Hz", "natural frequency", "mode")}, _modal_quantities, (MODAL,)),
     "frf": Quantities(
         {
-            "mean_square_velocity": SweepOutput("m^2/s^2", "mean square velocity", "frequency"),
-            "localization_factor": SweepOutput("1", "localization factor, drive", "frequency"),
-            "bound": SweepOutput("1", "localization factor, bound", "frequency"),
+            "mean_square_velocity": _output("mean_square_velocity", axis="frequency"),
+            "localization_factor": _output("localization", "drive", "frequency"),
+            "bound": _output("localization", "bound", "frequency"),
         },
         _response_quantities,
         (MODAL,),

@@ -80,7 +80,7 @@ def _next_problem(problem: Problem, index: int, start: Checkpoint) -> Problem:
     """Return the problem of another target. All targets are regions of every solver, so that Gram matrices hold for
     all, unless an objective needs further regions."""
     scene, matrices = problem.scene.aimed_at(index), None
-    if problem.matrices is not None and not problem.objectives.cells.size:
+    if problem.matrices is not None and not problem.objectives.sizes.cells.size:
         regions = problem.drive_solver.regions
         matrices = problem.matrices.reshape(-1, len(regions), *problem.matrices.shape[1:]).copy()
         matrices[:, REGIONS.index("target")] = matrices[:, regions.index(list(target_regions(scene))[index])]

@@ -1,0 +1,139 @@
+"""Quantities of the motion of the plate's regions: one list for objectives, limits, bounds, cases, sweeps and tables.
+
+All follow from energies of regions, which are quadratic forms of the drives in a linear scene. With E, A and M a
+region's energy [J], area [m²] and mass [kg], t the target and r the rest of the plate:
+
+    localization   E_t / (E_t + E_r)
+    contrast       10 log10 (E_t/A_t) / (E_r/A_r)  [dB], within ± MOST_DECIBELS
+    velocity       √(2 E_t / M_t)  [m/s], the root of the mean square over the region's mass and the window
+    displacement   √(2 U_t / M_t)  [m], the same of U = ½ ∫ ρH u² dA, averaged over the window
+    uniformity     (Σ E_i)² / (Σ A_i · Σ E_i²/A_i), over cells i of the target; 1 where all E_i/A_i are the same
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from warp_plate.plate.weights import REGIONS, localization_factor
+
+# A contrast beyond these is rounding.
+MOST_DECIBELS = 120.0
+# Smallest rest of the plate, as a part of its area.
+LEAST_REST = 1e-9
+PLATE, TARGET = REGIONS.index("plate"), REGIONS.index("target")
+
+
+@dataclass(frozen=True)
+class RegionSizes:
+    """Sizes to which quantities refer energies.
+
+    Attributes:
+        areas: (2,) areas of target and rest [m²].
+        masses: (2,) masses of target and rest [kg].
+        cells: (cells,) areas of the target's cells [m²].
+    """
+
+    areas: np.ndarray
+    masses: np.ndarray
+    cells: np.ndarray = field(default_factory=lambda: np.empty(0))
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A quantity of a plate's motion.
+
+    Attributes:
+        name: its name in scenes and results.
+        unit: its unit.
+        meaning: its name for people.
+        evaluate: function from energies (plates, regions) of plate, target and the target's cells, and sizes, to values
+            (plates,).
+        squares: motion whose mean squares the energies are.
+        grows_with: what bounds it: the localization factor, the energy of the target, or neither.
+        of_rest: function like ``evaluate`` for the rest of the plate; None if the rest has no such quantity.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    evaluate: Callable[[np.ndarray, RegionSizes], np.ndarray]
+    squares: Literal["velocity", "displacement"] = "velocity"
+    grows_with: Literal["localization", "energy"] | None = "localization"
+    of_rest: Callable[[np.ndarray, RegionSizes], np.ndarray] | None = None
+
+    @property
+    def is_ratio(self) -> bool:
+        """True if a common factor of all drives does not change it in a linear scene."""
+        return self.grows_with != "energy"
+
+
+def energy_of_plate(energy: np.ndarray, sizes: RegionSizes) -> np.ndarray:
+    """Return the energy (plates,) of the plate."""
+    return energy[:, PLATE]
+
+
+def energy_of_target(energy: np.ndarray, sizes: RegionSizes) -> np.ndarray:
+    """Return the energy (plates,) of the target."""
+    return energy[:, TARGET]
+
+
+def mean_square(energy: np.ndarray, sizes: RegionSizes) -> np.ndarray:
+    """Return the mean square (plates,) of the velocity or displacement over the mass of the plate."""
+    return np.asarray(2 * energy[:, PLATE] / sizes.masses.sum())
+
+
+def contrast(energy: np.ndarray, sizes: RegionSizes) -> np.ndarray:
+    """Return the level (plates,) of the target's energy density over that of the rest [dB]; NaN for a plate at rest."""
+    target, rest = (_target_and_rest(energy) / sizes.areas).T
+    return np.clip(decibels(target, rest), -MOST_DECIBELS, MOST_DECIBELS)
+
+
+def rms_of_target(energy: np.ndarray, sizes: RegionSizes) -> np.ndarray:
+    """Return the root mean square (plates,) of the velocity or displacement of the target."""
+    return _root_mean_squares(energy, sizes)[:, 0]
+
+
+def rms_of_rest(energy: np.ndarray, sizes: RegionSizes) -> np.ndarray:
+    """Return the root mean square (plates,) of the velocity or displacement of the rest of the plate."""
+    return _root_mean_squares(energy, sizes)[:, 1]
+
+
+def uniformity(energy: np.ndarray, sizes: RegionSizes) -> np.ndarray:
+    """Return how evenly (plates,) the target's cells move, at most 1; NaN for a plate at rest."""
+    cells = energy[:, len(REGIONS) : len(REGIONS) + sizes.cells.size]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = cells / np.abs(cells).max(axis=1, keepdims=True)  # squares of small energies would be lost
+        return np.asarray(share.sum(axis=1) ** 2 / (sizes.cells.sum() * (share**2 / sizes.cells).sum(axis=1)))
+
+
+def decibels(energy: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Return the level of energies over others [dB]; negative ones, by rounding, are zero."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(10 * (np.log10(np.maximum(energy, 0)) - np.log10(np.maximum(reference, 0))))
+
+
+def _target_and_rest(energy: np.ndarray) -> np.ndarray:
+    """Return energies (plates, 2) of target and rest."""
+    return np.stack([energy[:, TARGET], energy[:, PLATE] - energy[:, TARGET]], axis=1)
+
+
+def _root_mean_squares(energy: np.ndarray, sizes: RegionSizes) -> np.ndarray:
+    with np.errstate(invalid="ignore", divide="ignore"):  # a target that is all of the plate has no rest
+        return np.asarray(np.sqrt(2 * np.maximum(_target_and_rest(energy), 0) / sizes.masses))
+
+
+_LIST = (
+    Quantity("localization", "1", "localization factor", lambda energy, _: localization_factor(energy)),
+    Quantity("contrast", "dB", "contrast of target and rest", contrast),
+    Quantity("velocity", "m/s", "velocity of the target", rms_of_target, "velocity", "energy", rms_of_rest),
+    Quantity("displacement", "m", "displacement of the target", rms_of_target, "displacement", "energy", rms_of_rest),
+    Quantity("uniformity", "1", "uniformity of the target", uniformity, grows_with=None),
+    Quantity("energy_plate", "J", "kinetic energy of the plate", energy_of_plate, grows_with="energy"),
+    Quantity("energy_target", "J", "kinetic energy of the target", energy_of_target, grows_with="energy"),
+    Quantity("mean_square_velocity", "m^2/s^2", "mean square velocity", mean_square, grows_with="energy"),
+)
+REGION_QUANTITIES = {quantity.name: quantity for quantity in _LIST}
