@@ -22,9 +22,8 @@ import warp as wp
 
 from warp_plate import Scene, SceneError
 from warp_plate.accuracy.machine import busy, describe_machine, describe_versions
-from warp_plate.problem.make_problem import make_problem
 from warp_plate.problem.methods import make_optimizer
-from warp_plate.problem.problem import Problem
+from warp_plate.problem.problem import Problem, make_problem
 
 PLATES = (20, 1024, 16384, 131072)
 GENERATIONS, FIRST = 9, 2

@@ -28,9 +28,8 @@ from warp_plate.cluster.evaluator import block_size
 from warp_plate.cluster.opening import open_pool
 from warp_plate.cluster.pool import WorkerPool
 from warp_plate.cluster.scheduler import Task, run_tasks
-from warp_plate.problem.make_problem import make_problem
 from warp_plate.problem.methods import make_optimizer
-from warp_plate.problem.problem import Problem
+from warp_plate.problem.problem import Problem, make_problem
 
 PLATES, GENERATIONS = 4096, 9
 # Generations of a turn that count.

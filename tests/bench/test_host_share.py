@@ -3,7 +3,7 @@
 import host_share
 
 from warp_plate.optimize.optimizer import minimize
-from warp_plate.problem.make_problem import make_problem
+from warp_plate.problem.problem import make_problem
 from warp_plate.studies.driver import search_optimizer
 
 

@@ -11,11 +11,10 @@ import scipy.linalg
 from conftest import scene_of
 
 from warp_plate import SceneError
-from warp_plate.optimize.optimizer import minimize, tolerance_scale
-from warp_plate.optimize.space import SearchSpace
-from warp_plate.problem.make_problem import make_problem
+from warp_plate.optimize.optimizer import SearchSpace, minimize, tolerance_scale
 from warp_plate.problem.methods import READ_BY, make_optimizer, unread_keys
 from warp_plate.problem.objectives import loss_scale
+from warp_plate.problem.problem import make_problem
 from warp_plate.quantities.region_quantities import PLATE, TARGET
 from warp_plate.result.hdf5 import SearchState
 from warp_plate.scene.search import Objective, Search

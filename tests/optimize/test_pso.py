@@ -6,9 +6,8 @@ import cma
 import numpy as np
 import pytest
 
-from warp_plate.optimize.optimizer import minimize
+from warp_plate.optimize.optimizer import SearchSpace, minimize
 from warp_plate.optimize.pso import Swarm, SwarmSettings
-from warp_plate.optimize.space import SearchSpace
 from warp_plate.problem.methods import swarm_settings
 from warp_plate.scene.search import Search
 

@@ -9,8 +9,8 @@ import pytest
 
 from warp_plate import Scene, load_result, localize
 from warp_plate.problem.evaluate_cases import evaluate_cases, reference_phasors
-from warp_plate.problem.make_problem import make_problem
 from warp_plate.problem.objectives import keeps_limit
+from warp_plate.problem.problem import make_problem
 from warp_plate.result.checkpoint import load_checkpoint
 from warp_plate.result.model import save_result
 from warp_plate.studies.checkpointing import CheckpointFile
@@ -82,7 +82,7 @@ def test_the_command_shows_those_of_all_cases(scene, localize_command):
         assert any(row[-len(known) :] == pytest.approx(known, rel=1e-3) for row in rows if len(row) >= len(known))
     problem = make_problem(panel, "cpu")
     phasors = np.array([result.cases[name].phasors for name in CASES])
-    evaluators = (problem.drive_evaluator, problem.displacement_evaluator)
+    evaluators = (problem.plates.drives, problem.plates.displacements)
     values = problem.objectives.values(*(evaluator.run(phasors).energy for evaluator in evaluators))
     for kind, value in values.items():
         assert [result.objective_values_by_case[name][kind] for name in CASES] == pytest.approx(value.tolist())

@@ -6,8 +6,8 @@ from conftest import scene_of
 
 from warp_plate import PlateSolver, SceneError
 from warp_plate.plate.weights import localization_factor
-from warp_plate.problem.make_problem import make_problem
 from warp_plate.problem.parametrization import paper_phasors
+from warp_plate.problem.problem import make_problem
 from warp_plate.solve.response import measure_response
 
 SMALL = {"nodes": (9, 9), "window": (0.004, 0.006)}
@@ -26,22 +26,22 @@ def test_losses_are_those_of_the_papers_reading_to_the_last_bit(problem):
     asked = positions(problem)
     energy = PlateSolver(problem.scene, "cpu").run(paper_phasors(asked)).energy
     assert np.array_equal(problem.losses(asked), 1 - localization_factor(energy))
-    assert problem.design_evaluator is problem.drive_evaluator
+    assert problem.plates.designs is problem.plates.drives
 
 
 def test_the_bound_and_the_matrices_are_those_of_float64(problem):
     """Matrices that are known are not measured again."""
     response = measure_response(PlateSolver(scene_of(**SMALL), "cpu"))
-    np.testing.assert_array_equal(problem.matrices, response.matrices)
+    np.testing.assert_array_equal(problem.plates.matrices, response.matrices)
     assert problem.bound == response.bound()
     asked = positions(problem)
     losses = problem.losses(asked)
     assert problem.bound >= (1 - losses).max() - 1e-6
-    known = make_problem(problem.scene, "cpu", evaluator="response", matrices=problem.matrices)
+    known = make_problem(problem.scene, "cpu", evaluator="response", matrices=problem.plates.matrices)
     assert np.allclose(known.losses(asked), losses, atol=1e-5)
     assert known.node_steps == 0
     with pytest.raises(SceneError, match=r"^matrices: of 1 regions; must be 2"):
-        make_problem(problem.scene, "cpu", matrices=problem.matrices[:1])
+        make_problem(problem.scene, "cpu", matrices=problem.plates.matrices[:1])
 
 
 def test_plates_have_the_places_of_their_positions():
@@ -72,9 +72,9 @@ def test_node_steps_and_seconds_are_those_of_all_solvers():
     places = make_problem(scene_of(**SMALL, search={"position": {}}), "cpu", evaluator="direct")
     assert places.node_steps == 0
     places.losses(positions(places).clip(places.space.lower, places.space.upper))
-    places.energies_of_phasors(np.ones((2, 3)))
+    places.plates.energies_of_phasors(np.ones((2, 3)))
     assert places.node_steps == 8 * plate
-    assert 0 < places.drive_evaluator.compile_seconds < places.compile_seconds
+    assert 0 < places.plates.drives.compile_seconds < places.compile_seconds
 
 
 def test_the_response_is_refused_where_it_does_not_hold():

@@ -9,7 +9,7 @@ from conftest import areas_of, scene_of
 
 from warp_plate import SceneError, localize
 from warp_plate.modal.solver import ModalSolver
-from warp_plate.problem.make_problem import make_problem
+from warp_plate.problem.problem import make_problem
 
 DRIVES = {"magnitude": {"range": [0.0, 2.0]}, "phase": {}}
 FREQUENCY = {"frequency": {"range": [100.0, 300.0]}}

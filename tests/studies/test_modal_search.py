@@ -9,8 +9,8 @@ from warp_plate.modal.energy import gram_matrices
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.optimize.quadratic import real_parts
 from warp_plate.plate.designs import Designs, PerPlate
-from warp_plate.problem.make_problem import make_problem
 from warp_plate.problem.methods import with_method
+from warp_plate.problem.problem import make_problem
 from warp_plate.solve.solver import PlateSolver
 
 FREE_DRIVES = {"magnitude": {"range": (0.0, 2.0)}, "phase": {}}

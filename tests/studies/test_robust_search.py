@@ -9,7 +9,7 @@ from conftest import output_of, scene_of
 from test_resume import assert_same, stopped
 
 from warp_plate.optimize.quadratic import best_position
-from warp_plate.problem.make_problem import make_problem
+from warp_plate.problem.problem import make_problem
 from warp_plate.problem.scenario_losses import apply_measure
 from warp_plate.result.model import load_result, save_result
 from warp_plate.scene.errors import SceneError

@@ -12,7 +12,7 @@ from test_resume import assert_same, stopped
 
 from warp_plate import PlateSolver, Scene, load_result, localize, resume
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.problem import make_problem
+from warp_plate.problem import plates
 from warp_plate.result.model import save_result
 from warp_plate.result.targets import best_drive_scenes, crosstalk, relative_to_own, target_cases, target_regions
 from warp_plate.studies.simulate import simulate
@@ -75,8 +75,8 @@ def test_crosstalk_is_the_share_of_each_target_under_each_drive(found):
 @pytest.mark.parametrize(("kind", "measured"), [("uniformity", 3), ("displacement", 2)])
 def test_gram_matrices_are_measured_once(kind, measured, monkeypatch):
     """Once more for displacements; for each target if an objective has further regions."""
-    measure, calls = make_problem.measure_response, []
-    monkeypatch.setattr(make_problem, "measure_response", lambda *given: calls.append(1) or measure(*given))
+    measure, calls = plates.measure_response, []
+    monkeypatch.setattr(plates, "measure_response", lambda *given: calls.append(1) or measure(*given))
     limits = {"magnitude": 2.0} if kind == "displacement" else {}
     scene = panel(search={**SEARCH, "objectives": [{"kind": kind}], "limits": limits}, nodes=(17, 17))
     several = localize(scene, source="mine", device="cpu", evaluator="response", estimate=False)

@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.optimize.optimizer import MethodError, Optimizer, SearchSettings, as_shape, tolerance_scale
-from warp_plate.optimize.space import SearchSpace
+from warp_plate.optimize.optimizer import MethodError, Optimizer, SearchSettings, SearchSpace, as_shape, tolerance_scale
 
 # Standard deviation of the first cloud, in initial ranges.
 INITIAL_SIZE = 0.3

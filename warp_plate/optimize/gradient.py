@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.optimize.optimizer import MethodError, Optimizer, SearchSettings
-from warp_plate.optimize.space import SearchSpace
+from warp_plate.optimize.optimizer import MethodError, Optimizer, SearchSettings, SearchSpace
 
 # The loss must fall by this fraction of the predicted decrease; otherwise the step is shortened by a factor in between.
 SUFFICIENT_DECREASE, SHORTEST, LONGEST = 1e-4, 0.1, 0.5
@@ -84,14 +83,14 @@ class GradientSearch(Optimizer):
         slope = slope * self.space.span
         good = np.isfinite(loss) & np.isfinite(slope).all(axis=1)
         loss, slope = np.where(good, loss, np.inf), np.where(good[:, None], slope, 0.0)
-        rows, moved = self._active, self._points - self.base[self._active]
+        rows, steps = self._active, self._points - self.base[self._active]
         first = np.isinf(self.loss[rows])
         with np.errstate(invalid="ignore"):
-            falls = loss <= self.loss[rows] + SUFFICIENT_DECREASE * (self.slope[rows] * moved).sum(axis=1)
+            falls = loss <= self.loss[rows] + SUFFICIENT_DECREASE * (self.slope[rows] * steps).sum(axis=1)
         taken = np.where(first, good, falls & good)
-        known, failed = taken & ~first, ~taken & ~first
-        self._update_inverse(rows[known], moved[known], slope[known])
-        self._shorten(rows[failed], loss[failed], moved[failed])
+        later, failed = taken & ~first, ~taken & ~first
+        self._update_inverse(rows[later], steps[later], slope[later])
+        self._shorten(rows[failed], loss[failed], steps[failed])
         self.base[rows[taken]], self.loss[rows[taken]] = self._points[taken], loss[taken]
         self.slope[rows[taken]], self.tries[rows[taken]] = slope[taken], 0
         self._set_direction(rows[taken])
@@ -103,19 +102,25 @@ class GradientSearch(Optimizer):
         self.loss[rows], self.direction[rows], self.step[rows], self.tries[rows] = np.inf, 0.0, 1.0, 0
         self.inverse[rows] = 0.0
 
-    def _update_inverse(self, rows: np.ndarray, moved: np.ndarray, slope: np.ndarray) -> None:
+    def _update_inverse(self, rows: np.ndarray, steps: np.ndarray, slope: np.ndarray) -> None:
         """Apply the BFGS formula: the inverse Hessian from how the slope changed along the step."""
         change = slope - self.slope[rows]
-        curved, length = (moved * change).sum(axis=1), (change * change).sum(axis=1)
-        kept = curved > 1e-12 * np.sqrt(length * (moved * moved).sum(axis=1))
-        rows, moved, change, curved, length = rows[kept], moved[kept], change[kept], curved[kept], length[kept]
+        curved, length = (steps * change).sum(axis=1), (change * change).sum(axis=1)
+        good = curved > 1e-12 * np.sqrt(length * (steps * steps).sum(axis=1))
+        rows, steps, change, curved, length = (
+            rows[good],
+            steps[good],
+            change[good],
+            curved[good],
+            length[good],
+        )
         inverse = self.inverse[rows]
         unknown = ~inverse.any(axis=(1, 2))
         inverse[unknown] = np.eye(self.space.dimension) * (curved / length)[unknown, None, None]
         product = np.einsum("pij,pj->pi", inverse, change)
         factor = (1 + (change * product).sum(axis=1) / curved) / curved
-        mixed = moved[:, :, None] * product[:, None, :]
-        inverse += factor[:, None, None] * moved[:, :, None] * moved[:, None, :]
+        mixed = steps[:, :, None] * product[:, None, :]
+        inverse += factor[:, None, None] * steps[:, :, None] * steps[:, None, :]
         self.inverse[rows] = inverse - (mixed + mixed.transpose(0, 2, 1)) / curved[:, None, None]
 
     def _set_direction(self, rows: np.ndarray) -> None:
@@ -133,18 +138,18 @@ class GradientSearch(Optimizer):
         sizes = np.maximum(np.abs(self.loss[rows]), CONVERGED * self.settings.loss_scale)
         self._restart(rows[~(promised > CONVERGED * sizes)])
 
-    def _shorten(self, rows: np.ndarray, loss: np.ndarray, moved: np.ndarray) -> None:
+    def _shorten(self, rows: np.ndarray, loss: np.ndarray, steps: np.ndarray) -> None:
         """Shorten steps with too small a decrease of the loss, by parabolic interpolation."""
-        promised = (self.slope[rows] * moved).sum(axis=1)
+        promised = (self.slope[rows] * steps).sum(axis=1)
         with np.errstate(invalid="ignore", divide="ignore"):
             factor = -promised / (2 * (loss - self.loss[rows] - promised))
         self.step[rows] *= np.clip(np.nan_to_num(factor, nan=SHORTEST), SHORTEST, LONGEST)
         self.tries[rows] += 1
         tired = rows[self.tries[rows] >= MOST_TRIES]
-        known = self.inverse[tired].any(axis=(1, 2))
-        self._restart(tired[~known])
+        informed = self.inverse[tired].any(axis=(1, 2))
+        self._restart(tired[~informed])
         # The inverse Hessian misleads: once more along the slope.
-        again = tired[known]
+        again = tired[informed]
         self.inverse[again], self.tries[again] = 0.0, 0
         self._set_direction(again)
 

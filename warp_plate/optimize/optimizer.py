@@ -1,4 +1,4 @@
-"""Base class of all search methods: ask for positions, tell their losses, stop, result, history and state.
+"""Search spaces, and the base of all search methods: ask for positions, tell their losses, stop, history and state.
 
 Methods minimise. Their names are those of pycma's ``CMAEvolutionStrategy``, so that :func:`minimize` runs either.
 """
@@ -10,12 +10,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
-
-from warp_plate.optimize.space import SearchSpace
 
 # Numbers of evaluations that are exact as floats.
 MOST_EVALUATIONS = 2**53
@@ -28,6 +27,64 @@ STALL_TOLERANCE = 1e-6
 
 class MethodError(ValueError):
     """A method does not fit its problem, or needs a library that is not installed."""
+
+
+@dataclass(frozen=True)
+class SearchSpace:
+    """The components of a position, without their meaning.
+
+    Attributes:
+        names: (dimension,) names for people, such as "phase of upper left".
+        lower: (dimension,) lower limits; −∞ where there is none.
+        upper: (dimension,) upper limits; ∞ where there is none.
+        initial_lower: (dimension,) lower ends of the ranges in which a search begins.
+        initial_upper: (dimension,) upper ends of these ranges.
+        period: (dimension,) periods of numbers that wrap, which have no limits; ∞ for all others.
+    """
+
+    names: tuple[str, ...]
+    lower: np.ndarray
+    upper: np.ndarray
+    initial_lower: np.ndarray
+    initial_upper: np.ndarray
+    period: np.ndarray
+
+    @property
+    def dimension(self) -> int:
+        """Number of components of a position."""
+        return len(self.names)
+
+    @cached_property
+    def span(self) -> np.ndarray:
+        """(dimension,) lengths of the initial ranges; 1 for a range of no length."""
+        return np.where(self.initial_upper > self.initial_lower, self.initial_upper - self.initial_lower, 1.0)
+
+    def wrap(self, positions: np.ndarray) -> None:
+        """Shift the numbers that wrap into one period from the lower ends of their ranges on, in place."""
+        self._shift(positions, np.floor, self.initial_lower)
+
+    def shorten(self, differences: np.ndarray) -> None:
+        """Shift differences of positions to the shorter way round where numbers wrap, in place."""
+        self._shift(differences, np.rint, np.zeros(self.dimension))
+
+    def _shift(self, values: np.ndarray, rounding: np.ufunc, lowest: np.ndarray) -> None:
+        for column in np.flatnonzero(np.isfinite(self.period)):
+            periods = values[:, column] - lowest[column]
+            periods /= self.period[column]
+            rounding(periods, out=periods)
+            periods *= self.period[column]
+            values[:, column] -= periods
+
+    def from_unit(self, points: np.ndarray, wrap: bool = True) -> np.ndarray:
+        """Return the positions (n, dimension) of points that are 0 and 1 at the ends of the initial ranges."""
+        positions = self.initial_lower + self.span * points
+        if wrap:
+            self.wrap(positions)
+        return np.asarray(np.clip(positions, self.lower, self.upper))
+
+    def to_unit(self, positions: np.ndarray) -> np.ndarray:
+        """Return the points (n, dimension) of positions: 0 and 1 at the ends of the initial ranges."""
+        return (positions - self.initial_lower) / self.span
 
 
 @dataclass(frozen=True)
@@ -191,8 +248,8 @@ class Optimizer(ABC):
                 setattr(self, name, as_shape(state, name, value.shape, may_be_nan=name == "best_position"))
             else:
                 setattr(self, name, self._as_number(name, type(value)(state[name])))
-        found = self.best_position if math.isfinite(self.best_loss) else 0.0
-        for name, positions in {"positions": self.positions, "best_position": found}.items():
+        reached = self.best_position if math.isfinite(self.best_loss) else 0.0
+        for name, positions in {"positions": self.positions, "best_position": reached}.items():
             if not (np.abs(positions) < FARTHEST).all():
                 raise ValueError(f"search state: {name}: must be numbers below {FARTHEST:g}")
 

@@ -27,8 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.optimize.optimizer import STALL_TOLERANCE, Optimizer, SearchSettings, tolerance_scale
-from warp_plate.optimize.space import SearchSpace
+from warp_plate.optimize.optimizer import STALL_TOLERANCE, Optimizer, SearchSettings, SearchSpace, tolerance_scale
 from warp_plate.row_blocks import over_blocks
 
 # Largest velocity, so that the positions of a swarm that flies apart stay finite.
@@ -156,12 +155,12 @@ class Swarm(Optimizer):
             velocities *= inertia
             terms = ((settings.cognitive, personal, 0), (settings.social, leaders, personal.size))
             for factor, goals, drawn in terms:
-                way = goals[rows] - before[rows]
-                space.shorten(way)
-                draws = self._numbers_after(drawn + rows.start * space.dimension, way.shape)
+                difference = goals[rows] - before[rows]
+                space.shorten(difference)
+                draws = self._numbers_after(drawn + rows.start * space.dimension, difference.shape)
                 draws *= factor
-                way *= draws
-                velocities += way
+                difference *= draws
+                velocities += difference
             self._limit(velocities)
             np.add(before[rows], velocities, out=positions)
             for column in np.flatnonzero(np.isfinite(space.lower) | np.isfinite(space.upper)):

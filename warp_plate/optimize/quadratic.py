@@ -20,8 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warp_plate.optimize.optimizer import MethodError, Optimizer, SearchSettings
-from warp_plate.optimize.space import SearchSpace
+from warp_plate.optimize.optimizer import MethodError, Optimizer, SearchSettings, SearchSpace
 
 # The step of central differences, as a part of a number's own size: errors of h² and of rounding / h meet.
 STEP = 6e-6
@@ -168,10 +167,10 @@ def _eigen_phasors(
     _, strength, spanned = np.linalg.svd(z * size, full_matrices=False)
     spanned = spanned[strength > RANK_TOLERANCE * strength[0]] / size
     values, vectors = np.linalg.eigh(spanned @ denominator @ spanned.T)
-    kept = values > RANK_TOLERANCE * values[-1]
+    independent = values > RANK_TOLERANCE * values[-1]
     if not values[-1] > 0:
         raise MethodError("no drive moves the plate")
-    basis = spanned.T @ (vectors[:, kept] / np.sqrt(values[kept]))
+    basis = spanned.T @ (vectors[:, independent] / np.sqrt(values[independent]))
     ratios, directions = np.linalg.eigh(basis.T @ numerator @ basis)
     real, imaginary = np.split(basis @ directions[:, -1], 2)
     return float(ratios[-1]), real - 1j * imaginary

@@ -25,7 +25,7 @@ import numpy as np
 
 from warp_plate.optimize.quadratic import quadratic_forms
 from warp_plate.plate.weights import localization_factor
-from warp_plate.problem.design_variables import has_design_tables, only_ratios
+from warp_plate.problem.drives import AllowedDrives, allowed_drives
 from warp_plate.problem.objectives import Objectives
 from warp_plate.problem.parametrization import Parametrization
 from warp_plate.problem.semidefinite import ROUNDING, least_majorant
@@ -52,40 +52,6 @@ class Bound:
     value: float  # in the unit of the bounded quantity
     kind: Literal["attained", "bound only"]
     sentence: str  # reason, for people
-
-
-@dataclass(frozen=True)
-class AllowedDrives:
-    """A set of drives; magnitudes are in the unit of drives."""
-
-    lower: np.ndarray  # (actuators,) least magnitudes; −∞ where a magnitude may be of any sign
-    upper: np.ndarray  # (actuators,) largest magnitudes; ``lower`` where they are fixed
-    phase: np.ndarray  # (actuators,) fixed phases [rad]; NaN where a phase is searched
-    power: float = math.inf  # largest Σ magnitude²
-    equal: bool = False  # all magnitudes are the same
-    wider: bool = False  # the set contains drives that are not allowed, one of which may attain the bound
-
-    @property
-    def limits_ratios(self) -> bool:
-        """True if not every drive has a multiple that is allowed, so that limits say something about a ratio."""
-        return self.equal or bool((self.lower > 0).any())
-
-    @property
-    def free(self) -> bool:
-        """True if every drive, up to a common phase, has a multiple that is allowed."""
-        sizes = (self.lower <= 0).all() and (self.upper > 0).all() and not self.equal
-        return bool(sizes and np.isnan(self.phase[1:]).all())
-
-    def basis(self) -> np.ndarray:
-        """Return (2M, parameters): z = basis @ parameters are the drives of the fixed phases.
-
-        An actuator has two parameters where its phase is searched, one where it is fixed, none where it must be off.
-        """
-        columns = []
-        for unit, phase, most in zip(np.eye(len(self.phase)), self.phase, self.upper, strict=True):
-            turns = [(1.0, 0.0), (0.0, 1.0)] if math.isnan(phase) else [(math.cos(phase), math.sin(phase))]
-            columns += [np.kron(turn, unit) for turn in turns if most > 0]
-        return np.array(columns).T.reshape(2 * len(self.phase), -1)
 
 
 def bound_localization(
@@ -201,34 +167,6 @@ def _bound_value(
     return Bound(float(quantity.evaluate(energy, objectives.sizes)[0]), bound.kind, sentence + bound.sentence)
 
 
-def allowed_drives(parametrization: Parametrization) -> AllowedDrives:
-    """Return a set of drives that holds all those of the search's positions."""
-    scene, unit = parametrization.scene, parametrization.unit
-    tables, limits, equal = has_design_tables(scene), scene.search.limits, False
-    fixed = np.array([actuator.magnitude if tables else unit for actuator in scene.actuators])
-    phase = np.array([actuator.phase if tables else 0.0 for actuator in scene.actuators])
-    lower, upper = np.abs(fixed), np.abs(fixed)
-    for variable in parametrization.variables:
-        group = list(variable.actuators)
-        if variable.kind == "magnitude":
-            lower[group], upper[group], fixed[group] = unit * variable.lower, unit * variable.upper, 0.0
-            equal |= len(group) == len(fixed) > 1
-        elif variable.kind == "phase":
-            phase[group] = np.nan
-    phase = np.where(fixed < 0, phase + math.pi, phase)
-    if only_ratios(scene):  # a drive that is too large is scaled down, and has the same ratios
-        free = (lower == -math.inf) & (upper == math.inf)
-        if free.sum() == len(free) - 1:  # a single fixed magnitude sets the size of the drive
-            lower, upper = np.full_like(lower, -math.inf), np.full_like(upper, math.inf)
-        return AllowedDrives(lower, upper, phase, equal=equal)
-    if limits.magnitude is not None:
-        lower, upper = np.minimum(lower, limits.magnitude), np.minimum(upper, limits.magnitude)
-    if limits.power is None:
-        return AllowedDrives(lower, upper, phase, equal=equal)
-    # A drive that is scaled down to the power may end below the range.
-    return AllowedDrives(np.minimum(lower, 0.0), upper, phase, limits.power, equal, wider=bool((lower > 0).any()))
-
-
 # A limit zᵀ matrix z + entry · τ² ≤ (or =) constant, with τ one more number beside z: matrix, entry, constant, and
 # whether it is an equation. Of an energy τ² = 1; in a ratio, which does not depend on the drive's size, τ is arbitrary.
 _Limit = tuple[np.ndarray, float, float, bool]
@@ -268,8 +206,8 @@ def _majorant(
     wide, padded = np.pad(scaled, (0, lifted)), np.array([np.pad(form, (0, lifted)) for form in (objective, *matrices)])
     if lifted:  # τ in a unit in which it is about as large as the rest
         norms = np.abs(scaled.T @ matrices @ scaled).max(axis=(1, 2))
-        known = (entries != 0) & (norms != 0)
-        wide[-1, -1] = 1 / math.sqrt(np.max(np.abs(entries[known]) / norms[known])) if known.any() else 1.0
+        nonzero = (entries != 0) & (norms != 0)
+        wide[-1, -1] = 1 / math.sqrt(np.max(np.abs(entries[nonzero]) / norms[nonzero])) if nonzero.any() else 1.0
         padded[1:, -1, -1] = entries
     reduced = wide.T @ padded @ wide
     least, slack = least_majorant(reduced[0], reduced[1:], constants, equations)
@@ -304,10 +242,10 @@ def _within_limits(sizes: np.ndarray, allowed: AllowedDrives) -> np.ndarray:
     power = (sizes**2).sum(axis=1, keepdims=True)
     sizes = sizes * np.sqrt(np.minimum(1.0, allowed.power / np.where(power > 0, power, 1.0)))
     low, high = lower - 1e-12 * np.abs(lower), allowed.upper + 1e-12 * np.abs(allowed.upper)
-    kept = ((sizes >= low) & (sizes <= high)).all(axis=1)
+    within = ((sizes >= low) & (sizes <= high)).all(axis=1)
     if allowed.equal:
-        kept &= np.ptp(np.abs(sizes), axis=1) <= 1e-12 * np.abs(sizes).max(axis=1)
-    return sizes[kept]
+        within &= np.ptp(np.abs(sizes), axis=1) <= 1e-12 * np.abs(sizes).max(axis=1)
+    return sizes[within]
 
 
 def _bound(value: float, reached: float, reason: str) -> Bound:

@@ -1,12 +1,17 @@
-"""The design variables that a scene's ``[search]`` names, their limits, and whether they fit the scene."""
+"""Design variables: the numbers that a search chooses, made from the tables of a scene's ``[search]``.
+
+A class for each kind makes its variables, refuses tables that do not fit the scene, writes numbers to designs, and
+takes the slope of the loss by its number from those by the values of designs.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
-from typing import Any, Literal
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -18,26 +23,175 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import FreeDelay, FreeFrequency, FreeMagnitude, FreePhase, FreePosition, Search
 
-# The tables that name design variables; without any the search is the source paper's.
-TABLES = ("magnitude", "phase", "frequency", "position", "delay")
 # The range in which the source paper draws its first positions.
 PAPER_RANGE = (-2.0, 2.0)
 
-Kind = Literal["magnitude", "phase", "frequency", "x", "y", "delay"]
+
+@dataclass(frozen=True)
+class LossSlopes:
+    """Slopes of the losses of n designs."""
+
+    by_value: Mapping[str, np.ndarray]  # (n, actuators) by the values of designs, by kind of variable
+    by_drive: Callable[[DesignVariable], np.ndarray]  # (n,) by a magnitude or phase, with the limits of all drives
 
 
 @dataclass(frozen=True)
-class DesignVariable:
+class DesignVariable(ABC):
     """A number of a position."""
 
+    is_drive: ClassVar[bool] = False  # True if energies are quadratic forms whatever its value is
+
+    kind: str
     name: str  # for people
-    kind: Kind
     actuators: tuple[int, ...]  # indices of the actuators that have it in common
-    fixed: float  # the scene's own value
+    fixed: float  # value in the scene
     initial: tuple[float, float]  # range in which a search begins
     lower: float = -math.inf
     upper: float = math.inf
     period: float = math.inf  # of a number that wraps; ∞ for all others
+
+    @classmethod
+    def of_group(
+        cls, scene: Scene, kind: str, group: tuple[int, ...], fixed: float, initial: tuple[float, float], **ends: float
+    ) -> Self:
+        """Return a variable named like "phase of upper left", or just "frequency" where all actuators share it."""
+        names = ", ".join(scene.actuators[actuator].name for actuator in group)
+        name = kind if len(group) == len(scene.actuators) > 1 else f"{kind} of {names}"
+        return cls(kind, name, group, float(fixed), initial, **ends)
+
+    @classmethod
+    def ranged(
+        cls, scene: Scene, kind: str, separate: bool, fixed: Sequence[float] | np.ndarray, ends: tuple[float, float]
+    ) -> list[Self]:
+        """Return a variable for each actuator that the table names, or one for all, that begins within its limits."""
+        named, (low, high) = _named_actuators(scene, kind), ends
+        groups = [(actuator,) for actuator in named] if separate else [named]
+        return [cls.of_group(scene, kind, group, fixed[group[0]], ends, lower=low, upper=high) for group in groups]
+
+    @classmethod
+    @abstractmethod
+    def of_table(cls, scene: Scene, table: Any) -> Iterable[Self]:
+        """Return the variables of a table; raise SceneError, naming the key, if it does not fit the scene."""
+
+    def apply(self, numbers: np.ndarray, values: Mapping[str, np.ndarray]) -> None:
+        """Write numbers (n,) to the values (actuators, n) of n designs, by kind."""
+        values[self.kind][list(self.actuators)] = numbers
+
+    def derivative(self, slopes: LossSlopes) -> np.ndarray:
+        """Return the slopes (n,) of the loss by this number."""
+        return np.asarray(slopes.by_value[self.kind][:, list(self.actuators)].sum(axis=1))
+
+
+class DriveVariable(DesignVariable):
+    """A magnitude or phase: the loss depends on it by way of the drives."""
+
+    is_drive = True
+
+    def derivative(self, slopes: LossSlopes) -> np.ndarray:
+        """Return the slopes (n,) by way of all drives."""
+        return slopes.by_drive(self)
+
+
+class Magnitude(DriveVariable):
+    """A magnitude, in ``Parametrization.unit``."""
+
+    @classmethod
+    def of_table(cls, scene: Scene, table: FreeMagnitude) -> list[Self]:
+        """Return magnitudes; none where limits make all the same and only ratios count."""
+        equal = scene.search.limits.equal_magnitudes
+        if equal and len(_named_actuators(scene, "magnitude")) < len(scene.actuators):
+            raise SceneError(
+                "search.magnitude.actuators: limits.equal_magnitudes gives all the same; delete one of them"
+            )
+        if equal and only_ratios(scene):
+            return []
+        ends = table.range or (0.0, magnitude_unit(scene))
+        return cls.ranged(scene, "magnitude", not equal, [actuator.magnitude for actuator in scene.actuators], ends)
+
+
+class Phase(DriveVariable):
+    """A phase lag [rad]."""
+
+    @classmethod
+    def of_table(cls, scene: Scene, table: FreePhase) -> Iterator[Self]:
+        """Yield phases: of all that the table names, or of all but the first where a common one changes nothing."""
+        named = _named_actuators(scene, "phase")
+        if len(named) == len(scene.actuators) and not _common_phase_counts(scene):
+            named = named[1:]
+        for actuator in named:
+            fixed, period = scene.actuators[actuator].phase, 2 * math.pi
+            yield cls.of_group(scene, "phase", (actuator,), fixed, (0.0, period), period=period)
+
+    def apply(self, numbers: np.ndarray, values: Mapping[str, np.ndarray]) -> None:
+        """Write phases, wrapped if the search wraps them."""
+        super().apply(numbers if math.isinf(self.period) else np.mod(numbers, self.period), values)
+
+
+class Frequency(DesignVariable):
+    """A frequency [Hz]."""
+
+    @classmethod
+    def of_table(cls, scene: Scene, table: FreeFrequency) -> list[Self]:
+        """Return frequencies, one for all actuators or one for each."""
+        for key in ("signal", "chirp"):
+            if getattr(scene.drive, key) is not None:
+                raise SceneError(f"search.frequency: drive.{key} says which frequencies there are; delete one of them")
+        return cls.ranged(scene, "frequency", table.own, actuator_frequencies(scene), table.range)
+
+
+class Place(DesignVariable):
+    """The x or y of an actuator's centre [m]."""
+
+    @classmethod
+    def of_table(cls, scene: Scene, table: FreePosition) -> Iterator[Self]:
+        """Yield centres of patches that keep the whole patch in the area; along a side without room, a patch stays."""
+        if scene.grid.load == "nodes":
+            raise SceneError(
+                'search.position: grid.load = "nodes" moves an actuator by whole nodes, in jumps; write load = '
+                '"overlap" or "moments"'
+            )
+        width, height = scene.plate.size
+        area = table.area or (0.0, width, 0.0, height)
+        for actuator in _named_actuators(scene, "position"):
+            patch, name = scene.actuators[actuator].area, scene.actuators[actuator].name
+            for axis, side, first in (("x", width, 0), ("y", height, 2)):
+                low, high, start, stop = *patch[first : first + 2], *area[first : first + 2]
+                centre, half = (low + high) / 2, (high - low) / 2
+                lower, upper = start + half, stop - half
+                if stop - start < 2 * half - 1e-9 * side:
+                    raise SceneError(
+                        f"search.position.area = {list(area)}: is {stop - start:.6g} m long along {axis}, actuator "
+                        f"{name!r} {2 * half:.6g} m; make room for all of it"
+                    )
+                if upper - lower > 1e-9 * side:
+                    yield cls.of_group(scene, axis, (actuator,), centre, (lower, upper), lower=lower, upper=upper)
+                elif abs(centre - lower) > 1e-9 * side:
+                    raise SceneError(
+                        f"search.position.area = {list(area)}: is no longer along {axis} than actuator {name!r}, which "
+                        "lies elsewhere; move it there, or enlarge the area"
+                    )
+
+
+class Delay(DesignVariable):
+    """The start of a burst [s]."""
+
+    @classmethod
+    def of_table(cls, scene: Scene, table: FreeDelay) -> list[Self]:
+        """Return starts of bursts, one for all actuators or one for each."""
+        if scene.drive.burst is None:
+            raise SceneError("search.delay: only a burst has a start; write [drive.burst], or delete search.delay")
+        if table.range[1] >= scene.window.end:
+            raise SceneError(
+                f"search.delay.range = {list(table.range)}: reaches past the run, which ends at window.end = "
+                f"{scene.window.end:g} s; end it earlier"
+            )
+        return cls.ranged(scene, "delay", table.own, actuator_delays(scene), table.range)
+
+
+# The tables that name design variables; without any the search is the source paper's.
+TABLES: dict[str, type[DesignVariable]] = {
+    "magnitude": Magnitude, "phase": Phase, "frequency": Frequency, "position": Place, "delay": Delay,
+}  # fmt: skip
 
 
 def has_design_tables(scene: Scene) -> bool:
@@ -74,10 +228,9 @@ def make_design_variables(scene: Scene) -> tuple[DesignVariable, ...]:
     if not has_design_tables(scene):
         return tuple(_paper_variables(scene))
     _check_fixed_magnitudes(scene)
-    makers: tuple[Callable[[Scene, Any], Iterable[DesignVariable]], ...]
-    makers = (_magnitudes, _phases, _frequencies, _positions, _delays)
-    tables = {make: getattr(scene.search, name) for make, name in zip(makers, TABLES, strict=True)}
-    variables = tuple(chain.from_iterable(make(scene, table) for make, table in tables.items() if table is not None))
+    tables = {kind: getattr(scene.search, name) for name, kind in TABLES.items()}
+    of_tables = (kind.of_table(scene, table) for kind, table in tables.items() if table is not None)
+    variables = tuple(chain.from_iterable(of_tables))
     if not variables:
         names = ", ".join(f"[search.{name}]" for name in TABLES)
         raise SceneError(f"search: no variable changes the motion; name more actuators, or write one of {names}")
@@ -146,47 +299,9 @@ def _paper_variables(scene: Scene) -> Iterator[DesignVariable]:
             )
     others = range(1, len(scene.actuators))
     if not search.limits.equal_magnitudes:
-        yield from (_variable(scene, "magnitude", (actuator,), 1.0, PAPER_RANGE) for actuator in others)
+        yield from (Magnitude.of_group(scene, "magnitude", (actuator,), 1.0, PAPER_RANGE) for actuator in others)
     phases = range(len(scene.actuators)) if search.method == "exact" and _common_phase_counts(scene) else others
-    yield from (_variable(scene, "phase", (actuator,), 0.0, PAPER_RANGE) for actuator in phases)
-
-
-def _variable(
-    scene: Scene, kind: Kind, group: tuple[int, ...], fixed: float, initial: tuple[float, float], **limits: float
-) -> DesignVariable:
-    """Return a variable with a name such as "phase of upper left", or just "frequency" where all actuators share it."""
-    names = ", ".join(scene.actuators[actuator].name for actuator in group)
-    name = kind if len(group) == len(scene.actuators) > 1 else f"{kind} of {names}"
-    return DesignVariable(name, kind, group, float(fixed), initial, **limits)
-
-
-def _ranged(
-    scene: Scene, kind: Kind, separate: bool, fixed: Sequence[float] | np.ndarray, ends: tuple[float, float]
-) -> list[DesignVariable]:
-    """Return a variable for each actuator that the table names, or one for all, that begins within its limits."""
-    named = _named_actuators(scene, kind)
-    groups = [(actuator,) for actuator in named] if separate else [named]
-    return [_variable(scene, kind, group, fixed[group[0]], ends, lower=ends[0], upper=ends[1]) for group in groups]
-
-
-def _magnitudes(scene: Scene, table: FreeMagnitude) -> list[DesignVariable]:
-    equal = scene.search.limits.equal_magnitudes
-    if equal and len(_named_actuators(scene, "magnitude")) < len(scene.actuators):
-        raise SceneError("search.magnitude.actuators: limits.equal_magnitudes gives all the same; delete one of them")
-    if equal and only_ratios(scene):  # one magnitude of all changes nothing
-        return []
-    ends = table.range or (0.0, magnitude_unit(scene))
-    return _ranged(scene, "magnitude", not equal, [actuator.magnitude for actuator in scene.actuators], ends)
-
-
-def _phases(scene: Scene, table: FreePhase) -> Iterator[DesignVariable]:
-    """Yield phases: of all that the table names, or of all but the first where a common one changes nothing."""
-    named = _named_actuators(scene, "phase")
-    if len(named) == len(scene.actuators) and not _common_phase_counts(scene):
-        named = named[1:]
-    for actuator in named:
-        fixed, turn = scene.actuators[actuator].phase, 2 * math.pi
-        yield _variable(scene, "phase", (actuator,), fixed, (0.0, turn), period=turn)
+    yield from (Phase.of_group(scene, "phase", (actuator,), 0.0, PAPER_RANGE) for actuator in phases)
 
 
 def _common_phase_counts(scene: Scene) -> bool:
@@ -199,54 +314,6 @@ def _common_phase_counts(scene: Scene) -> bool:
         return True
     search = scene.search
     return not scene.steady and bool(search.method == "exact" or search.frequency or search.position)
-
-
-def _frequencies(scene: Scene, table: FreeFrequency) -> list[DesignVariable]:
-    for key in ("signal", "chirp"):
-        if getattr(scene.drive, key) is not None:
-            raise SceneError(f"search.frequency: drive.{key} says which frequencies there are; delete one of them")
-    return _ranged(scene, "frequency", table.own, actuator_frequencies(scene), table.range)
-
-
-def _positions(scene: Scene, table: FreePosition) -> Iterator[DesignVariable]:
-    """Yield centres of patches that keep the whole patch in the area; along a side without room, a patch stays."""
-    if scene.grid.load == "nodes":
-        raise SceneError(
-            'search.position: grid.load = "nodes" moves an actuator by whole nodes, in jumps; write load = "overlap" '
-            'or "moments"'
-        )
-    width, height = scene.plate.size
-    area = table.area or (0.0, width, 0.0, height)
-    axes: tuple[tuple[Kind, float, int], ...] = (("x", width, 0), ("y", height, 2))
-    for actuator in _named_actuators(scene, "position"):
-        patch, name = scene.actuators[actuator].area, scene.actuators[actuator].name
-        for axis, side, first in axes:
-            low, high, start, stop = *patch[first : first + 2], *area[first : first + 2]
-            centre, half = (low + high) / 2, (high - low) / 2
-            lower, upper = start + half, stop - half
-            if stop - start < 2 * half - 1e-9 * side:
-                raise SceneError(
-                    f"search.position.area = {list(area)}: is {stop - start:.6g} m long along {axis}, actuator "
-                    f"{name!r} {2 * half:.6g} m; make room for all of it"
-                )
-            if upper - lower > 1e-9 * side:
-                yield _variable(scene, axis, (actuator,), centre, (lower, upper), lower=lower, upper=upper)
-            elif abs(centre - lower) > 1e-9 * side:
-                raise SceneError(
-                    f"search.position.area = {list(area)}: is no longer along {axis} than actuator {name!r}, which "
-                    "lies elsewhere; move it there, or enlarge the area"
-                )
-
-
-def _delays(scene: Scene, table: FreeDelay) -> list[DesignVariable]:
-    if scene.drive.burst is None:
-        raise SceneError("search.delay: only a burst has a start; write [drive.burst], or delete search.delay")
-    if table.range[1] >= scene.window.end:
-        raise SceneError(
-            f"search.delay.range = {list(table.range)}: reaches past the run, which ends at window.end = "
-            f"{scene.window.end:g} s; end it earlier"
-        )
-    return _ranged(scene, "delay", table.own, actuator_delays(scene), table.range)
 
 
 def _named_actuators(scene: Scene, table: str) -> tuple[int, ...]:

@@ -11,34 +11,39 @@ their losses can be compared, and a search that goes on from a checkpoint draws 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Literal
 
 import numpy as np
 
 from warp_plate.cluster.evaluator import Evaluator
 from warp_plate.cluster.pool import WorkerPool
-from warp_plate.modal.solver import ModalSolver
+from warp_plate.modal.solver import MODAL, ModalSolver, has_modes, refuse_no_modes
 from warp_plate.optimize.gradient import Slopes
-from warp_plate.optimize.quadratic import Quadratic
-from warp_plate.optimize.space import SearchSpace
+from warp_plate.optimize.optimizer import SearchSpace
+from warp_plate.optimize.quadratic import Quadratic, slopes_by_drive, slopes_by_energy
 from warp_plate.plate.designs import Designs
+from warp_plate.plate.discretization import discretize
+from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.problem.bounds import Bound, bound_loss
-from warp_plate.problem.clearance import Clearance
-from warp_plate.problem.design_variables import has_design_tables
-from warp_plate.problem.objectives import Objectives, keeps_limit
-from warp_plate.problem.parametrization import Parametrization
-from warp_plate.problem.projection import best_drives, has_free_drives
-from warp_plate.problem.scenario_losses import ScenarioLosses, apply_measure
-from warp_plate.problem.slopes import ModalSlopes
+from warp_plate.problem.design_variables import LossSlopes, has_design_tables, with_common_step
+from warp_plate.problem.drives import best_drives, has_free_drives
+from warp_plate.problem.objectives import Objectives, keeps_limit, make_objectives
+from warp_plate.problem.parametrization import Clearance, Parametrization, parametrization_of
+from warp_plate.problem.plates import SearchPlates, make_plates
+from warp_plate.problem.scenario_losses import ScenarioLosses, apply_measure, scenario_responses, simulate_scenarios
+from warp_plate.problem.uncertainty import draw_scenarios
 from warp_plate.quantities.region_quantities import PLATE, TARGET
 from warp_plate.result.model import BoundKind
+from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Limits, Robust
 from warp_plate.solve.response import Response
 from warp_plate.solve.solver import PlateSolver
 
+EvaluatorName = Literal["direct", "response", "modal"]
 # Function from phasors (plates, actuators) to energies (plates, regions) [J].
 Energies = Callable[[np.ndarray], np.ndarray]
 
@@ -50,39 +55,34 @@ class Problem:
     Attributes:
         parametrization: design variables.
         objectives: objectives on the scene's grid.
-        drive_evaluator: plates of the scene that differ in their drives alone.
-        design_evaluator: plates of the search; the same where only drives are searched.
-        displacement_evaluator: plates whose energies are ½ ∫ ρH u² dA [J s²]; None if no objective needs them.
-        response: Gram matrices of ``drive_evaluator``; None if energies are not quadratic forms of the phasors.
-        displacement_response: Gram matrices of ``displacement_evaluator``; None as for ``response``.
+        plates: plates of the search and their Gram matrices.
         evaluator_name: "direct" simulates plates, "response" takes energies from their Gram matrices, "modal" computes
             energies from the modes of the plate.
         path: path of the kernels, as asked for.
-        setup_cost: seconds of compilation and node-steps before the search.
         pool: workers that run batches; None if this process does.
         scenario_losses: losses over the scenarios of a robust search; None for other searches.
         projected: True if each design has its best drive, so that positions hold no magnitudes and phases, see
-            :mod:`projection`.
+            :mod:`drives`.
     """
 
     parametrization: Parametrization
     objectives: Objectives
-    drive_evaluator: Evaluator
-    design_evaluator: Evaluator
-    displacement_evaluator: Evaluator | None
-    response: Response | None
-    displacement_response: Response | None
+    plates: SearchPlates
     evaluator_name: str
     path: str
-    setup_cost: tuple[float, int]
     pool: WorkerPool | None
     scenario_losses: ScenarioLosses | None = None
     projected: bool = False
 
     @property
     def drive_solver(self) -> PlateSolver | ModalSolver:
-        """Solver of ``drive_evaluator``."""
-        return self.drive_evaluator.solver
+        """Solver of plates that differ in their drives alone."""
+        return self.plates.drives.solver
+
+    @property
+    def response(self) -> Response | None:
+        """Gram matrices of velocities; None if energies are not quadratic forms of the phasors."""
+        return self.plates.response
 
     @property
     def scene(self) -> Scene:
@@ -119,41 +119,23 @@ class Problem:
     @property
     def node_steps(self) -> int:
         """Node-steps of all plates so far."""
-        return self.setup_cost[1] + sum(evaluator.node_steps for evaluator in self._evaluators)
+        return sum(cost[1] for cost in self._setup_costs) + sum(one.node_steps for one in self._evaluators)
 
     @property
     def compile_seconds(self) -> float:
         """Seconds of compilation of all solvers."""
-        return self.setup_cost[0] + sum(evaluator.compile_seconds for evaluator in self._evaluators)
+        return sum(cost[0] for cost in self._setup_costs) + sum(one.compile_seconds for one in self._evaluators)
 
     @property
     def lost(self) -> Counter[str]:
         """Number of plates without energies because workers failed, by the reason."""
         return sum((evaluator.lost for evaluator in self._evaluators), Counter())
 
-    @property
-    def matrices(self) -> np.ndarray | None:
-        """(regions, 2M, 2M) Gram matrices of ``response``, then of ``displacement_response``; None without them."""
-        known = [each.matrices for each in (self.response, self.displacement_response) if each is not None]
-        return np.concatenate(known) if known else None
-
-    def energies(self, designs: Designs) -> np.ndarray:
-        """Return the energies (plates, regions) of designs [J]."""
-        if designs.only_drives:
-            return self.energies_of_phasors(designs.drives)
-        return self.design_evaluator.run(designs).energy
-
-    def energies_of_phasors(self, phasors: np.ndarray) -> np.ndarray:
-        """Return the energies (plates, regions) of phasors (plates, actuators) at the scene's frequency and places."""
-        if self.evaluator_name != "direct" and self.response is not None:
-            return self.response.energy(phasors)
-        return self.drive_evaluator.run(phasors).energy
-
     def design_losses(self, designs: Designs) -> np.ndarray:
         """Return the losses (plates,) of designs; NaN where a plate has no energies."""
         if self.scenario_losses is not None:
             return apply_measure(self.scenario_losses.losses(designs), self.robust)
-        return self.objectives.losses(self.energies(designs), self._displacement_energies(designs))
+        return self.objectives.losses(self.plates.energies(designs), self.plates.displacement_energies(designs))
 
     def losses(self, positions: np.ndarray) -> np.ndarray:
         """Return the losses (n,) of positions (n, dimension) of ``space``."""
@@ -191,24 +173,24 @@ class Problem:
         if self.objectives.only_localization:
             return {}
         designs = self.parametrization.designs(position[None])
-        values = self.objectives.values(self.energies(designs), self._displacement_energies(designs))
+        values = self.objectives.values(self.plates.energies(designs), self.plates.displacement_energies(designs))
         numbers = {name: float(value[0]) for name, value in values.items()}
-        kept = all(keeps_limit(numbers[name], limit) for name, limit in self.objectives.limits.items())
+        within = all(keeps_limit(numbers[name], limit) for name, limit in self.objectives.limits.items())
         bound = self._nominal_loss_bound
-        return {**numbers, "bound": -bound.value} if bound is not None and kept else numbers
+        return {**numbers, "bound": -bound.value} if bound is not None and within else numbers
 
     @cached_property
     def quadratic(self) -> Quadratic | None:
         """The problem for methods that need no plates; None if these are simulated, or energies not quadratic."""
         scenario_losses = self.scenario_losses
-        matrices = self.matrices if scenario_losses is None else scenario_losses.matrices
+        matrices = self.plates.matrices if scenario_losses is None else scenario_losses.matrices
         if matrices is None:
             return None
 
         def losses_of(energy: np.ndarray) -> np.ndarray:
             if scenario_losses is not None:
                 return apply_measure(scenario_losses.losses_from_energies(energy), self.robust)
-            return self.objectives.losses(*np.split(energy, 2 if self.displacement_response else 1, axis=1))
+            return self.objectives.losses(*np.split(energy, 2 if self.plates.displacement_response else 1, axis=1))
 
         return Quadratic(
             matrices=matrices,
@@ -221,19 +203,53 @@ class Problem:
     @property
     def slopes(self) -> Slopes | None:
         """Losses and slopes by modes where more than drives is searched; None for other problems."""
-        if self.parametrization.only_drives:
+        if self.parametrization.only_drives or self.scenario_losses is not None:
             return None
-        used = [evaluator.solver for evaluator in (self.design_evaluator, self.displacement_evaluator) if evaluator]
-        solvers = tuple(solver for solver in used if isinstance(solver, ModalSolver))
-        if self.scenario_losses is not None or len(solvers) < len(used):
-            return None
-        return ModalSlopes(
-            searched=self.searched,
-            designs=self.designs,
-            solvers=solvers,
-            losses_of=lambda energy: self.objectives.losses(*np.split(energy, len(solvers), axis=1)),
-            clearance=self.clearance,
-        ).losses_and_slopes
+        evaluators = [self.plates.designs, self.plates.displacements]
+        solvers = [evaluator.solver for evaluator in evaluators if evaluator is not None]
+        modal = [solver for solver in solvers if isinstance(solver, ModalSolver)]
+        return partial(self._losses_and_slopes, modal) if len(modal) == len(solvers) else None
+
+    def _losses_and_slopes(
+        self, solvers: Sequence[ModalSolver], positions: np.ndarray, space: SearchSpace
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the losses (n,) of positions (n, dimension) in a space and their slopes ∂loss/∂x (n, dimension):
+
+            ∂loss/∂x = Σ_r ∂L/∂E_r (∂E_r/∂x + ∂E_r/∂z · ∂z/∂x)
+
+        with E_r and its slopes by :mod:`warp_plate.modal.slopes`, and z(x) and L(E) as in
+        :mod:`warp_plate.optimize.quadratic`. If each position has its best drive, the loss does not change with the
+        drive to first order, so ∂z/∂x is not needed.
+        """
+
+        def losses_of(energy: np.ndarray) -> np.ndarray:
+            return self.objectives.losses(*np.split(energy, len(solvers), axis=1))
+
+        def phasors(points: np.ndarray) -> np.ndarray:
+            return self.searched.designs(points).drives
+
+        def by(name: str) -> np.ndarray:
+            values = np.concatenate([getattr(of_solver, name) for of_solver in slopes_of_energies], axis=1)
+            return np.einsum("nr,nr...->n...", by_energy, values)
+
+        designs, variables = self.designs(positions), self.searched.variables
+        slopes_of_energies = [solver.energy_slopes(designs) for solver in solvers]
+        energy = np.concatenate([of_solver.energy for of_solver in slopes_of_energies], axis=1)
+        losses, by_energy = losses_of(energy), slopes_by_energy(losses_of, energy)
+        by_drive, centre = by("drives"), by("centre")
+        by_value = {"frequency": by("frequency"), "delay": by("delay")}
+        if designs.centre is not None:  # where actuators come too near, only their places count
+            near = self.clearance.shortfall(designs.centre) > 0
+            losses = self.clearance.losses(designs, losses)
+            centre[near] = self.clearance.slopes(designs.centre)[near]
+            for values in (by_drive, *by_value.values()):
+                values[near] = 0.0
+        by_value |= {"x": centre[..., 0], "y": centre[..., 1]}
+        slopes = LossSlopes(
+            by_value,
+            lambda variable: slopes_by_drive(phasors, positions, variables.index(variable), space, by_drive),
+        )
+        return losses, np.stack([variable.derivative(slopes) for variable in variables], axis=1)
 
     @cached_property
     def loss_bound(self) -> Bound | None:
@@ -250,7 +266,9 @@ class Problem:
 
     @cached_property
     def _nominal_loss_bound(self) -> Bound | None:
-        return bound_loss(self.parametrization, self.objectives, self.response, self.displacement_response)
+        return bound_loss(
+            self.parametrization, self.objectives, self.plates.response, self.plates.displacement_response
+        )
 
     @cached_property
     def bound(self) -> float | None:
@@ -275,24 +293,98 @@ class Problem:
         """True if some drives cannot be chosen."""
         return has_design_tables(self.scene) or self.scene.search.limits != Limits()
 
-    def _displacement_energies(self, designs: Designs) -> np.ndarray | None:
-        """Return energies (plates, regions) of displacements, for objectives that need them."""
-        if self.evaluator_name != "direct" and self.displacement_response is not None:
-            return self.displacement_response.energy(designs.drives)
-        return None if self.displacement_evaluator is None else self.displacement_evaluator.run(designs).energy
-
     def _losses(self, designs: Designs) -> np.ndarray:
         if self.projected:
             return self.objectives.losses(self._with_best_drives(designs)[1])
         return self.design_losses(designs)
 
     def _with_best_drives(self, designs: Designs) -> tuple[Designs, np.ndarray]:
-        solver = self.design_evaluator.solver
+        solver = self.plates.designs.solver
         assert isinstance(solver, ModalSolver)
         return best_drives(self.parametrization, designs, solver.gram_matrices(designs))
 
     @property
     def _evaluators(self) -> set[Evaluator]:
-        nominal = (self.drive_evaluator, self.design_evaluator, self.displacement_evaluator)
         scenarios = () if self.scenario_losses is None else self.scenario_losses.evaluators
-        return {evaluator for evaluator in (*nominal, *scenarios) if evaluator is not None}
+        return self.plates.evaluators | set(scenarios)
+
+    @property
+    def _setup_costs(self) -> list[tuple[float, int]]:
+        """Seconds of compilation and node-steps of solvers that served to measure Gram matrices."""
+        return [part.setup_cost for part in (self.plates, self.scenario_losses) if part is not None]
+
+
+def make_problem(
+    scene: Scene,
+    device: str = "auto",
+    path: str = "auto",
+    evaluator: str | None = None,
+    matrices: np.ndarray | None = None,
+    pool: WorkerPool | None = None,
+) -> Problem:
+    """Return the problem of a scene with a grid, robust where it has ``[search.robust]``.
+
+    Args:
+        scene: the scene; device and path are those of :class:`PlateSolver`.
+        evaluator: see ``Problem.evaluator_name`` (default: "modal" where places, frequencies or delays of a linear
+            scene are searched; else "direct", in a robust search "response" if it can be).
+        matrices: ``SearchPlates.matrices`` where they are known (default: they are measured).
+        pool: workers that run batches (default: this process does).
+
+    Raises:
+        SceneError: see ``parametrization_of``, ``with_common_step``, ``make_objectives``, ``draw_scenarios`` and
+            :class:`PlateSolver`; "response" for energies that are not quadratic forms of the phasors.
+    """
+    evaluator = evaluator or default_evaluator(scene, path)
+    if evaluator == MODAL:
+        refuse_no_modes(scene)
+        path = MODAL
+    stepped = path != MODAL
+    parametrization = parametrization_of(with_common_step(scene, stepped))
+    scene, robust, quadratic = parametrization.scene, parametrization.scene.search.robust, parametrization.quadratic
+    if evaluator == "response" and not quadratic:
+        kinds = dict.fromkeys(variable.kind for variable in parametrization.variables if not variable.is_drive)
+        reason = f"no Gram matrix holds where {', '.join(kinds)} is searched"
+        reason = reason if scene.linear else f"{scene.nonlinear_table} is not linear in the drives"
+        raise SceneError(f"evaluator = 'response': {reason}; write 'direct'")
+    name = evaluator or ("response" if robust is not None and quadratic else "direct")
+    grid = discretize(scene, stepped=stepped)
+    objectives = make_objectives(grid)
+    plates = make_plates(parametrization, grid, objectives, name, device, path, pool, matrices)
+    scenarios = None
+    if robust is not None:
+        of_device, measured = plates.drives.solver.device.alias, name != "direct" and quadratic
+        scenarios = _scenario_losses(scene, robust, of_device, path, pool, measured)
+    projected = name == MODAL and robust is None and has_free_drives(parametrization, objectives)
+    return Problem(
+        parametrization=parametrization,
+        objectives=objectives,
+        plates=plates,
+        evaluator_name=name,
+        path=path,
+        pool=pool,
+        scenario_losses=scenarios,
+        projected=projected,
+    )
+
+
+def default_evaluator(scene: Scene, path: str = "auto") -> EvaluatorName | None:
+    """Return "modal" where time steps cannot, or where each of the places, frequencies or delays that are searched
+    would take plates of its own; None to leave the choice to :func:`make_problem`."""
+    search = scene.search
+    searched = search.frequency is not None or search.position is not None or search.delay is not None
+    by_modes = path == "auto" and searched and search.robust is None and has_modes(scene)
+    return MODAL if scene.modal_only_key is not None or by_modes else None
+
+
+def _scenario_losses(
+    scene: Scene, robust: Robust, device: str, path: str, pool: WorkerPool | None, measured: bool
+) -> ScenarioLosses:
+    """Return the losses over the scenarios of a robust search, by Gram matrices if ``measured``, else by simulation."""
+    particles = scene.search.particles
+    what = f"search.particles = {particles} with search.robust.scenarios = {robust.scenarios}"
+    refuse_beyond_memory(24.0 * particles * robust.scenarios, what)
+    drawn = draw_scenarios(scene, robust.scenarios, robust.seed, stepped=path != MODAL)
+    if measured:
+        return scenario_responses(drawn, device, path)
+    return simulate_scenarios(drawn, device, path, pool)

@@ -143,10 +143,10 @@ class _Dual:
             inverse = np.linalg.inv(self.slack(multipliers))
         except np.linalg.LinAlgError:  # at the boundary, up to rounding
             return np.zeros_like(multipliers), np.nan
-        turned = inverse @ self.matrices
-        bent = np.where(self.equation, 0.0, 1 / np.where(self.equation, 1.0, multipliers))
-        slope = weight * self.values - np.trace(turned, axis1=1, axis2=2) - bent
-        curvature = np.einsum("iab,jba->ij", turned, turned) + np.diag(bent**2)
+        products = inverse @ self.matrices
+        inverses = np.where(self.equation, 0.0, 1 / np.where(self.equation, 1.0, multipliers))
+        slope = weight * self.values - np.trace(products, axis1=1, axis2=2) - inverses
+        curvature = np.einsum("iab,jba->ij", products, products) + np.diag(inverses**2)
         if not np.isfinite(curvature).all():  # where nothing bounds the objective, S runs off
             return np.zeros_like(multipliers), np.nan
         size = np.sqrt(np.maximum(np.diag(curvature), 1e-30 * curvature.max()))

@@ -1,4 +1,4 @@
-"""Several targets of a scene: the energy in each of them under the drive found for each, and their outlines.
+"""Several targets of a scene: the energy in each of them under the drive of each, and their outlines.
 
 The case "best" is the best drive for the first target, "best NAME" that for another. The energies of all cases have a
 region "target NAME" for each target, beside "plate" and the case's own "target".
@@ -41,8 +41,8 @@ def best_drive_scenes(result: Result) -> dict[str, Scene]:
     """
     scene = result.scene
     aimed = {name: scene.aimed_at(index) for index, name in enumerate(target_cases(scene).values())} or {"best": scene}
-    found = [name for name in aimed if name in result.cases]
-    return {name: replace(result, scene=aimed[name]).driven_scene(result.cases[name]) for name in found}
+    present = [name for name in aimed if name in result.cases]
+    return {name: replace(result, scene=aimed[name]).driven_scene(result.cases[name]) for name in present}
 
 
 def crosstalk(result: Result) -> np.ndarray:
@@ -62,13 +62,13 @@ def relative_to_own(shares: np.ndarray) -> np.ndarray:
 
 def outlines(scene: Scene) -> list[np.ndarray]:
     """Return closed outlines (points, 2) [m] of all targets of a scene."""
-    return [way for key, target in scene.targets_by_key.items() for way in target_outlines(scene, key, target)]
+    return [outline for key, target in scene.targets_by_key.items() for outline in target_outlines(scene, key, target)]
 
 
 def target_outlines(scene: Scene, key: str, target: Target) -> list[np.ndarray]:
     """Return closed outlines (points, 2) [m] of one target.
 
-    Those of a mask are its contours at ½; none if its file is gone, as beside a moved result.
+    Those of a mask are its contours at ½; none if its file is gone, as of a result that was moved.
     """
     if (corners := target.corners(DISC_CORNERS)) is not None:
         return [np.concatenate([corners, corners[:1]])]
@@ -82,4 +82,4 @@ def target_outlines(scene: Scene, key: str, target: Target) -> list[np.ndarray]:
     x, y = (np.linspace(0, side, count) for side, count in zip(scene.plate.size, values.shape[::-1], strict=True))
     # A rim of zeros at the place of the edge closes the contours that meet the edge.
     padded = np.pad(x, 1, mode="edge"), np.pad(y, 1, mode="edge"), np.pad(values, 1)
-    return [np.asarray(way) for way in contour_generator(*padded).lines(0.5)]
+    return [np.asarray(line) for line in contour_generator(*padded).lines(0.5)]

@@ -13,9 +13,8 @@ from warp_plate.cluster.pool import WorkerPool, WorkersGone
 from warp_plate.interrupts import check_interrupt, deferred_interrupts
 from warp_plate.optimize.optimizer import Optimizer
 from warp_plate.problem.bounds import NEAR, Bound
-from warp_plate.problem.make_problem import EvaluatorName, make_problem
 from warp_plate.problem.methods import make_optimizer, with_method
-from warp_plate.problem.problem import Problem
+from warp_plate.problem.problem import EvaluatorName, Problem, make_problem
 from warp_plate.result.comparison import MethodComparison, Trial
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene, SceneSource

@@ -13,9 +13,8 @@ from warp_plate.cluster.pool import WorkerPool
 from warp_plate.modal.solver import MODAL, has_modes
 from warp_plate.plate.files import digests
 from warp_plate.problem.evaluate_cases import EvaluatedCases, evaluate_objectives
-from warp_plate.problem.make_problem import EvaluatorName, default_evaluator, make_problem
 from warp_plate.problem.methods import with_method
-from warp_plate.problem.problem import Problem
+from warp_plate.problem.problem import EvaluatorName, Problem, default_evaluator, make_problem
 from warp_plate.result.atomic_io import write_atomically
 from warp_plate.result.checkpoint import Checkpoint, load_newest
 from warp_plate.result.model import Result
@@ -253,7 +252,7 @@ def _run(
         peak_displacement=evaluated.peak,
         target_searches=end.finished_searches if problem.scene.targets else (),
         lost_plates=end.lost_plates,
-        **provenance.run_fields(problem.design_evaluator.solver, evaluated.run),
+        **provenance.run_fields(problem.plates.designs.solver, evaluated.run),
         **parts,
     )
 

@@ -17,9 +17,8 @@ from warp_plate.optimize.quadratic import best_position
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.evaluate_cases import reference_phasors
-from warp_plate.problem.make_problem import make_problem
 from warp_plate.problem.methods import with_method
-from warp_plate.problem.problem import Problem
+from warp_plate.problem.problem import Problem, make_problem
 from warp_plate.quantities.region_quantities import REGION_QUANTITIES
 from warp_plate.result.sweep import SweepOutput
 from warp_plate.scene.errors import SceneError
@@ -81,13 +80,13 @@ def _localization_quantities(scene: Scene, settings: Settings) -> Values:
     problem = make_problem(resolved, device, settings.path, MODAL if evaluator == MODAL else None)
     if problem.response is not None and scene.search.robust is None:
         problem = replace(problem, evaluator_name="response")
-    phasors = np.array(list(reference_phasors(problem.scene, problem.energies_of_phasors).values()))
-    equal, single = localization_factor(problem.energies_of_phasors(phasors)).tolist()
+    phasors = np.array(list(reference_phasors(problem.scene, problem.plates.energies_of_phasors).values()))
+    equal, single = localization_factor(problem.plates.energies_of_phasors(phasors)).tolist()
     if not np.isfinite([equal, single]).any() and (fault := problem.drive_solver.run(phasors[:1]).fault(0)) != "ok":
         raise SceneError(fault)  # rather than at rest
     position, best = _best_position(problem), single
     if position is not None:
-        best = float(localization_factor(problem.energies(problem.parametrization.designs(position[None])))[0])
+        best = float(localization_factor(problem.plates.energies(problem.parametrization.designs(position[None])))[0])
     return {"equal": equal, "single": single, "best": best, "bound": np.nan if problem.bound is None else problem.bound}
 
 

@@ -13,8 +13,7 @@ from warp_plate.cluster.evaluator import Evaluator
 from warp_plate.modal.solver import make_solver
 from warp_plate.plate.weights import REGIONS
 from warp_plate.problem.evaluate_cases import EvaluatedCases, evaluate_cases, reference_phasors
-from warp_plate.problem.make_problem import make_problem
-from warp_plate.problem.problem import Problem
+from warp_plate.problem.problem import Problem, make_problem
 from warp_plate.result.checkpoint import Checkpoint
 from warp_plate.result.model import TargetSearch
 from warp_plate.result.targets import target_cases, target_regions
@@ -25,12 +24,12 @@ from warp_plate.studies.polish import finish_search
 
 def initial_state(problem: Problem, seed: int) -> dict[str, Any]:
     """Return the fields of a checkpoint that differ from target to target, before the first iteration."""
-    phasors = reference_phasors(problem.scene, problem.energies_of_phasors)
+    phasors = reference_phasors(problem.scene, problem.plates.energies_of_phasors)
     optimizer = search_optimizer(problem, seed)
     return {
         "scene": problem.scene,
         "single_actuator": int(np.argmax(np.abs(phasors["single"]))),
-        "matrices": problem.matrices,
+        "matrices": problem.plates.matrices,
         "search_state": None if optimizer is None else optimizer.state(),
     }
 
@@ -80,11 +79,11 @@ def _next_problem(problem: Problem, index: int, start: Checkpoint) -> Problem:
     """Return the problem of another target. All targets are regions of every solver, so that Gram matrices hold for
     all, unless an objective needs further regions."""
     scene, matrices = problem.scene.aimed_at(index), None
-    if problem.matrices is not None and not problem.objectives.sizes.cells.size:
+    if problem.plates.matrices is not None and not problem.objectives.sizes.cells.size:
         regions = problem.drive_solver.regions
-        matrices = problem.matrices.reshape(-1, len(regions), *problem.matrices.shape[1:]).copy()
+        matrices = problem.plates.matrices.reshape(-1, len(regions), *problem.plates.matrices.shape[1:]).copy()
         matrices[:, REGIONS.index("target")] = matrices[:, regions.index(list(target_regions(scene))[index])]
-        matrices = matrices.reshape(problem.matrices.shape)
+        matrices = matrices.reshape(problem.plates.matrices.shape)
     device = problem.drive_solver.device.alias
     return make_problem(scene, device, start.path, start.evaluator, matrices, problem.pool)
 
@@ -94,7 +93,7 @@ def _with_target(problem: Problem, index: int) -> Problem:
     scene = problem.scene.aimed_at(index)
     solver = make_solver(scene, problem.drive_solver.device.alias, problem.path, areas=target_regions(scene))
     parametrization = replace(problem.parametrization, scene=scene)
-    return replace(problem, parametrization=parametrization, drive_evaluator=Evaluator(solver))
+    return replace(problem, parametrization=parametrization, plates=replace(problem.plates, drives=Evaluator(solver)))
 
 
 def evaluate_targets(problem: Problem, searches: tuple[TargetSearch, ...]) -> EvaluatedCases:
