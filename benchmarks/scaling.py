@@ -26,8 +26,7 @@ from warp_plate import Scene, SceneError
 from warp_plate.accuracy.machine import busy, describe_machine, describe_versions
 from warp_plate.cluster.evaluator import block_size
 from warp_plate.cluster.opening import open_pool
-from warp_plate.cluster.pool import WorkerPool
-from warp_plate.cluster.scheduler import Task, run_tasks
+from warp_plate.cluster.pool import Task, WorkerPool, run_tasks
 from warp_plate.problem.methods import make_optimizer
 from warp_plate.problem.problem import Problem, make_problem
 

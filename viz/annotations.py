@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
     from vtkmodules.vtkRenderingCore import vtkBillboardTextActor3D, vtkTextActor, vtkTextProperty
 
-    from warp_plate.result.model import Case, Result
+    from warp_plate.result.case import Case
+    from warp_plate.result.model import Result
 
 LONGEST_NAME = 22  # characters of a name in a caption or legend
 CASE_LABELS = {

@@ -12,9 +12,9 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
 
-from warp_plate.result.amplitudes import amplitude_column
 from warp_plate.result.atomic_io import atomic_path
-from warp_plate.result.model import BOUND_DESCRIPTIONS, Result, only_actuator
+from warp_plate.result.case import amplitude_column, only_actuator
+from warp_plate.result.model import BOUND_DESCRIPTIONS, Result
 from warp_plate.scene.model import Scene
 from warp_plate.viz.annotations import (
     add_legend,

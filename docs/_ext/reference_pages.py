@@ -15,14 +15,14 @@ from warp_plate.scene.schema import field_comments
 
 DOCS = Path(__file__).parents[1]
 RETURNED = (
-    "result.model.Case",
-    "result.model.RegionMotion",
+    "result.case.Case",
+    "result.case.RegionMotion",
     "solve.run.Run",
     "modal.modes.ModalPlate",
     "result.frequency_response.FrequencyResponse",
     "result.sweep.Sweep",
     "result.comparison.MethodComparison",
-    "result.robust.RobustComparison",
+    "result.model.RobustComparison",
     "result.focus.FocusResult",
     "result.focus.FocusedWaveforms",
     "accuracy.report.AccuracyReport",

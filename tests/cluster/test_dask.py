@@ -17,11 +17,10 @@ from test_workers import ATTEMPTS, assert_same, assert_same_result, random_phaso
 from worker_tasks import doubled, end_worker, process_number
 
 from warp_plate import CheckpointFile, PlateSolver, SceneError, load_checkpoint, localize, resume
-from warp_plate.cluster import dask_pool
+from warp_plate.cluster import opening
 from warp_plate.cluster.evaluator import BLOCK_NODE_STEPS, make_evaluator
 from warp_plate.cluster.opening import open_pool
-from warp_plate.cluster.pool import WorkersGone
-from warp_plate.cluster.scheduler import Task, run_tasks
+from warp_plate.cluster.pool import Task, WorkersGone, run_tasks
 
 pytest.importorskip("distributed")
 dask = pytest.importorskip("dask")
@@ -125,7 +124,7 @@ def test_a_task_that_no_worker_survives(pool):
 
 
 def test_no_scheduler_is_one_line(tmp_path, monkeypatch):
-    monkeypatch.setattr(dask_pool, "ANSWER_SECONDS", 0.5)
+    monkeypatch.setattr(opening, "ANSWER_SECONDS", 0.5)
     file = tmp_path / "scheduler.json"
     for text in ("x", '{"address": 7}', "[1]", "[" * 10**5):
         file.write_text(text, encoding="utf-8")
@@ -147,7 +146,7 @@ def start(*words):
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
 def test_a_scheduler_that_goes_away_leaves_a_checkpoint(tmp_path, scene, monkeypatch):
     """A search with the scheduler's file continues in this process, to the same result."""
-    monkeypatch.setattr(dask_pool, "JOIN_SECONDS", 5.0)
+    monkeypatch.setattr(opening, "JOIN_SECONDS", 5.0)
     made, file = small_search(scene, iterations=400), tmp_path / "scheduler.json"
     scheduler = start("distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", str(file))
     while not file.exists():

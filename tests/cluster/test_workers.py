@@ -18,11 +18,11 @@ from worker_tasks import doubled, poisoned
 from warp_plate import CheckpointFile, PlateSolver, SceneError, load_checkpoint, load_result, localize, resume
 from warp_plate.cli.tables import failure_lines
 from warp_plate.cluster import evaluator as evaluators
-from warp_plate.cluster import scheduler, tasks
+from warp_plate.cluster import pool as pools
+from warp_plate.cluster import tasks
 from warp_plate.cluster.evaluator import block_size, make_evaluator
 from warp_plate.cluster.opening import open_pool
-from warp_plate.cluster.pool import WorkersGone
-from warp_plate.cluster.scheduler import ATTEMPTS, Task, run_tasks
+from warp_plate.cluster.pool import ATTEMPTS, Task, WorkersGone, run_tasks
 from warp_plate.plate.designs import Designs, per_plate_of
 from warp_plate.problem.scenario_losses import simulate_scenarios
 from warp_plate.problem.uncertainty import draw_scenarios
@@ -221,7 +221,7 @@ def test_a_pool_ends_workers_that_hang():
 
 def test_a_block_that_no_worker_survives_is_named(pool, scene, random, monkeypatch):
     monkeypatch.setattr(evaluators, "run_block", poisoned)
-    monkeypatch.setattr(scheduler, "ATTEMPTS", 2)
+    monkeypatch.setattr(pools, "ATTEMPTS", 2)
     made, phasors, first = scene((9, 9), damping=20.0), random_phasors(random), 64
     phasors[first] = 7
     evaluator, expected = make_evaluator(made, "cpu", pool=pool), PlateSolver(made, "cpu").run(phasors)
@@ -238,7 +238,7 @@ def test_a_block_that_no_worker_survives_is_named(pool, scene, random, monkeypat
 
 def test_an_error_of_the_program_is_tried_again_and_named(pool, monkeypatch):
     """The process is replaced, since after an error of CUDA nothing works in one any more."""
-    monkeypatch.setattr(scheduler, "ATTEMPTS", 2)
+    monkeypatch.setattr(pools, "ATTEMPTS", 2)
     list(run_tasks(pool, [Task(doubled, at) for at in range(4)]))
     before = {process.pid for process in multiprocessing.active_children()}
     found = {task.key: outcome for task, outcome in run_tasks(pool, [Task(doubled, at, at) for at in (12, 17)])}
@@ -315,7 +315,7 @@ def test_a_search_whose_workers_are_gone_can_go_on(tmp_path, scene):
 SLEEPING = """
 import multiprocessing, time
 from warp_plate.cluster.opening import open_pool
-from warp_plate.cluster.scheduler import Task, run_tasks
+from warp_plate.cluster.pool import Task, run_tasks
 
 if __name__ == "__main__":
     with open_pool("cpu,cpu", None) as pool:
@@ -387,8 +387,8 @@ def test_workers_must_be_alike_and_have_their_device(scene, monkeypatch):
 
 
 def test_workers_that_cannot_start_are_one_line(scene, monkeypatch):
-    monkeypatch.setattr("warp_plate.cluster.local_pool._start_worker", os._exit)
-    monkeypatch.setattr(scheduler, "ATTEMPTS", 2)
+    monkeypatch.setattr("warp_plate.cluster.opening._start_worker", os._exit)
+    monkeypatch.setattr(pools, "ATTEMPTS", 2)
     line = "a worker: given up after 2 attempts: its worker ended"
     with open_pool("cpu", None) as pool, pytest.raises(SceneError, match=line):
         make_evaluator(scene((9, 9)), "cpu", pool=pool).run([[1, 1, 1]])

@@ -12,8 +12,8 @@ from levy import isotropic, levy_frequencies
 
 from warp_plate import Scene, SceneError, modes
 from warp_plate.fitting.fit_modes import fit_modes
+from warp_plate.fitting.least_squares import exchangeable
 from warp_plate.fitting.measured_modes import MeasuredModes, read_modes
-from warp_plate.fitting.refits import exchangeable
 from warp_plate.reference.series import wavenumber_squared
 
 SIZE, MODULUS, VISCOUS = (0.23, 0.17), MATERIAL["young_modulus"], 2.0

@@ -5,7 +5,7 @@ import pytest
 from conftest import scene_of
 
 from warp_plate.fitting.fit_responses import fit_responses
-from warp_plate.fitting.free_numbers import FreeNumbers
+from warp_plate.fitting.fitted_panel import FreeNumbers
 from warp_plate.fitting.measured_responses import MeasuredResponses
 from warp_plate.fitting.panel_responses import PanelResponses
 from warp_plate.scene.keys import value_of

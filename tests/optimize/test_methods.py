@@ -16,7 +16,7 @@ from warp_plate.problem.methods import READ_BY, make_optimizer, unread_keys
 from warp_plate.problem.objectives import loss_scale
 from warp_plate.problem.problem import make_problem
 from warp_plate.quantities.region_quantities import PLATE, TARGET
-from warp_plate.result.hdf5 import SearchState
+from warp_plate.result.layouts import SearchState
 from warp_plate.scene.search import Objective, Search
 
 TWO_PI = 2 * math.pi

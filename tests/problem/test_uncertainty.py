@@ -15,7 +15,7 @@ from warp_plate.plate.weights import localization_factor
 from warp_plate.problem import scenario_losses
 from warp_plate.problem.scenario_losses import ScenarioLosses, apply_measure, scenario_responses, simulate_scenarios
 from warp_plate.problem.uncertainty import draw_scenarios
-from warp_plate.result.robust import mean_of_worst
+from warp_plate.result.model import mean_of_worst
 from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.search import Robust
 

@@ -10,6 +10,7 @@ from conftest import result_of
 from scipy.io import wavfile
 
 from warp_plate.plate.waveforms import read_samples
+from warp_plate.result.case import Case
 from warp_plate.result.export.paraview import write_pvd, write_vtkhdf
 from warp_plate.result.export.time_series import (
     BLOCK,
@@ -19,7 +20,6 @@ from warp_plate.result.export.time_series import (
     write_traces,
     write_wav,
 )
-from warp_plate.result.model import Case
 from warp_plate.scene.drive import SampledSignal
 from warp_plate.scene.errors import SceneError
 

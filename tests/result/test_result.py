@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from warp_plate.result.atomic_io import make_seal
-from warp_plate.result.model import Case, Result, TargetSearch, load_result, save_result
-from warp_plate.result.robust import RobustComparison
+from warp_plate.result.case import Case
+from warp_plate.result.model import Result, RobustComparison, TargetSearch, load_result, save_result
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 

@@ -9,8 +9,8 @@ from warp_plate.cli.tables import drive_json, drive_table
 from warp_plate.plate.discretization import discretize
 from warp_plate.plate.scene_overrides import actuator_centres, scene_phasors, scene_with
 from warp_plate.problem.uncertainty import draw_scenarios
+from warp_plate.result.case import Case
 from warp_plate.result.export.time_series import make_drive_signal
-from warp_plate.result.model import Case
 from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.keys import label_of, resolved_key, unit_of, with_values
 from warp_plate.studies.simulate import simulate

@@ -13,8 +13,8 @@ from test_resume import assert_same, stopped
 from warp_plate import PlateSolver, Scene, load_result, localize, resume
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.problem import plates
-from warp_plate.result.model import save_result
-from warp_plate.result.targets import best_drive_scenes, crosstalk, relative_to_own, target_cases, target_regions
+from warp_plate.result.model import best_drive_scenes, crosstalk, save_result
+from warp_plate.result.targets import relative_to_own, target_cases, target_regions
 from warp_plate.studies.simulate import simulate
 
 TARGETS = (

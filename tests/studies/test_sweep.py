@@ -11,7 +11,7 @@ from inline_pool import InlinePool
 from test_resume import stop_after
 
 from warp_plate import SceneError, load_sweep, sweep
-from warp_plate.cluster.scheduler import ATTEMPTS
+from warp_plate.cluster.pool import ATTEMPTS
 from warp_plate.modal.continuous_modes import continuous_modes
 from warp_plate.result.sweep import REFUSED, RUN, save_sweep
 from warp_plate.scene.keys import with_values

@@ -12,7 +12,8 @@ import pytest
 from conftest import pixels, result_of, start_program
 
 from warp_plate import view, viz
-from warp_plate.result.model import Case, save_result
+from warp_plate.result.case import Case
+from warp_plate.result.model import save_result
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.viz import availability, figures

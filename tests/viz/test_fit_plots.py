@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from warp_plate import Scene
-from warp_plate.fitting.assurance import modal_assurance
+from warp_plate.fitting.fit_modes import modal_assurance
 from warp_plate.fitting.measured_responses import MeasuredResponses
 from warp_plate.viz.plots import frequency_response as plots
 

@@ -8,8 +8,8 @@ import pytest
 from conftest import pixels, result_of, scene_of
 
 from warp_plate import Scene
+from warp_plate.result.case import Case
 from warp_plate.result.comparison import MethodComparison, Trial
-from warp_plate.result.model import Case
 from warp_plate.result.sweep import REFUSED
 from warp_plate.scene.vary import make_plan, parse_vary
 from warp_plate.studies.frequency_response import compute_frequency_response

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warp_plate.result.model import BOUND_DESCRIPTIONS, Result, only_actuator
-from warp_plate.result.robust import DRIVES, TAIL, RobustComparison, mean_of_worst
+from warp_plate.result.case import only_actuator
+from warp_plate.result.model import BOUND_DESCRIPTIONS, DRIVES, TAIL, Result, RobustComparison, mean_of_worst
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Search
 from warp_plate.scene.vary import counted

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from warp_plate.analysis.motion import motions
+from warp_plate.result.case import Case
 from warp_plate.result.export import Format
 from warp_plate.result.export.paraview import write_pvd, write_vtkhdf
 from warp_plate.result.export.time_series import (
@@ -20,7 +21,7 @@ from warp_plate.result.export.time_series import (
     write_wav,
 )
 from warp_plate.result.focus import FocusResult
-from warp_plate.result.model import Case, Result
+from warp_plate.result.model import Result
 from warp_plate.scene.errors import SceneError, printable
 from warp_plate.solve.run import Progress
 

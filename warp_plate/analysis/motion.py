@@ -16,7 +16,8 @@ from warp_plate.modal.solver import MODAL, make_solver
 from warp_plate.plate.discretization import Discretization, discretize
 from warp_plate.plate.section import make_section
 from warp_plate.plate.signals import highest_frequency
-from warp_plate.result.model import Case, Result, case_scene, only_actuator
+from warp_plate.result.case import Case, case_scene, only_actuator
+from warp_plate.result.model import Result
 from warp_plate.result.motion import Motion
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Record, Scene

@@ -176,7 +176,7 @@ def _write(response: FrequencyResponse, target: Path, formats: list[Format], pic
 
 
 def _write_impulses(impulses: ImpulseResponse, path: Path) -> list[Path]:
-    from warp_plate.result.export.time_series import write_table
+    from warp_plate.result.atomic_io import write_table
 
     heading = ["time [s]", *(f"{label} [{impulses.unit}]" for label in impulses.labels)]
     rows = impulses.responses.reshape(len(impulses.labels), -1)

@@ -198,7 +198,7 @@ def _write(result: Result, target: Path, pictures: bool, file: CheckpointFile, c
 
 def _as_json(checkpoint: Path | None, result: Result) -> dict[str, object]:
     """Return the record for ``--json``; ``checkpoint`` is the file that an interrupted search resumes from."""
-    from warp_plate.result.model import only_actuator
+    from warp_plate.result.case import only_actuator
 
     factors = {name: case.localization_factor for name, case in result.cases.items()}
     names = ("device", "path", "seed", "bound_kind", "evaluations", "node_steps", "seconds", "effects", "spectrum")
@@ -247,7 +247,7 @@ def _print(elapsed: float | None, result: Result, console: Console) -> None:
 
 def _labels(result: Result) -> dict[str, str]:
     """Return the labels of the result's cases, with the name of the best single actuator."""
-    from warp_plate.result.model import only_actuator
+    from warp_plate.result.case import only_actuator
 
     labels = {name: label for name, label in CASE_LABELS.items() if name in result.cases}
     name = only_actuator(result.cases["single"], result.scene)

@@ -84,7 +84,7 @@ def _write_scene(scene: Scene, target: Path, heading: str) -> None:
 
 
 def _draw(fitted: ModeFit | ResponseFit, target: Path) -> output.Drawn:
-    from warp_plate.fitting.assurance import assurance
+    from warp_plate.fitting.fit_modes import assurance
     from warp_plate.fitting.fit_responses import ResponseFit
     from warp_plate.viz.plots.frame import save_plots
     from warp_plate.viz.plots.frequency_response import draw_mode_fit, draw_profiles, draw_response_fit

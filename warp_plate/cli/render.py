@@ -14,7 +14,8 @@ from warp_plate.cli import options, output
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
-    from warp_plate.result.model import Case, Result
+    from warp_plate.result.case import Case
+    from warp_plate.result.model import Result
     from warp_plate.result.motion import Motion
     from warp_plate.scene.model import Scene
 

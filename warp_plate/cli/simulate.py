@@ -81,7 +81,7 @@ def _as_json(result: Result) -> dict[str, object]:
 
 
 def _print(result: Result, console: Console) -> None:
-    from warp_plate.result.model import only_actuator
+    from warp_plate.result.case import only_actuator
 
     case = result.cases["drive"]
     console.print(result.scene.title or result.source)

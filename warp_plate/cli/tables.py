@@ -9,16 +9,15 @@ from typing import TYPE_CHECKING
 from rich.table import Table
 
 from warp_plate.cli import output
-from warp_plate.result.amplitudes import amplitude_column, amplitudes_as_given
 from warp_plate.scene.errors import printable
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from warp_plate.analysis.warnings import Finding
+    from warp_plate.result.case import Case
     from warp_plate.result.comparison import MethodComparison
-    from warp_plate.result.model import Case, Result
-    from warp_plate.result.robust import RobustComparison
+    from warp_plate.result.model import Result, RobustComparison
     from warp_plate.scene.model import Scene
 
 # Standard acceleration of gravity [m/s²].
@@ -45,6 +44,8 @@ STAGES = {
 
 def motion_table(cases: Mapping[str, Case], scene: Scene) -> Table | None:
     """Return the table of the motion of target and rest by case labels, with the largest drive; None if unknown."""
+    from warp_plate.result.case import amplitude_column
+
     moving = {label: (case, case.motion) for label, case in cases.items() if case.motion is not None}
     tones = any(motion.acceleration is not None for _, motion in moving.values())
     headings = ["share", "contrast dB", "velocity mm/s rms", "displacement µm peak", *["acceleration g rms"] * tones]
@@ -81,6 +82,8 @@ def motion_json(case: Case) -> dict[str, object] | None:
 
 def drive_table(case: Case, scene: Scene, target: str = "") -> Table:
     """Return the table of a drive, as Table 1 of the source paper. ``target``: its name if there are several."""
+    from warp_plate.result.case import amplitude_column
+
     heading, amplitudes = amplitude_column(scene, case.magnitude, ".4f")
     headings = ("actuator", heading, "phase (rad)", "phase / π", *case.per_actuator)
     table = output.table(*headings, title=f"Drive found{f' for {printable(target)}' if target else ''}")
@@ -94,6 +97,8 @@ def drive_table(case: Case, scene: Scene, target: str = "") -> Table:
 def drive_json(case: Case, scene: Scene) -> list[dict[str, object]]:
     """Return a drive as one record for each actuator, including searched frequencies, positions and delays; ``force``
     [N] in place of ``magnitude`` where the scene has it."""
+    from warp_plate.result.case import amplitudes_as_given
+
     per_actuator = output.attributes(case, "phase", "frequency", "centre", "delay")
     return [
         {
@@ -149,7 +154,8 @@ def print_objectives(result: Result, console: Console) -> None:
 
 def crosstalk_table(result: Result) -> Table:
     """Return the crosstalk table: a row for each drive, a column for each target."""
-    from warp_plate.result.targets import crosstalk, relative_to_own, target_cases
+    from warp_plate.result.model import crosstalk
+    from warp_plate.result.targets import relative_to_own, target_cases
 
     names, shares = list(target_cases(result.scene)), crosstalk(result)
     relative = relative_to_own(shares)
@@ -170,7 +176,8 @@ def crosstalk_table(result: Result) -> Table:
 def crosstalk_json(result: Result) -> dict[str, object] | None:
     """Return shares of the plate's kinetic energy, also in decibels relative to each drive's own target; None for a
     single target."""
-    from warp_plate.result.targets import crosstalk, relative_to_own, target_cases
+    from warp_plate.result.model import crosstalk
+    from warp_plate.result.targets import relative_to_own, target_cases
 
     cases = target_cases(result.scene)
     if not cases:

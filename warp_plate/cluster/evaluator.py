@@ -10,8 +10,7 @@ import numpy as np
 import warp as wp
 
 import warp_plate
-from warp_plate.cluster.pool import WorkerPool
-from warp_plate.cluster.scheduler import Task, run_tasks
+from warp_plate.cluster.pool import Task, WorkerPool, run_tasks
 from warp_plate.cluster.tasks import Evaluation, SolverSpec, refuse_unlike, run_block
 from warp_plate.modal.solver import ModalSolver, make_solver
 from warp_plate.plate.designs import Designs, as_phasors, check_designs

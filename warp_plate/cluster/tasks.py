@@ -1,4 +1,4 @@
-"""Tasks of workers: the plates of a block, by a solver that is made from plain data."""
+"""Tasks of workers: the plates of a block, by a solver built from plain data."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from warp_plate.solve.solver import PlateSolver
 
 # Environment variable with the device of a worker; it takes precedence over the command's option.
 DEVICE_VARIABLE = "WARP_PLATE_DEVICE"
-# Number of solvers that a worker keeps: each scenario of a robust search has one.
+# Number of solvers that a worker caches: each scenario of a robust search has one.
 MAX_SOLVERS = 128
 # Beginning of the message of the RuntimeError that Warp raises when an allocation fails.
 WARP_OUT_OF_MEMORY = "Failed to allocate"
@@ -70,7 +70,7 @@ class SolverSpec:
         device: Device, unless the worker's environment names another one.
         path: See :class:`PlateSolver`.
         options: Further arguments.
-        key: By which workers know the solvers that they have made.
+        key: Identifies a solver that a worker has built.
     """
 
     scene: SceneSpec = field(compare=False)

@@ -1,16 +1,18 @@
-"""Fit a scene's free numbers to measured natural frequencies and damping ratios."""
+"""Fit a scene's free numbers to measured natural frequencies and damping ratios.
+
+Shapes are compared by the modal assurance criterion, MAC (Allemang, Brown, Proc. 1st IMAC, 1982).
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy
 
-from warp_plate.fitting.assurance import check_points, modal_assurance
-from warp_plate.fitting.fitted_panel import FittedPanel, fit_panel
-from warp_plate.fitting.free_numbers import free_numbers
+from warp_plate.fitting.fitted_panel import FittedPanel, PanelProblem, fit_panel, free_numbers
 from warp_plate.fitting.least_squares import Differenced
 from warp_plate.fitting.measured_modes import MeasuredModes
 from warp_plate.modal.continuous_modes import linear_part
@@ -65,7 +67,7 @@ def fit_modes(scene: Scene, measured: MeasuredModes) -> ModeFit:
     count = len(measured.frequencies)
 
     def weigh(errors: np.ndarray, leverage: np.ndarray) -> np.ndarray:
-        """Make errors of damping ratios as large as those of frequencies."""
+        """Scale errors of damping ratios to the size of those of frequencies."""
         sizes = [
             math.sqrt(np.sum(errors[rows] ** 2) / max(1.0, np.sum(1 - leverage[rows])))
             for rows in (slice(count), slice(count, None))
@@ -75,18 +77,52 @@ def fit_modes(scene: Scene, measured: MeasuredModes) -> ModeFit:
 
     free = free_numbers(scene)
     pairing = _pairing(free.scene, measured)
-    found = fit_panel(
+    problem = PanelProblem(
         free,
         measured.source,
-        count + len(damped),
         Differenced(lambda unknowns: _paired_modes(free.panel_at(unknowns), measured, pairing)),
         [_RelativeErrors(measured, damped)],
-        weigh if len(damped) else None,
         [np.arange(count)[:, None], np.arange(count, count + len(damped))[:, None]],
+        weigh if len(damped) else None,
     )
-    numbers, frequencies, damping = _paired_modes(found.scene, measured, pairing)
-    numbers = numbers.astype(int)
-    return ModeFit(**vars(found), measured=measured, numbers=numbers, frequencies=frequencies, damping=damping)
+
+    def describe(fitted: Scene) -> dict[str, Any]:
+        numbers, frequencies, damping = _paired_modes(fitted, measured, pairing)
+        return {
+            "measured": measured,
+            "numbers": numbers.astype(int),
+            "frequencies": frequencies,
+            "damping": damping,
+        }
+
+    return fit_panel(ModeFit, problem, describe)
+
+
+def assurance(scene: Scene, measured: MeasuredModes, numbers: np.ndarray) -> np.ndarray | None:
+    """Return (n, n) MAC of measured shapes and of those of the scene's modes with these numbers, from 1; None without.
+
+    Raises:
+        SceneError: A point of the shapes is off the plate.
+    """
+    if measured.shapes is None or measured.points is None:
+        return None
+    _check_points(scene, measured)
+    plate = solve_modes(linear_part(scene), highest=0.0, count=int(numbers.max()) + RIGID)
+    elastic = np.flatnonzero(plate.frequencies > 0)[numbers - 1]
+    return modal_assurance(measured.shapes, plate.at_points(measured.points)[elastic])
+
+
+def modal_assurance(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return (m, n) |a·b*|² / (a·a* b·b*) of shapes (m, points) and (n, points); 0 for a shape that does not move."""
+    products = np.abs(first @ second.conj().T) ** 2
+    sizes = np.outer(np.sum(np.abs(first) ** 2, axis=1), np.sum(np.abs(second) ** 2, axis=1))
+    return np.divide(products, sizes, out=np.zeros_like(sizes), where=sizes > 0)
+
+
+def _check_points(scene: Scene, measured: MeasuredModes) -> None:
+    """Raise a SceneError if a point of the shapes is off the plate."""
+    if measured.points is not None and np.any((measured.points < 0) | (measured.points > scene.plate.size)):
+        raise SceneError(f"{measured.source}: a point of the shapes is off the plate of {list(scene.plate.size)} m")
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +148,7 @@ def _pairing(scene: Scene, measured: MeasuredModes) -> str:
         return "order" if measured.numbers is not None else scene.fit.pairing
     if measured.shapes is None or measured.points is None:
         raise SceneError(f'{measured.source}: has no shapes with points; fit.pairing = "mac" needs them')
-    check_points(scene, measured)
+    _check_points(scene, measured)
     return "mac"
 
 
@@ -122,14 +158,14 @@ def _paired_modes(scene: Scene, measured: MeasuredModes, pairing: str) -> np.nda
     numbers = np.arange(1, count + 1) if measured.numbers is None else measured.numbers
     wanted = int(numbers.max()) if pairing == "order" else SPARE[0] * max(count, int(numbers.max())) + SPARE[1]
     plate = solve_modes(linear_part(scene), highest=0.0, count=wanted + RIGID, density=DENSITY)
-    moving = np.flatnonzero(plate.frequencies > 0)[:wanted]
-    frequencies = plate.frequencies[moving]
+    elastic = np.flatnonzero(plate.frequencies > 0)[:wanted]
+    frequencies = plate.frequencies[elastic]
     if pairing != "order":
         distances = np.abs(np.log(measured.frequencies[:, None] / frequencies))
         if pairing == "mac":
             assert measured.shapes is not None
             assert measured.points is not None
-            shapes = plate.at_points(measured.points)[moving]
+            shapes = plate.at_points(measured.points)[elastic]
             distances = 1 - modal_assurance(measured.shapes, shapes) + TIE * distances
         numbers = 1 + scipy.optimize.linear_sum_assignment(distances)[1]
-    return np.stack([numbers, frequencies[numbers - 1], plate.damping_ratios[moving][numbers - 1]])
+    return np.stack([numbers, frequencies[numbers - 1], plate.damping_ratios[elastic][numbers - 1]])

@@ -14,8 +14,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from warp_plate.fitting.fitted_panel import FittedPanel, fit_panel
-from warp_plate.fitting.free_numbers import FreeNumbers, free_numbers
+from warp_plate.fitting.fitted_panel import FittedPanel, FreeNumbers, PanelProblem, fit_panel, free_numbers
 from warp_plate.fitting.measured_responses import MeasuredResponses
 from warp_plate.fitting.panel_responses import PanelResponses
 from warp_plate.scene.model import Scene
@@ -24,8 +23,8 @@ from warp_plate.scene.model import Scene
 WIDTHS = 0.2, 0.05, 0.01, 0.0
 # Residuals beyond so many times their usual size count less, as the absolute value and not the square.
 USUAL = 2.0
-# Plates that are kept, the best and the last one.
-KEPT = 2
+# Plates that are cached, the best and the last one.
+CACHED = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +65,12 @@ def fit_responses(scene: Scene, measured: MeasuredResponses) -> ResponseFit:
     coarse, exact = (_Prediction(free, measured, coarse) for coarse in (True, False))
     stages = [_LogErrors(measured, width) for width in WIDTHS]
     pairs = np.arange(2 * measured.responses.size).reshape(2, -1).T
-    found = fit_panel(free, measured.source, 2 * measured.responses.size, coarse, stages, _weigh, [pairs], exact)
-    return ResponseFit(**vars(found), measured=measured, responses=PanelResponses(found.scene, measured).values)
+    problem = PanelProblem(free, measured.source, coarse, stages, [pairs], _weigh, exact)
+    return fit_panel(
+        ResponseFit,
+        problem,
+        lambda fitted: {"measured": measured, "responses": PanelResponses(fitted, measured).values},
+    )
 
 
 class _Prediction:
@@ -76,14 +79,14 @@ class _Prediction:
     def __init__(self, free: FreeNumbers, measured: MeasuredResponses, coarse: bool) -> None:
         self.evaluations = 0
         self._free, self._measured, self._coarse = free, measured, coarse
-        self._kept = lru_cache(KEPT)(self._compute)
+        self._cached = lru_cache(CACHED)(self._compute)
 
     def __call__(self, unknowns: np.ndarray) -> np.ndarray:
-        return self._kept(tuple(unknowns.tolist())).values
+        return self._cached(tuple(unknowns.tolist())).values
 
     def slopes(self, unknowns: np.ndarray, central: bool) -> np.ndarray:
         neighbours = (self._free.neighbours(unknowns, index, central) for index in range(len(unknowns)))
-        return self._kept(tuple(unknowns.tolist())).slopes(list(neighbours))
+        return self._cached(tuple(unknowns.tolist())).slopes(list(neighbours))
 
     def _compute(self, unknowns: tuple[float, ...]) -> PanelResponses:
         self.evaluations += 1

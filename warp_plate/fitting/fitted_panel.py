@@ -1,20 +1,127 @@
-"""A fitted scene and the uncertainty of its values, for all kinds of measurements."""
+"""The free numbers of a scene, and the fitted scene with the uncertainty of its values, for all kinds of measurements.
+
+Free numbers are scaled so that the range of each is 0 ... 1. Ranges above 0 are scaled by logarithms, so that
+stiffnesses of any size are fitted alike.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 
-from warp_plate.fitting.free_numbers import FreeNumbers
-from warp_plate.fitting.least_squares import Prediction, Residuals, Weigh, fit_least_squares
-from warp_plate.fitting.refits import bootstrap, exchangeable, profile
+from warp_plate.fitting.least_squares import (
+    Prediction,
+    Residuals,
+    Weigh,
+    bootstrap,
+    exchangeable,
+    fit_least_squares,
+    profile,
+)
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.keys import resolved_key, value_of, with_values
 from warp_plate.scene.model import Scene
 
+# Step of differences of scenes, relative to a value above 0, or else to its range.
+STEP = 1e-3
 # Quantiles of 95 % intervals.
 TAILS = 0.025, 0.975
+
+
+@dataclass(frozen=True, eq=False)
+class FreeNumbers:
+    """The numbers of ``[fit.free]``.
+
+    Attributes:
+        scene: Scene.
+        keys: (p,) their keys.
+        low: (p,) their lowest values.
+        high: (p,) their highest values.
+    """
+
+    scene: Scene
+    keys: tuple[str, ...]
+    low: np.ndarray
+    high: np.ndarray
+
+    def values(self, fractions: np.ndarray) -> np.ndarray:
+        """Return the values at fractions (p,) of the ranges."""
+        ratio = np.where(self.low > 0, self.high, 1.0) / np.where(self.low > 0, self.low, 1.0)
+        with np.errstate(over="ignore"):  # of the intervals' ends
+            return np.where(self.low > 0, self.low * ratio**fractions, self.low + fractions * (self.high - self.low))
+
+    def scene_at(self, fractions: np.ndarray) -> Scene:
+        """Return the scene with the values at fractions (p,), or raise a SceneError if they do not fit together."""
+        return self._panel_with(self.values(fractions)).model_copy(update={"fit": self.scene.fit})
+
+    def panel_at(self, fractions: np.ndarray) -> Scene:
+        """Return the same without the table ``[fit]``, whose check takes time."""
+        return self._panel_with(self.values(fractions))
+
+    def _panel_with(self, values: np.ndarray) -> Scene:
+        panel = self.scene.model_copy(update={"fit": None})
+        try:
+            return with_values(panel, dict(zip(self.keys, values.tolist(), strict=True)))
+        except SceneError as error:
+            raise SceneError(f"fit.free: a range reaches too far: {error}") from None
+
+    def neighbours(self, fractions: np.ndarray, index: int, central: bool) -> tuple[Scene, Scene | None, float]:
+        """Return scenes whose differences are derivatives with respect to a fraction.
+
+        Returns:
+            Scene with a larger value of the number ``index``, that with a smaller one, None for the value itself, and
+            the factor of their difference.
+        """
+        values, low, high = self.values(fractions), self.low[index], self.high[index]
+        step = STEP * (values[index] if low > 0 else high - low)
+        ends = min(values[index] + step, high), max(values[index] - step, low)
+        if not central:
+            ends = (ends[0], values[index]) if ends[0] > values[index] else (values[index], ends[1])
+        slope = values[index] * np.log(high / low) if low > 0 else high - low
+        above, below = (
+            None if end == values[index] else self._panel_with(np.where(np.arange(len(values)) == index, end, values))
+            for end in ends
+        )
+        return above or self._panel_with(values), below, float(slope / (ends[0] - ends[1]))
+
+    def mirror_pairs(self) -> list[list[tuple[int, int]]]:
+        """Return indices of the same numbers of opposite edges within equal ranges, for each pair of edges."""
+        groups = []
+        for one, other in (("left", "right"), ("bottom", "top")):
+            names = {key: key.replace(f"edges.{one}", f"edges.{other}") for key in self.keys if f"edges.{one}" in key}
+            pairs = [(self.keys.index(key), self.keys.index(name)) for key, name in names.items() if name in self.keys]
+            same = all(self.low[i] == self.low[j] and self.high[i] == self.high[j] for i, j in pairs)
+            groups += [pairs] if pairs and same else []
+        return groups
+
+    def starts(self, count: int, seed: int) -> np.ndarray:
+        """Return (count, p) fractions: those of the scene's own values, then a Latin hypercube."""
+        random = np.random.default_rng(seed)
+        cells = np.tile(np.arange(count - 1), (len(self.keys), 1))
+        drawn = (random.permuted(cells, axis=1).T + random.random((count - 1, len(self.keys)))) / max(count - 1, 1)
+        return np.vstack([self._scene_fractions(), drawn])
+
+    def _scene_fractions(self) -> np.ndarray:
+        """Return the fractions of the scene's values within the ranges, and 1/2 for absent ones."""
+        stated = [value_of(self.scene, key) for key in self.keys]
+        values = np.array([np.nan if value is None else value for value in stated], dtype=float)
+        values = np.clip(values, self.low, self.high)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            logarithmic = np.log(values / self.low) / np.log(self.high / self.low)
+            fractions = np.where(self.low > 0, logarithmic, (values - self.low) / (self.high - self.low))
+        return np.nan_to_num(fractions, nan=0.5)
+
+
+def free_numbers(scene: Scene) -> FreeNumbers:
+    """Return the free numbers of a scene, or raise a SceneError if it has none."""
+    if scene.fit is None:
+        raise SceneError('fit: is missing; write [fit.free] with lines such as "plate.young_modulus" = [6e10, 8e10]')
+    keys = tuple(resolved_key(scene, name) for name in scene.fit.free)
+    low, high = np.array(list(scene.fit.free.values()), dtype=float).T
+    return FreeNumbers(scene, keys, low, high)
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +132,7 @@ class FittedPanel:
         scene: The scene with the fitted numbers.
         keys: (p,) keys of the free numbers.
         values: (p,) fitted values.
-        low: (p,) lower ends of the 95 % intervals, NaN for numbers that the data do not tell.
+        low: (p,) lower ends of the 95 % intervals, NaN if not identifiable.
         high: (p,) upper ends.
         at_limit: (p,) True where a value is an end of its range.
         correlations: (p, p) correlations of values, or of their logarithms where ranges are above 0; else NaN.
@@ -53,58 +160,74 @@ class FittedPanel:
     rise: float
 
 
-def fit_panel(
-    free: FreeNumbers,
-    source: str,
-    count: int,
-    predict: Prediction,
-    residuals: Sequence[Residuals],
-    weigh: Weigh | None,
-    kinds: Sequence[np.ndarray],
-    exact: Prediction | None = None,
-) -> FittedPanel:
+F = TypeVar("F", bound=FittedPanel)
+
+
+@dataclass(frozen=True, eq=False)
+class PanelProblem:
+    """Measurements of a panel and how its free numbers follow from them by least squares.
+
+    Attributes:
+        free: Free numbers of the scene.
+        source: File of the measurements, for errors.
+        predict: What is measured, as a function of fractions of the ranges.
+        residuals: Residuals of predictions, see :func:`fit_least_squares`.
+        kinds: Indices (m, parts) of residuals that are drawn together and from each other, see :func:`bootstrap`.
+        weigh: Weights, see :func:`fit_least_squares`.
+        exact: Prediction that takes more time, see the same.
+    """
+
+    free: FreeNumbers
+    source: str
+    predict: Prediction
+    residuals: Sequence[Residuals]
+    kinds: Sequence[np.ndarray]
+    weigh: Weigh | None
+    exact: Prediction | None = None
+
+
+def fit_panel(cls: type[F], problem: PanelProblem, describe: Callable[[Scene], dict[str, Any]]) -> F:
     """Fit a scene by least squares to measurements.
 
     Args:
-        free: Free numbers of the scene.
-        source: File of the measurements, for errors.
-        count: Number of residuals.
-        predict: What is measured, as a function of fractions of the ranges.
-        residuals: Residuals of predictions, see :func:`fit_least_squares`.
-        weigh: Weights, see the same.
-        kinds: Residuals that are drawn together and from each other, see :func:`bootstrap`.
-        exact: Prediction that takes more time, see the same.
+        cls: Class of the fit.
+        problem: Measurements.
+        describe: Function that returns the further attributes of the class for the fitted scene.
 
     Raises:
         SceneError: There are too few data, or a range leads to a scene that is refused.
     """
-    fit = free.scene.fit
+    free, weigh = problem.free, problem.weigh
+    fit, count = free.scene.fit, sum(kind.size for kind in problem.kinds)
     assert fit is not None
     if count <= len(free.keys):
         given = f"{count} numbers do not determine {len(free.keys)} free ones and their errors"
-        raise SceneError(f"{source}: {given}; measure more, or free fewer keys in [fit.free]")
-    found = fit_least_squares(predict, residuals, free.starts(fit.starts, fit.seed), weigh, exact)
+        raise SceneError(f"{problem.source}: {given}; measure more, or free fewer keys in [fit.free]")
+    starts = free.starts(fit.starts, fit.seed)
+    optimum = fit_least_squares(problem.predict, problem.residuals, starts, weigh, problem.exact)
     samples = profiles = None
     if fit.bootstrap:
-        drawn = bootstrap(found, kinds, weigh, fit.bootstrap, fit.seed)
-        samples = np.where(np.isnan(found.deviations), np.nan, np.quantile(drawn, TAILS, axis=0))
+        drawn = bootstrap(optimum, problem.kinds, weigh, fit.bootstrap, fit.seed)
+        ends = np.where(np.isnan(optimum.deviations), np.nan, np.quantile(drawn, TAILS, axis=0))
+        samples = np.array([free.values(row) for row in ends])
     if fit.profile:
-        grids, rises = profile(found, fit.profile)
+        grids, rises = profile(optimum, fit.profile)
         profiles = np.stack([np.array([free.values(column) for column in grids.T]).T, rises])
-    mirrored = [pairs for pairs in free.mirror_pairs() if exchangeable(found, pairs)]
-    width = found.student * found.deviations
-    return FittedPanel(
-        scene=free.scene_at(found.unknowns),
+    mirrored = [pairs for pairs in free.mirror_pairs() if exchangeable(optimum, pairs)]
+    width, scene = optimum.student * optimum.deviations, free.scene_at(optimum.unknowns)
+    return cls(
+        scene=scene,
         keys=free.keys,
-        values=free.values(found.unknowns),
-        low=free.values(found.unknowns - width),
-        high=free.values(found.unknowns + width),
-        at_limit=np.abs(found.unknowns - 0.5) > 0.5 - 1e-6,
-        correlations=found.correlations,
-        inseparable=tuple(tuple(free.keys[index] for index in group) for group in found.inseparable),
+        values=free.values(optimum.unknowns),
+        low=free.values(optimum.unknowns - width),
+        high=free.values(optimum.unknowns + width),
+        at_limit=np.abs(optimum.unknowns - 0.5) > 0.5 - 1e-6,
+        correlations=optimum.correlations,
+        inseparable=tuple(tuple(free.keys[index] for index in group) for group in optimum.inseparable),
         mirrored=tuple(tuple(free.keys[index] for pair in pairs for index in pair) for pairs in mirrored),
-        evaluations=predict.evaluations + (exact.evaluations if exact else 0),
-        bootstrap=None if samples is None else np.array([free.values(row) for row in samples]),
+        evaluations=problem.predict.evaluations + (problem.exact.evaluations if problem.exact else 0),
+        bootstrap=samples,
         profiles=profiles,
-        rise=found.student**2,
+        rise=optimum.student**2,
+        **describe(scene),
     )

@@ -3,12 +3,17 @@
 With residuals r and their Jacobian J at the optimum, the covariance of the unknowns is s² (JᵀJ)⁻¹, in which
 s² = rᵀr / (n − rank J), and intervals follow from Student's t. Directions in which J, its columns scaled to length 1,
 has no singular value are combinations of unknowns that the data do not tell apart.
+
+The bootstrap (B. Efron, R. J. Tibshirani, An Introduction to the Bootstrap, 1993, section 9.4) draws the residuals of a
+fit with replacement, adds them to the prediction at the optimum and fits these data, many times; it makes no assumption
+of normal errors, and follows the unknowns where they are not linear in the data. A profile likelihood fixes one unknown
+at a time and fits the others.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Protocol
 
@@ -17,18 +22,22 @@ import scipy
 
 # Step of central differences and the number of best starts that are followed to the end.
 STEP, FOLLOWED = 1e-4, 3
-# Relative changes of the unknowns at which a stage, and the whole, are at an optimum.
-COARSE, FINE = 1e-2, 1e-6
+# Relative changes of the unknowns at which a stage, the whole, and further fits around the optimum end.
+COARSE, FINE, AROUND = 1e-2, 1e-6, 1e-4
 # Residuals that change by less over a whole range do not depend on an unknown; smaller singular values are zero.
 NO_INFLUENCE, RANK = 1e-6, 1e-4
 # Parts of a direction without a singular value above MEMBER belong to it; unknowns whose parts change together by a
 # cosine above LINKED form one group.
 MEMBER, LINKED = 1e-3, 0.1
-# Predictions that are kept.
-MOST_KEPT = 128
+# Predictions that are cached.
+MOST_CACHED = 128
 # Rounds of reweighting the residuals.
 ROUNDS = 3
 LEVEL = 0.95
+# Half-width of profiles in standard deviations.
+REACH = 3.0
+# Half the distance of exchanged unknowns, and the part of the residuals' change that differs for mirror images.
+APART, ALIKE = 0.1, 1e-3
 Function = Callable[[np.ndarray], np.ndarray]
 Weigh = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
@@ -61,10 +70,10 @@ class Differenced:
     def __init__(self, function: Function) -> None:
         self.evaluations = 0
         self._function = function
-        self._kept = lru_cache(MOST_KEPT)(self._predict)
+        self._cached = lru_cache(MOST_CACHED)(self._predict)
 
     def __call__(self, unknowns: np.ndarray) -> np.ndarray:
-        return self._kept(tuple(unknowns.tolist()))
+        return self._cached(tuple(unknowns.tolist()))
 
     def slopes(self, unknowns: np.ndarray, central: bool) -> np.ndarray:
         """See :class:`Prediction`; differences stay within 0 ... 1."""
@@ -127,7 +136,7 @@ def fit_least_squares(
     costs = [np.sum(stages[0].residuals(start) ** 2) for start in starts]
     best = np.argsort(costs, kind="stable")[:FOLLOWED]
     solved = [stages[0].solve(starts[index], COARSE) for index in best]
-    unknowns = min(solved, key=lambda found: np.sum(stages[0].residuals(found) ** 2))
+    unknowns = min(solved, key=lambda point: np.sum(stages[0].residuals(point) ** 2))
     for stage in stages[1:-1]:
         unknowns = stage.solve(unknowns, COARSE)
     problem = stages[-1]
@@ -176,26 +185,25 @@ class LeastSquaresProblem:
 
     def solve(self, start: np.ndarray, tolerance: float, fixed: int | None = None) -> np.ndarray:
         """Return the (p,) unknowns of a local optimum, with one of them ``fixed``."""
-        moving = np.arange(len(start)) != (-1 if fixed is None else fixed)
-
-        if not moving.any():
+        free = np.arange(len(start)) != (-1 if fixed is None else fixed)
+        if not free.any():
             return start
 
         def point(changed: np.ndarray) -> np.ndarray:
             whole = start.copy()
-            whole[moving] = changed
+            whole[free] = changed
             return whole
 
-        found = scipy.optimize.least_squares(
+        optimum = scipy.optimize.least_squares(
             lambda changed: self.weights * self.residuals(point(changed)),
-            start[moving],
-            lambda changed: self.jacobian(point(changed), central=tolerance < COARSE)[:, moving],
+            start[free],
+            lambda changed: self.jacobian(point(changed), central=tolerance < COARSE)[:, free],
             bounds=(0, 1),
             xtol=tolerance,
             ftol=tolerance**2,
             gtol=None,
         )
-        return point(found.x)
+        return point(optimum.x)
 
 
 def leverage(jacobian: np.ndarray) -> np.ndarray:
@@ -210,19 +218,90 @@ def _judge(unknowns: np.ndarray, problem: LeastSquaresProblem, jacobian: np.ndar
     lengths = np.linalg.norm(jacobian, axis=0)
     lengths[lengths < NO_INFLUENCE] = np.inf
     _, values, directions = np.linalg.svd(jacobian / lengths, full_matrices=False)
-    kept = values > RANK
-    freedom = len(residuals) - int(kept.sum())
-    scaled = directions[kept] / values[kept, None]
+    determined = values > RANK
+    freedom = len(residuals) - int(determined.sum())
+    scaled = directions[determined] / values[determined, None]
     covariance = (residuals @ residuals / freedom) * (scaled.T @ scaled)
-    lost = np.eye(len(unknowns)) - directions[kept].T @ directions[kept]
+    lost = np.eye(len(unknowns)) - directions[determined].T @ directions[determined]
     parts = np.sqrt(np.maximum(np.diag(lost), 0))
-    told = parts < MEMBER
-    deviations = np.where(told, np.sqrt(np.diag(covariance)), np.nan)
+    identifiable = parts < MEMBER
+    deviations = np.where(identifiable, np.sqrt(np.diag(covariance)), np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
         correlations = covariance / np.outer(deviations, deviations)
-    linked = (np.abs(lost) > LINKED * np.outer(parts, parts)) & ~told & ~told[:, None]
+    linked = (np.abs(lost) > LINKED * np.outer(parts, parts)) & ~identifiable & ~identifiable[:, None]
     count, labels = scipy.sparse.csgraph.connected_components(linked)
-    groups = (tuple(np.flatnonzero((labels == label) & ~told).tolist()) for label in range(count))
+    groups = (tuple(np.flatnonzero((labels == label) & ~identifiable).tolist()) for label in range(count))
     student = float(scipy.special.stdtrit(freedom, (1 + LEVEL) / 2))
     inseparable = tuple(group for group in groups if group)
     return LeastSquaresFit(unknowns, deviations / lengths, correlations, inseparable, student, freedom, problem)
+
+
+def bootstrap(
+    optimum: LeastSquaresFit, kinds: Sequence[np.ndarray], weigh: Weigh | None, count: int, seed: int
+) -> np.ndarray:
+    """Return (count, p) unknowns that were fitted to resampled data.
+
+    Args:
+        optimum: Optimum.
+        kinds: Indices (m, parts) of residuals that are drawn together, a row at a time, from the rows of their kind.
+        weigh: Weights, see :func:`fit_least_squares`.
+        count: Number of data sets.
+        seed: Random seed.
+    """
+    problem, random = optimum.problem, np.random.default_rng(seed)
+    residuals, jacobian = problem.residuals(optimum.unknowns), problem.jacobian(optimum.unknowns)
+    slopes = (jacobian.T / problem.weights).T
+    # Residuals of a fit are smaller than the errors of the data.
+    errors = residuals * np.sqrt(len(residuals) / max(1, len(residuals) - len(optimum.unknowns)))
+    samples = []
+    for _ in range(count):
+        drawn = errors.copy()
+        for rows in kinds:
+            drawn[rows] = errors[rows[random.integers(len(rows), size=len(rows))]]
+        weights = problem.weights if weigh is None else weigh(drawn, leverage(jacobian))
+        resampled = replace(problem, shift=drawn - residuals, weights=weights, slopes=slopes)
+        samples.append(resampled.solve(optimum.unknowns, AROUND))
+    return np.array(samples)
+
+
+def profile(optimum: LeastSquaresFit, points: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return (p, points) values of each unknown, and by how much χ² rises if it is fixed there.
+
+    χ² is the sum of squared residuals over its estimated variance; a 95 % interval ends where it rises by the square of
+    ``optimum.student``. Values reach three standard deviations to either side, or over the range of an unknown that the
+    data do not determine.
+    """
+    best = _squares(optimum.problem, optimum.unknowns)
+    variance = best / max(1, optimum.freedom)
+    grids, rises = [], []
+    for index, (value, deviation) in enumerate(zip(optimum.unknowns, optimum.deviations, strict=True)):
+        width = REACH * deviation if np.isfinite(deviation) else 1.0
+        grid = np.linspace(max(value - width, 0.0), min(value + width, 1.0), points)
+        squares = np.empty(points)
+        for order in (np.flatnonzero(grid >= value), np.flatnonzero(grid < value)[::-1]):  # outwards
+            unknowns = optimum.unknowns
+            for place in order:
+                start = np.where(np.arange(len(unknowns)) == index, grid[place], unknowns)
+                unknowns = optimum.problem.solve(start, AROUND, fixed=index)
+                squares[place] = _squares(optimum.problem, unknowns)
+        grids.append(grid)
+        rises.append((squares - best) / variance if variance else squares * 0)
+    return np.array(grids), np.array(rises)
+
+
+def exchangeable(optimum: LeastSquaresFit, pairs: Sequence[tuple[int, int]]) -> bool:
+    """Return whether the data stay as they are if the unknowns of all pairs change places."""
+    first, second = np.array(pairs).T
+    middle = np.clip((optimum.unknowns[first] + optimum.unknowns[second]) / 2, APART, 1 - APART)
+    images = [optimum.unknowns.copy(), optimum.unknowns.copy()]
+    for point, sign in zip(images, (1, -1), strict=True):
+        point[first], point[second] = middle + sign * APART, middle - sign * APART
+    one, other = (optimum.problem.residuals(point) for point in images)
+    equal = optimum.unknowns.copy()
+    equal[first] = equal[second] = middle
+    change = np.linalg.norm(one - optimum.problem.residuals(equal))
+    return bool(np.linalg.norm(one - other) < ALIKE * change)
+
+
+def _squares(problem: LeastSquaresProblem, unknowns: np.ndarray) -> float:
+    return float(np.sum((problem.weights * problem.residuals(unknowns)) ** 2))

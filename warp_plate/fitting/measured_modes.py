@@ -1,14 +1,20 @@
-"""Natural frequencies and shapes that were measured, from CSV files and universal files (dataset 55)."""
+"""Natural frequencies and shapes that were measured, from CSV files and universal files.
+
+Universal files hold modes (dataset 55), places of nodes (15), and frequency responses with coherence (58).
+"""
 
 from __future__ import annotations
 
 import math
+import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from warp_plate.fitting.universal import UNIVERSAL, universal_modes
+from warp_plate.result.export.frequency_response import RESPONSE_FUNCTION, missing_uff
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import LARGEST, SMALLEST
 
@@ -21,6 +27,9 @@ LIMITS = {
 }
 # First word of columns with shapes, and the rule for their numbers.
 SHAPE, NUMBER = "shape", (-LARGEST, LARGEST, f"a number of at most {LARGEST:g}")
+UNIVERSAL = (".uff", ".unv")
+# Codes of dataset 58: a coherence. Of dataset 55: normal modes, and complex modes of displacement and of velocity.
+COHERENCE, NORMAL, COMPLEX = 6, 2, (3, 7)
 # Cells of a column with the numbers of their lines.
 Cells = list[tuple[int, str]]
 
@@ -63,10 +72,10 @@ def read_modes(path: Path) -> MeasuredModes:
     if not 1 <= len(cells) <= MOST_MODES:
         named = ", ".join(columns)
         raise SceneError(f"{path}: needs 1 to {MOST_MODES} numbers in a column 'frequency'; the columns are: {named}")
-    found = {name: _numbers(path, name, columns[name]) for name in LIMITS if name in columns}
-    order = np.argsort(found.get("mode", found["frequency"]), kind="stable")
-    frequencies, numbers = found["frequency"][order], found.get("mode")
-    damping = found.get("damping", np.full(len(cells), math.nan))[order]
+    table = {name: _numbers(path, name, columns[name]) for name in LIMITS if name in columns}
+    order = np.argsort(table.get("mode", table["frequency"]), kind="stable")
+    frequencies, numbers = table["frequency"][order], table.get("mode")
+    damping = table.get("damping", np.full(len(cells), math.nan))[order]
     numbers = None if numbers is None else numbers[order].astype(int)
     points = [name for name in columns if name.split()[0:1] == [SHAPE]]
     if not points:
@@ -85,27 +94,56 @@ def _point(path: Path, name: str) -> tuple[float, float]:
 
 
 def _universal(path: Path) -> MeasuredModes:
-    """Return the modes of a universal file, those that bend the panel, by rising frequency."""
+    """Return the modes of a universal file, those that bend the panel, by rising frequency.
+
+    Shapes and points are None if the places of the nodes (dataset 15) are missing.
+    """
     _check_file(path)
     try:
-        frequencies, damping, shapes, points = universal_modes(path)
+        sets = _sets(path)
+        modes = [item for item in sets if item.get("type") == 55 and item.get("analysis_type") in (NORMAL, *COMPLEX)]
+        if not modes:
+            raise ValueError("has no mode (dataset 55 of analysis type 2, 3 or 7)")
+        frequencies, damping = np.array([_frequency_and_damping(item) for item in modes], dtype=float).T
+        shapes, points = _shapes_and_points(sets, modes)
     except ValueError as error:
         raise SceneError(f"{path}: {error}") from None
     order = np.argsort(frequencies, kind="stable")
     order = order[frequencies[order] > 0]
-    if not 1 <= len(order) <= MOST_MODES or not np.all(
-        (frequencies[order] > SMALLEST) & (frequencies[order] < LARGEST)
-    ):
+    frequencies, damping = frequencies[order], damping[order]
+    if not 1 <= len(order) <= MOST_MODES or not np.all((frequencies > SMALLEST) & (frequencies < LARGEST)):
         rule = LIMITS["frequency"][2]
         raise SceneError(f"{path}: needs 1 to {MOST_MODES} modes (dataset 55); a frequency must be {rule}")
-    for value in damping[order][np.isfinite(damping[order])]:
+    for value in damping[np.isfinite(damping)]:
         if not SMALLEST < value < 1:
             raise SceneError(f"{path}: a damping ratio is {value:g}; must be above {SMALLEST:g} and below 1")
-    if shapes is not None and not np.all(np.abs(shapes) < LARGEST):
+    if shapes is None:
+        return MeasuredModes(str(path), frequencies, damping)
+    if not np.all(np.abs(shapes) < LARGEST):
         raise SceneError(f"{path}: a shape is not made of numbers below {LARGEST:g}")
-    return MeasuredModes(
-        str(path), frequencies[order], damping[order], None, None if shapes is None else shapes[order], points
-    )
+    return MeasuredModes(str(path), frequencies, damping, None, shapes[order], points)
+
+
+def _shapes_and_points(
+    sets: Sequence[dict[str, Any]], modes: Sequence[dict[str, Any]]
+) -> tuple[np.ndarray, np.ndarray] | tuple[None, None]:
+    """Return (n, points) shapes along z and (points, 2) x, y [m]; None if the nodes have no places."""
+    numbers = modes[0]["node_nums"]
+    if any(not np.array_equal(item["node_nums"], numbers) for item in modes):
+        raise ValueError("its modes (dataset 55) are at different nodes")
+    places = {
+        int(number): (float(x), float(y))
+        for item in sets
+        if item.get("type") == 15
+        for number, x, y in zip(item["node_nums"], item["x"], item["y"], strict=True)
+    }
+    if not places:
+        return None, None
+    if missing := [int(number) for number in numbers if int(number) not in places]:
+        raise ValueError(f"node {missing[0]} of a mode has no place (dataset 15)")
+    if any("r3" not in item for item in modes):
+        raise ValueError("a mode has no motion across the plate (r3 of dataset 55)")
+    return np.array([item["r3"] for item in modes]), np.array([places[int(number)] for number in numbers])
 
 
 def _check_file(path: Path) -> None:
@@ -154,3 +192,42 @@ def _numbers(path: Path, name: str, cells: Cells) -> np.ndarray:
             raise SceneError(f"{path}: line {line}, {name} = {cell[:40]!r}: must be {rule}")
         values.append(value)
     return np.array(values)
+
+
+def universal_responses(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return (1 + responses, n) frequencies and responses of the datasets 58, and their (responses, n) coherences.
+
+    Raises:
+        ValueError: The file cannot be read, or holds no responses at common frequencies.
+    """
+    functions = [item for item in _sets(path) if item.get("type") == 58]
+    sets = [item for item in functions if item.get("func_type") == RESPONSE_FUNCTION]
+    coherence = [item["data"] for item in functions if item.get("func_type") == COHERENCE]
+    if not sets:
+        raise ValueError("has no frequency response (dataset 58 of function type 4)")
+    if any(not np.array_equal(item["x"], sets[0]["x"]) for item in functions):
+        raise ValueError("its frequency responses are at different frequencies")
+    columns = np.vstack([sets[0]["x"], *(item["data"] for item in sets)]).astype(complex)
+    return columns, np.array(coherence, dtype=float) if len(coherence) == len(sets) else None
+
+
+def _frequency_and_damping(item: dict[str, Any]) -> tuple[float, float]:
+    if item["analysis_type"] == NORMAL:
+        return item["freq"], item["modal_damp_vis"] or math.nan
+    size = abs(item["eig"])
+    return size / (2 * math.pi), -item["eig"].real / size if size else math.nan
+
+
+def _sets(path: Path) -> list[dict[str, Any]]:
+    """Return the datasets of a universal file."""
+    if (problem := missing_uff()) is not None:
+        raise ValueError(problem)
+    import pyuff
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # pyuff leaves files for Python to close
+            sets = pyuff.UFF(str(path)).read_sets()
+    except Exception as error:  # of many kinds, for files of any content
+        raise ValueError(f"cannot be read as a universal file: {error}") from None
+    return sets if isinstance(sets, list) else [sets]

@@ -1,4 +1,12 @@
-"""Frequency responses that were measured: from tables, arrays, universal files, and time signals."""
+"""Frequency responses that were measured: from tables, arrays, universal files, and time signals.
+
+With spectral densities S averaged over segments, x the force and y the motion (Bendat, Piersol, Random Data, ch. 6):
+
+    H1 = S_xy / S_xx        noise in the motion averages out
+    H2 = S_yy / S_yx        noise in the force averages out
+    Hv = S_xy / |S_xy| · √(S_yy / S_xx)        noise in both, alike in relation to each
+    γ² = |S_xy|² / (S_xx S_yy)        coherence: 1 without noise, leakage and nonlinearity
+"""
 
 from __future__ import annotations
 
@@ -9,17 +17,17 @@ from pathlib import Path
 
 import numpy as np
 
-from warp_plate.fitting.signals import estimate_responses, read_signals
-from warp_plate.fitting.universal import UNIVERSAL, universal_responses
+from warp_plate.fitting.measured_modes import UNIVERSAL, universal_responses
 from warp_plate.plate.files import number_rows
+from warp_plate.plate.waveforms import LOUDEST, MOST_SAMPLES, even_step, wav_channels
 from warp_plate.result.arrays import HDF5, MAT, read_arrays
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import LARGEST, SMALLEST
 from warp_plate.scene.fit import Fit, TimeSignals
 
 MOST_BYTES, MOST_FREQUENCIES = 2**27, 4000
-# Names in MAT and HDF5 files.
 MOST_COHERENCE = 1 + 1e-6  # of numbers that were rounded
+# Names in MAT and HDF5 files.
 ARRAYS = "frequency", "response", "real", "imaginary", "coherence"
 # (1 + responses, n) frequencies and responses, and (responses, n) coherences.
 Columns = tuple[np.ndarray, np.ndarray | None]
@@ -32,7 +40,7 @@ class MeasuredResponses:
     Attributes:
         source: Files that they come from.
         frequencies: (n,) [Hz], rising, above 0.
-        responses: (measurements, n) complex responses, for motion that turns as exp(iωt).
+        responses: (measurements, n) complex responses, for motion that varies as exp(iωt).
         coherence: (measurements, n) coherence γ², NaN for responses without; None if there is none at all.
     """
 
@@ -68,10 +76,10 @@ def read_responses(paths: Path | Sequence[Path], count: int, fit: Fit | None = N
             raise SceneError(f"{path}: is at other frequencies than {paths[0]}")
     source = ", ".join(map(str, paths))
     frequencies, responses = parts[0][0][0].real, np.vstack([columns[1:] for columns, _ in parts])
-    coherence = np.vstack([np.full(of[1:].shape, np.nan) if known is None else known for of, known in parts])
+    coherence = np.vstack([np.full(columns[1:].shape, np.nan) if of is None else of for columns, of in parts])
     low, high = fit.range if fit and fit.range else (-np.inf, np.inf)
-    kept = (frequencies != 0) & ~((frequencies < low) | (frequencies > high))
-    frequencies, responses, coherence = frequencies[kept], responses[:, kept], coherence[:, kept]
+    selected = (frequencies != 0) & ~((frequencies < low) | (frequencies > high))
+    frequencies, responses, coherence = frequencies[selected], responses[:, selected], coherence[:, selected]
     _check(source, frequencies, responses)
     return MeasuredResponses(source, frequencies, responses, None if np.isnan(coherence).all() else coherence)
 
@@ -98,8 +106,9 @@ def _read(path: Path, count: int, signals: TimeSignals | None) -> Columns:
         raise SceneError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
     table = ending not in (*UNIVERSAL, *MAT, *HDF5, ".wav") and signals is None  # with columns that are skipped
     if len(columns) <= count or (not table and len(columns) > 1 + count):
-        each = f"the scene has {count} tables [[measurement]] for it"
-        raise SceneError(f"{path}: has {len(columns) - 1} responses; {each}")
+        raise SceneError(
+            f"{path}: has {len(columns) - 1} responses; the scene has {count} tables [[measurement]] for it"
+        )
     return columns[: 1 + count], None if coherence is None else coherence[:count]
 
 
@@ -129,13 +138,13 @@ def _csv(data: bytes) -> np.ndarray:
 
 def _arrays(path: Path) -> Columns:
     """Return the responses of a MAT or HDF5 file."""
-    found = read_arrays(path, ARRAYS)
-    if "frequency" not in found or not ("response" in found or {"real", "imaginary"} <= set(found)):
-        raise ValueError(f"needs the arrays frequency, and response or real and imaginary; has {', '.join(found)}")
-    if turned := [name for name, values in found.items() if name != "response" and np.iscomplexobj(values)]:
-        raise ValueError(f"{turned[0]} is complex; only response may be")
-    frequencies = found["frequency"].ravel()
-    shaped = {name: _along(name, values, len(frequencies)) for name, values in found.items() if name != "frequency"}
+    arrays = read_arrays(path, ARRAYS)
+    if "frequency" not in arrays or not ("response" in arrays or {"real", "imaginary"} <= set(arrays)):
+        raise ValueError(f"needs the arrays frequency, and response or real and imaginary; has {', '.join(arrays)}")
+    if wrong := [name for name, values in arrays.items() if name != "response" and np.iscomplexobj(values)]:
+        raise ValueError(f"{wrong[0]} is complex; only response may be")
+    frequencies = arrays["frequency"].ravel()
+    shaped = {name: _along(name, values, len(frequencies)) for name, values in arrays.items() if name != "frequency"}
     if len({values.shape for values in shaped.values()}) > 1:
         raise ValueError(f"the arrays {', '.join(shaped)} have different numbers of responses")
     responses = shaped["response"] if "response" in shaped else shaped["real"] + 1j * shaped["imaginary"]
@@ -150,3 +159,62 @@ def _along(name: str, values: np.ndarray, count: int) -> np.ndarray:
             f"{name} has shape {values.shape}; one axis, and no other, must be as long as frequency, {count}"
         )
     return np.moveaxis(values, axes[0], -1).reshape(values.size // max(count, 1), count)
+
+
+def read_signals(path: Path) -> tuple[np.ndarray, float]:
+    """Return (channels, samples) values and samples per second of a WAV file, or of a CSV file with times [s] first.
+
+    Raises:
+        ValueError: The file is damaged, too large, or holds fewer than two channels.
+    """
+    if path.suffix.lower() == ".wav":
+        values, rate = wav_channels(path.read_bytes())
+    else:
+        table = np.array([row for _, row in number_rows(path.read_bytes())], dtype=float)
+        if len(table) < 2 or table.shape[1] < 3:
+            raise ValueError("needs the columns time, and a signal in each of at least two others")
+        values, rate = table[:, 1:].T, 1 / even_step(table[:, 0])
+    if values.size > MOST_SAMPLES:
+        raise ValueError(f"{values.size} samples; at most {MOST_SAMPLES} are read")
+    if len(values) < 2 or not np.abs(values).max(initial=0) <= LOUDEST or not rate > 0:
+        raise ValueError(f"needs a channel with the force and one or more with a motion, numbers up to {LOUDEST:g}")
+    return values, rate
+
+
+def estimate_responses(values: np.ndarray, rate: float, table: TimeSignals) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return (1 + sensors, n) frequencies [Hz] and responses, and their (sensors, n) coherence.
+
+    Args:
+        values: (channels, samples) signals.
+        rate: Samples per second.
+        table: Which channel is the force, and how its responses are estimated.
+
+    Returns:
+        Frequencies and responses; the coherence, or None if there is a single segment.
+
+    Raises:
+        ValueError: A segment is longer than the signals or shorter than two samples, or there is no such channel.
+    """
+    from scipy.signal import csd, welch
+
+    samples, length = values.shape[1], round(min(table.segment * rate, 1e18))
+    if not 2 <= length <= samples:
+        given = f"{samples / rate:g} s at {rate:g} samples a second"
+        raise ValueError(f"holds {given}; fit.signals.segment = {table.segment:g} s must have 2 to {samples} samples")
+    if table.force_channel > len(values):
+        raise ValueError(f"has {len(values)} channels; fit.signals.force_channel = {table.force_channel}")
+    overlap = length // 2 if table.window == "hann" else 0
+    options = {"fs": rate, "window": table.window, "nperseg": length, "noverlap": overlap}
+    force = values[table.force_channel - 1] / table.force_gain
+    motion = np.delete(values, table.force_channel - 1, axis=0)
+    frequencies, of_force = welch(force, **options)
+    of_motion, crossed = welch(motion, **options)[1], csd(force, motion, **options)[1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        responses = {
+            "H1": crossed / of_force,
+            "H2": of_motion / crossed.conj(),
+            "Hv": crossed / np.abs(crossed) * np.sqrt(of_motion / of_force),
+        }[table.estimator]
+        coherence = np.abs(crossed) ** 2 / (of_force * of_motion)
+    several = samples >= 2 * length - overlap
+    return np.vstack([frequencies, responses]), np.minimum(coherence, 1.0) if several else None

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warp_plate.fitting.free_numbers import FreeNumbers, free_numbers
+from warp_plate.fitting.fitted_panel import FreeNumbers, free_numbers
 from warp_plate.fitting.panel_responses import MOST_MODES, undamped_error
 from warp_plate.modal.continuous_modes import linear_part
 from warp_plate.modal.modes import solve_modes
@@ -43,7 +43,7 @@ class MeasurementPlan:
         scene: The scene with a table ``[[measurement]]`` for each sensor.
         actuator: Name of the actuator to drive.
         points: (sensors, 2) x, y of the sensors [m], the most informative first.
-        frequencies: (n,) frequencies [Hz] that the plan is made for.
+        frequencies: (n,) frequencies [Hz] of the plan.
         keys: (p,) keys of the free numbers.
         values: (p,) their values in the scene.
         low: (p,) lower ends of the 95 % intervals that are expected; those of the range if nothing is learnt.
@@ -74,7 +74,7 @@ def plan_measurement(
     """Return the places of sensors and the actuator that best determine the keys of ``[fit.free]``.
 
     Args:
-        scene: Linear scene with ``[fit.free]``; the plan is made for its values.
+        scene: Linear scene with ``[fit.free]``; the plan is for its values.
         sensors: Number of accelerometers.
         noise: Standard deviation of responses, relative to each.
         frequency_range: Lowest and highest frequency [Hz] (default: ``fit.range``, or from half the lowest natural
@@ -94,14 +94,14 @@ def plan_measurement(
     low, high = frequency_range or (scene.fit and scene.fit.range) or _default_range(scene)
     frequencies = np.linspace(low, high, FREQUENCIES)
     information = _information(free, frequencies, candidates, noise)
-    chosen = [choose_places(each, sensors) for each in information]
-    sizes = [_log_size(each[rows].sum(axis=0)) for each, rows in zip(information, chosen, strict=True)]
+    chosen = [choose_places(candidate, sensors) for candidate in information]
+    sizes = [_log_size(gain[rows].sum(axis=0)) for gain, rows in zip(information, chosen, strict=True)]
     best = int(np.argmax(sizes))
     relative = 1 / (2 * len(free.keys))  # of a log determinant, in logarithms of the mean width of an interval
     drawn = np.random.default_rng(0).random((RANDOM, len(candidates))).argsort(axis=1)[:, :sensors]
     random = np.median([_log_size(information[best][rows].sum(axis=0)) for rows in drawn])
-    names = [each.name for each in scene.actuators]
-    points, own = candidates[chosen[best]], free.starts(2, 0)[0]
+    names = [actuator.name for actuator in scene.actuators]
+    points, start = candidates[chosen[best]], free.starts(2, 0)[0]
     width = NORMAL * np.sqrt(np.diag(np.linalg.inv(_with_ranges(information[best][chosen[best]].sum(axis=0)))))
     rows = [{"actuator": names[best], "point": (float(x), float(y))} for x, y in points]
     return MeasurementPlan(
@@ -110,9 +110,9 @@ def plan_measurement(
         points=points,
         frequencies=frequencies,
         keys=free.keys,
-        values=free.values(own),
-        low=free.values(np.maximum(own - width, 0)),
-        high=free.values(np.minimum(own + width, 1)),
+        values=free.values(start),
+        low=free.values(np.maximum(start - width, 0)),
+        high=free.values(np.minimum(start + width, 1)),
         random=float(np.exp(relative * (sizes[best] - random))),
         actuators={
             names[i]: float(np.exp(relative * (sizes[best] - sizes[i]))) for i in range(len(names)) if i != best
@@ -166,16 +166,16 @@ def _default_range(scene: Scene) -> tuple[float, float]:
 
 def _information(free: FreeNumbers, frequencies: np.ndarray, candidates: np.ndarray, noise: float) -> np.ndarray:
     """Return (actuators, candidates, p, p) information about fractions of the ranges."""
-    own = free.starts(2, 0)[0]
-    at_own = _responses(free.scene_at(own), frequencies, candidates)
+    start = free.starts(2, 0)[0]
+    responses = _responses(free.scene_at(start), frequencies, candidates)
     slopes = []
-    for step in STEP * np.eye(len(own)):
-        above, below = np.minimum(own + step, 1), np.maximum(own - step, 0)
+    for step in STEP * np.eye(len(start)):
+        above, below = np.minimum(start + step, 1), np.maximum(start - step, 0)
         change = _responses(free.scene_at(above), frequencies, candidates)
         change -= _responses(free.scene_at(below), frequencies, candidates)
         slopes.append(change / np.sum(above - below))
-    mean = np.mean(np.abs(at_own) ** 2, axis=1, keepdims=True)
-    deviation = noise * np.sqrt(np.abs(at_own) ** 2 + FLOOR**2 * mean)
+    mean = np.mean(np.abs(responses) ** 2, axis=1, keepdims=True)
+    deviation = noise * np.sqrt(np.abs(responses) ** 2 + FLOOR**2 * mean)
     scaled = np.stack(slopes, axis=-1) / deviation[..., None]
     # Noise of a complex number has half its variance in each part.
     return 2 * np.einsum("acfi,acfj->acij", scaled.conj(), scaled, optimize=True).real
@@ -188,5 +188,5 @@ def _responses(scene: Scene, frequencies: np.ndarray, candidates: np.ndarray) ->
         raise undamped_error()
     forces = plate.actuator_forces() / [(x1 - x0) * (y1 - y0) for x0, x1, y0, y1 in (a.area for a in scene.actuators)]
     amplitudes = plate.respond(frequencies, forces)
-    turn = (2j * np.pi * frequencies) ** DERIVATIVES["accelerance"]
-    return np.asarray(turn * np.einsum("fma,mc->acf", amplitudes, plate.at_points(candidates), optimize=True))
+    factor = (2j * np.pi * frequencies) ** DERIVATIVES["accelerance"]
+    return np.asarray(factor * np.einsum("fma,mc->acf", amplitudes, plate.at_points(candidates), optimize=True))

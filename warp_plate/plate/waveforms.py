@@ -6,8 +6,9 @@ Re(Z·a) lags behind s by the phase lag of Z at every frequency at once (Gabor, 
 
 from __future__ import annotations
 
+import io
 import math
-import struct
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,7 +33,6 @@ TABLE_STEPS = 1024  # entries of the tabulated filter per sample
 BLOCK = 2**21  # number of products in memory
 # Part of a step by which times in a CSV, which are rounded, may be off an even spacing.
 UNEVEN = 0.05
-_WIDTHS = {(1, 8): "u1", (1, 16): "<i2", (1, 24): "u1", (1, 32): "<i4", (3, 32): "<f4", (3, 64): "<f8"}
 
 
 def tone(chirp: Chirp | None, frequency: np.ndarray | float, time_step: float, steps: int) -> np.ndarray:
@@ -68,10 +68,10 @@ def burst_means(burst: Burst, start: np.ndarray | float, time_step: float, steps
     def risen(time: np.ndarray) -> np.ndarray:  # the integral of the rise up to a time within 0 ... ramp
         if not ramp:
             return 0 * time
-        turn = math.pi / ramp
+        omega = math.pi / ramp
         if power == 1:
-            return (time - np.sin(turn * time) / turn) / 2
-        return 3 * time / 8 - np.sin(turn * time) / (2 * turn) + np.sin(2 * turn * time) / (16 * turn)
+            return (time - np.sin(omega * time) / omega) / 2
+        return 3 * time / 8 - np.sin(omega * time) / (2 * omega) + np.sin(2 * omega * time) / (16 * omega)
 
     def once(time: np.ndarray) -> np.ndarray:
         top = np.clip(time - ramp, 0, max(duration - 2 * ramp, 0))
@@ -190,7 +190,7 @@ def resample(samples: Samples, time_step: float, steps: int, band: float = 1.0) 
 
 
 def sample_at(samples: Samples, times: np.ndarray, band: float = 1.0) -> np.ndarray:
-    """Return (..., times) analytic signal at times from 0 on [s], low-passed to ``band`` of its own Nyquist frequency.
+    """Return (..., times) analytic signal at times from 0 on [s], low-passed to ``band`` of its Nyquist frequency.
 
     See :func:`resample`.
     """
@@ -216,39 +216,28 @@ def sample_at(samples: Samples, times: np.ndarray, band: float = 1.0) -> np.ndar
 
 
 def wav_channels(data: bytes) -> tuple[np.ndarray, float]:
-    """Return values (channels, samples) and rate of a RIFF WAVE file of integers of 8 to 32 bits or floating point.
+    """Return values (channels, samples) and rate of a RIFF WAVE file of integers or floating point.
 
     Raises:
         ValueError: It is no such file, or is damaged.
     """
     if data[:4] != b"RIFF" or data[8:12] != b"WAVE":
         raise ValueError("not a WAV file")
-    chunks: dict[bytes, bytes] = {}
-    place = 12
-    while place + 8 <= len(data):
-        name, size = struct.unpack_from("<4sI", data, place)
-        body = data[place + 8 : place + 8 + size]
-        if len(body) < size and size != 0xFFFFFFFF:  # of recorders that do not know the end yet
-            raise ValueError("the WAV file ends too early")
-        chunks.setdefault(name, body)
-        place += 8 + size + size % 2
-    form, body = chunks.get(b"fmt ", b""), chunks.get(b"data", b"")
-    if len(form) < 16:
-        raise ValueError("a WAV file without its format")
-    code, channels, rate, _, _, bits = struct.unpack_from("<HHIIHH", form)
-    if code == 0xFFFE and len(form) >= 26:  # extensible format
-        (code,) = struct.unpack_from("<H", form, 24)
-    if (code, bits) not in _WIDTHS:
-        raise ValueError(f"a WAV file of format {code} with {bits} bits; write PCM or floating point")
-    if not channels:
-        raise ValueError("a WAV file without channels")
-    frame = channels * (bits // 8)
-    raw = np.frombuffer(body[: len(body) // frame * frame], dtype=_WIDTHS[code, bits])
-    if bits == 24:
-        low, middle, high = raw.reshape(-1, 3).astype(np.int32).T
-        raw = (low + (middle << 8) + (high << 16) + 2**23) % 2**24 - 2**23
-    values = raw.reshape(-1, channels).T.astype(float)
-    return values if code == 3 else (values - 128 * (bits == 8)) / 2.0 ** (bits - 1), float(rate)
+    stated = int.from_bytes(data[4:8], "little") + 8
+    if len(data) < stated < 2**32 - 2**16:  # recorders that do not know the end yet write the largest number
+        raise ValueError("the WAV file ends too early")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of chunks that SciPy does not know
+            rate, samples = scipy.io.wavfile.read(io.BytesIO(data))
+    except ValueError as error:
+        raise ValueError(f"a WAV file that cannot be read: {error}") from None
+    except Exception:  # of many kinds, for files of any content
+        raise ValueError("a WAV file without samples, or damaged") from None
+    values = np.atleast_2d(samples.T).astype(float)
+    if samples.dtype.kind != "f":
+        values = (values - 128 * (samples.dtype == np.uint8)) / 2.0 ** (8 * samples.dtype.itemsize - 1)
+    return values, float(rate)
 
 
 def _csv(

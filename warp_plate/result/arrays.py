@@ -40,26 +40,26 @@ def read_arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
             made of numbers.
     """
     try:
-        found = _mat(path, names) if path.suffix.lower() in MAT else _hdf5(path, names)
+        arrays = _mat(path, names) if path.suffix.lower() in MAT else _hdf5(path, names)
     except SceneError as error:
         raise ValueError(str(error)) from None
     except Exception as error:  # of many kinds, for files of any content
         raise ValueError(
             f"cannot be read as a {'MAT' if path.suffix.lower() in MAT else 'HDF5'} file: {error}"
         ) from None
-    if not found:
+    if not arrays:
         raise ValueError(f"has none of the arrays {', '.join(names)}")
-    for name, values in found.items():
+    for name, values in arrays.items():
         if values.dtype.kind not in "fiuc":
             raise ValueError(f"{name} is not an array of numbers")
-    return {name: values.astype(complex if values.dtype.kind == "c" else float) for name, values in found.items()}
+    return {name: values.astype(complex if values.dtype.kind == "c" else float) for name, values in arrays.items()}
 
 
 def _mat(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     """Return arrays of a MAT file of level 5; SciPy's reader follows damaged ones beyond its tables, and crashes."""
     if h5py.is_hdf5(path):
         raise SceneError("a MAT file of version 7.3; save it with -v7")
-    data, left, found = memoryview(path.read_bytes()), MOST_EXPANDED, {}
+    data, left, arrays = memoryview(path.read_bytes()), MOST_EXPANDED, {}
     order = {b"IM": "<", b"MI": ">"}.get(bytes(data[126:HEADER]))
     if order is None:
         raise SceneError("cannot be read as a MAT file of version 6 or 7; save it with -v7")
@@ -74,8 +74,8 @@ def _mat(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
         if kind == MATRIX:
             parts = list(islice(_elements(body, order), 5))
             if len(parts) > 2 and (name := bytes(parts[2][1]).decode("latin-1")) in names:
-                found[name] = _matrix(name, parts, order)
-    return found
+                arrays[name] = _matrix(name, parts, order)
+    return arrays
 
 
 def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
@@ -105,17 +105,17 @@ def _matrix(name: str, parts: Sequence[tuple[int, memoryview]], order: str) -> n
 
 def _hdf5(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     with h5py.File(path, "r") as file:
-        found = {name: hdf5.member(file, name, h5py.Dataset) for name in names if name in file}
-        for name, dataset in found.items():
+        datasets = {name: hdf5.member(file, name, h5py.Dataset) for name in names if name in file}
+        for name, dataset in datasets.items():
             if dataset.is_virtual or dataset.external:
                 raise SceneError(f"{name} is kept in another file; write its values")
             if dataset.shape is None or dataset.dtype.hasobject:
                 raise SceneError(f"{name} is not an array of numbers")
-        sizes = {name: max(math.prod(item.shape), math.prod(item.chunks or ())) for name, item in found.items()}
+        sizes = {name: max(math.prod(item.shape), math.prod(item.chunks or ())) for name, item in datasets.items()}
         _check_sizes(sizes)
-        if sum(sizes[name] * item.dtype.itemsize for name, item in found.items()) > MOST_EXPANDED:
+        if sum(sizes[name] * item.dtype.itemsize for name, item in datasets.items()) > MOST_EXPANDED:
             raise SceneError(f"holds more than {MOST_EXPANDED} bytes when unpacked")
-        return {name: _complex(dataset[()]) for name, dataset in found.items()}
+        return {name: _complex(dataset[()]) for name, dataset in datasets.items()}
 
 
 def _complex(values: np.ndarray) -> np.ndarray:

@@ -7,12 +7,15 @@ crash over damaged bytes.
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+
+import numpy as np
 
 from warp_plate.scene.errors import SceneError
 
@@ -68,6 +71,15 @@ def write_atomically(content: bytes, path: Path, previous: Path | None = None) -
     """Write a file atomically, or raise a SceneError; see :func:`atomic_path`."""
     with atomic_paths(path, previous=previous) as (temporary,):
         temporary.write_bytes(content)
+
+
+def write_table(path: Path, heading: list[str], blocks: Iterable[np.ndarray]) -> list[Path]:
+    """Write blocks of rows as comma-separated UTF-8 text, the first column with 15 digits and the others with 9."""
+    with atomic_paths(path) as (temporary,), temporary.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerow(heading)
+        for block in blocks:
+            np.savetxt(file, block, fmt=["%.15g", *["%.9g"] * (block.shape[1] - 1)], delimiter=",")
+    return [path]
 
 
 def make_seal(content: bytes | memoryview) -> bytes:

@@ -15,7 +15,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from warp_plate.result.atomic_io import is_intact
-from warp_plate.result.hdf5 import Attribute, Counts, Dataset, FileFormat, SearchState, read_fields, write_fields
+from warp_plate.result.hdf5 import FileFormat
+from warp_plate.result.layouts import Attribute, Counts, Dataset, SearchState, read_fields, write_fields
 from warp_plate.result.model import TargetSearch
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -70,7 +71,7 @@ class Checkpoint:
 
 
 def previous_path(path: Path) -> Path:
-    """Return the path to which the checkpoint at ``path`` is moved when the next one is written."""
+    """Return the path to which the checkpoint at ``path`` goes when the next one is written."""
     return path.parent / (path.name.removesuffix(".h5").removesuffix(".checkpoint") + PREVIOUS_ENDING)
 
 

@@ -12,7 +12,8 @@ from typing import Annotated
 
 import numpy as np
 
-from warp_plate.result.hdf5 import ELSEWHERE, Attribute, Counts, Dataset, FileFormat, member, read_fields, write_fields
+from warp_plate.result.hdf5 import FileFormat, member
+from warp_plate.result.layouts import ELSEWHERE, Attribute, Counts, Dataset, read_fields, write_fields
 from warp_plate.scene.model import Scene
 
 FORMAT = FileFormat("comparison", 1)

@@ -10,7 +10,8 @@ from typing import Annotated
 
 import numpy as np
 
-from warp_plate.result.hdf5 import Dataset, FileFormat, read_fields, write_along, write_fields
+from warp_plate.result.hdf5 import FileFormat, write_along
+from warp_plate.result.layouts import Dataset, read_fields, write_fields
 from warp_plate.scene.model import Scene
 
 FORMAT = FileFormat("focus", 1)
@@ -20,7 +21,7 @@ UNITS = {"displacement": "m", "velocity": "m/s"}
 
 @dataclass(frozen=True, eq=False)
 class PanelFigures:
-    """What waveforms do on panels within the tolerances of ``[search.robust]``, other ones than they were made for."""
+    """What waveforms do on other panels within the tolerances of ``[search.robust]``."""
 
     peak: Annotated[np.ndarray, Dataset("m or m/s", "motion at the focus at its moment", ("panel", "foci"))]
     crosstalk_db: Annotated[
@@ -32,12 +33,13 @@ class PanelFigures:
 
     def summary(self) -> dict[str, float | int | None]:
         """Return the number of panels, the least peak, and the worst and median of the rest over the panels."""
-        found: dict[str, float | int | None] = {"number": len(self.peak), "least_peak": float(np.abs(self.peak).min())}
+        figures: dict[str, float | int | None] = {"number": len(self.peak)}
+        figures["least_peak"] = float(np.abs(self.peak).min())
         for name, values in (("crosstalk_db", self.crosstalk_db), ("misfit", self.misfit)):
             worst = None if values is None else values.max(axis=1)
-            found[f"worst_{name}"] = None if worst is None else float(worst.max())
-            found[f"median_{name}"] = None if worst is None else float(np.median(worst))
-        return found
+            figures[f"worst_{name}"] = None if worst is None else float(worst.max())
+            figures[f"median_{name}"] = None if worst is None else float(np.median(worst))
+        return figures
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,12 +153,12 @@ class FocusResult:
         return UNITS[self.scene.focus.quantity]
 
 
-def save_focus(found: FocusResult, path: str | Path) -> Path:
+def save_focus(result: FocusResult, path: str | Path) -> Path:
     """Write the waveforms and their results as an HDF5 file, and return its path."""
     with FORMAT.create(path) as file:
-        names = [actuator.name for actuator in found.scene.actuators]
+        names = [actuator.name for actuator in result.scene.actuators]
         write_along(file, "actuator", names, "1", "names of the actuators")
-        write_fields(file, found)
+        write_fields(file, result)
     return Path(path)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from warp_plate.result.extras import import_xarray
+from warp_plate.result import import_xarray
 
 if TYPE_CHECKING:
     import xarray

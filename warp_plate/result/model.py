@@ -1,26 +1,27 @@
 """Results and their files: one HDF5 file for each, readable by h5py, MATLAB's h5read and xarray; see docs/scene.md.
 
-Beside the fields of the data classes (see ``warp_plate.result.hdf5``) a file holds derived values for other programs:
-the positions of the nodes, the localization factors, and the crosstalk between several targets.
+Beside the fields of the data classes (see :mod:`warp_plate.result.layouts`), a file holds derived values for other
+programs: the positions of the nodes, the localization factors, and the crosstalk between several targets.
 """
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import h5py
 import numpy as np
 
 from warp_plate.plate.scene_overrides import scene_with
 from warp_plate.quantities.region_quantities import REGION_QUANTITIES
-from warp_plate.result import hdf5
-from warp_plate.result.extras import import_xarray
-from warp_plate.result.robust import RobustComparison
-from warp_plate.result.targets import crosstalk
+from warp_plate.result import import_xarray
+from warp_plate.result.case import Case, case_scene
+from warp_plate.result.hdf5 import FileFormat, write_along
+from warp_plate.result.layouts import Counts, Dataset, Datasets, read_fields, write_fields
+from warp_plate.result.targets import target_cases, target_regions
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Objective
@@ -28,7 +29,11 @@ from warp_plate.scene.search import Objective
 if TYPE_CHECKING:
     import xarray
 
-FORMAT = hdf5.FileFormat("result", 4)
+FORMAT = FileFormat("result", 4)
+# Fraction of all scenarios that counts as the worst ones.
+TAIL = 0.05
+DRIVES = ("robust", "nominal")
+_ROWS = "of the robust and of the nominal drive"
 BoundKind = Literal["", "attained", "attained within limits", "bound only"]
 BOUND_DESCRIPTIONS: dict[BoundKind, str] = {
     "": "bound",
@@ -36,164 +41,30 @@ BOUND_DESCRIPTIONS: dict[BoundKind, str] = {
     "attained within limits": "bound of the permitted drives",
     "bound only": "upper bound of the permitted drives, may be out of reach",
 }
-
-
-def _columns(**columns: hdf5.Dataset) -> hdf5.Datasets:
-    return hdf5.Datasets(columns.__getitem__, tuple(columns))
-
-
-HISTORY = _columns(
-    evaluations=hdf5.Dataset("1", "drives tried so far, after each iteration", ("iteration",)),
-    best=hdf5.Dataset("1", "largest localization factor so far, after each iteration", ("iteration",)),
-    mean=hdf5.Dataset("1", "mean localization factor of the iteration, after each iteration", ("iteration",)),
+HISTORY = Datasets.of(
+    evaluations=Dataset("1", "drives tried so far, after each iteration", ("iteration",)),
+    best=Dataset("1", "largest localization factor so far, after each iteration", ("iteration",)),
+    mean=Dataset("1", "mean localization factor of the iteration, after each iteration", ("iteration",)),
 )
-SPECTRUM = _columns(
-    frequency=hdf5.Dataset("Hz", "where the localization factors were taken", ("frequency",)),
-    equal=hdf5.Dataset("1", "localization factor of all actuators alike", ("frequency",)),
-    single=hdf5.Dataset("1", "localization factor of the best single actuator", ("frequency",)),
-    best=hdf5.Dataset("1", "largest localization factor that the drives may reach", ("frequency",)),
-    resonances=hdf5.Dataset("Hz", "natural frequencies of the plate", ("resonances",)),
+SPECTRUM = Datasets.of(
+    frequency=Dataset("Hz", "where the localization factors were taken", ("frequency",)),
+    equal=Dataset("1", "localization factor of all actuators alike", ("frequency",)),
+    single=Dataset("1", "localization factor of the best single actuator", ("frequency",)),
+    best=Dataset("1", "largest localization factor that the drives may reach", ("frequency",)),
+    resonances=Dataset("Hz", "natural frequencies of the plate", ("resonances",)),
 )
 
 
-def _phase_lag(phasors: np.ndarray) -> np.ndarray:
-    return np.where(phasors == 0, 0.0, np.mod(-np.angle(phasors), 2 * np.pi))
-
-
-class _Phasors(hdf5.Layout):
-    """Complex amplitudes as the datasets ``magnitude`` and ``phase``, and to the bit as ``real`` and ``imaginary``."""
-
-    magnitude = hdf5.Dataset("", "drive magnitude of each actuator", ("actuator",))  # its unit depends on the scene
-    phase = hdf5.Dataset("rad", "drive phase lag of each actuator", ("actuator",))
-    real = hdf5.Dataset("", "real part of the complex amplitude of each actuator", ("actuator",), bounded=True)
-    imaginary = hdf5.Dataset(
-        "", "imaginary part of the complex amplitude of each actuator", ("actuator",), bounded=True
-    )
-
-    def write(self, group: h5py.Group, name: str, value: np.ndarray) -> None:
-        self.magnitude.write(group, "magnitude", np.abs(value))
-        self.phase.write(group, "phase", _phase_lag(value))
-        self.real.write(group, "real", np.real(value))
-        self.imaginary.write(group, "imaginary", np.imag(value))
-
-    def read(self, group: h5py.Group, name: str, sizes: hdf5.Sizes) -> np.ndarray:
-        magnitude, phase = self.magnitude.read(group, "magnitude", sizes), self.phase.read(group, "phase", sizes)
-        if "real" not in group:  # a file of an earlier version
-            return np.asarray(magnitude * np.exp(-1j * phase))
-        phasors = self.real.read(group, "real", sizes).astype(complex)
-        phasors.imag = self.imaginary.read(group, "imaginary", sizes)
-        return phasors
-
-
-class _Energies(hdf5.Layout):
-    """Energies by region as one dataset, with the names of the regions as JSON in its attribute ``regions``."""
-
-    values = hdf5.Dataset("J", "kinetic energy averaged over the window, for each region")
-
-    def write(self, group: h5py.Group, name: str, value: Mapping[str, float]) -> None:
-        hdf5.write_along(group, "region", list(value), "1", "names of the regions")
-        hdf5.write_along(
-            group, name, np.array(list(value.values())), self.values.units, self.values.long_name, ["region"]
-        )
-        group[name].attrs["regions"] = json.dumps(list(value))
-
-    def read(self, group: h5py.Group, name: str, sizes: hdf5.Sizes) -> dict[str, float]:
-        regions = hdf5.Attribute(tuple[str, ...]).read(group, f"{name}/regions", sizes)
-        if not {"plate", "target"} <= set(regions):
-            raise SceneError(f"{group.name}/{name} has regions {regions}, without plate or target")
-        return dict(zip(regions, hdf5.read_array(group, name, (len(regions),)).tolist(), strict=True))
-
-
-def _objective(path: str) -> hdf5.Dataset:
+def _objective(path: str) -> Dataset:
     """Return the layout of an objective's value, by KIND, or by CASE/KIND of other cases."""
     case, _, name = path.rpartition("/")
     meaning = {"sum": "sum of the objectives with their weights", "bound": "upper bound of that sum"}
     of_case = f", of the drive {case}" if case else ""
     quantity = REGION_QUANTITIES.get(name.split()[0])
-    return hdf5.Dataset("1" if quantity is None else quantity.unit, meaning.get(name, name) + of_case)
+    return Dataset("1" if quantity is None else quantity.unit, meaning.get(name, name) + of_case)
 
 
-OBJECTIVES = hdf5.Datasets(_objective)
-
-
-@dataclass(frozen=True)
-class RegionMotion:
-    """Motion of the (target, rest) of the plate; NaN for a rest that is empty.
-
-    Attributes:
-        velocity: Root of the mean square over the region's mass and the window [m/s].
-        displacement: Largest magnitude over the whole run [m].
-        acceleration: As the velocity [m/s²]; None for other motions than those of one tone in a linear plate.
-        contrast: Energy per area in the target over that in the rest [dB].
-    """
-
-    velocity: tuple[float, float]
-    displacement: tuple[float, float]
-    acceleration: tuple[float, float] | None
-    contrast: float
-
-
-@dataclass(frozen=True, eq=False)
-class Case:
-    """A drive and the motion of the plate under it.
-
-    Attributes:
-        phasors: (actuators,) complex amplitudes Z [``Scene.drive_unit``] of the load Re(Z exp(iωt)).
-        energy: Kinetic energy averaged over the window [J], by region: "plate", "target" and further ones.
-        status: "ok", or the reason why the energies are NaN.
-        motion: Motion of target and rest; None for cases that were read from a file, which does not hold it.
-
-    Frequencies, centres and burst starts are None if they are the scene's.
-    """
-
-    phasors: Annotated[np.ndarray, _Phasors()]
-    energy: Annotated[Mapping[str, float], _Energies()]
-    displacement: Annotated[np.ndarray, hdf5.Dataset("m", "displacement (times, y, x)", ("times", "y", "x"))]
-    trace: Annotated[
-        np.ndarray, hdf5.Dataset("m", "displacement at the recorded points (points, steps)", ("point", None))
-    ]
-    status: Annotated[str, "energy/status"] = "ok"
-    frequency: Annotated[np.ndarray | None, hdf5.Dataset("Hz", "frequency of each actuator", ("actuator",))] = None
-    centre: Annotated[np.ndarray | None, hdf5.Dataset("m", "x, y of each actuator's middle", ("actuator", "axis"))] = (
-        None
-    )
-    delay: Annotated[np.ndarray | None, hdf5.Dataset("s", "start of each actuator's burst", ("actuator",))] = None
-
-    motion: Annotated[RegionMotion | None, hdf5.ELSEWHERE] = None
-
-    @property
-    def localization_factor(self) -> float:
-        """Fraction of the plate's kinetic energy in the target, equation (5) of the source paper; NaN at rest."""
-        return self.energy["target"] / self.energy["plate"] if self.energy["plate"] > 0 else float("nan")
-
-    @property
-    def magnitude(self) -> np.ndarray:
-        """(actuators,) magnitudes, in the unit of ``phasors``."""
-        return np.abs(self.phasors)
-
-    @property
-    def phase(self) -> np.ndarray:
-        """(actuators,) phase lags φ [rad], 0 ≤ φ < 2π; 0 where the magnitude is 0."""
-        return _phase_lag(self.phasors)
-
-    @property
-    def per_actuator(self) -> dict[str, np.ndarray]:
-        """(actuators,) values that differ from the scene's, by table heading."""
-        x, y = (None, None) if self.centre is None else self.centre.T
-        columns = {"frequency (Hz)": self.frequency, "x (m)": x, "y (m)": y, "burst from (s)": self.delay}
-        return {heading: values for heading, values in columns.items() if values is not None}
-
-
-def case_scene(scene: Scene, case: Case) -> Scene:
-    """Return the scene with a case's frequencies, positions and burst starts."""
-    own = {"frequency": case.frequency, "centre": case.centre, "delay": case.delay}
-    return scene_with(scene, **own) if case.per_actuator else scene
-
-
-def only_actuator(case: Case, scene: Scene) -> str:
-    """Return the name of the only actuator that a case drives; "" if it drives another number of them."""
-    driven = [actuator.name for actuator, part in zip(scene.actuators, case.magnitude, strict=True) if part > 0]
-    return driven[0] if len(driven) == 1 else ""
+OBJECTIVES = Datasets(_objective)
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,13 +75,60 @@ class TargetSearch:
         position: (dimension,) best position; None if there is a single actuator or no position has finite energies.
     """
 
-    position: Annotated[np.ndarray | None, hdf5.Dataset("1", "best position in the search space", ("position",))]
+    position: Annotated[np.ndarray | None, Dataset("1", "best position in the search space", ("position",))]
     single_actuator: Annotated[int, "single"]
     bound: float | None
     bound_kind: BoundKind
     evaluations: int
     history: Annotated[Mapping[str, np.ndarray], HISTORY]
     objective_values: Annotated[Mapping[str, float], OBJECTIVES, "objectives"]
+
+
+@dataclass(frozen=True, eq=False)
+class RobustComparison:
+    """Values of the robust drive and of the nominal drive, in this order (``DRIVES``).
+
+    Larger values are better. They are localization factors or, if other objectives were given, weighted sums of the
+    objectives; not finite where a plate failed.
+
+    Attributes:
+        measure: Measure over the scenarios that the robust search maximized.
+        scenarios: Number of scenarios of the search.
+        localization: True if the values are localization factors.
+        validation: (2, validation scenarios) values in scenarios that the search did not use.
+    """
+
+    measure: str
+    scenarios: int
+    localization: bool
+    bound: Annotated[float | None, Dataset("1", "upper bound of the measure")]
+    searched: Annotated[np.ndarray, Dataset("1", f"measure {_ROWS} over the scenarios of the search", ("drive",))]
+    nominal_plate: Annotated[np.ndarray, Dataset("1", f"value {_ROWS} without scatter", ("drive",))]
+    validation: Annotated[
+        np.ndarray, Dataset("1", f"value {_ROWS} in each fresh scenario", ("drive", "scenario")), "fresh"
+    ]
+
+    @property
+    def failed(self) -> np.ndarray:
+        """(2,) numbers of validation scenarios in which the plate failed."""
+        return np.sum(~np.isfinite(self.validation), axis=1)
+
+    def rows(self) -> Mapping[str, np.ndarray]:
+        """Return the (2,) statistics to tabulate, by name; a plate that failed counts as −∞."""
+        values = np.where(np.isfinite(self.validation), self.validation, -np.inf)
+        return {
+            "mean": values.mean(axis=1),
+            "worst_5_percent": mean_of_worst(values),
+            "worst": values.min(axis=1),
+            "nominal_plate": self.nominal_plate,
+            "searched": self.searched,
+        }
+
+
+def mean_of_worst(values: np.ndarray) -> np.ndarray:
+    """Return the (rows,) means of the smallest 5 % of each row's values, at least of one value."""
+    count = max(1, int(np.ceil(TAIL * values.shape[1] - 1e-9)))
+    return np.asarray(np.sort(values, axis=1)[:, :count].mean(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,15 +160,13 @@ class Result:
     device: str
     seed: int
     effects: tuple[str, ...]
-    times: Annotated[np.ndarray, hdf5.Dataset("s", "times of the displacements", ("times",))]
-    trace_times: Annotated[np.ndarray, hdf5.Dataset("s", "times of the traces", ("trace_times",))]
+    times: Annotated[np.ndarray, Dataset("s", "times of the displacements", ("times",))]
+    trace_times: Annotated[np.ndarray, Dataset("s", "times of the traces", ("trace_times",))]
     cases: Mapping[str, Case]
     seconds: Mapping[str, float]
     node_steps: int
     evaluations: int = 0
-    bound: Annotated[
-        float | None, hdf5.Dataset("1", "largest that any drive can reach"), "localization_factor/bound"
-    ] = None
+    bound: Annotated[float | None, Dataset("1", "largest that any drive can reach"), "localization_factor/bound"] = None
     bound_kind: BoundKind = ""
     history: Annotated[Mapping[str, np.ndarray], HISTORY] = field(default_factory=dict)
     objective_values: Annotated[Mapping[str, float], OBJECTIVES, "objectives"] = field(default_factory=dict)
@@ -262,11 +178,11 @@ class Result:
     interrupted: bool = False
     versions: Mapping[str, str] = field(default_factory=dict)
     accuracy: Mapping[str, Any] = field(default_factory=dict)
-    peak_displacement: Annotated[float | None, hdf5.Dataset("m", "largest displacement seen over the run")] = None
+    peak_displacement: Annotated[float | None, Dataset("m", "largest displacement seen over the run")] = None
     spectrum: Annotated[Mapping[str, np.ndarray], SPECTRUM] = field(default_factory=dict)
     target_searches: Annotated[tuple[TargetSearch, ...], "searches"] = ()
     robust: RobustComparison | None = None
-    lost_plates: Annotated[hdf5.Counts, "lost"] = field(default_factory=dict)
+    lost_plates: Annotated[Counts, "lost"] = field(default_factory=dict)
 
     def case_scene(self, case: Case) -> Scene:
         """Return :func:`case_scene` of the result's scene."""
@@ -338,19 +254,43 @@ class Result:
         )
 
 
+def best_drive_scenes(result: Result) -> dict[str, Scene]:
+    """Return the scene that ``simulate`` runs as each best drive, by case; aimed at the drive's own target.
+
+    A SceneError is raised if a magnitude is larger than a scene may have.
+    """
+    scene = result.scene
+    aimed = {name: scene.aimed_at(index) for index, name in enumerate(target_cases(scene).values())} or {"best": scene}
+    return {
+        name: replace(result, scene=aimed[name]).driven_scene(result.cases[name])
+        for name in aimed
+        if name in result.cases
+    }
+
+
+def crosstalk(result: Result) -> np.ndarray:
+    """Return the (drives, targets) fractions of the plate's energy in each target; NaN for drives not reached."""
+    regions, rows = target_regions(result.scene), []
+    for name in target_cases(result.scene).values():
+        energy = result.cases[name].energy if name in result.cases else {}
+        plate = energy.get("plate", 0.0)
+        rows.append([energy.get(region, math.nan) / plate if plate > 0 else math.nan for region in regions])
+    return np.array(rows).reshape(len(rows), len(regions))
+
+
 def save_result(result: Result, path: str | Path) -> Path:
     """Write a result file atomically and return its path, or raise a SceneError."""
     scene, robust = result.scene, result.robust
     with FORMAT.create(path) as file:
         for axis, side, count in zip("xy", scene.plate.size, scene.grid.nodes, strict=True):
-            hdf5.write_along(file, axis, np.linspace(0, side, count), "m", f"position of the nodes along {axis}")
+            write_along(file, axis, np.linspace(0, side, count), "m", f"position of the nodes along {axis}")
         names = [actuator.name for actuator in scene.actuators]
-        hdf5.write_along(file, "actuator", names, "1", "names of the actuators")
-        hdf5.write_fields(file, result)
+        write_along(file, "actuator", names, "1", "names of the actuators")
+        write_fields(file, result)
         for name, case in result.cases.items():
             for part in ("magnitude", "real", "imaginary"):
                 file[f"cases/{name}/{part}"].attrs["units"] = scene.drive_unit.replace("²", "^2")
-            share = hdf5.Dataset("1", "share of the plate's kinetic energy in the target")
+            share = Dataset("1", "share of the plate's kinetic energy in the target")
             share.write(file, f"localization_factor/{name}", case.localization_factor)
             if case.trace.shape[-1] == len(result.trace_times):  # without points there are no times
                 file[f"cases/{name}/trace"].dims[1].attach_scale(file["trace_times"])
@@ -362,13 +302,11 @@ def save_result(result: Result, path: str | Path) -> Path:
         if result.bound is not None:
             file["localization_factor/bound"].attrs["about"] = BOUND_DESCRIPTIONS[result.bound_kind]
         if result.target_searches:
-            names, meaning = (
-                [t.name for t in scene.targets],
-                "share of the plate's energy in each target, by each's drive",
-            )
-            hdf5.write_along(file, "target", names, "1", "names of the targets")
-            hdf5.write_along(file, "best_for", names, "1", "targets that the drives are best for")
-            hdf5.write_along(file, "crosstalk", crosstalk(result), "1", meaning, ["best_for", "target"])
+            names = [target.name for target in scene.targets]
+            meaning = "share of the plate's energy in each target, by each's drive"
+            write_along(file, "target", names, "1", "names of the targets")
+            write_along(file, "best_for", names, "1", "targets that the drives are best for")
+            write_along(file, "crosstalk", crosstalk(result), "1", meaning, ["best_for", "target"])
             file["crosstalk"].attrs["targets"] = json.dumps(names)
     return Path(path)
 
@@ -376,7 +314,7 @@ def save_result(result: Result, path: str | Path) -> Path:
 def load_result(path: str | Path) -> Result:
     """Read a file that :func:`save_result` wrote, or raise a SceneError if it is missing, damaged or not a result."""
     with FORMAT.open(path) as file:
-        result = hdf5.read_fields(Result, file)
+        result = read_fields(Result, file)
         if not result.cases:
             raise SceneError("cases is missing or empty")
         for name, case in result.cases.items():

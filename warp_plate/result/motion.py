@@ -34,7 +34,7 @@ class Motion:
         velocity: (frames, ny, nx) velocity [m/s or 1/s]; of a drive half a time step later, as in the kernels.
         surface_density: (ny, nx) mass per area [kg/m²].
         localization_factor: Localization factor of the drive over the scene's window; None for a mode.
-        scene: Scene of a plate with frequencies or positions of its own; None if it is the common one.
+        scene: Scene of a plate with other frequencies or positions; None if it is the common one.
         only_actuator: Name of the only actuator that is driven, if there is just one.
     """
 

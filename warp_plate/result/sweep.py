@@ -20,8 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import h5py
 import numpy as np
 
-from warp_plate.result import hdf5
-from warp_plate.result.extras import import_xarray
+from warp_plate.result import hdf5, import_xarray, layouts
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import label_of, scalar_keys, unit_of
 from warp_plate.scene.model import Scene
@@ -31,9 +30,9 @@ if TYPE_CHECKING:
     import xarray
 
 FORMAT = hdf5.FileFormat("sweep", 2)
-KEYS = hdf5.Attribute(tuple[str, ...])
-LOGARITHMIC = hdf5.Attribute(tuple[bool, ...])
-OUTPUTS = hdf5.Attribute(Mapping[str, Mapping[str, str | None]])
+KEYS = layouts.Attribute(tuple[str, ...])
+LOGARITHMIC = layouts.Attribute(tuple[bool, ...])
+OUTPUTS = layouts.Attribute(Mapping[str, Mapping[str, str | None]])
 NOT_RUN, RUN, REFUSED = 0, 1, 2
 
 
@@ -53,7 +52,7 @@ class Sweep:
     source: str
     scene: Scene  # as written, before anything is varied
     files: Mapping[str, str]  # SHA-256 digests of the files that the scene names, by their keys
-    plan: Annotated[Plan, hdf5.ELSEWHERE]
+    plan: Annotated[Plan, layouts.ELSEWHERE]
     what: str  # name of the set of outputs, such as "localize"
     count: int  # number of modes, if these are an axis of outputs
     frequencies: str  # range of frequencies, if these are an axis of outputs, written as for ``--vary``; else empty
@@ -62,11 +61,11 @@ class Sweep:
     earlier_devices: Annotated[str, "earlier"]  # other devices that points were run on before, for people
     path: str
     evaluator: str  # "modal" or "direct"
-    outputs: Annotated[Mapping[str, SweepOutput], hdf5.ELSEWHERE]
+    outputs: Annotated[Mapping[str, SweepOutput], layouts.ELSEWHERE]
     # (points,) or (points, axis) values of each output; NaN where a point is not run or refused
-    values: Annotated[Mapping[str, np.ndarray], hdf5.ELSEWHERE]
-    status: Annotated[np.ndarray, hdf5.ELSEWHERE]  # (points,) ``NOT_RUN``, ``RUN`` or ``REFUSED``
-    reasons: Annotated[Mapping[int, str], hdf5.ELSEWHERE]  # why points were refused, by point
+    values: Annotated[Mapping[str, np.ndarray], layouts.ELSEWHERE]
+    status: Annotated[np.ndarray, layouts.ELSEWHERE]  # (points,) ``NOT_RUN``, ``RUN`` or ``REFUSED``
+    reasons: Annotated[Mapping[int, str], layouts.ELSEWHERE]  # why points were refused, by point
     seconds: float  # wall time spent on points so far [s]
     versions: Mapping[str, str]
 
@@ -106,8 +105,8 @@ class Sweep:
 
     def moved_to(self, device: str, processor: str) -> Sweep:
         """Return the sweep with its next points on a device; a change of processor is recorded."""
-        moved = self.processor not in ("", processor)
-        earlier = f"{self.devices_used}, then " if moved else self.earlier_devices
+        changed = self.processor not in ("", processor)
+        earlier = f"{self.devices_used}, then " if changed else self.earlier_devices
         return replace(self, device=device, processor=processor, earlier_devices=earlier)
 
     @property
@@ -153,12 +152,12 @@ def save_sweep(sweep: Sweep, path: str | Path) -> Path:
     """Write a sweep file atomically and return its path, or raise a SceneError."""
     plan, scene = sweep.plan, sweep.scene
     with FORMAT.create(path) as file:
-        hdf5.write_fields(file, sweep)
+        layouts.write_fields(file, sweep)
         file.attrs["title"] = scene.title
         KEYS.write(file, "keys", plan.keys)
         LOGARITHMIC.write(file, "logarithmic", plan.logarithmic)
         OUTPUTS.write(file, "outputs", {name: asdict(output) for name, output in sweep.outputs.items()})
-        hdf5.Attribute(bool).write(file, "finished", sweep.finished)
+        layouts.Attribute(bool).write(file, "finished", sweep.finished)
         axes = ["sample"] if plan.sampled else plan.keys
         if plan.sampled:
             hdf5.write_along(file, "sample", np.arange(len(plan)), "1", "number of the sample")
@@ -170,8 +169,8 @@ def save_sweep(sweep: Sweep, path: str | Path) -> Path:
             unit, meaning = ("1", "number of the mode") if axis == "mode" else ("Hz", "frequency")
             hdf5.write_along(file, axis, sweep.along(axis), unit, meaning)
         for name, output in sweep.outputs.items():
-            own = [output.axis] if output.axis else []
-            hdf5.write_along(file, name, sweep.shaped(name), output.unit, output.meaning, [*axes, *own])
+            dimensions = [*axes, *filter(None, [output.axis])]
+            hdf5.write_along(file, name, sweep.shaped(name), output.unit, output.meaning, dimensions)
         status = sweep.status.astype("i1").reshape(plan.shape)
         hdf5.write_along(file, "status", status, "1", "what became of the point", axes)
         file["status"].attrs["flag_values"] = np.array([NOT_RUN, RUN, REFUSED], dtype="i1")
@@ -187,7 +186,7 @@ def save_sweep(sweep: Sweep, path: str | Path) -> Path:
 def load_sweep(path: str | Path) -> Sweep:
     """Read a sweep, or raise a SceneError if the file is missing, damaged or not a sweep."""
     with FORMAT.open(path) as file:
-        scene = hdf5.SceneText().read(file, "scene", {})
+        scene = layouts.SceneText().read(file, "scene", {})
         plan = _read_plan(file, scene)
         outputs = {name: SweepOutput(**entry) for name, entry in OUTPUTS.read(file, "outputs", {}).items()}
         status = hdf5.read_array(file, "status", plan.shape).ravel()
@@ -195,14 +194,14 @@ def load_sweep(path: str | Path) -> Sweep:
             raise SceneError("status must hold 0, 1 or 2 for each point: not run, run or refused")
         texts = hdf5.read_array(file, "reason", plan.shape, text=True).ravel()
         reasons = {point: str(texts[point]) for point in np.flatnonzero(status == REFUSED).tolist()}
-        found = hdf5.read_fields(
+        sweep = layouts.read_fields(
             Sweep, file, scene=scene, plan=plan, outputs=outputs, values={}, status=status, reasons=reasons
         )
         values = {}
         for name, output in outputs.items():
-            own = (len(found.along(output.axis)),) if output.axis else ()
-            values[name] = hdf5.read_array(file, name, (*plan.shape, *own)).reshape(len(plan), *own)
-        return replace(found, values=values)
+            further = (len(sweep.along(output.axis)),) if output.axis else ()
+            values[name] = hdf5.read_array(file, name, (*plan.shape, *further)).reshape(len(plan), *further)
+        return replace(sweep, values=values)
 
 
 def _read_plan(file: h5py.File, scene: Scene) -> Plan:
@@ -214,8 +213,8 @@ def _read_plan(file: h5py.File, scene: Scene) -> Plan:
     samples = len(hdf5.read_array(file, "sample", (None,))) if sampled else None
     coordinates = (hdf5.read_array(file, key, (samples,), text=kinds[key] is str) for key in keys)
     # Texts are read as objects.
-    made = (values.astype(str) if values.dtype.kind == "O" else values for values in coordinates)
-    plan = Plan(keys, tuple(made), logarithmic, sampled)
+    values = (column.astype(str) if column.dtype.kind == "O" else column for column in coordinates)
+    plan = Plan(keys, tuple(values), logarithmic, sampled)
     if not 1 <= len(plan) <= MOST_POINTS:
         raise SceneError(f"the sweep has {len(plan)} points")
     return plan

@@ -6,10 +6,6 @@ region "target NAME" for each target, beside "plate" and the case's own "target"
 
 from __future__ import annotations
 
-import math
-from dataclasses import replace
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from warp_plate.plate.shapes import read_mask
@@ -17,9 +13,6 @@ from warp_plate.quantities.region_quantities import decibels
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.target import NamedTarget, Target
-
-if TYPE_CHECKING:
-    from warp_plate.result.model import Result
 
 DISC_CORNERS = 96
 
@@ -32,27 +25,6 @@ def target_regions(scene: Scene) -> dict[str, NamedTarget]:
 def target_cases(scene: Scene) -> dict[str, str]:
     """Return the name of the case with the best drive by target name; empty if the scene has a single target."""
     return {target.name: f"best {target.name}" if index else "best" for index, target in enumerate(scene.targets)}
-
-
-def best_drive_scenes(result: Result) -> dict[str, Scene]:
-    """Return the scene that ``simulate`` runs as each best drive, by case; aimed at the drive's own target.
-
-    A SceneError is raised if a magnitude is larger than a scene may have.
-    """
-    scene = result.scene
-    aimed = {name: scene.aimed_at(index) for index, name in enumerate(target_cases(scene).values())} or {"best": scene}
-    present = [name for name in aimed if name in result.cases]
-    return {name: replace(result, scene=aimed[name]).driven_scene(result.cases[name]) for name in present}
-
-
-def crosstalk(result: Result) -> np.ndarray:
-    """Return the (drives, targets) fractions of the plate's energy in each target; NaN for drives not reached."""
-    regions, rows = target_regions(result.scene), []
-    for name in target_cases(result.scene).values():
-        energy = result.cases[name].energy if name in result.cases else {}
-        plate = energy.get("plate", 0.0)
-        rows.append([energy.get(region, math.nan) / plate if plate > 0 else math.nan for region in regions])
-    return np.array(rows).reshape(len(rows), len(regions))
 
 
 def relative_to_own(shares: np.ndarray) -> np.ndarray:

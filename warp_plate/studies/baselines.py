@@ -24,7 +24,7 @@ from warp_plate.plate.weights import REGIONS, bilinear, node_positions
 from warp_plate.problem.design_variables import magnitude_unit
 from warp_plate.problem.evaluate_cases import cases_from_run
 from warp_plate.problem.problem import Problem
-from warp_plate.result.model import Case
+from warp_plate.result.case import Case
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.peak import run_with_peaks

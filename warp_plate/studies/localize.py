@@ -17,8 +17,7 @@ from warp_plate.problem.methods import with_method
 from warp_plate.problem.problem import EvaluatorName, Problem, default_evaluator, make_problem
 from warp_plate.result.atomic_io import write_atomically
 from warp_plate.result.checkpoint import Checkpoint, load_newest
-from warp_plate.result.model import Result
-from warp_plate.result.targets import best_drive_scenes
+from warp_plate.result.model import Result, best_drive_scenes
 from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.errors import SceneError, printable
 from warp_plate.scene.model import Scene, SceneSource

@@ -15,7 +15,7 @@ from warp_plate.problem.bounds import bound_localization
 from warp_plate.problem.drives import allowed_drives
 from warp_plate.problem.parametrization import Parametrization, parametrization_of
 from warp_plate.problem.problem import Problem
-from warp_plate.result.model import Case
+from warp_plate.result.case import Case
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.response import Response, in_float64, response_of, unit_drives

@@ -11,8 +11,7 @@ from typing import NamedTuple
 import warp as wp
 
 import warp_plate
-from warp_plate.cluster.pool import WorkerPool
-from warp_plate.cluster.scheduler import Task, run_tasks
+from warp_plate.cluster.pool import Task, WorkerPool, run_tasks
 from warp_plate.cluster.tasks import SceneSpec, refuse_unlike, run_task, worker_device, worker_identity
 from warp_plate.plate.files import named_files, read_beside
 from warp_plate.result.sweep import Sweep

@@ -9,9 +9,9 @@ from warp_plate.problem.evaluate_cases import evaluate_cases
 from warp_plate.problem.problem import Problem
 from warp_plate.problem.scenario_losses import simulate_scenarios
 from warp_plate.problem.uncertainty import draw_scenarios
+from warp_plate.result.case import Case
 from warp_plate.result.checkpoint import Checkpoint
-from warp_plate.result.model import Case
-from warp_plate.result.robust import RobustComparison
+from warp_plate.result.model import RobustComparison
 from warp_plate.studies.polish import best_nominal
 
 

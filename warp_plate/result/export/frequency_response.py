@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import csv
 import importlib.util
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from warp_plate.result import hdf5
-from warp_plate.result.atomic_io import atomic_paths
+from warp_plate.result.atomic_io import atomic_paths, write_table
 from warp_plate.result.frequency_response import FrequencyResponse
 from warp_plate.scene.errors import SceneError
 
@@ -36,10 +34,7 @@ def write_csv(response: FrequencyResponse, path: Path) -> None:
     heading += [f"mean square velocity, {name} [(m/s)²/N²]" for name in response.inputs]
     parts = np.stack([response.responses.real, response.responses.imag], axis=1).reshape(-1, len(response.frequencies))
     columns = [response.frequencies, *parts, response.localization_factor, response.bound]
-    rows = np.column_stack([*columns, *response.mean_square_velocity])
-    with atomic_paths(path) as (temporary,), temporary.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerow(heading)
-        np.savetxt(file, rows, fmt=["%.15g", *["%.9g"] * (rows.shape[1] - 1)], delimiter=",")
+    write_table(path, heading, [np.column_stack([*columns, *response.mean_square_velocity])])
 
 
 def missing_uff() -> str | None:
@@ -115,28 +110,31 @@ def _ascii(text: str) -> str:
 
 def write_hdf5(response: FrequencyResponse, path: Path) -> None:
     """Write a file laid out as netCDF-4 lays out its own, with the dimensions frequency, pair, input and mode."""
-    unit, along = response.unit.replace("²", "^2"), [("pair", "frequency"), ("frequency",), ("input", "frequency")]
-    text = h5py.string_dtype()
-    pairs, places = response.pairs, np.array([point for _, point in response.pairs])
+    unit, quantity, names = response.unit.replace("²", "^2"), response.quantity, list(response.inputs)
+    places = np.array([point for _, point in response.pairs])
+    modes = np.arange(1, len(response.natural_frequencies) + 1)
     with FORMAT.create(path) as file:
-        file.attrs.update({"title": response.title, "quantity": response.quantity})
-        for name, values, units, meaning, axes in (
-            ("frequency", response.frequencies, "Hz", "frequency", ()),
-            ("pair", np.array(response.labels, dtype=text), "1", "input and point of a response", ()),
-            ("input", np.array(response.inputs, dtype=text), "1", "actuator or point on which 1 N acts", ()),
-            ("mode", np.arange(1, len(response.natural_frequencies) + 1), "1", "number of the mode in the range", ()),
-            ("pair_input", np.array([name for name, _ in pairs], dtype=text), "1", "input", ("pair",)),
-            ("pair_x", places[:, 0], "m", "x of the point", ("pair",)),
-            ("pair_y", places[:, 1], "m", "y of the point", ("pair",)),
-            ("real", response.responses.real, unit, f"real part of the {response.quantity}", along[0]),
-            ("imaginary", response.responses.imag, unit, f"imaginary part of the {response.quantity}", along[0]),
-            ("localization_factor", response.localization_factor, "1", "localization factor of the drive", along[1]),
-            ("bound", response.bound, "1", "bound on the localization factor", along[1]),
-            ("mean_square_velocity", response.mean_square_velocity, "(m/s)^2/N^2", "mean square velocity", along[2]),
-            ("natural_frequency", response.natural_frequencies, "Hz", "natural frequency, undamped", ("mode",)),
-            ("loss_factor", response.loss_factors, "1", "loss factor", ("mode",)),
-        ):
-            hdf5.write_along(file, name, values, units, meaning, axes)
+
+        def write(values: Any, units: str, meaning: str, *axes: str, name: str = "") -> None:
+            """Write a variable with the name, or else that of its meaning up to a comma."""
+            hdf5.write_along(file, name or meaning.partition(",")[0].replace(" ", "_"), values, units, meaning, axes)
+
+        file.attrs.update({"title": response.title, "quantity": quantity})
+        write(response.frequencies, "Hz", "frequency")
+        write(response.labels, "1", "input and point of a response", name="pair")
+        write(names, "1", "actuator or point on which 1 N acts", name="input")
+        write(modes, "1", "number of the mode in the range", name="mode")
+        write([name for name, _ in response.pairs], "1", "input", "pair", name="pair_input")
+        write(places[:, 0], "m", "x of the point", "pair", name="pair_x")
+        write(places[:, 1], "m", "y of the point", "pair", name="pair_y")
+        write(response.responses.real, unit, f"real part of the {quantity}", "pair", "frequency", name="real")
+        write(response.responses.imag, unit, f"imaginary part of the {quantity}", "pair", "frequency", name="imaginary")
+        factor, meaning = response.localization_factor, "localization factor of the drive"
+        write(factor, "1", meaning, "frequency", name="localization_factor")
+        write(response.bound, "1", "bound on the localization factor", "frequency", name="bound")
+        write(response.mean_square_velocity, "(m/s)^2/N^2", "mean square velocity", "input", "frequency")
+        write(response.natural_frequencies, "Hz", "natural frequency, undamped", "mode")
+        write(response.loss_factors, "1", "loss factor", "mode")
 
 
 # Writers of the formats, and the endings of their files.

@@ -7,9 +7,8 @@ whole number of periods, so that it can be played in a loop.
 
 from __future__ import annotations
 
-import csv
 import struct
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -18,8 +17,9 @@ from typing import Literal
 import numpy as np
 
 from warp_plate.effects.table import TRAVELLING
-from warp_plate.result.atomic_io import atomic_paths
-from warp_plate.result.model import Case, Result
+from warp_plate.result.atomic_io import atomic_paths, write_table
+from warp_plate.result.case import Case
+from warp_plate.result.model import Result
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
@@ -30,7 +30,7 @@ FORMATS: dict[Encoding, tuple[int, int]] = {"float32": (3, 4), "pcm16": (1, 2), 
 # Code of WAVE_FORMAT_EXTENSIBLE and the common end of the GUIDs of the formats in it.
 EXTENSIBLE, GUID_END = 0xFFFE, bytes.fromhex("0000 1000 8000 00aa 0038 9b71")
 MOST_BYTES = 2**32 - 2**20  # a WAV file counts its bytes with 32 bits; 2**20 for the chunks before the samples
-ROUNDING = 1e-9  # by which a drive may pass full scale: of forces, 2 N becomes 2.0000000000000004 N
+ROUNDING = 1e-9  # by which a drive may pass full scale: a force of 2 N becomes 2.0000000000000004 N
 TRIED_PERIODS = 10_000  # lengths that are compared to find the loop whose end is nearest to a sample
 
 
@@ -60,8 +60,8 @@ class DriveSignal:
         """Yield (samples, 1 + actuators) blocks of the time [s] and the signals."""
         for start in range(0, self.samples, BLOCK):
             time = np.arange(start, min(start + BLOCK, self.samples)) / self.rate
-            turns = np.exp(2j * np.pi * np.mod(self.frequency * time, 1))
-            yield np.column_stack([time, (turns[:, None] * self.phasors).real])
+            rotation = np.exp(2j * np.pi * np.mod(self.frequency * time, 1))
+            yield np.column_stack([time, (rotation[:, None] * self.phasors).real])
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,15 +152,6 @@ def write_drive_csv(signal: DriveSignal | WaveformSignal, path: Path) -> list[Pa
     """Write the time [s] and each actuator's signal, with the full scale in the header; return the path."""
     heading = ["time [s]", *(f"{name} [1 = {signal.full_scale_text}]" for name in signal.names)]
     return write_table(path, heading, signal.blocks())
-
-
-def write_table(path: Path, heading: list[str], blocks: Iterable[np.ndarray]) -> list[Path]:
-    """Write blocks of rows as comma-separated UTF-8 text, the first column with 15 digits and the others with 9."""
-    with atomic_paths(path) as (temporary,), temporary.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerow(heading)
-        for block in blocks:
-            np.savetxt(file, block, fmt=["%.15g", *["%.9g"] * (block.shape[1] - 1)], delimiter=",")
-    return [path]
 
 
 def write_wav(signal: DriveSignal | WaveformSignal, path: Path, encoding: Encoding = "float32") -> list[Path]:

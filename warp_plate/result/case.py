@@ -1,0 +1,168 @@
+"""A drive and the motion of the plate under it, and amplitudes of drives as the scene gives them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Annotated
+
+import h5py
+import numpy as np
+
+from warp_plate.plate.scene_overrides import scene_with
+from warp_plate.result.hdf5 import read_array, write_along
+from warp_plate.result.layouts import ELSEWHERE, Attribute, Dataset, Layout, Sizes
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
+
+
+def _phase_lag(phasors: np.ndarray) -> np.ndarray:
+    return np.where(phasors == 0, 0.0, np.mod(-np.angle(phasors), 2 * np.pi))
+
+
+class _Phasors(Layout):
+    """Complex amplitudes as the datasets ``magnitude`` and ``phase``, and to the bit as ``real`` and ``imaginary``."""
+
+    magnitude = Dataset("", "drive magnitude of each actuator", ("actuator",))  # its unit depends on the scene
+    phase = Dataset("rad", "drive phase lag of each actuator", ("actuator",))
+    real = Dataset("", "real part of the complex amplitude of each actuator", ("actuator",), bounded=True)
+    imaginary = Dataset("", "imaginary part of the complex amplitude of each actuator", ("actuator",), bounded=True)
+
+    def write(self, group: h5py.Group, name: str, value: np.ndarray) -> None:
+        self.magnitude.write(group, "magnitude", np.abs(value))
+        self.phase.write(group, "phase", _phase_lag(value))
+        self.real.write(group, "real", np.real(value))
+        self.imaginary.write(group, "imaginary", np.imag(value))
+
+    def read(self, group: h5py.Group, name: str, sizes: Sizes) -> np.ndarray:
+        magnitude, phase = self.magnitude.read(group, "magnitude", sizes), self.phase.read(group, "phase", sizes)
+        if "real" not in group:  # a file of an earlier version
+            return np.asarray(magnitude * np.exp(-1j * phase))
+        phasors = self.real.read(group, "real", sizes).astype(complex)
+        phasors.imag = self.imaginary.read(group, "imaginary", sizes)
+        return phasors
+
+
+class _Energies(Layout):
+    """Energies by region as one dataset, with the names of the regions as JSON in its attribute ``regions``."""
+
+    values = Dataset("J", "kinetic energy averaged over the window, for each region")
+
+    def write(self, group: h5py.Group, name: str, value: Mapping[str, float]) -> None:
+        write_along(group, "region", list(value), "1", "names of the regions")
+        write_along(group, name, np.array(list(value.values())), self.values.units, self.values.long_name, ["region"])
+        group[name].attrs["regions"] = json.dumps(list(value))
+
+    def read(self, group: h5py.Group, name: str, sizes: Sizes) -> dict[str, float]:
+        regions = Attribute(tuple[str, ...]).read(group, f"{name}/regions", sizes)
+        if not {"plate", "target"} <= set(regions):
+            raise SceneError(f"{group.name}/{name} has regions {regions}, without plate or target")
+        return dict(zip(regions, read_array(group, name, (len(regions),)).tolist(), strict=True))
+
+
+@dataclass(frozen=True)
+class RegionMotion:
+    """Motion of the (target, rest) of the plate; NaN for a rest that is empty.
+
+    Attributes:
+        velocity: Root of the mean square over the region's mass and the window [m/s].
+        displacement: Largest magnitude over the whole run [m].
+        acceleration: As the velocity [m/s²]; None for other motions than those of one tone in a linear plate.
+        contrast: Energy per area in the target over that in the rest [dB].
+    """
+
+    velocity: tuple[float, float]
+    displacement: tuple[float, float]
+    acceleration: tuple[float, float] | None
+    contrast: float
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A drive and the motion of the plate under it.
+
+    Attributes:
+        phasors: (actuators,) complex amplitudes Z [``Scene.drive_unit``] of the load Re(Z exp(iωt)).
+        energy: Kinetic energy averaged over the window [J], by region: "plate", "target" and further ones.
+        status: "ok", or the reason why the energies are NaN.
+        motion: Motion of target and rest; None for cases that were read from a file, which does not hold it.
+
+    Frequencies, centres and burst starts are None if they are the scene's.
+    """
+
+    phasors: Annotated[np.ndarray, _Phasors()]
+    energy: Annotated[Mapping[str, float], _Energies()]
+    displacement: Annotated[np.ndarray, Dataset("m", "displacement (times, y, x)", ("times", "y", "x"))]
+    trace: Annotated[np.ndarray, Dataset("m", "displacement at the recorded points (points, steps)", ("point", None))]
+    status: Annotated[str, "energy/status"] = "ok"
+    frequency: Annotated[np.ndarray | None, Dataset("Hz", "frequency of each actuator", ("actuator",))] = None
+    centre: Annotated[np.ndarray | None, Dataset("m", "x, y of each actuator's middle", ("actuator", "axis"))] = None
+    delay: Annotated[np.ndarray | None, Dataset("s", "start of each actuator's burst", ("actuator",))] = None
+
+    motion: Annotated[RegionMotion | None, ELSEWHERE] = None
+
+    @property
+    def localization_factor(self) -> float:
+        """Fraction of the plate's kinetic energy in the target, equation (5) of the source paper; NaN at rest."""
+        return self.energy["target"] / self.energy["plate"] if self.energy["plate"] > 0 else float("nan")
+
+    @property
+    def magnitude(self) -> np.ndarray:
+        """(actuators,) magnitudes, in the unit of ``phasors``."""
+        return np.abs(self.phasors)
+
+    @property
+    def phase(self) -> np.ndarray:
+        """(actuators,) phase lags φ [rad], 0 ≤ φ < 2π; 0 where the magnitude is 0."""
+        return _phase_lag(self.phasors)
+
+    @property
+    def per_actuator(self) -> dict[str, np.ndarray]:
+        """(actuators,) values that differ from the scene's, by table heading."""
+        x, y = (None, None) if self.centre is None else self.centre.T
+        columns = {"frequency (Hz)": self.frequency, "x (m)": x, "y (m)": y, "burst from (s)": self.delay}
+        return {heading: values for heading, values in columns.items() if values is not None}
+
+
+def case_scene(scene: Scene, case: Case) -> Scene:
+    """Return the scene with a case's frequencies, positions and burst starts."""
+    values = {"frequency": case.frequency, "centre": case.centre, "delay": case.delay}
+    return scene_with(scene, **values) if case.per_actuator else scene
+
+
+def only_actuator(case: Case, scene: Scene) -> str:
+    """Return the name of the only actuator that a case drives; "" if it drives another number of them."""
+    driven = [actuator.name for actuator, part in zip(scene.actuators, case.magnitude, strict=True) if part > 0]
+    return driven[0] if len(driven) == 1 else ""
+
+
+def amplitudes_as_given(scene: Scene, magnitudes: Iterable[float]) -> list[tuple[str, float, str]]:
+    """Return key in the scene file, value and unit of each actuator's amplitude, a magnitude or the patch's force.
+
+    Args:
+        magnitudes: (actuators,) magnitudes [``Scene.drive_unit``].
+    """
+    return [
+        (
+            actuator.amplitude_key,
+            float(value) * actuator.amplitude_area,
+            scene.drive_unit if actuator.force is None else "N",
+        )
+        for actuator, value in zip(scene.actuators, magnitudes, strict=True)
+    ]
+
+
+def amplitude_column(scene: Scene, magnitudes: Iterable[float], digits: str) -> tuple[str, list[str]]:
+    """Return heading and cells of a table's column; ``digits`` is the format of magnitudes.
+
+    Where some actuators have magnitudes and others forces, the units are in the cells.
+    """
+    amplitudes = amplitudes_as_given(scene, magnitudes)
+    texts = [format(value, digits if key == "magnitude" else ".4g") for key, value, _ in amplitudes]
+    kinds = dict.fromkeys((key, unit) for key, _, unit in amplitudes)
+    if len(kinds) > 1:
+        return " or ".join(key for key, _ in kinds), [
+            f"{text} {row[2]}" for text, row in zip(texts, amplitudes, strict=True)
+        ]
+    return " ".join(f"{key} ({unit})" for key, unit in kinds), texts
