@@ -10,8 +10,8 @@ under equal magnitudes, say, any d with Σ d_k = 0 has
 and so for every d; the least λ(d) is the bound. A fixed phase leaves its actuator one real parameter instead of two, so
 that the matrices are smaller.
 
-The loss is −Σ weight · value, or 1 − LF, and no value can be above its own bound; so no loss is below −Σ weight ·
-bound. That sum is reached only if one drive reaches all bounds: of several terms it is called a bound only.
+The loss is −Σ weight · value, or 1 − LF, so that −Σ weight · bound of value is a lower bound. It is reached only if one
+drive reaches all bounds: with several objectives it is called "bound only".
 """
 
 from __future__ import annotations
@@ -195,9 +195,8 @@ def _majorant(
 ) -> tuple[float, np.ndarray]:
     """Return the bound of zᵀ objective z, and the z (2M,) at which its multipliers point.
 
-    z is zero, so that no drive is tried, where the slack's smallest eigenvector lies along τ alone, and where no
-    multipliers are found. ``sizes``: (2M,) energies of the units, in which actuators of very different size are scaled
-    to be alike.
+    z is zero if the slack's smallest eigenvector has only a τ component, or if no multipliers were found. Actuators of
+    very different size are scaled by the ``sizes`` (2M,), the energies of unit drives.
     """
     sizes = np.where(sizes > 0, sizes, 1.0)
     scaled = basis / np.sqrt((basis**2 * sizes[:, None]).sum(axis=0))

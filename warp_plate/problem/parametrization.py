@@ -99,8 +99,8 @@ class Parametrization:
     def positions_of(self, designs: Designs) -> np.ndarray:
         """Return the positions (n, dimension) of designs, clipped to the limits of the space.
 
-        Where the first actuator's magnitude or phase is fixed because a common one changes nothing, the whole drive is
-        turned, and with the source paper's reading also scaled, until the first one fits.
+        Where the first actuator's phase is fixed because a common one changes nothing, all phases are shifted until it
+        fits; with the source paper's reading magnitudes are scaled likewise.
         """
         phasors, fixed = designs.drives / self.unit, self._fixed
         if not any(variable.kind == "phase" and 0 in variable.actuators for variable in self.variables):
@@ -282,7 +282,7 @@ class Clearance:
             )
 
     def constraints(self, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return matrix (pairs, 2 actuators) and least values (pairs,) [m] of matrix @ centres, x and y by turns.
+        """Return matrix (pairs, 2 actuators) and least values (pairs,) [m] of matrix @ centres, x and y interleaved.
 
         They keep each pair apart along the axis, and on the side, on which it has most room at centres (actuators, 2)
         [m].

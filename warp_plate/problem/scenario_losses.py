@@ -1,8 +1,8 @@
 """Losses of designs over the scenarios of a robust search: plates × scenarios.
 
-A scenario has its own stiffness and mass, which all plates of a launch share: so each scenario is a launch of its own,
-of kernels compiled once for all. Where energies are quadratic forms of the phasors, each scenario has its own Gram
-matrices instead, and one product of arrays covers all plates and all scenarios.
+All plates of a launch share stiffness and mass, so each scenario is a separate launch of the same kernels. Where
+energies are quadratic forms of the phasors, each scenario has Gram matrices instead, and one product of arrays covers
+all plates and scenarios.
 """
 
 from __future__ import annotations

@@ -81,9 +81,14 @@ def energy_of_target(energy: np.ndarray, sizes: RegionSizes) -> np.ndarray:
     return energy[:, TARGET]
 
 
-def mean_square(energy: np.ndarray, sizes: RegionSizes) -> np.ndarray:
-    """Return the mean square (plates,) of the velocity or displacement over the mass of the plate."""
-    return np.asarray(2 * energy[:, PLATE] / sizes.masses.sum())
+def mean_square(energy: np.ndarray, mass: np.ndarray | float) -> np.ndarray:
+    """Return the mean square velocity or displacement of regions of these energies and masses."""
+    return np.asarray(2 * energy / mass)
+
+
+def mean_square_of_plate(energy: np.ndarray, sizes: RegionSizes) -> np.ndarray:
+    """Return the mean square (plates,) of the velocity or displacement of the plate."""
+    return mean_square(energy[:, PLATE], sizes.masses.sum())
 
 
 def contrast(energy: np.ndarray, sizes: RegionSizes) -> np.ndarray:
@@ -123,7 +128,7 @@ def _target_and_rest(energy: np.ndarray) -> np.ndarray:
 
 def _root_mean_squares(energy: np.ndarray, sizes: RegionSizes) -> np.ndarray:
     with np.errstate(invalid="ignore", divide="ignore"):  # a target that is all of the plate has no rest
-        return np.asarray(np.sqrt(2 * np.maximum(_target_and_rest(energy), 0) / sizes.masses))
+        return np.asarray(np.sqrt(mean_square(np.maximum(_target_and_rest(energy), 0), sizes.masses)))
 
 
 _LIST = (
@@ -134,6 +139,6 @@ _LIST = (
     Quantity("uniformity", "1", "uniformity of the target", uniformity, grows_with=None),
     Quantity("energy_plate", "J", "kinetic energy of the plate", energy_of_plate, grows_with="energy"),
     Quantity("energy_target", "J", "kinetic energy of the target", energy_of_target, grows_with="energy"),
-    Quantity("mean_square_velocity", "m^2/s^2", "mean square velocity", mean_square, grows_with="energy"),
+    Quantity("mean_square_velocity", "m^2/s^2", "mean square velocity", mean_square_of_plate, grows_with="energy"),
 )
 REGION_QUANTITIES = {quantity.name: quantity for quantity in _LIST}

@@ -17,6 +17,7 @@ from warp_plate.modal.modes import ModalPlate, solve_modes
 from warp_plate.modal.spaces.space import Matrix
 from warp_plate.modal.steady import adaptive_frequencies, as_sparse, multiply_modes
 from warp_plate.plate.scene_overrides import scene_phasors
+from warp_plate.quantities.region_quantities import mean_square
 from warp_plate.result.frequency_response import DERIVATIVES, FrequencyResponse, Quantity
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene, SceneSource
@@ -173,8 +174,8 @@ def _responses(
         unit, driven = amplitudes[:, :, :inputs], amplitudes[:, :, inputs:]
         at_points = (np.moveaxis(unit, 1, 2) @ shapes).reshape(len(chosen), -1)
         moved = unit if of_plate is None else multiply_modes(of_plate, unit)
-        energy = np.einsum("fmi,fmi->fi", unit.conj(), moved).real
-        velocity = (2 * np.pi * chosen[:, None]) ** 2 * energy / (2 * mass)
+        squares = np.einsum("fmi,fmi->fi", unit.conj(), moved).real
+        velocity = mean_square((2 * np.pi * chosen[:, None]) ** 2 * squares / 4, mass)
         blocks.append((at_points, *_localization(driven, drive, of_target, of_plate), velocity))
     responses, factor, bound, velocity = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
     return responses.T, factor, bound, velocity.T
