@@ -1,26 +1,67 @@
-"""The compile key: what kernels are specialised for."""
+"""Effects that are more than a term of the equation of motion: what acts by way of sums over the plate, or travels."""
 
-from dataclasses import dataclass
+from functools import cache
+
+import warp as wp
+
+from warp_plate.kernels.update import make_material, make_state
 
 
-@dataclass(frozen=True)
-class KernelEffects:
-    """Physics compiled into a kernel; what is off leaves no arithmetic behind."""
+@cache
+def make_attached_force(real):
+    """Make ``attached_force``: the force of a mass on its patch of the plate, which also moves the mass by a step."""
+    Material, (_, Fields) = make_material(real), make_state(real)
 
-    damping: bool = False  # The rate decays at each step
-    square_cells: bool = True  # Spacings along x and y are equal, which saves an operation in each Laplacian of order 2
-    order: int = 2  # Order of the differences in space, 2 or 4
-    # The moment form alone has these, see ``moment_form``
-    terms: int = 2  # Terms of the load in time, see ``load``
-    moments: bool = False  # Bending stiffness varies over the plate, or an edge is free or elastic
-    material_damping: bool = False  # Stress follows the strain rate too (Kelvin–Voigt)
-    tension: bool = False  # Constant membrane tension
-    foundation: bool = False  # Elastic bed or elastic edges
-    stretching: bool = False  # Tension that grows with the deflection (Berger)
-    oscillators: bool = False  # Masses on springs
-    moving_load: bool = False  # A load that travels over the plate
+    @wp.func
+    def attached_force(f: Fields, m: Material, k: int, o: int, patch_u: real, patch_rate: real):
+        mass_u = f.attached[k, o, 0]
+        mass_rate = f.attached[k, o, 1]
+        force = m.oscillators[o, 0] * (mass_u - patch_u) + m.oscillators[o, 1] * (mass_rate - patch_rate)
+        rate = mass_rate - m.oscillators[o, 2] * force
+        f.attached[k, o, 0] = mass_u + rate
+        f.attached[k, o, 1] = rate
+        return force
 
-    @property
-    def plain(self) -> bool:
-        """True for a uniform plate with clamped or supported edges, which needs no moment form."""
-        return self == KernelEffects(self.damping, self.square_cells, self.order)
+    return attached_force
+
+
+@cache
+def make_membrane_tension(real):
+    """Make ``membrane_tension``: Berger's tension from Σ weight · (−u · membrane curvature)."""
+    Material, (Forcing, _) = make_material(real), make_state(real)
+
+    @wp.func
+    def membrane_tension(d: Forcing, m: Material, k: int, total: real):
+        return m.stretching * d.units[k] * d.units[k] * total
+
+    return membrane_tension
+
+
+@cache
+def make_travelling_pressure(real):
+    """Make ``travelling_pressure``: that of the load that travels, on node (i, j) at step n."""
+    Material, (Forcing, _) = make_material(real), make_state(real)
+
+    @wp.func
+    def travelling_pressure(d: Forcing, m: Material, k: int, n: int, j: int, i: int):
+        return d.travelling[k] * m.strength[n] * m.along_y[n, j] * m.along_x[n, i]
+
+    return travelling_pressure
+
+
+@cache
+def make_add_local_forces(effects, real):
+    """Make ``add_local_forces``: add to the load what bed and membrane do at a node, −k u + N(u_xx + κu_yy)."""
+
+    @wp.func
+    def add_local_forces(
+        load: real, inverse_mass: real, spring: real, u: real, tension: real, membrane_curvature: real
+    ):
+        total = load
+        if wp.static(effects.foundation):
+            total -= inverse_mass * (spring * u)
+        if wp.static(effects.stretching):
+            total += inverse_mass * (tension * membrane_curvature)
+        return total
+
+    return add_local_forces

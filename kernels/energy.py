@@ -71,3 +71,23 @@ def write_energies(
     if not sound:
         for region in range(sums.shape[1]):
             energy[plate, region] = wp.float64(wp.nan)
+
+
+@cache
+def make_keep_largest(real):
+    """Make the kernel that keeps the largest magnitudes of u, and NaN for ever; launch over the shape of u."""
+
+    @portable_kernel()
+    def keep_largest(
+        # inputs
+        u: wp.array3d[real],  # (plates, rows, columns)
+        # outputs
+        largest: wp.array3d[real],
+    ):
+        k, j, i = wp.tid()
+        size = wp.abs(u[k, j, i])
+        before = largest[k, j, i]
+        if not wp.isnan(before) and not (size <= before):
+            largest[k, j, i] = size
+
+    return keep_largest

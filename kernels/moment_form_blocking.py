@@ -15,9 +15,10 @@ import warp as wp
 
 from warp_plate.kernels.arithmetic import make_fused
 from warp_plate.kernels.cuda import LANES, any_lane, cuda_kernel, make_from_lane, make_pairs, most_registers, opaque
-from warp_plate.kernels.moment_form import make_add_local_forces, make_moment, make_structs
+from warp_plate.kernels.effects import make_add_local_forces, make_membrane_tension
+from warp_plate.kernels.moment_form import make_moment
 from warp_plate.kernels.temporal_blocking import COLUMNS, REACH, ROUND, make_row_access
-from warp_plate.kernels.update import make_parameters, make_update
+from warp_plate.kernels.update import make_material, make_parameters, make_state, make_update
 
 # Warps that share a multiprocessor.
 WARPS = {wp.float32: 12, wp.float64: 8}
@@ -43,11 +44,12 @@ def plane_width(effects, nx, levels):
 def make_advance_tiles(effects, real, nx, ny, stride, planes, levels, summed):
     """Make the kernel of ``levels`` steps, in the window if ``summed``; launch over (plates · strips · tiles · 32,).
 
-    ``planes`` are the names of the material planes, see ``moment_form_plan``.
+    ``planes`` are the names of the material planes, see ``plans``.
     """
     update, add_local_forces = make_update(effects, real), make_add_local_forces(effects, real)
+    membrane_tension = make_membrane_tension(real)
     moment, fused, from_lane = make_moment(effects, real), make_fused(real), make_from_lane(real)
-    Material, Parameters = make_structs(real)[0], make_parameters(real)
+    Material, Parameters, (Forcing, Fields) = make_material(real), make_parameters(real), make_state(real)
     size = wp.types.type_size_in_bytes(real)
     columns, margin, strip_count = COLUMNS, margin_of(effects, levels), strips(effects, nx, levels)
     useful, width = LANES * columns - 2 * margin, plane_width(effects, nx, levels) // columns
@@ -86,22 +88,17 @@ def make_advance_tiles(effects, real, nx, ny, stride, planes, levels, summed):
         p: Material,
         material: wp.array3d[Row],  # (planes, rows from 2·margin before the plate on, lanes), zero beyond the plate
         loaded: wp.array[int],  # (rows,) from row −2·margin on: bit b is set where row + b is loaded
-        wave: wp.array3d[real],  # (plates, steps, terms)
-        units: wp.array[real],  # (plates,) unit of displacement [m]
         clock: wp.array[int],  # (1,)
         offset: int,  # the first step is clock[0] + offset
         tiles: int,
         tile_rows: int,
-        # inputs; all fields are (plates, rows, stride)
-        loads: wp.array4d[real],  # (terms, plates, rows, stride)
-        stretched: wp.array2d[real],  # (plates, strips · tiles) parts of the sum that makes the tension
-        u: wp.array3d[real],
-        rate: wp.array3d[real],
+        # inputs
+        drive: Forcing,
+        old: Fields,
+        old_sums: wp.array2d[real],  # (plates, strips · tiles) parts of the sum that makes the tension
         # outputs
-        stretched_next: wp.array2d[real],
-        u_next: wp.array3d[real],
-        rate_next: wp.array3d[real],
-        squares: wp.array3d[real],
+        new: Fields,
+        new_sums: wp.array2d[real],
     ):
         warp = wp.tid() // LANES
         lane = wp.tid() % LANES
@@ -128,20 +125,20 @@ def make_advance_tiles(effects, real, nx, ny, stride, planes, levels, summed):
         column = wp.min(wp.max(x0, 0), wp.static((nx - 1) // columns * columns))
         field = wp.int64(k) * wp.int64(wp.static((ny + 2) * stride)) + wp.int64(column)
         part = wp.uint64(field) * wp.uint64(wp.static(size))
-        term_size = wp.uint64(loads.shape[1]) * wp.uint64(wp.static((ny + 2) * stride * size))
-        lane_u = u.ptr + part
-        lane_rate = rate.ptr + part
-        lane_u_next = u_next.ptr + part
-        lane_rate_next = rate_next.ptr + part
-        lane_squares = squares.ptr + part
+        term_size = wp.uint64(drive.loads.shape[1]) * wp.uint64(wp.static((ny + 2) * stride * size))
+        lane_u = old.u.ptr + part
+        lane_rate = old.rate.ptr + part
+        lane_u_next = new.u.ptr + part
+        lane_rate_next = new.rate.ptr + part
+        lane_squares = new.squares.ptr + part
         stores = lane * wp.static(columns) >= wp.static(margin)
         stores = stores and lane * wp.static(columns) < wp.static(margin + useful) and x0 < wp.static(nx)
 
         tension = real(0.0)
         if wp.static(effects.stretching):
-            for other in range(lane, stretched.shape[1], LANES):
-                tension += stretched[k, other]
-            tension = p.stretching * units[k] * units[k] * sum_of_warp(tension, lane)
+            for other in range(lane, old_sums.shape[1], LANES):
+                tension += old_sums[k, other]
+            tension = membrane_tension(drive, p, k, sum_of_warp(tension, lane))
         own_sum = real(0.0)
 
         # Windows of each level: displacement, what causes stress, rates, moments and sums. Twists are those of the row
@@ -181,7 +178,7 @@ def make_advance_tiles(effects, real, nx, ny, stride, planes, levels, summed):
                         if bits != 0:
                             for t in range(wp.static(effects.terms)):
                                 # All reads first, so that they overlap; rows without load hold zeros.
-                                lane_load = loads.ptr + wp.uint64(t) * term_size + part
+                                lane_load = drive.loads.ptr + wp.uint64(t) * term_size + part
                                 parts = Rows()
                                 for turn in range(wp.static(ROUND)):
                                     for level in range(wp.static(levels)):
@@ -191,7 +188,7 @@ def make_advance_tiles(effects, real, nx, ny, stride, planes, levels, summed):
                                     for level in range(wp.static(levels)):
                                         for c in range(wp.static(columns)):
                                             slot = wp.static(ROUND * level + turn)
-                                            pressed[slot, c] += wave[k, n + level, t] * parts[slot, c]
+                                            pressed[slot, c] += drive.wave[k, n + level, t] * parts[slot, c]
                     for turn in range(wp.static(ROUND)):
                         y = start + turn
                         above = ahead_u[turn]
@@ -301,13 +298,13 @@ def make_advance_tiles(effects, real, nx, ny, stride, planes, levels, summed):
                                 )
                                 parameters = Parameters()
                                 parameters.decay = decay[c]
-                                old = kept_rate[third, c]
-                                moved_rate[c] = update(old, bending[c], load, inverse_mass[c], parameters)
+                                before = kept_rate[third, c]
+                                moved_rate[c] = update(before, bending[c], load, inverse_mass[c], parameters)
                                 moved[c] = u_here + moved_rate[c]
                                 if wp.static(summed and level > 0):
                                     partial = kept_sum[third, c]
                                     kept_sum[newest, c] = total[c]
-                                    total[c] = fused(old, old, partial)
+                                    total[c] = fused(before, before, partial)
                             kept_u[newest] = above
                             kept_rate[newest] = above_rate
                             kept_mx[second] = mx
@@ -354,6 +351,6 @@ def make_advance_tiles(effects, real, nx, ny, stride, planes, levels, summed):
         if wp.static(effects.stretching):
             own_sum = sum_of_warp(own_sum, lane)
             if lane == 0:
-                stretched_next[k, tile * wp.static(strip_count) + strip] = own_sum
+                new_sums[k, tile * wp.static(strip_count) + strip] = own_sum
 
     return advance_tiles

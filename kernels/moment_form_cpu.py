@@ -1,6 +1,6 @@
 """Moment form, resident path on CPU: all steps in one launch, a plate per thread, over flat ranges of memory.
 
-The equations of ``moment_form`` in a form that LLVM vectorises (see ``resident_cpu_passes``). A pass walks all rows of
+The equations of ``moment_form`` in a form that LLVM vectorises (see ``resident_cpu``). A pass walks all rows of
 the plate at once, padding included. Beyond an edge the tensors hold zeros, and mirror images are factors: on an edge
 the inner neighbour counts twice and the outer one not at all. So each node has four factors for its neighbours and one
 for its cells, stored as planes like its rigidities.
@@ -11,11 +11,12 @@ from functools import cache
 import warp as wp
 
 from warp_plate.kernels.arithmetic import flush_denormals, make_fused, portable_kernel, restore_denormals
-from warp_plate.kernels.moment_form import make_add_local_forces, make_moment, make_oscillator_force, make_structs
-from warp_plate.kernels.update import make_parameters, make_update
+from warp_plate.kernels.effects import make_add_local_forces, make_attached_force, make_membrane_tension
+from warp_plate.kernels.moment_form import make_moment
+from warp_plate.kernels.update import make_material, make_parameters, make_state, make_update
 
-# Planes of a thread's workspace; retarded_u: displacement that causes stress; pressure: of oscillators and the moving
-# load; load: the sum of the terms where they are not two.
+# Planes of a thread's workspace; retarded_u: displacement that causes stress; pressure: of attached masses and the
+# load that travels; load: the sum of the terms where they are not two.
 WORKSPACE_PLANES = ("mx", "my", "mxy", "membrane_curvature", "retarded_u", "pressure", "load")
 # Planes shared by all plates, in the order of their array; cells: factor of the cells around a node; pressure_gain:
 # inverse mass / weight.
@@ -30,9 +31,10 @@ def make_run_steps(effects, real, ny, stride):
     """Make the kernel that runs steps ``start`` … ``stop`` − 1 of plates from ``first`` on; launch over (plates,)."""
     update = make_update(effects, real)
     add_local_forces = make_add_local_forces(effects, real)
-    moment, oscillator_force = make_moment(effects, real), make_oscillator_force(real)
+    moment, attached_force = make_moment(effects, real), make_attached_force(real)
+    membrane_tension = make_membrane_tension(real)
     fused = make_fused(real)
-    Material, Parameters = make_structs(real)[0], make_parameters(real)
+    Material, Parameters, (Forcing, Fields) = make_material(real), make_parameters(real), make_state(real)
     size = wp.types.type_size_in_bytes(real)
     count = ny * stride
     plane_bytes = (ny + 2) * stride * size
@@ -134,7 +136,7 @@ def make_run_steps(effects, real, ny, stride):
             total[i] = total[i] + factor * values[i]
 
     @wp.func
-    def add_moving_load(strength: real, along_y: wp.array[real], along_x: wp.array[real], pressure_at: wp.uint64):
+    def add_travelling_load(strength: real, along_y: wp.array[real], along_x: wp.array[real], pressure_at: wp.uint64):
         for row in range(wp.static(ny)):
             if along_y[row] != real(0.0):
                 pressure = array_at(pressure_at + wp.uint64(row) * wp.uint64(wp.static(row_bytes)))
@@ -150,9 +152,9 @@ def make_run_steps(effects, real, ny, stride):
     @wp.func
     def update_nodes(
         s: wp.uint64, mx_at: wp.uint64, my_at: wp.uint64, mxy_at: wp.uint64, curvature_at: wp.uint64,
-        pressure_at: wp.uint64, cosine_at: wp.uint64, sine_at: wp.uint64, load_at: wp.uint64,
-        u_at: wp.uint64, rate_at: wp.uint64, squares_at: wp.uint64,
-        wave_cosine: real, wave_sine: real, summed: real, tension: real, aspect: real, root_aspect: real,
+        pressure_at: wp.uint64, cosine_at: wp.uint64, sine_at: wp.uint64, load_at: wp.uint64, u_at: wp.uint64,
+        rate_at: wp.uint64, squares_at: wp.uint64, wave_cosine: real, wave_sine: real, summed: real, tension: real,
+        aspect: real, root_aspect: real,
     ):
         """``summed``: 1 in the window, else 0."""
         west = shared_plane(s, wp.static(plane["west"]))
@@ -209,25 +211,17 @@ def make_run_steps(effects, real, ny, stride):
         # parameters
         m: Material,  # its along_x padded to ``stride``
         shared: wp.array3d[real],  # (len(SHARED_PLANES), rows, stride); south, north times (hx / hy)²
-        oscillator_shares: wp.array3d[real],  # (oscillators, rows, stride)
-        wave: wp.array3d[real],  # (plates, steps, terms)
+        patches: wp.array3d[real],  # (attached masses, rows, stride) shares of the nodes
         window: wp.vec2i,  # first and last + 1 of the steps whose rate² is summed
-        units: wp.array[real],  # (plates,) unit of displacement [m]
-        moving: wp.array[real],  # (plates,) size of the moving load
         start: int,
         stop: int,
         first: int,
         thread: int,
-        nodes: wp.array2d[int],  # (traced nodes, 2) row, column
         # inputs
-        loads: wp.array4d[real],  # (terms, plates and a spare one, rows, stride)
+        d: Forcing,  # its loads of a spare plate too
         # outputs
+        f: Fields,
         workspace: wp.array4d[real],  # (threads + 1, len(WORKSPACE_PLANES), rows, stride); the launch uses [thread]
-        u: wp.array3d[real],  # (plates, rows, stride), as the next two
-        rate: wp.array3d[real],
-        squares: wp.array3d[real],
-        oscillator_state: wp.array3d[real],  # (plates, oscillators, 2) displacement and rate of the masses
-        trace: wp.array3d[real],  # (plates, traced nodes, steps)
     ):
         before = flush_denormals()
         k = first + wp.tid()
@@ -241,54 +235,47 @@ def make_run_steps(effects, real, ny, stride):
         retarded = curvature + step
         pressure = retarded + step
         load = pressure + step
-        term = wp.uint64(loads.shape[1]) * step
-        first_load = loads.ptr + plane_offset
-        u_at = u.ptr + plane_offset
-        rate_at = rate.ptr + plane_offset
+        term = wp.uint64(d.loads.shape[1]) * step
+        first_load = d.loads.ptr + plane_offset
+        u_at = f.u.ptr + plane_offset
+        rate_at = f.rate.ptr + plane_offset
         tension = real(0.0)
         for n in range(start, stop):
             strained = u_at
             if wp.static(effects.material_damping):
                 compute_retarded_u(u_at, rate_at, retarded, m.retardation)
                 strained = retarded
-            compute_moments(
-                shared.ptr, u_at, strained, mx, my, mxy, m.aspect, m.root_aspect, m.tension_x, m.tension_y
-            )
+            compute_moments(shared.ptr, u_at, strained, mx, my, mxy, m.aspect, m.root_aspect, m.tension_x, m.tension_y)
             if wp.static(effects.stretching):
                 compute_membrane_curvature(shared.ptr, u_at, curvature, m.aspect, m.stretch_ratio)
                 # The pressure plane is not in use yet; it holds weight · u.
                 weight = shared.ptr + wp.uint64(wp.static(plane["weight"] * plane_bytes)) + row
                 multiply_planes(weight, u_at, pressure)
-                tension = -m.stretching * units[k] * units[k] * sum_of_products(pressure, curvature, retarded)
+                tension = membrane_tension(d, m, k, -sum_of_products(pressure, curvature, retarded))
             if wp.static(effects.oscillators or effects.moving_load):
                 clear(pressure)
             if wp.static(effects.moving_load):
-                add_moving_load(moving[k] * m.strength[n], m.along_y[n], m.along_x[n], pressure)
+                add_travelling_load(d.travelling[k] * m.strength[n], m.along_y[n], m.along_x[n], pressure)
             if wp.static(effects.terms != 2):
                 clear(load)
                 for t in range(wp.static(effects.terms)):
-                    add_multiple(wave[k, n, t], first_load + wp.uint64(t) * term, load)
+                    add_multiple(d.wave[k, n, t], first_load + wp.uint64(t) * term, load)
             if wp.static(effects.oscillators):
-                for o in range(m.oscillators.shape[0]):
-                    shares = oscillator_shares.ptr + wp.uint64(o) * step + row
+                for o in range(patches.shape[0]):
+                    shares = patches.ptr + wp.uint64(o) * step + row
                     plate_u = sum_of_products(shares, u_at, retarded)
                     plate_rate = sum_of_products(shares, rate_at, retarded)
-                    force, mass_u, mass_rate = oscillator_force(
-                        oscillator_state[k, o, 0], oscillator_state[k, o, 1], plate_u, plate_rate, m.oscillators, o
-                    )
-                    oscillator_state[k, o, 0] = mass_u
-                    oscillator_state[k, o, 1] = mass_rate
-                    add_multiple(force, shares, pressure)
+                    add_multiple(attached_force(f, m, k, o, plate_u, plate_rate), shares, pressure)
             summed = real(0.0)
             if n >= window[0] and n < window[1]:
                 summed = real(1.0)
             update_nodes(
-                shared.ptr, mx, my, mxy, curvature, pressure, first_load, first_load + term, load,
-                u_at, rate_at, squares.ptr + plane_offset,
-                wave[k, n, 0], wave[k, n, 1], summed, tension, m.aspect, m.root_aspect,
+                shared.ptr, mx, my, mxy, curvature, pressure, first_load, first_load + term, load, u_at, rate_at,
+                f.squares.ptr + plane_offset, d.wave[k, n, 0], d.wave[k, n, 1], summed, tension, m.aspect,
+                m.root_aspect,
             )
-            for traced in range(nodes.shape[0]):
-                trace[k, traced, n] = u[k, nodes[traced, 0], nodes[traced, 1]]
+            for traced in range(f.nodes.shape[0]):
+                f.trace[k, traced, n] = f.u[k, f.nodes[traced, 0], f.nodes[traced, 1]]
         restore_denormals(before)
 
     return run_steps

@@ -13,9 +13,15 @@ import warp as wp
 
 from warp_plate.kernels.arithmetic import make_fused
 from warp_plate.kernels.cuda import LANES, barrier, cuda_kernel, make_from_lane, opaque, shared_memory
-from warp_plate.kernels.moment_form import make_add_local_forces, make_moment, make_oscillator_force, make_structs
-from warp_plate.kernels.moment_form_plan import MATERIAL_PLANES, NODES_PER_WORD, material_planes, workspace_layout
-from warp_plate.kernels.update import make_parameters, make_update
+from warp_plate.kernels.effects import (
+    make_add_local_forces,
+    make_attached_force,
+    make_membrane_tension,
+    make_travelling_pressure,
+)
+from warp_plate.kernels.moment_form import make_moment
+from warp_plate.kernels.plans import MATERIAL_PLANES, NODES_PER_WORD, material_planes, workspace_layout
+from warp_plate.kernels.update import make_material, make_parameters, make_state, make_update
 
 # Bits of a node's flags: the edges on which it lies, and LOADED where some load field is not zero.
 LEFT, RIGHT, BOTTOM, TOP, LOADED = 1, 2, 4, 8, 16
@@ -71,18 +77,20 @@ def make_edges(real, nx, ny):
 
 
 @cache
-def make_run_steps(effects, real, nx, ny, stride, oscillators, block):
+def make_run_steps(effects, real, nx, ny, stride, attached, block):
     """Make the kernel that runs steps ``start`` … ``stop`` − 1; launch over (plates × threads,) in blocks."""
     update, add_local_forces = make_update(effects, real), make_add_local_forces(effects, real)
-    moment, oscillator_force = make_moment(effects, real), make_oscillator_force(real)
-    from_lane, Material, Parameters = make_from_lane(real), make_structs(real)[0], make_parameters(real)
+    moment, attached_force = make_moment(effects, real), make_attached_force(real)
+    membrane_tension, travelling_pressure = make_membrane_tension(real), make_travelling_pressure(real)
+    from_lane, Parameters = make_from_lane(real), make_parameters(real)
+    Material, (Forcing, Fields) = make_material(real), make_state(real)
     edge_flags, sum_of_neighbours, twist_factor = make_edges(real, nx, ny)
     fused, size = make_fused(real), wp.types.type_size_in_bytes(real)
     threads, nodes_per_thread, held, shared = block.threads, block.nodes, block.in_registers, material_planes(effects)
     count, padded, warps = nx * ny, threads * nodes_per_thread, -(-threads // LANES)
     state_size, words = ny * stride, -(-nodes_per_thread // NODES_PER_WORD)
     has_sums = effects.stretching or effects.oscillators
-    offsets = workspace_layout(nx, oscillators, block)
+    offsets = workspace_layout(nx, attached, block)
     u_at, mx_at, my_at, mxy_at = (offsets[name] for name in ("u", "mx", "my", "mxy"))
     retarded_at, curvature_at = offsets.get("retarded_u", u_at), offsets.get("membrane_curvature", 0)
     partial_sums, totals, workspace_size = offsets["partial_sums"], offsets["totals"], offsets["end"]
@@ -144,49 +152,34 @@ def make_run_steps(effects, real, nx, ny, stride, oscillators, block):
         return fused(factor, mxy, real(-2.0) * mx) - real(2.0) * aspect * my
 
     @wp.func
-    def finish_sum(
-        p: Material, x: wp.array[real], units: wp.array[real], state: wp.array3d[real], k: int, which: int
-    ):
-        """Compute an oscillator's force and its state after the step, or the tension, from the sums of the warps."""
+    def finish_sum(d: Forcing, f: Fields, p: Material, x: wp.array[real], k: int, which: int):
+        """Compute the force of an attached mass, and move it, or the membrane's tension, from the sums of the warps."""
         first = partial_sums + 2 * which * warps
         total = real(0.0)
         for w in range(warps):
             total += x[first + w]
-        if which < oscillators:
+        if which < attached:
             total_rate = real(0.0)
             for w in range(warps):
                 total_rate += x[first + warps + w]
-            force, mass_u, mass_rate = oscillator_force(
-                state[k, which, 0], state[k, which, 1], total, total_rate, p.oscillators, which
-            )
-            state[k, which, 0] = mass_u
-            state[k, which, 1] = mass_rate
-            x[totals + which] = force
+            x[totals + which] = attached_force(f, p, k, which, total, total_rate)
         else:
-            x[totals + which] = p.stretching * units[k] * units[k] * total
+            x[totals + which] = membrane_tension(d, p, k, total)
 
     @cuda_kernel(block.registers, max_unroll=max(5, nodes_per_thread if held else 1))
     def run_steps(
         # parameters
         p: Material,
         shared_planes: wp.array2d[real],  # (material planes, threads × nodes), zero beyond the plate
-        oscillator_shares: wp.array2d[real],  # (oscillators, threads × nodes), zero beyond the plate
+        patches: wp.array2d[real],  # (attached masses, threads × nodes) shares of the nodes, zero beyond the plate
         window: wp.vec2i,  # first and last + 1 of the steps whose rate² is summed
         start: int,
         stop: int,
-        wave: wp.array3d[real],  # (plates, steps, terms)
-        units: wp.array[real],  # (plates,) unit of displacement [m]
-        moving: wp.array[real],  # (plates,) size of the moving load
-        nodes: wp.array2d[int],  # (traced nodes, 2) row of the plate, column
         # inputs
-        loads: wp.array4d[real],  # (terms, plates, rows, stride)
+        d: Forcing,
         # outputs
+        f: Fields,
         workspace: wp.array2d[real],  # (plates, size by ``workspace_layout``) where it is not shared memory
-        u: wp.array3d[real],  # (plates, rows, stride), as the next two
-        rate: wp.array3d[real],
-        squares: wp.array3d[real],
-        oscillator_state: wp.array3d[real],  # (plates, oscillators, 2) displacement and rate of the masses
-        trace: wp.array3d[real],  # (plates, traced nodes, steps)
     ):
         k = wp.tid() // threads
         thread = wp.tid() % threads
@@ -206,10 +199,10 @@ def make_run_steps(effects, real, nx, ny, stride, oscillators, block):
         )
         planes = wp.array(ptr=shared_planes.ptr, shape=(wp.static(len(shared) * padded),), dtype=real)
         plane = (wp.uint64(k) * wp.uint64(wp.static(ny + 2)) + wp.uint64(1)) * wp.uint64(wp.static(stride * size))
-        plate_u = state_array(u.ptr + plane)
-        plate_rate = state_array(rate.ptr + plane)
-        plate_squares = state_array(squares.ptr + plane)
-        term = wp.uint64(loads.shape[1]) * wp.uint64(wp.static((ny + 2) * stride * size))
+        plate_u = state_array(f.u.ptr + plane)
+        plate_rate = state_array(f.rate.ptr + plane)
+        plate_squares = state_array(f.squares.ptr + plane)
+        term = wp.uint64(d.loads.shape[1]) * wp.uint64(wp.static((ny + 2) * stride * size))
 
         # Clear what was left in memory: it may be NaN, which a factor of zero does not remove.
         for i in range(thread, workspace_size, threads):
@@ -234,7 +227,7 @@ def make_run_steps(effects, real, nx, ny, stride, oscillators, block):
                     x[i + retarded_at] = here + p.retardation * plate_rate[at]
                 flags = edge_flags(i)
                 for t in range(wp.static(effects.terms)):
-                    if load_value(loads.ptr + plane + wp.uint64(t) * term, at) != real(0.0):
+                    if load_value(d.loads.ptr + plane + wp.uint64(t) * term, at) != real(0.0):
                         flags = flags | LOADED
                 word_at = m // NODES_PER_WORD * threads + thread
                 flag_words[word_at] = flag_words[word_at] | (flags << (FLAG_BITS * (m % NODES_PER_WORD)))
@@ -280,14 +273,14 @@ def make_run_steps(effects, real, nx, ny, stride, oscillators, block):
             if wp.static(effects.stretching):
                 stretched = sum_of_warp(stretched, lane)
                 if lane == 0:
-                    x[wp.static(partial_sums + 2 * oscillators * warps) + warp] = stretched
+                    x[wp.static(partial_sums + 2 * attached * warps) + warp] = stretched
             if wp.static(effects.oscillators):
-                for o in range(oscillators):
+                for o in range(attached):
                     patch_u = real(0.0)
                     patch_rate = real(0.0)
                     for m in range(nodes_per_thread):
                         i = thread + m * threads
-                        share = oscillator_shares[o, i]
+                        share = patches[o, i]
                         if share != real(0.0):
                             patch_u += share * x[i + u_at]
                             if wp.static("rate" in held):
@@ -301,13 +294,13 @@ def make_run_steps(effects, real, nx, ny, stride, oscillators, block):
                         x[wp.static(partial_sums + warps) + 2 * o * warps + warp] = patch_rate
             barrier()
             if wp.static(has_sums):
-                # A thread for each oscillator, and one for the stretching.
-                for which in range(thread, wp.static(oscillators + int(effects.stretching)), threads):
-                    finish_sum(p, x, units, oscillator_state, k, which)
+                # A thread for each attached mass, and one for the membrane.
+                for which in range(thread, wp.static(attached + int(effects.stretching)), threads):
+                    finish_sum(d, f, p, x, k, which)
                 barrier()
 
             summed = n >= window[0] and n < window[1]
-            tension = x[wp.static(totals + oscillators)]
+            tension = x[wp.static(totals + attached)]
             first = opaque(thread)
             word = int(0)
             for m in range(nodes_per_thread):
@@ -334,7 +327,7 @@ def make_run_steps(effects, real, nx, ny, stride, oscillators, block):
                 load = real(0.0)
                 if (flags & LOADED) != 0:
                     for t in range(wp.static(effects.terms)):
-                        load += wave[k, n, t] * load_value(loads.ptr + plane + wp.uint64(t) * term, state_index(i))
+                        load += d.wave[k, n, t] * load_value(d.loads.ptr + plane + wp.uint64(t) * term, state_index(i))
                 inverse_mass = read_inverse_mass(h, planes, m, i)
                 spring = real(0.0)
                 curvature = real(0.0)
@@ -349,10 +342,10 @@ def make_run_steps(effects, real, nx, ny, stride, oscillators, block):
                         line = i // nx
                         if line < wp.static(ny):
                             column = i - line * nx
-                            pressure = moving[k] * p.strength[n] * p.along_y[n, line] * p.along_x[n, column]
+                            pressure = travelling_pressure(d, p, k, n, line, column)
                     if wp.static(effects.oscillators):
-                        for o in range(oscillators):
-                            pressure += oscillator_shares[o, i] * x[totals + o]
+                        for o in range(attached):
+                            pressure += patches[o, i] * x[totals + o]
                     load += read_pressure_gain(h, planes, m, i) * pressure
                 parameters = Parameters()
                 if wp.static(effects.damping):
@@ -373,8 +366,9 @@ def make_run_steps(effects, real, nx, ny, stride, oscillators, block):
                     elif i < count:
                         plate_squares[state_index(i)] = plate_squares[state_index(i)] + new * new
             barrier()
-            for traced in range(thread, nodes.shape[0], threads):
-                trace[k, traced, n] = x[u_at + nodes[traced, 0] * nx + nodes[traced, 1]]
+            for traced in range(thread, f.nodes.shape[0], threads):
+                # A row of zeros lies below the plate.
+                f.trace[k, traced, n] = x[u_at + (f.nodes[traced, 0] - 1) * nx + f.nodes[traced, 1]]
 
         for m in range(nodes_per_thread):
             i = thread + m * threads

@@ -2,7 +2,7 @@
 
 In a group, node i of plate k lies at i·lanes + k, so that a vector holds the same node of several plates: neighbours
 along x lie whole vectors apart, there is no padding, and a plate's width does not matter. To the two passes of
-``resident_cpu_passes`` a group is one plate with rows ``lanes`` times as long, walked one row at a time. The batched
+``resident_cpu`` a group is one plate with rows ``lanes`` times as long, walked one row at a time. The batched
 tensors keep their layout: a launch copies a group in, runs all steps, and copies it out.
 """
 
@@ -11,8 +11,8 @@ from functools import cache
 import warp as wp
 
 from warp_plate.kernels.arithmetic import flush_denormals, portable_kernel, restore_denormals
-from warp_plate.kernels.resident_cpu_passes import make_passes, taps_along_y
-from warp_plate.kernels.update import make_parameters
+from warp_plate.kernels.resident_cpu import make_factors, make_passes, taps_along_y
+from warp_plate.kernels.update import make_parameters, make_state
 
 # Planes of a group's workspace: u, rate, squares, in phase, quadrature.
 PLANES = 5
@@ -27,7 +27,7 @@ def workspace_size(nx, ny, lanes, order):
 def make_run_steps(effects, real, nx, ny, stride, lanes):
     """Make the kernel of steps ``start`` … ``stop`` − 1 of ``lanes`` plates at a time, from ``first`` on; launch over
     (groups,)."""
-    Parameters = make_parameters(real)
+    Parameters, Factors, (Forcing, Fields) = make_parameters(real), make_factors(real), make_state(real)
     reach, places = effects.order // 2, effects.order + 1
     row = nx * lanes
     bend, move, move_unloaded = make_passes(effects, real, row, lanes, row, row - 2 * lanes, False, row)
@@ -87,28 +87,18 @@ def make_run_steps(effects, real, nx, ny, stride, lanes):
     def run_steps(
         # parameters
         p: Parameters,
-        bend_x: wp.array[real],  # as in ``resident_cpu``, repeated for each lane; order 2: factors of the bottom, an
-        move_x: wp.array[real],  # inner and the top row
-        bend_y: wp.array2d[real],
-        move_y: wp.array2d[real],
-        loaded: wp.array[int],  # (ny + 2,) 1 for tensor rows with loaded nodes, else 0
-        wave: wp.array2d[real],  # (steps, 2) of all plates
+        factors: Factors,  # along x repeated for each lane; order 2: of the bottom, an inner and the top row
         window: wp.vec2i,  # first and last + 1 of the steps whose rate² is summed
         start: int,
         stop: int,
         first: int,
         last: int,  # one beyond the last plate
         thread: int,
-        nodes: wp.array2d[int],  # (traced nodes, 2) row, column
-        # inputs; all fields are (plates, rows, stride)
-        in_phase: wp.array3d[real],
-        quadrature: wp.array3d[real],
+        # inputs
+        drive: Forcing,  # of plates that share their wave
         # outputs
+        f: Fields,
         workspace: wp.array2d[real],  # (threads, workspace_size(…)); the launch uses row ``thread``
-        u: wp.array3d[real],
-        rate: wp.array3d[real],
-        squares: wp.array3d[real],
-        trace: wp.array3d[real],  # (plates, traced nodes, steps)
     ):
         before = flush_denormals()
         low = first + wp.tid() * wp.static(lanes)
@@ -123,45 +113,47 @@ def make_run_steps(effects, real, nx, ny, stride, lanes):
         curvature = wp.array(ptr=curvature_rows, shape=(wp.static(places * row + reach * lanes),), dtype=real)
         for i in range(wp.static(places * row + reach * lanes)):
             curvature[i] = real(0.0)
-        copy_in(u, u_plane, low, last)
-        copy_in(rate, rates, low, last)
-        copy_in(squares, sums, low, last)
-        copy_in(in_phase, cosine, low, last)
-        copy_in(quadrature, sine, low, last)
+        copy_in(f.u, u_plane, low, last)
+        copy_in(f.rate, rates, low, last)
+        copy_in(f.squares, sums, low, last)
+        copy_in(drive.in_phase, cosine, low, last)
+        copy_in(drive.quadrature, sine, low, last)
+        bend_x = factors.bend_x.ptr
+        move_x = factors.move_x.ptr
         for n in range(start, stop):
             summed = n >= window[0] and n < window[1]
-            waves = Wave(wave[n, 0], wave[n, 1])
+            waves = Wave(drive.wave[0, n, 0], drive.wave[0, n, 1])
             for j in range(wp.static(reach + 1)):
-                bend_node_row(u_plane, bend_x.ptr, bend_y, curvature_rows, j)
+                bend_node_row(u_plane, bend_x, factors.bend_y, curvature_rows, j)
             for j in range(1, wp.static(ny - 1)):
                 # Row j moves once the curvatures of the rows above it are known.
                 if j + wp.static(reach) < wp.static(ny):
-                    bend_node_row(u_plane, bend_x.ptr, bend_y, curvature_rows, j + wp.static(reach))
-                rows = taps_of_row(move_y, 0)
+                    bend_node_row(u_plane, bend_x, factors.bend_y, curvature_rows, j + wp.static(reach))
+                rows = taps_of_row(factors.move_y, 0)
                 if wp.static(effects.order == 4):
-                    rows = taps_of_row(move_y, j)
+                    rows = taps_of_row(factors.move_y, j)
                 around = Rows()
                 for place in range(wp.static(places)):
                     turn = (j + place + wp.static(places - reach)) % wp.static(places)
                     around[place] = curvature_rows + wp.uint64(turn * wp.static(row_bytes)) + node
                 at = wp.uint64((j + 1) * wp.static(row_bytes)) + node
-                if loaded[j + 1] != 0:
+                if factors.loaded[j + 1] != 0:
                     move(
-                        p, move_x.ptr, move_x.ptr + node, rows, waves, summed, around,
-                        cosine + at, sine + at, u_plane + at, rates + at, sums + at,
+                        p, move_x, move_x + node, rows, waves, summed, around, cosine + at, sine + at, u_plane + at,
+                        rates + at, sums + at,
                     )
                 else:
                     move_unloaded(
-                        p, move_x.ptr, move_x.ptr + node, rows, waves, summed, around,
-                        cosine + at, sine + at, u_plane + at, rates + at, sums + at,
+                        p, move_x, move_x + node, rows, waves, summed, around, cosine + at, sine + at, u_plane + at,
+                        rates + at, sums + at,
                     )
-            for m in range(nodes.shape[0]):
-                node_at = (nodes[m, 0] * wp.static(nx) + nodes[m, 1]) * wp.static(lanes)
+            for m in range(f.nodes.shape[0]):
+                node_at = (f.nodes[m, 0] * wp.static(nx) + f.nodes[m, 1]) * wp.static(lanes)
                 for lane in range(wp.min(wp.static(lanes), last - low)):
-                    trace[low + lane, m, n] = plane_array(u_plane)[node_at + lane]
-        copy_out(u_plane, u, low, last)
-        copy_out(rates, rate, low, last)
-        copy_out(sums, squares, low, last)
+                    f.trace[low + lane, m, n] = plane_array(u_plane)[node_at + lane]
+        copy_out(u_plane, f.u, low, last)
+        copy_out(rates, f.rate, low, last)
+        copy_out(sums, f.squares, low, last)
         restore_denormals(before)
 
     return run_steps

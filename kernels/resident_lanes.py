@@ -15,8 +15,7 @@ import warp as wp
 
 from warp_plate.kernels.arithmetic import make_fused
 from warp_plate.kernels.cuda import LANES, cuda_kernel, make_from_lane
-from warp_plate.kernels.stencil import make_laplacian
-from warp_plate.kernels.update import make_parameters, make_update
+from warp_plate.kernels.update import make_laplacian, make_parameters, make_state, make_update
 
 
 def fits(nx, ny):
@@ -35,7 +34,7 @@ def make_run_steps(effects, real, ny, loaded, summed, registers=None):
     laplacian = make_laplacian(effects.square_cells, real)
     update = make_update(effects, real)
     from_lane, fused = make_from_lane(real), make_fused(real)
-    Parameters = make_parameters(real)
+    Parameters, (Forcing, Fields) = make_parameters(real), make_state(real)
     moving = ny - 2
     Column = wp.types.vector(length=moving, dtype=real)
 
@@ -45,18 +44,13 @@ def make_run_steps(effects, real, ny, loaded, summed, registers=None):
         p: Parameters,
         factor_x: wp.array[real],  # (nx,) factors on the curvature, 2 or 0 at the ends
         factor_y: wp.array[real],  # (ny,) the same times aspect
-        wave: wp.array3d[real],  # (plates, steps, 2) cos ωt and sin ωt
         start: int,
         stop: int,
-        # inputs; all fields are (plates, rows, columns)
-        in_phase: wp.array3d[real],
-        quadrature: wp.array3d[real],
-        u: wp.array3d[real],
-        rate: wp.array3d[real],
-        # outputs; the new fields may be the old ones
-        new_u: wp.array3d[real],
-        new_rate: wp.array3d[real],
-        squares: wp.array3d[real],
+        # inputs
+        drive: Forcing,
+        old: Fields,
+        # outputs, which may be the inputs
+        new: Fields,
     ):
         k = wp.tid() // LANES
         lane = wp.tid() % LANES
@@ -83,17 +77,17 @@ def make_run_steps(effects, real, ny, loaded, summed, registers=None):
         squared = Column()
         if lane < nx:
             for j in range(wp.static(moving)):
-                lane_u[j] = u[k, j + 2, lane]
-                lane_rate[j] = rate[k, j + 2, lane]
+                lane_u[j] = old.u[k, j + 2, lane]
+                lane_rate[j] = old.rate[k, j + 2, lane]
                 if wp.static(loaded >> j & 1):
-                    cosine[j] = in_phase[k, j + 2, lane]
-                    sine[j] = quadrature[k, j + 2, lane]
+                    cosine[j] = drive.in_phase[k, j + 2, lane]
+                    sine[j] = drive.quadrature[k, j + 2, lane]
                 if wp.static(summed):
-                    squared[j] = squares[k, j + 2, lane]
+                    squared[j] = new.squares[k, j + 2, lane]
 
         bottom = factor_y[0]
         top = factor_y[wp.static(ny - 1)]
-        plate_wave = wave[k]
+        plate_wave = drive.wave[k]
         next_cosine = plate_wave[start, 0]
         next_sine = plate_wave[start, 1]
         for n in range(start, stop):
@@ -112,31 +106,31 @@ def make_run_steps(effects, real, ny, loaded, summed, registers=None):
                     above = fused(top, lane_u[j], real(0.0))
                 elif wp.static(j == moving - 2):
                     above = laplacian(
-                        lane_u[j + 1], from_lane(lane_u[j + 1], west), from_lane(lane_u[j + 1], east),
-                        lane_u[j], real(0.0), p.aspect,
+                        lane_u[j + 1], from_lane(lane_u[j + 1], west), from_lane(lane_u[j + 1], east), lane_u[j],
+                        real(0.0), p.aspect,
                     )
                 else:
                     above = laplacian(
-                        lane_u[j + 1], from_lane(lane_u[j + 1], west), from_lane(lane_u[j + 1], east),
-                        lane_u[j], lane_u[j + 2], p.aspect,
+                        lane_u[j + 1], from_lane(lane_u[j + 1], west), from_lane(lane_u[j + 1], east), lane_u[j],
+                        lane_u[j + 2], p.aspect,
                     )
                 biharmonic = laplacian(here, from_lane(here, west), from_lane(here, east), below, above, p.aspect)
                 load = real(0.0)
                 if wp.static(loaded >> j & 1):
                     load = fused(wave_cosine, cosine[j], wave_sine * sine[j])
-                new = update(lane_rate[j], biharmonic, load, stiffness, p)
-                lane_rate[j] = new
-                lane_u[j] = lane_u[j] + new
+                moved = update(lane_rate[j], biharmonic, load, stiffness, p)
+                lane_rate[j] = moved
+                lane_u[j] = lane_u[j] + moved
                 if wp.static(summed):
-                    squared[j] = squared[j] + new * new
+                    squared[j] = squared[j] + moved * moved
                 below = here
                 here = above
 
         if lane < nx:
             for j in range(wp.static(moving)):
-                new_u[k, j + 2, lane] = lane_u[j]
-                new_rate[k, j + 2, lane] = lane_rate[j]
+                new.u[k, j + 2, lane] = lane_u[j]
+                new.rate[k, j + 2, lane] = lane_rate[j]
                 if wp.static(summed):
-                    squares[k, j + 2, lane] = squared[j]
+                    new.squares[k, j + 2, lane] = squared[j]
 
     return run_steps

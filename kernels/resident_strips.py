@@ -9,81 +9,14 @@ Where registers are short, loads are read from the cache instead, each row of th
 sums of rate² are in shared memory, each thread's numbers a block apart.
 """
 
-from dataclasses import dataclass
 from functools import cache
-from itertools import product
 
 import warp as wp
 
-from warp_plate.kernels import cuda
 from warp_plate.kernels.arithmetic import make_fused
-from warp_plate.kernels.cuda import LANES, barrier, make_from_lane, make_thread_part, shared_memory
-from warp_plate.kernels.stencil import make_laplacian
-from warp_plate.kernels.tiles import make_place
-from warp_plate.kernels.update import make_parameters, make_update
-
-
-@dataclass(frozen=True)
-class StripPlan:
-    """Distribution of a plate over a block."""
-
-    columns: int  # Columns per lane
-    rows: int  # Rows per warp
-    warps: int  # Warps of the block
-    registers: int  # Most registers per thread
-    loads_kept: bool  # The loads are in registers, else they are read from the cache
-    squares_shared: bool = False  # The sums of rate² are in shared memory, else in registers
-
-    @property
-    def latency(self):
-        """Time of a step of a block that has a multiprocessor to itself, in about 15 clocks.
-
-        Each row takes what a quarter's warps do in turn, and no less than four nodes' time for its chain of exchanges.
-        """
-        return self.rows * max(4, self.columns * -(-self.warps // cuda.QUARTERS))
-
-    @property
-    def fields(self):
-        """Fields of the strip in registers: displacement and rate, sums and both loads."""
-        return 2 + (not self.squares_shared) + 2 * self.loads_kept
-
-
-# Warps of a block: first those that the quarters of a multiprocessor share evenly.
-EVEN, UNEVEN = (1, 4, 8, 12, 16), (2, 3, 5, 6, 7, 9, 10, 11, 13, 14, 15)
-
-
-def distribute(rows, columns, warps, loads_kept, squares_shared):
-    """Return the plan of a block of at most so many warps, whether or not it fits."""
-    strip = -(-rows // warps)
-    used = -(-rows // strip)
-    return StripPlan(columns, strip, used, cuda.most_registers(used), loads_kept, squares_shared)
-
-
-def plan_few(nx, ny):
-    """Return the plan of the fewest plates, of a size that a warp can have: so many warps that a step is short."""
-    return distribute(ny - 2, 1, max(1, min(8, (ny - 2) // 2)), loads_kept=True, squares_shared=False)
-
-
-def plans(nx, ny, real, shared_bytes):
-    """Yield the plans for a plate of this size that fit on a multiprocessor.
-
-    The first is the fastest on an H200 where plates are many.
-
-    Args:
-        shared_bytes: Most shared memory of a block on the device.
-    """
-    columns = -(-(nx - 2) // LANES)
-    words = 1 if real is wp.float32 else 2
-    for choice, squares_shared, loads_kept in product((EVEN, UNEVEN), (False, True), (True, False)):
-        for warps in choice:
-            plan = distribute(ny - 2, columns, warps, loads_kept, squares_shared)
-            # Kept fields, three rows of curvature, addresses and temporaries.
-            needed = words * columns * (plan.fields * plan.rows + 6) + 24
-            squares = plan.rows * plan.warps if squares_shared else 0
-            shared = 4 * words * columns * LANES * (2 * 4 * (plan.warps + 2) + squares)
-            # The bits of a word say which rows are loaded.
-            if 1 < plan.rows < LANES and needed <= plan.registers and shared <= shared_bytes:
-                yield plan
+from warp_plate.kernels.cuda import LANES, barrier, cuda_kernel, make_from_lane, make_thread_part, shared_memory
+from warp_plate.kernels.plans import make_place
+from warp_plate.kernels.update import make_laplacian, make_parameters, make_state, make_update
 
 
 @cache
@@ -97,7 +30,7 @@ def make_run_steps(effects, real, across, along, stride, plan, summed):
     laplacian = make_laplacian(effects.square_cells, real)
     update = make_update(effects, real)
     from_lane, fused = make_from_lane(real), make_fused(real)
-    Parameters = make_parameters(real)
+    Parameters, (Forcing, Fields) = make_parameters(real), make_state(real)
     columns, rows, warps = plan.columns, plan.rows, plan.warps
     threads = LANES * warps
     size = wp.types.type_size_in_bytes(real)
@@ -112,7 +45,7 @@ def make_run_steps(effects, real, across, along, stride, plan, summed):
     Row = wp.types.vector(length=columns, dtype=real)
     Strip = wp.types.matrix(shape=(rows, columns), dtype=real)
     Squares = wp.types.matrix(shape=(rows, columns) if squares_in_registers else (1, 1), dtype=real)
-    Loads = wp.types.matrix(shape=(rows, columns) if plan.loads_kept else (1, 1), dtype=real)
+    Loads = wp.types.matrix(shape=(rows, columns) if plan.loads_in_registers else (1, 1), dtype=real)
     LoadRow = wp.types.matrix(shape=(2, columns), dtype=real)
     # Row j, column c of a thread's part is at j·stride + c, an offset that the compiler knows.
     thread_part = make_thread_part(real, (rows - 1) * stride + columns)
@@ -148,25 +81,20 @@ def make_run_steps(effects, real, across, along, stride, plan, summed):
                     row[1, c] = quadrature[at + c]
         return row
 
-    @cuda.cuda_kernel(plan.registers, max_unroll=64)
+    @cuda_kernel(plan.registers, max_unroll=64)
     def run_steps(
         # parameters
         p: Parameters,
         factor_x: wp.array[real],  # (nx,) factors on the curvature
         factor_y: wp.array[real],  # (ny,) the same times aspect
         loaded: wp.array[int],  # (ny + 2,) 1 for tensor rows with loaded nodes, else 0
-        wave: wp.array3d[real],  # (plates, steps, 2) cos ωt and sin ωt
         start: int,
         stop: int,
-        # inputs; all fields are (plates, rows, stride)
-        in_phase: wp.array3d[real],
-        quadrature: wp.array3d[real],
-        u: wp.array3d[real],
-        rate: wp.array3d[real],
-        # outputs; where a plate is one tile, the new fields may be the old ones
-        new_u: wp.array3d[real],
-        new_rate: wp.array3d[real],
-        squares: wp.array3d[real],
+        # inputs
+        drive: Forcing,
+        old: Fields,
+        # outputs, which may be the inputs where a plate is one tile
+        new: Fields,
     ):
         tile = wp.tid() // threads
         k = tile // wp.static(across.count * along.count)
@@ -182,13 +110,13 @@ def make_run_steps(effects, real, across, along, stride, plan, summed):
 
         origin = (k * wp.static(along.nodes + 2) + y0 + tile_y) * wp.static(stride) + x0 + tile_x
         offset = wp.uint64(origin) * wp.uint64(wp.static(size))
-        global_u = thread_part(u, offset)
-        global_rate = thread_part(rate, offset)
-        global_new_u = thread_part(new_u, offset)
-        global_new_rate = thread_part(new_rate, offset)
-        global_squares = thread_part(squares, offset)
-        global_in_phase = thread_part(in_phase, offset)
-        global_quadrature = thread_part(quadrature, offset)
+        global_u = thread_part(old.u, offset)
+        global_rate = thread_part(old.rate, offset)
+        global_new_u = thread_part(new.u, offset)
+        global_new_rate = thread_part(new.rate, offset)
+        global_squares = thread_part(new.squares, offset)
+        global_in_phase = thread_part(drive.in_phase, offset)
+        global_quadrature = thread_part(drive.quadrature, offset)
 
         # Lanes beyond the last column and rows beyond the last hold zeros: no stiffness, no load.
         strip_u = Strip()
@@ -212,7 +140,7 @@ def make_run_steps(effects, real, across, along, stride, plan, summed):
                     if lane < wp.static(last_lane + (c <= last_column)):
                         strip_u[j, c] = global_u[wp.static(j * stride + c)]
                         strip_rate[j, c] = global_rate[wp.static(j * stride + c)]
-                        if wp.static(plan.loads_kept):
+                        if wp.static(plan.loads_in_registers):
                             cosine[j, c] = global_in_phase[wp.static(j * stride + c)]
                             sine[j, c] = global_quadrature[wp.static(j * stride + c)]
                         if wp.static(summed):
@@ -234,7 +162,7 @@ def make_run_steps(effects, real, across, along, stride, plan, summed):
         right_factor = factor_x[wp.static(nx - 1)]
         bottom_factor = factor_y[0]
         top_factor = factor_y[wp.static(ny - 1)]
-        plate_wave = wave[k]
+        plate_wave = drive.wave[k]
         next_cosine = plate_wave[start, 0]
         next_sine = plate_wave[start, 1]
         for n in range(start, stop):
@@ -250,7 +178,7 @@ def make_run_steps(effects, real, across, along, stride, plan, summed):
                 shared[at + wp.static(2 * line) + c * LANES] = strip_u[wp.static(rows - 2), c]
                 shared[at + wp.static(3 * line) + c * LANES] = strip_u[wp.static(rows - 1), c]
             load_row = LoadRow()
-            if wp.static(not plan.loads_kept):
+            if wp.static(not plan.loads_in_registers):
                 load_row = read_loads(global_in_phase, global_quadrature, 0, (loads & 1) != 0, lane)
             barrier()
             below_1 = Row()
@@ -289,11 +217,11 @@ def make_run_steps(effects, real, across, along, stride, plan, summed):
                     west = left_factor * strip_u[j, 0]
                 load = Row()
                 for c in range(wp.static(columns)):
-                    if wp.static(plan.loads_kept):
+                    if wp.static(plan.loads_in_registers):
                         load[c] = fused(wave_cosine, cosine[j, c], wave_sine * sine[j, c])
                     else:
                         load[c] = fused(wave_cosine, load_row[0, c], wave_sine * load_row[1, c])
-                if wp.static(not plan.loads_kept and j < rows - 1):
+                if wp.static(not plan.loads_in_registers and j < rows - 1):
                     loaded_next = (loads & wp.static(1 << j + 1)) != 0
                     load_row = read_loads(
                         global_in_phase, global_quadrature, wp.static((j + 1) * stride), loaded_next, lane
@@ -313,22 +241,22 @@ def make_run_steps(effects, real, across, along, stride, plan, summed):
                     if wp.static(j > last_row):
                         if warp == wp.static(last_warp):
                             node_stiffness = real(0.0)
-                    new = update(strip_rate[j, c], biharmonic, load[c], node_stiffness, p)
-                    strip_rate[j, c] = new
-                    strip_u[j, c] = strip_u[j, c] + new
+                    moved = update(strip_rate[j, c], biharmonic, load[c], node_stiffness, p)
+                    strip_rate[j, c] = moved
+                    strip_u[j, c] = strip_u[j, c] + moved
                     if wp.static(squares_in_registers):
-                        squared[j, c] = squared[j, c] + new * new
+                        squared[j, c] = squared[j, c] + moved * moved
                     if wp.static(squares_in_shared):
                         slot = wp.static(2 * buffer + (j * columns + c) * threads) + thread
-                        shared[slot] = shared[slot] + new * new
+                        shared[slot] = shared[slot] + moved * moved
                 below = here
                 here = above
 
         for j in range(wp.static(rows)):
-            kept = y0 + j < wp.static(ny) and y0 + j > first_y and y0 + j <= end_y
+            inside_y = y0 + j < wp.static(ny) and y0 + j > first_y and y0 + j <= end_y
             for c in range(wp.static(columns)):
-                inside = lane < wp.static(last_lane + (c <= last_column)) and x0 + c >= first_x and x0 + c < end_x
-                if kept and inside:
+                inside_x = lane < wp.static(last_lane + (c <= last_column)) and x0 + c >= first_x and x0 + c < end_x
+                if inside_y and inside_x:
                     i = wp.static(j * stride + c)
                     global_new_u[i] = strip_u[j, c]
                     global_new_rate[i] = strip_rate[j, c]

@@ -14,47 +14,16 @@ in ``resident_strips``.
 """
 
 from functools import cache
-from itertools import product
 
 import warp as wp
 
-from warp_plate.kernels import cuda
 from warp_plate.kernels.arithmetic import make_fused
-from warp_plate.kernels.cuda import LANES, barrier, make_from_lane, make_thread_part, shared_memory
-from warp_plate.kernels.resident_strips import UNEVEN, distribute
-from warp_plate.kernels.tiles import make_place
-from warp_plate.kernels.update import make_parameters, make_update
+from warp_plate.kernels.cuda import LANES, barrier, cuda_kernel, make_from_lane, make_thread_part, shared_memory
+from warp_plate.kernels.plans import BORDER, make_place
+from warp_plate.kernels.update import make_parameters, make_state, make_update
 
 # Rows next to an edge that may have taps of their own along y.
 SPECIAL = 3
-# Rows of u that a strip needs from each neighbour.
-BORDER = 4
-
-
-def plans(nx, ny, real, shared_bytes):
-    """Yield the plans for a plate of this size that fit on a multiprocessor.
-
-    The first is the fastest on an H200 where plates are many: of few warps, whose margins are few, and with registers
-    to spare.
-
-    Args:
-        shared_bytes: Most shared memory of a block on the device.
-    """
-    columns = -(-nx // LANES)
-    words = 1 if real is wp.float32 else 2
-    for choice, spare, squares_shared in product(((1, 2, 4, 8, 12, 16), UNEVEN), (40, 0), (False, True)):
-        for warps, loads_kept in product(choice, (True, False)):
-            plan = distribute(ny, columns, warps, loads_kept, squares_shared)
-            # The first and the last strip hold all rows with taps of their own.
-            few = plan.rows <= BORDER or (plan.warps - 1) * plan.rows > ny - BORDER
-            if plan.rows >= LANES or (few and plan.warps > 1):
-                continue
-            # Kept fields, taps of both passes, rows of curvature, addresses and temporaries.
-            needed = words * columns * (plan.fields * plan.rows + 10 + 7) + 30
-            squares = plan.rows * plan.warps if squares_shared else 0
-            shared = 4 * words * columns * LANES * (2 * 2 * BORDER * (plan.warps + 2) + squares)
-            if needed + spare <= plan.registers and shared <= shared_bytes:
-                yield plan
 
 
 @cache
@@ -80,7 +49,7 @@ def make_apply_taps(real, columns):
 
     a … e are the rows from the lowest on; the newest, e, is added last. All 32 lanes must call it together.
     """
-    from_lane = make_from_lane(real)
+    from_lane, fused = make_from_lane(real), make_fused(real)
     Taps = wp.types.vector(length=5, dtype=real)
     ColumnTaps = wp.types.matrix(shape=(columns, 5), dtype=real)
     Row = wp.types.vector(length=columns, dtype=real)
@@ -104,12 +73,12 @@ def make_apply_taps(real, columns):
         total = Row()
         for c in range(wp.static(columns)):
             for tap in range(5):
-                total[c] = taps_x[c, tap] * around[c + tap] + total[c]
-            total[c] = taps_y[0] * a[c] + total[c]
-            total[c] = taps_y[1] * b[c] + total[c]
-            total[c] = taps_y[2] * centre[c] + total[c]
-            total[c] = taps_y[3] * d[c] + total[c]
-            total[c] = taps_y[4] * e[c] + total[c]
+                total[c] = fused(taps_x[c, tap], around[c + tap], total[c])
+            total[c] = fused(taps_y[0], a[c], total[c])
+            total[c] = fused(taps_y[1], b[c], total[c])
+            total[c] = fused(taps_y[2], centre[c], total[c])
+            total[c] = fused(taps_y[3], d[c], total[c])
+            total[c] = fused(taps_y[4], e[c], total[c])
         return total
 
     return apply_taps
@@ -126,6 +95,7 @@ def make_run_steps(effects, real, across, along, stride, plan, summed):
     apply_taps = make_apply_taps(real, plan.columns)
     update = make_update(effects, real)
     fused, Parameters, RowTaps = make_fused(real), make_parameters(real), make_row_taps(real)
+    Forcing, Fields = make_state(real)
     columns, rows, warps = plan.columns, plan.rows, plan.warps
     threads = LANES * warps
     size = wp.types.type_size_in_bytes(real)
@@ -142,7 +112,7 @@ def make_run_steps(effects, real, across, along, stride, plan, summed):
     Curvatures = wp.types.matrix(shape=(rows + 4, columns), dtype=real)
     Strip = wp.types.matrix(shape=(rows, columns), dtype=real)
     Squares = wp.types.matrix(shape=(rows, columns) if squares_in_registers else (1, 1), dtype=real)
-    Loads = wp.types.matrix(shape=(rows, columns) if plan.loads_kept else (1, 1), dtype=real)
+    Loads = wp.types.matrix(shape=(rows, columns) if plan.loads_in_registers else (1, 1), dtype=real)
     LoadRow = wp.types.matrix(shape=(2, columns), dtype=real)
     ColumnTaps = wp.types.matrix(shape=(columns, 5), dtype=real)
     # Row j, column c of a thread's part is at j·stride + c, an offset that the compiler knows.
@@ -167,7 +137,7 @@ def make_run_steps(effects, real, across, along, stride, plan, summed):
         """Return whether row j of the last strip has taps of its own."""
         return 0 <= last_row - j < SPECIAL
 
-    @cuda.cuda_kernel(plan.registers, max_unroll=64)
+    @cuda_kernel(plan.registers, max_unroll=64)
     def run_steps(
         # parameters
         p: Parameters,
@@ -175,18 +145,13 @@ def make_run_steps(effects, real, across, along, stride, plan, summed):
         bend_x: wp.array2d[real],  # (nx, 5) taps along x
         move_x: wp.array2d[real],
         loaded: wp.array[int],  # (ny + 2,) 1 for tensor rows with loaded nodes, else 0
-        wave: wp.array3d[real],  # (plates, steps, 2) cos ωt and sin ωt
         start: int,
         stop: int,
-        # inputs; all fields are (plates, rows, stride)
-        in_phase: wp.array3d[real],
-        quadrature: wp.array3d[real],
-        u: wp.array3d[real],
-        rate: wp.array3d[real],
-        # outputs; where a plate is one tile, the new fields may be the old ones
-        new_u: wp.array3d[real],
-        new_rate: wp.array3d[real],
-        squares: wp.array3d[real],
+        # inputs
+        drive: Forcing,
+        old: Fields,
+        # outputs, which may be the inputs where a plate is one tile
+        new: Fields,
     ):
         tile = wp.tid() // threads
         k = tile // wp.static(across.count * along.count)
@@ -204,13 +169,13 @@ def make_run_steps(effects, real, across, along, stride, plan, summed):
 
         origin = (k * wp.static(along.nodes + 2) + y0 + tile_y) * wp.static(stride) + x0 + tile_x
         offset = wp.uint64(origin) * wp.uint64(wp.static(size))
-        global_u = thread_part(u, offset)
-        global_rate = thread_part(rate, offset)
-        global_new_u = thread_part(new_u, offset)
-        global_new_rate = thread_part(new_rate, offset)
-        global_squares = thread_part(squares, offset)
-        global_in_phase = thread_part(in_phase, offset)
-        global_quadrature = thread_part(quadrature, offset)
+        global_u = thread_part(old.u, offset)
+        global_rate = thread_part(old.rate, offset)
+        global_new_u = thread_part(new.u, offset)
+        global_new_rate = thread_part(new.rate, offset)
+        global_squares = thread_part(new.squares, offset)
+        global_in_phase = thread_part(drive.in_phase, offset)
+        global_quadrature = thread_part(drive.quadrature, offset)
 
         # Columns and rows beyond the plate hold zeros: no taps, no stiffness, no load.
         strip_u = Displacements()
@@ -241,7 +206,7 @@ def make_run_steps(effects, real, across, along, stride, plan, summed):
                     if x0 + c < wp.static(nx):
                         strip_u[j + BORDER, c] = global_u[wp.static(j * stride + c)]
                         strip_rate[j, c] = global_rate[wp.static(j * stride + c)]
-                        if wp.static(plan.loads_kept):
+                        if wp.static(plan.loads_in_registers):
                             cosine[j, c] = global_in_phase[wp.static(j * stride + c)]
                             sine[j, c] = global_quadrature[wp.static(j * stride + c)]
                         if wp.static(summed):
@@ -252,7 +217,7 @@ def make_run_steps(effects, real, across, along, stride, plan, summed):
                                     slot = wp.static(squares_at + (j * columns + c) * threads) + thread
                                     shared[slot] = global_squares[wp.static(j * stride + c)]
 
-        plate_wave = wave[k]
+        plate_wave = drive.wave[k]
         next_cosine = plate_wave[start, 0]
         next_sine = plate_wave[start, 1]
         for n in range(start, stop):
@@ -276,7 +241,7 @@ def make_run_steps(effects, real, across, along, stride, plan, summed):
                         ]
 
             load_row = LoadRow()
-            if wp.static(not plan.loads_kept):
+            if wp.static(not plan.loads_in_registers):
                 load_row = read_loads(global_in_phase, global_quadrature, 0, (loads & 1) != 0, x0)
             curvature = Curvatures()
             for r in range(wp.static(rows + 4)):
@@ -318,24 +283,24 @@ def make_run_steps(effects, real, across, along, stride, plan, summed):
                             row_stiffness = Row()
                     load = Row()
                     for c in range(wp.static(columns)):
-                        if wp.static(plan.loads_kept):
+                        if wp.static(plan.loads_in_registers):
                             load[c] = fused(wave_cosine, cosine[r - 4, c], wave_sine * sine[r - 4, c])
                         else:
                             load[c] = fused(wave_cosine, load_row[0, c], wave_sine * load_row[1, c])
-                    if wp.static(not plan.loads_kept and r < rows + 3):
+                    if wp.static(not plan.loads_in_registers and r < rows + 3):
                         loaded_next = (loads & wp.static(1 << r - 3)) != 0
                         load_row = read_loads(
                             global_in_phase, global_quadrature, wp.static((r - 3) * stride), loaded_next, x0
                         )
                     for c in range(wp.static(columns)):
-                        new = update(strip_rate[r - 4, c], biharmonic[c], load[c], row_stiffness[c], p)
-                        strip_rate[r - 4, c] = new
-                        strip_u[r, c] = strip_u[r, c] + new
+                        moved = update(strip_rate[r - 4, c], biharmonic[c], load[c], row_stiffness[c], p)
+                        strip_rate[r - 4, c] = moved
+                        strip_u[r, c] = strip_u[r, c] + moved
                         if wp.static(squares_in_registers):
-                            squared[r - 4, c] = squared[r - 4, c] + new * new
+                            squared[r - 4, c] = squared[r - 4, c] + moved * moved
                         if wp.static(squares_in_shared):
                             slot = wp.static(squares_at + ((r - 4) * columns + c) * threads) + thread
-                            shared[slot] = shared[slot] + new * new
+                            shared[slot] = shared[slot] + moved * moved
 
         for j in range(wp.static(rows)):
             if y0 + j <= wp.static(ny) and y0 + j > first_y and y0 + j <= end_y:

@@ -14,7 +14,7 @@ from functools import cache
 import warp as wp
 
 from warp_plate.kernels.arithmetic import portable_kernel
-from warp_plate.kernels.update import make_parameters, make_update
+from warp_plate.kernels.update import make_parameters, make_state, make_update
 
 
 @cache
@@ -23,9 +23,7 @@ def make_apply_taps(order, real):
     reach = order // 2
 
     @wp.func
-    def apply_taps(
-        field: wp.array3d[real], taps_x: wp.array2d[real], taps_y: wp.array2d[real], k: int, j: int, i: int
-    ):
+    def apply_taps(field: wp.array3d[real], taps_x: wp.array2d[real], taps_y: wp.array2d[real], k: int, j: int, i: int):
         total = real(0.0)
         for step in range(wp.static(2 * reach + 1)):
             column = i + step - wp.static(reach)
@@ -65,7 +63,7 @@ def make_update_nodes(effects, real):
     """Make the kernel that moves all inner nodes by one step; launch over (plates, ny − 2, nx − 2)."""
     apply_taps = make_apply_taps(effects.order, real)
     update = make_update(effects, real)
-    Parameters = make_parameters(real)
+    Parameters, (Forcing, Fields) = make_parameters(real), make_state(real)
 
     @portable_kernel()
     def update_nodes(
@@ -73,30 +71,26 @@ def make_update_nodes(effects, real):
         p: Parameters,
         taps_x: wp.array2d[real],  # (nx, order + 1)
         taps_y: wp.array2d[real],  # (ny, order + 1)
-        wave: wp.array3d[real],  # (plates, steps, 2) cos ωt and sin ωt, see ``wave``
         window: wp.vec2i,  # first and last + 1 of the steps whose rate² is summed
         clock: wp.array[int],  # (1,)
         offset: int,  # the step is clock[0] + offset
-        # inputs; all fields are (plates, rows, columns)
-        in_phase: wp.array3d[real],
-        quadrature: wp.array3d[real],
-        curvature: wp.array3d[real],
+        # inputs
+        drive: Forcing,
+        curvature: wp.array3d[real],  # (plates, rows, columns)
         # outputs
-        u: wp.array3d[real],
-        rate: wp.array3d[real],
-        squares: wp.array3d[real],
+        f: Fields,
     ):
         k, inner_row, inner_column = wp.tid()
         i = inner_column + 1
         row = inner_row + 2  # a row of zeros lies below the plate
         n = clock[0] + offset
         biharmonic = apply_taps(curvature, taps_x, taps_y, k, inner_row + 1, i)
-        load = wave[k, n, 0] * in_phase[k, row, i] + wave[k, n, 1] * quadrature[k, row, i]
-        new = update(rate[k, row, i], biharmonic, load, p.stiffness, p)
-        rate[k, row, i] = new
-        u[k, row, i] = u[k, row, i] + new
+        load = drive.wave[k, n, 0] * drive.in_phase[k, row, i] + drive.wave[k, n, 1] * drive.quadrature[k, row, i]
+        new = update(f.rate[k, row, i], biharmonic, load, p.stiffness, p)
+        f.rate[k, row, i] = new
+        f.u[k, row, i] = f.u[k, row, i] + new
         if n >= window[0] and n < window[1]:
-            squares[k, row, i] += new * new
+            f.squares[k, row, i] += new * new
 
     return update_nodes
 
@@ -110,18 +104,17 @@ def advance_clock(clock: wp.array[int], steps: int):
 @cache
 def make_record_trace(real):
     """Make the kernel that copies the displacement of single nodes to the trace; launch over (plates, nodes)."""
+    _, Fields = make_state(real)
 
     @portable_kernel()
     def record_trace(
         # inputs
         clock: wp.array[int],  # (1,)
         offset: int,  # the step is clock[0] + offset
-        nodes: wp.array2d[int],  # (traced nodes, 2) row, column
-        u: wp.array3d[real],  # (plates, rows, columns)
         # outputs
-        trace: wp.array3d[real],  # (plates, traced nodes, steps)
+        f: Fields,
     ):
         k, m = wp.tid()
-        trace[k, m, clock[0] + offset] = u[k, nodes[m, 0], nodes[m, 1]]
+        f.trace[k, m, clock[0] + offset] = f.u[k, f.nodes[m, 0], f.nodes[m, 1]]
 
     return record_trace

@@ -17,7 +17,7 @@ from warp_plate.kernels.arithmetic import make_fused
 from warp_plate.kernels.cuda import LANES, any_lane, cuda_kernel, most_registers, opaque
 from warp_plate.kernels.resident_wide import SPECIAL, make_apply_taps
 from warp_plate.kernels.temporal_blocking import COLUMNS, make_row_access
-from warp_plate.kernels.update import make_parameters, make_update
+from warp_plate.kernels.update import make_parameters, make_state, make_update
 
 # Rows below the newest one that a level moves, and rows of a round, in which each window turns once.
 REACH, ROUND = 4, 4
@@ -33,7 +33,7 @@ def strips(nx, levels):
 @cache
 def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
     """Make the kernel of ``levels`` steps, in the window if ``summed``; launch over (plates · strips · tiles · 32,)."""
-    update, Parameters = make_update(effects, real), make_parameters(real)
+    update, Parameters, (Forcing, Fields) = make_update(effects, real), make_parameters(real), make_state(real)
     fused, apply_taps = make_fused(real), make_apply_taps(real, COLUMNS)
     read_row, write_row, row_at = make_row_access(real, ny, stride)
     size = wp.types.type_size_in_bytes(real)
@@ -65,20 +65,15 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
         move_x: wp.array2d[real],
         move_y: wp.array2d[real],
         loaded: wp.array[int],  # (ny + 2 + 4·margin,) from row −2·margin on: bit b is set where row + b is loaded
-        wave: wp.array3d[real],  # (plates, steps, 2) cos ωt and sin ωt
         clock: wp.array[int],  # (1,)
         offset: int,  # the first step is clock[0] + offset
         tiles: int,
         tile_rows: int,
-        # inputs; all fields are (plates, rows, stride)
-        in_phase: wp.array3d[real],
-        quadrature: wp.array3d[real],
-        u: wp.array3d[real],
-        rate: wp.array3d[real],
+        # inputs
+        drive: Forcing,
+        old: Fields,
         # outputs
-        u_next: wp.array3d[real],
-        rate_next: wp.array3d[real],
-        squares: wp.array3d[real],
+        new: Fields,
     ):
         warp = wp.tid() // LANES
         lane = wp.tid() % LANES
@@ -106,18 +101,18 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
         column = wp.min(wp.max(x0, 0), wp.static((nx - 1) // columns * columns))
         field = wp.int64(k) * wp.int64(wp.static((ny + 2) * stride)) + wp.int64(column)
         part = wp.uint64(field) * wp.uint64(wp.static(size))
-        lane_u = u.ptr + part
-        lane_rate = rate.ptr + part
-        lane_in_phase = in_phase.ptr + part
-        lane_quadrature = quadrature.ptr + part
-        lane_u_next = u_next.ptr + part
-        lane_rate_next = rate_next.ptr + part
-        lane_squares = squares.ptr + part
+        lane_u = old.u.ptr + part
+        lane_rate = old.rate.ptr + part
+        lane_in_phase = drive.in_phase.ptr + part
+        lane_quadrature = drive.quadrature.ptr + part
+        lane_u_next = new.u.ptr + part
+        lane_rate_next = new.rate.ptr + part
+        lane_squares = new.squares.ptr + part
         stores = lane * wp.static(columns) >= wp.static(margin)
         stores = stores and lane * wp.static(columns) < wp.static(margin + useful) and x0 < wp.static(nx)
 
         waves = Waves()
-        plate_wave = wave[k]
+        plate_wave = drive.wave[k]
         for level in range(wp.static(levels)):
             waves[level, 0] = plate_wave[n + level, 0]
             waves[level, 1] = plate_wave[n + level, 1]
@@ -206,21 +201,21 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
                             if wp.static(body == 1):
                                 moves = here > 1 and here < wp.static(ny)
                             for c in range(wp.static(columns)):
-                                old = moved[c]
+                                before = moved[c]
                                 if wp.static(level > 0):
-                                    old = kept_rate[oldest, c]
+                                    before = kept_rate[oldest, c]
                                     kept_rate[oldest, c] = moved[c]
                                     if wp.static(summed):
                                         partial = total[c]
                                         if wp.static(level > 1):
                                             partial = kept_sum[oldest, c]
                                             kept_sum[oldest, c] = total[c]
-                                        total[c] = fused(old, old, partial)
+                                        total[c] = fused(before, before, partial)
                                 stiffness_here = stiffness[c]
                                 if wp.static(body == 1):
                                     stiffness_here = wp.where(moves, stiffness[c], real(0.0))
                                 load = loads[wp.static(ROUND * level + turn), c]
-                                moved[c] = update(old, biharmonic[c], load, stiffness_here, p)
+                                moved[c] = update(before, biharmonic[c], load, stiffness_here, p)
                                 entering = above[c]
                                 above[c] = kept_u[oldest, c] + moved[c]
                                 kept_u[oldest, c] = entering

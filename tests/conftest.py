@@ -37,7 +37,7 @@ from warp_plate.result.motion import Motion
 from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.load import preset_text
 from warp_plate.solve.devices import find_device
-from warp_plate.solve.paths import paths_of
+from warp_plate.solve.engine import paths_of
 
 # Warp's warnings, as of what its next version drops, are errors of the tests like all others.
 wp.config.log_level = wp.LOG_WARNING

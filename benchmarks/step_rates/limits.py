@@ -21,8 +21,7 @@ from functools import partial
 import warp as wp
 
 from step_rates.multiply_adds import make_multiply_adds
-from warp_plate.solve.devices import cpu_threads
-from warp_plate.solve.kernel_cache import load_kernel
+from warp_plate.solve.devices import cpu_threads, load_kernel
 from warp_plate.solve.specialize import Specialized
 
 # Numbers moved: displacement and rate, read and written.

@@ -114,7 +114,7 @@ main(sys.argv[1:])
 """
 
 
-@pytest.mark.parametrize("module", ["cyclopts", "warp_plate.kernels.load"])
+@pytest.mark.parametrize("module", ["cyclopts", "warp_plate.kernels.loads"])
 def test_a_command_that_starts_ends_in_one_line(module, panel):
     status, out, err, _ = end(start("-c", STARTING.format(module=module), "localize", "panel.toml", *QUICK))
     assert (status, out, err) == (130, "", "warp-plate: interrupted\n")

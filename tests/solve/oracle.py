@@ -6,13 +6,13 @@ Tests that need no grid in particular take 13 nodes along y and 9 to 16 along x,
 
 import numpy as np
 
-from warp_plate.kernels import moment_form_plan
+from warp_plate.kernels import plans
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.signals import make_signals
 from warp_plate.plate.weights import patches, region_weights
 from warp_plate.reference.numpy_moment_form import run_moment_form
 from warp_plate.reference.numpy_plate import run_plate
-from warp_plate.solve import moment_form, paths
+from warp_plate.solve import engine, moment_form
 
 # Relative to the largest number of a plate. Both sides round a few times ε a step, in another order; a few hundred
 # steps near the stability limit gather some hundred ε.
@@ -111,11 +111,11 @@ def run_on_a_block(monkeypatch, planes=()):
 
     def path(specialized):
         effects, (nx, ny) = specialized.effects, specialized.scheme.nodes
-        kept = moment_form_plan.workspace_planes(effects, planes)
+        kept = plans.workspace_planes(effects, planes)
         nodes = nx * ny + 1  # one beyond the plate
-        return moment_form.block_path(specialized, moment_form_plan.BlockPlan(1, nodes, planes, kept, False, 64))
+        return moment_form.block_path(specialized, plans.BlockPlan(1, nodes, planes, kept, False, 64))
 
-    monkeypatch.setitem(paths.MOMENT_FORM, "resident", path)
+    monkeypatch.setitem(engine.MOMENT_FORM, "resident", path)
 
 
 def random_edge(random):

@@ -11,7 +11,7 @@ from oracle import with_all_effects
 
 from warp_plate import PlateSolver, SceneError
 from warp_plate.plate.designs import Designs, PerPlate
-from warp_plate.solve.device_batch import import_drives
+from warp_plate.solve.batching import import_drives
 
 WINDOW = (0.001, 0.003)
 SCENES = {

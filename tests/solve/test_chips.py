@@ -13,7 +13,7 @@ import warp as wp
 from warp_plate.kernels import (
     moment_form_blocking,
     moment_form_cuda,
-    moment_form_plan,
+    plans,
     resident_lanes,
     resident_strips,
     resident_wide,
@@ -21,8 +21,8 @@ from warp_plate.kernels import (
     temporal_blocking_wide,
 )
 from warp_plate.kernels.cuda import RESERVED_BYTES
-from warp_plate.kernels.effects import KernelEffects
-from warp_plate.kernels.tiles import whole
+from warp_plate.kernels.plans import whole
+from warp_plate.kernels.update import KernelEffects
 from warp_plate.solve.cuda import plan_tiles
 
 # Shared memory that a block can have [KiB] by compute capability, and the registers of each quarter of a multiprocessor
@@ -44,16 +44,16 @@ def planned(effects, nodes, shared_bytes):
     """Return the kernel for square plates, and the threads of its blocks."""
     real, stride = wp.float32, -(-nodes // 16) * 16
     if effects.moments:
-        plan = moment_form_plan.plan_block(nodes, nodes, real, effects, 0, few=False, shared_bytes=shared_bytes)
+        plan = plans.plan_block(nodes, nodes, real, effects, 0, few=False, shared_bytes=shared_bytes)
         if not plan.on_chip:
-            levels, planes = 1 if effects.stretching else 3, moment_form_plan.material_planes(effects)
+            levels, planes = 1 if effects.stretching else 3, plans.material_planes(effects)
             kernel = moment_form_blocking.make_advance_tiles(effects, real, nodes, nodes, stride, planes, levels, True)
             return kernel, 128
         return moment_form_cuda.make_run_steps(effects, real, nodes, nodes, stride, 0, plan), plan.threads
     if effects.order == 2 and resident_lanes.fits(nodes, nodes):
         return resident_lanes.make_run_steps(effects, real, nodes, 0b11 << 5, True), 32
     kind = resident_wide if effects.order == 4 else resident_strips
-    plan = next(kind.plans(nodes, nodes, real, shared_bytes), None)
+    plan = next(plans.strip_plans(effects.order, nodes, nodes, real, shared_bytes), None)
     if plan is not None:
         return kind.make_run_steps(effects, real, whole(nodes), whole(nodes), stride, plan, True), 32 * plan.warps
     blocking, levels = (temporal_blocking_wide, 2) if effects.order == 4 else (temporal_blocking, 5)
@@ -121,13 +121,13 @@ def test_less_shared_memory_takes_smaller_plates(kind):
     effects, fits = KINDS[kind], []
     for shared_bytes in sorted({1024 * size - RESERVED_BYTES for size in SHARED_KIB.values()}):
         if effects.moments:
-            plans = [
-                moment_form_plan.plan_block(nodes, nodes, wp.float32, effects, 0, False, shared_bytes).on_chip
+            found = [
+                plans.plan_block(nodes, nodes, wp.float32, effects, 0, False, shared_bytes).on_chip
                 for nodes in range(9, 162)
             ]
         else:
-            strips = resident_wide if effects.order == 4 else resident_strips
-            plans = [next(strips.plans(nodes, nodes, wp.float32, shared_bytes), None) for nodes in range(9, 162)]
-        fits.append({nodes for nodes, plan in enumerate(plans, 9) if plan})
+            sides, order = range(9, 162), effects.order
+            found = [next(plans.strip_plans(order, side, side, wp.float32, shared_bytes), None) for side in sides]
+        fits.append({nodes for nodes, plan in enumerate(found, 9) if plan})
     assert all(less <= more for less, more in pairwise(fits))
     assert set() < fits[0] < fits[-1]

@@ -11,13 +11,11 @@ import warp as wp
 
 from warp_plate.kernels import (
     energy,
-    limits,
-    load,
+    loads,
     moment_form,
     moment_form_blocking,
     moment_form_cuda,
-    moment_form_plan,
-    peak,
+    plans,
     resident_lanes,
     resident_strips,
     resident_wide,
@@ -25,10 +23,9 @@ from warp_plate.kernels import (
     temporal_blocking,
     temporal_blocking_wide,
     tones,
-    wave,
 )
-from warp_plate.kernels.effects import KernelEffects
-from warp_plate.kernels.tiles import cut, whole
+from warp_plate.kernels.plans import cut, strip_plans, whole
+from warp_plate.kernels.update import KernelEffects
 
 # Shared memory of a block that kernels may take on sm_90.
 SHARED_BYTES = 224 * 1024
@@ -48,19 +45,18 @@ ALL += [EVERYTHING, *(KernelEffects(moments=True, **{name: True}) for name in AL
 
 def cuda_kernels(effects, real):
     """Yield (module.factory, kernel) for every kernel that is launched on CUDA; add new ones here."""
-    yield "load.make_write_loads", load.make_write_loads(real)
-    yield "load.make_write_placed_loads", load.make_write_placed_loads(real)
+    yield "loads.make_write_loads", loads.make_write_loads(real)
+    yield "loads.make_write_placed_loads", loads.make_write_placed_loads(real)
     for given in REALS:
-        yield "load.make_scale_drives", load.make_scale_drives(real, given)
+        yield "loads.make_scale_drives", loads.make_scale_drives(real, given)
     for option in (False, True):
-        yield "load.make_weigh_spans", load.make_weigh_spans(option)
-        yield "wave.make_write_tones", wave.make_write_tones(real, option)
-    yield "wave.make_accumulate_waves", wave.make_accumulate_waves(real)
+        yield "loads.make_weigh_spans", loads.make_weigh_spans(option)
+        yield "loads.make_write_tones", loads.make_write_tones(real, option)
+    yield "loads.make_accumulate_waves", loads.make_accumulate_waves(real)
     yield "energy.make_sum_over_rows", energy.make_sum_over_rows(real)
     yield "energy.sum_over_columns", energy.sum_over_columns
     yield "energy.write_energies", energy.write_energies
-    yield "peak.make_keep_largest", peak.make_keep_largest(real)
-    yield "limits.make_multiply_adds", limits.make_multiply_adds(real, block=1, depth=64, rounds=100)
+    yield "energy.make_keep_largest", energy.make_keep_largest(real)
     yield "streaming.advance_clock", streaming.advance_clock
     for kernel in TONES:
         yield f"tones.{kernel.key}", kernel
@@ -70,11 +66,11 @@ def cuda_kernels(effects, real):
             yield "moment_form.make_passes", kernel
         oscillators = 2 if effects.oscillators else 0
         for nx, ny, stride in (SMALL, HUGE):
-            plan = moment_form_plan.plan_block(nx, ny, real, effects, oscillators, few=False, shared_bytes=SHARED_BYTES)
+            plan = plans.plan_block(nx, ny, real, effects, oscillators, few=False, shared_bytes=SHARED_BYTES)
             assert plan.on_chip == bool(plan.in_registers) == (nx < HUGE[0])
             kernel = moment_form_cuda.make_run_steps(effects, real, nx, ny, stride, oscillators, plan)
             yield "moment_form_cuda.make_run_steps", kernel
-        planes = moment_form_plan.material_planes(effects)
+        planes = plans.material_planes(effects)
         for levels, summed in ((1, False), (1 if effects.stretching else 3, True)):
             kernel = moment_form_blocking.make_advance_tiles(effects, real, *LARGE, planes, levels, summed)
             yield "moment_form_blocking.make_advance_tiles", kernel
@@ -83,11 +79,11 @@ def cuda_kernels(effects, real):
     yield "streaming.make_update_nodes", streaming.make_update_nodes(effects, real)
     if effects.order == 4:
         for (nx, ny, stride), summed in ((LARGE, True), (SMALL, False)):
-            plan = next(resident_wide.plans(nx, ny, real, SHARED_BYTES))
+            plan = next(strip_plans(4, nx, ny, real, SHARED_BYTES))
             kernel = resident_wide.make_run_steps(effects, real, whole(nx), whole(ny), stride, plan, summed)
             yield "resident_wide.make_run_steps", kernel
         axes = cut(HUGE[0], 7, 12), cut(HUGE[1], 3, 12)
-        plan = next(resident_wide.plans(axes[0].length, axes[1].length, real, SHARED_BYTES))
+        plan = next(strip_plans(4, axes[0].length, axes[1].length, real, SHARED_BYTES))
         yield "resident_wide.make_run_steps", resident_wide.make_run_steps(effects, real, *axes, HUGE[2], plan, True)
         for levels, summed in ((1, False), (2, True)):
             kernel = temporal_blocking_wide.make_advance_tiles(effects, real, *LARGE, levels, summed)
@@ -97,13 +93,13 @@ def cuda_kernels(effects, real):
         kernel = resident_lanes.make_run_steps(effects, real, SMALL[1], 0b1100110000, summed)
         yield "resident_lanes.make_run_steps", kernel
     for (nx, ny, stride), summed in ((SMALL, True), (LARGEST, True), (LARGE, False), (LARGE, True)):
-        plan = next(resident_strips.plans(nx, ny, real, SHARED_BYTES))
+        plan = next(strip_plans(2, nx, ny, real, SHARED_BYTES))
         if (nx, ny, stride) == SMALL:
-            plan = resident_strips.plan_few(nx, ny)
+            plan = plans.plan_few(nx, ny)
         kernel = resident_strips.make_run_steps(effects, real, whole(nx), whole(ny), stride, plan, summed)
         yield "resident_strips.make_run_steps", kernel
     axes = cut(HUGE[0], 5, 16), cut(HUGE[1], 3, 16)
-    plan = next(resident_strips.plans(axes[0].length, axes[1].length, real, SHARED_BYTES))
+    plan = next(strip_plans(2, axes[0].length, axes[1].length, real, SHARED_BYTES))
     yield "resident_strips.make_run_steps", resident_strips.make_run_steps(effects, real, *axes, HUGE[2], plan, True)
     for levels, summed in ((1, False), (5, True)):
         kernel = temporal_blocking.make_advance_tiles(effects, real, *LARGE, levels, summed)
@@ -156,9 +152,9 @@ def test_a_quarter_of_a_multiprocessor_has_room_for_its_warps(real):
     """It has 16384 registers, and a fourth of the warps of a block, rounded up."""
     effects = KernelEffects(moments=True, material_damping=True, tension=True)
     for nx, ny in itertools.product((9, 28, 33, 53, 81, 105, 113, 160), repeat=2):
-        blocks = [moment_form_plan.plan_block(nx, ny, real, effects, 0, few, SHARED_BYTES) for few in (False, True)]
+        blocks = [plans.plan_block(nx, ny, real, effects, 0, few, SHARED_BYTES) for few in (False, True)]
         assert all(plan.threads * plan.nodes >= nx * ny for plan in blocks)
-        strips = [next(module.plans(nx, ny, real, SHARED_BYTES), None) for module in (resident_strips, resident_wide)]
+        strips = [next(strip_plans(order, nx, ny, real, SHARED_BYTES), None) for order in (2, 4)]
         shares = [(plan.threads, plan.registers) for plan in blocks]
         shares += [(32 * plan.warps, plan.registers) for plan in strips if plan]
         for threads, registers in shares:

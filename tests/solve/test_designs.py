@@ -6,7 +6,7 @@ import pytest
 from oracle import FOUR_EDGES, LINEAR, TOLERANCE, bending_load, check_run, reference, run_on_a_block, with_all_effects
 
 from warp_plate import PlateSolver, SceneError
-from warp_plate.kernels import moment_form_plan
+from warp_plate.kernels import plans
 from warp_plate.plate.designs import Designs, PerPlate, per_plate_of
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import region_weights
@@ -111,7 +111,7 @@ def check_each(run, made, designs, points=()):
     check_run(run, made, [np.concatenate(values) for values in zip(*alone, strict=True)], points)
 
 
-@pytest.mark.parametrize("planes", [(), (*moment_form_plan.REGISTERS_FIRST, "membrane_curvature", "inverse_mass")])
+@pytest.mark.parametrize("planes", [(), (*plans.REGISTERS_FIRST, "membrane_curvature", "inverse_mass")])
 def test_the_kernel_of_blocks_on_cpu(planes, scene, draw, monkeypatch):
     """The CUDA kernel of the moment form in a block of one thread: with all effects, or few and planes in registers."""
     drive = {"frequency": 290.0, "burst": {"duration": 0.004, "ramp": 1e-3}}

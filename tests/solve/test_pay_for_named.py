@@ -5,10 +5,10 @@ import warp as wp
 
 from warp_plate import Scene
 from warp_plate.kernels import moment_form
-from warp_plate.kernels.effects import KernelEffects
+from warp_plate.kernels.update import KernelEffects
 from warp_plate.plate.discretization import discretize
 from warp_plate.solve.devices import find_device
-from warp_plate.solve.paths import choose_path
+from warp_plate.solve.engine import choose_path
 from warp_plate.solve.specialize import Specialized
 
 # Members of the kernels' structs that belong to one effect alone.

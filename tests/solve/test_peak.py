@@ -13,7 +13,7 @@ from warp_plate.modal.motion import fields
 from warp_plate.modal.solver import make_solver
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.scene.dump import dump_scene
-from warp_plate.solve.peak import record_times, run_with_peaks, sample_times
+from warp_plate.solve.run import record_times, run_with_peaks, sample_times
 
 BURST = {"frequency": 290.0, "burst": {"duration": 0.003, "ramp": 0.001}}
 MOVING = {"stretching": {}, "moving_load": {"force": 1e-3, "start": (0.1, 0.1), "velocity": (1.0, 0.0)}}

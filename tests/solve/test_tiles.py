@@ -9,7 +9,7 @@ from conftest import EDGE_MIXES
 from oracle import check_same
 
 from warp_plate import PlateSolver
-from warp_plate.kernels.tiles import cut, make_place
+from warp_plate.kernels.plans import cut, make_place
 from warp_plate.plate.operator import biharmonic, make_taps
 from warp_plate.solve.cuda import MOST_LATENCY, plan_tiles
 

@@ -11,10 +11,9 @@ from importlib import metadata
 import warp as wp
 
 from warp_plate import __version__
-from warp_plate.kernels import resident_strips, resident_wide
 from warp_plate.kernels.cuda import RESERVED_BYTES
-from warp_plate.kernels.effects import KernelEffects
-from warp_plate.kernels.moment_form_plan import plan_block
+from warp_plate.kernels.plans import plan_block, strip_plans
+from warp_plate.kernels.update import KernelEffects
 from warp_plate.plate.discretization import discretize
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import cpu_threads, find_device, processor_of
@@ -74,8 +73,8 @@ def largest_resident_sides(device: wp.Device) -> dict[str, int]:
     shared = device.max_shared_memory_per_block - RESERVED_BYTES
     free_edges = KernelEffects(moments=True)
     kinds: dict[str, Callable[[int], object]] = {
-        "order 2": lambda side: next(resident_strips.plans(side, side, wp.float32, shared), None),
-        "order 4": lambda side: next(resident_wide.plans(side, side, wp.float32, shared), None),
+        "order 2": lambda side: next(strip_plans(2, side, side, wp.float32, shared), None),
+        "order 4": lambda side: next(strip_plans(4, side, side, wp.float32, shared), None),
         "free edges": lambda side: plan_block(side, side, wp.float32, free_edges, 0, False, shared).on_chip,
     }
     return {kind: max(filter(fits, SIDES), default=0) for kind, fits in kinds.items()}

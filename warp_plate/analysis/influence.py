@@ -20,7 +20,7 @@ from warp_plate.scene.drive import Burst, Chirp, Drive, Electrostatic
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene, SceneSource
-from warp_plate.solve.peak import sample_times
+from warp_plate.solve.run import sample_times
 from warp_plate.solve.solver import PlateSolver
 
 # Tables of the drive, and a second frequency relative to the drive's.

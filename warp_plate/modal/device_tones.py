@@ -22,7 +22,7 @@ from warp_plate.modal.spaces.tensor_splines import TensorSplines
 from warp_plate.modal.steady import as_sparse
 from warp_plate.modal.tones import ToneMatrices
 from warp_plate.scene.model import Window
-from warp_plate.solve.kernel_cache import load_kernel
+from warp_plate.solve.devices import load_kernel
 
 # Numbers of the largest matrix of a block of plates.
 BLOCK_NUMBERS = 2**24

@@ -19,8 +19,7 @@ from warp_plate.result.case import Case, RegionMotion
 from warp_plate.result.targets import target_regions
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.solve.peak import record_times, run_with_peaks
-from warp_plate.solve.run import Run
+from warp_plate.solve.run import Run, record_times, run_with_peaks
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,9 @@
-"""A batch of plates on a device."""
+"""A batch of plates on a device: scaled drives in, displacements, energies and faults in SI units out.
+
+At a stable step the scheme's energy grows only by the work of the load. So after n steps no rate exceeds n times the
+norm of a step's load, apart from factors that a step next to the limit and unequal masses bring. A rate above that by
+the factor SLACK is unstable growth.
+"""
 
 from __future__ import annotations
 
@@ -8,19 +13,28 @@ from collections.abc import Callable
 import numpy as np
 import warp as wp
 
+from warp_plate.kernels.energy import make_keep_largest, write_energies
+from warp_plate.kernels.loads import make_scale_drives
 from warp_plate.plate.designs import PerPlateValues
 from warp_plate.plate.signals import Signals
+from warp_plate.scene.errors import SceneError
 from warp_plate.solve.engine import Engine
+from warp_plate.solve.run import Faults, find_faults
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import State
-from warp_plate.solve.status import exceeds, find_faults
 
 # Sizes of drives [N/m²] whose energies, which go with the square, keep full precision.
 SMALLEST_DRIVE, LARGEST_DRIVE = 1e-130, 1e130
+# At a step next to the limit, rates are some ten times what the load's work gives; unequal masses take the rest.
+SLACK = 1e3
+# Steps, or node-steps of large batches, between two checks of plates that may grow.
+CHECK_STEPS, CHECK_NODE_STEPS = 16, {"cpu": 2e7, "cuda": 2e9}
+# Exceptions of producers and Warp for arrays that cannot be shared.
+REFUSALS = (AttributeError, BufferError, IndexError, RuntimeError, TypeError, ValueError)
 
 
 class Batch:
-    """A batch of plates, stepped from rest at t = 0.
+    """A batch of plates, stepped from rest at t = 0 under drives of the host or of the device.
 
     Attributes:
         engine: The compiled kernels.
@@ -28,12 +42,58 @@ class Batch:
         plates: Number of plates, the first of the state.
         grown: (plates,) step at which a plate was seen to grow without bound, or −1.
         step: Number of steps taken.
+        phasors: (plates, actuators) drives of the host.
+        scale: (plates,) pressure that each plate is scaled by [N/m²]; not finite if its drive is not.
     """
 
     def __init__(self, engine: Engine, state: State, plates: int) -> None:
         self.engine, self.state, self.plates = engine, state, plates
         self.grown = np.full(plates, -1)
         self.step = 0
+        self.largest_rate = largest_rate_per_step(engine.specialized)
+        moving = engine.specialized.discretization.moving
+        self.least = moving.largest if moving else 0.0  # Pressure that all plates have beside their drives [N/m²]
+        self._summed = False
+        self._largest: wp.array | None = None
+        self._samplers: dict[int, wp.Launch] = {}
+
+    def load(self, phasors: np.ndarray, values: PerPlateValues, whole: bool = False) -> None:
+        """Put the plates at rest under drives of the host, or ``whole``: queue all their steps and sums too."""
+        specialized, state = self.engine.specialized, self.state
+        self.phasors = phasors
+        sizes = self.engine.put_waves(state, values)
+        coefficients = state.host_coefficients.numpy()
+        self.scale = scaled_coefficients(specialized.discretization.signals, phasors, sizes, self.least, coefficients)
+        if not specialized.effects.plain:
+            with np.errstate(over="ignore", invalid="ignore"):  # of plates whose drive is not finite
+                state.host_units.numpy()[: self.plates] = self.scale * specialized.scheme.load_scale
+            wp.copy(state.units, state.host_units, count=self.plates)
+        if self.least:
+            strength = np.zeros(state.capacity)
+            strength[: self.plates] = self.least / np.where(self.scale == 0, 1, self.scale)
+            state.travelling.assign(strength.astype(specialized.scene.grid.precision))
+        if whole:
+            self.engine.run_whole(state, self.plates)
+            self.step, self._summed = specialized.scheme.steps, True
+        else:
+            self.engine.load_drives(state, self.plates, values.edges)
+            state.clear(self.plates)
+
+    def load_on_device(self, drives: wp.array) -> None:
+        """Put the plates at rest under drives (plates, actuators, 2) on the device: Re Z, Im Z."""
+        specialized, state = self.engine.specialized, self.state
+        state.use_waves(per_plate=False)
+        self._device_scale = wp.empty(self.plates, dtype=wp.float64, device=specialized.device)
+        wp.launch(
+            make_scale_drives(specialized.real, drives.dtype),
+            dim=self.plates,
+            inputs=[drives, specialized.drive_factors, self.least, SMALLEST_DRIVE, LARGEST_DRIVE]
+            + [specialized.scheme.load_scale],
+            outputs=[state.coefficients, self._device_scale, state.units, state.travelling],
+            device=specialized.device,
+        )
+        self.engine.write_loads(state, self.plates)
+        state.clear(self.plates)
 
     def advance(self, stop: int) -> None:
         """Take the plates to step ``stop``; on CUDA the work is queued."""
@@ -44,58 +104,15 @@ class Batch:
     def check_growth(self) -> bool:
         """Look for plates that grow without bound; return whether all do."""
         rate = self.state.rate.numpy()[: self.plates]
-        self.grown[(self.grown < 0) & exceeds(rate, self.step * self.engine.largest_rate)] = self.step
+        largest = np.maximum(rate.max(axis=(1, 2)), -rate.min(axis=(1, 2)))
+        self.grown[(self.grown < 0) & ~(largest <= self.step * self.largest_rate)] = self.step  # or not a number
         return bool((self.grown >= 0).all())
 
     @property
     def largest_sum(self) -> float:
         """Largest sum of rate² of a bounded plate."""
         scheme = self.engine.specialized.scheme
-        return float((scheme.window[1] - scheme.window[0]) * (scheme.steps * self.engine.largest_rate) ** 2)
-
-
-class PlateBatch(Batch):
-    """A batch under drives of the host; results are in SI units.
-
-    Attributes:
-        phasors: (plates, actuators) drives.
-        scale: (plates,) pressure that each plate is scaled by [N/m²]; not finite if its drive is not.
-
-    Args:
-        whole: Leave it to ``run_whole`` to load the drives, to clear the plates and to step them.
-    """
-
-    def __init__(
-        self, engine: Engine, state: State, phasors: np.ndarray, values: PerPlateValues, whole: bool = False
-    ) -> None:
-        super().__init__(engine, state, len(phasors))
-        self.phasors = phasors
-        specialized = engine.specialized
-        moving = specialized.discretization.moving
-        least = moving.largest if moving else 0.0
-        sizes = engine.per_plate.put_waves(state, values)
-        coefficients = state.host_coefficients.numpy()
-        self.scale = scaled_coefficients(specialized.discretization.signals, phasors, sizes, least, coefficients)
-        self.whole = whole
-        self._largest: wp.array | None = None
-        self._samplers: dict[int, Callable[[], None]] = {}
-        if not whole:
-            engine.load_drives(state, len(phasors), values.edges)
-        if not specialized.effects.plain:
-            with np.errstate(over="ignore", invalid="ignore"):  # of plates whose drive is not finite
-                state.host_units.numpy()[: len(phasors)] = self.scale * specialized.scheme.load_scale
-            wp.copy(state.units, state.host_units, count=len(phasors))
-        if moving:
-            strength = np.zeros(state.capacity)
-            strength[: len(phasors)] = least / np.where(self.scale == 0, 1, self.scale)
-            state.moving.assign(strength.astype(specialized.scene.grid.precision))
-        if not whole:
-            state.clear(len(phasors))
-
-    def run_whole(self) -> None:
-        """Queue all steps, and the sums of the energies."""
-        self.engine.run_whole(self.state, self.plates)
-        self.step = self.engine.specialized.scheme.steps
+        return float((scheme.window[1] - scheme.window[0]) * (scheme.steps * self.largest_rate) ** 2)
 
     @property
     def displacement(self) -> np.ndarray:
@@ -104,12 +121,16 @@ class PlateBatch(Batch):
 
     def sample_peak(self) -> None:
         """Compare the displacement of each node with the largest one sampled before; on CUDA the work is queued."""
+        u, specialized = self.state.u[: self.plates], self.engine.specialized
         if self._largest is None:
-            self._largest = wp.zeros_like(self.state.u[: self.plates])
-        u = self.state.u
-        if u.ptr not in self._samplers:  # fields of some paths take turns
-            self._samplers[u.ptr] = self.engine.keep_largest(u[: self.plates], self._largest)
-        self._samplers[u.ptr]()
+            self._largest = wp.zeros_like(u)
+        if u.ptr not in self._samplers:  # fields of some paths alternate
+            kernel, device = make_keep_largest(specialized.real), specialized.device
+            specialized.load(kernel)
+            self._samplers[u.ptr] = wp.launch(
+                kernel, dim=u.shape, inputs=[u], outputs=[self._largest], device=device, record_cmd=True
+            )
+        self._samplers[u.ptr].launch()
 
     @property
     def peak(self) -> np.ndarray:
@@ -124,7 +145,7 @@ class PlateBatch(Batch):
 
     def _field(self, field: wp.array, unit: float) -> np.ndarray:
         nx, ny = self.engine.specialized.scheme.nodes
-        values = field[: len(self.phasors)].numpy()[:, 1 : ny + 1, :nx].astype(float)
+        values = field[: self.plates].numpy()[:, 1 : ny + 1, :nx].astype(float)
         with np.errstate(over="ignore", invalid="ignore"):
             values *= (self.scale * unit)[:, None, None]
         return values
@@ -135,33 +156,42 @@ class PlateBatch(Batch):
         Args:
             shares: (points, 4) weights of the four nodes around each point, see ``weights.bilinear``.
         """
-        corners = self.state.trace.numpy()[: len(self.phasors)]
-        corners = corners.reshape(len(self.phasors), len(shares), 4, -1).astype(float)
+        corners = self.state.trace.numpy()[: self.plates]
+        corners = corners.reshape(self.plates, len(shares), 4, -1).astype(float)
         with np.errstate(over="ignore", invalid="ignore"):
             unit = (self.scale * self.engine.specialized.scheme.load_scale)[:, None, None]
             trace: np.ndarray = np.einsum("mpcn,pc->mpn", corners, shares) * unit
         trace[:, :, self.step :] = np.nan
         return trace
 
-    def queue_energies(self) -> Callable[[np.ndarray], dict[int, tuple[str, float]]]:
-        """Queue the sums of the energies, unless ``run_whole`` did.
+    def queue_energies(self) -> Callable[[np.ndarray], Faults]:
+        """Queue the sums of the energies, unless ``load`` did.
 
         Returns:
             Function that waits for the sums, writes the energies (plates, regions) [J] into an array, and returns the
             faulty plates with fault and time, see ``Run.faults``.
         """
         specialized, scheme = self.engine.specialized, self.engine.specialized.scheme
-        if not self.whole:
+        if not self._summed:
             self.engine.sums_to_host(self.state, self.plates)
         sums = self.engine.wait_for_sums(self.state, self.plates)
 
-        def finish(energy: np.ndarray) -> dict[int, tuple[str, float]]:
+        def finish(energy: np.ndarray) -> Faults:
             unit = energy_unit(specialized)
             faults = find_faults(self.phasors, self.scale, self.grown, sums(), unit, self.largest_sum, energy)
             times = np.where(self.grown >= 0, self.grown * scheme.time_step, math.nan)
             return {plate: (fault, float(times[plate])) for plate, fault in faults.items()}
 
         return finish
+
+    def write_energies(self, energy: wp.array) -> None:
+        """Write the energies (plates, regions) [J] of the window's steps so far, NaN for faulty plates."""
+        specialized, scale = self.engine.specialized, self._device_scale
+        if (self.grown >= 0).any():
+            scale.assign(np.where(self.grown >= 0, np.nan, scale.numpy()))
+        self.engine.sum_regions(self.state, self.plates)
+        inputs = [self.state.energy, scale, energy_unit(specialized), self.largest_sum]
+        wp.launch(write_energies, dim=self.plates, inputs=inputs, outputs=[energy], device=specialized.device)
 
 
 def scaled_coefficients(
@@ -200,3 +230,53 @@ def energy_unit(specialized: Specialized) -> float:
     scheme = specialized.scheme
     (hx, hy), (first, last) = scheme.spacing, scheme.window
     return 0.5 * scheme.surface_density * hx * hy * speed_unit(specialized) ** 2 / (last - first)
+
+
+def largest_rate_per_step(specialized: Specialized) -> float:
+    """Return the rate, in the kernels' units, that no bounded plate exceeds per step since the start."""
+    norms = np.linalg.norm(specialized.patches.numpy().astype(float), axis=1)
+    if specialized.discretization.per_plate.centre:  # the largest norms wherever the actuators are
+        areas = np.array([actuator.area for actuator in specialized.scene.actuators])
+        sides = np.stack([areas[:, 1] - areas[:, 0], areas[:, 3] - areas[:, 2]], axis=1)
+        covered = (sides / specialized.scheme.spacing + 2).prod(axis=1)
+        norms = np.maximum(norms, specialized.share.max() * np.sqrt(covered))
+    # Waves are below two in size and coefficients at most one.
+    load = 2 * specialized.effects.terms * norms.sum()
+    if specialized.discretization.moving is not None:
+        load += np.sqrt(specialized.interior_nodes)
+    return SLACK * float(load)
+
+
+def steps_between_checks(specialized: Specialized, plates: int) -> int | None:
+    """Return after how many steps to check for growth; None for plates that cannot grow.
+
+    Plates may grow above the stability limit, and where they stretch.
+    """
+    if not specialized.scheme.stable:
+        return CHECK_STEPS
+    if not specialized.effects.stretching:
+        return None
+    work = CHECK_NODE_STEPS["cuda" if specialized.device.is_cuda else "cpu"]
+    return max(CHECK_STEPS, int(work / (plates * specialized.interior_nodes)))
+
+
+def import_drives(drives: object, actuators: int, device: wp.Device) -> wp.array:
+    """Return drives as a Warp array (plates, actuators, 2) over the same memory, which the array keeps alive.
+
+    Warp's current stream of the device waits for what the producer has queued on its own.
+
+    Raises:
+        SceneError: They are no such array of float32 or float64, or on another device.
+    """
+    right = f"write Re Z and Im Z as (plates, {actuators}, 2) of float32 or float64"
+    try:
+        pairs = wp.from_dlpack(drives)
+    except REFUSALS as error:
+        raise SceneError(f"drives: not an array for a device ({' '.join(str(error).split())}); {right}") from None
+    if not isinstance(pairs, wp.array) or pairs.dtype not in (wp.float32, wp.float64):
+        raise SceneError(f"drives: an array of {pairs.dtype.__name__}; {right}")
+    if pairs.ndim != 3 or pairs.shape[1:] != (actuators, 2):
+        raise SceneError(f"drives: shape {pairs.shape}; {right}")
+    if pairs.device != device:
+        raise SceneError(f"drives: on {pairs.device}, but the solver is on {device}; make both on one device")
+    return pairs

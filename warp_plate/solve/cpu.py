@@ -99,7 +99,7 @@ def resident_path(specialized: Specialized) -> Advance:
             with _TEAM:
                 for plate in range(plates):
                     arrived = wp.zeros(1, dtype=int, device=specialized.device)
-                    teams = [(threads, member, arrived) for member in range(threads)]
+                    teams = [make_team(threads, member, arrived) for member in range(threads)]
                     calls = [partial(launch_single, state, plate, plate + 1, start, stop, team) for team in teams]
                     # If a member fails, the others must not wait for it.
                     run_concurrently(calls, partial(arrived.fill_, RELEASE))
@@ -127,20 +127,25 @@ def _single_plates(specialized: Specialized) -> Callable[..., None]:
     device, stride, (nx, ny) = specialized.device, specialized.stride, specialized.scheme.nodes
     kernel = resident_cpu.make_run_steps(specialized.effects, specialized.real, ny, stride)
     specialized.load(kernel)
-    shared: list[Any] = [specialized.parameters, *_taps_along_x(specialized), *_taps_along_y(specialized)]
     flat = resident_cpu.flat_ranges(ny, stride, specialized.scheme.order)
     stiffness = np.zeros((max(rows for _, rows in flat[1]) if flat else 1, stride))
     stiffness[:, 1 : nx - 1] = specialized.parameters.stiffness  # zero where held or padding
-    stiffnesses, window = specialized.to_device(stiffness.ravel()), wp.vec2i(*specialized.scheme.window)
-    alone = (1, 0, wp.zeros(1, dtype=int, device=device))
+    factors, window = _factors(specialized), wp.vec2i(*specialized.scheme.window)
+    factors.stiffness = specialized.to_device(stiffness.ravel())
+    alone = make_team(1, 0, wp.zeros(1, dtype=int, device=device))
 
-    def launch(state: State, first: int, last: int, start: int, stop: int, team: tuple[Any, ...] = alone) -> None:
-        inputs = [*shared, stiffnesses, state.wave, window, start, stop, first, *team, _YIELD, state.nodes]
-        inputs += [state.in_phase, state.quadrature]
-        outputs = [state.u, state.rate, state.squares, state.u_next, state.trace]
-        wp.launch(kernel, dim=last - first, inputs=inputs, outputs=outputs, device=device)
+    def launch(state: State, first: int, last: int, start: int, stop: int, team: Any = alone) -> None:
+        inputs = [specialized.parameters, factors, window, start, stop, first, team, state.drive]
+        wp.launch(kernel, dim=last - first, inputs=inputs, outputs=[state.fields, state.u_next], device=device)
 
     return launch
+
+
+def make_team(size: int, member: int, arrived: wp.array) -> Any:
+    """Return the struct of a member of a team."""
+    team = resident_cpu.Team()
+    team.size, team.member, team.arrived, team.yield_core = size, member, arrived, _YIELD
+    return team
 
 
 def _lanes_of_groups(specialized: Specialized) -> int:
@@ -160,16 +165,24 @@ def _plate_groups(specialized: Specialized, lanes: int) -> Callable[..., None]:
         specialized.effects, specialized.real, *scheme.nodes, specialized.stride, lanes
     )
     specialized.load(kernel)
-    shared = [specialized.parameters, *_taps_along_x(specialized, lanes), *_taps_along_y(specialized)]
-    shared += [specialized.loaded, specialized.wave, wp.vec2i(*scheme.window)]
+    factors, window = _factors(specialized, lanes), wp.vec2i(*scheme.window)
     workspace = wp.zeros((specialized.threads, size), dtype=specialized.real, device=device)
 
     def launch(state: State, thread: int, first: int, last: int, start: int, stop: int) -> None:
-        inputs = [*shared, start, stop, first, last, thread, state.nodes, state.in_phase, state.quadrature]
-        outputs = [workspace, state.u, state.rate, state.squares, state.trace]
-        wp.launch(kernel, dim=-(-(last - first) // lanes), inputs=inputs, outputs=outputs, device=device)
+        inputs = [specialized.parameters, factors, window, start, stop, first, last, thread, state.drive]
+        dim = -(-(last - first) // lanes)
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=[state.fields, workspace], device=device)
 
     return launch
+
+
+def _factors(specialized: Specialized, lanes: int | None = None) -> Any:
+    """Return the struct of what both passes read beside the fields, of single plates or of groups of ``lanes``."""
+    factors = resident_cpu.make_factors(specialized.real)()
+    factors.bend_x, factors.move_x = _taps_along_x(specialized, lanes)
+    factors.bend_y, factors.move_y = _taps_along_y(specialized)
+    factors.loaded = specialized.loaded
+    return factors
 
 
 def _taps_along_x(specialized: Specialized, lanes: int | None = None) -> tuple[wp.array, wp.array]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any
 
@@ -11,8 +11,7 @@ import warp as wp
 
 from warp_plate.kernels import resident_lanes, resident_strips, resident_wide, temporal_blocking, temporal_blocking_wide
 from warp_plate.kernels.cuda import LANES
-from warp_plate.kernels.resident_strips import StripPlan
-from warp_plate.kernels.tiles import Cut, cut, whole
+from warp_plate.kernels.plans import Cut, StripPlan, cut, plan_few, strip_plans, whole
 from warp_plate.plate.operator import INSIDE, plain_taps
 from warp_plate.scene.errors import SceneError
 from warp_plate.solve import streaming
@@ -43,8 +42,8 @@ def fits_on_chip(specialized: Specialized) -> bool:
 
 def plan_of(specialized: Specialized) -> StripPlan | None:
     """Return the distribution of a plate over a block of the device, or None where it does not fit."""
-    plans = _kind(specialized).plans(*specialized.scheme.nodes, specialized.real, specialized.shared_bytes)
-    return next(plans, None)
+    order, nodes = specialized.scheme.order, specialized.scheme.nodes
+    return next(strip_plans(order, *nodes, specialized.real, specialized.shared_bytes), None)
 
 
 def takes_lanes(specialized: Specialized) -> bool:
@@ -83,7 +82,7 @@ def _lanes_path(specialized: Specialized) -> Advance:
         }
         return _cuda_advance(specialized, kernels, inputs, LANES, LANES_BLOCK)
 
-    fewest = _blocks_path(specialized, _whole(specialized), resident_strips.plan_few(nx, ny))
+    fewest = _blocks_path(specialized, _whole(specialized), plan_few(nx, ny))
     few = many = compiled(None)
     if real is wp.float32 and loaded.bit_count() <= FEW_LOADED_ROWS:  # else the numbers of a column leave no choice
         few = compiled(FEW_REGISTERS)
@@ -142,38 +141,38 @@ def _cuda_advance(
 ) -> Advance:
     """Return launches of a resident kernel, split where the window begins and ends: outside it sums cost nothing.
 
-    With ``most_steps`` per launch the fields take turns. Launches are recorded with the state, which saves Python time.
+    With ``most_steps`` per launch the fields alternate. Launches are recorded with the state, which saves Python time.
     """
     specialized.load(*kernels.values(), block_dim=block_dim)
-    first_at = len(inputs) + 1  # place of the first step among the arguments
+    first_at = len(inputs)  # place of the first step among the arguments
 
-    def record(state: State, plates: int, summed: bool) -> wp.Launch:
-        new = [state.u, state.rate] if most_steps is None else [state.u_next, state.rate_next]
-        return wp.launch(
+    def record(state: State, plates: int, summed: bool) -> Callable[[int, int], None]:
+        command = wp.launch(
             kernels[summed],
             dim=plates * threads,
-            inputs=[*inputs, state.wave, 0, 0, state.in_phase, state.quadrature, state.u, state.rate],
-            outputs=[*new, state.squares],
+            inputs=[*inputs, 0, 0, state.drive, state.fields],
+            outputs=[state.fields if most_steps is None else state.next_fields],
             device=specialized.device,
             block_dim=block_dim,
             record_cmd=True,
         )
 
-    def launch(state: State, plates: int, first: int, end: int, summed: bool) -> None:
-        key = (kernels[summed], plates, state.has_plate_waves, state.u.ptr)
-        if key not in state.beside:
-            state.beside[key] = record(state, plates, summed)
-        command = state.beside[key]
-        command.set_param_at_index(first_at, first)
-        command.set_param_at_index(first_at + 1, end)
-        command.launch()
+        def launch(first: int, end: int) -> None:
+            command.set_param_at_index(first_at, first)
+            command.set_param_at_index(first_at + 1, end)
+            command.launch()
+
+        return launch
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
         for low, high, summed in split_at_window(specialized, start, stop):
             for first in range(low, high, most_steps or high - low):
-                launch(state, plates, first, min(first + (most_steps or high), high), summed)
+                key = (kernels[summed], plates, state.has_plate_waves, state.u.ptr)
+                if key not in state.recordings:
+                    state.recordings[key] = record(state, plates, summed)
+                state.recordings[key](first, min(first + (most_steps or high), high))
                 if most_steps is not None:
-                    state.take_turns()
+                    state.alternate()
 
     return advance
 
@@ -201,14 +200,15 @@ def plan_tiles(specialized: Specialized, plates: int) -> tuple[list[Cut], StripP
 
     The best cut has the shortest step.
     """
-    kind, order = _kind(specialized), specialized.scheme.order
+    order = specialized.scheme.order
     margin, tiles = order * TILE_LEVELS[order], specialized.device.sm_count // max(1, plates)
     best, shortest = None, MOST_LATENCY + 1
     for count in range(1, tiles + 1):
         axes = [
             cut(nodes, n, margin) for nodes, n in zip(specialized.scheme.nodes, (count, tiles // count), strict=True)
         ]
-        for plan in kind.plans(axes[0].length, axes[1].length, specialized.real, specialized.shared_bytes):
+        sides = axes[0].length, axes[1].length
+        for plan in strip_plans(order, *sides, specialized.real, specialized.shared_bytes):
             if plan.latency < shortest:
                 best, shortest = (axes, plan), plan.latency
     return best
@@ -237,9 +237,8 @@ def _blocking_path(specialized: Specialized) -> Advance:
         launch(
             kernels[levels, summed],
             dim=plates * strips * tiles * LANES,
-            inputs=[*constants[levels], state.wave, clock, offset, tiles, -(-(ny - 2) // tiles)]
-            + [state.in_phase, state.quadrature, state.u, state.rate],
-            outputs=[state.u_next, state.rate_next, state.squares],
+            inputs=[*constants[levels], clock, offset, tiles, -(-(ny - 2) // tiles), state.drive, state.fields],
+            outputs=[state.next_fields],
             device=device,
             block_dim=STREAMING_BLOCK,
         )

@@ -1,21 +1,30 @@
-"""Choice of the device, and the number of cores of the CPU."""
+"""Choice of the device, the cores of the CPU, and Warp's cache of compiled kernels.
+
+The cache has a checksum beside each file: a damaged one would give wrong numbers or crash. The checksums are against
+accidents. Whoever may write to the folder may run code as its user.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import logging
 import os
 import platform
 import sys
 from collections.abc import Iterator
+from glob import escape
 from pathlib import Path
 
 import warp as wp
 
+from warp_plate.result.atomic_io import write_atomically
 from warp_plate.scene.errors import SceneError
 from warp_plate.solve import nvidia
-from warp_plate.solve.kernel_cache import cache_errors
 
 MOST_THREADS = 1024  # each takes memory
+ENDING, LOADED = ".sha256", (".o", ".ptx", ".cubin", ".meta")
+_loaded: set[tuple[str, str, int | None]] = set()
 
 
 def find_device(name: str) -> wp.Device:
@@ -96,11 +105,52 @@ def cpu_threads() -> int:
 def _quiet_standard_error() -> Iterator[None]:
     """Drop what Warp's C++ side writes where there is no CUDA driver, which is no fault on most machines."""
     sys.stderr.flush()
-    kept = os.dup(2)
+    saved = os.dup(2)
     try:
         with open(os.devnull, "w") as nowhere:
             os.dup2(nowhere.fileno(), 2)
         yield
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        os.dup2(saved, 2)
+        os.close(saved)
+
+
+@contextlib.contextmanager
+def cache_errors() -> Iterator[None]:
+    """Name the cache, and how to choose another, in errors of its files."""
+    try:
+        yield
+    except OSError as error:
+        folder = wp.config.kernel_cache_dir or error.filename
+        raise SceneError(
+            f"{folder}: cannot keep compiled kernels: {error.strerror}; WARP_CACHE_PATH can name another folder"
+        ) from None
+
+
+def load_kernel(kernel: wp.Kernel, device: wp.Device, block_dim: int | None = None) -> None:
+    """Compile a kernel for a device, or load it from the cache if its files there are unchanged."""
+    key = str(kernel.module.name), str(device.alias), block_dim
+    if key in _loaded:
+        return
+    with cache_errors():
+        for file, seal in _files(kernel):
+            if seal.exists() and seal.read_bytes() != _digest(file):
+                logging.getLogger("warp_plate").warning("%s: damaged; compiled again", file)
+                file.unlink()
+                seal.unlink()
+        wp.load_module(module=kernel.module, device=device, block_dim=block_dim)
+    for file, seal in _files(kernel):
+        if not seal.exists():
+            with contextlib.suppress(OSError, SceneError):  # another user's folder
+                write_atomically(_digest(file), seal)
+    _loaded.add(key)
+
+
+def _files(kernel: wp.Kernel) -> list[tuple[Path, Path]]:
+    """Return the files of a kernel's module that Warp loads, in all variants, and the files of their checksums."""
+    files = Path(str(wp.config.kernel_cache_dir)).glob(f"wp_{escape(kernel.module.name)}_*/*")
+    return [(file, file.with_name(file.name + ENDING)) for file in sorted(files) if file.suffix in LOADED]
+
+
+def _digest(file: Path) -> bytes:
+    return hashlib.sha256(file.read_bytes()).hexdigest().encode()

@@ -1,4 +1,4 @@
-"""The compiled kernels of a scene on one device: write loads, step plates, sum energies.
+"""The compiled kernels of a scene on one device: write waves and loads, step plates by a path, sum energies.
 
 All numbers are in the kernels' scaled units; ``batching`` converts to SI.
 """
@@ -10,16 +10,74 @@ from collections.abc import Callable
 import numpy as np
 import warp as wp
 
+from warp_plate.kernels.cuda import LANES
 from warp_plate.kernels.energy import make_sum_over_rows, sum_over_columns
-from warp_plate.kernels.load import make_write_loads
-from warp_plate.kernels.peak import make_keep_largest
+from warp_plate.kernels.loads import (
+    Envelope,
+    make_accumulate_waves,
+    make_weigh_spans,
+    make_write_loads,
+    make_write_placed_loads,
+    make_write_tones,
+)
+from warp_plate.plate.designs import PerPlateValues
+from warp_plate.plate.signals import waves_per_plate
+from warp_plate.plate.weights import CUBICS, node_positions
 from warp_plate.scene.errors import SceneError
-from warp_plate.solve.paths import choose_path, paths_of
-from warp_plate.solve.per_plate import PerPlateKernels
+from warp_plate.solve import cpu, cuda, moment_form, streaming
 from warp_plate.solve.specialize import Specialized
-from warp_plate.solve.state import State
-from warp_plate.solve.status import largest_rate_per_step
+from warp_plate.solve.state import Advance, State
 from warp_plate.solve.streaming import Launcher, repeat
+
+MakePath = Callable[[Specialized], Advance]
+
+# Paths of plain plates on a CPU and on CUDA, and those of all other scenes.
+CPU: dict[str, MakePath] = {"resident": cpu.resident_path, "streaming": streaming.streaming_path}
+CUDA: dict[str, MakePath] = {"resident": cuda.resident_path, "streaming": cuda.streaming_path}
+MOMENT_FORM: dict[str, MakePath] = {"resident": moment_form.resident_path, "streaming": moment_form.streaming_path}
+# Most numbers of waves that the host computes at once.
+HOST_NUMBERS = 2**24
+
+
+def paths_of(device: wp.Device, plain: bool = True) -> dict[str, MakePath]:
+    """Return the paths of a device by name, for a plain plate or for the moment form."""
+    return MOMENT_FORM if not plain else CUDA if device.is_cuda else CPU
+
+
+def why_streaming(specialized: Specialized, traced: bool = False) -> str | None:
+    """Return why plates (with ``traced`` points) do not run resident, or None if they do."""
+    if specialized.device.is_cpu:
+        return None
+    nx, ny = specialized.scheme.nodes
+    if not specialized.effects.plain:
+        if moment_form.takes_blocks(specialized) and not moment_form.plan_of(specialized, few=False).on_chip:
+            return f"{nx} x {ny} nodes with their moments do not fit on one multiprocessor"
+        return None
+    if not cuda.fits_on_chip(specialized):
+        return f"{nx} x {ny} nodes of order {specialized.scheme.order} do not fit on one multiprocessor"
+    return "traces of points are taken between launches" if traced else None
+
+
+def choose_path(specialized: Specialized) -> str:
+    """Return the fastest path: resident wherever the plate fits on the chip."""
+    return "streaming" if why_streaming(specialized) else "resident"
+
+
+def describe_plan(specialized: Specialized) -> str:
+    """Return how the fastest path distributes plates over the device."""
+    device = specialized.device
+    if device.is_cpu:
+        return f"all steps of a plate in one launch, on {specialized.threads} threads"
+    if reason := why_streaming(specialized):
+        return f"one or a few steps a launch, for {reason}"
+    if specialized.effects.plain:
+        plan = None if cuda.takes_lanes(specialized) else cuda.plan_of(specialized)
+        return f"all steps in one launch, a plate on {plan.warps if plan else 1} warps of {LANES} threads"
+    block = moment_form.plan_of(specialized, few=False)
+    place = "on the chip"
+    if not block.on_chip:
+        place = f"in device memory: they exceed the {specialized.shared_bytes / 1024:.0f} KiB of a block"
+    return f"all steps in one launch, a plate on {block.threads} threads, its working fields {place}"
 
 
 class Engine:
@@ -29,26 +87,77 @@ class Engine:
         specialized: The scene on the device.
         path: Name of the path, "resident" or "streaming".
         advance: Steps plates, see ``state.Advance``.
-        per_plate: Kernels for what differs from plate to plate.
-        largest_rate: Rate that no bounded plate exceeds per step since the start, see ``solve.status``.
 
     Raises:
         SceneError: The device has no such path, or the plate does not fit it.
     """
 
     def __init__(self, specialized: Specialized, path: str = "auto") -> None:
-        device, real = specialized.device, specialized.real
+        scene, device, real = specialized.scene, specialized.device, specialized.real
         self.specialized = specialized
         self.path = choose_path(specialized) if path == "auto" else path
         paths = paths_of(device, specialized.effects.plain)
         if self.path not in paths:
             raise SceneError(f"path = {path!r}: no such path; there are: auto, {', '.join(paths)}")
         self._write_loads, self._sum_over_rows = make_write_loads(real), make_sum_over_rows(real)
-        self._keep_largest = make_keep_largest(real)
         specialized.load(self._write_loads, self._sum_over_rows, sum_over_columns)
+        self._write_tones = make_write_tones(real, scene.drive.burst is not None)
+        self._accumulate_waves = make_accumulate_waves(real)
+        self._weigh_spans = make_weigh_spans(scene.grid.load == "moments")
+        self._write_placed_loads = make_write_placed_loads(real)
+        if specialized.discretization.carriers:
+            specialized.load(self._write_tones, self._accumulate_waves)
+        if specialized.discretization.per_plate.centre:
+            specialized.load(self._weigh_spans, self._write_placed_loads)
+        self._positions = [self._doubles(axis) for axis in node_positions(scene)]
+        self._share = self._doubles(specialized.share)
         self.advance = paths[self.path](specialized)
-        self.per_plate = PerPlateKernels(specialized)
-        self.largest_rate = largest_rate_per_step(specialized)
+
+    def _doubles(self, values: np.ndarray) -> wp.array:
+        return wp.array(values, dtype=wp.float64, device=self.specialized.device)
+
+    def put_waves(self, state: State, values: PerPlateValues) -> np.ndarray:
+        """Write the waves of a run: tones on the device; sweeps, and squares of voltages, on the host.
+
+        Returns:
+            (1 or plates, terms) powers of two by which the waves are divided.
+        """
+        specialized = self.specialized
+        if values.frequency is None:
+            state.use_waves(per_plate=False)
+            return specialized.sizes[None]
+        state.use_waves(per_plate=True)
+        drive = specialized.scene.drive
+        put = self._put_tones if drive.chirp is None and drive.electrostatic is None else self._put_host_waves
+        put(state, values.frequency, values.delay)
+        terms, device = specialized.effects.terms, specialized.device
+        if specialized.quantity == "velocity":
+            return np.ones((1, terms))
+        sizes = wp.zeros((len(values.frequency), terms), dtype=wp.float64, device=device)
+        wp.launch(self._accumulate_waves, sizes.shape, inputs=[state.plate_waves], outputs=[sizes], device=device)
+        return np.asarray(sizes.numpy())
+
+    def _put_tones(self, state: State, frequency: np.ndarray, delay: np.ndarray | None) -> None:
+        scheme, burst, envelope = self.specialized.scheme, self.specialized.scene.drive.burst, Envelope()
+        if burst is not None:
+            envelope.duration, envelope.ramp, envelope.period = burst.duration, burst.ramp, burst.period or 0.0
+        delay = np.zeros_like(frequency) if delay is None else delay
+        wp.launch(
+            self._write_tones,
+            dim=(len(frequency), scheme.steps, self.specialized.discretization.carriers),
+            inputs=[self._doubles(frequency), self._doubles(delay), scheme.time_step, envelope],
+            outputs=[state.plate_waves],
+            device=self.specialized.device,
+        )
+
+    def _put_host_waves(self, state: State, frequency: np.ndarray, delay: np.ndarray | None) -> None:
+        scene, scheme = self.specialized.scene, self.specialized.scheme
+        block = max(1, HOST_NUMBERS // (scheme.steps * self.specialized.effects.terms))
+        for first in range(0, len(frequency), block):
+            some = slice(first, min(first + block, len(frequency)))
+            delays = None if delay is None else delay[some]
+            waves = waves_per_plate(scene, scheme.time_step, scheme.steps, frequency[some], delays)
+            state.plate_waves[some].assign(waves.astype(scene.grid.precision))
 
     def load_drives(self, state: State, plates: int, edges: np.ndarray | None = None) -> None:
         """Copy the coefficients of the first plates to the device and write their load fields.
@@ -66,7 +175,9 @@ class Engine:
         specialized = self.specialized
         kernel, inputs = self._write_loads, [specialized.support, specialized.patches]
         if edges is not None:
-            kernel, inputs = self.per_plate.put_places(state, edges)
+            self._weigh_patches(state, edges)
+            kernel = self._write_placed_loads
+            inputs = [specialized.support, self._share, state.along_x, state.along_y]
         wp.launch(
             kernel,
             dim=(plates, specialized.effects.terms, specialized.support.shape[0]),
@@ -75,15 +186,13 @@ class Engine:
             device=specialized.device,
         )
 
-    def keep_largest(self, u: wp.array, largest: wp.array) -> Callable[[], None]:
-        """Return a function that queues that ``largest`` keeps the largest magnitudes of u.
-
-        Both are (plates, rows, columns).
-        """
-        kernel, device = self._keep_largest, self.specialized.device
-        self.specialized.load(kernel)
-        launch = wp.launch(kernel, dim=u.shape, inputs=[u], outputs=[largest], device=device, record_cmd=True)
-        return launch.launch
+    def _weigh_patches(self, state: State, edges: np.ndarray) -> None:
+        """Compute the weights of patches with ``edges`` (plates, actuators, 4) [m] along both axes."""
+        device, rectangles = self.specialized.device, self._doubles(edges)
+        to_weights = wp.mat44d(*np.linalg.inv(CUBICS).ravel().tolist())
+        for first, positions, along in zip((0, 2), self._positions, (state.along_x, state.along_y), strict=True):
+            inputs = [rectangles, first, positions, to_weights]
+            wp.launch(self._weigh_spans, edges.shape[:2], inputs=inputs, outputs=[along], device=device)
 
     def sum_regions(self, state: State, plates: int) -> None:
         """Queue the weighted sums of rate² over the window for the first plates, into ``state.energy``."""
@@ -105,11 +214,11 @@ class Engine:
 
         On CUDA all of it becomes one recorded call when a state takes so many plates for the second time.
         """
-        key = (self.run_whole, plates, state.has_plate_waves)
-        if key in state.beside:
+        key = (plates, state.has_plate_waves)
+        if key in state.whole_runs:
             repeat(self.specialized.device, self._queue_whole, state, plates)
         else:
-            state.beside[key] = True
+            state.whole_runs.add(key)
             self._queue_whole(wp.launch, state, plates)
 
     def _queue_whole(self, launch: Launcher, state: State, plates: int) -> None:

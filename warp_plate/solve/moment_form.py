@@ -8,28 +8,23 @@ import numpy as np
 import warp as wp
 
 from warp_plate.kernels import (
+    moment_form,
     moment_form_blocking,
     moment_form_cpu,
     moment_form_cuda,
-    moment_form_plan,
+    plans,
     temporal_blocking,
 )
+from warp_plate.kernels import update as structs
 from warp_plate.kernels.cuda import LANES
-from warp_plate.kernels.moment_form import make_passes, make_structs
 from warp_plate.solve import cuda
 from warp_plate.solve.cpu import distribute
 from warp_plate.solve.specialize import Specialized
-from warp_plate.solve.state import Advance, State
+from warp_plate.solve.state import Advance, State, attached_masses
 from warp_plate.solve.streaming import Launcher, loaded_ahead, several_steps_a_launch, step_by_step
 
 # Temporal blocking: threads per block, and rows of a tile that adds up sums.
 BLOCKING_BLOCK, SUMMED_ROWS = 128, 64
-
-
-def attached_count(specialized: Specialized) -> int:
-    """Return the number of patches with something attached."""
-    assert specialized.scheme.bending is not None
-    return len(specialized.scheme.bending.attachments)
 
 
 def make_material(specialized: Specialized) -> Any:
@@ -67,7 +62,7 @@ def make_material(specialized: Specialized) -> Any:
         "along_x": moving.along_x if moving else np.zeros((1, 1)),
         "along_y": moving.along_y if moving else np.zeros((1, 1)),
     }
-    material = make_structs(specialized.real)[0]()
+    material = structs.make_material(specialized.real)()
     for name, values in arrays.items():
         setattr(material, name, specialized.to_device(values))
     material.aspect = scheme.aspect
@@ -79,40 +74,34 @@ def make_material(specialized: Specialized) -> Any:
     return material
 
 
-def _make_fields(specialized: Specialized, state: State) -> Any:
-    """Return the struct of a state's fields, with those that only the passes of a step use."""
-    effects = specialized.effects
-    (nx, ny), device, real = specialized.scheme.nodes, specialized.device, specialized.real
-    oscillators = attached_count(specialized)
-
-    def zeros(*shape: int) -> wp.array:
-        return wp.zeros((state.capacity, *shape), dtype=real, device=device)
-
-    fields = make_structs(real)[1]()
-    fields.loads = state.loads[:, :, 1 : ny + 1, :nx]
-    for name in ("u", "rate", "squares"):
-        setattr(fields, name, getattr(state, name)[:, 1 : ny + 1, :nx])
-    fields.mx, fields.my, fields.mxy = (zeros(ny, nx) for _ in range(3))
-    fields.membrane_curvature = zeros(ny, nx) if effects.stretching else zeros(1, 1)
-    fields.row_sums = zeros(oscillators + int(effects.stretching), 2, ny)
-    fields.tension = zeros()
-    fields.oscillator_force, fields.oscillator_state = zeros(oscillators), zeros(oscillators, 2)
-    return fields
-
-
 def streaming_path(specialized: Specialized) -> Advance:
     """Return the path of several steps per launch on CUDA, where the effects allow it, else with one for each pass."""
     if specialized.device.is_cuda and takes_blocks(specialized):
         return _blocking_path(specialized)
     device, (nx, ny), window = specialized.device, specialized.scheme.nodes, wp.vec2i(*specialized.scheme.window)
-    kernels = make_passes(specialized.effects, specialized.real)
+    kernels = moment_form.make_passes(specialized.effects, specialized.real)
     specialized.load(*kernels)
     compute_moments, sum_rows, finish_sums, update_nodes = kernels
-    material = make_material(specialized)
+    material, sums = make_material(specialized), attached_masses(specialized) + int(specialized.effects.stretching)
+
+    def structs_of(state: State) -> list[Any]:
+        """Return a state's drive and fields as views of the plate, and what the passes leave each other."""
+        Forcing, Fields = structs.make_state(specialized.real)
+        drive, fields, work = Forcing(), Fields(), moment_form.make_work(specialized.real)()
+        drive.wave, drive.units, drive.travelling = state.drive.wave, state.units, state.travelling
+        drive.loads = state.loads[:, :, 1 : ny + 1, :nx]
+        for name in ("u", "rate", "squares"):
+            setattr(fields, name, getattr(state, name)[:, 1 : ny + 1, :nx])
+        fields.attached = state.attached
+        for name in ("mx", "my", "mxy", "membrane_curvature"):
+            setattr(work, name, state.scratch(name, state.capacity, ny, nx))
+        work.row_sums = state.scratch("row_sums", state.capacity, sums, 2, ny)
+        work.tension = state.scratch("tension", state.capacity)
+        work.attached_force = state.scratch("attached_force", state.capacity, attached_masses(specialized))
+        return [drive, fields, work]
 
     def step(launch: Launcher, state: State, plates: int, clock: wp.array, offset: int) -> None:
-        inputs = [state.beside[compute_moments], material]
-        sums = inputs[0].row_sums.shape[1]
+        inputs = [*structs_of(state), material]
         launch(compute_moments, dim=(plates, ny, nx), inputs=inputs, device=device)
         if sums:
             launch(sum_rows, dim=(plates, sums, ny), inputs=inputs, device=device)
@@ -122,13 +111,7 @@ def streaming_path(specialized: Specialized) -> Advance:
     steps = step_by_step(specialized, step)
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
-        if compute_moments not in state.beside:
-            state.beside[compute_moments] = _make_fields(specialized, state)
-        fields = state.beside[compute_moments]
-        fields.units, fields.moving, fields.wave = state.units, state.moving, state.wave
-        if start == 0:  # oscillators are at rest
-            fields.oscillator_state.zero_()
-            fields.oscillator_force.zero_()
+        structs_of(state)  # allocates, which must not happen while launches are recorded
         steps(state, plates, start, stop)
 
     return advance
@@ -141,12 +124,10 @@ def takes_blocks(specialized: Specialized) -> bool:
 
 def _blocking_path(specialized: Specialized) -> Advance:
     """Return the path of temporal blocking on CUDA."""
-    effects, real, (nx, ny), device = (
-        specialized.effects, specialized.real, specialized.scheme.nodes, specialized.device,
-    )  # fmt: skip
+    effects, real, (nx, ny) = specialized.effects, specialized.real, specialized.scheme.nodes
     # More steps per launch than this cost registers that there are not; stretching needs a sum before each step.
     most_levels = 1 if effects.stretching or real is wp.float64 else 2 if effects.material_damping else 3
-    names = moment_form_plan.material_planes(effects)
+    names = plans.material_planes(effects)
     kernels = {
         (levels, summed): moment_form_blocking.make_advance_tiles(
             effects, real, nx, ny, specialized.stride, names, levels, summed
@@ -161,35 +142,35 @@ def _blocking_path(specialized: Specialized) -> Advance:
 
     # Sums must not depend on the number of plates.
     summed_tiles = max(1, ny // SUMMED_ROWS)
-    parts = moment_form_blocking.strips(effects, nx, 1) * summed_tiles if effects.stretching else 0
+    parts = moment_form_blocking.strips(effects, nx, 1) * summed_tiles if effects.stretching else 1
+
+    def sums_of(state: State) -> list[wp.array]:
+        """Return the sums that a launch reads and those that it writes, which alternate with the fields."""
+        sums = state.scratch("membrane_sums", 2, state.capacity, parts)
+        exchanged = state.u.ptr != state.fields_memory.ptr
+        return [sums[int(exchanged)], sums[int(not exchanged)]]
 
     def launch_tiles(
         launch: Launcher, state: State, plates: int, clock: wp.array, offset: int, levels: int, summed: bool
     ) -> None:
         strips = plates * moment_form_blocking.strips(effects, nx, levels)
         tiles = summed_tiles if effects.stretching else cuda.tiles_of(specialized, strips, ny)
-        sums = state.beside[kernels[1, True]]
+        sums = sums_of(state)
         launch(
             kernels[levels, summed],
             dim=strips * tiles * LANES,
-            inputs=[*constants[levels], state.wave, state.units, clock, offset, tiles, -(-ny // tiles)]
-            + [state.loads, sums[0], state.u, state.rate],
-            outputs=[sums[1], state.u_next, state.rate_next, state.squares],
-            device=device,
+            inputs=[*constants[levels], clock, offset, tiles, -(-ny // tiles), state.drive, state.fields, sums[0]],
+            outputs=[state.next_fields, sums[1]],
+            device=specialized.device,
             block_dim=BLOCKING_BLOCK,
         )
-        sums.reverse()
 
     steps = several_steps_a_launch(specialized, most_levels, launch_tiles)
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
-        # Not within a launch, which may be recorded.
-        if kernels[1, True] not in state.beside:
-            shape = (state.capacity, parts)
-            state.beside[kernels[1, True]] = [wp.zeros(shape, dtype=real, device=device) for _ in range(2)]
+        sums = state.scratch("membrane_sums", 2, state.capacity, parts)  # not allocated while launches are recorded
         if start == 0:
-            for sums in state.beside[kernels[1, True]]:
-                sums.zero_()
+            sums.zero_()
         steps(state, plates, start, stop)
 
     return advance
@@ -225,18 +206,18 @@ def resident_path(specialized: Specialized) -> Advance:
     return advance
 
 
-def plan_of(specialized: Specialized, few: bool) -> moment_form_plan.BlockPlan:
+def plan_of(specialized: Specialized, few: bool) -> plans.BlockPlan:
     """Return the distribution of a plate over a block of the CUDA device, see ``plan_block``."""
-    (nx, ny), oscillators = specialized.scheme.nodes, attached_count(specialized)
+    (nx, ny), masses = specialized.scheme.nodes, attached_masses(specialized)
     real, effects, shared_bytes = specialized.real, specialized.effects, specialized.shared_bytes
-    return moment_form_plan.plan_block(nx, ny, real, effects, oscillators, few, shared_bytes)
+    return plans.plan_block(nx, ny, real, effects, masses, few, shared_bytes)
 
 
-def block_path(specialized: Specialized, plan: moment_form_plan.BlockPlan) -> Advance:
+def block_path(specialized: Specialized, plan: plans.BlockPlan) -> Advance:
     """Return the path with a block per plate, distributed over its threads by a plan."""
-    (nx, ny), device, real = specialized.scheme.nodes, specialized.device, specialized.real
-    effects, oscillators = specialized.effects, attached_count(specialized)
-    kernel = moment_form_cuda.make_run_steps(effects, real, nx, ny, specialized.stride, oscillators, plan)
+    (nx, ny), real = specialized.scheme.nodes, specialized.real
+    effects, masses = specialized.effects, attached_masses(specialized)
+    kernel = moment_form_cuda.make_run_steps(effects, real, nx, ny, specialized.stride, masses, plan)
     specialized.load(kernel, block_dim=plan.threads)
     material = make_material(specialized)
 
@@ -245,21 +226,15 @@ def block_path(specialized: Specialized, plan: moment_form_plan.BlockPlan) -> Ad
         beyond = plan.threads * plan.nodes - nx * ny
         return specialized.to_device(np.pad(planes.reshape(len(planes), nx * ny), ((0, 0), (0, beyond))))
 
-    planes = np.stack([_material_plane(material, name) for name in moment_form_plan.material_planes(effects)])
+    planes = np.stack([_material_plane(material, name) for name in plans.material_planes(effects)])
     shared = [material, lines(planes), lines(material.oscillator_shares.numpy())]
     shared.append(wp.vec2i(*specialized.scheme.window))
-    workspace_size = 0 if plan.on_chip else moment_form_plan.workspace_layout(nx, oscillators, plan)["end"]
+    workspace_size = 0 if plan.on_chip else plans.workspace_layout(nx, masses, plan)["end"]
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
-        if kernel not in state.beside:
-            shapes = (state.capacity, workspace_size), (state.capacity, oscillators, 2)
-            state.beside[kernel] = [wp.zeros(shape, dtype=real, device=device) for shape in shapes]
-        workspace, oscillator_state = state.beside[kernel]
-        if start == 0:
-            oscillator_state.zero_()
-        inputs = [*shared, start, stop, state.wave, state.units, state.moving, state.inner_nodes, state.loads]
-        outputs = [workspace, state.u, state.rate, state.squares, oscillator_state, state.trace]
-        dim, threads = plates * plan.threads, plan.threads
+        workspace = state.scratch(f"workspace of {plan}", state.capacity, workspace_size)
+        inputs, outputs = [*shared, start, stop, state.drive], [state.fields, workspace]
+        dim, device, threads = plates * plan.threads, specialized.device, plan.threads
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=device, block_dim=threads)
 
     return advance
@@ -274,7 +249,7 @@ def _material_plane(material: Any, name: str) -> np.ndarray:
 
 def _cpu_path(specialized: Specialized) -> Advance:
     device, real, (nx, ny) = specialized.device, specialized.real, specialized.scheme.nodes
-    rows, stride, oscillators = specialized.rows, specialized.stride, attached_count(specialized)
+    rows, stride = specialized.rows, specialized.stride
     kernel = moment_form_cpu.make_run_steps(specialized.effects, real, ny, stride)
     specialized.load(kernel)
     material = make_material(specialized)
@@ -291,15 +266,9 @@ def _cpu_path(specialized: Specialized) -> Advance:
     workspace = wp.zeros(shape, dtype=real, device=device)
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
-        if start == 0:  # at rest; all plates of a batch begin together
-            state.beside[kernel] = wp.zeros((state.capacity, oscillators, 2), dtype=real, device=device)
-        oscillator_state = state.beside[kernel]
-
         def run_share(thread: int, first: int, last: int) -> None:
-            inputs = [material, *shared, state.wave, window, state.units, state.moving, start, stop, first, thread]
-            inputs += [state.nodes, state.loads]
-            outputs = [workspace, state.u, state.rate, state.squares, oscillator_state, state.trace]
-            wp.launch(kernel, dim=last - first, inputs=inputs, outputs=outputs, device=device)
+            inputs = [material, *shared, window, start, stop, first, thread, state.drive]
+            wp.launch(kernel, dim=last - first, inputs=inputs, outputs=[state.fields, workspace], device=device)
 
         distribute(specialized.threads, plates, run_share)
 

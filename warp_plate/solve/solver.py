@@ -19,15 +19,13 @@ from warp_plate.plate.designs import (
 )
 from warp_plate.plate.discretization import Discretization, discretize
 from warp_plate.plate.scheme import Scheme
-from warp_plate.plate.weights import NO_AREAS, Region
+from warp_plate.plate.weights import NO_AREAS, Region, bilinear
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.solve.batching import PlateBatch
-from warp_plate.solve.device_batch import import_drives
+from warp_plate.solve.batching import Batch, import_drives
 from warp_plate.solve.devices import find_device
-from warp_plate.solve.engine import Engine
-from warp_plate.solve.parts import PartRunner
-from warp_plate.solve.paths import why_streaming
+from warp_plate.solve.engine import Engine, why_streaming
+from warp_plate.solve.parts import Records, run_parts, run_parts_on_device, states_for
 from warp_plate.solve.run import Progress, Run
 from warp_plate.solve.specialize import Quantity, Specialized, effect_names
 from warp_plate.solve.state import State
@@ -67,7 +65,7 @@ class PlateSolver:
         device: The Warp device.
         engine: The compiled kernels.
         path: Name of the path.
-        parts: Runner of large batches part by part; holds the device arrays that runs use.
+        states: Device arrays that runs use.
         node_steps: Nodes updated × steps × plates of all runs so far.
         compile_seconds: Time that discretizing and compiling took [s].
 
@@ -98,9 +96,10 @@ class PlateSolver:
         self.scene.check_stepped()
         self.engine = Engine(Specialized(discretization, self.device, threads, areas, quantity), path)
         self.path = self.engine.path
-        self.parts = PartRunner(self.engine, chunk, memory_share)
-        self._chunk, self._areas = chunk, areas
-        self._batch: PlateBatch | None = None
+        self.states: list[State] = []
+        self._chunk, self._areas, self._memory_share = chunk, areas, memory_share
+        self._batch: Batch | None = None
+        self._in_use: list[tuple[wp.Event, wp.array]] = []  # drives that queued work reads, with its end
         self.node_steps = 0
         self.compile_seconds = time.perf_counter() - started
 
@@ -111,7 +110,7 @@ class PlateSolver:
 
     @property
     def discretization(self) -> Discretization:
-        """The scene on its grid, for further solvers and for whoever needs its scheme, loads or regions."""
+        """The scene on its grid."""
         return self.specialized.discretization
 
     @property
@@ -164,18 +163,18 @@ class PlateSolver:
         """
         phasors, values = self._check_drives(drives)
         self._check_records(times, points)
-        self._check_records(peak_times, ())
+        self._check_records(peak_times)
         if points and self.device.is_cuda and self.path == "resident":  # where plates show nothing between launches
             streaming = PlateSolver(self.discretization, self.device.alias, "streaming", self._chunk, areas=self._areas)
             self.compile_seconds += streaming.compile_seconds
             run = streaming.run(drives, times, points, progress, peak_times)
             self.node_steps += run.node_steps
             return run
-        scheme, plates = self.specialized.scheme, len(phasors)
+        scheme, plates = self.scheme, len(phasors)
         snapshots = [scheme.step_of(time_asked) for time_asked in times]
         run = Run(
-            energy=np.empty((plates, len(self.specialized.regions))),
-            regions=self.specialized.regions,
+            energy=np.empty((plates, len(self.regions))),
+            regions=self.regions,
             masses=self.specialized.masses,
             displacement=np.full((plates, len(snapshots), *scheme.nodes[::-1]), np.nan),
             times=np.array(snapshots) * scheme.time_step,
@@ -185,9 +184,14 @@ class PlateSolver:
             node_steps=plates * self.node_steps_per_plate,
             faults={},
         )
+        corners, shares = np.empty((0, 4, 2), np.int32), np.empty((0, 4))
+        if len(points):
+            corners, shares = bilinear(points, scheme.nodes, self.scene.plate.size)
+        samples = {scheme.step_of(time_asked) for time_asked in peak_times}
+        records = Records(snapshots, samples, corners, shares)
         try:
-            samples = {scheme.step_of(time_asked) for time_asked in peak_times}
-            self.parts.run(run, phasors, values, snapshots, samples, points, progress or (lambda done, total: None))
+            states = self._states_for(plates, corners.reshape(-1, 2))
+            run_parts(self.engine, states, phasors, values, records, run, progress or (lambda done, total: None))
         except BaseException:  # an interrupted run leaves no work that uses its states
             wp.synchronize_device(self.device)
             raise
@@ -216,8 +220,10 @@ class PlateSolver:
         """
         pairs = import_drives(drives, len(self.scene.actuators), self.device)
         energy: wp.array = wp.empty((len(pairs), len(self.regions)), dtype=wp.float64, device=self.device)
-        energy._drives = pairs  # type: ignore[attr-defined]  # keeps the memory alive until the energies are there
-        self.parts.run_on_device(pairs, energy)
+        run_parts_on_device(self.engine, self._states_for(len(pairs), np.empty((0, 2), int))[0], pairs, energy)
+        if self.device.is_cuda:  # the drives' memory must stay until their run is done
+            self._in_use = [(done, drives) for done, drives in self._in_use if not done.is_complete]
+            self._in_use.append((wp.get_stream(self.device).record_event(), pairs))
         self.node_steps += len(pairs) * self.node_steps_per_plate
         return energy
 
@@ -226,7 +232,8 @@ class PlateSolver:
         if self.specialized.quantity == "displacement":
             raise SceneError('setup: a solver with quantity = "displacement" cannot be stepped by hand; make another')
         phasors, values = self._check_drives(drives)
-        self._batch = PlateBatch(self.engine, State(self.specialized, max(1, len(phasors))), phasors, values)
+        self._batch = Batch(self.engine, State(self.specialized, max(1, len(phasors))), len(phasors))
+        self._batch.load(phasors, values)
 
     def step(self, count: int = 1) -> None:
         """Take the plates that were set up ``count`` time steps further, at most to the end of the window.
@@ -234,13 +241,12 @@ class PlateSolver:
         Raises:
             SceneError: No plates are set up.
         """
-        batch = self._stepped
-        batch.advance(min(batch.step + count, self.specialized.scheme.steps))
+        self._stepped.advance(min(self._stepped.step + count, self.scheme.steps))
 
     @property
     def time(self) -> float:
         """Time t_n = nΔt of the plates that were set up [s]."""
-        return self._stepped.step * self.specialized.scheme.time_step
+        return self._stepped.step * self.scheme.time_step
 
     @property
     def displacement(self) -> np.ndarray:
@@ -258,16 +264,18 @@ class PlateSolver:
 
         After the last step this is ``Run.energy``.
         """
-        batch = self._stepped
-        energy = np.empty((len(batch.phasors), len(self.specialized.regions)))
-        batch.queue_energies()(energy)
+        energy = np.empty((self._stepped.plates, len(self.regions)))
+        self._stepped.queue_energies()(energy)
         return energy
 
     @property
-    def _stepped(self) -> PlateBatch:
+    def _stepped(self) -> Batch:
         if self._batch is None:
             raise SceneError("no plates are set up; call setup(drives) first")
         return self._batch
+
+    def _states_for(self, plates: int, corners: np.ndarray) -> list[State]:
+        return states_for(self.specialized, self.states, plates, corners, self._chunk, self._memory_share)
 
     def _check_drives(self, drives: Drives) -> tuple[np.ndarray, PerPlateValues]:
         actuators, scheme = len(self.scene.actuators), self.specialized.scheme
@@ -275,8 +283,8 @@ class PlateSolver:
         phasors = as_phasors(designs.drives, actuators)
         return phasors, check_designs(designs, self.scene, self.discretization.per_plate, scheme.time_step)
 
-    def _check_records(self, times: Sequence[float], points: Sequence[tuple[float, float]]) -> None:
-        end = self.specialized.scheme.steps * self.specialized.scheme.time_step
+    def _check_records(self, times: Sequence[float], points: Sequence[tuple[float, float]] = ()) -> None:
+        end = self.scheme.steps * self.scheme.time_step
         for name, values, item, kind in (("times", times, (), "numbers"), ("points", points, (2,), "pairs of numbers")):
             try:
                 shape = as_numbers(values, "biuf").shape

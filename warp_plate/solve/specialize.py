@@ -11,8 +11,7 @@ import warp as wp
 
 from warp_plate.effects.effect import DISPLACEMENT, IN_PLANE, Patch
 from warp_plate.kernels.cuda import RESERVED_BYTES
-from warp_plate.kernels.effects import KernelEffects
-from warp_plate.kernels.update import make_parameters
+from warp_plate.kernels.update import KernelEffects, make_parameters
 from warp_plate.plate.designs import actuator_spaces
 from warp_plate.plate.discretization import Discretization
 from warp_plate.plate.signals import running_sums, waves_apart
@@ -20,8 +19,7 @@ from warp_plate.plate.stability_limit import needs_moment_form
 from warp_plate.plate.weights import NO_AREAS, REGIONS, Region, reachable_nodes, weigh_region
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.solve.devices import cpu_threads
-from warp_plate.solve.kernel_cache import load_kernel
+from warp_plate.solve.devices import cpu_threads, load_kernel
 
 # Rows are padded to whole cache lines, which are also whole vector registers.
 LINE_BYTES = 64

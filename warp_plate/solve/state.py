@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable
 from typing import Any
 
-import numpy as np
 import warp as wp
 
+from warp_plate.kernels.update import make_state
 from warp_plate.solve.specialize import Specialized
 
 # u, rate, squares, u_next, rate_next; the loads come on top.
@@ -34,8 +34,8 @@ class State:
         actuators = specialized.patches.shape[0]
         # The moment form's passes on CPU read a number beyond the last plate; it must be zero.
         plates = capacity + (0 if specialized.effects.plain else 1)
-        waved = capacity if discretization.carriers else 0
-        moved = capacity if discretization.per_plate.centre else 0
+        with_waves = capacity if discretization.carriers else 0
+        with_places = capacity if discretization.per_plate.centre else 0
 
         def zeros(*shape: int, dtype: type = real) -> wp.array:
             return wp.zeros(shape, dtype=dtype, device=device)
@@ -43,49 +43,76 @@ class State:
         def on_host(*shape: int, dtype: type = real) -> wp.array:
             return wp.zeros(shape, dtype=dtype, device="cpu", pinned=device.is_cuda)
 
+        self.specialized = specialized
         self.capacity = capacity  # Largest number of plates
         self.coefficients = zeros(capacity, terms, actuators)  # Factors of the waves
-        self.loads = zeros(terms, plates, rows, stride)  # Load fields, see ``kernels.load``
+        self.loads = zeros(terms, plates, rows, stride)  # Load fields, see ``kernels.loads``
         self.in_phase, self.quadrature = self.loads[0], self.loads[1]  # The first two
-        self.moves = zeros(FIELDS, plates, rows, stride)  # The five fields below in one piece
-        self.u = self.moves[0]  # Displacement
-        self.rate = self.moves[1]  # Displacement gained in a step
-        self.squares = self.moves[2]  # Sum of rate² over the window
-        self.u_next = self.moves[3]  # Buffer that takes turns with u on streaming paths; curvature on the others
-        self.rate_next = self.moves[4]  # Buffer that takes turns with rate on streaming paths
+        self.fields_memory = zeros(FIELDS, plates, rows, stride)  # The five fields below in one piece
+        self.u = self.fields_memory[0]  # Displacement
+        self.rate = self.fields_memory[1]  # Displacement gained in a step
+        self.squares = self.fields_memory[2]  # Sum of rate² over the window
+        self.u_next = self.fields_memory[3]  # Alternates with u on streaming paths; holds the curvature on the others
+        self.rate_next = self.fields_memory[4]  # Alternates with rate on streaming paths
+        self.attached = zeros(capacity, attached_masses(specialized), 2)  # Displacements and rates of attached masses
         self.units = zeros(capacity)  # Displacement [m] of a unit of u
-        self.moving = zeros(capacity)  # Strength of the moving load, in units of each plate's pressure
+        self.travelling = zeros(capacity)  # Strength of the load that travels, in units of each plate's pressure
         self.nodes = wp.empty((0, 2), dtype=int, device=device) if nodes is None else nodes
-        inner_nodes = self.nodes.numpy() - np.array([1, 0], np.int32)
-        self.inner_nodes: wp.array = wp.array(inner_nodes, dtype=int, device=device)  # ``nodes`` by row of the plate
         self.trace = zeros(capacity, self.nodes.shape[0], steps)  # Displacement of the traced nodes
         self.column_sums = zeros(capacity, regions, stride, dtype=wp.float64)  # Scratch of the energies
         self.energy = zeros(capacity, regions, dtype=wp.float64)  # Weighted sums of squares
-        self.shared_wave = _repeated(specialized.wave, capacity)  # The scene's wave as that of all plates
-        self.plate_waves = zeros(waved, steps, terms)  # A wave for each plate
-        self.wave = self.shared_wave  # (capacity, steps, terms) waves of the current run: shared_wave or plate_waves
-        self.along_x = zeros(moved, actuators, nx, dtype=wp.float64)  # Weights of patches that differ between plates
-        self.along_y = zeros(moved, actuators, ny, dtype=wp.float64)  # The same along y
+        self.plate_waves = zeros(with_waves, steps, terms)  # A wave for each plate
+        self.along_x = zeros(with_places, actuators, nx, dtype=wp.float64)  # Weights of each plate's patches
+        self.along_y = zeros(with_places, actuators, ny, dtype=wp.float64)  # The same along y
         # Host copies, pinned for CUDA, so that copying does not stop the host
         self.host_coefficients = on_host(capacity, terms, actuators)
         self.host_units = on_host(capacity)
         self.host_energy = on_host(capacity, regions, dtype=wp.float64)
-        self.beside: dict[Hashable, Any] = {}  # Further arrays and recorded launches of the paths
+        # Launches that can be repeated, by what they launch; see ``streaming.repeat``
+        self.recordings: dict[Hashable, Callable[..., object]] = {}
+        self.whole_runs: set[tuple[int, bool]] = set()  # (plates, per-plate waves) of runs that were queued once
+        self._scratch: dict[str, wp.array] = {}
+        # Arguments of kernels: the drive, the fields, and those that a launch with alternating buffers writes
+        Forcing, Fields = make_state(real)
+        self.drive: Any = Forcing()
+        self.drive.loads, self.drive.in_phase, self.drive.quadrature = self.loads, self.in_phase, self.quadrature
+        self.drive.units, self.drive.travelling = self.units, self.travelling
+        self.fields, self.next_fields = Fields(), Fields()
+        self.next_fields.u, self.next_fields.rate = self.u_next, self.rate_next
+        self.fields.u, self.fields.rate = self.u, self.rate
+        for fields in (self.fields, self.next_fields):
+            fields.squares, fields.attached = self.squares, self.attached
+            fields.nodes, fields.trace = self.nodes, self.trace
+        self.use_waves(per_plate=False)
 
-    @property
-    def has_plate_waves(self) -> bool:
-        """True if each plate of the current run has separate waves."""
-        return self.wave is self.plate_waves
+    def use_waves(self, per_plate: bool) -> None:
+        """Choose the waves of the current run: ``plate_waves``, or the scene's wave for all plates."""
+        self.has_plate_waves = per_plate
+        wave = self.specialized.wave
+        # The scene's wave as that of all plates, without a copy: the stride between plates is zero.
+        self.drive.wave = self.plate_waves if per_plate else wp.array(
+            ptr=wave.ptr, dtype=wave.dtype, shape=(self.capacity, *wave.shape), strides=(0, *wave.strides),
+            device=wave.device,
+        )  # fmt: skip
 
-    def take_turns(self) -> None:
+    def alternate(self) -> None:
         """Exchange the fields with those that the last launch wrote."""
         self.u, self.u_next = self.u_next, self.u
         self.rate, self.rate_next = self.rate_next, self.rate
+        self.fields, self.next_fields = self.next_fields, self.fields
+
+    def scratch(self, name: str, *shape: int) -> wp.array:
+        """Return an array for a path's use between its launches, zero when first asked for."""
+        if name not in self._scratch:
+            self._scratch[name] = wp.zeros(shape, dtype=self.specialized.real, device=self.specialized.device)
+        return self._scratch[name]
 
     def clear(self, plates: int) -> None:
         """Put the first plates, and the number beyond them, at rest; the load fields stay."""
+        if self.attached.size:
+            self.attached.zero_()
         if CLEAR_SHARE * plates >= self.capacity:
-            self.moves.zero_()
+            self.fields_memory.zero_()
             return
         for field in (self.u, self.rate, self.squares, self.u_next, self.rate_next):
             field[: plates + 1].zero_()
@@ -94,6 +121,12 @@ class State:
 # advance(state, plates, start, stop) takes the first ``plates`` plates from step ``start`` to ``stop``. When it returns
 # the work is done on CPU, and queued on the device's stream on CUDA.
 Advance = Callable[[State, int, int, int], None]
+
+
+def attached_masses(specialized: Specialized) -> int:
+    """Return how many masses are attached to the plate."""
+    bending = specialized.scheme.bending
+    return len(bending.attachments) if bending is not None else 0
 
 
 def bytes_per_plate(specialized: Specialized, traced_nodes: int) -> int:
@@ -106,12 +139,3 @@ def bytes_per_plate(specialized: Specialized, traced_nodes: int) -> int:
     numbers = fields * rows * stride + (traced_nodes + waves) * steps
     places = specialized.patches.shape[0] * (sum(specialized.scheme.nodes) + 4)
     return numbers * itemsize + 8 * (regions * (stride + 1) + (places if discretization.per_plate.centre else 0))
-
-
-def _repeated(wave: wp.array, plates: int) -> wp.array:
-    """Return one wave (steps, terms) as that of all plates, without a copy: the stride between plates is zero."""
-    repeated: wp.array = wp.array(
-        ptr=wave.ptr, dtype=wave.dtype, shape=(plates, *wave.shape), strides=(0, *wave.strides), device=wave.device
-    )
-    repeated._ref = wave  # type: ignore[assignment]  # keeps the memory alive
-    return repeated

@@ -14,7 +14,7 @@ from warp_plate.solve.state import Advance, State
 
 # ``wp.launch``, or a function with its arguments that records the launch instead.
 Launcher = Callable[..., Any]
-# Launches that are recorded together; even, so that buffers that take turns end where they began.
+# Launches that are recorded together; even, so that alternating buffers end where they began.
 STEPS = 16
 # (launch, state, plates, clock, offset): make the launches of step clock[0] + offset.
 Step = Callable[[Launcher, State, int, wp.array, int], None]
@@ -25,14 +25,14 @@ LaunchTiles = Callable[[Launcher, State, int, wp.array, int, int, bool], None]
 def repeat(device: wp.Device, launches: Callable[..., object], state: State, *numbers: int) -> None:
     """Run ``launches(wp.launch, state, *numbers)``, recorded when it is called with these numbers for the first time.
 
-    Recordings are kept with the state, because they hold its addresses: as a CUDA graph, on CPU as a list. Buffers that
-    take turns must end where they began. No other thread may use the device's stream meanwhile.
+    Recordings are kept with the state, because they hold its addresses: as a CUDA graph, on CPU as a list. Buffers
+    that alternate must end where they began. No other thread may use the device's stream meanwhile.
     """
-    # A state may have other waves the next time, and buffers may have been left in the other turn.
+    # A state may have other waves the next time, and its alternating buffers may have been left exchanged.
     key = (launches, *numbers, state.has_plate_waves, state.u.ptr)
-    if key not in state.beside:
-        state.beside[key] = _record(device, lambda launch: launches(launch, state, *numbers))
-    state.beside[key]()
+    if key not in state.recordings:
+        state.recordings[key] = _record(device, lambda launch: launches(launch, state, *numbers))
+    state.recordings[key]()
 
 
 def _record(device: wp.Device, launches: Callable[[Launcher], object]) -> Callable[[], object]:
@@ -56,9 +56,8 @@ def record_nodes(
 ) -> None:
     """Record the traced nodes of a state, if there are any, at step clock[0] + offset."""
     if state.nodes.shape[0]:
-        inputs, outputs = [clock, offset, state.nodes, state.u], [state.trace]
-        dim = (plates, state.nodes.shape[0])
-        launch(record_trace, dim=dim, inputs=inputs, outputs=outputs, device=clock.device)
+        inputs = [clock, offset, state.fields]
+        launch(record_trace, dim=(plates, state.nodes.shape[0]), inputs=inputs, device=clock.device)
 
 
 def step_by_step(specialized: Specialized, step: Step) -> Advance:
@@ -92,7 +91,7 @@ def several_steps_a_launch(specialized: Specialized, most_levels: int, launch_ti
     def launches(launch: Launcher, state: State, plates: int, count: int, levels: int, summed: bool) -> None:
         for index in range(count):
             launch_tiles(launch, state, plates, clock, index * levels, levels, summed)
-            state.take_turns()
+            state.alternate()
             record_nodes(launch, record_trace, state, plates, clock, index)
         launch(streaming.advance_clock, dim=1, inputs=[clock, count * levels], device=device)
 
@@ -147,9 +146,8 @@ def streaming_path(specialized: Specialized) -> Advance:
         launch(
             update_nodes,
             dim=(plates, ny - 2, nx - 2),
-            inputs=[specialized.parameters, move_x, move_y, state.wave, window, clock, offset]
-            + [state.in_phase, state.quadrature, curvature],
-            outputs=[state.u, state.rate, state.squares],
+            inputs=[specialized.parameters, move_x, move_y, window, clock, offset, state.drive, curvature],
+            outputs=[state.fields],
             device=device,
         )
 

@@ -27,7 +27,7 @@ from warp_plate.problem.problem import Problem
 from warp_plate.result.case import Case
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.solve.peak import run_with_peaks
+from warp_plate.solve.run import run_with_peaks
 from warp_plate.solve.solver import PlateSolver
 
 # √λ relative to the largest singular value of √W H: combinations of actuators that move the plate less than this part

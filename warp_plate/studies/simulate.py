@@ -18,8 +18,7 @@ from warp_plate.result.model import Result, load_result
 from warp_plate.result.targets import target_regions
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene, SceneSource
-from warp_plate.solve.peak import run_with_peaks
-from warp_plate.solve.run import Progress, Run
+from warp_plate.solve.run import Progress, Run, run_with_peaks
 from warp_plate.solve.solver import PlateSolver
 from warp_plate.studies.grid_choice import ResolvedGrid, estimate_error, resolve_grid
 from warp_plate.studies.provenance import device_name, run_fields, versions
