@@ -118,20 +118,14 @@ def _check_name(name: str) -> None:
 
 @dataclass(frozen=True)
 class PlateField:
-    """A field over the plate that can be shown in colour.
+    """A field over the plate that can be shown in colour."""
 
-    Attributes:
-        label: text above the colour bar.
-        unit: SI unit without a prefix.
-        kind: "signed" (limits symmetric about zero), "positive" (from zero) or "cyclic" (an angle, −π … π).
-        cmap: name of the colour map, see :func:`colour_map`.
-        values: function from a motion to (frames, ny, nx) values, or (1, ny, nx) for a field constant in time.
-    """
-
-    label: str
-    unit: str
+    label: str  # text above the colour bar
+    unit: str  # SI unit without a prefix
+    # "signed" (limits symmetric about zero), "positive" (from zero) or "cyclic" (an angle, −π … π)
     kind: Literal["signed", "positive", "cyclic"]
-    cmap: str
+    cmap: str  # name of the colour map, see :func:`colour_map`
+    # function from a motion to (frames, ny, nx) values, or (1, ny, nx) for a field constant in time
     values: Callable[[Motion], np.ndarray]
 
     @property
@@ -154,23 +148,14 @@ MODE = PlateField("displacement\nover its largest", "", "signed", "coolwarm", la
 
 @dataclass(frozen=True)
 class DrawingScale:
-    """The scale of a picture, shared by all pictures that are to be compared.
+    """The scale of a picture, shared by all pictures that are to be compared."""
 
-    Attributes:
-        limit: end of the colour map in the SI unit of the field.
-        warp_factor: factor by which displacements are exaggerated as heights.
-        unit: unit of the colour bar.
-        unit_factor: number of these units in one SI unit.
-        field: field shown in colour.
-        colormap: name of a colour map (default: that of the field).
-    """
-
-    limit: float
-    warp_factor: float
-    unit: str
-    unit_factor: float
-    field: PlateField = DISPLACEMENT
-    colormap: str | None = None
+    limit: float  # end of the colour map in the SI unit of the field
+    warp_factor: float  # factor by which displacements are exaggerated as heights
+    unit: str  # unit of the colour bar
+    unit_factor: float  # number of these units in one SI unit
+    field: PlateField = DISPLACEMENT  # field shown in colour
+    colormap: str | None = None  # name of a colour map (default: that of the field)
 
     @property
     def cmap(self) -> str:

@@ -45,19 +45,12 @@ ENDINGS = (".png", *PLOTS, *MOVIES, ".html")
 
 @dataclass(frozen=True)
 class PictureStyle:
-    """Style of pictures and movies of motions.
+    """Style of pictures and movies of motions."""
 
-    Attributes:
-        quantity: field in colour, a key of FIELDS.
-        width: width of one plate's picture, without the legend [pixels].
-        heights: factor by which heights are exaggerated (default: to suit the picture).
-        colours: colour map and limits of the field.
-    """
-
-    quantity: str = "displacement"
-    width: int = 560
-    heights: float | None = None
-    colours: ColourOptions = DEFAULT_COLOURS
+    quantity: str = "displacement"  # field in colour, a key of FIELDS
+    width: int = 560  # width of one plate's picture, without the legend [pixels]
+    heights: float | None = None  # factor by which heights are exaggerated (default: to suit the picture)
+    colours: ColourOptions = DEFAULT_COLOURS  # colour map and limits of the field
 
     @property
     def font_size(self) -> int:

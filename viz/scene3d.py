@@ -32,17 +32,11 @@ PLATES_PER_ROW = 3
 
 @dataclass(frozen=True)
 class SurfaceLines:
-    """Lines that lie on the triangles of the surface.
+    """Lines that lie on the triangles of the surface."""
 
-    Attributes:
-        mesh: straight segments, each within one triangle.
-        nodes: (points, 3) corners of the triangle that holds each point.
-        weights: (points, 3) barycentric coordinates of the points in their triangles.
-    """
-
-    mesh: pyvista.PolyData
-    nodes: np.ndarray
-    weights: np.ndarray
+    mesh: pyvista.PolyData  # straight segments, each within one triangle
+    nodes: np.ndarray  # (points, 3) corners of the triangle that holds each point
+    weights: np.ndarray  # (points, 3) barycentric coordinates of the points in their triangles
 
 
 class PlateMeshes:

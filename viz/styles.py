@@ -17,19 +17,12 @@ Path = list[tuple[float, float]]
 
 @dataclass(frozen=True)
 class EdgeStyle:
-    """Line style of one kind of edge.
+    """Line style of one kind of edge."""
 
-    Attributes:
-        colour: #rrggbb.
-        width: line width [pt].
-        dashes: Matplotlib line style of plots; lines in 3-D are solid.
-        label: text of the legend.
-    """
-
-    colour: str
-    width: float
-    dashes: str
-    label: str
+    colour: str  # #rrggbb
+    width: float  # line width [pt]
+    dashes: str  # Matplotlib line style of plots; lines in 3-D are solid
+    label: str  # text of the legend
 
     @property
     def matplotlib(self) -> dict[str, Any]:

@@ -34,7 +34,7 @@ def check(
     scene: options.SceneName,
     /,
     *,
-    changes: options.SceneOptions = options.SCENE,
+    changes: options.SceneOptions = options.SceneOptions(),
     device: options.Device = "auto",
     allow_unstable: options.AllowUnstable = False,
     json: options.Json = False,
@@ -64,7 +64,7 @@ def effects(
     scene: options.SceneName,
     /,
     *,
-    changes: options.SceneOptions = options.SCENE,
+    changes: options.SceneOptions = options.SceneOptions(),
     device: options.Device = "auto",
     json: options.Json = False,
 ) -> None:
@@ -142,7 +142,7 @@ def accuracy(
     budget: float = 120.0,
     path: options.Stepping = "auto",
     out: Path | None = None,
-    files: options.FileOptions = options.FILES,
+    files: options.FileOptions = options.FileOptions(),
 ) -> None:
     """Measure error against run time for a scene, and recommend grids for errors from 10 % to 0.1 %.
 

@@ -46,18 +46,15 @@ class TrialOptions:
     evaluator: Literal["direct", "response", "modal"] | None = None
 
 
-TRIALS = TrialOptions()
-
-
 def compare(
     scene: options.SceneName,
     /,
     *,
     assignments: options.Assignments = None,
-    trials: TrialOptions = TRIALS,
-    workers: options.WorkerOptions = options.WORKERS,
+    trials: TrialOptions = TrialOptions(),
+    workers: options.WorkerOptions = options.WorkerOptions(),
     out: Path | None = None,
-    files: options.FileOptions = options.FILES,
+    files: options.FileOptions = options.FileOptions(),
 ) -> None:
     """Compare search methods on a scene: each from several seeds, with the same number of evaluations.
 

@@ -30,15 +30,12 @@ class PageOptions:
     port: int = 8080
 
 
-PAGE = PageOptions()
-
-
 def explore(
     scene: options.SceneName,
     /,
     *,
-    changes: options.SceneOptions = options.SCENE,
-    page: PageOptions = PAGE,
+    changes: options.SceneOptions = options.SceneOptions(),
+    page: PageOptions = PageOptions(),
     device: options.Device = "auto",
     path: options.SteppingOrModes = "auto",
     colormap: options.Colormap = None,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from cyclopts import Parameter
 
 from warp_plate.cli import options, output
-from warp_plate.cli.render import FRAMES, FrameOptions, select_cases, span_of
+from warp_plate.cli.render import FrameOptions, select_cases, span_of
 from warp_plate.result.export import Format
 from warp_plate.scene.errors import SceneError, printable
 
@@ -54,16 +54,13 @@ class SignalOptions:
     encoding: Literal["float32", "pcm16", "pcm24"] | None = None
 
 
-SIGNAL_OPTIONS = SignalOptions()
-
-
 def export(
     result: options.ResultFile,
     /,
     *,
     to: Format,
-    shown: FrameOptions = FRAMES,
-    signal: SignalOptions = SIGNAL_OPTIONS,
+    shown: FrameOptions = FrameOptions(),
+    signal: SignalOptions = SignalOptions(),
     out: Path | None = None,
     preview: Path | None = None,
     json: options.Json = False,

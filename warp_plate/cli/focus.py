@@ -38,8 +38,8 @@ def focus(
     waveforms: Path | None = None,
     rank: str | None = None,
     out: Path | None = None,
-    files: options.FileOptions = options.FILES,
-    colours: options.ColourChoice = options.COLOURS,
+    files: options.FileOptions = options.FileOptions(),
+    colours: options.ColourChoice = options.ColourChoice(),
 ) -> None:
     """Compute a waveform for each actuator, so that the plate moves most at a point and a moment.
 

@@ -56,18 +56,15 @@ class ResponseOptions:
     rate: int = 48000
 
 
-RESPONSES = ResponseOptions()
-
-
 def frf(
     scene: options.SceneName,
     /,
     *,
     assignments: options.Assignments = None,
-    responses: ResponseOptions = RESPONSES,
+    responses: ResponseOptions = ResponseOptions(),
     to: Annotated[list[Format] | None, Parameter(negative="")] = None,
     out: Path | None = None,
-    files: options.FileOptions = options.FILES,
+    files: options.FileOptions = options.FileOptions(),
 ) -> None:
     """Show frequency responses of a linear plate, its localization factor and its mean square velocity.
 

@@ -64,20 +64,17 @@ class SearchOptions:
     resume: Path | None = None
 
 
-SEARCH = SearchOptions()
-
-
 def localize(
     scene: options.SceneName | None = None,
     /,
     *,
-    changes: options.SceneOptions = options.SCENE,
-    search: SearchOptions = SEARCH,
-    workers: options.WorkerOptions = options.WORKERS,
+    changes: options.SceneOptions = options.SceneOptions(),
+    search: SearchOptions = SearchOptions(),
+    workers: options.WorkerOptions = options.WorkerOptions(),
     checkpoint_every: options.CheckpointEvery = 30.0,
     out: Path | None = None,
-    files: options.FileOptions = options.FILES,
-    colours: options.ColourChoice = options.COLOURS,
+    files: options.FileOptions = options.FileOptions(),
+    colours: options.ColourChoice = options.ColourChoice(),
 ) -> None:
     """Search for the drive that puts most of the plate's kinetic energy into the target.
 

@@ -33,7 +33,7 @@ def fit(
     data: Annotated[list[Path], Parameter(negative="")],
     assignments: options.Assignments = None,
     out: Path | None = None,
-    files: options.FileOptions = options.FILES,
+    files: options.FileOptions = options.FileOptions(),
 ) -> None:
     """Fit properties of a panel to its measured natural frequencies or frequency responses, with 95 % intervals.
 

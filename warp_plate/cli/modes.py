@@ -42,15 +42,12 @@ class ModeOptions:
     accuracy: str | None = None
 
 
-SIX = ModeOptions()
-
-
 def modes(
     scene: options.SceneName,
     /,
     *,
     assignments: options.Assignments = None,
-    shown: ModeOptions = SIX,
+    shown: ModeOptions = ModeOptions(),
     out: Path | None = None,
     pictures: options.Pictures = True,
     colormap: options.Colormap = None,

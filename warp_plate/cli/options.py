@@ -164,6 +164,3 @@ class ColourChoice:
         from warp_plate.viz.fields import colour_options
 
         return colour_options(self.colormap, self.limits)
-
-
-SCENE, FILES, WORKERS, COLOURS = SceneOptions(), FileOptions(), WorkerOptions(), ColourChoice()

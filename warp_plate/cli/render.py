@@ -99,16 +99,13 @@ class PictureOptions:
     width: Annotated[int, Parameter(validator=Number(gte=120, lte=4000))] = 560
 
 
-FRAMES, PLAYBACK, PICTURE = FrameOptions(), PlaybackOptions(), PictureOptions()
-
-
 def view(
     result: options.ResultFile,
     /,
     *,
-    playback: PlaybackOptions = PLAYBACK,
-    colours: options.ColourChoice = options.COLOURS,
-    frames: FrameOptions = FRAMES,
+    playback: PlaybackOptions = PlaybackOptions(),
+    colours: options.ColourChoice = options.ColourChoice(),
+    frames: FrameOptions = FrameOptions(),
 ) -> None:
     """Show the plates of a result in motion, in a window; the key h lists what its keys do.
 
@@ -138,10 +135,10 @@ def render(
     *,
     out: Annotated[list[Path] | None, Parameter(negative="")] = None,
     figures: Literal["paper"] | None = None,
-    playback: PlaybackOptions = PLAYBACK,
-    colours: options.ColourChoice = options.COLOURS,
-    shown: FrameOptions = FRAMES,
-    picture: PictureOptions = PICTURE,
+    playback: PlaybackOptions = PlaybackOptions(),
+    colours: options.ColourChoice = options.ColourChoice(),
+    shown: FrameOptions = FrameOptions(),
+    picture: PictureOptions = PictureOptions(),
     json: options.Json = False,
 ) -> None:
     """Draw pictures, movies and pages of a result; needs no display.

@@ -27,19 +27,16 @@ class RunOptions:
     allow_unstable: options.AllowUnstable = False
 
 
-RUN = RunOptions()
-
-
 def simulate(
     scene: options.SceneName,
     /,
     *,
-    changes: options.SceneOptions = options.SCENE,
+    changes: options.SceneOptions = options.SceneOptions(),
     drive: str = "scene",
-    run: RunOptions = RUN,
+    run: RunOptions = RunOptions(),
     out: Path | None = None,
-    files: options.FileOptions = options.FILES,
-    colours: options.ColourChoice = options.COLOURS,
+    files: options.FileOptions = options.FileOptions(),
+    colours: options.ColourChoice = options.ColourChoice(),
 ) -> None:
     """Run one plate under one drive.
 

@@ -57,19 +57,16 @@ class SweepOptions:
     resume: Path | None = None
 
 
-POINTS = SweepOptions()
-
-
 def sweep(
     scene: options.SceneName | None = None,
     /,
     *,
     assignments: options.Assignments = None,
-    points: SweepOptions = POINTS,
-    workers: options.WorkerOptions = options.WORKERS,
+    points: SweepOptions = SweepOptions(),
+    workers: options.WorkerOptions = options.WorkerOptions(),
     checkpoint_every: options.CheckpointEvery = 30.0,
     out: Path | None = None,
-    files: options.FileOptions = options.FILES,
+    files: options.FileOptions = options.FileOptions(),
     colormap: options.Colormap = None,
 ) -> None:
     """Compute the results of one command over many scenes that differ in the values of some keys.

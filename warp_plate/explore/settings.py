@@ -18,34 +18,21 @@ MIN_STEPS_PER_PERIOD = 4  # if the scene fixes the time step
 
 @dataclass(frozen=True)
 class SliderRanges:
-    """Ends of the sliders.
+    """Ends of the sliders."""
 
-    Attributes:
-        magnitude: Largest magnitude of an actuator [N/m²]; the least is 0.
-        damping: Largest viscous damping [N·s/m³]; the least is 0.
-        frequency: Least and largest frequency of the drive [Hz].
-    """
-
-    magnitude: float
-    damping: float
-    frequency: tuple[float, float]
+    magnitude: float  # largest magnitude of an actuator [N/m²]; the least is 0
+    damping: float  # largest viscous damping [N·s/m³]; the least is 0
+    frequency: tuple[float, float]  # least and largest frequency of the drive [Hz]
 
 
 @dataclass(frozen=True)
 class LiveSettings:
-    """Positions of the sliders.
+    """Positions of the sliders."""
 
-    Attributes:
-        frequency: Frequency of the drive [Hz].
-        damping: Viscous damping [N·s/m³].
-        magnitude: Magnitude of each actuator [N/m²].
-        phase: Phase lag of each actuator [rad].
-    """
-
-    frequency: float
-    damping: float
-    magnitude: tuple[float, ...]
-    phase: tuple[float, ...]
+    frequency: float  # frequency of the drive [Hz]
+    damping: float  # viscous damping [N·s/m³]
+    magnitude: tuple[float, ...]  # magnitude of each actuator [N/m²]
+    phase: tuple[float, ...]  # phase lag of each actuator [rad]
 
     @property
     def phasors(self) -> np.ndarray:
