@@ -83,39 +83,12 @@ def export(
     preview
         drive-wav: a picture (.png, .svg or .pdf) of the channels of the first file, of ten periods or of a waveform.
     """
-    ending, taken = FORMATS[to]
-    target = output.output_file(out, f"{result.stem}{ending}")
-    series, signals = output.attributes(shown, *SERIES), vars(signal)
-    for name, value in {**series, **signals}.items():
-        name = name.replace("_", "-")
-        if value is not None and name not in taken:
-            raise SceneError(f"--{name} {value}: has no effect with --to {to}; leave it out")
-    if shown.device is not None and shown.start is shown.end is shown.frames is None:
-        raise SceneError(f"--device {shown.device}: nothing is run without --frames, --start or --end; leave it out")
-    if preview is not None and (to != "drive-wav" or preview.suffix.lower() not in PICTURES):
-        raise SceneError(f"--preview {preview}: must end with {', '.join(PICTURES)}, and is for --to drive-wav")
-    if preview is not None and (problem := output.writing_problem(preview)):
-        raise SceneError(f"--preview {preview}: {problem}")
-    from warp_plate.analysis.export import DRIVES, export
-    from warp_plate.result.focus import load_focus
-    from warp_plate.result.hdf5 import describe_file
-    from warp_plate.result.model import load_result
+    target = output.output_file(out, f"{result.stem}{FORMATS[to][0]}")
+    _check_options(to, shown, signal, preview)
+    from warp_plate.analysis.export import export
 
-    span = None
-    if describe_file(result) == "a focus":
-        if to not in DRIVES or (name := next((key for key in SIGNAL[:2] if signals[key]), "")):
-            what = f"--to {to}" if to not in DRIVES else f"--{name} {signals[name]}"
-            raise SceneError(
-                f"{what}: {result} has waveforms of a given rate and duration, for drive-wav and drive-csv"
-            )
-        loaded: Result | FocusResult = load_focus(result)
-    else:
-        loaded = load_result(result)
-        select_cases(loaded, result, shown.case)
-        if to in DRIVES and len(shown.case or ()) > 1:
-            raise SceneError(f"--case {' '.join(shown.case or ())}: a file holds one drive; name one case")
-        span = span_of(shown, loaded.scene.window.end)
-    given = {**signals, "frames": shown.frames, "device": shown.device}
+    loaded, span = _load(result, to, shown, signal)
+    given = {**vars(signal), "frames": shown.frames, "device": shown.device}
     arguments: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     with output.progress_bar("simulating", shown=not json) as show:
         try:
@@ -128,6 +101,42 @@ def export(
     output.report(json, lambda: answer, lambda _: _print(exported.files, to, exported.contents))
     for line in [f"wrote {preview}"] * bool(drawn) + [missing] * bool(missing):
         print(line, file=sys.stderr if json else sys.stdout)
+
+
+def _check_options(to: Format, shown: FrameOptions, signal: SignalOptions, preview: Path | None) -> None:
+    """Refuse options that have no effect, and a preview that cannot be written."""
+    for name, value in {**output.attributes(shown, *SERIES), **vars(signal)}.items():
+        name = name.replace("_", "-")
+        if value is not None and name not in FORMATS[to][1]:
+            raise SceneError(f"--{name} {value}: has no effect with --to {to}; leave it out")
+    if shown.device is not None and shown.start is shown.end is shown.frames is None:
+        raise SceneError(f"--device {shown.device}: nothing is run without --frames, --start or --end; leave it out")
+    if preview is not None and (to != "drive-wav" or preview.suffix.lower() not in PICTURES):
+        raise SceneError(f"--preview {preview}: must end with {', '.join(PICTURES)}, and is for --to drive-wav")
+    if preview is not None and (problem := output.writing_problem(preview)):
+        raise SceneError(f"--preview {preview}: {problem}")
+
+
+def _load(
+    file: Path, to: Format, shown: FrameOptions, signal: SignalOptions
+) -> tuple[Result | FocusResult, tuple[float, float] | None]:
+    """Return a result, or that of ``focus``, and the span of times to export."""
+    from warp_plate.analysis.export import DRIVES
+    from warp_plate.result.focus import load_focus
+    from warp_plate.result.hdf5 import describe_file
+    from warp_plate.result.model import load_result
+
+    signals = vars(signal)
+    if describe_file(file) == "a focus":
+        if to not in DRIVES or (name := next((key for key in SIGNAL[:2] if signals[key]), "")):
+            what = f"--to {to}" if to not in DRIVES else f"--{name} {signals[name]}"
+            raise SceneError(f"{what}: {file} has waveforms of a given rate and duration, for drive-wav and drive-csv")
+        return load_focus(file), None
+    loaded = load_result(file)
+    select_cases(loaded, file, shown.case)
+    if to in DRIVES and len(shown.case or ()) > 1:
+        raise SceneError(f"--case {' '.join(shown.case or ())}: a file holds one drive; name one case")
+    return loaded, span_of(shown, loaded.scene.window.end)
 
 
 def _draw(file: Path, contents: Mapping[str, Any], picture: Path) -> output.Drawn:

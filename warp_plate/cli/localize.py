@@ -15,7 +15,9 @@ from warp_plate.scene.errors import SceneError
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from warp_plate.result.checkpoint import Checkpoint
     from warp_plate.result.model import Result
+    from warp_plate.scene.model import Scene
     from warp_plate.studies.checkpointing import CheckpointFile
     from warp_plate.viz.fields import ColourOptions
 
@@ -104,37 +106,24 @@ def localize(
     out
         The result file (.h5; default: SCENE-localize.h5 in this folder; with --resume beside the checkpoint).
     """
-    resume = search.resume
-    if scene is None and resume is None:
-        raise SceneError("localize needs a SCENE (a preset's name or a TOML file), or --resume FILE")
-    chosen = colours.chosen()
+    resume, chosen = search.resume, colours.chosen()
     default = f"{Path(scene or '').stem}-localize.h5"
-    target = output.output_file(
-        out or (resume and _result_beside(resume)), default, holds="a result of localize", force=files.force
-    )
+    beside = None if resume is None else _result_beside(resume)
+    target = output.output_file(out or beside, default, holds="a result of localize", force=files.force)
     output.check_replaceable(target.with_suffix(".best.toml"), "# Found by: warp-plate localize", files.force)
-    loaded = None
-    if scene is not None:
-        loaded, scene = changes.load(scene)
-    elif changes.assignments:
-        first = f"--set {changes.assignments[0]}"
-        raise SceneError(f"{first}: changes a SCENE, but an unfinished search has its own; leave it out")
-    from warp_plate.result.checkpoint import ENDING, load_newest
+    needs = "localize needs a SCENE (a preset's name or a TOML file)"
+    loaded, scene = changes.load_unless_resumed(scene, resume, needs, "search")
+    from warp_plate.result.checkpoint import ENDING
     from warp_plate.studies.checkpointing import CheckpointFile
-    from warp_plate.studies.localize import load_to_resume
     from warp_plate.studies.localize import localize as run_localize
     from warp_plate.studies.localize import resume as run_resume
 
+    # A search that is resumed runs on the device that it began on unless --device names another.
+    local = workers.local_device if resume is None else replace(workers, devices=None).local_device
     checkpoint = None
-    local = workers.local_device
-    given: dict[str, Any] = {"seed": search.seed, "evaluator": search.evaluator}
     if resume is not None:
-        if loaded is None and changes.accuracy is not None:
-            loaded = output.with_accuracy_option(load_newest(resume)[0].scene_as_written, changes.accuracy)
-        # A search that is resumed runs on the device that it began on unless --device names another.
-        local = replace(workers, devices=None).local_device
         with output.scene_errors(scene or "--accuracy"):
-            checkpoint = load_to_resume(resume, loaded, local, output.log, path=workers.path, **given)
+            loaded, checkpoint = _load_checkpoint(resume, search, loaded, changes.accuracy, local, workers.path)
     output.check_replaceable(target.with_suffix(ENDING), "a checkpoint", files.force or resume is not None)
     file = CheckpointFile(target.with_suffix(ENDING), checkpoint_every, resume is not None, output.log)
     if checkpoint is None and file.path.exists():
@@ -160,12 +149,26 @@ def localize(
             result = run_resume(checkpoint, local, **common)
         else:
             assert loaded is not None
-            on, path = "auto" if local is None else local, workers.path or "auto"
-            result = run_localize(loaded, source=scene or "", device=on, path=path, **given, **common)
+            common |= {"seed": search.seed, "evaluator": search.evaluator, "path": workers.path or "auto"}
+            on = "auto" if local is None else local
+            result = run_localize(loaded, source=scene or "", device=on, **common)
     written = _write(result, target, files.pictures, file, chosen)
     left = file.path if result.interrupted and file.saved else None
     elapsed = None if resume is not None else main.elapsed()
     output.report(files.json, partial(_as_json, left), partial(_print, elapsed), result, written=written)
+
+
+def _load_checkpoint(
+    file: Path, search: SearchOptions, scene: Scene | None, accuracy: str | None, device: str | None, path: str | None
+) -> tuple[Scene | None, Checkpoint]:
+    """Return the scene with its accuracy, if one of them is given, and the checkpoint of a search to continue."""
+    from warp_plate.result.checkpoint import load_newest
+    from warp_plate.studies.localize import load_to_resume
+
+    if scene is None and accuracy is not None:
+        scene = output.with_accuracy_option(load_newest(file)[0].scene_as_written, accuracy)
+    given: dict[str, Any] = {"seed": search.seed, "evaluator": search.evaluator, "path": path}
+    return scene, load_to_resume(file, scene, device, output.log, **given)
 
 
 def _result_beside(checkpoint: Path) -> Path:

@@ -85,8 +85,6 @@ def sweep(
         unfinished one).
     """
     resume, seed, samples = points.resume, points.seed, points.samples
-    if scene is None and resume is None:
-        raise SceneError("sweep needs a SCENE (a preset's name or a TOML file) and --vary KEY=RANGE, or --resume FILE")
     if seed is not None and samples is None:
         raise SceneError(f"--seed {seed}: is the seed of samples; give --samples N as well, or leave it out")
     if colormap is not None:
@@ -95,11 +93,8 @@ def sweep(
         raise SceneError(f"--samples {samples}: are drawn from the ranges of --vary; give those too, or leave it out")
     beside = None if resume is None else resume.parent / resume.name.replace(".checkpoint.h5", ".h5")
     target = output.output_file(out or beside, f"{Path(scene or '').stem}-sweep.h5")
-    loaded = None
-    if scene is not None:
-        loaded, scene = output.load_scene(scene, assignments)
-    elif assignments:
-        raise SceneError(f"--set {assignments[0]}: changes a SCENE, but an unfinished sweep has its own; leave it out")
+    needs = "sweep needs a SCENE (a preset's name or a TOML file) and --vary KEY=RANGE"
+    loaded, scene = options.SceneOptions(assignments).load_unless_resumed(scene, resume, needs, "sweep")
     from warp_plate.studies.checkpointing import SweepFile
     from warp_plate.studies.sweep import run_sweep
     from warp_plate.studies.sweep_file import SweepRequest, open_sweep, save_finished
