@@ -31,23 +31,14 @@ class MethodError(ValueError):
 
 @dataclass(frozen=True)
 class SearchSpace:
-    """The components of a position, without their meaning.
+    """The components of a position, without their meaning."""
 
-    Attributes:
-        names: (dimension,) names for people, such as "phase of upper left".
-        lower: (dimension,) lower limits; −∞ where there is none.
-        upper: (dimension,) upper limits; ∞ where there is none.
-        initial_lower: (dimension,) lower ends of the ranges in which a search begins.
-        initial_upper: (dimension,) upper ends of these ranges.
-        period: (dimension,) periods of numbers that wrap, which have no limits; ∞ for all others.
-    """
-
-    names: tuple[str, ...]
-    lower: np.ndarray
-    upper: np.ndarray
-    initial_lower: np.ndarray
-    initial_upper: np.ndarray
-    period: np.ndarray
+    names: tuple[str, ...]  # (dimension,) names for people, such as "phase of upper left"
+    lower: np.ndarray  # (dimension,) lower limits; −∞ where there is none
+    upper: np.ndarray  # (dimension,) upper limits; ∞ where there is none
+    initial_lower: np.ndarray  # (dimension,) lower ends of the ranges in which a search begins
+    initial_upper: np.ndarray  # (dimension,) upper ends of these ranges
+    period: np.ndarray  # (dimension,) periods of numbers that wrap, which have no limits; ∞ for all others
 
     @property
     def dimension(self) -> int:

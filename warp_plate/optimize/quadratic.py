@@ -33,20 +33,14 @@ NEAR = 1e-9
 
 @dataclass(frozen=True)
 class Quadratic:
-    """A problem with energies that are quadratic forms of phasors, so that no plate needs to be run.
+    """A problem with energies that are quadratic forms of phasors, so that no plate needs to be run."""
 
-    Attributes:
-        matrices: (regions, 2M, 2M) symmetric A_r.
-        phasors: function from positions (n, dimension) to phasors (n, M).
-        positions: function from phasors (n, M) to positions (n, dimension), as near as the space allows.
-        losses_of: function from energies (n, regions) to losses (n,).
-        ratio: indices of two regions where the loss is 1 − E_first / E_second and nothing else; None for other losses.
-    """
-
-    matrices: np.ndarray
-    phasors: Callable[[np.ndarray], np.ndarray]
+    matrices: np.ndarray  # (regions, 2M, 2M) symmetric A_r
+    phasors: Callable[[np.ndarray], np.ndarray]  # function from positions (n, dimension) to phasors (n, M)
+    # function from phasors (n, M) to positions (n, dimension), as near as the space allows
     positions: Callable[[np.ndarray], np.ndarray]
-    losses_of: Callable[[np.ndarray], np.ndarray]
+    losses_of: Callable[[np.ndarray], np.ndarray]  # function from energies (n, regions) to losses (n,)
+    # indices of two regions where the loss is 1 − E_first / E_second and nothing else; None for other losses
     ratio: tuple[int, int] | None = None
 
     def energies(self, positions: np.ndarray) -> np.ndarray:

@@ -24,23 +24,15 @@ from warp_plate.solve.run import Run, record_times, run_with_peaks
 
 @dataclass(frozen=True)
 class EvaluatedCases:
-    """Cases of a result and the run that gave the best of them.
+    """Cases of a result and the run that gave the best of them."""
 
-    Attributes:
-        cases: cases by name: "equal", "single" and "best".
-        scene: scene of ``run``.
-        phasors: (actuators,) phasors of the plates of ``run``: of the best case, or of all that differ in nothing else.
-        run: the run.
-        peak: largest displacement of the best case [m], see ``Result``.
-        node_steps: node-steps of solvers beside the problem's.
-    """
-
-    cases: dict[str, Case]
-    scene: Scene
+    cases: dict[str, Case]  # cases by name: "equal", "single" and "best"
+    scene: Scene  # scene of ``run``
+    # (actuators,) phasors of the plates of ``run``: of the best case, or of all that differ in nothing else
     phasors: dict[str, np.ndarray]
     run: Run
-    peak: float
-    node_steps: int
+    peak: float  # largest displacement of the best case [m], see ``Result``
+    node_steps: int  # node-steps of solvers beside the problem's
 
 
 def evaluate_cases(problem: Problem, single: int, position: np.ndarray | None) -> EvaluatedCases:
@@ -81,10 +73,8 @@ def cases_from_run(phasors: dict[str, np.ndarray], run: Run, scene: Scene, peaks
     """Return the plates of a run as cases, by the names of their phasors; ``peaks``: see ``run_with_peaks``."""
     motions = region_motions(scene, run, peaks)
     with np.errstate(over="ignore"):  # beyond float32's range a displacement becomes infinite
-        displacement, trace = (
-            run.displacement.astype(np.float32),
-            run.trace[..., : run.trace_times.size].astype(np.float32),
-        )
+        displacement = run.displacement.astype(np.float32)
+        trace = run.trace[..., : run.trace_times.size].astype(np.float32)
     return {
         name: Case(
             phasors=values,

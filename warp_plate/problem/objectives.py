@@ -31,18 +31,13 @@ OF_THE_REST = " of the rest"
 
 @dataclass(frozen=True)
 class Objectives:
-    """The objectives of a scene on its grid.
+    """The objectives of a scene on its grid."""
 
-    Attributes:
-        terms: the scene's objectives.
-        regions: regions that a solver must sum beside the plate and the target, by name: the cells of the target, as
-            weights (ny, nx), then all targets of a scene with several.
-        sizes: areas and masses of target and rest, and areas of the target's cells.
-    """
-
-    terms: tuple[Objective, ...]
+    terms: tuple[Objective, ...]  # the scene's objectives
+    # regions that a solver must sum beside the plate and the target, by name: the cells of the target, as weights (ny,
+    # nx), then all targets of a scene with several
     regions: Mapping[str, Region]
-    sizes: RegionSizes
+    sizes: RegionSizes  # areas and masses of target and rest, and areas of the target's cells
 
     @property
     def needs_displacement(self) -> bool:

@@ -39,15 +39,10 @@ SLACK = 1e-9
 
 @dataclass(frozen=True)
 class Parametrization:
-    """The design variables of a scene.
+    """The design variables of a scene."""
 
-    Attributes:
-        scene: scene whose time step carries every frequency that may be chosen, see ``with_common_step``.
-        variables: design variables in the order of their numbers in a position.
-    """
-
-    scene: Scene
-    variables: tuple[DesignVariable, ...]
+    scene: Scene  # scene whose time step carries every frequency that may be chosen, see ``with_common_step``
+    variables: tuple[DesignVariable, ...]  # design variables in the order of their numbers in a position
 
     @cached_property
     def space(self) -> SearchSpace:

@@ -22,25 +22,16 @@ from warp_plate.solve.solver import PlateSolver
 
 @dataclass(frozen=True, eq=False)
 class SearchPlates:
-    """Plates that differ in what a search chooses.
+    """Plates that differ in what a search chooses."""
 
-    Attributes:
-        drives: plates that differ in their drives alone.
-        designs: plates of the search; the same where only drives are searched.
-        displacements: plates whose energies are ½ ∫ ρH u² dA [J s²]; None if no objective needs them.
-        response: Gram matrices of ``drives``; None if energies are not quadratic forms of the phasors.
-        displacement_response: Gram matrices of ``displacements``; None as for ``response``.
-        direct: True if plates are simulated even where Gram matrices hold.
-        setup_cost: seconds of compilation and node-steps before the search.
-    """
-
-    drives: Evaluator
-    designs: Evaluator
-    displacements: Evaluator | None
+    drives: Evaluator  # plates that differ in their drives alone
+    designs: Evaluator  # plates of the search; the same where only drives are searched
+    displacements: Evaluator | None  # plates whose energies are ½ ∫ ρH u² dA [J s²]; None if no objective needs them
+    # Gram matrices of ``drives``; None if energies are not quadratic forms of the phasors
     response: Response | None = None
-    displacement_response: Response | None = None
-    direct: bool = False
-    setup_cost: tuple[float, int] = (0.0, 0)
+    displacement_response: Response | None = None  # Gram matrices of ``displacements``; None as for ``response``
+    direct: bool = False  # True if plates are simulated even where Gram matrices hold
+    setup_cost: tuple[float, int] = (0.0, 0)  # seconds of compilation and node-steps before the search
 
     @property
     def evaluators(self) -> set[Evaluator]:

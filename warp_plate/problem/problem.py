@@ -50,28 +50,19 @@ Energies = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A scene's search, compiled. In a robust search all but its losses and their bound is about the nominal plate.
+    """A scene's search, compiled. In a robust search all but its losses and their bound is about the nominal plate."""
 
-    Attributes:
-        parametrization: design variables.
-        objectives: objectives on the scene's grid.
-        plates: plates of the search and their Gram matrices.
-        evaluator_name: "direct" simulates plates, "response" takes energies from their Gram matrices, "modal" computes
-            energies from the modes of the plate.
-        path: path of the kernels, as asked for.
-        pool: workers that run batches; None if this process does.
-        scenario_losses: losses over the scenarios of a robust search; None for other searches.
-        projected: True if each design has its best drive, so that positions hold no magnitudes and phases, see
-            :mod:`drives`.
-    """
-
-    parametrization: Parametrization
-    objectives: Objectives
-    plates: SearchPlates
+    parametrization: Parametrization  # design variables
+    objectives: Objectives  # objectives on the scene's grid
+    plates: SearchPlates  # plates of the search and their Gram matrices
+    # "direct" simulates plates, "response" takes energies from their Gram matrices, "modal" computes energies from the
+    # modes of the plate
     evaluator_name: str
-    path: str
-    pool: WorkerPool | None
+    path: str  # path of the kernels, as asked for
+    pool: WorkerPool | None  # workers that run batches; None if this process does
+    # losses over the scenarios of a robust search; None for other searches
     scenario_losses: ScenarioLosses | None = None
+    # True if each design has its best drive, so that positions hold no magnitudes and phases, see :mod:`drives`
     projected: bool = False
 
     @property

@@ -30,17 +30,12 @@ BLOCK = 2**22
 
 @dataclass(frozen=True)
 class ScenarioPlates:
-    """Plates of one scenario.
+    """Plates of one scenario."""
 
-    Attributes:
-        scenario: the panel.
-        objectives: objectives on its grid.
-        evaluators: evaluators of velocities and, if an objective needs them, of displacements; none where Gram
-            matrices stand for them.
-    """
-
-    scenario: Scenario
-    objectives: Objectives
+    scenario: Scenario  # the panel
+    objectives: Objectives  # objectives on its grid
+    # evaluators of velocities and, if an objective needs them, of displacements; none where Gram matrices stand for
+    # them
     evaluators: tuple[Evaluator, ...] = ()
 
     def losses(self, designs: Designs) -> np.ndarray:
@@ -51,18 +46,13 @@ class ScenarioPlates:
 
 @dataclass(frozen=True)
 class ScenarioLosses:
-    """Losses of designs over all scenarios of a search.
+    """Losses of designs over all scenarios of a search."""
 
-    Attributes:
-        scenarios: plates of each scenario.
-        matrices: (scenarios · regions, 2M, 2M) Gram matrices with gains, each scenario's of velocities before those of
-            displacements; None where plates are simulated.
-        setup_cost: seconds of compilation and node-steps of solvers that are not kept.
-    """
-
-    scenarios: tuple[ScenarioPlates, ...]
+    scenarios: tuple[ScenarioPlates, ...]  # plates of each scenario
+    # (scenarios · regions, 2M, 2M) Gram matrices with gains, each scenario's of velocities before those of
+    # displacements; None where plates are simulated
     matrices: np.ndarray | None = None
-    setup_cost: tuple[float, int] = (0.0, 0)
+    setup_cost: tuple[float, int] = (0.0, 0)  # seconds of compilation and node-steps of solvers that are not kept
 
     @property
     def evaluators(self) -> list[Evaluator]:

@@ -29,40 +29,26 @@ PLATE, TARGET = REGIONS.index("plate"), REGIONS.index("target")
 
 @dataclass(frozen=True)
 class RegionSizes:
-    """Sizes to which quantities refer energies.
+    """Sizes to which quantities refer energies."""
 
-    Attributes:
-        areas: (2,) areas of target and rest [m²].
-        masses: (2,) masses of target and rest [kg].
-        cells: (cells,) areas of the target's cells [m²].
-    """
-
-    areas: np.ndarray
-    masses: np.ndarray
-    cells: np.ndarray = field(default_factory=lambda: np.empty(0))
+    areas: np.ndarray  # (2,) areas of target and rest [m²]
+    masses: np.ndarray  # (2,) masses of target and rest [kg]
+    cells: np.ndarray = field(default_factory=lambda: np.empty(0))  # (cells,) areas of the target's cells [m²]
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity of a plate's motion.
+    """A quantity of a plate's motion."""
 
-    Attributes:
-        name: its name in scenes and results.
-        unit: its unit.
-        meaning: its name for people.
-        evaluate: function from energies (plates, regions) of plate, target and the target's cells, and sizes, to values
-            (plates,).
-        squares: motion whose mean squares the energies are.
-        grows_with: what bounds it: the localization factor, the energy of the target, or neither.
-        of_rest: function like ``evaluate`` for the rest of the plate; None if the rest has no such quantity.
-    """
-
-    name: str
-    unit: str
-    meaning: str
+    name: str  # its name in scenes and results
+    unit: str  # its unit
+    meaning: str  # its name for people
+    # function from energies (plates, regions) of plate, target and the target's cells, and sizes, to values (plates,)
     evaluate: Callable[[np.ndarray, RegionSizes], np.ndarray]
-    squares: Literal["velocity", "displacement"] = "velocity"
+    squares: Literal["velocity", "displacement"] = "velocity"  # motion whose mean squares the energies are
+    # what bounds it: the localization factor, the energy of the target, or neither
     grows_with: Literal["localization", "energy"] | None = "localization"
+    # function like ``evaluate`` for the rest of the plate; None if the rest has no such quantity
     of_rest: Callable[[np.ndarray, RegionSizes], np.ndarray] | None = None
 
     @property
