@@ -1,5 +1,5 @@
 """Gram matrices of plates under tones, for modes that damping does not couple; the formulas are those of
-``warp_plate/modal/tones.py`` and ``warp_plate/modal/energy.py``.
+``warp_plate/modal/gram.py``.
 
 Matrices have a row for each mode, or for each free motion in time: the real and the imaginary part of exp(st) of a mode
 that oscillates, or its two decays. They have a column for each actuator of each plate. Regions mix rows, as products of

@@ -5,8 +5,14 @@ import pytest
 import scipy
 
 from warp_plate.focusing import methods
-from warp_plate.focusing.convolution import Convolution
-from warp_plate.focusing.methods import inverse_filter, keep_above, l_curve_condition, optimum, scale_to_limits
+from warp_plate.focusing.methods import (
+    Convolution,
+    inverse_filter,
+    keep_above,
+    l_curve_condition,
+    optimum,
+    scale_to_limits,
+)
 
 SHAPE = (3, 2, 40)  # actuators, foci, samples
 ENERGY, PEAK = 30.0, 0.8

@@ -5,7 +5,7 @@ import pytest
 from conftest import scene_of
 
 from warp_plate import PlateSolver, focus
-from warp_plate.focusing.convolution import Convolution
+from warp_plate.focusing.methods import Convolution
 
 SIZE, RATE, OVERSAMPLED, LEAD, SAMPLES, TONE = (0.06, 0.042), 200_000, 8, 8, 400, 15_000.0
 GLASS = {"size": SIZE, "thickness": 5e-4, "young_modulus": 7e10, "poisson_ratio": 0.22, "density": 2500.0}

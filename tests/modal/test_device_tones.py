@@ -7,10 +7,9 @@ from conftest import scene_of
 
 from warp_plate.modal import device_tones
 from warp_plate.modal.device_tones import DeviceToneMatrices
-from warp_plate.modal.energy import gram_matrices
+from warp_plate.modal.gram import ToneMatrices, gram_matrices
 from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.solver import ModalSolver
-from warp_plate.modal.tones import ToneMatrices
 from warp_plate.plate.designs import Designs, PerPlate
 from warp_plate.solve.devices import find_device
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from warp_plate import Scene
-from warp_plate.modal import energy
-from warp_plate.modal.energy import gram_matrices, mean_exponential, mean_exponential_with_time
+from warp_plate.modal import gram
+from warp_plate.modal.gram import gram_matrices, mean_exponential, mean_exponential_with_time
 from warp_plate.modal.modes import solve_modes
 from warp_plate.scene.model import Window
 from warp_plate.solve.response import Response
@@ -59,7 +59,7 @@ def test_matrices_of_all_poles_are_not_in_memory_as_a_whole(monkeypatch):
     plate, early = solve_modes(Scene.load("paper")), Window(start=0.0, end=0.004)
     found, peaks = [], []
     for rows in (10**6, 50):
-        monkeypatch.setattr(energy, "ROWS", rows)
+        monkeypatch.setattr(gram, "ROWS", rows)
         matrices(plate, early)
         tracemalloc.start()
         found.append(matrices(plate, early))

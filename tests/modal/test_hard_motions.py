@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 from conftest import MATERIAL, scene_of
 
-from warp_plate.modal.energy import energies
+from warp_plate.modal.energies import ModalEnergies
+from warp_plate.modal.gram import gram_matrices
 from warp_plate.modal.modes import solve_modes
-from warp_plate.modal.motion import unit_motion
+from warp_plate.modal.motion import modal_motion
 from warp_plate.modal.slopes import energy_slopes
-from warp_plate.modal.tones import ToneMatrices
-from warp_plate.modal.waveforms import WaveformEnergies
 from warp_plate.optimize.quadratic import quadratic_forms
 
 FREE, SUPPORTED = {"edges": ("free",) * 4}, {"edges": ("supported",) * 4}
@@ -46,8 +45,7 @@ def mean_over_time(plate, regions, corners=()):
     breaks = np.unique(breaks[(breaks >= window.start) & (breaks <= window.end)])
     half = np.diff(breaks)[:, None] / 2
     times = (breaks[:-1, None] + half * (1 + points[0])).ravel()
-    motion = unit_motion(plate, np.eye(len(plate.frequencies)), times, velocity=True)
-    rates = np.einsum("mat,a->mt", motion, PHASORS[0]).real
+    rates = modal_motion(plate, PHASORS, times, velocity=True)[:, 0]
     weights = (half * points[1]).ravel() / (window.end - window.start) / 2
     return np.array([((rates * (region @ rates)).sum(axis=0) * weights).sum() for region in regions])
 
@@ -57,18 +55,13 @@ def test_energies_are_means_over_time(name):
     plate = plate_of(**CASES[name])
     scene, regions = plate.scene, [plate.kinetic_matrix(), plate.kinetic_matrix(plate.scene.target)]
     frequency, forces = np.full((1, 3), scene.drive.frequency), plate.actuator_forces()[None]
-    areas = np.array([[actuator.area for actuator in scene.actuators]])
+    settings = frequency, np.array([[actuator.area for actuator in scene.actuators]]), np.zeros((1, 3))
+    energies, corners = ModalEnergies(plate, regions), () if scene.drive.burst is None else (0.001, 0.003, 0.004)
     found = [
-        energies(plate, regions, PHASORS)[0],
-        energy_slopes(plate, regions, PHASORS, frequency, areas, scene.window).energy[0],
+        quadratic_forms(gram_matrices(plate, regions, forces, frequency, scene.window)[0], PHASORS)[0],
+        energies.slopes(PHASORS, *settings).energy[0],
+        energies.values(PHASORS, *settings)[0],
     ]
-    corners = ()
-    if scene.drive.burst is None:
-        tones = ToneMatrices(plate, regions, scene.window)
-        found.append(quadratic_forms(tones.matrices(frequency, forces)[0], PHASORS)[0])
-    else:
-        corners = (0.001, 0.003, 0.004)
-        found.append(WaveformEnergies(plate, regions).energies(PHASORS, frequency, forces, np.zeros((1, 3)))[0])
     exact = mean_over_time(plate, regions, corners)
     assert np.allclose(found, exact, rtol=5e-5, atol=0)
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from conftest import scene_of
 
-from warp_plate.modal import energy as gram
-from warp_plate.modal.energy import gram_matrices
+from warp_plate.modal import gram
+from warp_plate.modal.gram import gram_matrices
 from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.slopes import energy_slopes
 from warp_plate.modal.solver import ModalSolver

@@ -12,10 +12,10 @@ import pytest
 from conftest import scene_of
 
 from warp_plate import PlateSolver
-from warp_plate.modal.energy import energies, gram_matrices
+from warp_plate.modal.energies import ModalEnergies
+from warp_plate.modal.gram import gram_matrices
 from warp_plate.modal.modes import solve_modes
-from warp_plate.modal.motion import fields, trace, unit_motion
-from warp_plate.modal.waveforms import WaveformEnergies
+from warp_plate.modal.motion import fields, modal_motion, trace
 from warp_plate.optimize.quadratic import quadratic_forms
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
 from warp_plate.reference import series
@@ -40,6 +40,13 @@ def bursts(edges=SUPPORTED, window=(0.004, 0.012), burst=BURST, delays=(None, 0.
     return scene_of(edges=edges, damping=60.0, window=window, **{"drive": drive, **tables}).with_tables(
         actuators=actuators
     )
+
+
+def unit_motion(plate, times, velocity=False):
+    """Return the complex motion (modes, actuators, times) under unit phasors of a plate without a moving load."""
+    one = np.eye(len(plate.scene.actuators))
+    parts = modal_motion(plate, np.concatenate([one, -1j * one]), times, velocity)
+    return parts[:, : len(one)] + 1j * parts[:, len(one) :]
 
 
 def switched_terms(scene, actuator):
@@ -81,7 +88,7 @@ def test_bursts_move_modes_as_tones_that_are_switched(burst):
     plate = solve_modes(bursts(burst=burst))
     times = np.concatenate([np.linspace(0, 0.012, 40), [0.002, 0.0035, 0.0055, 0.007, 0.0031]])
     times = np.random.default_rng(1).permutation(times)
-    motion = unit_motion(plate, np.eye(len(plate.frequencies))[:MODES], times)
+    motion = unit_motion(plate, times)[:MODES]
     for actuator, phasor in enumerate((1.0, -1j, 0.4 + 0.3j)):
         exact = amplitudes(plate, actuator, phasor, times)[:MODES]
         moved = (phasor * motion[:, actuator]).real
@@ -136,7 +143,7 @@ def test_undamped_mode_at_resonance_grows():
     times = np.linspace(0, 0.5, 7)
     omega = plate.angular_frequencies[0]
     exact = plate.actuator_forces()[0, 1] * times * np.sin(omega * times) / (2 * omega)
-    motion = unit_motion(plate, np.eye(len(plate.frequencies))[:1], times)[0, 1].real
+    motion = unit_motion(plate, times)[0, 1].real
     assert np.allclose(motion, exact, rtol=0, atol=1e-4 * np.abs(exact).max())
 
 
@@ -147,7 +154,7 @@ def test_coupled_modes_obey_their_equation():
     plate = solve_modes(bursts(edges=("clamped", "free", "supported", "free"), effects={"oscillators": held}))
     assert not plate.proportional
     step, at = 2e-6, 0.0034  # in a rise, on a plateau, in a rise
-    rest = unit_motion(plate, np.eye(len(plate.frequencies)), at + step * np.array([-1.0, 0.0, 1.0]))
+    rest = unit_motion(plate, at + step * np.array([-1.0, 0.0, 1.0]))
     motion = rest[:40]
     acceleration = (motion[..., 2] - 2 * motion[..., 1] + motion[..., 0]) / step**2
     left = acceleration + plate.damping[:40] @ ((rest[..., 2] - rest[..., 0]) / (2 * step))
@@ -176,8 +183,8 @@ def test_steady_motion_has_the_amplitude_of_late_motion():
     one = {"drive": {"frequency": frequency}, "actuators": actuators_of()[:1]}
     steady = solve_modes(scene.with_tables(effects={"loss_factor": {"eta": 0.1}}, **one))
     late = solve_modes(scene.with_tables(effects={"modal_damping": {"ratio": 0.05}}, **one))
-    times, mode = 12.0 + np.linspace(0, 1 / frequency, 5), np.eye(len(steady.frequencies))[:1]
-    assert np.allclose(unit_motion(steady, mode, times), unit_motion(late, mode, times), rtol=1e-7, atol=0)
+    times = 12.0 + np.linspace(0, 1 / frequency, 5)
+    assert np.allclose(unit_motion(steady, times)[0], unit_motion(late, times)[0], rtol=1e-7, atol=0)
 
 
 def test_polynomials_hold_what_exponentials_hold():
@@ -188,15 +195,13 @@ def test_polynomials_hold_what_exponentials_hold():
         solve_modes(scene_of(edges=SUPPORTED, damping=60.0, drive=tables), highest=100.0, density=0.5)
         for tables in (drive, {**drive, "chirp": chirp})
     )
-    times, outputs = np.linspace(0, 0.012, 50), np.eye(len(exact.frequencies))
+    times = np.linspace(0, 0.012, 50)
     for velocity in (False, True):
-        motion = unit_motion(exact, outputs, times, velocity)
-        assert np.allclose(
-            unit_motion(sampled, outputs, times, velocity), motion, rtol=0, atol=1e-7 * abs(motion).max()
-        )
+        motion = unit_motion(exact, times, velocity)
+        assert np.allclose(unit_motion(sampled, times, velocity), motion, rtol=0, atol=1e-7 * abs(motion).max())
     region, phasors = exact.kinetic_matrix(exact.scene.target), np.array([[1, 1j, 0.5]])
     for quantity in ("velocity", "displacement"):
-        energy, other = (energies(plate, [region], phasors, quantity) for plate in (exact, sampled))
+        energy, other = (ModalEnergies(plate, [region], quantity).scene_values(phasors) for plate in (exact, sampled))
         assert np.allclose(energy, other, rtol=1e-5, atol=0)
 
 
@@ -207,12 +212,12 @@ def test_resting_load_on_a_point_is_static_in_the_end():
     scene = scene_of(edges=SUPPORTED, window=(0.1, 0.5), effects={"damping": {"viscous": 60.0}, "moving_load": moving})
     plate = solve_modes(scene)
     static = 0.2 * plate.at_points([(0.07, 0.05)])[:, 0] / plate.angular_frequencies**2
-    motion = unit_motion(plate, np.eye(len(plate.frequencies)), np.array([0.4, 1.4]))
-    assert np.allclose(motion[:, -1, 0], 0)
-    assert np.allclose(motion[:, -1, 1].real, static, rtol=0, atol=1e-9 * abs(static).max())
+    motion = modal_motion(plate, np.zeros((1, 3)), np.array([0.4, 1.4]))[:, 0]
+    assert np.allclose(motion[:, 0], 0)
+    assert np.allclose(motion[:, 1], static, rtol=0, atol=1e-9 * abs(static).max())
     load = {**moving, "start": (0.2, 0.05), "size": 0.02}
     edge = solve_modes(scene.with_tables(effects={"damping": {"viscous": 60.0}, "moving_load": load}))
-    motion = unit_motion(edge, np.eye(len(plate.frequencies)), np.array([1.4]))[:, -1, 0].real
+    motion = modal_motion(edge, np.zeros((1, 3)), np.array([1.4]))[:, 0, 0]
     forces = edge.patch_forces([(0.19, 0.2, 0.04, 0.06)])[:, 0] * 0.2 / 0.02**2
     assert np.allclose(motion, forces / edge.angular_frequencies**2, rtol=0, atol=1e-9 * abs(motion).max())
 
@@ -261,9 +266,10 @@ def test_each_actuator_has_a_channel(tmp_path):
         np.array([[1, 0.5 - 0.5j, -0.8j]]),
         np.array([0.006, 0.012]),
     )
-    regions, forces = [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)], plate.actuator_forces()[None]
-    found = WaveformEnergies(plate, regions).energies(phasors, np.full((1, 3), 400.0), forces, np.zeros((1, 3)))
-    assert np.allclose(found, energies(plate, regions, phasors), rtol=1e-5)
+    energies = ModalEnergies(plate, [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)])
+    areas = np.array([[actuator.area for actuator in scene.actuators]])
+    found = energies.values(phasors, np.full((1, 3), 400.0), areas, np.zeros((1, 3)))
+    assert np.allclose(found, energies.scene_values(phasors), rtol=1e-5)
     motion = trace(plate, phasors, [(0.05, 0.1)], times)
     for actuator, wave in enumerate(np.loadtxt(tmp_path / "channels.csv", delimiter=",").T):
         np.savetxt(tmp_path / f"{actuator}.csv", wave)
@@ -285,7 +291,8 @@ def test_stepping_converges_to_the_motion(name, nodes, tmp_path):
     scene = scene_of(damping=88.0, window=(0.004, 0.014))
     scene = tables(scene, tmp_path) if callable(tables) else scene.with_tables(**tables)
     plate, errors = solve_modes(scene, density=0.7 if nodes[0] == 21 else 1.4), []
-    energy = energies(plate, [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)], phasors)[0]
+    regions = [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)]
+    energy = ModalEnergies(plate, regions).scene_values(phasors)[0]
     for count in nodes:
         grid = {"nodes": (count, count), "order": order, "load": "moments", "precision": "float64"}
         run = PlateSolver(scene.with_tables(grid=grid), "cpu").run(phasors, points=points)

@@ -5,7 +5,7 @@ import pytest
 from conftest import MATERIAL, scene_of
 
 from warp_plate import Scene, SceneError, localize, simulate
-from warp_plate.modal.energy import gram_matrices
+from warp_plate.modal.gram import gram_matrices
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.optimize.quadratic import real_parts
 from warp_plate.plate.designs import Designs, PerPlate

@@ -7,7 +7,7 @@ import pytest
 from conftest import scene_of
 
 from warp_plate import SceneError
-from warp_plate.modal.energy import energies
+from warp_plate.modal.energies import ModalEnergies
 from warp_plate.modal.modes import solve_modes
 from warp_plate.studies.simulate import simulate
 
@@ -51,7 +51,7 @@ def test_moving_load_presses_beside_the_actuators():
     result = simulate(scene, device="cpu", path="modal", drive="equal", estimate=False)
     plate = solve_modes(scene)
     regions = [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)]
-    expected = energies(plate, regions, np.array([[1, 1, 1], [0, 0, 0]]))
+    expected = ModalEnergies(plate, regions).scene_values(np.array([[1, 1, 1], [0, 0, 0]]))
     assert list(result.cases["drive"].energy.values()) == pytest.approx(expected[0], rel=1e-9)
     assert (expected[1] > 1e-3 * expected[0]).all()
 
@@ -62,7 +62,7 @@ def test_a_patch_beside_an_edge_needs_no_node():
     scene = scene_of(actuators=[patch], damping=88.0)
     energy = simulate(scene, device="cpu", path="modal", estimate=False).cases["drive"].energy
     plate, phasors = solve_modes(scene), np.ones((1, 1), dtype=complex)
-    expected = energies(plate, [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)], phasors)
+    expected = ModalEnergies(plate, [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)]).scene_values(phasors)
     assert np.allclose(list(energy.values()), expected[0], rtol=1e-3, atol=0)
     with pytest.raises(SceneError, match=r"^actuators\[0\]\.area"):
         simulate(scene, device="cpu", estimate=False)

@@ -19,7 +19,7 @@ import numpy as np
 
 from warp_plate.accuracy.configurations import refuse_many_modes
 from warp_plate.accuracy.richardson import Extrapolation, extrapolate, weights_of_grids
-from warp_plate.modal.energy import gram_matrices
+from warp_plate.modal.gram import gram_matrices
 from warp_plate.modal.modes import ModalPlate, solve_modes
 from warp_plate.modal.motion import fields
 from warp_plate.plate.modes import natural_modes

@@ -20,8 +20,8 @@ from warp_plate.fitting.measured_responses import MeasuredResponses
 from warp_plate.modal.assemble import Galerkin, make_galerkin
 from warp_plate.modal.continuous_modes import linear_part
 from warp_plate.modal.modes import solve_modes
+from warp_plate.modal.poles import CoupledModes, multiply_modes
 from warp_plate.modal.spaces.space import Matrix
-from warp_plate.modal.steady import CoupledModes, multiply_modes
 from warp_plate.result.frequency_response import DERIVATIVES
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene

@@ -1,28 +1,92 @@
-"""Figures of merit of a focus: its area, and its contrast to the rest of the plate."""
+"""What waveforms attain: motion and field at the foci, area and contrast of a focus, energies and limits."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
+from warp_plate.focusing.methods import Convolution
+from warp_plate.focusing.responses import HeldResponses
+from warp_plate.focusing.wishes import Wish
 from warp_plate.modal.modes import ModalPlate
+from warp_plate.result.focus import FocusedWaveforms
+from warp_plate.scene.focus import Focus
+from warp_plate.scene.model import Scene
 
 # Cells of the raster between two lines of the plate's splines, which follow its shortest waves; a picture takes the
 # middle of each square of PICTURED² of them.
 CELLS, PICTURED = 6, 3
 HALF = 0.5  # −6 dB
+# A limit is attained to this part of it.
+ATTAINED = 1e-9
 
 
-def field_at_end(plate: ModalPlate, amplitudes: np.ndarray) -> np.ndarray:
-    """Return the (ny, nx) field of amplitudes (modes,) in the middles of equal cells."""
-    rows, columns = plate.space.shape
-    x, y = (
-        side * (np.arange(CELLS * count) + 0.5) / (CELLS * count)
-        for side, count in zip(plate.scene.plate.size, (columns, rows), strict=True)
+@dataclass(frozen=True)
+class Figures:
+    """Figures of merit of the motion of the foci.
+
+    Attributes:
+        peak: (foci,) motion of each focus at its moment.
+        crosstalk_db: (foci,) largest motion of the other foci over a focus's peak [dB]; −∞ if there is one focus.
+        misfit: (foci,) relative differences of motion from the nearest multiple of what is wished.
+    """
+
+    peak: np.ndarray
+    crosstalk_db: np.ndarray
+    misfit: np.ndarray
+
+    @staticmethod
+    def measure(motion: np.ndarray, wish: Wish) -> Figures:
+        """Return the figures of motion (sets, foci, samples), each set made for one focus."""
+        foci = np.arange(len(motion))
+        peak, followed = motion[foci, foci, wish.moments], motion[foci, foci]
+        others = np.abs(motion).max(axis=2) * (1 - np.eye(len(motion)))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            crosstalk_db = 20 * np.log10(others.max(axis=1) / np.abs(peak))
+        factor = (followed * wish.motion).sum(axis=1) / (wish.motion**2).sum(axis=1)
+        nearest = factor[:, None] * wish.motion
+        size, error = (np.linalg.norm(rows, axis=1) for rows in (nearest, followed - nearest))
+        misfit = np.divide(error, size, out=np.full_like(size, np.nan), where=size > 0)
+        return Figures(peak, np.asarray(crosstalk_db), misfit)
+
+
+def describe_waveforms(
+    responses: HeldResponses, convolution: Convolution, wish: Wish, waveforms: np.ndarray, gap: np.ndarray
+) -> FocusedWaveforms:
+    """Return waveforms (foci, actuators, samples) and what they attain; ``gap`` (foci,) is what the bounds leave."""
+    plate, table, motion = responses.plate, responses.table, convolution.move(waveforms)
+    figures = Figures.measure(motion, wish)
+    fields, measured = [], []
+    amplitudes = responses.amplitudes(responses.states_at(waveforms, wish.moments))
+    for of_focus, point, peak in zip(amplitudes, table.points, figures.peak.tolist(), strict=True):
+        field = _field(plate, of_focus)
+        measured.append(measure_focus(field, plate.scene.plate.size, point, peak))
+        fields.append(field[PICTURED // 2 :: PICTURED, PICTURED // 2 :: PICTURED])
+    areas, contrasts = zip(*measured, strict=True)
+    energy, largest = (waveforms**2).sum(axis=(1, 2)) / table.rate, np.abs(waveforms).max(axis=(1, 2))
+    return FocusedWaveforms(
+        waveforms=waveforms,
+        responses=motion,
+        fields=np.stack(fields),
+        peak=figures.peak,
+        focus_area=np.array(areas),
+        contrast_db=np.array(contrasts),
+        energy=energy,
+        gap=gap,
+        limits=tuple(_attained_limits(table, *pair) for pair in zip(energy, largest, strict=True)),
+        misfit=figures.misfit if wish.shaped else None,
+        electrical_energy=_electrical_energy(plate.scene, waveforms),
     )
-    return plate.displacement(amplitudes, x, y)
+
+
+def _field(plate: ModalPlate, amplitudes: np.ndarray) -> np.ndarray:
+    """Return the (ny, nx) field of amplitudes (modes,) in the middles of equal cells."""
+    counts = [CELLS * count for count in plate.space.shape[::-1]]
+    sides = zip(plate.scene.plate.size, counts, strict=True)
+    return plate.displacement(amplitudes, *(side * (np.arange(count) + 0.5) / count for side, count in sides))
 
 
 def measure_focus(
@@ -39,28 +103,34 @@ def measure_focus(
         point: The focus x, y [m].
         peak: Motion of the point.
     """
-    cell = [
+    i, j = (
         min(int(at / side * count), count - 1) for at, side, count in zip(point, size, field.shape[::-1], strict=True)
-    ]
+    )
     inside = np.abs(field) >= HALF * abs(peak)
-    inside[cell[1], cell[0]] = True  # the point itself, which the middle of its cell may just miss
+    inside[j, i] = True  # the point itself, which the middle of its cell may just miss
     parts, _ = scipy.ndimage.label(inside)
-    focus = parts == parts[cell[1], cell[0]]
+    focus = parts == parts[j, i]
     rest = math.sqrt(float(np.mean(field[~focus] ** 2))) if not focus.all() else 0.0
     contrast = 20 * math.log10(abs(peak) / rest) if peak and rest else math.nan
     return float(focus.mean()) * math.prod(size), contrast
 
 
-def misfit(motion: np.ndarray, wished: np.ndarray) -> np.ndarray:
-    """Return (foci,) relative differences of motion (foci, samples) from the nearest multiples of wished ones."""
-    factor = (motion * wished).sum(axis=1) / (wished**2).sum(axis=1)
-    nearest = factor[:, None] * wished
-    size = np.linalg.norm(nearest, axis=1)
-    return np.divide(np.linalg.norm(motion - nearest, axis=1), size, out=np.full_like(size, np.nan), where=size > 0)
+def _electrical_energy(scene: Scene, waveforms: np.ndarray) -> np.ndarray | None:
+    """Return (foci,) energies [J] of voltages (foci, actuators, samples) on capacitors from 0; None without these.
+
+    That is Σ ∫ C V dV/dt dt over the times at which |V| rises, ½ C V² for each rise from 0 to V: no amplifier gets back
+    what capacitors return while |V| falls.
+    """
+    capacitances = [actuator.capacitance for actuator in scene.actuators if actuator.capacitance is not None]
+    if len(capacitances) < len(scene.actuators):
+        return None
+    before = np.concatenate([np.zeros_like(waveforms[..., :1]), waveforms[..., :-1]], axis=2)
+    left = np.where(before * waveforms > 0, before**2, 0.0)  # through 0, where the sign changes
+    rises = np.maximum(waveforms**2 - left, 0)
+    return np.asarray(rises.sum(axis=2) @ np.array(capacitances) / 2)
 
 
-def crosstalk(motion: np.ndarray, peak: np.ndarray) -> np.ndarray:
-    """Return (foci,) largest motion of the other foci over a focus's own peak [dB]; −∞ if there is one focus."""
-    others = np.abs(motion).max(axis=2) * (1 - np.eye(len(motion)))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(20 * np.log10(others.max(axis=1) / np.abs(peak)))
+def _attained_limits(table: Focus, energy: float, peak: float) -> str:
+    """Return the limits that waveforms of an energy and a peak attain."""
+    pairs = {"energy": (energy, table.energy), "peak": (peak, table.peak_limit)}
+    return ", ".join(name for name, (value, limit) in pairs.items() if limit and value >= limit * (1 - ATTAINED))

@@ -5,9 +5,9 @@ Waveforms w of samples n = 0 ... N − 1, held between them, move the foci by u 
     u[f, m] = Σ_a Σ_n h[a, f, m − n] w[a, n]
 
 with h[a, f, l] the response l + 1 samples after the beginning of one sample. A wished motion d of the foci has the
-gains g = Aᵀ d: how well motion goes with it is d · A w = g · w. For a pulse, d = 1 at one focus and moment, that is the
-motion there. Time reversal plays g, which of all waveforms of one energy goes best with d (Cauchy and Schwarz); one-bit
-time reversal plays its signs, which do so of all waveforms of one peak.
+gains g = Aᵀ d: its correlation with the motion is d · A w = g · w. For a pulse, d = 1 at one focus and moment, that is
+the motion there. Time reversal plays g, which has the largest correlation of all waveforms of one energy (Cauchy and
+Schwarz); one-bit time reversal plays its signs, which have it of all waveforms of one peak.
 """
 
 from __future__ import annotations
@@ -18,8 +18,6 @@ import math
 import numpy as np
 import scipy
 
-from warp_plate.focusing.convolution import Convolution
-
 # Halvings of the interval of the multiplier.
 HALVINGS = 200
 # Relative residual at which the inverse filter's iteration ends, and its most steps.
@@ -28,6 +26,47 @@ RESIDUAL, STEPS = 1e-3, 1000
 CONDITIONS = 1.0, 1e7, 281
 # Least curvature of a corner of it.
 CORNER = 0.1
+
+
+class Convolution:
+    """The map u = A w from waveforms (sets, actuators, played) to motion (sets, foci, samples).
+
+    Args:
+        h: (actuators, foci, samples) responses, h[..., l] that at sample l + 1 to a sample at 0.
+        played: Number of samples of the waveforms, which may end before the motion.
+    """
+
+    def __init__(self, h: np.ndarray, played: int) -> None:
+        self.actuators, _, self.samples = h.shape
+        self.played = played
+        self._length = scipy.fft.next_fast_len(2 * self.samples, real=True)
+        self._spectra = self.transform(h)
+
+    def move(self, waveforms: np.ndarray) -> np.ndarray:
+        """Return A w."""
+        return self.invert(self.transform(waveforms) @ self._spectra)
+
+    def reverse(self, motion: np.ndarray) -> np.ndarray:
+        """Return Aᵀ u (sets, actuators, played): motion (sets, foci, samples) through responses in reverse."""
+        return self.invert(self.transform(motion) @ self._spectra.conj().mT)[..., : self.played]
+
+    def gram(self, by_actuators: bool = False) -> np.ndarray:
+        """Return (frequencies, foci, foci) products of the responses' spectra, A Aᵀ without its ends.
+
+        Args:
+            by_actuators: Return those of Aᵀ A, (frequencies, actuators, actuators).
+        """
+        if by_actuators:
+            return self._spectra @ self._spectra.conj().mT
+        return self._spectra.conj().mT @ self._spectra
+
+    def transform(self, rows: np.ndarray) -> np.ndarray:
+        """Return (frequencies, sets, rows) spectra of rows (sets, rows, samples) with zeros after them."""
+        return np.ascontiguousarray(np.moveaxis(scipy.fft.rfft(rows, self._length), -1, 0))
+
+    def invert(self, spectra: np.ndarray) -> np.ndarray:
+        """Return the rows (sets, rows, samples) of spectra."""
+        return np.asarray(scipy.fft.irfft(np.moveaxis(spectra, 0, -1), self._length)[..., : self.samples])
 
 
 def keep_above(h: np.ndarray, rate: int, lowest: float) -> np.ndarray:
@@ -97,26 +136,27 @@ def inverse_filter(responses: Convolution, wished: np.ndarray, condition: float)
     gram = responses.gram(by_actuators)
     weight = float(np.linalg.eigvalsh(gram).max()) / condition**2
     nearly = np.linalg.inv(gram + weight * np.eye(gram.shape[1])) if weight else gram
-    rest = responses.reverse(wished) if by_actuators else wished
-    solution, samples = np.zeros_like(rest), rest.shape[2]
+    residual = responses.reverse(wished) if by_actuators else wished
+    solution, samples = np.zeros_like(residual), residual.shape[2]
 
-    def divide(rest: np.ndarray) -> np.ndarray:
-        return responses.invert(responses.transform(rest) @ nearly)[..., :samples]
+    def precondition(rows: np.ndarray) -> np.ndarray:
+        return responses.invert(responses.transform(rows) @ nearly)[..., :samples]
 
-    step = divide(rest)
-    product = _dot(rest, step)
-    end = RESIDUAL**2 * (product if by_actuators else _dot(rest, rest))
+    def multiply(rows: np.ndarray) -> np.ndarray:
+        forth, back = (responses.move, responses.reverse) if by_actuators else (responses.reverse, responses.move)
+        return back(forth(rows)) + weight * rows
+
+    step = precondition(residual)
+    product = _dot(residual, step)
+    end = RESIDUAL**2 * (product if by_actuators else _dot(residual, residual))
     for _ in range(STEPS):
-        if ((product if by_actuators else _dot(rest, rest)) <= end).all() or not product.any():
+        if ((product if by_actuators else _dot(residual, residual)) <= end).all() or not product.any():
             break
-        if by_actuators:
-            image = responses.reverse(responses.move(step)) + weight * step
-        else:
-            image = responses.move(responses.reverse(step)) + weight * step
+        image = multiply(step)
         length = _ratio(product, _dot(step, image))
-        solution, rest = solution + length * step, rest - length * image
-        divided = divide(rest)
-        before, product = product, _dot(rest, divided)
+        solution, residual = solution + length * step, residual - length * image
+        divided = precondition(residual)
+        before, product = product, _dot(residual, divided)
         step = divided + _ratio(product, before) * step
     else:
         words = "the inverse filter's iteration ended after %d steps; a smaller focus.condition takes fewer"
@@ -139,9 +179,9 @@ def l_curve_condition(responses: Convolution, wished: np.ndarray) -> float | Non
     squares = np.maximum(squares, 0).ravel()
     conditions = np.geomspace(*CONDITIONS)
     damped = [squares + squares.max() / condition**2 for condition in conditions]
-    rest = np.array([(parts * ((each - squares) / each) ** 2).sum() for each in damped])
-    size = np.array([(parts * squares / each**2).sum() for each in damped])
-    across, up = (np.gradient(np.log(each)) for each in (rest, size))
+    residual = np.array([(parts * ((square - squares) / square) ** 2).sum() for square in damped])
+    size = np.array([(parts * squares / square**2).sum() for square in damped])
+    across, up = (np.gradient(np.log(values)) for values in (residual, size))
     bend = (up * np.gradient(across) - across * np.gradient(up)) / np.hypot(across, up) ** 3
     corners, _ = scipy.signal.find_peaks(bend, height=max(CORNER, bend.max() / 2))
     return float(conditions[corners[0]]) if corners.size else None

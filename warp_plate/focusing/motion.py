@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from warp_plate.focusing.responses import HeldResponses
-from warp_plate.modal.modes import modes_below
 from warp_plate.result.focus import FocusResult
 from warp_plate.result.motion import Motion
 from warp_plate.scene.errors import SceneError
@@ -18,13 +17,13 @@ POINTS, PERIODS, FRAMES, MOST_BYTES = 2, 10, 60, 2**30
 
 
 def focus_motions(
-    found: FocusResult, methods: Sequence[str] = (), span: tuple[float, float] | None = None, frames: int = FRAMES
+    result: FocusResult, methods: Sequence[str] = (), span: tuple[float, float] | None = None, frames: int = FRAMES
 ) -> list[Motion]:
     """Return the motion of the plate under the waveforms for the first point, over its largest displacement, which is
     in the name.
 
     Args:
-        found: What ``focus`` found.
+        result: Result of ``focus``.
         methods: Names of methods (default: all).
         span: Start and end [s] (default: ten periods of ``focus.highest`` around the moment, or the burst).
         frames: Frames in the span, at the samples nearest to even times, one of them at the moment.
@@ -32,23 +31,23 @@ def focus_motions(
     Raises:
         SceneError: A method is unknown, or the span holds fewer than two samples or lies outside the responses.
     """
-    table, names = found.scene.focus, list(methods or found.methods)
+    table, names = result.scene.focus, list(methods or result.methods)
     assert table is not None
-    if unknown := [name for name in names if name not in found.methods]:
-        raise SceneError(f"case {unknown[0]}: there are {', '.join(found.methods)}")
-    plate = modes_below(found.scene, table.highest, "focus.highest")
+    if unknown := [name for name in names if name not in result.methods]:
+        raise SceneError(f"case {unknown[0]}: there are {', '.join(result.methods)}")
+    recorded, moment = result.times.size, table.moment
+    responses = HeldResponses.of_scene(result.scene, recorded, velocity=False)
+    plate = responses.plate
     x, y = (
         np.linspace(0, side, POINTS * count + 1)
-        for side, count in zip(found.scene.plate.size, plate.space.shape[::-1], strict=True)
+        for side, count in zip(result.scene.plate.size, plate.space.shape[::-1], strict=True)
     )
-    recorded, moment = found.times.size, table.moment
-    if found.wished is not None:
-        moment = int(np.abs(found.wished[0]).argmax())
-    steps = _samples(table.rate, recorded, moment, span or _usual_span(found), frames)
+    if result.wished is not None:
+        moment = int(np.abs(result.wished[0]).argmax())
+    steps = _samples(table.rate, recorded, moment, span or _usual_span(result), frames)
     if (size := 8 * len(names) * steps.size * x.size * y.size) > MOST_BYTES:
         raise SceneError(f"frames = {steps.size}: take {size} bytes; at most {MOST_BYTES} are possible")
-    responses = HeldResponses(plate, table.rate, recorded, velocity=False)
-    played = np.stack([found.methods[name].waveforms[0] for name in names])
+    played = np.stack([result.methods[name].waveforms[0] for name in names])
     pressures = np.pad(played, ((0, 0), (0, 0), (0, recorded - played.shape[2])))
     states, fields = responses.states(pressures[..., : steps[0] + 1]), []
     for sample in range(steps[0], steps[-1] + 1):
@@ -58,7 +57,7 @@ def focus_motions(
             both = [plate.displacement(responses.amplitudes(states, rates), x, y) for rates in (False, True)]
             fields.append(np.stack(both).astype(np.float32))
     displacement, velocity = np.stack(fields, axis=2)
-    largest = [float(np.abs(each).max()) or 1.0 for each in displacement]
+    largest = [float(np.abs(field).max()) or 1.0 for field in displacement]
     mass = plate.space.density(x, y)
     return [
         Motion(
@@ -79,10 +78,10 @@ def _length(value: float) -> str:
     return f"{1e6 * value:.3g} µm" if value >= 1e-6 else f"{1e9 * value:.3g} nm"
 
 
-def _usual_span(found: FocusResult) -> tuple[float, float]:
-    table, end = found.scene.focus, float(found.times[-1])
+def _usual_span(result: FocusResult) -> tuple[float, float]:
+    table, end = result.scene.focus, float(result.times[-1])
     assert table is not None
-    if found.wished is not None:
+    if result.wished is not None:
         return 0.0, end
     half = PERIODS / table.highest if table.burst is None else table.burst.half
     return max(table.time - half, 0.0), min(table.time + half, end)

@@ -1,4 +1,9 @@
-"""Waveforms by all methods for responses of the foci to the actuators, and what the optimum bounds."""
+"""Waveforms by all methods for responses of the foci to the actuators, what the optimum bounds, and actuators by rank.
+
+Actuators are left out one by one for a ranking, each time the one whose waveforms have the least energy. That is
+backward elimination: other choices of as many actuators may do better, but for time reversal of one point under a limit
+of the energy, where it is exact.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from warp_plate.focusing import methods
-from warp_plate.focusing.convolution import Convolution
+from warp_plate.focusing.figures import Figures
+from warp_plate.focusing.methods import Convolution
 from warp_plate.focusing.wishes import Wish
+from warp_plate.result.focus import Ranking
+from warp_plate.scene.errors import SceneError
 from warp_plate.scene.focus import Focus
 
 METHODS = ("time_reversal", "one_bit", "inverse_filter", "optimum")
@@ -17,7 +25,7 @@ METHODS = ("time_reversal", "one_bit", "inverse_filter", "optimum")
 
 @dataclass(frozen=True)
 class Gains:
-    """How well the motion of each focus goes with its wish.
+    """Correlation of the motion of each focus with its wish.
 
     Attributes:
         values: (foci, actuators, samples) g, whose products with the waveforms are those of motion and wish.
@@ -31,8 +39,8 @@ class Gains:
 
     def gap(self, waveforms: np.ndarray) -> np.ndarray:
         """Return the parts (foci,) of the bounds that waveforms lack; 0 at a focus that nothing moves."""
-        reached = np.einsum("fan,fan->f", self.values, waveforms)
-        return 1 - np.divide(reached, self.bound, out=np.ones_like(self.bound), where=self.bound > 0)
+        attained = np.einsum("fan,fan->f", self.values, waveforms)
+        return 1 - np.divide(attained, self.bound, out=np.ones_like(self.bound), where=self.bound > 0)
 
 
 def find_gains(h: np.ndarray, table: Focus, wish: Wish) -> Gains:
@@ -47,13 +55,13 @@ def make_waveforms(
     h: np.ndarray, table: Focus, wish: Wish, gains: Gains, condition: float, names: Collection[str] = METHODS
 ) -> dict[str, np.ndarray]:
     """Return the waveforms (foci, actuators, samples) of methods, scaled to the limits."""
-    made = {
+    makers = {
         "time_reversal": lambda: gains.values,
         "one_bit": lambda: np.sign(gains.values),
         "inverse_filter": lambda: methods.inverse_filter(*least_squares(h, wish), condition),
         "optimum": lambda: gains.optimum,
     }
-    return {name: methods.scale_to_limits(made[name](), *limits_of(table)) for name in METHODS if name in names}
+    return {name: methods.scale_to_limits(makers[name](), *limits_of(table)) for name in METHODS if name in names}
 
 
 def least_squares(h: np.ndarray, wish: Wish) -> tuple[Convolution, np.ndarray]:
@@ -70,3 +78,32 @@ def least_squares(h: np.ndarray, wish: Wish) -> tuple[Convolution, np.ndarray]:
 def limits_of(table: Focus) -> tuple[float | None, float | None]:
     """Return the largest Σ w² and |w|."""
     return None if table.energy is None else table.energy * table.rate, table.peak_limit
+
+
+def check_rank(method: str, played: bool) -> None:
+    """Raise a SceneError unless actuators can be ranked for a method; not where waveforms are ``played``."""
+    if played:
+        raise SceneError(f"rank = {method}: not for waveforms of a file, which all actuators were made for")
+    if method not in METHODS:
+        raise SceneError(f"rank = {method}: must be one of {', '.join(METHODS)}")
+
+
+def rank_actuators(method: str, names: list[str], h: np.ndarray, table: Focus, wish: Wish, condition: float) -> Ranking:
+    """Return the figures of each number of actuators, with waveforms made anew for each.
+
+    Args:
+        method: One of METHODS.
+        names: (actuators,) names.
+        h: (actuators, foci, recorded) responses of the foci.
+        condition: Condition of the inverse filter.
+    """
+    remaining, left_out, rows = list(range(len(names))), [], []
+    while remaining:
+        part = h[remaining]
+        waveforms = make_waveforms(part, table, wish, find_gains(part, table, wish), condition, [method])[method]
+        figures = Figures.measure(Convolution(part, wish.samples).move(waveforms), wish)
+        rows.append((np.abs(figures.peak).min(), figures.crosstalk_db.max(), figures.misfit.max()))
+        left_out.append(remaining.pop(int((waveforms**2).sum(axis=(0, 2)).argmin())))
+    peak, crosstalk_db, misfit = np.array(rows[::-1]).T
+    order = tuple(names[index] for index in left_out[::-1])
+    return Ranking(method, order, peak, crosstalk_db, misfit if wish.shaped else None)

@@ -22,7 +22,7 @@ class Wish:
     """Wished motion of each focus, at the ends of the samples.
 
     Attributes:
-        motion: (foci, recorded) motion whose product with that of a focus the gains maximise; one sample for a pulse.
+        motion: (foci, recorded) motion with which that of a focus is to correlate; one sample for a pulse.
         followed: (foci, recorded) motion that the inverse filter follows.
         samples: Number of samples of the waveforms.
         shaped: True if the foci are to follow a waveform, not to move at one moment.
@@ -61,11 +61,14 @@ def make_wish(scene: Scene, given: np.ndarray | None) -> Wish:
     assert table is not None
     foci = len(table.points)
     if given is None and table.wish is not None:
-        given = _read_file(scene)
+        given = _read_file(scene, table)
     if given is not None:
         if np.asarray(given).dtype.kind not in "fiu":
             raise SceneError("wished: must be real numbers")
-        return _wish_of(table, _checked(scene, np.asarray(given, dtype=float)))
+        motion = _check_motion(scene, table, np.asarray(given, dtype=float))
+        samples = motion.shape[1]
+        motion = np.pad(motion, ((0, 0), (0, round(samples * AFTER))))
+        return Wish(motion, motion, samples, shaped=True)
     times = (np.arange(table.recorded) - table.moment) / table.rate
     if table.burst is not None:
         burst = np.tile(_burst(table.burst, times), (foci, 1))
@@ -74,48 +77,36 @@ def make_wish(scene: Scene, given: np.ndarray | None) -> Wish:
     return Wish(np.tile(moment, (foci, 1)), np.tile(_pulse(table), (foci, 1)), table.samples, shaped=False)
 
 
-def _wish_of(table: Focus, motion: np.ndarray) -> Wish:
-    """Return the wish of a motion (foci, samples), followed by silence."""
-    silence = round(motion.shape[1] * AFTER)
-    motion = np.pad(motion, ((0, 0), (0, silence)))
-    return Wish(motion, motion, motion.shape[1] - silence, shaped=True)
-
-
-def _read_file(scene: Scene) -> np.ndarray:
+def _read_file(scene: Scene, table: Focus) -> np.ndarray:
     """Return the motion (channels, samples) of ``[focus.wish]`` at the ends of the samples, silent before its start."""
-    table = scene.focus
-    assert table is not None
     assert table.wish is not None
     channels = len(table.points) if table.wish.per_point else None
     values, rate, start = read_channels(WISH, table.wish, scene.folder, channels, "point")
     samples = max(math.ceil((start + (values.shape[1] - 1) / rate) * table.rate), 2)
-    _check_numbers(scene, samples)
+    _check_numbers(scene, table, samples)
     times = np.arange(1, samples + 1) / table.rate
     return sample_at(Samples(values, rate, start, repeat=False), times, min(1.0, table.rate / rate)).real
 
 
-def _checked(scene: Scene, motion: np.ndarray) -> np.ndarray:
+def _check_motion(scene: Scene, table: Focus, motion: np.ndarray) -> np.ndarray:
     """Return a motion (foci, samples), or raise a SceneError, as for what its rows may be."""
-    table = scene.focus
-    assert table is not None
     foci = len(table.points)
     rows = motion if motion.ndim > 1 else motion[None]
     if rows.ndim != 2 or len(rows) not in (1, foci) or rows.shape[1] < 2:
         raise SceneError(f"{WISH}: the shape {motion.shape}; must be (samples,) or ({foci}, samples), a row each point")
     largest = np.abs(rows).max(axis=1)
     if not np.all((largest > SMALLEST) & (largest < LARGEST)):
-        known = f"zero throughout, or a sample is no number; the largest is from {SMALLEST:g} to {LARGEST:g}"
-        raise SceneError(f"{WISH}: a wished motion is {known}")
+        wrong = f"zero throughout, or a sample is no number; the largest is from {SMALLEST:g} to {LARGEST:g}"
+        raise SceneError(f"{WISH}: a wished motion is {wrong}")
     if table.rest is not None:
         raise SceneError("focus.rest: bounds motion at one moment, not that of a wish; delete it")
-    _check_numbers(scene, rows.shape[1])
+    _check_numbers(scene, table, rows.shape[1])
     return np.asarray(np.broadcast_to(rows, (foci, rows.shape[1])))
 
 
-def _check_numbers(scene: Scene, samples: int) -> None:
-    assert scene.focus is not None
+def _check_numbers(scene: Scene, table: Focus, samples: int) -> None:
     try:
-        scene.focus.check_numbers(samples, len(scene.actuators), "wish")
+        table.check_numbers(samples, len(scene.actuators), "wish")
     except ValueError as error:
         raise SceneError(str(error)) from None
 

@@ -1,7 +1,7 @@
 """Gram matrices of plates under tones on a Warp device, for modes that damping does not couple.
 
-The numbers are those of :class:`warp_plate.modal.tones.ToneMatrices` and, in the steady state, of
-:func:`warp_plate.modal.energy.gram_matrices`, by the kernels of ``kernels/tones.py``. Data that depend only on the
+The numbers are those of :class:`warp_plate.modal.gram.ToneMatrices` and, in the steady state, of
+:func:`warp_plate.modal.gram.gram_matrices`, by the kernels of ``kernels/tones.py``. Data that depend only on the
 plate are put on the device once; frequencies and places follow with each batch.
 """
 
@@ -15,12 +15,10 @@ import numpy as np
 import warp as wp
 
 from warp_plate.kernels import tones as kernels
-from warp_plate.modal.energy import mean_exponential
+from warp_plate.modal.gram import ToneMatrices, mean_exponential
 from warp_plate.modal.modes import ModalPlate
-from warp_plate.modal.poles import APART
+from warp_plate.modal.poles import APART, as_sparse
 from warp_plate.modal.spaces.tensor_splines import TensorSplines
-from warp_plate.modal.steady import as_sparse
-from warp_plate.modal.tones import ToneMatrices
 from warp_plate.scene.model import Window
 from warp_plate.solve.devices import load_kernel
 
@@ -51,20 +49,20 @@ class DeviceToneMatrices:
     ) -> None:
         self._device, self._window, self._velocity = device, window, int(quantity == "velocity")
         if window is None:
-            values, squares, kept = *_steady_poles(plate), np.empty(0, dtype=int)
+            values, squares, lasting = *_steady_poles(plate), np.empty(0, dtype=int)
             undamped = np.empty(0, dtype=complex)
         else:
             tones = ToneMatrices(plate, regions, window, quantity)
-            values, squares, kept = tones.poles.values, tones.poles.sizes**2, tones.kept
+            values, squares, lasting = tones.poles.values, tones.poles.sizes**2, tones.lasting
             undamped = values[np.abs(values.real) < APART / window.end]
         free = np.zeros_like(squares)
-        free[kept] = -squares[kept]
+        free[lasting] = -squares[lasting]
         values, squares, free = (array.reshape(2, -1) for array in (values, squares, free))
         lasting, oscillates = np.flatnonzero(free.any(axis=0)), values[0].imag != 0
         place = np.full(values.shape[1], -1)
         place[lasting] = np.arange(lasting.size)
         self._motions = [*(self._put(array) for array in (values, squares, free, oscillates, place)), lasting.size]
-        self._undamped, self._kept = self._put(undamped), self._put(np.tile(lasting, 2))
+        self._undamped, self._lasting = self._put(undamped), self._put(np.tile(lasting, 2))
         means = _free_means(values[:, lasting], oscillates[lasting], window)
         self._regions = [
             [self._put_matrix(matrix) for matrix in (region, np.tile(region[np.ix_(lasting, lasting)], (2, 2)) * means)]
@@ -99,11 +97,11 @@ class DeviceToneMatrices:
 
     def _workspace(self, columns: int) -> dict[str, wp.array]:
         """Return matrices with a number of columns, padded with zeros to whole tiles."""
-        rows = {"integrals": self._unknowns, **dict.fromkeys(("forces", "forced", "moved"), self._modes)}
-        rows |= dict.fromkeys(("free", "means", "formed"), max(len(self._kept), 1))
-        kinds, width = {"integrals": wp.float64, "forces": wp.float64}, _filled(columns, kernels.COLUMNS)
+        rows = {"integrals": self._unknowns, **dict.fromkeys(("forces", "forced", "momenta"), self._modes)}
+        rows |= dict.fromkeys(("free", "means", "formed"), max(len(self._lasting), 1))
+        kinds, width = {"integrals": wp.float64, "forces": wp.float64}, _fill_up(columns, kernels.COLUMNS)
         return {
-            name: wp.zeros((_filled(count, kernels.ROWS), width), kinds.get(name, wp.vec2d), self._device)
+            name: wp.zeros((_fill_up(count, kernels.ROWS), width), kinds.get(name, wp.vec2d), self._device)
             for name, count in rows.items()
         }
 
@@ -128,13 +126,13 @@ class DeviceToneMatrices:
         drive = wp.empty(frequency.shape, wp.vec2d, self._device)
         ends, apart = (wp.vec2d(), 0.0) if window is None else (wp.vec2d(window.start, window.end), APART / window.end)
         self._launch(kernels.write_drives, frequency.shape, [frequency, self._undamped, apart], [drive])
-        forced, free, means, moved, formed = (work[name] for name in ("forced", "free", "means", "moved", "formed"))
+        forced, free, means, momenta, formed = (work[name] for name in ("forced", "free", "means", "momenta", "formed"))
         inputs = [*self._motions, self._velocity, ends, drive, work["forces"], distinct]
         self._launch(kernels.write_motions, (self._modes, plates, actuators), inputs, [forced, free, means])
         for index, (region, form) in enumerate(self._regions):
-            self._multiply(region, forced, moved, plates * actuators)
+            self._multiply(region, forced, momenta, plates * actuators)
             self._multiply(form, free, formed, plates * actuators)
-            inputs = [self._kept, int(window is None), ends, drive, forced, free, means, moved, formed, index]
+            inputs = [self._lasting, int(window is None), ends, drive, forced, free, means, momenta, formed, index]
             self._launch(kernels.contract, (plates, actuators, actuators), inputs, [matrices])
 
     def _multiply(self, left: list[wp.array], right: wp.array, product: wp.array, columns: int) -> None:
@@ -144,22 +142,22 @@ class DeviceToneMatrices:
             return
         parts = 2 if right.dtype is wp.vec2d else 1
         reals = [matrix.view(wp.float64).reshape((matrix.shape[0], -1)) for matrix in (right, product)]
-        tiles = _filled(parts * columns, kernels.COLUMNS) // kernels.COLUMNS, left[0].shape[0] // kernels.ROWS
+        tiles = _fill_up(parts * columns, kernels.COLUMNS) // kernels.COLUMNS, left[0].shape[0] // kernels.ROWS
         shared = {"block_dim": kernels.THREADS, "device": self._device}
         load_kernel(kernels.multiply_dense, self._device, kernels.THREADS)
         wp.launch_tiled(kernels.multiply_dense, dim=tiles, inputs=[*left, reals[0]], outputs=[reals[1]], **shared)
 
     def _put_matrix(self, matrix: np.ndarray) -> list[wp.array]:
         """Put a matrix on the device, as compressed rows if few of its numbers are not zero."""
-        kept = as_sparse(matrix)
-        if isinstance(kept, np.ndarray):
-            return self._put_tiles(kept)
-        return [self._put(array) for array in (kept.indptr, kept.indices, kept.data)]
+        rows = as_sparse(matrix)
+        if isinstance(rows, np.ndarray):
+            return self._put_tiles(rows)
+        return [self._put(array) for array in (rows.indptr, rows.indices, rows.data)]
 
     def _put_tiles(self, matrix: np.ndarray) -> list[wp.array]:
         """Put a dense matrix on the device, filled up to whole tiles."""
         tiles = zip(matrix.shape, (kernels.ROWS, kernels.INNER), strict=True)
-        return [self._put(np.pad(matrix, [(0, _filled(count, tile) - count) for count, tile in tiles]))]
+        return [self._put(np.pad(matrix, [(0, _fill_up(count, tile) - count) for count, tile in tiles]))]
 
     def _put(self, values: np.ndarray) -> wp.array:
         if np.iscomplexobj(values):
@@ -173,7 +171,7 @@ class DeviceToneMatrices:
         wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=self._device)
 
 
-def _filled(count: int, tile: int) -> int:
+def _fill_up(count: int, tile: int) -> int:
     """Return a count filled up to whole tiles."""
     return -(-count // tile) * tile
 

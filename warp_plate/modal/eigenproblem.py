@@ -169,9 +169,7 @@ def _buckled(scene: Scene) -> SceneError:
     forces = {term.factors: term for term in scene.terms if term.factors in IN_PLANE}
     free = scene.effects.keeping(lambda effect: all(term.factors not in IN_PLANE for term in effect.terms(scene.plate)))
     space = make_space(scene, (INTERVALS, INTERVALS))
-    pressed, bare = (
-        make_galerkin(one, space).stiffness for one in (scene, scene.model_copy(update={"effects": free}))
-    )
+    pressed, bare = (make_galerkin(one, space).stiffness for one in (scene, scene.model_copy(update={"effects": free})))
     # The rigid motion of a plate that nothing holds gets a stiffness of rounding's size.
     held = bare + 1e-12 * bare.diagonal().max() * scipy.sparse.eye_array(bare.shape[0])
     largest = scipy.sparse.linalg.eigsh(bare - pressed, 1, held.tocsc(), which="LA", return_eigenvectors=False)[0]

@@ -20,10 +20,9 @@ import numpy as np
 from warp_plate.effects.effect import per_mode
 from warp_plate.modal.assemble import Galerkin, load_integrals, make_galerkin, make_space
 from warp_plate.modal.eigenproblem import bending_energies, solve_eigenproblem
-from warp_plate.modal.poles import Poles, make_poles
+from warp_plate.modal.poles import CoupledModes, Poles, make_poles
 from warp_plate.modal.spaces.integrals import mean_wave_frequency
 from warp_plate.modal.spaces.space import FunctionSpace
-from warp_plate.modal.steady import CoupledModes
 from warp_plate.plate.signals import highest_frequency
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area

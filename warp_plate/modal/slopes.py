@@ -9,7 +9,7 @@ by a parameter θ is
     λ_j = ⟨G Re v exp(σ_j t)⟩,     λ'_j = ⟨G Re v t exp(σ_j t)⟩,     μ_p = ψ_pᵀ ⟨G Re v exp(s_p t)⟩
 
 whose means are closed formulas, and which all parameters share. Amplitudes are those of the states z of
-:mod:`warp_plate.modal.transient`, which are carried from one interval to the next with their derivatives: a frequency
+:mod:`warp_plate.modal.motion`, which are carried from one interval to the next with their derivatives: a frequency
 changes an exponent, a delay d a load w by −(σ − iω) w and, where it jumps, the state by that jump; a place the modal
 force, by the difference of the line integrals along the two sides that move.
 """
@@ -24,11 +24,10 @@ from typing import Any
 import numpy as np
 
 from warp_plate.modal.assemble import load_integrals
-from warp_plate.modal.energy import lasting_poles, mean_exponential, mean_exponential_with_time
+from warp_plate.modal.gram import lasting_poles, mean_exponential, mean_exponential_with_time
 from warp_plate.modal.loads import ExponentialLoads, exponential_loads
 from warp_plate.modal.modes import ModalPlate
-from warp_plate.modal.poles import Poles
-from warp_plate.modal.steady import multiply_modes
+from warp_plate.modal.poles import Poles, multiply_modes
 from warp_plate.plate.signals import actuator_delays
 from warp_plate.scene.model import Window
 
@@ -75,7 +74,7 @@ def energy_slopes(
         areas: (designs or 1, M, 4) rectangles x0, x1, y0, y1 of the actuators [m].
         window: Window of a plate that starts from rest; None for the steady state, in which actuators of different
             frequencies do not interfere.
-        quantity: "velocity" or "displacement", see :func:`warp_plate.modal.energy.gram_matrices`.
+        quantity: "velocity" or "displacement", see :func:`warp_plate.modal.gram.gram_matrices`.
         delay: (designs, M) starts of the bursts [s] (default: the scene's).
     """
     block = max(1, BLOCK_NUMBERS // (8 * len(plate.frequencies) * phasors.shape[1]))
@@ -89,11 +88,11 @@ def energy_slopes(
         rows = slice(first, first + block)
         forces = _patch_forces(plate, areas[rows] if len(areas) > 1 else areas)
         if window is None:
-            found = _steady(plate, regions, phasors[rows], frequency[rows], forces, quantity)
+            slopes = _steady(plate, regions, phasors[rows], frequency[rows], forces, quantity)
         else:
             delays = None if delay is None else delay[rows]
-            found = _from_rest(plate, regions, phasors[rows], frequency[rows], delays, forces, window, quantity)
-        parts.append(found)
+            slopes = _from_rest(plate, regions, phasors[rows], frequency[rows], delays, forces, window, quantity)
+        parts.append(slopes)
     return EnergySlopes(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 
@@ -113,23 +112,22 @@ def _steady(
     quantity: str,
 ) -> tuple[np.ndarray, ...]:
     """Return the arrays of :class:`EnergySlopes` in the steady state."""
-    turn = 2j * math.pi * frequency[:, None, :]
+    rate = 2j * math.pi * frequency[:, None, :]
     unit, by_x, by_y = (plate.respond_each(frequency, force) for force in forces)
     # By iω of the dynamic stiffness, times the amplitudes.
-    inertia = 2 * turn * unit + multiply_modes(plate.damping, unit)
-    by_turn = -plate.respond_each(frequency, inertia)
+    by_rate = -plate.respond_each(frequency, 2 * rate * unit + multiply_modes(plate.damping, unit))
     if quantity == "velocity":
-        by_turn = turn * by_turn + unit
-        unit, by_x, by_y = turn * unit, turn * by_x, turn * by_y
+        by_rate = rate * by_rate + unit
+        unit, by_x, by_y = rate * unit, rate * by_x, rate * by_y
     same = frequency[:, :, None] == frequency[:, None, :]
-    moved = (unit * phasors[:, None, :]) @ same
+    motion = (unit * phasors[:, None, :]) @ same
     values = []
     for region in regions:
-        pressed = multiply_modes(region, moved.conj()) / 2
-        values.append(np.stack([(pressed * by).sum(axis=1) for by in (unit, by_turn, by_x, by_y)]))
-    by_drive, by_turn, *by_centre = np.stack(values, axis=2)
+        momenta = multiply_modes(region, motion.conj()) / 2
+        values.append(np.stack([(momenta * by).sum(axis=1) for by in (unit, by_rate, by_x, by_y)]))
+    by_drive, by_rate, *by_centre = np.stack(values, axis=2)
     zero = np.zeros(by_drive.shape, dtype=complex)
-    return _assemble(phasors, by_drive, 2j * math.pi * by_turn, np.stack(by_centre, axis=-1), zero)
+    return _assemble(phasors, by_drive, 2j * math.pi * by_rate, np.stack(by_centre, axis=-1), zero)
 
 
 def _assemble(
@@ -156,10 +154,10 @@ def _from_rest(
     poles, velocity = plate.poles(window.end), quantity == "velocity"
     alike = bool((frequency == frequency[:, :1]).all() and (delay is None or (delay == delay[:, :1]).all()))
     gains = poles.gains(forces[0])
-    pushed, gained = forces[0] * phasors[:, None, :], gains * phasors[:, None, :]
+    pushed, inputs = forces[0] * phasors[:, None, :], gains * phasors[:, None, :]
     if alike:  # all actuators press as the first does
         frequency, delay = frequency[:, :1], None if delay is None else delay[:, :1]
-        pushed, gained = pushed.sum(axis=2, keepdims=True), gained.sum(axis=2, keepdims=True)
+        pushed, inputs = pushed.sum(axis=2, keepdims=True), inputs.sum(axis=2, keepdims=True)
     if delay is None:
         rates = poles.shift_rates(2j * math.pi * frequency, window.end)[..., None]
         loads = [ExponentialLoads(0.0, window.end, rates, np.ones_like(rates))]
@@ -167,17 +165,17 @@ def _from_rest(
         loads = exponential_loads(plate.scene, frequency[0], delay[0], window.end)
         poles = poles.apart_from(np.concatenate([load.rates.ravel() for load in loads]), window.end)
         loads = [replace(load, rates=load.rates[None], weights=load.weights[None]) for load in loads]
-    total = np.zeros((3, len(phasors), len(regions), *gained.shape[1:]), dtype=complex)
+    total = np.zeros((3, len(phasors), len(regions), *inputs.shape[1:]), dtype=complex)
     # Poles that a place does not excite count too, if a neighbouring place excites them.
-    reached = np.stack([gains, *(poles.gains(force) for force in forces[1:])])
+    excited = np.stack([gains, *(poles.gains(force) for force in forces[1:])])
     for motion in _motions(poles, loads, frequency, velocity):
         if motion.end > window.start:
             low = max(window.start - motion.start, 0.0)
             part = Window(start=low, end=min(motion.end, window.end) - motion.start)
             share = (part.end - part.start) / (window.end - window.start)
-            state, follow = motion.free[0], motion.forced[0]
-            kept = lasting_poles(poles, reached, state, follow, motion.rates, part, window.end, velocity)
-            total += share * motion.slopes(poles, kept, regions, pushed, gained, part)
+            states = motion.free[0], motion.forced[0]
+            lasting = lasting_poles(poles, excited, *states, motion.rates, part, window.end, velocity)
+            total += share * motion.slopes(poles, lasting, regions, pushed, inputs, part)
     by_drive, by_frequency, by_delay = (total * gains[:, None]).sum(axis=3)
     of_forces = poles.inputs.T @ total[0]
     by_centre = [(of_forces * slope[:, None]).sum(axis=2) for slope in forces[1:]]
@@ -200,69 +198,68 @@ class _Motion:
     def slopes(
         self,
         poles: Poles,
-        kept: np.ndarray,
+        lasting: np.ndarray,
         regions: Sequence[np.ndarray],
         pushed: np.ndarray,
-        gained: np.ndarray,
+        inputs: np.ndarray,
         part: Window,
     ) -> np.ndarray:
         """Return (3, designs, regions, poles, K) ⟨Re vᵀ G ∂v⟩ of unit inputs, by the drive, frequency and delay.
 
         Args:
             poles: Poles.
-            kept: Indices of those whose free motion matters.
+            lasting: Indices of those whose free motion matters.
             regions: Matrices G (modes, modes).
             pushed: (designs, modes, K) modal forces times phasors.
-            gained: (designs, poles, K) the same, as inputs of the poles.
+            inputs: (designs, poles, K) the same, as inputs of the poles.
             part: Window of the mean, counted from the start of the interval.
         """
         designs, count, _, terms = self.forced.shape[1:]
         rates, states = self.rates.reshape(designs, -1), self.forced[0].reshape(designs, count, -1)
-        forced = poles.forced(states, np.repeat(pushed, terms, axis=2), np.repeat(gained, terms, axis=2))
-        free = (gained * self.free[0]).sum(axis=2)
-        lasting, free = poles.part(kept), free[:, kept]
-        sides = [_side_means(rates, lasting.values, conjugate, part) for conjugate in (False, True)]
-        found = np.empty((3, designs, len(regions), count, self.rates.shape[1]), dtype=complex)
+        forced = poles.forced(states, np.repeat(pushed, terms, axis=2), np.repeat(inputs, terms, axis=2))
+        some, free = poles.part(lasting), (inputs * self.free[0]).sum(axis=2)[:, lasting]
+        sides = [_side_means(rates, some.values, conjugate, part) for conjugate in (False, True)]
+        slopes = np.empty((3, designs, len(regions), count, self.rates.shape[1]), dtype=complex)
         for number, region in enumerate(regions):
-            shapes, moved = lasting.observe(region), multiply_modes(region, forced)
+            momenta = multiply_modes(region, forced), some.observe(region)
             rising = np.zeros((2, *forced.shape), dtype=complex)
             inner = np.zeros_like(free)
             for conjugate, (of_forced, of_free, crossed, decayed) in enumerate(sides):
-                side = [values.conj() if conjugate else values for values in (moved, shapes, free)]
+                side = [values.conj() if conjugate else values for values in (*momenta, free)]
                 columns, across, amplitudes = side
                 for target, mean, other in zip(rising, of_forced, of_free, strict=True):
                     target += columns @ mean / 2 + multiply_modes(across, amplitudes[:, :, None] * other) / 2
-                inner += (lasting.project(columns) * crossed).sum(axis=2) / 2
-                inner += amplitudes @ (lasting.project(across) * decayed).T / 2
-            pressed, bent = poles.project(rising).reshape(2, *self.forced.shape[1:3], *self.rates.shape[1:])
-            values = (self.forced * pressed).sum(axis=4)
-            values[1] += 2j * math.pi * (self.forced[0] * bent).sum(axis=3)
-            values[:, :, kept] += self.free[:, :, kept] * inner[:, :, None]
-            found[:, :, number] = values
-        return found
+                inner += (some.project(columns) * crossed).sum(axis=2) / 2
+                inner += amplitudes @ (some.project(across) * decayed).T / 2
+            by_amplitude, by_exponent = poles.project(rising).reshape(2, *self.forced.shape[1:3], *self.rates.shape[1:])
+            values = (self.forced * by_amplitude).sum(axis=4)
+            values[1] += 2j * math.pi * (self.forced[0] * by_exponent).sum(axis=3)
+            values[:, :, lasting] += self.free[:, :, lasting] * inner[:, :, None]
+            slopes[:, :, number] = values
+        return slopes
 
 
 def _motions(
     poles: Poles, loads: Sequence[ExponentialLoads], frequency: np.ndarray, velocity: bool
 ) -> Iterator[_Motion]:
     """Yield the motion in one interval of the loads (designs, K, terms) after the other."""
-    decays, turn = poles.values[:, None], 2j * math.pi
+    decays, omega = poles.values[:, None], 2j * math.pi
     state = np.zeros((3, len(frequency), poles.values.size, frequency.shape[1]), dtype=complex)
     before = np.zeros(frequency.shape, dtype=complex)
     for load in loads:
         rates, since = load.rates[:, None], load.end - load.start
         weights = load.weights[:, None]
-        by_delay = -(rates - turn * frequency[:, None, :, None]) * weights
+        by_delay = -(rates - omega * frequency[:, None, :, None]) * weights
         state[2] -= (load.weights.sum(axis=2) - before)[:, None]
         gap = 1 / (rates - decays[..., None])
-        forced = np.stack([weights * gap, turn * weights * gap * (load.start - gap), by_delay * gap])
+        forced = np.stack([weights * gap, omega * weights * gap * (load.start - gap), by_delay * gap])
         free = state - forced.sum(axis=4)
-        moving = forced * rates if velocity else forced
+        following = forced * rates if velocity else forced
         if velocity:
-            moving[1] += turn * forced[0]
-        yield _Motion(load.start, load.end, load.rates, moving, free * decays if velocity else free)
+            following[1] += omega * forced[0]
+        yield _Motion(load.start, load.end, load.rates, following, free * decays if velocity else free)
         grown = forced * np.exp(rates * since)
-        grown[1] += turn * since * grown[0]
+        grown[1] += omega * since * grown[0]
         state = free * np.exp(decays * since) + grown.sum(axis=4)
         before = (load.weights * np.exp(load.rates * since)).sum(axis=2)
 

@@ -9,24 +9,19 @@ from typing import Any, Literal
 
 import numpy as np
 
-from warp_plate.modal.device_tones import DeviceToneMatrices
-from warp_plate.modal.energy import energies, gram_matrices
+from warp_plate.modal.energies import ModalEnergies
 from warp_plate.modal.loads import has_exponential_loads
 from warp_plate.modal.modes import ModalPlate, solve_modes
-from warp_plate.modal.motion import fields
+from warp_plate.modal.motion import fields, largest_displacements
 from warp_plate.modal.motion import trace as displacement_at
-from warp_plate.modal.peaks import largest_displacements
-from warp_plate.modal.slopes import EnergySlopes, energy_slopes
-from warp_plate.modal.tones import ToneMatrices
-from warp_plate.modal.waveforms import WaveformEnergies
-from warp_plate.optimize.quadratic import real_parts
+from warp_plate.modal.slopes import EnergySlopes
 from warp_plate.plate.designs import NO_PER_PLATE, Designs, PerPlate, as_phasors, check_designs
 from warp_plate.plate.discretization import Discretization, discretize
 from warp_plate.plate.scheme import Scheme
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies, highest_frequency
 from warp_plate.plate.weights import NO_AREAS, REGIONS, Region, node_positions, weigh_region
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Scene, Window
+from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.response import Response
 from warp_plate.solve.run import Progress, Run
@@ -35,8 +30,6 @@ from warp_plate.solve.specialize import Quantity
 
 # Path of a solver that takes no time steps.
 MODAL: Literal["modal"] = "modal"
-# Numbers in a block of plates that are computed at once.
-BLOCK_NUMBERS = 2**22
 
 
 class ModalSolver:
@@ -101,11 +94,6 @@ class ModalSolver:
         """Names of the scene's effects."""
         return tuple(name.replace("_", " ") for name, table in self.scene.effects if table)
 
-    @property
-    def _window(self) -> Window | None:
-        """Window of the energies; None in the steady state."""
-        return None if self.scene.steady else self.scene.window
-
     def describe_path(self, traced: bool = False) -> str:
         """Return the name and the number of the modes."""
         return f"{MODAL} ({len(self.plate.frequencies)} modes)"
@@ -113,22 +101,11 @@ class ModalSolver:
     @cached_property
     def response(self) -> Response:
         """Gram matrices at the scene's own frequencies and places."""
-        forces, frequency = self.plate.actuator_forces()[None], actuator_frequencies(self.scene)[None]
-        return Response(self._matrices(forces, frequency)[0])
+        return Response(self._modal_energies.scene_matrices())
 
     def gram_matrices(self, designs: Designs) -> np.ndarray:
         """Return (plates, regions, 2M, 2M) Gram matrices of designs, without using their drives."""
-        if self.scene.drive.waveform_key is not None:
-            return self._waveforms.matrices(*self._loads(designs))
-        if self.device.is_cuda and self.plate.proportional:
-            return self._device_tones.matrices(*self._parameters(designs)[:2])
-        frequency, forces, _ = self._loads(designs)
-        matrices = []
-        block = max(1, BLOCK_NUMBERS // (forces.shape[1] * frequency.shape[1]))
-        for first in range(0, len(designs), block):
-            rows = slice(first, first + block)
-            matrices.append(self._matrices(forces[rows] if len(forces) > 1 else forces, frequency[rows]))
-        return np.concatenate(matrices)
+        return self._modal_energies.matrices(*self._parameters(designs))
 
     def energy_slopes(self, designs: Designs) -> EnergySlopes:
         """Return energies of designs and their slopes by drives, frequencies, places and delays, by formula.
@@ -140,10 +117,7 @@ class ModalSolver:
         if not (scene.linear and has_exponential_loads(scene)):
             key = scene.drive.waveform_key if scene.linear else scene.nonlinear_table
             raise SceneError(f"{key}: its slopes are not known; search without 'gradient'")
-        frequency, areas, delay = self._parameters(designs)
-        return energy_slopes(
-            self.plate, self._region_matrices, designs.drives, frequency, areas, self._window, self.quantity, delay
-        )
+        return self._modal_energies.slopes(designs.drives, *self._parameters(designs))
 
     def run(
         self,
@@ -182,14 +156,10 @@ class ModalSolver:
     def _energies(self, designs: Designs) -> np.ndarray:
         """Return (plates, regions) energies [J]."""
         if not self.scene.linear:
-            return energies(self.plate, self._region_matrices, designs.drives, self.quantity)
+            return self._modal_energies.scene_values(designs.drives)
         if designs.only_drives:
             return self.response.energy(designs.drives)
-        if self.scene.drive.waveform_key is not None:
-            return self._waveforms.energies(designs.drives, *self._loads(designs))
-        columns = real_parts(designs.drives)[:, None, :, None]
-        energy: np.ndarray = (columns.mT @ self.gram_matrices(designs) @ columns)[:, :, 0, 0]
-        return energy
+        return self._modal_energies.values(designs.drives, *self._parameters(designs))
 
     def _parameters(self, designs: Designs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return frequencies (plates, M) [Hz], areas (plates or 1, M, 4) [m] and delays (plates, M) [s] of designs."""
@@ -202,29 +172,9 @@ class ModalSolver:
         shape = designs.drives.shape
         return np.broadcast_to(frequency, shape), areas, np.broadcast_to(delay, shape)
 
-    def _loads(self, designs: Designs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return frequencies (plates, M) [Hz], modal forces (plates or 1, modes, M) and delays (plates, M) [s]."""
-        frequency, areas, delay = self._parameters(designs)
-        forces = self.plate.drive_forces(areas)
-        return frequency, np.moveaxis(forces.reshape(len(forces), *areas.shape[:2]), 0, 1), delay
-
-    def _matrices(self, forces: np.ndarray, frequency: np.ndarray) -> np.ndarray:
-        if self._window is not None and self.scene.drive.waveform_key is None:
-            return self._tones.matrices(frequency, forces)
-        return gram_matrices(self.plate, self._region_matrices, forces, frequency, self._window, self.quantity)
-
     @cached_property
-    def _tones(self) -> ToneMatrices:
-        assert self._window is not None
-        return ToneMatrices(self.plate, self._region_matrices, self._window, self.quantity)
-
-    @cached_property
-    def _device_tones(self) -> DeviceToneMatrices:
-        return DeviceToneMatrices(self.plate, self._region_matrices, self._window, self.quantity, self.device)
-
-    @cached_property
-    def _waveforms(self) -> WaveformEnergies:
-        return WaveformEnergies(self.plate, self._region_matrices, self.quantity)
+    def _modal_energies(self) -> ModalEnergies:
+        return ModalEnergies(self.plate, self._region_matrices, self.quantity, self.device)
 
     @cached_property
     def _region_matrices(self) -> list[np.ndarray]:

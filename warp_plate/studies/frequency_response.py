@@ -1,6 +1,6 @@
 """Frequency responses between actuators or points and points, with localization factor and mean square velocity.
 
-Each frequency is computed separately, from the modal amplitudes q (:mod:`warp_plate.modal.steady`). With T and P the
+Each frequency is computed separately, from the modal amplitudes q (:mod:`warp_plate.modal.poles`). With T and P the
 kinetic matrices of the target and of the plate, the mean kinetic energies over a period are ω² qᴴTq/4 and ω² qᴴPq/4.
 With q of a unit pressure on each actuator in the columns of Q, drives z have the localization factor
 zᴴQᴴTQz / zᴴQᴴPQz, and the largest eigenvalue of that pair bounds it. Near a sharp resonance all columns of Q are nearly
@@ -14,8 +14,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from warp_plate.modal.modes import ModalPlate, solve_modes
+from warp_plate.modal.poles import adaptive_frequencies, as_sparse, multiply_modes
 from warp_plate.modal.spaces.space import Matrix
-from warp_plate.modal.steady import adaptive_frequencies, as_sparse, multiply_modes
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.quantities.region_quantities import mean_square
 from warp_plate.result.frequency_response import DERIVATIVES, FrequencyResponse, Quantity

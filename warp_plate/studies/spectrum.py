@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from warp_plate.modal.modes import solve_modes
+from warp_plate.modal.poles import adaptive_frequencies
 from warp_plate.modal.solver import MODAL, ModalSolver, make_solver
-from warp_plate.modal.steady import adaptive_frequencies
 from warp_plate.plate.designs import Designs, per_plate_of
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.bounds import bound_localization
