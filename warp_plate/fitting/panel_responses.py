@@ -126,7 +126,11 @@ class PanelResponses:
         if below is not None and _alike(high, here) != _alike(low, here):
             high, low, factor = (high, here, 2 * factor) if _alike(high, here) else (here, low, 2 * factor)
         if not (_alike(high, here) and _alike(low, here)) or high.losses.by_modes:
-            slopes = factor * (self._values_of(above) - self._values_of(below))
+            above_values, below_values = (
+                self.values if scene is None else PanelResponses(scene, self._measured, self._coarse).values
+                for scene in (above, below)
+            )
+            slopes = factor * (above_values - below_values)
             return lambda part, q, p: slopes[:, part]
         names = ("bending", "support", "mass", "damping")
         bending, support, mass, damping = (_change(getattr(high, name), getattr(low, name), factor) for name in names)
@@ -150,17 +154,12 @@ class PanelResponses:
                 if matrix is not None:
                     total -= weight * multiply_modes(matrix, q)
             if changed_loss or changed_time:
-                total -= 1j * (changed_loss + omega * changed_time) * multiply_modes(_dense(here.bending), q)
-            moved = p.mT @ total if total.any() else 0.0
-            moved = moved + multiply_modes(of_sensors.T, q)
-            return loads.gains[:, part] * loads.pick(moved) + of_gains[:, part] * self.values[:, part]
+                total -= 1j * (changed_loss + omega * changed_time) * multiply_modes(here.bending.toarray(), q)
+            displacement = p.mT @ total if total.any() else 0.0
+            displacement = displacement + multiply_modes(of_sensors.T, q)
+            return loads.gains[:, part] * loads.pick(displacement) + of_gains[:, part] * self.values[:, part]
 
         return derivative
-
-    def _values_of(self, scene: Scene | None) -> np.ndarray:
-        if scene is None:
-            return self.values
-        return PanelResponses(scene, self._measured, self._coarse).values
 
 
 class _Loads:
@@ -174,7 +173,7 @@ class _Loads:
 
     def __init__(self, galerkin: Galerkin, omega: np.ndarray) -> None:
         rows, scene = galerkin.scene.measurement, galerkin.scene
-        areas = {each.name: each.area for each in scene.actuators}
+        areas = {actuator.name: actuator.area for actuator in scene.actuators}
         driven = [(row.actuator, row.force_at) for row in rows]
         kinds = list(dict.fromkeys(driven))
         forces = []
@@ -188,13 +187,13 @@ class _Loads:
         masses = len(galerkin.masses)
         self.forces = np.pad(np.array(forces).T, ((0, masses), (0, 0)))
         self.sensors = np.pad(galerkin.space.at_points([row.point for row in rows]).T, ((0, masses), (0, 0)))
-        self._driven = [kinds.index(each) for each in driven]
+        self._driven = [kinds.index(force) for force in driven]
         powers = np.array([DERIVATIVES[row.quantity] for row in rows])[:, None]
         self.gains = np.array([row.gain for row in rows])[:, None] * (1j * omega) ** powers
 
-    def pick(self, moved: np.ndarray) -> np.ndarray:
+    def pick(self, displacements: np.ndarray) -> np.ndarray:
         """Return (measurements, n) of (n, measurements, forces), for the force of each measurement."""
-        return moved[:, range(len(self._driven)), self._driven].T
+        return displacements[:, range(len(self._driven)), self._driven].T
 
 
 def undamped_error() -> SceneError:
@@ -217,7 +216,3 @@ def _change(high: Matrix, low: Matrix, factor: float) -> np.ndarray | None:
     """Return the difference of matrices times a factor; None if they are equal."""
     change = high - low
     return factor * change.toarray() if change.nnz else None
-
-
-def _dense(matrix: Matrix) -> np.ndarray:
-    return np.asarray(matrix.toarray())
