@@ -23,7 +23,6 @@ from peer_codes.machine import machine, versions
 
 from warp_plate import Scene
 from warp_plate.explore.live_model import LiveModel
-from warp_plate.scene.dump import dump_scene
 from warp_plate.viz.availability import set_up_renderer
 from warp_plate.viz.explorer_page import FONT_SIZE, SIZE
 from warp_plate.viz.explorer_view import ROW_WEIGHTS, ExplorerView
@@ -96,7 +95,7 @@ def page(scene: Scene) -> dict[str, float]:
     browser_path = next(filter(None, map(shutil.which, BROWSERS)), None)
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
         file = Path(folder, "panel.toml")
-        file.write_text(dump_scene(scene), encoding="utf-8")
+        file.write_text(scene.to_toml(), encoding="utf-8")
         command = [sys.executable, "-m", "warp_plate", "explore", str(file), "--web", "--port", "0"]
         server = subprocess.Popen([*command, "--device", "cpu"], stdout=subprocess.PIPE, text=True)
         try:

@@ -34,7 +34,6 @@ from warp_plate.plate.operator import LARGEST
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.result.model import Result
 from warp_plate.result.motion import Motion
-from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.load import preset_text
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.engine import paths_of
@@ -374,7 +373,7 @@ def write_scene(tmp_path, monkeypatch):
 
     def write(scene=None, name="panel", **tables):
         made = scene_of(**tables) if scene is None else scene
-        Path(f"{name}.toml").write_text(dump_scene(made), encoding="utf-8")
+        Path(f"{name}.toml").write_text(made.to_toml(), encoding="utf-8")
         return made
 
     return write

@@ -11,7 +11,6 @@ from warp_plate import Scene
 from warp_plate.fitting.fit_responses import fit_responses
 from warp_plate.fitting.measured_responses import MeasuredResponses
 from warp_plate.fitting.panel_responses import PanelResponses
-from warp_plate.scene.keys import with_values
 
 NOISE = 0.01
 # Largest errors of modulus and rigidity, of damping, and of springs that the data determine to as much.
@@ -61,7 +60,7 @@ def measured(number: int, device: str = "cpu", folder: Path | None = None) -> di
 
 def _scene_to_fit(panel: Panel, start: dict[str, float], ranges: dict[str, tuple[float, float]], **fit: int) -> Scene:
     """Return the panel with values that a fit starts from."""
-    changed = with_values(panel.scene, start)
+    changed = panel.scene.with_values(start)
     return changed.with_tables(fit={"free": ranges, **fit})
 
 

@@ -1,5 +1,6 @@
 """Sphinx extension that writes the pages under docs/reference from the code: commands, scene keys, Python names."""
 
+import inspect
 import operator
 import re
 import tomllib
@@ -11,9 +12,10 @@ import warp_plate
 from warp_plate.cli.commands import app as commands
 from warp_plate.scene.fields import Table
 from warp_plate.scene.key_reference import table_references
-from warp_plate.scene.schema import field_comments
 
 DOCS = Path(__file__).parents[1]
+# A field of a data class, and the comment on its line.
+FIELD = re.compile(r"    (\w+): [^#\n]*(?:\"[^\"]*\"[^#\n]*)*(?:# (.*))?")
 RETURNED = (
     "result.case.Case",
     "result.case.RegionMotion",
@@ -84,6 +86,19 @@ def add_fields(app, what, name, kind, options, lines):
         lines += ["", "Arguments are its keys, see :doc:`/reference/scene-keys`."]
     elif what == "class" and is_dataclass(kind) and not any(line.startswith(":ivar") for line in lines):
         lines += ["", *(f":ivar {field}: {text}" for field, text in field_comments(kind).items() if text), ""]
+
+
+def field_comments(kind):
+    """Return the comment of each field of a data class, on its line or on those above it, by name."""
+    comments, above = {}, []
+    for line in inspect.getsource(kind).splitlines():
+        if line.startswith("    # "):
+            above.append(line[6:])
+            continue
+        if match := FIELD.fullmatch(line):
+            comments[match[1]] = match[2] or " ".join(above)
+        above = []
+    return comments
 
 
 def command_line():

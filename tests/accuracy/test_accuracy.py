@@ -21,9 +21,7 @@ from warp_plate.modal.solver import ModalSolver
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import localization_factor
 from warp_plate.reference import series
-from warp_plate.scene.grid import Grid
-from warp_plate.scene.keys import with_values
-from warp_plate.scene.model import Window
+from warp_plate.scene.grid import Grid, Window
 from warp_plate.scene.vary import make_plan, parse_vary
 from warp_plate.studies import grid_choice
 from warp_plate.studies.grid_choice import resolve_for_sweep, resolve_search_grid
@@ -182,7 +180,7 @@ def test_rows_of_modes(paper_exact):
 
 def test_a_scene_without_time_steps_has_rows_of_modes(panel):
     steady = panel.with_tables(effects={"loss_factor": {"eta": 0.01}})
-    found = report.measure_configurations(steady, device="cpu")
+    found = report.measure_accuracy(steady, device="cpu")
     assert {row.load for row in found.rows} == {"modal"}
     assert found.recommended[-1].row is not None
 
@@ -386,10 +384,10 @@ def test_a_sweep_chooses_once_where_waves_are_shortest(panel):
     scene = panel.with_accuracy(0.2)
     plan = make_plan([parse_vary(scene, "drive.frequency=150,100,200")])
     gridded = resolve_for_sweep(scene, plan, "cpu", "direct")
-    highest, lowest = (with_values(scene, {"drive.frequency": value}) for value in (200.0, 100.0))
+    highest, lowest = (scene.with_values({"drive.frequency": value}) for value in (200.0, 100.0))
     assert gridded.grid.nodes == choose(highest, 0.2, "cpu").scene.grid.nodes
     phasors = np.eye(3, dtype=complex)
-    found = factors_of(with_values(gridded, {"drive.frequency": 100.0}), phasors)
+    found = factors_of(gridded.with_values({"drive.frequency": 100.0}), phasors)
     assert found == pytest.approx(solve_response(lowest, 1.0)[1].localization_factors(phasors), rel=0.2)
     assert resolve_for_sweep(scene, make_plan([parse_vary(scene, "grid.accuracy=0.1,0.2")]), "cpu", "direct") is scene
 

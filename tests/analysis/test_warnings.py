@@ -14,7 +14,6 @@ from warp_plate.analysis.warnings import (
     target_warnings,
     warning_texts,
 )
-from warp_plate.scene.dump import dump_scene
 from warp_plate.solve.specialize import effect_names
 
 START = 0.004  # start of the window of the tests' scene [s]
@@ -65,7 +64,7 @@ def test_files_with_higher_frequencies_are_reported(tmp_path, scene, frequency, 
     times = np.arange(2000) / 8000
     np.savetxt(tmp_path / "tone.csv", np.column_stack([times, np.sin(2 * np.pi * 290 * times)]), delimiter=",")
     made = scene(drive={"frequency": frequency, "signal": {"file": "tone.csv"}})
-    (tmp_path / "panel.toml").write_text(dump_scene(made), encoding="utf-8")
+    (tmp_path / "panel.toml").write_text(made.to_toml(), encoding="utf-8")
     loaded = Scene.load(tmp_path / "panel.toml")
     number = find_warnings(loaded, None)[-1]
     assert number.value == pytest.approx(290 / frequency, rel=0.12)

@@ -17,7 +17,7 @@ from warp_plate import focus, localize, save_focus, save_result, save_sweep, swe
 from warp_plate.cli.commands import COMMANDS, app
 from warp_plate.plate import memory
 from warp_plate.result.export.frequency_response import write_hdf5
-from warp_plate.studies.frequency_response import compute_frequency_response
+from warp_plate.studies.frequency_response import frf
 
 # Commands that wait for a person or measure this machine, and options that start other programs.
 LEFT_OUT, PROGRAMS = ("view", "explore"), ("--devices", "--cluster")
@@ -109,7 +109,7 @@ def filled(tmp_path_factory):
     save_result(localize(scene, device="cpu", estimate=False), folder / "run.h5")
     save_focus(focus(scenes[-1]), folder / "focus.h5")
     save_sweep(sweep(scene, ["drive.frequency=280,290"], "simulate", device="cpu"), folder / "sweep.h5")
-    write_hdf5(compute_frequency_response(scene, frequency_range=(50, 300)), folder / "frf.h5")
+    write_hdf5(frf(scene, frequency_range=(50, 300)), folder / "frf.h5")
     (folder / "modes.csv").write_text("frequency\n38\n77\n78\n115\n", encoding="utf-8")
     (folder / "responses.csv").write_text("50,1,1\n60,2,1\n70,1,2\n80,1,3\n", encoding="utf-8")
     (folder / "velocities.csv").write_text("x,y,velocity\n.05,.05,1\n.15,.05,1\n.05,.15,2\n.15,.15,1\n")

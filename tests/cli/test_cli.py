@@ -11,7 +11,6 @@ from conftest import error_of, output_of, scene_of, start_program
 
 import warp_plate
 from warp_plate import Scene, load_result
-from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.load import preset_names, preset_text
 
 QUICK = ("--device", "cpu", "--no-pictures", "--no-estimate")
@@ -93,7 +92,7 @@ def test_a_search_that_misses_the_bound_names_the_method_that_reaches_it(command
 
 
 def test_errors_are_one_line_and_status_2(command, panel, write_scene):
-    Path("wrong.toml").write_text(dump_scene(panel).replace("density", "densty"), encoding="utf-8")
+    Path("wrong.toml").write_text(panel.to_toml().replace("density", "densty"), encoding="utf-8")
     write_scene(panel.with_tables(grid={"nodes": (13, 13), "time_step": 1.0}), "fast")
     write_scene(name="two", actuators=[actuator.area for actuator in panel.actuators[:2]])
     command("simulate", "two.toml", "--out", "two.h5", *QUICK)
@@ -167,5 +166,5 @@ def test_names_in_a_scene_are_printed_verbatim(command, write_scene):
     assert "[bold][/x] \\x1b]0;owned\\x07" in out
     assert "[/b]1 \\x1b[31m :smile:" in out
     assert not {"\x1b", "\x07"} & set(out)
-    Path("panel.toml").write_text(dump_scene(scene).replace("magnitude = 1.0", "magnitude = nan"), encoding="utf-8")
+    Path("panel.toml").write_text(scene.to_toml().replace("magnitude = 1.0", "magnitude = nan"), encoding="utf-8")
     error_of(command("localize", "panel.toml", *QUICK))

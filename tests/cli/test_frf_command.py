@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from conftest import error_of, output_of
 
-from warp_plate.studies.frequency_response import compute_frequency_response
+from warp_plate.studies.frequency_response import frf
 
 
 @pytest.fixture
@@ -18,7 +18,7 @@ def damped(write_scene):
 def test_json_table_and_files(command, damped):
     pytest.importorskip("matplotlib")
     asked = ("--from", "1", "--from", "0.1,0.05", "--at", "0.05,0.07", "--range", "20:120", "--quantity", "receptance")
-    expected = compute_frequency_response(damped, ["1", (0.1, 0.05)], [(0.05, 0.07)], (20, 120), "receptance")
+    expected = frf(damped, ["1", (0.1, 0.05)], [(0.05, 0.07)], (20, 120), "receptance")
     answer = command("frf", "panel.toml", *asked, "--json", "--to", "csv", "--to", "hdf5", "--out", "found.svg")
     record = json.loads(output_of(answer))
     assert record["pairs"] == [{"from": "1", "at": [0.05, 0.07]}, {"from": "0.1,0.05", "at": [0.05, 0.07]}]

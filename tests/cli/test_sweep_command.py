@@ -15,7 +15,6 @@ from warp_plate.cli import output
 from warp_plate.cluster.pool import WorkersGone
 from warp_plate.result.atomic_io import check_seal
 from warp_plate.result.sweep import REFUSED, save_sweep
-from warp_plate.scene.keys import with_values
 from warp_plate.studies import sweep as sweeps
 from warp_plate.studies import sweep_points
 from warp_plate.studies.frequency_response import respond_to_drive
@@ -107,7 +106,7 @@ def test_words_and_files_vary_and_responses_have_an_axis(write_scene, command):
     assert sorted(record["varied"]["edges.left"]) == ["clamped"] * 2 + ["supported"] * 2
     assert (record["evaluator"], record["axes"]) == ("modal", {"frequency": [50.0, 125.0, 200.0]})
     for point in range(4):
-        scene = with_values(kept.scene, kept.plan.values(point))
+        scene = kept.scene.with_values(kept.plan.values(point))
         velocity, factor, bound = respond_to_drive(scene, kept.along("frequency"))
         np.testing.assert_allclose(kept.values["mean_square_velocity"][point], velocity, rtol=1e-9)
         np.testing.assert_allclose(kept.values["localization_factor"][point], factor, rtol=1e-9)

@@ -27,7 +27,6 @@ from warp_plate.plate.designs import Designs, per_plate_of
 from warp_plate.problem.scenario_losses import simulate_scenarios
 from warp_plate.problem.uncertainty import draw_scenarios
 from warp_plate.result.model import save_result
-from warp_plate.scene.dump import dump_scene
 from warp_plate.studies.compare import compare
 
 PLATES = 150  # blocks of 64, 64 and 22
@@ -352,7 +351,7 @@ def test_workers_end_with_the_program(tmp_path):
 def test_ctrl_c_ends_a_command_with_workers_by_its_best(tmp_path, scene, command):
     """All processes of the command receive the signal, as from a terminal."""
     file = tmp_path / "panel.toml"
-    file.write_text(dump_scene(small_search(scene, iterations=10**6)), encoding="utf-8")
+    file.write_text(small_search(scene, iterations=10**6).to_toml(), encoding="utf-8")
     refused = command("localize", file, "--devices", "cpu,cpu", "--device", "cpu")
     assert refused[0] == 2
     assert "--device cpu: --devices cpu,cpu already says where plates run" in refused[2]

@@ -16,7 +16,7 @@ from warp_plate.fitting.measured_modes import read_modes
 from warp_plate.fitting.measured_responses import MeasuredResponses, read_responses
 from warp_plate.fitting.panel_responses import PanelResponses
 from warp_plate.result.export.frequency_response import write_csv, write_uff
-from warp_plate.studies.frequency_response import compute_frequency_response
+from warp_plate.studies.frequency_response import frf
 
 SIZE, ETA, HIT = (0.23, 0.17), 0.02, (0.05, 0.06)
 MODULUS, SURFACE_DENSITY = MATERIAL["young_modulus"], MATERIAL["density"] * MATERIAL["thickness"]
@@ -107,7 +107,7 @@ def test_coarse_plates_leave_no_error():
     free = {**FREE, "edges.left.rotation": (0.005, 0.5)}
     scene = supported(density=1.0).with_tables(edges=dict.fromkeys(("left", "bottom", "right", "top"), edge))
     truth = scene.replace("plate.young_modulus", MODULUS).replace("effects.loss_factor.eta", ETA)
-    exact = compute_frequency_response(truth, [HIT], POINTS, (5.0, 80.0), "accelerance")
+    exact = frf(truth, [HIT], POINTS, (5.0, 80.0), "accelerance")
     kept = np.linspace(0, len(exact.frequencies) - 1, 60).astype(int)
     data = MeasuredResponses("data.csv", exact.frequencies[kept], exact.responses[:, kept])
     found = fit_responses(scene.with_tables(fit={"starts": 1, "free": free}), data)
@@ -120,7 +120,7 @@ def test_files_of_frf(ending, write, tmp_path):
     """Files of ``frf`` are read to the digits written, the universal file to the last bit."""
     if ending == "uff":
         pytest.importorskip("pyuff")
-    exact = compute_frequency_response(supported(), [HIT], POINTS[:2], (5.0, 40.0), "accelerance")
+    exact = frf(supported(), [HIT], POINTS[:2], (5.0, 40.0), "accelerance")
     write(exact, tmp_path / f"data.{ending}")
     found = read_responses(tmp_path / f"data.{ending}", 2)
     tolerance = 1e-8 if ending == "csv" else 0

@@ -14,7 +14,7 @@ from warp_plate import SceneError
 from warp_plate.fitting.measured_modes import read_modes
 from warp_plate.fitting.measured_responses import read_responses
 from warp_plate.scene.fit import Fit
-from warp_plate.studies.frequency_response import compute_frequency_response
+from warp_plate.studies.frequency_response import frf
 
 RATE = 2000
 # A resonator, and a second sensor of four times the gain and opposite sign.
@@ -230,7 +230,7 @@ def test_command(command, write_scene):
     fit = {"starts": 1, "free": {"plate.density": (900.0, 1100.0)}, "range": (11, 40)}
     scene = scene_of(effects={"loss_factor": {"eta": 0.05}}, fit=fit, measurement=rows, grid={"modal_density": 0.5})
     write_scene(scene)
-    exact = compute_frequency_response(scene, [(0.05, 0.06)], [row["point"] for row in rows], (10, 40), "accelerance")
+    exact = frf(scene, [(0.05, 0.06)], [row["point"] for row in rows], (10, 40), "accelerance")
     for index, values in enumerate(exact.responses):
         scipy.io.savemat(f"{index}.mat", {"frequency": exact.frequencies, "response": values})
     record = json.loads(

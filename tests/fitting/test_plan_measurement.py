@@ -11,7 +11,7 @@ from warp_plate import Scene, SceneError, plan_measurement
 from warp_plate.fitting.fit_responses import fit_responses
 from warp_plate.fitting.measured_responses import MeasuredResponses
 from warp_plate.fitting.plan_measurement import choose_places
-from warp_plate.studies.frequency_response import compute_frequency_response
+from warp_plate.studies.frequency_response import frf
 
 SIZE, ETA = (0.23, 0.17), 0.03
 
@@ -45,7 +45,7 @@ def test_intervals_are_those_of_fits(random):
     points = [row.point for row in plan.scene.measurement]
     low, high = plan.frequencies[[0, -1]]
     frequencies = np.linspace(low, high, 100)
-    exact = compute_frequency_response(plan.scene, [plan.actuator], points, (low, high), "accelerance")
+    exact = frf(plan.scene, [plan.actuator], points, (low, high), "accelerance")
     clean = np.array([np.interp(frequencies, exact.frequencies, np.log(np.abs(row))) for row in exact.responses])
     phase = np.array([np.interp(frequencies, exact.frequencies, np.unwrap(np.angle(row))) for row in exact.responses])
     values = []

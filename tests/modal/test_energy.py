@@ -9,7 +9,7 @@ from warp_plate import Scene
 from warp_plate.modal import gram
 from warp_plate.modal.gram import gram_matrices, mean_exponential, mean_exponential_with_time
 from warp_plate.modal.modes import solve_modes
-from warp_plate.scene.model import Window
+from warp_plate.scene.grid import Window
 from warp_plate.solve.response import Response
 
 

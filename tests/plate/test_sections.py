@@ -19,7 +19,6 @@ from warp_plate.plate.bending import make_bending
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.section import factors_at_nodes
-from warp_plate.scene.dump import dump_scene
 
 SIZE, NODES = (0.2, 0.18), (13, 11)
 # The tests' plate; density: per area.
@@ -107,7 +106,7 @@ def test_a_plate_with_layers_on_both_faces(scene):
 def in_folder(folder, scene, content):
     """Return the scene from a file whose variation of thickness is in another file beside it."""
     (folder / "a.csv").write_text(content, encoding="utf-8")
-    text = f'{dump_scene(scene)}\n[effects.variation]\nthickness = "a.csv"\n'
+    text = f'{scene.to_toml()}\n[effects.variation]\nthickness = "a.csv"\n'
     (folder / "scene.toml").write_text(text, encoding="utf-8")
     return Scene.load(folder / "scene.toml")
 
@@ -154,4 +153,4 @@ def test_bad_files_are_refused_on_one_line(scene, tmp_path, content, why):
     ],
 )
 def test_bad_tables_are_refused(scene, table, why):
-    assert why in refusal(f"{dump_scene(scene())}\n[effects.variation]\n{table}\n")
+    assert why in refusal(f"{scene().to_toml()}\n[effects.variation]\n{table}\n")

@@ -14,7 +14,6 @@ from warp_plate.plate.shapes import cells, clipped, cubics, polygon_weights
 from warp_plate.plate.weights import REGIONS, region_weights
 from warp_plate.reference import series
 from warp_plate.result.targets import outlines
-from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.target import Target, area_within
 
 TARGET = REGIONS.index("target")
@@ -198,7 +197,7 @@ def test_the_first_of_several_targets_is_the_target(tmp_path):
     made = Scene.load(tmp_path / "panel.toml")
     assert made.target == Target(disc=(0.1, 0.1, 0.05))
     assert [target.name for target in made.targets] == ["disc", "star", "left"]
-    assert Scene.parse(dump_scene(made), "").in_folder(tmp_path) == made
+    assert Scene.parse(made.to_toml(), "").in_folder(tmp_path) == made
     assert made.aimed_at(1).target.polygon == made.targets[1].polygon
     assert set(digests(made)) == {"targets[2].mask"}
     run = PlateSolver(made, "cpu", areas={target.name: target for target in made.targets[1:]}).run(np.ones((1, 4)))

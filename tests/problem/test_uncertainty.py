@@ -16,7 +16,6 @@ from warp_plate.problem import scenario_losses
 from warp_plate.problem.scenario_losses import ScenarioLosses, apply_measure, scenario_responses, simulate_scenarios
 from warp_plate.problem.uncertainty import draw_scenarios
 from warp_plate.result.model import mean_of_worst
-from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.search import Robust
 
 SEVERAL = [{"kind": "contrast"}, {"kind": "displacement", "weight": 1e6, "rest_limit": 1.0}]
@@ -49,7 +48,7 @@ def test_the_seed_alone_decides():
     few = draw_scenarios(robust(EFFECTS, young_modulus=0.1, gain=0.2), 3, 5)
     for scenario, again, *others in zip(first, same, other, validation, strict=True):
         assert scenario.scene == again.scene
-        assert Scene.parse(dump_scene(scenario.scene), "scenario") == scenario.scene
+        assert Scene.parse(scenario.scene.to_toml(), "scenario") == scenario.scene
         np.testing.assert_array_equal(scenario.gain, again.gain)
         np.testing.assert_array_equal(scenario.offset, again.offset)
         assert all(scenario.scene.plate != another.scene.plate for another in [*others, *few])

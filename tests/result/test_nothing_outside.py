@@ -11,8 +11,6 @@ from pathlib import Path
 
 import warp as wp
 
-from warp_plate.scene.dump import dump_scene
-
 ROOT = Path(__file__).parents[2]
 FORBIDDEN_NAMES = {"eval", "exec", "compile", "__import__", "globals", "breakpoint", "os.system"}
 FORBIDDEN_MODULES = {
@@ -69,7 +67,7 @@ finally:
 def test_a_command_writes_its_own_files_and_no_others(tmp_path, scene):
     """The result in this folder and Warp's own cache; no connection, no other process."""
     made = scene(damping=88.5, precision="float32", search={"particles": 3, "iterations": 2})
-    (tmp_path / "panel.toml").write_text(dump_scene(made), encoding="utf-8")
+    (tmp_path / "panel.toml").write_text(made.to_toml(), encoding="utf-8")
     (tmp_path / "private.toml").write_text("secret", encoding="utf-8")
     wp.init()
     cache = Path(wp.config.kernel_cache_dir).resolve()

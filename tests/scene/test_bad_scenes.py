@@ -21,7 +21,6 @@ from warp_plate.plate.travelling import moving_weights
 from warp_plate.plate.weights import patches, region_weights
 from warp_plate.problem.objectives import make_objectives
 from warp_plate.reference.numpy_moment_form import run_moment_form
-from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.load import parse_toml
 
 ALL_KEYS = parse_toml((Path(__file__).parents[1] / "data" / "all_keys.toml").read_text(encoding="utf-8"), "")
@@ -67,7 +66,7 @@ def read(tables):
     except SceneError as error:
         check_line(error)
         return None
-    assert Scene.parse(dump_scene(scene), "") == scene
+    assert Scene.parse(scene.to_toml(), "") == scene
     return scene
 
 
@@ -228,7 +227,7 @@ def test_truncated_and_corrupted_files():
         except SceneError as error:
             check_line(error)
         else:
-            assert Scene.parse(dump_scene(scene), "") == scene
+            assert Scene.parse(scene.to_toml(), "") == scene
 
 
 def test_any_file_name_is_accepted(tmp_path, monkeypatch):

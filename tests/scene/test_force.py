@@ -11,8 +11,7 @@ from warp_plate.plate.scene_overrides import actuator_centres, scene_phasors, sc
 from warp_plate.problem.uncertainty import draw_scenarios
 from warp_plate.result.case import Case
 from warp_plate.result.export.time_series import make_drive_signal
-from warp_plate.scene.dump import dump_scene
-from warp_plate.scene.keys import label_of, resolved_key, unit_of, with_values
+from warp_plate.scene.keys import label_of, resolved_key, unit_of
 from warp_plate.studies.simulate import simulate
 from warp_plate.studies.sweep import sweep
 
@@ -43,22 +42,22 @@ def test_a_force_is_the_pressure_times_the_area():
 def test_it_survives_dumps_and_copies(force):
     made = pressed(force=force)
     assert made.actuators[0].force == force
-    for again in (made.with_tables(), Scene.parse(dump_scene(made), ""), with_values(made, {})):
+    for again in (made.with_tables(), Scene.parse(made.to_toml(), ""), made.with_values({})):
         assert again == made
-    text = dump_scene(made)
+    text = made.to_toml()
     assert ("force = " in text, text.count("magnitude = ")) == (True, 1)  # that of the other actuator
     assert Scene.from_tables(made.model_dump(mode="json")) == made
 
 
 def test_it_is_varied_and_stays_when_the_patch_changes():
     for made in (pressed(force=0.3), pressed(magnitude=5.0)):
-        changed = with_values(made, {"actuators[0].force": 0.6}).actuators[0]
+        changed = made.with_values({"actuators[0].force": 0.6}).actuators[0]
         assert (changed.force, changed.magnitude) == (0.6, pytest.approx(1000))
-        changed = with_values(made, {"actuators[0].magnitude": 7.0}).actuators[0]
+        changed = made.with_values({"actuators[0].magnitude": 7.0}).actuators[0]
         assert (changed.force, changed.magnitude) == (None, 7.0)
         with pytest.raises(SceneError, match=r"^actuators\[0\]\.force: .* beside magnitude = 7"):
-            with_values(made, {"actuators[0].force": 0.6, "actuators[0].magnitude": 7.0})
-    wider = with_values(pressed(force=0.3), {"actuators[0].area[1]": 0.09}).actuators[0]
+            made.with_values({"actuators[0].force": 0.6, "actuators[0].magnitude": 7.0})
+    wider = pressed(force=0.3).with_values({"actuators[0].area[1]": 0.09}).actuators[0]
     assert (wider.force, wider.magnitude) == (0.3, pytest.approx(250))
     key = resolved_key(made, "actuators.a.force")
     assert (key, unit_of(made, key), label_of(made, key)) == ("actuators[0].force", "N", "actuator a force")
@@ -107,7 +106,7 @@ def test_a_drive_comes_back_in_newtons(magnitude, heading):
         "phase": pytest.approx(1.5 * np.pi),
     }
     assert ("magnitude" in drive_json(case, made)[1]) == (magnitude is not None)
-    again = Scene.parse(dump_scene(scene_with(made, case.magnitude, case.phase)), "")
+    again = Scene.parse(scene_with(made, case.magnitude, case.phase).to_toml(), "")
     np.testing.assert_allclose(scene_phasors(again), case.phasors, rtol=1e-12, atol=1e-9)
     signal = make_drive_signal(made, case, 48000, 0.1)
     factors = (PATCH_AREAS if magnitude is None else 1) * case.phasors

@@ -9,8 +9,7 @@ from warp_plate.analysis.warnings import find_warnings
 from warp_plate.effects.effect import per_mode
 from warp_plate.plate.modes import natural_modes
 from warp_plate.problem.uncertainty import draw_scenarios
-from warp_plate.scene.dump import dump_scene
-from warp_plate.scene.keys import label_of, scalar_keys, unit_of, with_values
+from warp_plate.scene.keys import label_of, scalar_keys, unit_of
 
 ETA, RATIO = "[effects.loss_factor]\neta = {}\n", "[effects.modal_damping]\nratio = {}\n"
 BURST = {"frequency": 290.0, "burst": {"duration": 0.01}}
@@ -86,10 +85,10 @@ def test_the_last_value_of_a_list_holds_for_all_higher_modes():
 @pytest.mark.parametrize(("eta", "key"), [(0.1, "eta"), ([0.1, 0.2], "eta[1]")])
 def test_numbers_survive_a_dump_and_are_varied(eta, key):
     made, key = scene_of(effects={"loss_factor": {"eta": eta}}), f"effects.loss_factor.{key}"
-    assert Scene.parse(dump_scene(made), "") == made.with_tables() == made
+    assert Scene.parse(made.to_toml(), "") == made.with_tables() == made
     assert scalar_keys(made)[key] is float
     assert (unit_of(made, key), bool(label_of(made, key))) == ("1", True)
-    varied = with_values(made, {key: 0.5}).effects.loss_factor
+    varied = made.with_values({key: 0.5}).effects.loss_factor
     np.testing.assert_array_equal(per_mode(varied.eta, 2), [np.ravel(eta)[0], 0.5] if key.endswith("]") else [0.5, 0.5])
 
 

@@ -12,8 +12,6 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from warp_plate import PlateSolver, Scene, SceneError
-from warp_plate.scene.dump import dump_scene
-from warp_plate.scene.keys import with_values
 from warp_plate.scene.load import parse_toml, preset_names
 
 TESTS = Path(__file__).parents[1]
@@ -132,7 +130,7 @@ def test_missing_files_are_refused(tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", preset_names())
 def test_presets_load_and_run(name):
     scene = Scene.load(name)
-    assert Scene.parse(dump_scene(scene), name) == scene
+    assert Scene.parse(scene.to_toml(), name) == scene
     assert PlateSolver(scene, "cpu").run([[1] * len(scene.actuators)]).finite.all()
 
 
@@ -149,10 +147,10 @@ def test_scenes_without_a_grid_ask_for_one_percent_and_nonlinear_ones_have_16_ce
     wave = 2 * math.pi * (plate.rigidity / (plate.density * plate.thickness)) ** 0.25 / math.sqrt(omega)
     cells = math.ceil(16 * 0.2 / wave)
     assert (stretched.grid.accuracy, stretched.grid.nodes) == (None, (cells + 1, cells + 1))
-    slower = with_values(stretched, {"drive.frequency": 290 / 4})
+    slower = stretched.with_values({"drive.frequency": 290 / 4})
     assert slower.grid.nodes == (math.ceil(8 * 0.2 / wave) + 1,) * 2
-    assert with_values(scene, {"drive.frequency": 100.0}).grid.accuracy == 0.01
-    assert Scene.parse(dump_scene(stretched), "dumped").grid == stretched.grid
+    assert scene.with_values({"drive.frequency": 100.0}).grid.accuracy == 0.01
+    assert Scene.parse(stretched.to_toml(), "dumped").grid == stretched.grid
 
 
 def test_the_paper_has_its_numbers():
@@ -208,7 +206,7 @@ def test_any_texts_and_numbers_survive_a_dump(texts, area, magnitude, time_step,
         "actuators": (scene.actuators[0].model_copy(update=actuator),),
     }
     changed = scene.model_copy(update=update)
-    assert Scene.parse(dump_scene(changed), "") == changed
+    assert Scene.parse(changed.to_toml(), "") == changed
 
 
 def test_reading_scenes_imports_neither_warp_nor_graphics():

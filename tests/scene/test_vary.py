@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from warp_plate import Scene, SceneError
-from warp_plate.scene.keys import label_of, resolved_key, scalar_keys, unit_of, with_values
+from warp_plate.scene.keys import label_of, resolved_key, scalar_keys, unit_of
 from warp_plate.scene.load import preset_names
 from warp_plate.scene.vary import MOST_POINTS, make_plan, parse_vary
 
@@ -16,7 +16,7 @@ PAPER = Scene.load("paper")
 @pytest.mark.parametrize("name", preset_names())
 def test_every_key_of_a_preset_is_found(name):
     scene = Scene.load(name)
-    assert with_values(scene, {}) == scene
+    assert scene.with_values({}) == scene
     for key in scalar_keys(scene):
         assert resolved_key(scene, key) == key
         assert label_of(scene, key)
@@ -25,15 +25,15 @@ def test_every_key_of_a_preset_is_found(name):
 
 
 def test_numbers_are_replaced():
-    made = with_values(PAPER, {"target.area[1]": 0.05, "actuators[2].phase": 1.5, "search.velocity_limit": 3})
+    made = PAPER.with_values({"target.area[1]": 0.05, "actuators[2].phase": 1.5, "search.velocity_limit": 3})
     assert made.target.area == (0.0, 0.05, 0.0, 0.1)
     assert [one.phase for one in made.actuators] == [0.0, 0.0, 1.5, 0.0]
     assert made.search.velocity_limit == 3.0
     assert made.plate == PAPER.plate
-    assert with_values(PAPER, {"grid.nodes[1]": 31.0}).grid.nodes == (27, 31)
-    assert with_values(PAPER, {"grid.accuracy": 0.01}).grid.accuracy == 0.01
+    assert PAPER.with_values({"grid.nodes[1]": 31.0}).grid.nodes == (27, 31)
+    assert PAPER.with_values({"grid.accuracy": 0.01}).grid.accuracy == 0.01
     with pytest.raises(SceneError, match="not thin"):
-        with_values(PAPER, {"plate.thickness": 0.1})
+        PAPER.with_values({"plate.thickness": 0.1})
 
 
 def test_names_stand_for_indices(scene):
@@ -45,7 +45,7 @@ def test_names_stand_for_indices(scene):
     )
     assert resolved_key(several, "targets.a.b.area[0]") == "targets[0].area[0]"
     assert not any(key.startswith("target.") for key in scalar_keys(several))
-    assert with_values(several, {"targets[0].area[0]": 0.02}).target.area[0] == 0.02
+    assert several.with_values({"targets[0].area[0]": 0.02}).target.area[0] == 0.02
 
 
 @pytest.mark.parametrize(

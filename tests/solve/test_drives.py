@@ -8,7 +8,6 @@ from oracle import check_run, reference
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.signals import make_signals
-from warp_plate.scene.dump import dump_scene
 from warp_plate.studies.localize import localize
 
 WINDOW = (0.004, 0.012)
@@ -36,7 +35,7 @@ def test_one_carrier_takes_the_paths_of_a_tone(device, path, name, order, phasor
         made = driven(order=order, damping=60.0, signal={"file": "tap.csv"})
         with pytest.raises(SceneError, match=r"^drive\.signal\.file = 'tap\.csv': this scene was not read from a file"):
             PlateSolver(made, "cpu")
-        (tmp_path / "scene.toml").write_text(dump_scene(made), encoding="utf-8")
+        (tmp_path / "scene.toml").write_text(made.to_toml(), encoding="utf-8")
         made = Scene.load(tmp_path / "scene.toml")  # finds the signal beside it
     else:
         made = driven(order=order, damping=60.0, **CARRIERS[name])

@@ -12,7 +12,6 @@ from warp_plate.cli.main import main
 from warp_plate.modal.motion import fields
 from warp_plate.modal.solver import make_solver
 from warp_plate.plate.scene_overrides import scene_phasors
-from warp_plate.scene.dump import dump_scene
 from warp_plate.solve.run import record_times, run_with_peaks, sample_times
 
 BURST = {"frequency": 290.0, "burst": {"duration": 0.003, "ramp": 0.001}}
@@ -87,7 +86,7 @@ def test_the_command_warns_of_a_burst_s_peak(struck, tmp_path, monkeypatch, caps
     monkeypatch.chdir(tmp_path)
     loud = float(0.3 * struck.plate.thickness / traced_peak(struck))
     actuators = tuple(actuator.model_copy(update={"magnitude": loud}) for actuator in struck.actuators)
-    Path("struck.toml").write_text(dump_scene(struck.model_copy(update={"actuators": actuators})), encoding="utf-8")
+    Path("struck.toml").write_text(struck.model_copy(update={"actuators": actuators}).to_toml(), encoding="utf-8")
     main(["simulate", "struck.toml", "--device", "cpu", "--json", "--no-pictures", "--no-estimate"])
     answer = json.loads(capsys.readouterr().out)
     assert answer["peak_displacement"] == pytest.approx(0.3 * struck.plate.thickness, rel=0.02)

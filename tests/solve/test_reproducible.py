@@ -12,7 +12,6 @@ import pytest
 from oracle import FOUR_EDGES, LINEAR
 
 from warp_plate import localize
-from warp_plate.scene.dump import dump_scene
 
 SEARCH = {"search": {"particles": 21, "iterations": 4, "seed": 7}, "record": {"points": ((0.1, 0.07),)}}
 SCENES = {
@@ -54,7 +53,7 @@ print(digest(localize(Scene.load("panel.toml"), device="cpu", evaluator="respons
 def test_in_another_process(tmp_path, scene):
     """Runs use other numbers of threads, of NumPy's library too, and another seed of Python's hashes."""
     made = scene(**SCENES["effects"], **SEARCH)
-    (tmp_path / "panel.toml").write_text(dump_scene(made), encoding="utf-8")
+    (tmp_path / "panel.toml").write_text(made.to_toml(), encoding="utf-8")
     threads = {"WARP_PLATE_THREADS": "3", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONHASHSEED": "77"}
     path = os.pathsep.join([str(Path(__file__).parent), os.environ["PYTHONPATH"]])
     environment = {**os.environ, **threads, "PYTHONPATH": path}

@@ -14,7 +14,7 @@ from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.reference.series import patch_pressures, supported_plate
 from warp_plate.result.export.frequency_response import write_csv, write_hdf5, write_uff
 from warp_plate.scene.errors import SceneError
-from warp_plate.studies.frequency_response import compute_frequency_response, default_range
+from warp_plate.studies.frequency_response import default_range, frf
 
 SUPPORTED = ("supported",) * 4
 POINTS = [(0.05, 0.07), (0.13, 0.11)]
@@ -61,7 +61,7 @@ def unit_pressures(scene, actuator, terms):
 
 def test_receptance_is_that_of_the_sine_series(supported):
     """Also of a point force, whose series converges slowly, 4/ab sin sin the modal pressures."""
-    found = compute_frequency_response(supported, ["1", (0.11, 0.04)], POINTS, (20, 400), "receptance")
+    found = frf(supported, ["1", (0.11, 0.04)], POINTS, (20, 400), "receptance")
     assert found.inputs == ("1", "0.11,0.04")
     assert found.unit == "m/N"
     chosen = slice(None, None, 25)
@@ -78,7 +78,7 @@ def test_receptance_is_that_of_the_sine_series(supported):
 
 def test_localization_bound_and_velocity_are_those_of_the_sine_series(supported):
     """Sines have the mean square 1/4 over the plate; over the target, a quarter, Gauss's rule gives their products."""
-    found, terms = compute_frequency_response(supported, frequency_range=(20, 400)), 60
+    found, terms = frf(supported, frequency_range=(20, 400)), 60
     chosen = slice(3, None, 40)
     omega = 2 * math.pi * found.frequencies[chosen]
     amplitudes = np.stack(
@@ -104,7 +104,7 @@ def test_localization_bound_and_velocity_are_those_of_the_sine_series(supported)
 def test_reciprocity_of_a_plate_with_coupled_modes(scene):
     """H(a → b) = H(b → a), and the responses are those of the full system, frequency by frequency."""
     made = scene(size=(0.2, 0.16), **MIXED)
-    found = compute_frequency_response(made, POINTS, POINTS, (15, 30), "receptance")
+    found = frf(made, POINTS, POINTS, (15, 30), "receptance")
     assert found.pairs[1] == ("0.05,0.07", POINTS[1])
     np.testing.assert_allclose(found.responses[1], found.responses[2], rtol=1e-4)
     assert (found.bound < 1).all()
@@ -119,8 +119,7 @@ def test_reciprocity_of_a_plate_with_coupled_modes(scene):
 def test_quantities_are_derivatives(supported):
     """Mobility = iω receptance, accelerance = iω mobility."""
     receptance, mobility, accelerance = (
-        compute_frequency_response(supported, ["0"], POINTS, (20, 60), quantity)
-        for quantity in ("receptance", "mobility", "accelerance")
+        frf(supported, ["0"], POINTS, (20, 60), quantity) for quantity in ("receptance", "mobility", "accelerance")
     )
     turn = 2j * math.pi * receptance.frequencies
     np.testing.assert_allclose(mobility.responses, turn * receptance.responses, rtol=1e-12)
@@ -137,7 +136,7 @@ def test_a_free_plate_moves_as_its_mass(scene):
     free = scene(size=(0.2, 0.16), edges=("free",) * 4, effects=effects)
     parts = np.array([0.5 * 0.2 * 0.08, 0.95 * 0.2 * 0.08, 0.004])
     centre = (0.1, parts @ [0.04, 0.12, 0.08] / parts.sum())
-    found = compute_frequency_response(free, [centre], [centre, (0.0, 0.0)], (0.01, 0.1))
+    found = frf(free, [centre], [centre, (0.0, 0.0)], (0.01, 0.1))
     speed = 1 / (2 * math.pi * found.frequencies * parts.sum())
     np.testing.assert_allclose(np.abs(found.responses), [speed, speed], rtol=1e-3)
     np.testing.assert_allclose(found.mean_square_velocity[0], speed**2 / 2, rtol=1e-3)
@@ -156,7 +155,7 @@ def test_no_peak_is_missed(scene, effects):
     """Each local maximum of a dense scan around a resonance is in the curve to 1 %, and no resonance costs more than a
     number of frequencies that grows with the logarithm of its sharpness."""
     made = scene(size=(0.2, 0.16), effects=effects)
-    found = compute_frequency_response(made, ["0"], POINTS[:1], (20, 200), "receptance")
+    found = frf(made, ["0"], POINTS[:1], (20, 200), "receptance")
     plate = solve_modes(made, 200)
     force = plate.patch_forces([made.actuators[0].area])
     shape = plate.at_points(POINTS[:1])[:, 0]
@@ -183,11 +182,11 @@ def test_no_peak_is_missed(scene, effects):
 
 
 def test_undamped_plates_have_finite_responses_beside_their_resonances(scene):
-    found = compute_frequency_response(scene(), frequency_range=(20, 200))
+    found = frf(scene(), frequency_range=(20, 200))
     assert found.undamped
     for values in (found.responses, found.localization_factor, found.bound, found.mean_square_velocity):
         assert np.isfinite(values).all()
-    assert not compute_frequency_response(scene(damping=1.0), frequency_range=(20, 200)).undamped
+    assert not frf(scene(damping=1.0), frequency_range=(20, 200)).undamped
     distance = np.abs(found.frequencies[:, None] - found.natural_frequencies).min(axis=0) / found.natural_frequencies
     assert (distance < 1e-5).all()
 
@@ -195,16 +194,16 @@ def test_undamped_plates_have_finite_responses_beside_their_resonances(scene):
 def test_ends_of_the_range_stay_beside_undamped_resonances(scene):
     natural = solve_modes(scene(), 200).frequencies[0]
     for low, high in [(natural * (1 - 2e-7), natural * (1 - 1e-7)), (natural * (1 + 1e-7), 2 * natural)]:
-        found = compute_frequency_response(scene(), frequency_range=(low, high))
+        found = frf(scene(), frequency_range=(low, high))
         assert tuple(found.frequencies[[0, -1]]) == (low, high)
         assert np.isfinite(found.responses).all()
-    assert np.isfinite(compute_frequency_response(scene(), frequency_range=(natural, 200)).responses).all()
+    assert np.isfinite(frf(scene(), frequency_range=(natural, 200)).responses).all()
 
 
 @pytest.mark.parametrize("viscous", [3e3, 1e5])
 def test_overdamped_plates_are_sampled_as_densely_as_others(scene, viscous):
     """Wide peaks do not thin out the plain grid: |H| between the frequencies is that interpolated from them."""
-    found = compute_frequency_response(scene(damping=viscous), ["1"], POINTS[:1], (5, 400))
+    found = frf(scene(damping=viscous), ["1"], POINTS[:1], (5, 400))
     size = np.log(np.abs(found.responses[0]))
     between = np.interp(np.log(found.frequencies[1:-1:2]), np.log(found.frequencies[::2]), size[::2])
     assert len(found.frequencies) >= 400
@@ -214,8 +213,8 @@ def test_overdamped_plates_are_sampled_as_densely_as_others(scene, viscous):
 def test_defaults_and_refusals(scene):
     """Points come from record.points, else from the middles of the targets; the range holds drive and modes."""
     made = scene(damping=5.0)
-    assert compute_frequency_response(made, frequency_range=(20, 30)).pairs == [(name, (0.05, 0.05)) for name in "012"]
-    recorded = compute_frequency_response(made.with_tables(record={"points": POINTS}), ["2"])
+    assert frf(made, frequency_range=(20, 30)).pairs == [(name, (0.05, 0.05)) for name in "012"]
+    recorded = frf(made.with_tables(record={"points": POINTS}), ["2"])
     assert recorded.pairs == [("2", point) for point in POINTS]
     low, high = default_range(made)
     assert recorded.frequencies[[0, -1]] == pytest.approx([low, high])
@@ -228,16 +227,16 @@ def test_defaults_and_refusals(scene):
         "effects.moving_load": {"effects": {"moving_load": {"force": 1.0, "start": (0.1, 0.1)}}},
     }.items():
         with pytest.raises(SceneError, match=f"^{key}: "):
-            compute_frequency_response(scene(**tables))
+            frf(scene(**tables))
     for wrong in ({"inputs": ["3"]}, {"inputs": [(0.3, 0.1)]}, {"points": [(0.1, -0.1)]}, {"frequency_range": (9, 9)}):
         with pytest.raises(SceneError):
-            compute_frequency_response(made, **wrong)
+            frf(made, **wrong)
 
 
 @pytest.fixture
 def response(scene):
     made = scene(damping=0.01, title="Panel 200 × 200").with_tables(record={"points": POINTS})
-    return compute_frequency_response(made, ["2", (0.1, 0.05)], quantity="accelerance", frequency_range=(20, 90))
+    return frf(made, ["2", (0.1, 0.05)], quantity="accelerance", frequency_range=(20, 90))
 
 
 def test_csv_has_a_column_for_each_part(response, tmp_path):

@@ -14,10 +14,9 @@ from warp_plate import SceneError, load_sweep, sweep
 from warp_plate.cluster.pool import ATTEMPTS
 from warp_plate.modal.continuous_modes import continuous_modes
 from warp_plate.result.sweep import REFUSED, RUN, save_sweep
-from warp_plate.scene.keys import with_values
 from warp_plate.scene.vary import make_plan, parse_vary
 from warp_plate.studies.checkpointing import SweepFile
-from warp_plate.studies.frequency_response import compute_frequency_response, respond_to_drive
+from warp_plate.studies.frequency_response import frf, respond_to_drive
 from warp_plate.studies.localize import localize
 from warp_plate.studies.quantities_of_interest import QUANTITIES
 from warp_plate.studies.simulate import simulate
@@ -46,7 +45,7 @@ def test_quantities_are_those_of_the_commands(plate, evaluator):
         assert result.evaluator == asked or quantities.evaluators == (result.evaluator,)
         found[what] = result.values
     for point in (0, 1):
-        scene = with_values(plate, plan.values(point))
+        scene = plate.with_values(plan.values(point))
         at = {what: {name: array[point] for name, array in values.items()} for what, values in found.items()}
         single = simulate(scene, device="cpu", path="modal" if by_modes else "auto", estimate=False)
         assert at["simulate"] == {
@@ -62,7 +61,7 @@ def test_quantities_are_those_of_the_commands(plate, evaluator):
         assert at["localize"]["bound"] == pytest.approx(searched.bound, rel=1e-9)
         assert factors["best"] <= at["localize"]["best"] * (1 + 1e-9) <= searched.bound * (1 + 3e-9)
         np.testing.assert_allclose(at["modes"]["frequency"], continuous_modes(scene, 3).frequencies, rtol=1e-7)
-        response = compute_frequency_response(scene, frequency_range=(90, 260))
+        response = frf(scene, frequency_range=(90, 260))
         nearest = np.abs(response.frequencies - 100).argmin()
         at_nearest = respond_to_drive(scene, response.frequencies[[nearest]])
         assert at_nearest[1] == pytest.approx(response.localization_factor[[nearest]], rel=1e-5)

@@ -12,7 +12,7 @@ from warp_plate.result.case import Case
 from warp_plate.result.comparison import MethodComparison, Trial
 from warp_plate.result.sweep import REFUSED
 from warp_plate.scene.vary import make_plan, parse_vary
-from warp_plate.studies.frequency_response import compute_frequency_response
+from warp_plate.studies.frequency_response import frf
 from warp_plate.studies.quantities_of_interest import QUANTITIES
 from warp_plate.studies.sweep import start_sweep
 from warp_plate.viz.plots.frame import figure, number_log_axis
@@ -67,7 +67,7 @@ def test_the_largest_responses_are_coloured_and_natural_frequencies_explained(dr
     """Of eight inputs at one point the five with the largest peaks; the other curves are grey and not in the legend."""
     made = scene_of(damping=20.0)
     forces = [(0.02 + 0.02 * index, 0.05) for index in range(8)]
-    found = compute_frequency_response(made, forces, [(0.07, 0.11)], (50.0, 300.0))
+    found = frf(made, forces, [(0.07, 0.11)], (50.0, 300.0))
     figure, texts = drawn(draw_frequency_response, found)
     peaks = np.abs(found.responses).max(axis=1)
     largest = set(np.argsort(-peaks)[:5])

@@ -10,7 +10,7 @@ from importlib import metadata
 
 import warp as wp
 
-from warp_plate import __version__
+from warp_plate._version import __version__
 from warp_plate.kernels.cuda import RESERVED_BYTES
 from warp_plate.kernels.plans import plan_block, strip_plans
 from warp_plate.kernels.update import KernelEffects

@@ -87,7 +87,7 @@ class AccuracyReport:
         return record
 
 
-def measure_configurations(
+def measure_accuracy(
     scene: SceneSource,
     *,
     source: str = "",

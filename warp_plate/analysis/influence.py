@@ -56,7 +56,7 @@ class Influence:
     toggles: tuple[EffectToggle, ...]  # one for each effect
 
 
-def measure_influence(
+def measure_effects(
     scene: SceneSource, device: str = "auto", on_progress: Callable[[int, int, str], object] | None = None
 ) -> Influence:
     """Switch each effect off or on, and measure its cost and the results under the scene's own drive.

@@ -20,7 +20,8 @@ from warp_plate.result.case import Case, case_scene, only_actuator
 from warp_plate.result.model import Result
 from warp_plate.result.motion import Motion
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Record, Scene
+from warp_plate.scene.grid import Record
+from warp_plate.scene.model import Scene
 from warp_plate.solve.run import Progress
 
 # Default frames of a period, and most default frames of a longer span.

@@ -70,14 +70,14 @@ def effects(
 ) -> None:
     """Show the cost and influence of every effect, on or off, and suggest effects that the scene lacks."""
     loaded, scene = changes.load(scene)
-    from warp_plate.analysis.influence import measure_influence
+    from warp_plate.analysis.influence import measure_effects
     from warp_plate.analysis.warnings import find_warnings
     from warp_plate.studies.grid_choice import resolve_grid
 
     with output.scene_errors(scene):
         loaded = resolve_grid(loaded, device, engine="steps" if loaded.modal_only_key is None else "modes").scene
         with output.progress_bar("switching effects", shown=not json) as progress:
-            influence = measure_influence(loaded, device, progress)
+            influence = measure_effects(loaded, device, progress)
     findings = find_warnings(loaded, influence.peak)
     record = {
         "scene": scene,
@@ -165,14 +165,14 @@ def accuracy(
         raise SceneError(f"--budget {budget:g}: must be a positive number of seconds")
     loaded, scene = output.load_scene(scene, assignments)
     from warp_plate.accuracy.machine import describe_machine, describe_versions
-    from warp_plate.accuracy.report import measure_configurations
+    from warp_plate.accuracy.report import measure_accuracy
     from warp_plate.solve.devices import find_device
     from warp_plate.viz.plots.accuracy import draw_accuracy
 
     name = find_device(device).alias
     machine = describe_machine([name])
     with output.scene_errors(scene), output.progress_bar("measuring", shown=not files.json) as show:
-        report = measure_configurations(loaded, source=scene, device=name, path=path, budget=budget, on_progress=show)
+        report = measure_accuracy(loaded, source=scene, device=name, path=path, budget=budget, on_progress=show)
     record = {**report.as_json(), "machine": vars(machine), "versions": describe_versions()}
     written = output.write_measurements(target, record, draw_accuracy, files.pictures)
     show_report = partial(_print_accuracy, report, machine.devices[name])

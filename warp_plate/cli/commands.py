@@ -8,14 +8,14 @@ from importlib import import_module
 
 import cyclopts
 
-import warp_plate
+from warp_plate._version import __version__
 from warp_plate.cli.output import log
 from warp_plate.scene.errors import SceneError
 
 app = cyclopts.App(
     name="warp-plate",
     help="Simulate thin vibrating panels, thousands at once, and find drives that move only a chosen part of a panel.",
-    version=warp_plate.__version__,
+    version=__version__,
     help_format="markdown",
     suppress_keyboard_interrupt=False,
 )

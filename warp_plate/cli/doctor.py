@@ -13,7 +13,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-import warp_plate
+from warp_plate._version import __version__
 from warp_plate.cli import options, output
 from warp_plate.scene.errors import SceneError
 
@@ -64,7 +64,7 @@ def _run(name: str, check: Callable[[], Iterator[Diagnosis]]) -> Iterator[Diagno
 
 def _check_python() -> Iterator[Diagnosis]:
     yield Diagnosis("Python", "ok", f"{platform.python_version()}, {sys.executable}, {platform.platform()}")
-    yield Diagnosis("warp-plate", "ok", f"{warp_plate.__version__}, {warp_plate.__path__[0]}")
+    yield Diagnosis("warp-plate", "ok", f"{__version__}, {Path(__file__).parents[1]}")
 
 
 def _check_devices() -> Iterator[Diagnosis]:

@@ -96,7 +96,8 @@ def frf(
     if "hdf5" in formats:
         output.check_replaceable(target.with_suffix(".h5"), "a frequency response", files.force)
     loaded, scene = output.load_scene(scene, assignments)
-    from warp_plate.studies.frequency_response import check_on_plate, compute_frequency_response
+    from warp_plate.studies.frequency_response import check_on_plate
+    from warp_plate.studies.frequency_response import frf as compute
 
     sources = [_source(loaded, text) for text in responses.inputs or ()]
     check_on_plate(loaded, points, "--at")
@@ -109,7 +110,7 @@ def frf(
             span = (impulse, responses.rate, highest)
             impulses = compute_impulse_response(loaded, sources, points, *span, responses.quantity)
         else:
-            response = compute_frequency_response(loaded, sources, points, limits, responses.quantity)
+            response = compute(loaded, sources, points, limits, responses.quantity)
     if impulse is not None:
         tables = _write_impulses(impulses, target), None
         output.report(files.json, _impulses_as_json, _print_impulses, impulses, written=tables)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-import warp_plate
+from warp_plate._version import __version__
 from warp_plate.cluster.pool import Task, WorkerPool, run_tasks
 from warp_plate.cluster.tasks import Evaluation, SolverSpec, refuse_unlike, run_block
 from warp_plate.modal.solver import ModalSolver, make_solver
@@ -110,7 +110,7 @@ class Evaluator:
             if outcome.failure:
                 raise SceneError(f"a worker: {outcome.failure}")
             _, worker = outcome.value
-            refuse_unlike({"warp_plate": warp_plate.__version__, "warp": wp.config.version}, worker)
+            refuse_unlike({"warp_plate": __version__, "warp": wp.config.version}, worker)
             self._worker = {name: worker[name] for name in ("kind", "warp_plate", "warp")}
 
 

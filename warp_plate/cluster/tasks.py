@@ -14,11 +14,10 @@ from uuid import uuid4
 import numpy as np
 import warp as wp
 
-import warp_plate
+from warp_plate._version import __version__
 from warp_plate.plate.designs import Designs
 from warp_plate.plate.files import named_files, read_beside
 from warp_plate.plate.weights import NO_AREAS, REGIONS, Region, region_weights
-from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import processor_of
@@ -52,7 +51,7 @@ class SceneSpec:
             SceneError: A file that it names cannot be read.
         """
         files = {name: read_beside(key, name, scene.folder) for key, name in named_files(scene).items()}
-        return SceneSpec(dump_scene(scene), files)
+        return SceneSpec(scene.to_toml(), files)
 
     def scene_in(self, folder: str) -> Scene:
         """Write the files to a folder and return the scene, which reads them there."""
@@ -147,7 +146,7 @@ def worker_device(device: str) -> str:
 def worker_identity(device: wp.Device) -> dict[str, str]:
     """Return the versions and the processor of this process, on which the last bits of a result depend."""
     return {
-        "warp_plate": warp_plate.__version__,
+        "warp_plate": __version__,
         "warp": wp.config.version,
         "processor": processor_of(device),
     }

@@ -43,13 +43,13 @@ class Edges(Table):
     per length in N/m² and N·m/(rad·m)."""
 
     left: Annotated[EdgeCondition, Field(examples=["clamped"])] = "clamped"
-    """x = 0."""
+    """Edge at x = 0."""
     bottom: Annotated[EdgeCondition, Field(examples=["supported"])] = "clamped"
-    """y = 0."""
+    """Edge at y = 0."""
     right: Annotated[EdgeCondition, Field(examples=["free"])] = "clamped"
-    """x = size[0]."""
+    """Edge at x = size[0]."""
     top: Annotated[EdgeCondition, Field(examples=[{"translation": 1e6, "rotation": 100.0}])] = "clamped"
-    """y = size[1]."""
+    """Edge at y = size[1]."""
 
     def terms(self) -> Iterator[Term]:
         """Yield the springs of elastic edges: ∮ k u² + r u_n² ds."""

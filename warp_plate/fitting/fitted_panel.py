@@ -22,7 +22,7 @@ from warp_plate.fitting.least_squares import (
     profile,
 )
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.keys import resolved_key, value_of, with_values
+from warp_plate.scene.keys import resolved_key, value_of
 from warp_plate.scene.model import Scene
 
 # Step of differences of scenes, relative to a value above 0, or else to its range.
@@ -64,7 +64,7 @@ class FreeNumbers:
     def _panel_with(self, values: np.ndarray) -> Scene:
         panel = self.scene.model_copy(update={"fit": None})
         try:
-            return with_values(panel, dict(zip(self.keys, values.tolist(), strict=True)))
+            return panel.with_values(dict(zip(self.keys, values.tolist(), strict=True)))
         except SceneError as error:
             raise SceneError(f"fit.free: a range reaches too far: {error}") from None
 

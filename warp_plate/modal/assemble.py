@@ -37,7 +37,6 @@ from warp_plate.modal.spaces.tensor_splines import TensorSplines
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
-from warp_plate.scene.piezo import piezo_moments
 from warp_plate.scene.target import Target
 
 # Attached springs that are stiffer than this, relative to the largest entry of the plate's own stiffness, would hide it
@@ -148,7 +147,7 @@ def load_integrals(galerkin: Galerkin, areas: np.ndarray) -> np.ndarray:
     if not galerkin.scene.piezo:
         return galerkin.space.patch_integrals(areas)
     rectangles = np.asarray(areas, dtype=float).reshape(-1, 4)
-    moments = np.resize(piezo_moments(galerkin.scene), len(rectangles))
+    moments = np.resize(galerkin.scene.piezo_moments, len(rectangles))
     return -moments[:, None] * galerkin.space.curvature_integrals(rectangles)
 
 

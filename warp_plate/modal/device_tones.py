@@ -19,7 +19,7 @@ from warp_plate.modal.gram import ToneMatrices, mean_exponential
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.poles import APART, as_sparse
 from warp_plate.modal.spaces.tensor_splines import TensorSplines
-from warp_plate.scene.model import Window
+from warp_plate.scene.grid import Window
 from warp_plate.solve.devices import load_kernel
 
 # Numbers of the largest matrix of a block of plates.

@@ -30,7 +30,7 @@ from warp_plate.modal.motion import Excitation, exponential_states, make_excitat
 from warp_plate.modal.poles import Poles, as_sparse, multiply_modes
 from warp_plate.modal.quadrature import quadrature_matrices
 from warp_plate.plate.signals import actuator_delays
-from warp_plate.scene.model import Window
+from warp_plate.scene.grid import Window
 
 Matrix: TypeAlias = np.ndarray | scipy.sparse.csr_array
 # Free motions that change energies by less than about this part of them are left out.

@@ -20,7 +20,7 @@ from warp_plate.modal.loads import ExponentialLoads, SampledLoads, trial_forces,
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.motion import Excitation, make_excitation
 from warp_plate.plate.signals import actuator_delays
-from warp_plate.scene.model import Window
+from warp_plate.scene.grid import Window
 
 # PANEL_POINTS Gauss points per PANEL_PHASE radians of the fastest v², oscillating or decaying.
 PANEL_PHASE, PANEL_POINTS = 12.0, 10

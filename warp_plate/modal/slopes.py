@@ -29,7 +29,7 @@ from warp_plate.modal.loads import ExponentialLoads, exponential_loads
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.poles import Poles, multiply_modes
 from warp_plate.plate.signals import actuator_delays
-from warp_plate.scene.model import Window
+from warp_plate.scene.grid import Window
 
 # Numbers of the arrays of a block of designs.
 BLOCK_NUMBERS = 2**22

@@ -18,7 +18,6 @@ from warp_plate.plate.shapes import shape_weights
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene, Target
-from warp_plate.scene.piezo import piezo_moments
 
 REGIONS = ("plate", "target")
 # x0, x1, y0, y1 [m] of a rectangle; a shape; or weights (ny, nx) in cells.
@@ -94,7 +93,7 @@ def patches(scene: Scene) -> np.ndarray:
     weigh = {"overlap": overlap, "nodes": inside, "moments": moments}[scene.grid.load]
     x, y = node_positions(scene)
     if scene.piezo:
-        pairs = zip(piezo_moments(scene), scene.actuators, strict=True)
+        pairs = zip(scene.piezo_moments, scene.actuators, strict=True)
         fields = np.stack([-moment * curvatures(x, y, actuator.area) for moment, actuator in pairs])
     else:
         fields = np.stack([_rectangle(weigh, x, y, actuator.area) for actuator in scene.actuators])

@@ -28,7 +28,6 @@ from numpy.polynomial import legendre
 
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.scene.piezo import piezo_moments
 
 # A span of time in which the fastest v² turns by PANEL_TURN [rad] takes PANEL_POINTS of Gauss's points: exact to
 # rounding.
@@ -118,7 +117,7 @@ def patch_pressures(scene: Scene, drive: np.ndarray, terms: int) -> np.ndarray:
     (width, height), orders = scene.plate.size, np.arange(1, terms + 1)
     pressures = np.zeros((terms, terms), dtype=complex)
     squares = np.add.outer((orders * math.pi / height) ** 2, (orders * math.pi / width) ** 2)
-    units = [moment * squares for moment in piezo_moments(scene)] if scene.piezo else [1.0] * len(scene.actuators)
+    units = [moment * squares for moment in scene.piezo_moments] if scene.piezo else [1.0] * len(scene.actuators)
     for phasor, unit, actuator in zip(drive, units, scene.actuators, strict=True):
         x0, x1, y0, y1 = actuator.area
         along = _sine_integral(orders * math.pi / width, x0, x1)

@@ -26,7 +26,6 @@ import h5py
 import numpy as np
 
 from warp_plate.result.hdf5 import full_path, member, names_in, read_array, read_attribute, write_along, write_array
-from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import LARGEST, Count, as_kind
 from warp_plate.scene.model import Scene
@@ -125,7 +124,7 @@ class SceneText(Layout):
     """A scene as an attribute of TOML text; the files that the scene names lie beside the HDF5 file."""
 
     def write(self, group: h5py.Group, name: str, value: Scene) -> None:
-        group.attrs[name] = dump_scene(value)
+        group.attrs[name] = value.to_toml()
 
     def read(self, group: h5py.Group, name: str, sizes: Sizes) -> Scene:
         path, text = group.file.filename, Attribute(str).read(group, name, sizes)

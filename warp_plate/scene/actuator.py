@@ -6,7 +6,20 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from warp_plate.scene.fields import LARGEST, SMALLEST, Area, Gain, Instant, Moderate, Name, Positive, Table
+from warp_plate.scene.fields import (
+    LARGEST,
+    SMALLEST,
+    Area,
+    Density,
+    Gain,
+    Instant,
+    Moderate,
+    Name,
+    Positive,
+    Table,
+    Unit,
+    YoungModulus,
+)
 
 # Keys that a piezo patch must have, and those that it may have.
 PIEZO, PIEZO_OPTIONS = ("d31", "thickness", "young_modulus"), ("density", "capacitance")
@@ -19,20 +32,32 @@ class Actuator(Table):
     so it is kept if the size of the patch changes.
     """
 
-    name: Name  # name, different for each actuator
-    area: Area  # rectangle x0, x1, y0, y1; for a disc, the square of the same area [m]
-    magnitude: Moderate = 1.0  # amplitude of the pressure [N/m²], or of the voltage [V], see ``Scene.drive_unit``
-    force: Moderate | None = None  # amplitude of the patch's total force [N], in place of the magnitude
-    phase: Moderate = 0.0  # phase lag [rad]
-    frequency: Positive | None = None  # frequency [Hz] (default: that of the drive)
-    delay: Instant | None = None  # start of the burst [s] (default: that of the drive)
-    kind: Literal["pressure", "piezo"] = "pressure"  # how the patch acts; all keys below are for "piezo"
-    d31: Gain | None = None  # transverse charge coefficient [m/V], negative for ceramics
-    thickness: Positive | None = None  # thickness of the patch [m]
-    young_modulus: Annotated[float, Field(ge=1e3, le=1e13)] | None = None  # Young's modulus of the patch [Pa]
-    # Density of the patch [kg/m³]; if given, its mass and stiffness are included as those of a layer
-    density: Annotated[float, Field(ge=1, le=1e5)] | None = None
-    capacitance: Positive | None = None  # capacitance, for electrical energies [F]
+    name: Annotated[Name, Field(examples=["left"])]
+    """Name, different for each actuator."""
+    area: Annotated[Area, Field(examples=[[0.02, 0.03, 0.055, 0.065]])]
+    """Rectangle x0, x1, y0, y1; for a disc, the square of the same area."""
+    magnitude: Annotated[Moderate, Unit("drive"), Field(examples=[0.5])] = 1.0
+    """Amplitude of the pressure or the voltage, see ``Scene.drive_unit``."""
+    force: Annotated[Moderate | None, Unit("N"), Field(examples=[1e-3])] = None
+    """Amplitude of the patch's total force, in place of the magnitude."""
+    phase: Annotated[Moderate, Unit("rad"), Field(examples=[1.57])] = 0.0
+    """Phase lag."""
+    frequency: Annotated[Positive | None, Unit("Hz"), Field(examples=[300.0])] = None
+    """Frequency (default: that of the drive)."""
+    delay: Annotated[Instant | None, Field(examples=[0.002])] = None
+    """Start of the burst (default: that of the drive)."""
+    kind: Annotated[Literal["pressure", "piezo"], Field(examples=["piezo"])] = "pressure"
+    """How the patch acts; all keys below are for "piezo"."""
+    d31: Annotated[Gain | None, Unit("m/V"), Field(examples=[-1.9e-10])] = None
+    """Transverse charge coefficient, negative for ceramics."""
+    thickness: Annotated[Positive | None, Unit("m"), Field(examples=[2e-4])] = None
+    """Thickness of the patch."""
+    young_modulus: Annotated[YoungModulus | None, Field(examples=[6.3e10])] = None
+    """Young's modulus of the patch."""
+    density: Annotated[Density | None, Field(examples=[7800.0])] = None
+    """Density of the patch; if given, its mass and stiffness are included as those of a layer."""
+    capacitance: Annotated[Positive | None, Unit("F"), Field(examples=[2e-8])] = None
+    """Capacitance, for electrical energies."""
 
     @property
     def amplitude_key(self) -> Literal["magnitude", "force"]:

@@ -6,23 +6,24 @@ and the envelope is one.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from warp_plate.scene.actuator import Actuator
-from warp_plate.scene.fields import Flag, Gain, Instant, Moderate, NotNegative, Positive, Table, check_file_name
+from warp_plate.scene.fields import Flag, Gain, Instant, Moderate, NotNegative, Positive, Table, Unit, check_file_name
 
 
 class Burst(Table):
     """An envelope that rises from 0 to 1, stays there, and falls back to 0."""
 
-    start: Instant = 0.0  # start of the first burst [s]
-    duration: Positive  # duration of a burst, ramps included [s]
-    ramp: NotNegative = 0.0  # duration of the rise and of the fall, each half a period of a cosine [s]
-    # Time from the start of one burst to the start of the next [s] (default: a single burst)
-    period: Positive | None = None
+    start: Annotated[Instant, Field(examples=[0.01])] = 0.0
+    """Start of the first burst."""
+    duration: Annotated[Positive, Unit("s"), Field(examples=[0.02])]
+    """Duration of a burst, ramps included."""
+    ramp: Annotated[NotNegative, Unit("s"), Field(examples=[0.005])] = 0.0
+    """Duration of the rise and of the fall, each half a period of a cosine."""
+    period: Annotated[Positive | None, Unit("s"), Field(examples=[0.1])] = None
+    """Time from the start of one burst to the start of the next (default: a single burst)."""
 
     @model_validator(mode="after")
     def _ramps_and_period_fit(self) -> Burst:
@@ -36,19 +37,23 @@ class Burst(Table):
 class Chirp(Table):
     """A frequency sweep with continuous phase, from the frequency of each actuator at t = 0."""
 
-    end_frequency: Positive  # frequency at ``duration`` and from then on [Hz]
-    duration: Positive  # duration of the sweep [s]
-    # The frequency changes by equal amounts ("linear") or equal factors ("logarithmic") in equal times
-    law: Literal["linear", "logarithmic"] = "linear"
+    end_frequency: Annotated[Positive, Unit("Hz"), Field(examples=[400.0])]
+    """Frequency at ``duration`` and from then on."""
+    duration: Annotated[Positive, Unit("s"), Field(examples=[0.5])]
+    """Duration of the sweep."""
+    law: Annotated[Literal["linear", "logarithmic"], Field(examples=["logarithmic"])] = "linear"
+    """The frequency changes by equal amounts ("linear") or equal factors ("logarithmic") in equal times."""
 
 
 class SampledFile(Table):
     """Signals that are read from a file beside the scene file."""
 
-    # Name of a WAV file, or of a CSV file with a column for each channel; its first column may hold times [s]
-    file: str
-    rate: Annotated[float, Field(ge=1e-3, le=1e7)] | None = None  # sampling rate of a CSV file without times [1/s]
-    start: Instant = 0.0  # time at which the file begins [s]; added to the times of a CSV file
+    file: Annotated[str, Field(examples=["click.wav"])]
+    """Name of a WAV file, or of a CSV file with a column for each channel; its first column may hold times."""
+    rate: Annotated[Annotated[float, Field(ge=1e-3, le=1e7)] | None, Unit("1/s"), Field(examples=[48000.0])] = None
+    """Sampling rate of a CSV file without times."""
+    start: Annotated[Instant, Field(examples=[0.01])] = 0.0
+    """Time at which the file begins; added to the times of a CSV file."""
 
     @model_validator(mode="after")
     def _file_beside_scene(self) -> SampledFile:
@@ -61,24 +66,29 @@ class SampledFile(Table):
 class SampledSignal(SampledFile):
     """A carrier that is read from a file beside the scene file."""
 
-    # True if the file has a channel for each actuator, in the order of the scene; false if one channel drives them all
-    per_actuator: Flag = False
-    gain: Gain = 1.0  # factor on the samples; integer samples of a WAV file are first scaled to −1 ... 1 [1]
-    repeat: Flag = False  # true to repeat the file; false for silence after its end
+    per_actuator: Annotated[Flag, Field(examples=[True])] = False
+    """True if the file has a channel for each actuator, in the order of the scene; false if one channel drives them
+    all."""
+    gain: Annotated[Gain, Unit("1"), Field(examples=[2.0])] = 1.0
+    """Factor on the samples; integer samples of a WAV file are first scaled to −1 ... 1."""
+    repeat: Annotated[Flag, Field(examples=[True])] = False
+    """True to repeat the file; false for silence after its end."""
 
 
 class Electrostatic(Table):
     """A pressure proportional to the square of the voltage: gain·(bias + V)², V = Re(Z·carrier)·envelope."""
 
-    bias: Moderate = 0.0  # constant voltage of all actuators from t = 0 on, which no burst shapes [V]
-    gain: Gain  # pressure per squared voltage [N/m² per V²]; ε₀/2d² for a gap of d metres in vacuum
+    bias: Annotated[Moderate, Unit("V"), Field(examples=[200.0])] = 0.0
+    """Constant voltage of all actuators from t = 0 on, which no burst shapes."""
+    gain: Annotated[Gain, Unit("N/(m²·V²)"), Field(examples=[4.4e-4])]
+    """Pressure per squared voltage; ε₀/2d² for a gap of d metres in vacuum."""
 
 
 class Drive(Table):
     """Settings of the drive that all actuators share."""
 
-    # Frequency [Hz]; with ``signal``, the highest frequency of interest in the file, which only limits the time step
-    frequency: Positive
+    frequency: Annotated[Positive, Unit("Hz"), Field(examples=[290.0])]
+    """Frequency; with ``signal``, the highest frequency of interest in the file, which only limits the time step."""
     burst: Burst | None = None
     chirp: Chirp | None = None
     signal: SampledSignal | None = None
@@ -95,25 +105,3 @@ class Drive(Table):
         """First key that makes the drive other than tones from t = 0 on; None if none."""
         names = ("burst", "chirp", "signal")
         return next((f"drive.{name}" for name in names if getattr(self, name) is not None), None)
-
-
-def check_drive(drive: Drive, actuators: Sequence[Actuator], end: float) -> None:
-    """Check actuators, and the burst, against the drive and the end [s] of the run.
-
-    Raises:
-        ValueError: a file replaces a frequency, voltages a force, a delay has no burst, or a burst starts too late;
-            names the key.
-    """
-    after = f"s is after the run, which ends at window.end = {end:g} s"
-    for index, actuator in enumerate(actuators):
-        key, delay = f"actuators[{index}]", actuator.delay
-        if delay is not None and drive.burst is None:
-            raise ValueError(f"{key}.delay: there is no burst to delay; write [drive.burst], or delete the delay")
-        if delay is not None and delay >= end:
-            raise ValueError(f"{key}.delay: {delay:g} {after}")
-        if actuator.frequency is not None and drive.signal is not None:
-            raise ValueError(f"{key}.frequency: drive.signal replaces the carrier of all actuators; delete one of them")
-        if actuator.force is not None and drive.electrostatic is not None:
-            raise ValueError(f"{key}.force: {actuator.force:g} N, but drive.electrostatic takes volts; write magnitude")
-    if drive.burst is not None and drive.burst.start >= end:
-        raise ValueError(f"drive.burst.start: {drive.burst.start:g} {after}")

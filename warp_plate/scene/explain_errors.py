@@ -11,7 +11,6 @@ from typing import Annotated, Any, Union, get_args, get_origin
 from pydantic import BaseModel, Tag, ValidationError
 
 from warp_plate.scene.errors import toml_text
-from warp_plate.scene.schema import field_examples
 
 Location = tuple[int | str, ...]
 _LONGEST_LINE, _LONGEST_VALUE = 500, 60
@@ -68,8 +67,8 @@ def _line(location: Location, error: Mapping[str, Any], model: type[BaseModel]) 
     if error["type"] == "extra_forbidden":
         return f"{key}: unknown key{_suggestion(str(location[-1]), table)}"
     if error["type"] == "missing":
-        example = field_examples(table).get(str(location[-1])) if _is_table(table) else None
-        shown = "" if example is None else f", write for example {toml_text(example)}"
+        examples = table.model_fields[str(location[-1])].examples if _is_table(table) else None
+        shown = f", write for example {toml_text(examples[0])}" if examples else ""
         return f"{key}: is missing; it has no default{shown}"
     if error["type"] == "value_error":
         message = str(error["ctx"]["error"])

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated, Any
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 from pydantic import (
     AfterValidator,
@@ -27,10 +28,23 @@ SMALLEST, LARGEST = 1e-30, 1e30
 NARROWEST = 1e-6
 
 
-class Table(BaseModel):
-    """A table of the scene file. It refuses unknown keys and cannot be changed."""
+@dataclass(frozen=True)
+class Unit:
+    """The unit of the number or numbers of a key, in the metadata of its annotation."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True)
+    name: str
+    """SI unit, "1" for numbers without dimension; "drive" stands for the unit of the actuators' magnitudes."""
+
+
+class Table(BaseModel):
+    """A table of the scene file. It refuses unknown keys and cannot be changed.
+
+    The annotation of a field holds its :class:`Unit` and an example, the string below it says what it means.
+    """
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True, defer_build=True
+    )
 
     if not TYPE_CHECKING:
 
@@ -45,17 +59,33 @@ class Table(BaseModel):
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        """Return the table's JSON schema, with the comments beside the fields as descriptions, and with examples."""
-        from warp_plate.scene.schema import field_comments, field_examples
-
+        """Return the table's JSON schema, in which the unit of a key follows its description."""
         schema = handler(core_schema)
-        properties = handler.resolve_ref_schema(schema).get("properties", {})
-        for name, comment in field_comments(cls).items():
-            if comment and name in properties:
-                properties[name]["description"] = comment
-        for name, example in field_examples(cls).items():
-            properties[name]["examples"] = [example]
+        for name, entry in handler.resolve_ref_schema(schema).get("properties", {}).items():
+            meaning, unit, _ = explain_key(cls, name)
+            if meaning:
+                entry["description"] = f"{meaning.removesuffix('.')} [{shown_unit(unit)}]" if unit else meaning
         return schema
+
+
+def unit_in(annotation: Any, metadata: Iterable[Any] = ()) -> str | None:
+    """Return the unit of a field's annotation and metadata, or the first one inside it; None without a unit."""
+    for item in (*metadata, *getattr(annotation, "__metadata__", ())):
+        if isinstance(item, Unit):
+            return item.name
+    return next((unit for inner in get_args(annotation) if (unit := unit_in(inner)) is not None), None)
+
+
+def shown_unit(unit: str, drive: str = "N/m² or V") -> str:
+    """Return the name of a unit, with that of the actuators' magnitudes in place of "drive"."""
+    return unit.replace("drive", drive)
+
+
+def explain_key(table: type[BaseModel], name: str) -> tuple[str, str | None, list[Any]]:
+    """Return the meaning, the unit (None without one) and examples of a key of a table."""
+    field = table.model_fields[name]
+    meaning = " ".join((field.description or "").split())
+    return meaning, unit_in(field.annotation, field.metadata), field.examples or []
 
 
 def _moderate(value: float) -> float:
@@ -81,10 +111,6 @@ def _without(letter: str, name: str) -> Callable[[str], str]:
     return validate
 
 
-class Unit(str):
-    """Unit of a field, as metadata of its annotation."""
-
-
 Moderate = Annotated[float, AfterValidator(_moderate)]
 Gain = Annotated[Moderate, AfterValidator(_not_zero)]
 Positive = Annotated[float, Field(gt=0), AfterValidator(_moderate)]
@@ -92,8 +118,11 @@ NotNegative = Annotated[float, Field(ge=0), AfterValidator(_moderate)]
 # These are never divided by, so they may be arbitrarily small.
 Coordinate = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Count = NonNegativeInt
-Instant = Annotated[float, Field(ge=0, le=LARGEST)]
-Area = tuple[Coordinate, Coordinate, Coordinate, Coordinate]
+Instant = Annotated[float, Field(ge=0, le=LARGEST), Unit("s")]
+Point = Annotated[tuple[Coordinate, Coordinate], Unit("m")]
+Area = Annotated[tuple[Coordinate, Coordinate, Coordinate, Coordinate], Unit("m")]
+YoungModulus = Annotated[float, Field(ge=1e3, le=1e13), Unit("Pa")]
+Density = Annotated[float, Field(ge=1, le=1e5), Unit("kg/m³")]
 # TOML has true and false, so no text or number is taken for one of them.
 Flag = Annotated[bool, Field(strict=True)]
 # HDF5 cannot store a text with a NUL character.

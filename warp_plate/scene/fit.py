@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from warp_plate.scene.errors import SceneError
-from warp_plate.scene.fields import Coordinate, Gain, Moderate, Name, Positive, Table
-from warp_plate.scene.keys import resolved_key, scalar_keys
+from warp_plate.scene.fields import Gain, Moderate, Name, Point, Positive, Table, Unit
 
-if TYPE_CHECKING:
-    from warp_plate.scene.model import Scene
-
-# Tables with properties of the panel.
 FEWEST_SAMPLES, FEWEST_POINTS = 40, 3
-PANEL = ("plate", "edges", "effects", "actuators", "measurement")
 
 
 def _flat(free: Any) -> Any:
@@ -35,12 +28,16 @@ def _flat(free: Any) -> Any:
 class Measurement(Table):
     """A measured frequency response: where the panel was driven, and where its motion was sensed."""
 
-    actuator: Name | None = None  # name of the driven actuator; without it ``force_at`` is required
-    force_at: tuple[Coordinate, Coordinate] | None = None  # x, y of a hammer or shaker [m]
-    point: tuple[Coordinate, Coordinate]  # x, y of the sensor [m]
-    # Displacement, velocity or acceleration per force
-    quantity: Literal["receptance", "mobility", "accelerance"] = "accelerance"
-    gain: Gain = 1.0  # measured response over the true response in SI units [1]
+    actuator: Annotated[Name | None, Field(examples=["left"])] = None
+    """Name of the driven actuator; without it ``force_at`` is required."""
+    force_at: Annotated[Point | None, Field(examples=[[0.05, 0.05]])] = None
+    """Place x, y of a hammer or shaker."""
+    point: Annotated[Point, Field(examples=[[0.15, 0.08]])]
+    """Place x, y of the sensor."""
+    quantity: Annotated[Literal["receptance", "mobility", "accelerance"], Field(examples=["mobility"])] = "accelerance"
+    """Displacement, velocity or acceleration per force."""
+    gain: Annotated[Gain, Unit("1"), Field(examples=[0.1])] = 1.0
+    """Measured response over the true response in SI units."""
 
     @model_validator(mode="after")
     def _driven_once(self) -> Measurement:
@@ -48,42 +45,47 @@ class Measurement(Table):
             raise ValueError("actuator: write an actuator's name, or force_at = [x, y], and not both")
         return self
 
-    def check(self, key: str, scene: Scene) -> None:
-        """Raise ValueError, beginning with ``key``, unless the actuator is there and the points are on the plate."""
-        names = [actuator.name for actuator in scene.actuators]
-        if self.actuator is not None and self.actuator not in names:
-            raise ValueError(f"{key}.actuator: {self.actuator!r} is not one of {', '.join(names)}")
-        width, height = scene.plate.size
-        for name, (x, y) in {"point": self.point, "force_at": self.force_at or (0.0, 0.0)}.items():
-            if not (0 <= x <= width and 0 <= y <= height):
-                raise ValueError(f"{key}.{name}: {[x, y]} is off the plate of {[width, height]} m")
-
 
 class TimeSignals(Table):
     """Time signals for responses: one channel holds the force, the others the sensors in order."""
 
-    force_channel: Annotated[int, Field(ge=1, le=256)] = 1  # number of the channel with the force, from 1 on
-    force_gain: Gain = 1.0  # recorded value over the true force in N [1/N]
-    estimator: Literal["H1", "H2", "Hv"] = "H1"  # for noise in the response (H1), the force (H2), or both (Hv)
-    segment: Positive = 1.0  # duration of the segments that are averaged [s]; frequencies are multiples of 1/segment
-    # Window of a segment: "hann" for segments that overlap by half, "boxcar" for segments without overlap
-    window: Literal["hann", "boxcar"] = "hann"
+    force_channel: Annotated[int, Field(ge=1, le=256, examples=[2])] = 1
+    """Number of the channel with the force, from 1 on."""
+    force_gain: Annotated[Gain, Unit("1/N"), Field(examples=[0.0225])] = 1.0
+    """Recorded value over the true force in N."""
+    estimator: Annotated[Literal["H1", "H2", "Hv"], Field(examples=["Hv"])] = "H1"
+    """Estimator for noise in the response ("H1"), the force ("H2") or both ("Hv")."""
+    segment: Annotated[Positive, Unit("s"), Field(examples=[2.0])] = 1.0
+    """Duration of the segments that are averaged; frequencies are multiples of 1/segment."""
+    window: Annotated[Literal["hann", "boxcar"], Field(examples=["boxcar"])] = "hann"
+    """Window of a segment: "hann" for segments that overlap by half, "boxcar" for segments without overlap."""
 
 
 class Fit(Table):
     """The design variables of a fit, and how it is done."""
 
-    # Lowest and highest value of each free key [unit of the key]
-    free: Annotated[dict[str, tuple[Moderate, Moderate]], BeforeValidator(_flat)]
-    # Measured modes are the lowest ones in "order", those with the "nearest" frequencies, or those with the most
-    # similar shapes ("mac"). A column ``mode`` of the file overrides the first two
-    pairing: Literal["order", "nearest", "mac"] = "order"
-    starts: Annotated[int, Field(ge=1, le=10_000)] = 16  # number of starting points
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0  # random seed of the starts and of the bootstrap
-    bootstrap: Annotated[int, Field(ge=0, le=100_000)] = 0  # number of resampled data sets for further intervals
-    profile: Annotated[int, Field(ge=0, le=1000)] = 0  # number of points of each profile likelihood
-    range: tuple[Positive, Positive] | None = None  # lowest and highest frequency of responses that are used [Hz]
-    signals: TimeSignals | None = None  # the data are time signals
+    free: Annotated[
+        dict[str, tuple[Moderate, Moderate]],
+        BeforeValidator(_flat),
+        Unit("unit of the key"),
+        Field(examples=[{"plate.young_modulus": [6e10, 8e10], "effects.loss_factor.eta": [0.001, 0.1]}]),
+    ]
+    """Lowest and highest value of each free key."""
+    pairing: Annotated[Literal["order", "nearest", "mac"], Field(examples=["nearest"])] = "order"
+    """Measured modes are the lowest ones in "order", those with the "nearest" frequencies, or those with the most
+    similar shapes ("mac"). A column ``mode`` of the file overrides the first two."""
+    starts: Annotated[int, Field(ge=1, le=10_000, examples=[32])] = 16
+    """Number of starting points."""
+    seed: Annotated[int, Field(ge=0, lt=2**63, examples=[7])] = 0
+    """Random seed of the starts and of the bootstrap."""
+    bootstrap: Annotated[int, Field(ge=0, le=100_000, examples=[200])] = 0
+    """Number of resampled data sets for further intervals."""
+    profile: Annotated[int, Field(ge=0, le=1000, examples=[11])] = 0
+    """Number of points of each profile likelihood."""
+    range: Annotated[tuple[Positive, Positive] | None, Unit("Hz"), Field(examples=[[50.0, 2000.0]])] = None
+    """Lowest and highest frequency of responses that are used."""
+    signals: TimeSignals | None = None
+    """Set if the data are time signals."""
 
     @model_validator(mode="after")
     def _ranges(self) -> Fit:
@@ -101,17 +103,3 @@ class Fit(Table):
         if self.range is not None and self.range[0] >= self.range[1]:
             raise ValueError(f"range: {list(self.range)}: the lowest frequency comes first, and they differ")
         return self
-
-    def check(self, scene: Scene) -> None:
-        """Raise ValueError, naming the key, unless the free keys are different numbers of the scene's panel."""
-        kinds, named = scalar_keys(scene), set()
-        for name in self.free:
-            try:
-                key = resolved_key(scene, name, kinds)
-            except SceneError as error:
-                raise ValueError(f"fit.free: {error}") from None
-            if kinds[key] is not float or not key.startswith(PANEL):
-                raise ValueError(f"fit.free: {name}: is no real number of the panel ({', '.join(PANEL)})")
-            if key in named:
-                raise ValueError(f"fit.free: {name}: is there twice")
-            named.add(key)

@@ -8,7 +8,8 @@ from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from warp_plate.scene.drive import SampledFile
-from warp_plate.scene.fields import Coordinate, Flag, NotNegative, Positive, Table
+from warp_plate.scene.fields import Flag, NotNegative, Point, Positive, Table, Unit
+from warp_plate.scene.plate import Plate
 
 # Samples of all waveforms and responses together.
 MOST_NUMBERS = 2**22
@@ -26,8 +27,10 @@ def _condition(value: object) -> object:
 class FocusBurst(Table):
     """A tone under a Hann window, whose middle is at the moment of the focus."""
 
-    frequency: Positive  # frequency of the tone [Hz]
-    cycles: Annotated[float, Field(ge=1, le=1e6)] = 5.0  # periods from end to end [1]
+    frequency: Annotated[Positive, Unit("Hz"), Field(examples=[300.0])]
+    """Frequency of the tone."""
+    cycles: Annotated[float, Field(ge=1, le=1e6, examples=[5.0]), Unit("1")] = 5.0
+    """Number of periods from end to end."""
 
     @property
     def half(self) -> float:
@@ -38,35 +41,49 @@ class FocusBurst(Table):
 class FocusWish(SampledFile):
     """Motion that a focus is to follow in shape, from a file; waveforms last as long as the file."""
 
-    per_point: Flag = False  # true if the file has a channel for each point; false if one channel is for all
+    per_point: Annotated[Flag, Field(examples=[True])] = False
+    """True if the file has a channel for each point; false if one channel is for all."""
 
 
 class FocusRest(Table):
     """A bound on the motion of the rest of the plate at the moment of the focus."""
 
-    contrast: Annotated[float, Field(ge=0, le=200)]  # lower limit of the motion of the point over the RMS outside [dB]
-    radius: Positive  # radius of the disc around the point that is not part of the rest [m]
+    contrast: Annotated[float, Field(ge=0, le=200, examples=[20.0]), Unit("dB")]
+    """Lower limit of the motion of the point over the RMS outside."""
+    radius: Annotated[Positive, Unit("m"), Field(examples=[0.01])]
+    """Radius of the disc around the point that is not part of the rest."""
 
 
 class Focus(Table):
     """Points where waveforms of the actuators focus, and the limits of the waveforms."""
 
-    # Points (x, y) [m], each the focus of a separate set of waveforms
-    points: Annotated[tuple[tuple[Coordinate, Coordinate], ...], Field(min_length=1, max_length=64)]
-    highest: Positive  # natural frequency up to which modes take part, at most rate / 2 [Hz]
-    lowest: NotNegative = 0.0  # lowest frequency of the waveforms; below it they fade out, to half of it [Hz]
-    time: Positive = 0.05  # moment of the focus, after the start of the waveforms [s]
-    rate: Annotated[int, Field(ge=1, le=10_000_000)] = 48000  # samples a second
-    quantity: Literal["displacement", "velocity"] = "displacement"  # quantity that is focused
-    # Largest drive of an actuator [N/m² or V] (default: 1 without ``energy``, otherwise none)
-    peak: Positive | None = None
-    # Condition number of the inverse filters: smaller singular values than the largest over it are damped; "l-curve"
-    # chooses it for the panels of [search.robust] [1]
-    condition: Annotated[float | Literal["l-curve"], BeforeValidator(_condition)] = 100.0
-    burst: FocusBurst | None = None  # desired motion of a focus (default: a pulse)
-    wish: FocusWish | None = None  # desired motion from a file, instead of a burst or pulse; ``time`` is not used then
-    rest: FocusRest | None = None  # bound on the rest of the plate, for the method "quiet" (default: none)
-    energy: Positive | None = None  # limit of the integral of drive², summed over actuators [drive²·s]
+    points: Annotated[tuple[Point, ...], Field(min_length=1, max_length=64, examples=[[[0.05, 0.06], [0.15, 0.06]]])]
+    """Points (x, y), each the focus of a separate set of waveforms."""
+    highest: Annotated[Positive, Unit("Hz"), Field(examples=[5000.0])]
+    """Natural frequency up to which modes take part, at most rate / 2."""
+    lowest: Annotated[NotNegative, Unit("Hz"), Field(examples=[100.0])] = 0.0
+    """Lowest frequency of the waveforms; below it they fade out, to half of it."""
+    time: Annotated[Positive, Unit("s"), Field(examples=[0.02])] = 0.05
+    """Moment of the focus, after the start of the waveforms."""
+    rate: Annotated[int, Field(ge=1, le=10_000_000, examples=[48000]), Unit("1/s")] = 48000
+    """Samples a second."""
+    quantity: Annotated[Literal["displacement", "velocity"], Field(examples=["velocity"])] = "displacement"
+    """Quantity that is focused."""
+    peak: Annotated[Positive | None, Unit("drive"), Field(examples=[100.0])] = None
+    """Largest drive of an actuator (default: 1 without ``energy``, otherwise none)."""
+    condition: Annotated[float | Literal["l-curve"], BeforeValidator(_condition), Unit("1"), Field(examples=[30.0])] = (
+        100.0
+    )
+    """Condition number of the inverse filters: smaller singular values than the largest over it are damped; "l-curve"
+    chooses it for the panels of [search.robust]."""
+    burst: FocusBurst | None = None
+    """Desired motion of a focus (default: a pulse)."""
+    wish: FocusWish | None = None
+    """Desired motion from a file, instead of a burst or pulse; ``time`` is not used then."""
+    rest: FocusRest | None = None
+    """Bound on the rest of the plate, for the method "quiet" (default: none)."""
+    energy: Annotated[Positive | None, Unit("(drive)²·s"), Field(examples=[50.0])] = None
+    """Limit of the integral of drive², summed over actuators."""
 
     @property
     def samples(self) -> int:
@@ -110,13 +127,11 @@ class Focus(Table):
             raise ValueError(f"time: {self.time:g} s at rate = {self.rate}: must be 2 to {MOST_NUMBERS} samples")
         return self
 
-    def check(self, size: tuple[float, float], actuators: int) -> None:
-        """Raise ValueError, naming the key, unless the points lie on a plate [m] and the waveforms are not too many."""
-        width, height = size
-        for index, (x, y) in enumerate(self.points):
-            if not (0 <= x <= width and 0 <= y <= height):
-                raise ValueError(f"focus.points[{index}]: {[x, y]} is off the plate of {[width, height]} m")
-        if self.rest is not None and self.rest.radius > min(size) / 2:
+    def check(self, plate: Plate, actuators: int) -> None:
+        """Raise ValueError, naming the key, unless the points lie on the plate and the waveforms are not too many."""
+        for index, point in enumerate(self.points):
+            plate.check_point(f"focus.points[{index}]", point)
+        if self.rest is not None and self.rest.radius > min(plate.size) / 2:
             raise ValueError(f"focus.rest.radius: {self.rest.radius:g} m is above half of a side of the plate")
         self.check_numbers(self.samples, actuators, "time")
 

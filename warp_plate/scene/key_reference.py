@@ -8,13 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, get_args
 
-from pydantic.fields import FieldInfo
-
 from warp_plate.scene.errors import toml_text
-from warp_plate.scene.fields import LARGEST, Table
-from warp_plate.scene.keys import UNITS
+from warp_plate.scene.fields import LARGEST, Table, explain_key, shown_unit
 from warp_plate.scene.model import Scene
-from warp_plate.scene.schema import field_comments
 
 BOUNDS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
 
@@ -89,28 +85,25 @@ def _subclasses(model: type[Table]) -> dict[str, type[Table]]:
 
 
 def _reference(model: type[Table], headings: tuple[str, ...], definition: dict[str, Any]) -> TableReference:
-    path, said = headings[0].strip("[]"), field_comments(model)
     keys = []
     for name, field in definition["properties"].items():
         if (headings[0].startswith("[") or name == "title") and ("$ref" not in str(field) or "enum" in str(field)):
-            keys.append(_key(f"{path}.{name}", field, model.model_fields[name], said.get(name, "")))
+            keys.append(_key(model, name, field))
     description = re.sub(r":\w+:`([^`]+)`", r"`\1`", inspect.cleandoc(model.__doc__ or "").replace("``", "`"))
     return TableReference(headings, model, description, tuple(keys))
 
 
-def _key(path: str, field: dict[str, Any], info: FieldInfo, meaning: str) -> Key:
-    unit, default = _unit(path), field.get("default")
-    meaning = meaning.replace(f" [{unit or 1}]", "").replace("``", "`")
-    if meaning[:2].isascii() and meaning[:2].isalpha():
-        meaning = meaning[:1].upper() + meaning[1:]
+def _key(model: type[Table], name: str, field: dict[str, Any]) -> Key:
+    info, default = model.model_fields[name], field.get("default")
+    meaning, unit, examples = explain_key(model, name)
     return Key(
-        name=path.rpartition(".")[2],
+        name=name,
         type=_type(field),
-        unit=unit,
+        unit="" if unit in (None, "1") else shown_unit(unit),
         default="required" if info.is_required() else "" if default is None else f"`{toml_text(default)}`",
         range=_range(info.annotation, info.metadata),
-        example=f"`{toml_text(field['examples'][0])}`" if "examples" in field else "",
-        meaning=meaning,
+        example=f"`{toml_text(examples[0])}`" if examples else "",
+        meaning=meaning.removesuffix(".").replace("``", "`"),
     )
 
 
@@ -141,10 +134,3 @@ def _range(annotation: Any, metadata: Sequence[Any] = ()) -> str:
     found = [(sign, getattr(each, name)) for each in flat for name, sign in BOUNDS.items() if hasattr(each, name)]
     text = ", ".join(dict.fromkeys(f"{sign} {value:g}" for sign, value in found if abs(value) < LARGEST))
     return text or next((inner for each in get_args(annotation) if (inner := _range(each))), "")
-
-
-def _unit(key: str) -> str:
-    """Return the unit of a key, by the longest end of it that ``UNITS`` has."""
-    names = key.split(".")
-    ends = (".".join(names[index:]) for index in range(len(names)))
-    return UNITS.get(next((end for end in ends if end in UNITS), ""), "").replace("drive", "N/m²").removesuffix("1")

@@ -4,64 +4,20 @@
 from __future__ import annotations
 
 import difflib
-import operator
 import re
-from collections.abc import Iterator, Mapping
-from functools import reduce
-from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel
 
 from warp_plate.scene.errors import SceneError
-
-if TYPE_CHECKING:
-    from warp_plate.scene.model import Scene
+from warp_plate.scene.fields import explain_key, shown_unit
+from warp_plate.scene.load import parse_toml
+from warp_plate.scene.tables import SceneTables
+from warp_plate.scene.target import SHAPES
 
 # Lists of named tables; a key may have the name in place of the index.
 NAMED = ("actuators", "targets")
-# Units by the end of a key without indices; the longest end that fits holds, and keys without one have the unit "1".
-# "drive" stands for the unit of the actuators' magnitudes.
-UNITS = {
-    **dict.fromkeys(("size", "thickness", "area", "clearance", "disc", "polygon", "points", "start", "place"), "m"),
-    **dict.fromkeys(("point", "force_at"), "m"),
-    **dict.fromkeys(("time", "end", "duration", "ramp", "period", "delay", "delay.range"), "s"),
-    **dict.fromkeys(
-        ("time_step", "times", "from_time", "to_time", "segment", "window.start", "burst.start", "signal.start"), "s"
-    ),
-    **dict.fromkeys(("frequency", "end_frequency", "frequency.range", "fit.range", "lowest", "highest"), "Hz"),
-    **dict.fromkeys(("variation.thickness", "variation.young_modulus", "variation.density"), "1"),
-    **dict.fromkeys(("robust.thickness", "robust.young_modulus", "robust.damping"), "1"),
-    **dict.fromkeys(("Dx", "Dy", "D1", "Dxy"), "N·m"),
-    **dict.fromkeys(("tension.x", "tension.y"), "N/m"),
-    "young_modulus": "Pa",
-    "density": "kg/m³",
-    "d31": "m/V",
-    "capacitance": "F",
-    "translation": "N/m²",
-    "rotation": "N·m/(rad·m)",
-    **dict.fromkeys(("signal.rate", "focus.rate", "wish.rate"), "1/s"),
-    "electrostatic.bias": "V",
-    "electrostatic.gain": "N/(m²·V²)",
-    "viscous": "N·s/m³",
-    "foundation.stiffness": "N/m³",
-    "foundation.damping": "N·s/m³",
-    "oscillators.mass": "kg",
-    "oscillators.stiffness": "N/m",
-    "oscillators.damping": "N·s/m",
-    "wish.start": "s",
-    "force": "N",
-    "velocity": "m/s",
-    "phase": "rad",
-    "magnitude": "drive",
-    "magnitude.range": "drive",
-    "power": "(drive)²",
-    "objectives.rest_limit": "m/s or m",
-    "signals.force_gain": "1/N",
-    "focus.rest.radius": "m",
-    "focus.rest.contrast": "dB",
-    "focus.peak": "drive",
-    "focus.energy": "(drive)²·s",
-}
 # Names of the indices that follow a name.
 INDEX_NAMES = {
     **dict.fromkeys(("size", "nodes", "velocity", "start", "point", "force_at"), ("x", "y")),
@@ -72,9 +28,10 @@ INDEX_NAMES = {
 # Keys of an actuator that exclude each other.
 ALTERNATIVES = {"magnitude": "force", "force": "magnitude"}
 _PART = re.compile(r"([A-Za-z_]\w*)|\[(\d+)\]")
+_KEY = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*|\[\d{1,9}\])*")
 
 
-def scalar_keys(scene: Scene) -> dict[str, type]:
+def scalar_keys(scene: SceneTables) -> dict[str, type]:
     """Return the type, int, float or str, of every key that holds one number or text or is optional and would hold one.
 
     Of several targets, ``target`` is one, so its keys are left out.
@@ -82,11 +39,11 @@ def scalar_keys(scene: Scene) -> dict[str, type]:
     return {key: kind for key, kind in _numbers_in(scene, "") if not (scene.targets and key.startswith("target."))}
 
 
-def resolved_key(scene: Scene, key: str, known: Mapping[str, type] | None = None) -> str:
+def resolved_key(scene: SceneTables, key: str, known: Mapping[str, type] | None = None) -> str:
     """Return the key with names replaced by indices: ``actuators[0].phase`` for ``actuators.lower left.phase``.
 
     Args:
-        scene: Scene.
+        scene: SceneTables.
         key: Key.
         known: Its ``scalar_keys``, if these are at hand.
 
@@ -105,54 +62,29 @@ def resolved_key(scene: Scene, key: str, known: Mapping[str, type] | None = None
     raise SceneError(f"{key}: {_why_unknown(scene, resolved, list(known))}")
 
 
-def with_values(scene: Scene, values: Mapping[str, float | str]) -> Scene:
-    """Return the scene, checked again, with other values at some of ``scalar_keys``; integers where these are kept.
-
-    ``grid.accuracy`` replaces the other keys of the grid, the force of an actuator its magnitude and the other way
-    round.
-
-    Raises:
-        SceneError: the values are not valid; the message names the key at fault.
-    """
-    tables: Any = scene.model_dump(mode="json")
-    if scene.targets:
-        del tables["target"]
-    if scene.gridded_by_waves and not any(key.startswith("grid.") for key in values):
-        del tables["grid"]
-    elif scene.grid.accuracy is not None or "grid.accuracy" in values:
-        changed = {"accuracy", *(_parts(key)[1] for key in values if key.startswith("grid."))}
-        tables["grid"] = {key: value for key, value in tables["grid"].items() if key in changed}
-    kinds = scalar_keys(scene)
-    places = {key: (reduce(operator.getitem, path, tables), last) for key in values for *path, last in [_parts(key)]}
-    for key, (table, last) in places.items():
-        if key.startswith("actuators") and last in ALTERNATIVES:
-            table.pop(ALTERNATIVES[last], None)
-    for key, (table, last) in places.items():
-        value = values[key]
-        whole = kinds[key] is int and isinstance(value, float) and value.is_integer()
-        table[last] = int(value) if whole else value
-    return scene.from_tables(tables).in_folder(scene.folder)
-
-
-def value_of(scene: Scene, key: str) -> Any:
+def value_of(scene: SceneTables, key: str) -> Any:
     """Return the value at one of ``scalar_keys``; None if it is optional and absent."""
     value: Any = scene
-    for part in _parts(key):
+    for part in key_parts(key):
         value = value[part] if isinstance(part, int) else getattr(value, part)
     return value
 
 
-def unit_of(scene: Scene, key: str) -> str:
+def unit_of(scene: SceneTables, key: str) -> str:
     """Return the unit of the number at one of ``scalar_keys``; "1" if it has none."""
-    names = [part for part in _parts(key) if isinstance(part, str)]
-    ends = (".".join(names[index:]) for index in range(len(names)))
-    return UNITS.get(next((end for end in ends if end in UNITS), ""), "1").replace("drive", scene.drive_unit)
+    holder: Any = scene
+    unit: str | None = None
+    for part in key_parts(key):
+        if isinstance(part, str):
+            unit = explain_key(type(holder), part)[1]
+        holder = holder[part] if isinstance(part, int) else getattr(holder, part)
+    return shown_unit(unit or "1", scene.drive_unit)
 
 
-def label_of(scene: Scene, key: str) -> str:
+def label_of(scene: SceneTables, key: str) -> str:
     """Return the key as an axis label: "actuator lower left phase"."""
     words: list[str] = []
-    parts = _parts(key)
+    parts = key_parts(key)
     for before, part in zip([None, *parts], parts, strict=False):
         if isinstance(part, str):
             words.append(part.replace("_", " "))
@@ -181,11 +113,12 @@ def _numbers_in(value: object, key: str, annotation: Any = None) -> Iterator[tup
             yield key, kind
 
 
-def _parts(key: str) -> list[str | int]:
+def key_parts(key: str) -> list[str | int]:
+    """Return the names and indices of a dotted key."""
     return [name or int(index) for name, index in _PART.findall(key)]
 
 
-def _why_unknown(scene: Scene, key: str, known: list[str]) -> str:
+def _why_unknown(scene: SceneTables, key: str, known: list[str]) -> str:
     inside = [other for other in known if other.startswith((f"{key}.", f"{key}["))]
     if inside:
         return f"is not a single value; write {_listed(inside)}"
@@ -203,10 +136,10 @@ def _why_unknown(scene: Scene, key: str, known: list[str]) -> str:
     return f"is not a key of this scene that holds a number or a text; similar keys: {_listed(similar)}"
 
 
-def _optional_table(scene: Scene, key: str) -> str | None:
+def _optional_table(scene: SceneTables, key: str) -> str | None:
     """Return the optional table or list that a key lies in and the scene lacks; None if there is none."""
     value: Any = scene
-    names = [str(part) for part in _parts(key)[:-1]]
+    names = [str(part) for part in key_parts(key)[:-1]]
     for depth, name in enumerate(names, 1):
         if not isinstance(value, BaseModel) or name not in type(value).model_fields:
             return None
@@ -218,3 +151,80 @@ def _optional_table(scene: Scene, key: str) -> str | None:
 
 def _listed(keys: list[str]) -> str:
     return ", ".join(keys[:6]) + (", ..." if len(keys) > 6 else "")
+
+
+def assign(tables: dict[str, Any], assignments: Iterable[str]) -> None:
+    """Put values into the tables of a scene, one ``KEY=VALUE`` after the other; new tables are made as needed.
+
+    VALUE is TOML, such as 300, [0.1, 0.2] or {eta = 0.02}; anything else is a text. A key that excludes another one
+    replaces it: ``grid.accuracy`` the rest of the grid, ``force`` ``magnitude``, and each shape of a target the others.
+
+    Raises:
+        SceneError: it is not KEY=VALUE, or the key does not lead into the tables.
+    """
+    for assignment in assignments:
+        name, equals, text = assignment.partition("=")
+        key = _without_names(tables, name.strip())
+        if not equals or not _KEY.fullmatch(key):
+            raise SceneError(f"--set {assignment}: must be KEY=VALUE, such as drive.frequency=300")
+        *path, last = key_parts(key)
+        holder: Any = tables
+        for depth, part in enumerate(path):
+            holder = _entered(holder, part, {} if isinstance(last, str) or depth < len(path) - 1 else [], assignment)
+        _put(holder, last, _value(text.strip()), assignment)
+        for other in _excluded(path, last, holder):
+            holder.pop(other, None)
+
+
+def _without_names(tables: dict[str, Any], key: str) -> str:
+    """Return the key with the indices of named rows: ``actuators[0].phase`` for ``actuators.lower left.phase``."""
+    for table in NAMED:
+        rows = tables.get(table)
+        for index, row in enumerate(rows if isinstance(rows, list) else []):
+            head = f"{table}.{row.get('name') if isinstance(row, dict) else ''}."
+            if key.startswith(head):
+                return f"{table}[{index}].{key[len(head) :]}"
+    return key
+
+
+def _value(text: str) -> Any:
+    try:
+        return parse_toml(f"value = {text}", "")["value"] if "\n" not in text else text
+    except SceneError:
+        return text
+
+
+def _entered(holder: Any, part: str | int, empty: dict[str, Any] | list[Any], assignment: str) -> Any:
+    """Return what a table or list holds, by default a new table."""
+    if isinstance(part, str) and isinstance(holder, dict):
+        return holder.setdefault(part, empty)
+    _check_index(holder, part, assignment)
+    return holder[part]
+
+
+def _put(holder: Any, part: str | int, value: Any, assignment: str) -> None:
+    if not (isinstance(part, str) and isinstance(holder, dict)):
+        _check_index(holder, part, assignment)
+    holder[part] = value
+
+
+def _check_index(holder: Any, part: str | int, assignment: str) -> None:
+    if isinstance(holder, list) and isinstance(part, int) and part < len(holder):
+        return
+    held = (
+        f"a list of {len(holder)}" if isinstance(holder, list) else "no list" if isinstance(part, int) else "no table"
+    )
+    raise SceneError(
+        f"--set {assignment}: the scene file has {held} before {f'[{part}]' if held[0] == 'a' else part!r}"
+    )
+
+
+def _excluded(path: list[str | int], last: str | int, holder: Any) -> list[str]:
+    """Return the keys beside ``last`` that a scene cannot have together with it."""
+    if path == ["grid"]:
+        return [key for key in holder if key != "accuracy"] if last == "accuracy" else ["accuracy"]
+    if path[:1] == ["actuators"] and last in ALTERNATIVES:
+        return [ALTERNATIVES[str(last)]]
+    if path[:1] in (["target"], ["targets"]) and last in SHAPES:
+        return [shape for shape in SHAPES if shape != last]
+    return []

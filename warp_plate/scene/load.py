@@ -1,4 +1,4 @@
-"""Read the TOML text of a preset or a scene file. :class:`warp_plate.scene.model.Scene` checks the tables in it."""
+"""The TOML text of scenes: read from presets and files, and written from tables."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, toml_text
 
 # A scene is about a page long; a larger file is something else. Maps belong in files of their own.
 MOST_BYTES = 2**22
@@ -63,3 +63,27 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
         raise SceneError(f"{name}: arrays or tables are nested too deeply") from None
     except ValueError as error:  # invalid TOML, or an integer of thousands of digits
         raise SceneError(f"{name}: not TOML: {error}") from None
+
+
+def dump_toml(tables: dict[str, Any]) -> str:
+    """Return nested tables as TOML text; empty tuples are left out."""
+    return "\n".join(_lines("", tables)) + "\n"
+
+
+def _lines(name: str, table: dict[str, Any]) -> list[str]:
+    """Return the lines of a table without its heading: its own keys first, then the tables inside it."""
+    own: list[str] = []
+    nested: list[str] = []
+    for key, value in table.items():
+        key = key if re.fullmatch(r"[\w-]+", key, re.ASCII) else toml_text(key)
+        path = f"{name}.{key}" if name else key
+        if isinstance(value, dict):
+            lines = _lines(path, value)
+            heading = ["", f"[{path}]"] if not lines or lines[0] else []  # not over tables alone
+            nested += heading + lines
+        elif isinstance(value, tuple) and value and isinstance(value[0], dict):
+            for row in value:
+                nested += ["", f"[[{path}]]", *_lines(path, row)]
+        elif value != ():
+            own.append(f"{key} = {toml_text(value)}")
+    return own + nested

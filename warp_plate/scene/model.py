@@ -3,111 +3,31 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Mapping, Sequence
+from functools import reduce
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import Field, PrivateAttr, ValidationError, model_validator
+from pydantic import PrivateAttr, ValidationError, model_validator
 
-from warp_plate.effects.edges import Edges
 from warp_plate.effects.effect import Term
-from warp_plate.effects.layers import Layer
-from warp_plate.effects.table import Effects, check_modal_tables
-from warp_plate.scene.actuator import Actuator
-from warp_plate.scene.assignments import assign
-from warp_plate.scene.drive import Drive, check_drive
-from warp_plate.scene.dump import dump_scene
+from warp_plate.scene.checks import check_tables
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.explain_errors import explain_error
-from warp_plate.scene.fields import (
-    Area,
-    Coordinate,
-    Instant,
-    Positive,
-    Table,
-    Text,
-    check_area,
-)
-from warp_plate.scene.fit import Fit, Measurement
-from warp_plate.scene.focus import Focus
-from warp_plate.scene.grid import DEFAULT_ACCURACY, Grid, grid_by_waves
-from warp_plate.scene.keys import resolved_key, with_values
-from warp_plate.scene.load import parse_toml, read_scene_text
-from warp_plate.scene.piezo import check_piezo, piezo_layers
-from warp_plate.scene.search import Search
+from warp_plate.scene.grid import Grid, grid_by_waves
+from warp_plate.scene.keys import ALTERNATIVES, assign, key_parts, resolved_key, scalar_keys
+from warp_plate.scene.load import dump_toml, parse_toml, read_scene_text
+from warp_plate.scene.tables import SceneTables
 from warp_plate.scene.target import NamedTarget, Target
 
 
-class Plate(Table):
-    """Geometry and material of the plate."""
-
-    size: tuple[Positive, Positive]  # sides along x and y [m]
-    thickness: Positive  # thickness H, at most a fifth of the shorter side [m]
-    young_modulus: Annotated[float, Field(ge=1e3, le=1e13)]  # Young's modulus E [Pa]
-    poisson_ratio: Annotated[float, Field(ge=-0.99, lt=0.5)]  # Poisson's ratio ν [1]
-    density: Annotated[float, Field(ge=1, le=1e5)]  # density ρ [kg/m³]
-
-    @property
-    def rigidity(self) -> float:
-        """Bending rigidity EH³/12(1 − ν²) [N·m] of the isotropic plate."""
-        return self.young_modulus * self.thickness**3 / (12 * (1 - self.poisson_ratio**2))
-
-    @model_validator(mode="after")
-    def _thin(self) -> Plate:
-        self.check_thin(self.thickness, "thickness: ")
-        return self
-
-    def check_thin(self, thickness: float, head: str = "") -> None:
-        """Raise ValueError, beginning with ``head``, unless a thickness [m] is small against the sides."""
-        if thickness > min(self.size) / 5:
-            limit = "a plate is thinner than a fifth of its side (lengths are in metres)"
-            raise ValueError(f"{head}{thickness:g} m is not thin for a side of {min(self.size):g} m; {limit}")
-
-
-class Window(Table):
-    """The interval of time over which kinetic energy is averaged."""
-
-    start: Instant = 0.05  # start [s]
-    end: Positive = 0.1  # end of the interval and of the run [s]
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Window:
-        if self.end <= self.start:
-            raise ValueError(f"end: {self.end:g} s must be later than start = {self.start:g} s")
-        return self
-
-
-class Record(Table):
-    """Outputs of a run besides energies."""
-
-    # Times at which displacement fields are stored [s] (default: the end of the run and a quarter period before; for
-    # bursts, sweeps and other drives without a period the middle of the run)
-    times: tuple[Instant, ...] = ()
-    # Points (x, y) at which the displacement of every step is stored [m]
-    points: tuple[tuple[Coordinate, Coordinate], ...] = ()
-
-
-class Scene(Table):
+class Scene(SceneTables):
     """The complete input of a run, in SI units; read one with :meth:`load`.
 
     If the scene has several ``targets``, ``target`` is one of them, by default the first.
     """
 
-    title: Text = ""  # title of tables and pictures
-    plate: Plate
-    edges: Edges = Edges()
-    grid: Grid = Grid(accuracy=DEFAULT_ACCURACY)
-    window: Window = Window()
-    drive: Drive
-    targets: tuple[NamedTarget, ...] = ()
-    target: Target
-    record: Record = Record()
-    effects: Effects = Effects()
-    search: Search = Search()
-    focus: Focus | None = None
-    fit: Fit | None = None
-    measurement: tuple[Measurement, ...] = ()
-    actuators: Annotated[tuple[Actuator, ...], Field(min_length=1)]
     _folder: Path | None = PrivateAttr(default=None)
 
     @staticmethod
@@ -115,7 +35,7 @@ class Scene(Table):
         """Return the scene of a preset's name or of a TOML file, or raise a SceneError that names what is wrong.
 
         A scene is returned unchanged. Of ``assignments`` each puts a value into a file's tables: ``KEY=VALUE``, see
-        :func:`warp_plate.scene.assignments.assign`.
+        :func:`warp_plate.scene.keys.assign`.
         """
         if isinstance(source, Scene):
             return source
@@ -171,58 +91,8 @@ class Scene(Table):
 
     @model_validator(mode="after")
     def _tables_fit_together(self) -> Scene:
-        actuators, size = self.actuators, self.plate.size
-        areas: dict[str, Area] = {
-            f"actuators[{index}].area ({row.name!r})": row.area for index, row in enumerate(actuators)
-        }
-        if self.search.position is not None and self.search.position.area is not None:
-            areas["search.position.area"] = self.search.position.area
-        for key, area in (areas | self.effects.areas).items():
-            check_area(key, area, size)
-        _check_names("actuators", actuators)
-        for key, target in self.targets_by_key.items():
-            target.check(key, size)
-        _check_names("targets", self.targets)
-        if self.targets and self.target not in [target.unnamed for target in self.targets]:
-            raise ValueError("target: there are [[targets]] too, and it is none of them; write one of the two")
-        for index, layer in enumerate(self.effects.layers):
-            self.plate.check_thin(layer.thickness, f"effects.layers[{index}].thickness: ")
-        check_piezo(self)
-        check_drive(self.drive, actuators, self.window.end)
-        drives = ("burst", "chirp", "signal", "electrostatic")
-        check_modal_tables(self.effects, {f"drive.{name}": getattr(self.drive, name) for name in drives})
-        self.search.check_limits([actuator.name for actuator in actuators])
-        if self.search.robust is not None:
-            self.search.robust.check(self.effects, self.grid.load)
-            if len(self.targets) > 1:
-                raise ValueError("search.robust: not with several [[targets]]; write a scene for each target")
-        for index, row in enumerate(self.measurement):
-            row.check(f"measurement[{index}]", self)
-        if self.fit is not None:
-            self.fit.check(self)
-        if self.focus is not None:
-            self.focus.check(size, len(actuators))
-        self._check_record()
+        check_tables(self)
         return self
-
-    def _check_record(self) -> None:
-        (width, height), end = self.plate.size, self.window.end
-        for index, time in enumerate(self.record.times):
-            if time > end * (1 + 1e-9):
-                raise ValueError(f"record.times[{index}]: {time:g} s is after the run, window.end = {end:g} s")
-        for index, (x, y) in enumerate(self.record.points):
-            if not (0 <= x <= width and 0 <= y <= height):
-                raise ValueError(f"record.points[{index}]: {[x, y]} is off the plate of {[width, height]} m")
-
-    @property
-    def piezo(self) -> bool:
-        """True if the actuators are piezo patches, driven by voltages."""
-        return any(actuator.kind == "piezo" for actuator in self.actuators)
-
-    @property
-    def layers(self) -> tuple[Layer, ...]:
-        """Layers of the plate, those of piezo patches included."""
-        return (*self.effects.layers, *piezo_layers(self.actuators))
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -241,11 +111,6 @@ class Scene(Table):
         masks = any(target.mask is not None for target in self.targets_by_key.values())
         signals = (self.drive.signal, self.focus and self.focus.wish)
         return masks or any(signals) or bool(self.effects.map_files)
-
-    @property
-    def targets_by_key(self) -> dict[str, Target]:
-        """All targets by key: ``target``, or ``targets[0]``, ``targets[1]``, ..."""
-        return {f"targets[{index}]": row for index, row in enumerate(self.targets)} or {"target": self.target}
 
     def aimed_at(self, index: int) -> Scene:
         """Return the scene with another one of its ``targets`` as ``target``."""
@@ -285,11 +150,47 @@ class Scene(Table):
 
         Keys are written as for ``--vary``, such as ``plate.thickness`` and ``actuators[0].phase``.
         """
-        return with_values(self, {resolved_key(self, key): value})
+        return self.with_values({resolved_key(self, key): value})
+
+    def with_values(self, values: Mapping[str, float | str]) -> Scene:
+        """Return the scene, checked again, with other values at some of ``scalar_keys``; integers where these are kept.
+
+        ``grid.accuracy`` replaces the other keys of the grid, the force of an actuator its magnitude and the other way
+        round.
+
+        Raises:
+            SceneError: the values are not valid; the message names the key at fault.
+        """
+        tables: Any = self.model_dump(mode="json")
+        if self.targets:
+            del tables["target"]
+        if self.gridded_by_waves and not any(key.startswith("grid.") for key in values):
+            del tables["grid"]
+        elif self.grid.accuracy is not None or "grid.accuracy" in values:
+            changed = {"accuracy", *(key_parts(key)[1] for key in values if key.startswith("grid."))}
+            tables["grid"] = {key: value for key, value in tables["grid"].items() if key in changed}
+        kinds = scalar_keys(self)
+        places = []
+        for key, value in values.items():
+            *path, last = key_parts(key)
+            table = reduce(operator.getitem, path, tables)
+            whole = kinds[key] is int and isinstance(value, float) and value.is_integer()
+            places.append((table, last, int(value) if whole else value))
+            if path[:1] == ["actuators"] and last in ALTERNATIVES:
+                table.pop(ALTERNATIVES[str(last)], None)
+        for table, last, value in places:
+            table[last] = value
+        return Scene.from_tables(tables).in_folder(self._folder)
 
     def to_toml(self) -> str:
         """Return the scene, defaults included, as TOML text that :meth:`parse` reads back."""
-        return dump_scene(self)
+        tables = self.model_dump(exclude_none=True)
+        if self.grid.accuracy is not None:
+            tables["grid"] = {"accuracy": self.grid.accuracy}
+        if self.targets and self.target == self.targets[0].unnamed:
+            del tables["target"]
+        tables |= {key: tables.pop(key) for key in ("targets", "actuators", "measurement")}  # at the end
+        return dump_toml(tables)
 
     def __repr__(self) -> str:
         width, height = self.plate.size
@@ -353,21 +254,9 @@ class Scene(Table):
         return self.effects.first(lambda effect: effect.travels)
 
     @property
-    def drive_unit(self) -> str:
-        """Unit of all magnitudes, N/m² or, for electrostatic actuators and piezo patches, V."""
-        return "V" if self.piezo or self.drive.electrostatic is not None else "N/m²"
-
-    @property
     def drive_angular_frequency(self) -> float:
         """Angular frequency of the drive, 2πf [rad/s]."""
         return 2 * math.pi * self.drive.frequency
 
 
 SceneSource = Scene | str | Path
-
-
-def _check_names(table: str, rows: Sequence[Actuator | NamedTarget]) -> None:
-    names = [row.name for row in rows]
-    for index, name in enumerate(names):
-        if name in names[:index]:
-            raise ValueError(f"{table}[{index}].name: {name!r} is taken; give each {table.removesuffix('s')} its own")

@@ -13,18 +13,20 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from warp_plate.effects.table import ATTACHED, Effects
-from warp_plate.scene.fields import Area, Flag, Instant, Name, NotNegative, Positive, Table
+from warp_plate.scene.fields import Area, Flag, Instant, Name, NotNegative, Positive, Table, Unit
 
-Weight = Annotated[float, Field(ge=0, le=1e6)]
+Weight = Annotated[float, Field(ge=0, le=1e6), Unit("1")]
 # Names of the actuators that a table applies to (default: all).
 Names = Annotated[tuple[Name, ...], Field(min_length=1)]
 # A fraction of the nominal value: 0.05 is ± 5 %.
-Tolerance = Annotated[float, Field(ge=0, lt=1)]
+Tolerance = Annotated[float, Field(ge=0, lt=1), Unit("1")]
 
 
 class _Range(Table):
-    range: tuple[float, float] | None  # smallest and largest value
-    actuators: Names | None = None  # names of those that vary (default: all)
+    range: Annotated[tuple[float, float] | None, Unit("drive"), Field(examples=[[0.5, 1.0]])]
+    """Smallest and largest value."""
+    actuators: Annotated[Names | None, Field(examples=[["left", "right"]])] = None
+    """Names of those that vary (default: all)."""
 
     @model_validator(mode="after")
     def _ordered(self) -> _Range:
@@ -37,37 +39,44 @@ class _Range(Table):
 class FreePhase(Table):
     """Phases vary; they wrap at 2π."""
 
-    actuators: Names | None = None  # names of those that vary (default: all)
+    actuators: Annotated[Names | None, Field(examples=[["left", "right"]])] = None
+    """Names of those that vary (default: all)."""
 
 
 class FreeMagnitude(_Range):
     """Magnitudes vary within ``range`` [N/m², or V under ``[drive.electrostatic]``]."""
 
-    # Smallest and largest value (default: 0 and the largest magnitude of the scene's actuators) [N/m², or V of an
-    # electrostatic drive]
-    range: tuple[NotNegative, NotNegative] | None = None
+    range: Annotated[tuple[NotNegative, NotNegative] | None, Unit("drive"), Field(examples=[[0.5, 1.0]])] = None
+    """Smallest and largest value (default: 0 and the largest magnitude of the scene's actuators)."""
 
 
 class FreeFrequency(_Range):
     """The frequency varies within ``range`` [Hz], one for all actuators or, with ``own``, one for each."""
 
-    range: tuple[Positive, Positive]  # smallest and largest value [Hz]
-    own: Flag = False  # true for a separate value for each actuator
+    range: Annotated[tuple[Positive, Positive], Unit("Hz"), Field(examples=[[100.0, 400.0]])]
+    """Smallest and largest value."""
+    own: Annotated[Flag, Field(examples=[True])] = False
+    """True for a separate value for each actuator."""
 
 
 class FreePosition(Table):
     """Actuators move, and stay entirely within ``area`` x0, x1, y0, y1 [m] (default: the plate)."""
 
-    area: Area | None = None  # rectangle x0, x1, y0, y1 [m]
-    actuators: Names | None = None  # names of those that move (default: all)
-    clearance: NotNegative = 0.0  # smallest gap between two actuators, along x or along y [m]
+    area: Annotated[Area | None, Field(examples=[[0.0, 0.2, 0.0, 0.12]])] = None
+    """Rectangle x0, x1, y0, y1."""
+    actuators: Annotated[Names | None, Field(examples=[["left", "right"]])] = None
+    """Names of those that move (default: all)."""
+    clearance: Annotated[NotNegative, Unit("m"), Field(examples=[0.002])] = 0.0
+    """Smallest gap between two actuators, along x or along y."""
 
 
 class FreeDelay(_Range):
     """The start of the burst varies within ``range`` [s], one for all actuators or, with ``own``, one for each."""
 
-    range: tuple[Instant, Instant]  # smallest and largest value [s]
-    own: Flag = False  # true for a separate value for each actuator
+    range: Annotated[tuple[Instant, Instant], Field(examples=[[0.0, 0.01]])]
+    """Smallest and largest value."""
+    own: Annotated[Flag, Field(examples=[True])] = False
+    """True for a separate value for each actuator."""
 
 
 class Objective(Table):
@@ -78,10 +87,14 @@ class Objective(Table):
     motion in the target, at most 1.
     """
 
-    # The quantity that is maximised
-    kind: Literal["localization", "contrast", "velocity", "displacement", "uniformity"] = "localization"
-    weight: Annotated[float, Field(gt=0, le=1e30)] = 1.0  # factor of the term [1/unit of the kind]
-    rest_limit: Positive | None = None  # limit of the RMS over the rest, for "velocity" and "displacement" [m/s or m]
+    kind: Annotated[
+        Literal["localization", "contrast", "velocity", "displacement", "uniformity"], Field(examples=["velocity"])
+    ] = "localization"
+    """The quantity that is maximised."""
+    weight: Annotated[float, Field(gt=0, le=1e30, examples=[10.0]), Unit("1")] = 1.0
+    """Factor of the term, per unit of its kind."""
+    rest_limit: Annotated[Positive | None, Unit("m/s or m"), Field(examples=[5e-5])] = None
+    """Limit of the RMS over the rest, for "velocity" and "displacement"."""
 
     @model_validator(mode="after")
     def _limit_fits_kind(self) -> Objective:
@@ -93,27 +106,39 @@ class Objective(Table):
 class Limits(Table):
     """Limits of the amplifier."""
 
-    magnitude: Positive | None = None  # largest magnitude of any actuator [N/m² or V]
-    power: Positive | None = None  # largest sum of squared magnitudes [(N/m²)² or V²]
-    equal_magnitudes: Flag = False  # True if all actuators have the same magnitude
+    magnitude: Annotated[Positive | None, Unit("drive"), Field(examples=[1.0])] = None
+    """Largest magnitude of any actuator."""
+    power: Annotated[Positive | None, Unit("(drive)²"), Field(examples=[2.0])] = None
+    """Largest sum of squared magnitudes."""
+    equal_magnitudes: Annotated[Flag, Field(examples=[True])] = False
+    """True if all actuators have the same magnitude."""
 
 
 class Robust(Table):
     """A robust search: drives are evaluated over plates with random deviations, uniform within tolerances."""
 
-    scenarios: Annotated[int, Field(ge=1, le=100_000)] = 16  # number of plates for each drive
-    # Mean loss, largest loss, or the loss that only 1 − ``quantile`` of the scenarios exceed
-    measure: Literal["mean", "worst", "quantile"] = "mean"
-    quantile: Annotated[float, Field(gt=0, lt=1)] = 0.9  # quantile of the measure "quantile" [1]
-    young_modulus: Tolerance = 0.0  # tolerance of Young's modulus, as a fraction of the nominal value [1]
-    thickness: Tolerance = 0.0  # tolerance of the thickness, as a fraction of the nominal value [1]
-    damping: Tolerance = 0.0  # tolerance of all damping of the plate and its bed, as a fraction [1]
-    gain: Tolerance = 0.0  # tolerance of each actuator's magnitude, as a fraction [1]
-    place: NotNegative = 0.0  # largest error of each actuator's position along x and along y [m]
-    without_oscillators: Annotated[float, Field(ge=0, le=1)] = 0.0  # probability that masses on springs are absent [1]
-    # Number of further scenarios, over which the robust and the nominal optimum are compared
-    fresh: Annotated[int, Field(ge=1, le=100_000)] = 200
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0  # random seed of the scenarios
+    scenarios: Annotated[int, Field(ge=1, le=100_000, examples=[32])] = 16
+    """Number of plates for each drive."""
+    measure: Annotated[Literal["mean", "worst", "quantile"], Field(examples=["quantile"])] = "mean"
+    """Mean loss, largest loss, or the loss that only 1 − ``quantile`` of the scenarios exceed."""
+    quantile: Annotated[float, Field(gt=0, lt=1, examples=[0.95]), Unit("1")] = 0.9
+    """Quantile of the measure "quantile"."""
+    young_modulus: Annotated[Tolerance, Field(examples=[0.05])] = 0.0
+    """Tolerance of Young's modulus, as a fraction of the nominal value."""
+    thickness: Annotated[Tolerance, Field(examples=[0.03])] = 0.0
+    """Tolerance of the thickness, as a fraction of the nominal value."""
+    damping: Annotated[Tolerance, Field(examples=[0.3])] = 0.0
+    """Tolerance of all damping of the plate and its bed, as a fraction."""
+    gain: Annotated[Tolerance, Field(examples=[0.1])] = 0.0
+    """Tolerance of each actuator's magnitude, as a fraction."""
+    place: Annotated[NotNegative, Unit("m"), Field(examples=[1e-3])] = 0.0
+    """Largest error of each actuator's position along x and along y."""
+    without_oscillators: Annotated[float, Field(ge=0, le=1, examples=[0.5]), Unit("1")] = 0.0
+    """Probability that masses on springs are absent."""
+    fresh: Annotated[int, Field(ge=1, le=100_000, examples=[500])] = 200
+    """Number of further scenarios, over which the robust and the nominal optimum are compared."""
+    seed: Annotated[int, Field(ge=0, lt=2**63, examples=[7])] = 0
+    """Random seed of the scenarios."""
 
     def check(self, effects: Effects, load: str) -> None:
         """Raise ValueError, naming the key, if nothing varies or a key does not apply to the scene."""
@@ -138,21 +163,31 @@ class Search(Table):
     The swarm has the coefficients of the source paper: w (inertia), κ (decay), c₁ (cognitive), c₂ (social).
     """
 
-    # Method (default: "exact" if all magnitudes and phases vary, and nothing else, for the localization factor of a
-    # linear scene, and no key of a swarm is given; otherwise "pso")
-    method: Literal["pso", "constriction", "ring", "cma", "gradient", "exact"] | None = None
-    particles: Annotated[int, Field(ge=2, le=10_000_000)] = 20  # candidates in each iteration
-    iterations: Annotated[int, Field(ge=1, le=1_000_000_000)] = 80  # iterations, the first evaluation included
-    restarts: Annotated[int, Field(ge=0, le=10_000)] = 0  # restarts of a search that stalls
-    inertia: Weight = 0.4  # inertia w of "pso" [1]
-    decay: Annotated[float, Field(gt=0, le=1)] = 0.99  # factor κ on w in each iteration [1]
-    cognitive: Weight = 2.0  # c₁, attraction to the particle's own best position [1]
-    social: Weight = 2.0  # c₂, attraction to the best position of the swarm [1]
-    # Largest velocity component of a particle (default: no limit) [1]
-    velocity_limit: Annotated[float, Field(gt=0, le=1e100)] | None = None
-    # Iterations without improvement after which the search restarts or stops (default: never)
-    stall: Annotated[int, Field(ge=1)] | None = None
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0  # random seed of the search
+    method: Annotated[
+        Literal["pso", "constriction", "ring", "cma", "gradient", "exact"] | None, Field(examples=["cma"])
+    ] = None
+    """Method (default: "exact" if all magnitudes and phases vary, and nothing else, for the localization factor of a
+    linear scene, and no key of a swarm is given; otherwise "pso")."""
+    particles: Annotated[int, Field(ge=2, le=10_000_000, examples=[40])] = 20
+    """Number of candidates in each iteration."""
+    iterations: Annotated[int, Field(ge=1, le=1_000_000_000, examples=[200])] = 80
+    """Number of iterations, the first evaluation included."""
+    restarts: Annotated[int, Field(ge=0, le=10_000, examples=[3])] = 0
+    """Number of restarts of a search that stalls."""
+    inertia: Annotated[Weight, Field(examples=[0.7])] = 0.4
+    """Inertia w of "pso"."""
+    decay: Annotated[float, Field(gt=0, le=1, examples=[1.0]), Unit("1")] = 0.99
+    """Factor κ on w in each iteration."""
+    cognitive: Annotated[Weight, Field(examples=[1.5])] = 2.0
+    """Attraction c₁ to the particle's own best position."""
+    social: Annotated[Weight, Field(examples=[1.5])] = 2.0
+    """Attraction c₂ to the best position of the swarm."""
+    velocity_limit: Annotated[Annotated[float, Field(gt=0, le=1e100)] | None, Unit("1"), Field(examples=[0.5])] = None
+    """Largest velocity component of a particle (default: no limit)."""
+    stall: Annotated[Annotated[int, Field(ge=1)] | None, Field(examples=[30])] = None
+    """Number of iterations without improvement after which the search restarts or stops (default: never)."""
+    seed: Annotated[int, Field(ge=0, lt=2**63, examples=[7])] = 0
+    """Random seed of the search."""
     magnitude: FreeMagnitude | None = None
     phase: FreePhase | None = None
     frequency: FreeFrequency | None = None

@@ -9,9 +9,19 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from warp_plate.scene.errors import SceneError, toml_text
-from warp_plate.scene.fields import NARROWEST, Area, Coordinate, PartName, Positive, Table, check_area, check_file_name
+from warp_plate.scene.fields import (
+    NARROWEST,
+    Area,
+    Coordinate,
+    PartName,
+    Point,
+    Positive,
+    Table,
+    Unit,
+    check_area,
+    check_file_name,
+)
 
-Corner = tuple[Coordinate, Coordinate]
 SHAPES = ("area", "disc", "polygon", "mask")
 
 
@@ -22,11 +32,19 @@ class Target(Table):
     each of its points: rows along y, columns along x, evenly spaced from edge to edge, with bilinear interpolation.
     """
 
-    area: Area | None = None  # rectangle x0, x1, y0, y1 [m]
-    disc: tuple[Coordinate, Coordinate, Positive] | None = None  # centre x, y and radius [m]
-    # Corners x, y [m] in order, clockwise or counterclockwise; sides must not cross
-    polygon: Annotated[tuple[Corner, ...], Field(min_length=3, max_length=1000)] | None = None
-    mask: str | None = None  # name of a CSV file
+    area: Annotated[Area | None, Field(examples=[[0.08, 0.12, 0.04, 0.08]])] = None
+    """Rectangle x0, x1, y0, y1."""
+    disc: Annotated[
+        tuple[Coordinate, Coordinate, Positive] | None, Unit("m"), Field(examples=[[0.13, 0.06, 0.015]])
+    ] = None
+    """Centre x, y and radius."""
+    polygon: Annotated[
+        Annotated[tuple[Point, ...], Field(min_length=3, max_length=1000)] | None,
+        Field(examples=[[[0.02, 0.02], [0.08, 0.02], [0.05, 0.07]]]),
+    ] = None
+    """Corners x, y in order, clockwise or counterclockwise; sides must not cross."""
+    mask: Annotated[str | None, Field(examples=["finger.csv"])] = None
+    """Name of a CSV file."""
 
     @model_validator(mode="after")
     def _one_shape(self) -> Target:
@@ -92,7 +110,8 @@ class Target(Table):
 class NamedTarget(Target):
     """A target of several. Its name is part of the names of datasets, so it has no slash."""
 
-    name: PartName  # name without "/", different for each target
+    name: Annotated[PartName, Field(examples=["left thumb"])]
+    """Name without "/", different for each target."""
 
     @property
     def unnamed(self) -> Target:

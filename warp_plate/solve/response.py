@@ -15,7 +15,8 @@ import numpy as np
 from warp_plate.optimize.quadratic import RANK_TOLERANCE, quadratic_forms
 from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.plate.weights import REGIONS, localization_factor
-from warp_plate.scene.model import Record, Scene
+from warp_plate.scene.grid import Record
+from warp_plate.scene.model import Scene
 from warp_plate.solve.run import Progress
 from warp_plate.solve.solver import PlateSolver
 

@@ -32,7 +32,7 @@ RANK_TOLERANCE = 1e-12
 Point = tuple[float, float]
 
 
-def compute_frequency_response(
+def frf(
     scene: SceneSource,
     inputs: Sequence[str | Point] = (),
     points: Sequence[Point] = (),

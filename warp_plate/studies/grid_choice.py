@@ -21,7 +21,6 @@ from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.design_variables import at_highest_frequency
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.grid import CELLS_A_WAVE, Grid
-from warp_plate.scene.keys import with_values
 from warp_plate.scene.model import Scene
 from warp_plate.scene.vary import Plan
 from warp_plate.solve.run import Run
@@ -131,7 +130,7 @@ def resolve_for_sweep(scene: Scene, plan: Plan, device: str, evaluator: str) -> 
     corners = []
     for values in islice(product(*(end.tolist() for end in ends)), MOST_CORNERS):
         with suppress(SceneError):
-            corners.append(at_highest_frequency(with_values(scene, dict(zip(plan.keys, values, strict=True)))))
+            corners.append(at_highest_frequency(scene.with_values(dict(zip(plan.keys, values, strict=True)))))
     with suppress(SceneError, ValueError):  # refused, or without corners
         hardest = max(corners, key=lambda corner: math.sqrt(math.prod(corner.plate.size)) / bending_wavelength(corner))
         chosen = resolve_grid(hardest, device, engine="modes" if evaluator == MODAL else "steps").scene

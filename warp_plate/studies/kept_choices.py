@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-import warp_plate
+from warp_plate._version import __version__
 from warp_plate.plate.files import digests
 from warp_plate.result.atomic_io import SEAL_BYTES, is_intact, make_seal, write_atomically
 from warp_plate.scene.errors import SceneError
@@ -44,7 +44,7 @@ def kept(scene: Scene, device: str, phasors: np.ndarray | None, engine: str, cho
 
 def _program() -> str:
     """Return the version and a digest of the program's own files, which change between versions too."""
-    whole = hashlib.sha256(warp_plate.__version__.encode())
-    for file in sorted(Path(warp_plate.__file__).parent.rglob("*.py")):
+    whole = hashlib.sha256(__version__.encode())
+    for file in sorted(Path(__file__).parents[1].rglob("*.py")):
         whole.update(file.read_bytes())
     return whole.hexdigest()

@@ -18,7 +18,6 @@ from warp_plate.problem.problem import EvaluatorName, Problem, default_evaluator
 from warp_plate.result.atomic_io import write_atomically
 from warp_plate.result.checkpoint import Checkpoint, load_newest
 from warp_plate.result.model import Result, best_drive_scenes
-from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.errors import SceneError, printable
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.solve.devices import processor_of
@@ -172,7 +171,7 @@ def save_best_scenes(result: Result, path: Path) -> list[Path]:
         head = f"# Found by: warp-plate localize {result.source}\n# Run it by: {command}\n"
         if result.evaluator == MODAL:
             head += "# By modes, [grid] only says at which points results are given.\n"
-        write_atomically((printable(head) + dump_scene(scene)).encode(), file)
+        write_atomically((printable(head) + scene.to_toml()).encode(), file)
         files.append(file)
     return files
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-import warp_plate
+from warp_plate._version import __version__
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.problem.problem import Problem
 from warp_plate.result.checkpoint import Checkpoint
@@ -45,7 +45,7 @@ def devices_text(problem: Problem) -> str:
 def versions() -> dict[str, str]:
     """Return the versions of everything that results depend on."""
     return {
-        "warp_plate": warp_plate.__version__,
+        "warp_plate": __version__,
         "warp": wp.config.version,
         "numpy": np.__version__,
         "python": platform.python_version(),

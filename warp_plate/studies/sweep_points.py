@@ -10,13 +10,12 @@ from typing import NamedTuple
 
 import warp as wp
 
-import warp_plate
+from warp_plate._version import __version__
 from warp_plate.cluster.pool import Task, WorkerPool, run_tasks
 from warp_plate.cluster.tasks import SceneSpec, refuse_unlike, run_task, worker_device, worker_identity
 from warp_plate.plate.files import named_files, read_beside
 from warp_plate.result.sweep import Sweep
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.keys import with_values
 from warp_plate.scene.model import Scene
 from warp_plate.scene.vary import Plan, parse_frequencies
 from warp_plate.solve.devices import find_device
@@ -73,7 +72,7 @@ def run_point(point: Point) -> PointResult:
             scene, name = scene.scene_in(folder), worker_device(name)
         device, values, reason = find_device(name), None, ""
         try:
-            varied = with_values(scene, point.values)
+            varied = scene.with_values(point.values)
             values = QUANTITIES[point.what].compute(varied, replace(point.settings, device=device.alias))
         except SceneError as error:
             reason = str(error)
@@ -94,7 +93,7 @@ def run_on_pool(start: Sweep, points: Sequence[int], pool: WorkerPool) -> Iterat
 
     The quantities are those of one process to the last bit if the workers have its kind of processor.
     """
-    expected: Mapping[str, str] = {"warp_plate": warp_plate.__version__, "warp": wp.config.version}
+    expected: Mapping[str, str] = {"warp_plate": __version__, "warp": wp.config.version}
     arguments = _points(start, points, SceneSpec.of(start.scene), pool.device)
     tasks = (Task(run_point, point, number) for number, point in zip(points, arguments, strict=True))
     while block := list(islice(tasks, TASK_BLOCK)):
