@@ -18,13 +18,16 @@ from warp_plate.effects.modal_damping import ModalDamping
 from warp_plate.effects.moving_load import MovingLoad
 from warp_plate.effects.orthotropic import Orthotropic
 from warp_plate.effects.oscillators import Oscillator
+from warp_plate.effects.shear_layer import ShearLayer
 from warp_plate.effects.stretching import Stretching
 from warp_plate.effects.tension import Tension
-from warp_plate.effects.variation import Variation
+from warp_plate.effects.variation import LEAST_FACTOR, MOST_FACTOR, Variation
 from warp_plate.scene.fields import Area, Table
 
 # Table of the maps of factors.
 FACTOR_MAPS = "effects.variation"
+# Least and largest factor of a map.
+FACTOR_RANGE = LEAST_FACTOR, MOST_FACTOR
 # The table of the force that travels.
 TRAVELLING = "effects.moving_load"
 # List of what is attached to patches.
@@ -40,6 +43,7 @@ class Effects(Table):
     modal_damping: ModalDamping | None = None
     tension: Tension | None = None
     foundation: Foundation | None = None
+    shear_layer: ShearLayer | None = None
     orthotropic: Orthotropic | None = None
     variation: Variation | None = None
     layers: tuple[Layer, ...] = ()

@@ -41,9 +41,9 @@ class Bending:
         mass: (ny, nx) mass per area [kg/m²].
         weight: (ny, nx) share of each node's cell on the plate: 1, ½ or ¼.
         moves: (ny, nx) true for nodes that move.
-        stretch: Resistance to stretching of the whole plate along x and y [N/m], see ``section``.
+        stretch: Membrane stiffness of the whole plate along x and y [N/m], see ``section``.
         springs: (ny, nx) springs per area [N/m³], by what they belong to.
-        membrane: In-plane force along x and y [N/m], positive in tension.
+        membrane: In-plane force along x and y [N/m], positive where it pulls.
         retardation: Retardation time of the bending moments [s].
         attachments: Masses, springs and dampers on patches.
         shares: (attachments, ny, nx) shares of the nodes in the mean displacement of each patch.
@@ -78,12 +78,12 @@ class Bending:
 
     @property
     def stretch_ratio(self) -> float:
-        """κ of ``section``: tension by stretching along y relative to that along x; 1 for an isotropic plate."""
+        """κ of ``section``: membrane force of large motion along y relative to that along x; 1 for an isotropic plate."""
         return math.sqrt(self.stretch[1] / self.stretch[0])
 
     @property
     def berger(self) -> float:
-        """Berger's tension along x for ∫ u_x² + κu_y² dA = 1 m² [N/m³]; for an isotropic plate 6D/(H² area)."""
+        """Berger's force along x for ∫ u_x² + κu_y² dA = 1 m² [N/m³]; for an isotropic plate 6D/(H² area)."""
         return self.stretch[0] / (2 * self.cell * float(self.weight.sum()))
 
 

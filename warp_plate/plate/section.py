@@ -11,7 +11,7 @@ has, with the brackets for means over it by length,
 cut lies. Cells around a layer's corner are cut both ways: first across x and then across y, and the other way about,
 and the mean of both. Twist and mass are means by area.
 
-Stretching, after Berger, leaves out of the in-plane energy what is not ½∫ C e² dA, e = e_x + κ e_y with the strains of
+Berger's approximation of large motion leaves out of the in-plane energy what is not ½∫ C e² dA, e = e_x + κ e_y with the strains of
 the middle plane e_x = U_x + ½u_x² and so on, C = A₁₁ and κ² = A₂₂/A₁₁ its stiffnesses per width (isotropic:
 C = A/(1 − ν²), κ = 1; T. Iwinski and J. Nowinski, Arch. Mech. Stos. 9, 1957). Where C varies and κ does not, this is
 least when N = C e is the same everywhere; then ∫ e dA = ½∫ u_x² + κu_y² dA, where edges do not move in the plane, gives
@@ -26,8 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from warp_plate.effects.effect import DISPLACEMENT
-from warp_plate.effects.table import FACTOR_MAPS
-from warp_plate.effects.variation import LEAST_FACTOR, MOST_FACTOR
+from warp_plate.effects.table import FACTOR_MAPS, FACTOR_RANGE
 from warp_plate.plate.files import read_table
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -47,7 +46,7 @@ class Section:
     bend_yy: np.ndarray  # (ny, nx) Dyy [N·m]
     twist: np.ndarray  # (ny, nx) torsional rigidity Dxy of Mxy = 2 Dxy u_xy [N·m]
     mass: np.ndarray  # (ny, nx) mass per area [kg/m²]
-    stretch: tuple[float, float]  # Harmonic means over the plate of the stretching stiffness along x and y [N/m]
+    stretch: tuple[float, float]  # Harmonic means over the plate of the membrane stiffness along x and y [N/m]
 
 
 class _Parts(NamedTuple):
@@ -111,7 +110,7 @@ def factor_arrays(scene: Scene) -> dict[str, np.ndarray]:
     for key, given in scene.effects.factor_maps.items():
         head = f"{FACTOR_MAPS}.{key}"
         if isinstance(given, str):
-            array = read_table(head, given, scene.folder, LEAST_FACTOR, MOST_FACTOR)
+            array = read_table(head, given, scene.folder, *FACTOR_RANGE)
             head += f" = {given!r}"
         else:
             array = np.array(given)
@@ -137,7 +136,7 @@ def _parts(length: float, nodes: int, cuts: list[float]) -> _Parts:
 def laminates(
     scene: Scene, x: np.ndarray, y: np.ndarray, factors: dict[str, np.ndarray]
 ) -> tuple[Rigidities, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """Return rigidities and twist [N·m], mass [kg/m²] and stretching stiffness [N/m] at points x, y [m].
+    """Return rigidities and twist [N·m], mass [kg/m²] and membrane stiffness [N/m] at points x, y [m].
 
     ``factors`` are those of :func:`factors_at_nodes`, at the points (y, x).
     """
@@ -150,7 +149,7 @@ def laminates(
     isotropic = (rigidity, ratio * rigidity, rigidity, (1 - ratio) / 2 * rigidity)
     of_plate = scene.effects.rigidities or isotropic
     bend_xx, bend_xy, bend_yy, twist = (rigidity * stiffer for rigidity in of_plate)
-    # A sheet of rigidity D and thickness H resists stretching with 12 D/H².
+    # A sheet of rigidity D and thickness H resists strain with 12 D/H².
     membrane = 12 * factors["young_modulus"] * factors["thickness"] / plate.thickness**2
     along_x, along_y = of_plate[0] * membrane, of_plate[2] * membrane
     if scene.layers:
@@ -166,7 +165,7 @@ def laminates(
 def _with_layers(
     scene: Scene, x: np.ndarray, y: np.ndarray, thickness: np.ndarray, stiffer: np.ndarray, mass: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the contributions of layers to the rigidity [N·m] and to the stretching stiffness [N/m], and the total
+    """Return the contributions of layers to the rigidity [N·m] and to the membrane stiffness [N/m], and the total
     mass [kg/m²], for a plate with a thickness [m], factor of Young's modulus and mass at points (y, x)."""
     plate = scene.plate
     stretch = plate_alone = plate.young_modulus * stiffer * thickness

@@ -1,7 +1,7 @@
 """The largest stable time step of a scene's grid and effects, and its cause.
 
 With M the masses, K the stiffness and C the losses that act on the last half-step's rates (damping backward in time,
-the material's, oscillators'), a step from u and v to v⁺ and u + Δt v⁺ is
+the material's, of attached dampers), a step from u and v to v⁺ and u + Δt v⁺ is
 
     (M − ½Δt C)(v⁺ − v)/Δt + ½(C + c)(v⁺ + v) + K u = 0,
 
