@@ -78,7 +78,7 @@ class Bending:
 
     @property
     def stretch_ratio(self) -> float:
-        """κ of ``section``: membrane force of large motion along y relative to that along x; 1 for an isotropic plate."""
+        """κ of ``section``: membrane force of large motion along y over that along x; 1 for an isotropic plate."""
         return math.sqrt(self.stretch[1] / self.stretch[0])
 
     @property

@@ -11,11 +11,11 @@ has, with the brackets for means over it by length,
 cut lies. Cells around a layer's corner are cut both ways: first across x and then across y, and the other way about,
 and the mean of both. Twist and mass are means by area.
 
-Berger's approximation of large motion leaves out of the in-plane energy what is not ½∫ C e² dA, e = e_x + κ e_y with the strains of
-the middle plane e_x = U_x + ½u_x² and so on, C = A₁₁ and κ² = A₂₂/A₁₁ its stiffnesses per width (isotropic:
-C = A/(1 − ν²), κ = 1; T. Iwinski and J. Nowinski, Arch. Mech. Stos. 9, 1957). Where C varies and κ does not, this is
-least when N = C e is the same everywhere; then ∫ e dA = ½∫ u_x² + κu_y² dA, where edges do not move in the plane, gives
-N = ½∫ u_x² + κu_y² dA / ∫ dA/C: what counts is the harmonic mean of C.
+Berger's approximation of large motion leaves out of the in-plane energy what is not ½∫ C e² dA, e = e_x + κ e_y with
+the strains of the middle plane e_x = U_x + ½u_x² and so on, C = A₁₁ and κ² = A₂₂/A₁₁ its stiffnesses per width
+(isotropic: C = A/(1 − ν²), κ = 1; T. Iwinski and J. Nowinski, Arch. Mech. Stos. 9, 1957). Where C varies and κ does
+not, this is least when N = C e is the same everywhere; then ∫ e dA = ½∫ u_x² + κu_y² dA, where edges do not move in the
+plane, gives N = ½∫ u_x² + κu_y² dA / ∫ dA/C: what counts is the harmonic mean of C.
 """
 
 from __future__ import annotations
