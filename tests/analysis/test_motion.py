@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from conftest import scene_of
 
+from support.scenes import scene_of
 from warp_plate import SceneError
 from warp_plate.analysis.motion import mode_motions, motions, usual_span
 from warp_plate.modal.continuous_modes import continuous_modes

@@ -9,15 +9,13 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from conftest import examples, is_printable, scene_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from warp_plate import focus, localize, save_focus, save_result, save_sweep, sweep
+from support.attacks import examples
+from support.commands import is_printable
 from warp_plate.cli.commands import COMMANDS, app
 from warp_plate.plate import memory
-from warp_plate.result.export.frequency_response import write_hdf5
-from warp_plate.studies.frequency_response import frf
 
 # Commands that wait for a person or measure this machine, and options that start other programs.
 LEFT_OUT, PROGRAMS = ("view", "explore"), ("--devices", "--cluster")
@@ -26,14 +24,9 @@ ROOM = 6 * 2**30
 # Commands that take a result file; options without a word.
 RESULTS = ("render", "export", "verify")
 FLAGS = ("--json", "--force", "--estimate", "--spectrum", "--pictures", "--allow-unstable", "--grid", "--modes")
-TABLES = {"damping": 88.5, "window": (0.001, 0.004), "search": {"particles": 3, "iterations": 2}}
-SENSOR = {"actuator": "0", "point": (0.13, 0.15)}
-FREE = {"fit": {"free": {"plate.young_modulus": (9e8, 1.1e9)}, "starts": 1}}
-PULSE = {"focus": {"points": [(0.06, 0.05)], "highest": 200.0, "time": 0.01, "rate": 2000}}
-PIEZO = {"kind": "piezo", "d31": -1.7e-10, "thickness": 2e-4, "young_modulus": 6e10, "capacitance": 1e-8}
-RIGHT = ("panel.toml", "fit.toml", "sensor.toml", "focus.toml", "piezo.toml")
 FILES = ("run.h5", "focus.h5", "sweep.h5", "frf.h5", "modes.csv", "responses.csv", "velocities.csv")
 WRONG = ("none", "", "-", ".", "text.h5", "\x1b[2J.toml", "caf\udce9.toml", "a\nb", "folder", "/dev/zero")
+RIGHT = ("panel.toml", "fit.toml", "sensor.toml", "focus.toml", "piezo.toml")
 PLAIN = """
     0 1 2 -1 1.5 nan inf -inf 1e400 1% 0% 1e-300 ² ٣ 1,2 cpu cuda:9 equal single 1,0,0 1@90,nan,0 1:2:3 50:300 modal
     resident no/such.h5 drive.frequency=nan grid.nodes=[1,1] best optimum a.b.c= = [[ mean
@@ -95,27 +88,6 @@ def command_lines(draw):
         flag = option in FLAGS or option.startswith("--no-")
         line += [option] if flag else [option, draw(words(option, known[option]))]
     return line + ["--no-pictures"] * ("--no-pictures" in known)
-
-
-@pytest.fixture(scope="module")
-def filled(tmp_path_factory):
-    """A folder with a file of each kind that commands read."""
-    folder = tmp_path_factory.mktemp("filled")
-    scene = scene_of((9, 9), **TABLES)
-    piezo = [{"name": "p", "area": (0.03, 0.06, 0.04, 0.07), **PIEZO}]
-    scenes = scene, *(scene.with_tables(**tables) for tables in (FREE, {**FREE, "measurement": [SENSOR]}, PULSE))
-    for name, each in zip(RIGHT, (*scenes, scenes[-1].with_tables(actuators=piezo)), strict=True):
-        (folder / name).write_text(each.to_toml(), encoding="utf-8")
-    save_result(localize(scene, device="cpu", estimate=False), folder / "run.h5")
-    save_focus(focus(scenes[-1]), folder / "focus.h5")
-    save_sweep(sweep(scene, ["drive.frequency=280,290"], "simulate", device="cpu"), folder / "sweep.h5")
-    write_hdf5(frf(scene, frequency_range=(50, 300)), folder / "frf.h5")
-    (folder / "modes.csv").write_text("frequency\n38\n77\n78\n115\n", encoding="utf-8")
-    (folder / "responses.csv").write_text("50,1,1\n60,2,1\n70,1,2\n80,1,3\n", encoding="utf-8")
-    (folder / "velocities.csv").write_text("x,y,velocity\n.05,.05,1\n.15,.05,1\n.05,.15,2\n.15,.15,1\n")
-    (folder / "text.h5").write_text("no HDF5", encoding="utf-8")
-    (folder / "folder").mkdir()
-    return folder
 
 
 @pytest.fixture

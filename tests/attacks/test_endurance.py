@@ -8,13 +8,13 @@ import re
 import sys
 import time
 
-import conftest
 import pytest
-from conftest import scene_of
-from test_explorer_sockets import aiohttp, answers_to, call, served, session  # noqa: F401
 
+from support.scenes import scene_of
+from support.sockets import answers_to, call, session
 from warp_plate import localize, sweep
 
+aiohttp = pytest.importorskip("aiohttp")
 psutil = pytest.importorskip("psutil")
 linux = pytest.mark.skipif(sys.platform != "linux", reason="counts what Linux counts")
 pytestmark = [pytest.mark.slow, pytest.mark.hour, linux]
@@ -41,8 +41,8 @@ class Watch:
         assert late[1:] <= early[1:]
 
 
-def test_generations():
-    watch, total = Watch(), 20000 if conftest.HOUR else 400
+def test_generations(hour):
+    watch, total = Watch(), 20000 if hour else 400
     made = scene_of((9, 9), damping=88.5, search={"particles": 4, "iterations": total})
     done = []
 
@@ -54,8 +54,8 @@ def test_generations():
     watch.assert_flat()
 
 
-def test_points_of_a_sweep():
-    watch, total = Watch(), 2000 if conftest.HOUR else 40
+def test_points_of_a_sweep(hour):
+    watch, total = Watch(), 2000 if hour else 40
     made = scene_of((9, 9), damping=88.5)
     vary = [f"drive.frequency=200:400:{total}"]
     found = sweep(made, vary, "simulate", device="cpu", path="resident", on_progress=lambda *at: watch.look(*at[:2]))
@@ -63,9 +63,9 @@ def test_points_of_a_sweep():
     watch.assert_flat()
 
 
-def test_two_clients_move_sliders(served):  # noqa: F811
+def test_two_clients_move_sliders(served, hour):
     address, secret = session(served)
-    watch, total = Watch(psutil.Process().children()[-1]), 1800.0 if conftest.HOUR else 15.0
+    watch, total = Watch(psutil.Process().children()[-1]), 1800.0 if hour else 15.0
     begin = time.monotonic()
 
     async def move(client, number):

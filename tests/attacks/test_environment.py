@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 import warp as wp
-from conftest import error_of, output_of
 
+from support.commands import error_of, output_of
 from warp_plate import load_result
 from warp_plate.studies.kept_choices import kept
 

@@ -1,27 +1,23 @@
 """Clients of the explorer's page that are no page of it, or that send what no page sends."""
 
 import asyncio
-import json
 import math
 import re
-import signal
 import socket
 import sys
 import urllib.error
 import urllib.request
 
 import pytest
-from conftest import error_of, examples, start_program
 from hypothesis import given
 from hypothesis import strategies as st
 
-from warp_plate import viz
-from warp_plate.viz.explorer_page import missing_page
+from support.attacks import examples
+from support.commands import error_of
+from support.sockets import PATIENCE, answers_to, ask, call, session
 
 aiohttp = pytest.importorskip("aiohttp")
-msgpack = pytest.importorskip("msgpack")
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGINT to send to one process")
-PATIENCE = 60.0
 FILES = 200
 ESCAPES = "\x1b[2J\x1b]0;title\x07"
 METHODS = [
@@ -34,36 +30,6 @@ VALUES = st.recursive(
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=9), inner, max_size=3),
     max_leaves=6,
 )
-HEADER = 12  # bytes before each message of wslink: its number, the place of this part, the length of all
-
-
-@pytest.fixture
-def served(write_scene):
-    """Host and port, and query, of ``explore --web``; Ctrl-C ends it quietly whatever its clients have sent."""
-    if (problem := missing_page() or viz.missing_renderer()) is not None:
-        pytest.skip(problem)
-    write_scene(damping=120.0, window=(0.08, 0.1))
-    process = start_program("-m", "warp_plate", "explore", "panel.toml", "--web", "--port", 0, "--device", "cpu")
-    line = process.stdout.readline()
-    try:
-        yield re.search(r"http://(127\.0\.0\.1:\d+)/(\?key=\w+) ", line).groups()
-    finally:
-        process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=PATIENCE)
-    assert (process.returncode, out, err) == (0, "", "ended\n")
-
-
-def ask(served, **headers):
-    """Return the answer to the page's first request."""
-    request = urllib.request.Request(f"http://{served[0]}/paraview/", b"{}", headers)
-    with urllib.request.urlopen(request, timeout=PATIENCE) as answer:
-        return json.load(answer)
-
-
-def session(served):
-    """The address of the socket and the secret, as the page asks for them."""
-    found = ask(served, Referer=f"http://{served[0]}/{served[1]}")
-    return found["sessionURL"].replace("ws://", "http://"), found["secret"]
 
 
 def test_the_secret_is_given_to_those_who_have_it(served):
@@ -73,21 +39,6 @@ def test_the_secret_is_given_to_those_who_have_it(served):
         with pytest.raises(urllib.error.HTTPError, match="403"):
             ask(served, Referer=referer)
     assert session(served)[1] in served[1]
-
-
-def call(method, *arguments, rpc="x:1"):
-    """A message of wslink."""
-    content = msgpack.packb({"wslink": "1.0", "id": rpc, "method": method, "args": list(arguments), "kwargs": {}})
-    return bytes(8) + len(content).to_bytes(4, "little") + content
-
-
-async def answers_to(socket, message):
-    """Send a message, and return the answer to it."""
-    await socket.send_bytes(message)
-    while True:
-        answer = msgpack.unpackb((await socket.receive_bytes(timeout=PATIENCE))[HEADER:])
-        if not answer["id"].startswith("publish:"):
-            return answer
 
 
 @pytest.fixture

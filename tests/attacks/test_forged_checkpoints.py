@@ -4,11 +4,12 @@ import json
 
 import numpy as np
 import pytest
-from conftest import examples, scene_of
-from forged import ARRAYS, VALUES, forge, forge_place, set_attribute, set_dataset
 from hypothesis import given
 from hypothesis import strategies as st
 
+from support.attacks import examples
+from support.forged import ARRAYS, VALUES, forge, forge_place, set_attribute, set_dataset
+from support.scenes import scene_of
 from warp_plate import CheckpointFile, SceneError, load_checkpoint, localize, resume
 
 SEARCHES = {

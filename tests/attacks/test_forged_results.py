@@ -4,11 +4,12 @@ import shutil
 from pathlib import Path
 
 import pytest
-from conftest import error_of, examples
-from forged import ARRAYS, VALUES, forge, forge_place, set_dataset
 from hypothesis import given
 from hypothesis import strategies as st
-from test_command_lines import filled  # noqa: F401
+
+from support.attacks import examples
+from support.commands import error_of
+from support.forged import ARRAYS, VALUES, forge, forge_place, set_dataset
 
 LINES = {
     "run.h5": [
@@ -27,7 +28,7 @@ LINES = {
 
 
 @pytest.fixture
-def folder(filled, tmp_path, monkeypatch):  # noqa: F811
+def folder(filled, tmp_path, monkeypatch):
     """A working folder with a result of each kind, and its content beside it."""
     shutil.copytree(filled, tmp_path / "at")
     monkeypatch.chdir(tmp_path / "at")

@@ -10,9 +10,9 @@ import sys
 import h5py
 import numpy as np
 import pytest
-from conftest import scene_of
-from forged import forge
 
+from support.forged import forge
+from support.scenes import scene_of
 from warp_plate import CheckpointFile, localize, save_result
 from warp_plate.result.atomic_io import SEAL_BYTES, make_seal
 

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import error_of, scene_of
 
+from support.commands import error_of
+from support.scenes import scene_of
 from warp_plate import SceneError, modes
 from warp_plate.modal.modes import MOST_MODES
 from warp_plate.studies.spectrum import resonances

@@ -6,10 +6,11 @@ What is quadratic takes hours for these lengths, which the time limit of all tes
 from pathlib import Path
 
 import pytest
-from conftest import PAPER, examples
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from support.attacks import examples
+from support.scenes import PAPER
 from warp_plate import Scene, SceneError
 from warp_plate.scene.load import MOST_BYTES, parse_toml
 

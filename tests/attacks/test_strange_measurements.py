@@ -7,8 +7,8 @@ import h5py
 import numpy as np
 import pytest
 import scipy
-from conftest import error_of
 
+from support.commands import error_of
 from warp_plate import SceneError
 from warp_plate.fitting.measured_responses import read_responses
 from warp_plate.result import arrays

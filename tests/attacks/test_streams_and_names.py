@@ -8,8 +8,9 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from conftest import error_of, output_of, scene_of
 
+from support.commands import error_of, output_of
+from support.scenes import scene_of
 from warp_plate import Scene, load_result
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="shells of Unix")

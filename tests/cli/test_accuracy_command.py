@@ -6,8 +6,8 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from conftest import output_of
 
+from support.commands import output_of
 from warp_plate.accuracy import configurations, report
 from warp_plate.cli.check import error_text
 

@@ -4,8 +4,8 @@ import os
 from pathlib import Path
 
 import pytest
-from conftest import error_of as refused
 
+from support.commands import error_of as refused
 from warp_plate.cli.output import LONGEST_ENDING
 from warp_plate.plate import memory
 

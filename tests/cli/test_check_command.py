@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from conftest import error_of, output_of, scene_of
 
+from support.commands import error_of, output_of
+from support.scenes import scene_of
 from warp_plate import PlateSolver, load_result
 from warp_plate.accuracy.configurations import percent
 from warp_plate.analysis.check import check

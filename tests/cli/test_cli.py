@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import error_of, output_of, scene_of, start_program
 
 import warp_plate
+from support.commands import error_of, output_of, start_program
+from support.scenes import scene_of
 from warp_plate import Scene, load_result
 from warp_plate.scene.load import preset_names, preset_text
 

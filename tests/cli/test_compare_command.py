@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import output_of, scene_of
 
+from support.commands import output_of
+from support.scenes import scene_of
 from warp_plate import SceneError
 from warp_plate.cli.compare import rows
 from warp_plate.result.comparison import MethodComparison, Trial, load_comparison, save_comparison

@@ -12,8 +12,8 @@ from types import SimpleNamespace
 
 import pytest
 import warp as wp
-from conftest import output_of, start_program
 
+from support.commands import output_of, start_program
 from warp_plate.accuracy import machine as machines
 from warp_plate.solve import nvidia
 

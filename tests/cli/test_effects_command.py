@@ -4,8 +4,9 @@ import json
 import math
 
 import pytest
-from conftest import output_of, scene_of
 
+from support.commands import output_of
+from support.scenes import scene_of
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.analysis import influence
 from warp_plate.analysis.influence import DRIVES, bare_scene, is_on, toggle

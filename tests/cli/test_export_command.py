@@ -8,9 +8,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from conftest import error_of, output_of, scene_of
 from scipy.io import wavfile
 
+from support.commands import error_of, output_of
+from support.scenes import scene_of
 from warp_plate import load_result, localize, save_result, simulate
 from warp_plate.analysis.motion import motions
 

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import error_of, output_of
 from scipy.io import wavfile
 
+from support.commands import error_of, output_of
 from warp_plate import focus, load_focus, plot
 from warp_plate.plate.waveforms import read_samples
 from warp_plate.scene.drive import SampledSignal

@@ -4,8 +4,8 @@ import json
 from pathlib import Path
 
 import pytest
-from conftest import error_of, output_of
 
+from support.commands import error_of, output_of
 from warp_plate.studies.frequency_response import frf
 
 

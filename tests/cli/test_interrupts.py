@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import output_of, scene_of, until
-from conftest import start_program as start
 
+from support.commands import output_of, until
+from support.commands import start_program as start
+from support.scenes import scene_of
 from warp_plate import PlateSolver, load_checkpoint, load_result
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot send SIGINT to one process")

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import output_of
 
+from support.commands import output_of
 from warp_plate.modal.continuous_modes import continuous_modes
 from warp_plate.modal.modes import solve_modes
 from warp_plate.plate.modes import natural_modes

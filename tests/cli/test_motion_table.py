@@ -4,8 +4,8 @@ import json
 import math
 
 import pytest
-from conftest import output_of
 
+from support.commands import output_of
 from warp_plate import Scene, load_result
 
 OPTIONS = ("--device", "cpu", "--no-pictures", "--no-estimate")

@@ -3,7 +3,8 @@
 import json
 
 import pytest
-from conftest import output_of
+
+from support.commands import output_of
 
 FAST = ("--device", "cpu", "--no-pictures")
 

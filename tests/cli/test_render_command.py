@@ -5,8 +5,9 @@ import subprocess
 
 import numpy as np
 import pytest
-from conftest import error_of, output_of, scene_of
 
+from support.commands import error_of, output_of
+from support.scenes import scene_of
 from warp_plate.analysis.motion import frame_at, motions
 from warp_plate.cli.render import FrameOptions, frames_around
 from warp_plate.result.model import load_result, save_result

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import error_of, output_of, start_program
-from test_resume import assert_same, stop_after
 
+from support.commands import error_of, output_of, start_program
+from support.searches import assert_same_results, stop_after
 from warp_plate import Scene, SceneError, load_result, localize, resume
 from warp_plate.result.checkpoint import load_newest, previous_path
 from warp_plate.studies.checkpointing import CheckpointFile
@@ -68,7 +68,7 @@ def test_the_command_resumes(command, panel, left):
         assert record["files"] == files
         assert sorted(map(str, Path().iterdir())) == sorted([*files, "panel.toml"])
         result = load_result("panel-localize.h5")
-        assert_same(replace(result, cases=full.cases), full)
+        assert_same_results(replace(result, cases=full.cases), full)
         for name, case in full.cases.items():
             assert result.cases[name].energy == case.energy
 
@@ -116,7 +116,9 @@ def test_killed_at_random_moments(kills, panel, random, write_scene):
         arguments = ["localize", "--resume", str(FILE), *QUICK, "--checkpoint-every", "0"]
     assert reached == sorted(reached)
     found = resume(checkpoint, estimate=False)
-    assert_same(replace(found, source="panel.toml"), localize(panel, source="panel.toml", device="cpu", estimate=False))
+    assert_same_results(
+        replace(found, source="panel.toml"), localize(panel, source="panel.toml", device="cpu", estimate=False)
+    )
     CheckpointFile(FILE, resumes=True).remove()
     assert [path.name for path in Path().iterdir()] == ["panel.toml"]
 

@@ -5,8 +5,8 @@ import re
 import sys
 
 import pytest
-from conftest import output_of
 
+from support.commands import output_of
 from warp_plate import Scene
 from warp_plate.cli import output
 

@@ -4,8 +4,8 @@ import json
 from inspect import signature
 
 import pytest
-from conftest import output_of
 
+from support.commands import output_of
 from warp_plate.cli.commands import COMMANDS, app
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import error_of, output_of
-from inline_pool import InlinePool
 
+from support.commands import error_of, output_of
+from support.inline_pool import InlinePool
 from warp_plate import SceneError, load_sweep
 from warp_plate.cli import output
 from warp_plate.cluster.pool import WorkersGone

@@ -12,15 +12,15 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
-from inline_pool import InlinePool
-from test_workers import ATTEMPTS, assert_same, assert_same_result, random_phasors, small_search
-from worker_tasks import doubled, end_worker, process_number
 
+from support.inline_pool import InlinePool
+from support.worker_tasks import doubled, end_worker, process_number
+from support.workers import assert_same_history, assert_same_run, random_phasors, small_search
 from warp_plate import CheckpointFile, PlateSolver, SceneError, load_checkpoint, localize, resume
 from warp_plate.cluster import opening
 from warp_plate.cluster.evaluator import BLOCK_NODE_STEPS, make_evaluator
 from warp_plate.cluster.opening import open_pool
-from warp_plate.cluster.pool import Task, WorkersGone, run_tasks
+from warp_plate.cluster.pool import ATTEMPTS, Task, WorkersGone, run_tasks
 
 pytest.importorskip("distributed")
 dask = pytest.importorskip("dask")
@@ -56,7 +56,7 @@ def worker_processes(pool):
 def test_a_search_is_the_same_on_dask(pool, scene):
     made = small_search(scene, iterations=2)
     result = localize(made, device="cpu", estimate=False, pool=pool)
-    assert_same_result(result, localize(made, device="cpu", estimate=False))
+    assert_same_history(result, localize(made, device="cpu", estimate=False))
     assert result.device.endswith("plates of the search on up to 2 Dask workers of local:2")
     assert os.getpid() not in worker_processes(pool)
     assert LINES[0].startswith("dashboard of the workers: http://127.0.0.1:")
@@ -109,7 +109,7 @@ def test_workers_killed_at_random_moments_change_nothing(pool, scene, random):
     victim = int(random.choice(worker_processes(pool)))
     killer = threading.Timer(random.uniform(0, 0.5), os.kill, (victim, signal.SIGKILL))
     killer.start()
-    assert_same(evaluator.run(phasors), expected)
+    assert_same_run(evaluator.run(phasors), expected)
     killer.join()
     assert not evaluator.lost
 
@@ -169,4 +169,4 @@ def test_a_scheduler_that_goes_away_leaves_a_checkpoint(tmp_path, scene, monkeyp
     begun = load_checkpoint(path)
     assert 5 <= begun.iterations < 400
     result = resume(begun, "cpu", estimate=False, pool=InlinePool())
-    assert_same_result(result, localize(made, device="cpu", estimate=False))
+    assert_same_history(result, localize(made, device="cpu", estimate=False))

@@ -11,10 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import start_program
-from inline_pool import InlinePool
-from worker_tasks import doubled, poisoned
 
+from support.commands import start_program
+from support.inline_pool import InlinePool
+from support.worker_tasks import doubled, poisoned
+from support.workers import PLATES, assert_same_history, assert_same_run, random_phasors, small_search
 from warp_plate import CheckpointFile, PlateSolver, SceneError, load_checkpoint, load_result, localize, resume
 from warp_plate.cli.tables import failure_lines
 from warp_plate.cluster import evaluator as evaluators
@@ -29,7 +30,6 @@ from warp_plate.problem.uncertainty import draw_scenarios
 from warp_plate.result.model import save_result
 from warp_plate.studies.compare import compare
 
-PLATES = 150  # blocks of 64, 64 and 22
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
 
 
@@ -46,10 +46,6 @@ def small_blocks(monkeypatch):
     monkeypatch.setitem(evaluators.BLOCK_NODE_STEPS, "cpu", (1.0, 1.0))
 
 
-def random_phasors(random, plates=PLATES):
-    return random.normal(size=(plates, 3)) + 1j * random.normal(size=(plates, 3))
-
-
 def random_designs(scene, random):
     """Designs that differ in all that the scene's search frees."""
     per_plate, whole = per_plate_of(scene), np.ones((1, 3))
@@ -59,12 +55,6 @@ def random_designs(scene, random):
         random.uniform(0.09, 0.11, (PLATES, 3, 2)) if per_plate.centre else None,
         random.uniform(0, 1e-3, (PLATES, 1)) * whole if per_plate.delay else None,
     )
-
-
-def assert_same(found, run):
-    assert found.energy.tobytes() == run.energy.tobytes()
-    assert repr(sorted(found.faults.items())) == repr(sorted(run.faults.items()))
-    assert found.node_steps == run.node_steps
 
 
 SCENES = {
@@ -93,8 +83,8 @@ def test_workers_give_the_bits_of_one_process(name, pool, scene, random, tmp_pat
     evaluator = make_evaluator(made, "cpu", pool=pool, **options)
     (tmp_path / "pulse.csv").unlink()
     assert expected.faults.keys() == {70}
-    assert_same(evaluator.run(designs), expected)
-    assert_same(evaluator.run(designs[:0]), none)
+    assert_same_run(evaluator.run(designs), expected)
+    assert_same_run(evaluator.run(designs[:0]), none)
     assert evaluator.node_steps == expected.node_steps
     assert not evaluator.lost
     if designs.frequency is not None:
@@ -118,24 +108,11 @@ def test_how_many_plates_a_block_has(plates, workers, node_steps, kind, size, mo
     assert block_size(plates, workers, node_steps, kind) == size
 
 
-def small_search(scene, **search):
-    """A scene whose search has several blocks in each generation."""
-    keys = {"particles": PLATES, "iterations": 4, **search}
-    return scene((9, 9), window=(0.002, 0.004), damping=20.0, precision="float32", search=keys)
-
-
-def assert_same_result(result, expected):
-    for name, values in expected.history.items():
-        assert result.history[name].tobytes() == values.tobytes(), name
-    assert result.cases["best"].phasors.tobytes() == expected.cases["best"].phasors.tobytes()
-    assert (result.node_steps, result.evaluations) == (expected.node_steps, expected.evaluations)
-
-
 def test_searches_give_the_same_on_workers(pool, scene, random):
     objectives = [{"kind": "localization"}, {"kind": "displacement", "weight": 1e3}]
     made = small_search(scene, objectives=objectives, magnitude={"range": [0.0, 1.0]})
     result = localize(made, device="cpu", estimate=False, pool=pool)
-    assert_same_result(result, localize(made, device="cpu", estimate=False))
+    assert_same_history(result, localize(made, device="cpu", estimate=False))
     assert pool.description in result.device
     robust = small_search(scene, robust={"young_modulus": 0.1, "scenarios": 3})
     scenarios, phasors = draw_scenarios(robust, 3, 0), random_phasors(random)
@@ -200,11 +177,11 @@ def test_workers_that_are_killed_cost_no_plate(pool, scene, random):
     evaluator.run(phasors[:1])
     killer = threading.Timer(random.uniform(0, 0.1), kill_some_worker)
     killer.start()
-    assert_same(evaluator.run(phasors), expected)
+    assert_same_run(evaluator.run(phasors), expected)
     killer.join()
     kill_some_worker()
     time.sleep(0.2)
-    assert_same(evaluator.run(phasors), expected)
+    assert_same_run(evaluator.run(phasors), expected)
     assert not evaluator.lost
 
 
@@ -278,7 +255,7 @@ def test_a_block_is_halved_until_memory_holds_it(room, scene, random):
     evaluator = make_evaluator(made, "cpu", pool=Failing(room=room))
     found = evaluator.run(phasors)
     if room:
-        assert_same(found, PlateSolver(made, "cpu").run(phasors))
+        assert_same_run(found, PlateSolver(made, "cpu").run(phasors))
     else:
         why = "out of memory (Failed to allocate 999 bytes on device 'cuda:0')"
         assert evaluator.lost == {f"block given up after {ATTEMPTS} attempts: {why}": PLATES}
@@ -308,7 +285,7 @@ def test_a_search_whose_workers_are_gone_can_go_on(tmp_path, scene):
         localize(made, device="cpu", estimate=False, pool=Failing(10), checkpoints=CheckpointFile(path, np.inf))
     begun = load_checkpoint(path)
     assert 0 < begun.iterations < 4
-    assert_same_result(resume(begun, "cpu", estimate=False, pool=InlinePool()), expected)
+    assert_same_history(resume(begun, "cpu", estimate=False, pool=InlinePool()), expected)
 
 
 SLEEPING = """

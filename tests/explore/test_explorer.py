@@ -7,8 +7,8 @@ from contextlib import ExitStack, closing
 
 import numpy as np
 import pytest
-from conftest import error_of, until
 
+from support.commands import error_of, until
 from warp_plate import PlateSolver, SceneError, localize
 from warp_plate.analysis.superposition import ORDERS, last_period
 from warp_plate.explore import live_model

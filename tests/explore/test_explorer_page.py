@@ -10,8 +10,9 @@ import urllib.request
 from functools import partial
 
 import pytest
-from conftest import drag, start_program, until
 
+from support.commands import start_program, until
+from support.pictures import drag
 from warp_plate import viz
 from warp_plate.viz.explorer_page import missing_page
 

@@ -7,9 +7,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import MATERIAL, error_of, output_of, scene_of
-from levy import isotropic, levy_frequencies
 
+from support.commands import error_of, output_of
+from support.levy import isotropic, levy_frequencies
+from support.scenes import MATERIAL, scene_of
 from warp_plate import Scene, SceneError, modes
 from warp_plate.fitting.fit_modes import fit_modes
 from warp_plate.fitting.least_squares import exchangeable

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import MATERIAL, error_of, output_of, scene_of
 
+from support.commands import error_of, output_of
+from support.scenes import MATERIAL, scene_of
 from warp_plate import SceneError
 from warp_plate.fitting.fit_responses import fit_responses
 from warp_plate.fitting.measured_modes import read_modes

@@ -8,8 +8,9 @@ import h5py
 import numpy as np
 import pytest
 import scipy
-from conftest import error_of, output_of, scene_of
 
+from support.commands import error_of, output_of
+from support.scenes import scene_of
 from warp_plate import SceneError
 from warp_plate.fitting.measured_modes import read_modes
 from warp_plate.fitting.measured_responses import read_responses

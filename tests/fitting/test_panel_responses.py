@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from conftest import scene_of
 
+from support.scenes import scene_of
 from warp_plate.fitting.fit_responses import fit_responses
 from warp_plate.fitting.fitted_panel import FreeNumbers
 from warp_plate.fitting.measured_responses import MeasuredResponses

@@ -5,8 +5,9 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from conftest import error_of, output_of, scene_of
 
+from support.commands import error_of, output_of
+from support.scenes import scene_of
 from warp_plate import Scene, SceneError, plan_measurement
 from warp_plate.fitting.fit_responses import fit_responses
 from warp_plate.fitting.measured_responses import MeasuredResponses

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from conftest import scene_of
 
+from support.scenes import scene_of
 from warp_plate import PlateSolver, Scene, SceneError, focus
 from warp_plate.focusing.figures import measure_focus
 from warp_plate.focusing.motion import focus_motions

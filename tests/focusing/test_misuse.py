@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from conftest import scene_of
 
+from support.scenes import scene_of
 from warp_plate import SceneError, export, focus
 from warp_plate.result.focus import load_focus, save_focus
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from conftest import scene_of
 from scipy.io import wavfile
 
+from support.scenes import scene_of
 from warp_plate import Scene, SceneError, focus
 from warp_plate.focusing.motion import focus_motions
 from warp_plate.result.focus import load_focus, save_focus

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import warp as wp
-from conftest import scene_of
 
+from support.scenes import scene_of
 from warp_plate.modal import device_tones
 from warp_plate.modal.device_tones import DeviceToneMatrices
 from warp_plate.modal.gram import ToneMatrices, gram_matrices

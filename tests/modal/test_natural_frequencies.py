@@ -9,11 +9,11 @@ import math
 import numpy as np
 import pytest
 import scipy
-from conftest import MATERIAL, edges_id, scene_of
 from error_bars.elements import element_frequencies
-from levy import isotropic, levy_frequencies
-from ritz_polynomials import extrapolated_frequencies, ritz_frequencies
 
+from support.levy import isotropic, levy_frequencies
+from support.ritz_polynomials import extrapolated_frequencies, ritz_frequencies
+from support.scenes import MATERIAL, edges_id, scene_of
 from warp_plate import SceneError
 from warp_plate.modal import eigenproblem
 from warp_plate.modal.modes import modes_below, solve_modes

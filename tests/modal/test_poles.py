@@ -5,8 +5,8 @@ import weakref
 
 import numpy as np
 import pytest
-from conftest import scene_of
 
+from support.scenes import scene_of
 from warp_plate.modal.modes import solve_modes
 
 SIZE = (0.2, 0.15)

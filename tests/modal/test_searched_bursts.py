@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from conftest import scene_of
 
+from support.scenes import scene_of
 from warp_plate.modal.gram import gram_matrices
 from warp_plate.modal.solver import ModalSolver, refuse_no_modes
 from warp_plate.optimize.quadratic import quadratic_forms

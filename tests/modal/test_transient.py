@@ -9,8 +9,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from conftest import scene_of
 
+from support.scenes import scene_of
 from warp_plate import PlateSolver
 from warp_plate.modal.energies import ModalEnergies
 from warp_plate.modal.gram import gram_matrices

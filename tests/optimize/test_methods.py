@@ -8,8 +8,8 @@ import h5py
 import numpy as np
 import pytest
 import scipy.linalg
-from conftest import scene_of
 
+from support.scenes import scene_of
 from warp_plate import SceneError
 from warp_plate.optimize.optimizer import SearchSpace, minimize, tolerance_scale
 from warp_plate.problem.methods import READ_BY, make_optimizer, unread_keys

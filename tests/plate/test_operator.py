@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 import pytest
-from conftest import discrete_operator, point_scene
 
+from support.scenes import discrete_operator, point_scene
 from warp_plate.modal.modes import solve_modes
 from warp_plate.plate.operator import DIVISOR, FEWEST_NODES, LARGEST, clamped_rows, make_taps
 from warp_plate.plate.scheme import make_scheme

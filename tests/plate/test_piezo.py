@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 import pytest
-from conftest import scene_of
 
+from support.scenes import scene_of
 from warp_plate import PlateSolver, Scene, SceneError, focus
 from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.solver import ModalSolver

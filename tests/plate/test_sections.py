@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 import pytest
-from conftest import refusal
 
+from support.scenes import refusal
 from warp_plate import Scene, SceneError
 from warp_plate.modal.modes import solve_modes
 from warp_plate.plate.bending import make_bending

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from conftest import PAPER, refusal
 
+from support.scenes import PAPER, refusal
 from warp_plate import SceneError
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.signals import highest_frequency, make_signals

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from conftest import PAPER, refusal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from support.scenes import PAPER, refusal
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.plate.files import digests
 from warp_plate.plate.shapes import cells, clipped, cubics, polygon_weights

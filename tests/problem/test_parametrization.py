@@ -4,8 +4,8 @@ import re
 
 import numpy as np
 import pytest
-from conftest import areas_of, scene_of
 
+from support.scenes import areas_of, scene_of
 from warp_plate import SceneError
 from warp_plate.plate.designs import Designs
 from warp_plate.plate.scene_overrides import scene_phasors

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from conftest import scene_of
 
+from support.scenes import scene_of
 from warp_plate import PlateSolver, SceneError
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.parametrization import paper_phasors

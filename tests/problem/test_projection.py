@@ -5,8 +5,8 @@ from itertools import combinations
 import numpy as np
 import pytest
 import scipy
-from conftest import areas_of, scene_of
 
+from support.scenes import areas_of, scene_of
 from warp_plate import SceneError, localize
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.problem.problem import make_problem

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import areas_of, scene_of
 
+from support.scenes import areas_of, scene_of
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.cluster.evaluator import Evaluator
 from warp_plate.plate.designs import Designs

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import scene_of
 
+from support.scenes import scene_of
 from warp_plate import CheckpointFile, SceneError, load_checkpoint, load_result, localize, resume, save_result
 from warp_plate.result.atomic_io import SEAL_BYTES, atomic_paths, make_seal, write_atomically
 from warp_plate.result.checkpoint import load_newest, previous_path, save_checkpoint

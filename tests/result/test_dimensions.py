@@ -5,9 +5,9 @@ import warnings
 import h5py
 import numpy as np
 import pytest
-from conftest import scene_of
 
 import warp_plate as wpl
+from support.scenes import scene_of
 from warp_plate.result.atomic_io import SEAL_BYTES, make_seal
 from warp_plate.result.comparison import save_comparison
 from warp_plate.result.focus import save_focus

@@ -6,9 +6,9 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from conftest import result_of
 from scipy.io import wavfile
 
+from support.results import result_of
 from warp_plate.plate.waveforms import read_samples
 from warp_plate.result.case import Case
 from warp_plate.result.export.paraview import write_pvd, write_vtkhdf

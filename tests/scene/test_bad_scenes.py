@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import PAPER, is_printable
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from support.commands import is_printable
+from support.scenes import PAPER
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.plate import memory
 from warp_plate.plate.discretization import discretize

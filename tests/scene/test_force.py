@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from conftest import PAPER, refusal, scene_of
 
+from support.scenes import PAPER, refusal, scene_of
 from warp_plate import Scene, SceneError
 from warp_plate.cli.tables import drive_json, drive_table
 from warp_plate.plate.discretization import discretize

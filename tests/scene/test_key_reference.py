@@ -4,8 +4,8 @@ import json
 import tomllib
 
 import pytest
-from conftest import error_of, output_of
 
+from support.commands import error_of, output_of
 from warp_plate.scene.key_reference import table_references
 
 

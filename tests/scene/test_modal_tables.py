@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from conftest import PAPER, refusal, scene_of
 
+from support.scenes import PAPER, refusal, scene_of
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.analysis.warnings import find_warnings
 from warp_plate.effects.effect import per_mode

@@ -7,10 +7,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import PAPER, refusal
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from support.scenes import PAPER, refusal
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.scene.load import parse_toml, preset_names
 

@@ -6,9 +6,9 @@ import weakref
 import numpy as np
 import pytest
 import warp as wp
-from conftest import scene_of
-from oracle import with_all_effects
 
+from support.oracle import with_all_effects
+from support.scenes import scene_of
 from warp_plate import PlateSolver, SceneError
 from warp_plate.plate.designs import Designs, PerPlate
 from warp_plate.solve.batching import import_drives

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from conftest import scene_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from support.scenes import scene_of
 from warp_plate import PlateSolver, SceneError
 from warp_plate.solve.batching import LARGEST_DRIVE, SMALLEST_DRIVE
 

@@ -4,9 +4,9 @@ import itertools
 
 import numpy as np
 import pytest
-from conftest import scene_of
-from oracle import LINEAR, check_same, with_all_effects
 
+from support.oracle import LINEAR, check_same, with_all_effects
+from support.scenes import scene_of
 from warp_plate import PlateSolver, SceneError
 from warp_plate.plate.designs import Designs, PerPlate
 from warp_plate.solve.state import State

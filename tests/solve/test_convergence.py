@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.sparse.linalg
-from conftest import discrete_operator, point_scene
 
+from support.scenes import discrete_operator, point_scene
 from warp_plate import PlateSolver
 from warp_plate.reference.series import damped_motion, grid_wavenumber_squared, mode_shape, wavenumber_squared
 

@@ -3,8 +3,17 @@ energies of displacements."""
 
 import numpy as np
 import pytest
-from oracle import FOUR_EDGES, LINEAR, TOLERANCE, bending_load, check_run, reference, run_on_a_block, with_all_effects
 
+from support.oracle import (
+    FOUR_EDGES,
+    LINEAR,
+    TOLERANCE,
+    bending_load,
+    check_run,
+    reference,
+    run_on_a_block,
+    with_all_effects,
+)
 from warp_plate import PlateSolver, SceneError
 from warp_plate.kernels import plans
 from warp_plate.plate.designs import Designs, PerPlate, per_plate_of

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from conftest import scene_of
-from oracle import check_run, reference
 
+from support.oracle import check_run, reference
+from support.scenes import scene_of
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.signals import make_signals

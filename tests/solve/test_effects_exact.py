@@ -16,15 +16,15 @@ import numpy as np
 import pytest
 import scipy.integrate
 import scipy.linalg
-from conftest import point_scene
 
+from support.scenes import point_scene
 from warp_plate import PlateSolver
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.reference.series import grid_wavenumber_squared, mode_shape
 
 SUPPORTED = ("supported",) * 4
 NODES, SIZE, MODE = (13, 11), (0.2, 0.18), (2, 1)
-YOUNG, RATIO, THICKNESS, DENSITY = 1e9, 0.33, 5e-4, 0.5  # of conftest's plate; density per area
+YOUNG, RATIO, THICKNESS, DENSITY = 1e9, 0.33, 5e-4, 0.5  # of the plate of scenes.py; density per area
 RIGIDITY = YOUNG * THICKNESS**3 / 12 / (1 - RATIO**2)
 ORTHOTROPIC = {"Dx": 0.02, "Dy": 0.008, "D1": 0.003, "Dxy": 0.004}
 # So low a frequency that the load is constant to 1e-12.

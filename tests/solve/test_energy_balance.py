@@ -13,8 +13,8 @@ only up to the square of the step.
 
 import numpy as np
 import pytest
-from oracle import random_edge, random_effects
 
+from support.oracle import random_edge, random_effects
 from warp_plate import PlateSolver
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.travelling import moving_weights

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from oracle import (
+
+from support.oracle import (
     bending_load,
     check_run,
     check_same,
@@ -12,7 +13,6 @@ from oracle import (
     reference,
     with_all_effects,
 )
-
 from warp_plate import PlateSolver
 from warp_plate.plate.scheme import make_scheme
 

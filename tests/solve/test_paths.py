@@ -4,9 +4,9 @@ import itertools
 
 import numpy as np
 import pytest
-from conftest import EDGE_MIXES, edges_id
-from oracle import TOLERANCE, check_run, check_same, random_area, reference
 
+from support.oracle import TOLERANCE, check_run, check_same, random_area, reference
+from support.scenes import EDGE_MIXES, edges_id
 from warp_plate import PlateSolver
 from warp_plate.plate.scheme import make_scheme
 

@@ -1,7 +1,6 @@
 """Same scene, seed and device: the same bits of a search, on any number of threads, in pieces of any size, in any
 process."""
 
-import hashlib
 import os
 import subprocess
 import sys
@@ -9,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from oracle import FOUR_EDGES, LINEAR
 
+from support.oracle import FOUR_EDGES, LINEAR
+from support.searches import digest
 from warp_plate import localize
 
 SEARCH = {"search": {"particles": 21, "iterations": 4, "seed": 7}, "record": {"points": ((0.1, 0.07),)}}
@@ -20,13 +20,6 @@ SCENES = {
 }
 
 
-def digest(result):
-    """Return a hash of all numbers that a search found."""
-    numbers = [result.bound, result.evaluations, result.node_steps, *map(np.ndarray.tobytes, result.history.values())]
-    for name, case in sorted(result.cases.items()):
-        fields = (case.phasors, case.displacement, case.trace)
-        numbers += [name, sorted(case.energy.items()), *map(np.ndarray.tobytes, fields)]
-    return hashlib.sha256(repr(numbers).encode()).hexdigest()
 
 
 @pytest.mark.parametrize(("name", "evaluator"), [("fourth order", "direct"), ("effects", "response")])
@@ -44,7 +37,7 @@ def test_on_any_number_of_threads_in_pieces_of_any_size(name, evaluator, device,
 
 
 ONCE = """
-from test_reproducible import digest
+from support.searches import digest
 from warp_plate import Scene, localize
 print(digest(localize(Scene.load("panel.toml"), device="cpu", evaluator="response", estimate=False)))
 """
@@ -55,7 +48,7 @@ def test_in_another_process(tmp_path, scene):
     made = scene(**SCENES["effects"], **SEARCH)
     (tmp_path / "panel.toml").write_text(made.to_toml(), encoding="utf-8")
     threads = {"WARP_PLATE_THREADS": "3", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONHASHSEED": "77"}
-    path = os.pathsep.join([str(Path(__file__).parent), os.environ["PYTHONPATH"]])
+    path = os.pathsep.join([str(Path(__file__).parents[1]), os.environ["PYTHONPATH"]])
     environment = {**os.environ, **threads, "PYTHONPATH": path}
     answer = subprocess.check_output([sys.executable, "-c", ONCE], cwd=tmp_path, text=True, env=environment)
     assert answer.split() == [digest(localize(made, device="cpu", evaluator="response", estimate=False))]

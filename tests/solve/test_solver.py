@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from oracle import FOUR_EDGES, LINEAR, check_same
 
+from support.oracle import FOUR_EDGES, LINEAR, check_same
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.plate.discretization import discretize
 from warp_plate.plate.scheme import make_scheme

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import warp as wp
-from conftest import EDGE_MIXES
-from oracle import check_same
 
+from support.oracle import check_same
+from support.scenes import EDGE_MIXES
 from warp_plate import PlateSolver
 from warp_plate.kernels.plans import cut, make_place
 from warp_plate.plate.operator import biharmonic, make_taps

@@ -4,8 +4,9 @@ import json
 
 import numpy as np
 import pytest
-from conftest import output_of, scene_of
 
+from support.commands import output_of
+from support.scenes import scene_of
 from warp_plate import PlateSolver, SceneError, load_result, localize
 from warp_plate.plate.weights import REGIONS, region_weights
 from warp_plate.studies.baselines import (

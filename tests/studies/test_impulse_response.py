@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from conftest import scene_of
 
+from support.scenes import scene_of
 from warp_plate import PlateSolver, SceneError
 from warp_plate.reference.series import supported_plate
 from warp_plate.studies.impulse_response import compute_impulse_response

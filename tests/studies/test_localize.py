@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from conftest import scene_of
-from inline_pool import InlinePool
-from test_resume import assert_same
 
+from support.inline_pool import InlinePool
+from support.scenes import scene_of
+from support.searches import assert_same_results
 from warp_plate import Scene, localize
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.studies.simulate import simulate
@@ -56,7 +56,7 @@ def test_contents_of_a_result(device, path, evaluator):
 
 def test_the_seed_determines_every_bit(device, path):
     first, again, other = (localize(PANEL, device=device, seed=seed, path=path, estimate=False) for seed in (5, 5, 6))
-    assert_same(first, again)
+    assert_same_results(first, again)
     assert not np.array_equal(first.history["best"], other.history["best"])
 
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from conftest import MATERIAL, scene_of
 
+from support.scenes import MATERIAL, scene_of
 from warp_plate import Scene, SceneError, localize, simulate
 from warp_plate.modal.gram import gram_matrices
 from warp_plate.modal.solver import ModalSolver

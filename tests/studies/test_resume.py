@@ -1,11 +1,12 @@
 """An interrupted search continues to the result of an uninterrupted one."""
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import scene_of
 
+from support.scenes import scene_of
+from support.searches import assert_same_results, interrupted_search, stop_after
 from warp_plate import PlateSolver, SceneError, localize, resume
 from warp_plate.result.checkpoint import load_checkpoint, previous_path, save_checkpoint
 from warp_plate.scene.grid import Grid
@@ -15,41 +16,17 @@ from warp_plate.studies.checkpointing import CheckpointFile
 SEARCH = {"search": {"particles": 8, "iterations": 9, "seed": 3}, "record": {"points": ((0.1, 0.1),)}}
 
 
-def assert_same(one, other):
-    """Check that two results are bit-identical, apart from timings and error estimates."""
-    left, right = asdict(one), asdict(other)
-    for name in left.keys() - {"seconds", "accuracy"}:
-        np.testing.assert_equal(left[name], right[name], name)
-
-
-def stop_after(iterations):
-    def on_progress(done, total, best):
-        if done == iterations:
-            raise KeyboardInterrupt
-
-    return on_progress
-
-
-def stopped(folder, scene, after=None, **options):
-    """Search until so many iterations are done or the solver raises KeyboardInterrupt; return result and checkpoint."""
-    file = CheckpointFile(folder / "one.checkpoint.h5", np.inf)
-    on_progress = None if after is None else stop_after(after)
-    result = localize(scene, source="mine", on_progress=on_progress, estimate=False, checkpoints=file, **options)
-    assert result.interrupted
-    return result, load_checkpoint(file.path)
-
-
 @pytest.mark.parametrize(("evaluator", "iterations"), [("direct", 8), ("response", 4)])
 def test_bit_identical_from_any_iteration(evaluator, iterations, device, path, tmp_path):
     scene = scene_of(damping=88.5, precision="float32", **SEARCH)
     options = {"device": device, "evaluator": evaluator, "path": path}
-    result, checkpoint = stopped(tmp_path, scene, after=iterations, **options)
+    result, checkpoint = interrupted_search(tmp_path, scene, after=iterations, **options)
     assert (checkpoint.iterations, checkpoint.progress) == (iterations, f"{iterations} of 9 iterations")
     full = localize(scene, source="mine", estimate=False, **options)
     assert (result.evaluations, result.bound) == (8 * iterations, full.bound)
     np.testing.assert_array_equal(result.history["best"], full.history["best"][:iterations])
     assert result.cases["best"].localization_factor == pytest.approx(result.history["best"][-1], abs=2e-6)
-    assert_same(resume(checkpoint, estimate=False), full)
+    assert_same_results(resume(checkpoint, estimate=False), full)
 
 
 def test_interrupted_between_ask_and_tell(tmp_path, monkeypatch):
@@ -66,9 +43,9 @@ def test_interrupted_between_ask_and_tell(tmp_path, monkeypatch):
         return answer
 
     monkeypatch.setattr(PlateSolver, "run", interrupted)
-    _, checkpoint = stopped(tmp_path, scene, device="cpu")
+    _, checkpoint = interrupted_search(tmp_path, scene, device="cpu")
     assert checkpoint.iterations == 7  # after the response and the single actuators
-    assert_same(resume(checkpoint, estimate=False), full)
+    assert_same_results(resume(checkpoint, estimate=False), full)
 
 
 def test_the_chosen_grid_is_kept(tmp_path, monkeypatch):
@@ -76,19 +53,19 @@ def test_the_chosen_grid_is_kept(tmp_path, monkeypatch):
     search = {**SEARCH["search"], "frequency": {"range": [100.0, 400.0]}}
     written = scene_of(damping=88.5, search=search).model_copy(update={"grid": Grid(accuracy=0.3)})
     options = {"device": "cpu", "evaluator": "direct"}
-    _, checkpoint = stopped(tmp_path, written, after=2, **options)
+    _, checkpoint = interrupted_search(tmp_path, written, after=2, **options)
     assert checkpoint.scene_as_written == written
     assert checkpoint.scene.drive == written.drive
     assert checkpoint.scene.grid.time_step <= 1 / 20 / 400
     monkeypatch.setattr(grid_choice, "choose", None)
     found = resume(checkpoint, estimate=False)
-    assert_same(found, localize(checkpoint.scene, source="mine", estimate=False, **options))
+    assert_same_results(found, localize(checkpoint.scene, source="mine", estimate=False, **options))
     assert found.accuracy == checkpoint.accuracy
     assert found.accuracy["asked"] == 0.3
 
 
 def test_another_device_must_be_named(tmp_path):
-    _, checkpoint = stopped(tmp_path, scene_of(**SEARCH), device="cpu", after=2)
+    _, checkpoint = interrupted_search(tmp_path, scene_of(**SEARCH), device="cpu", after=2)
     elsewhere = replace(checkpoint, device="cuda:7", processor="another one")
     with pytest.raises(SceneError, match=r"^the search began on cuda:7 \(another one\).*--device \S+$"):
         resume(elsewhere)
@@ -121,7 +98,7 @@ def test_checkpoints_while_a_search_runs(every, expected, tmp_path):
 
 def test_files_of_other_searches_are_left_alone(tmp_path):
     """A previous checkpoint of another search, and a file that another process writes meanwhile."""
-    (_, checkpoint), lines = stopped(tmp_path, scene_of(**SEARCH), device="cpu", after=2), []
+    (_, checkpoint), lines = interrupted_search(tmp_path, scene_of(**SEARCH), device="cpu", after=2), []
     path, other = tmp_path / "a.checkpoint.h5", replace(checkpoint, seed=99)
     save_checkpoint(other, path)
     save_checkpoint(other, previous_path(path))

@@ -5,9 +5,10 @@ from dataclasses import asdict
 
 import numpy as np
 import pytest
-from conftest import output_of, scene_of
-from test_resume import assert_same, stopped
 
+from support.commands import output_of
+from support.scenes import scene_of
+from support.searches import assert_same_results, interrupted_search
 from warp_plate.optimize.quadratic import best_position
 from warp_plate.problem.problem import make_problem
 from warp_plate.problem.scenario_losses import apply_measure
@@ -89,11 +90,11 @@ def test_an_interrupted_search_resumes_bit_identically(tmp_path):
     """The resumed result holds the comparison, and so does its file."""
     scene = robust(precision="float32", fresh=4)
     full = localize(scene, source="mine", device="cpu", estimate=False)
-    cut, checkpoint = stopped(tmp_path, scene, device="cpu", after=5)
+    cut, checkpoint = interrupted_search(tmp_path, scene, device="cpu", after=5)
     assert cut.robust is None
     again = resume(checkpoint, estimate=False)
     assert again.evaluator == "response"
-    assert_same(again, full)
+    assert_same_results(again, full)
     read = load_result(save_result(full, tmp_path / "result.h5"))
     np.testing.assert_equal(asdict(read.robust), asdict(full.robust))
 

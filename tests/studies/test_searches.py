@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import scene_of
-from test_resume import assert_same, stopped
 
+from support.scenes import scene_of
+from support.searches import assert_same_results, interrupted_search
 from warp_plate import PlateSolver, Scene, load_result, localize, resume
 from warp_plate.analysis.motion import motions
 from warp_plate.plate.scheme import make_scheme
@@ -79,8 +79,10 @@ def test_the_scene_found_simulates_to_the_result(name, tmp_path):
 def test_an_interrupted_search_resumes_bit_identically(name, method, tmp_path):
     scene = searched(name)
     scene = scene.with_tables(search={**scene.search.model_dump(), "method": method})
-    _, checkpoint = stopped(tmp_path, scene, device="cpu", after=2)
-    assert_same(resume(checkpoint, estimate=False), localize(scene, source="mine", device="cpu", estimate=False))
+    _, checkpoint = interrupted_search(tmp_path, scene, device="cpu", after=2)
+    assert_same_results(
+        resume(checkpoint, estimate=False), localize(scene, source="mine", device="cpu", estimate=False)
+    )
 
 
 def test_history_holds_the_weighted_sum_of_other_objectives():

@@ -7,9 +7,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from conftest import output_of, scene_of
-from test_resume import assert_same, stopped
 
+from support.commands import output_of
+from support.scenes import scene_of
+from support.searches import assert_same_results, interrupted_search
 from warp_plate import PlateSolver, Scene, load_result, localize, resume
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.problem import plates
@@ -87,14 +88,14 @@ def test_gram_matrices_are_measured_once(kind, measured, monkeypatch):
 
 @pytest.mark.parametrize(("count", "index", "iterations"), [(9, 0, 9), (25, 2, 7)])
 def test_an_interrupted_search_resumes_bit_identically(count, index, iterations, found, tmp_path):
-    left, checkpoint = stopped(tmp_path, panel(), device="cpu", after=count)
+    left, checkpoint = interrupted_search(tmp_path, panel(), device="cpu", after=count)
     assert len(left.target_searches) == index + 1
     shares = crosstalk(left)
     assert np.isfinite(shares[: index + 1]).all()
     assert np.isnan(shares[index + 1 :]).all()
     name = TARGETS[index]["name"]
     assert checkpoint.progress == f"{iterations} of 9 iterations of target {index + 1} of 3 ({name!r})"
-    assert_same(resume(checkpoint, estimate=False), found)
+    assert_same_results(resume(checkpoint, estimate=False), found)
 
 
 def test_files_keep_the_searches(found, tmp_path):

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from conftest import scene_of
 
+from support.scenes import scene_of
 from warp_plate import SceneError
 from warp_plate.modal.energies import ModalEnergies
 from warp_plate.modal.modes import solve_modes

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import scene_of
-from inline_pool import InlinePool
-from test_resume import stop_after
 
+from support.inline_pool import InlinePool
+from support.scenes import scene_of
+from support.searches import stop_after
 from warp_plate import SceneError, load_sweep, sweep
 from warp_plate.cluster.pool import ATTEMPTS
 from warp_plate.modal.continuous_modes import continuous_modes

@@ -4,8 +4,9 @@ import json
 
 import numpy as np
 import pytest
-from conftest import error_of, output_of, scene_of
 
+from support.commands import error_of, output_of
+from support.scenes import scene_of
 from warp_plate import SceneError, save_result, simulate, verify
 from warp_plate.analysis.motion import motions
 from warp_plate.studies.verify import MeasuredField, average_readings

@@ -9,8 +9,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from conftest import pixels, result_of, start_program
 
+from support.commands import start_program
+from support.pictures import pixels
+from support.results import result_of
 from warp_plate import view, viz
 from warp_plate.result.case import Case
 from warp_plate.result.model import save_result

@@ -5,9 +5,11 @@ import io
 
 import numpy as np
 import pytest
-from conftest import drag, motion_of, pixels, until
 from scipy.interpolate import interp1d
 
+from support.commands import until
+from support.pictures import drag, pixels
+from support.results import motion_of
 from warp_plate.viz import page as page_module
 from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions, motion_scales
 from warp_plate.viz.page import NAN, PEAK, page_data, write_page

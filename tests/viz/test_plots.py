@@ -5,8 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import pixels, result_of, scene_of
 
+from support.pictures import pixels
+from support.results import result_of
+from support.scenes import scene_of
 from warp_plate import Scene
 from warp_plate.result.case import Case
 from warp_plate.result.comparison import MethodComparison, Trial

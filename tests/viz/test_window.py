@@ -9,8 +9,10 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from conftest import error_of, motion_of, pixels, start_program, until
 
+from support.commands import error_of, start_program, until
+from support.pictures import pixels
+from support.results import motion_of
 from warp_plate.analysis.motion import mode_motions
 from warp_plate.result.model import save_result
 from warp_plate.studies.localize import localize

@@ -1,0 +1,42 @@
+"""Commands: what they write, and programs of their own."""
+
+import subprocess
+import sys
+import time
+import unicodedata
+
+
+def output_of(answer):
+    """Return the standard output of a command that succeeded and wrote nothing on standard error."""
+    status, out, err = answer
+    assert (status, err) == (0, "")
+    return out
+
+
+def error_of(answer):
+    """Return what a command wrote that refused its input: one printable line on standard error, with status 2."""
+    status, out, err = answer
+    assert (status, out) == (2, "")
+    assert err.startswith("warp-plate: ")
+    assert err.endswith("\n")
+    assert err[:-1].isprintable()
+    return err
+
+
+def start_program(*arguments, **options):
+    """Start Python with arguments such as ``-m warp_plate``; its standard output and error are pipes."""
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen([sys.executable, *map(str, arguments)], **{**pipes, **options})
+
+
+def until(condition, patience=60.0):
+    """Wait until a condition holds, on a busy machine at most so long [s]."""
+    end = time.monotonic() + patience
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+def is_printable(text):
+    """Return whether a text has no characters but printable ones and spaces, such as those that do not break."""
+    return all(c.isprintable() or unicodedata.category(c) == "Zs" for c in text)
