@@ -5,9 +5,10 @@ import pytest
 
 from support.scenes import scene_of
 from warp_plate.modal.gram import gram_matrices
-from warp_plate.modal.solver import ModalSolver, refuse_no_modes
+from warp_plate.modal.solver import ModalSolver
 from warp_plate.optimize.quadratic import quadratic_forms
 from warp_plate.plate.designs import Designs, PerPlate
+from warp_plate.problem.make_problem import make_problem
 
 TARGET = {"disc": (0.13, 0.11, 0.03)}
 CHIRP = {"frequency": 200.0, "chirp": {"end_frequency": 350.0, "duration": 0.005}}
@@ -61,6 +62,12 @@ def test_places_under_sweeps(random):
     assert np.allclose(moved, ModalSolver(scene.with_tables(actuators=rows)).run(drives).energy, rtol=1e-3)
 
 
-def test_searches_under_bursts_are_not_refused():
+def test_searches_under_bursts_are_solved_by_modes(random):
     search = {"frequency": {"range": (200.0, 300.0)}, "delay": {"range": (0.0, 0.005)}}
-    refuse_no_modes(scene_of(drive={"frequency": 290.0, "burst": BURSTS["single"]}, search=search))
+    grid = {"modal_density": 0.25}
+    scene = scene_of(damping=60.0, drive={"frequency": 290.0, "burst": BURSTS["single"]}, search=search)
+    problem = make_problem(scene.with_tables(grid=grid), "cpu", evaluator="modal")
+    space = problem.space
+    losses = problem.losses(random.uniform(space.initial_lower, space.initial_upper, (1, space.dimension)))
+    assert problem.evaluator_name == "modal"
+    assert np.isfinite(losses).all()

@@ -96,10 +96,8 @@ def turned(tables):
 
 
 SIMILAR = {
-    "mirrored": mirrored,
-    "turned": turned,
-    "as large as a hall": lambda tables: scaled(tables, 37.0),
-    "as small as a chip": lambda tables: scaled(tables, 0.02),
+    "mirrored, as large as a hall": lambda tables: scaled(mirrored(tables), 37.0),
+    "turned, as small as a chip": lambda tables: scaled(turned(tables), 0.02),
 }
 
 
