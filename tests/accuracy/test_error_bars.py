@@ -29,18 +29,18 @@ def test_the_judge_is_the_exact_series():
 def test_the_truth_lies_within_bar_and_interval(monkeypatch):
     """Uses stored results of the judge, which take most of the time."""
     monkeypatch.setattr(error_bars.campaign, "true_factors", lambda *_: np.array([TRUTH]))
-    check(QUICK)
+    check_bars(QUICK)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", SLOW)
 def test_the_judged_truth_lies_within_bar_and_interval(number):
-    rows = check(number)
+    rows = check_bars(number)
     if number == QUICK:
         assert rows[0]["truth"] == pytest.approx(TRUTH, rel=1e-6)
 
 
-def check(number):
+def check_bars(number):
     """Return the rows of a scene, the truth of which must lie within their bars."""
     rows = measured(number)
     assert {row["engine"] for row in rows} == {"steps", "modes"}

@@ -16,7 +16,7 @@ from warp_plate.studies.simulate import simulate
 
 
 @pytest.fixture(scope="module")
-def result():
+def settled_run():
     """A run whose start-up motion has decayed; a layer on a quarter of the plate makes the mass nonuniform."""
     layer = {"area": (0.1, 0.2, 0.0, 0.1), "thickness": 1e-4, "young_modulus": 1e9, "density": 3000.0}
     made = scene_of(window=(0.07, 0.07 + 10 / 290), effects={"damping": {"viscous": 400.0}, "layers": [layer]})
@@ -59,16 +59,16 @@ def test_a_plate_without_time_steps_moves_by_its_modes():
     assert np.abs(motion.displacement[0] - case.displacement[0]).max() < 1.1 * abs(lag) * amplitude + 1e-5 * amplitude
 
 
-def test_velocities_are_differences_of_displacements_and_have_the_results_energy(result):
-    (motion,) = motions(result.scene, result.cases, device="cpu")
-    made, step = result.scene, make_scheme(result.scene).time_step
+def test_velocities_are_differences_of_displacements_and_have_the_results_energy(settled_run):
+    (motion,) = motions(settled_run.scene, settled_run.cases, device="cpu")
+    made, step = settled_run.scene, make_scheme(settled_run.scene).time_step
     np.testing.assert_allclose(np.diff(motion.times), step)  # all steps of a period are frames
     rate = np.diff(motion.displacement.astype(float), axis=0) / step
     np.testing.assert_allclose(rate, motion.velocity[:-1], atol=2e-6 * np.abs(motion.velocity).max())
     cell = math.prod(length / (count - 1) for length, count in zip(made.plate.size, made.grid.nodes, strict=True))
     average = 0.5 * motion.surface_density * motion.rms_velocity**2
     for region, weights in zip(REGIONS, region_weights(made), strict=True):
-        assert (weights * average).sum() * cell == pytest.approx(result.cases["drive"].energy[region], rel=1e-3)
+        assert (weights * average).sum() * cell == pytest.approx(settled_run.cases["drive"].energy[region], rel=1e-3)
 
 
 def test_root_mean_square_and_phase_of_a_harmonic_motion(random):
@@ -109,8 +109,8 @@ def test_modes_move_at_their_frequency(scene):
         )
 
 
-def test_invalid_spans_frames_and_modes_are_refused(result):
-    scene, cases = result.scene, result.cases
+def test_invalid_spans_frames_and_modes_are_refused(settled_run):
+    scene, cases = settled_run.scene, settled_run.cases
     for options, message in (
         ({"span": (0.05, 0.2)}, "end = 0.2"),
         ({"span": (0.05, 0.04)}, "end = 0.04"),

@@ -20,7 +20,7 @@ SEARCHES = {
 
 
 @pytest.fixture(scope="module", params=SEARCHES)
-def saved(request, tmp_path_factory):
+def saved_search(request, tmp_path_factory):
     """The path of a checkpoint at the end of a search, with its content beside it."""
     path = tmp_path_factory.mktemp("saved") / "a.checkpoint.h5"
     scene = scene_of((9, 9), damping=88.5, search=SEARCHES[request.param])
@@ -46,15 +46,15 @@ def resume_or_refuse(path):
 @pytest.mark.hour
 @examples(10)
 @given(place=st.integers(0, 10**6), value=st.sampled_from(VALUES), way=st.sampled_from(list(ARRAYS)))
-def test_any_value_in_any_place(place, value, way, saved):
-    forge_place(saved, place, value, way)
-    resume_or_refuse(saved)
+def test_any_value_in_any_place(place, value, way, saved_search):
+    forge_place(saved_search, place, value, way)
+    resume_or_refuse(saved_search)
 
 
 @pytest.mark.hour
 @examples(10)
 @given(data=st.data())
-def test_any_value_in_the_numbers_of_a_state(data, saved):
+def test_any_value_in_the_numbers_of_a_state(data, saved_search):
 
     def change(file):
         numbers = json.loads(file["swarm"].attrs["numbers"])
@@ -64,37 +64,37 @@ def test_any_value_in_the_numbers_of_a_state(data, saved):
         inner[key] = data.draw(st.sampled_from(VALUES))
         file["swarm"].attrs["numbers"] = json.dumps(numbers)
 
-    forge(saved, change)
-    resume_or_refuse(saved)
+    forge(saved_search, change)
+    resume_or_refuse(saved_search)
 
 
 @pytest.mark.parametrize("way", ["nan", "one nan", "inf", "huge"])
 @pytest.mark.parametrize("name", ["positions", "best_position"])
-def test_positions_that_are_no_numbers(name, way, saved):
+def test_positions_that_are_no_numbers(name, way, saved_search):
 
     def change(file):
         set_dataset(file, f"swarm/{name}", ARRAYS[way](file[f"swarm/{name}"][()]))
 
-    forge(saved, change)
+    forge(saved_search, change)
     with pytest.raises(SceneError, match=rf"^checkpoint: search state: {name}: must"):
-        resume(load_checkpoint(saved))
+        resume(load_checkpoint(saved_search))
 
 
 @pytest.mark.parametrize("way", ["inf", "huge"])
-def test_evaluations_that_nobody_can_count(way, saved):
-    forge(saved, lambda file: set_dataset(file, "swarm/history", ARRAYS[way](file["swarm/history"][()])))
+def test_evaluations_that_nobody_can_count(way, saved_search):
+    forge(saved_search, lambda file: set_dataset(file, "swarm/history", ARRAYS[way](file["swarm/history"][()])))
     with pytest.raises(SceneError, match=r"^checkpoint: search state: history: .* numbers of evaluations"):
-        resume(load_checkpoint(saved))
+        resume(load_checkpoint(saved_search))
 
 
-def test_an_actuator_that_is_not_there(saved):
-    forge(saved, lambda file: set_attribute(file, "single", 3))
+def test_an_actuator_that_is_not_there(saved_search):
+    forge(saved_search, lambda file: set_attribute(file, "single", 3))
     with pytest.raises(SceneError, match="single = 3: must be the index of one of 3 actuators"):
-        load_checkpoint(saved)
+        load_checkpoint(saved_search)
 
 
-@pytest.mark.parametrize("saved", ["gradient"], indirect=True)
-def test_matrices_that_are_no_numbers(saved):
-    forge(saved, lambda file: set_dataset(file, "matrices", ARRAYS["one nan"](file["matrices"][()])))
+@pytest.mark.parametrize("saved_search", ["gradient"], indirect=True)
+def test_matrices_that_are_no_numbers(saved_search):
+    forge(saved_search, lambda file: set_dataset(file, "matrices", ARRAYS["one nan"](file["matrices"][()])))
     with pytest.raises(SceneError, match="matrices must be finite"):
-        load_checkpoint(saved)
+        load_checkpoint(saved_search)

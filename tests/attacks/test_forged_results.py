@@ -28,7 +28,7 @@ LINES = {
 
 
 @pytest.fixture
-def folder(filled, tmp_path, monkeypatch):
+def forged_folder(filled, tmp_path, monkeypatch):
     """A working folder with a result of each kind, and its content beside it."""
     shutil.copytree(filled, tmp_path / "at")
     monkeypatch.chdir(tmp_path / "at")
@@ -45,7 +45,7 @@ def folder(filled, tmp_path, monkeypatch):
     value=st.sampled_from(VALUES),
     way=st.sampled_from(list(ARRAYS)),
 )
-def test_any_value_in_any_place(line, place, value, way, folder, command):
+def test_any_value_in_any_place(line, place, value, way, forged_folder, command):
     path, words = Path(line[0]), line[1].split()
     forge_place(path, place, value, way)
     status, _, err = command(*words)
@@ -59,7 +59,7 @@ def test_any_value_in_any_place(line, place, value, way, folder, command):
 @pytest.mark.slow
 @pytest.mark.parametrize("way", ["one nan", "inf", "huge"])
 @pytest.mark.parametrize(("path", "name"), [("focus.h5", "methods/optimum/waveforms"), ("run.h5", "cases/best/real")])
-def test_drives_that_no_amplifier_plays(path, name, way, folder, command):
+def test_drives_that_no_amplifier_plays(path, name, way, forged_folder, command):
     forge(Path(path), lambda file: set_dataset(file, name, ARRAYS[way](file[name][()])))
     for line in LINES[path]:
         assert f"{path}: damaged: {name} must hold numbers from" in error_of(command(*line.split()))
@@ -67,7 +67,7 @@ def test_drives_that_no_amplifier_plays(path, name, way, folder, command):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("way", ["nan", "huge", "negative"])
-def test_points_of_a_sweep_of_no_known_status(way, folder, command):
+def test_points_of_a_sweep_of_no_known_status(way, forged_folder, command):
     forge(Path("sweep.h5"), lambda file: set_dataset(file, "status", ARRAYS[way](file["status"][()])))
     answer = command(*LINES["sweep.h5"][0].split())
     assert "sweep.h5: damaged: status must hold 0, 1 or 2 for each point" in error_of(answer)

@@ -46,7 +46,7 @@ def refusal_of(way, path):
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory):
+def forged_files(tmp_path_factory):
     """The path of a checkpoint and of a result, with their contents beside them."""
     folder = tmp_path_factory.mktemp("written")
     scene = scene_of((9, 9), damping=88.5, search={"particles": 4, "iterations": 2})
@@ -67,8 +67,8 @@ def point_at_one_text(path):
     path.write_bytes(content + make_seal(bytes(content)))
 
 
-def test_an_attribute_of_many_texts(written):
-    path = written["result"]
+def test_an_attribute_of_many_texts(forged_files):
+    path = forged_files["result"]
 
     def change(file):
         file.attrs["source"] = np.array(["x" * TEXT, *["y"] * (MANY - 1)], dtype=h5py.string_dtype())
@@ -88,8 +88,8 @@ def test_a_dataset_of_many_texts(tmp_path):
     assert "reason and what was read before take 4 times as much memory as the file" in refusal_of("texts", path)
 
 
-def test_many_names_of_one_dataset(written):
-    path = written["checkpoint"]
+def test_many_names_of_one_dataset(forged_files):
+    path = forged_files["checkpoint"]
 
     def change(file):
         file["swarm/x"] = np.zeros(TEXT // 8)
@@ -100,8 +100,8 @@ def test_many_names_of_one_dataset(written):
     assert "take 4 times as much memory as the file" in refusal_of("checkpoint", path)
 
 
-def test_many_names_of_one_case(written):
-    path = written["result"]
+def test_many_names_of_one_case(forged_files):
+    path = forged_files["result"]
 
     def change(file):
         for index in range(5000):
@@ -111,8 +111,8 @@ def test_many_names_of_one_case(written):
     assert "take 4 times as much memory as the file" in refusal_of("result", path)
 
 
-def test_groups_that_each_hold_the_next_twice(written):
-    path = written["result"]
+def test_groups_that_each_hold_the_next_twice(forged_files):
+    path = forged_files["result"]
 
     def change(file):
         group = file.require_group("objectives_of")
@@ -125,9 +125,9 @@ def test_groups_that_each_hold_the_next_twice(written):
     assert "take 4 times as much memory as the file" in refusal_of("result", path)
 
 
-def test_chunks(written):
+def test_chunks(forged_files):
     """A chunk may be far larger than what is in it."""
-    path = written["checkpoint"]
+    path = forged_files["checkpoint"]
 
     def change(file):
         file["swarm"].create_dataset(

@@ -16,7 +16,7 @@ from warp_plate.result import arrays
 FIT = {"fit": {"free": {"plate.young_modulus": (6e8, 2e9)}}}
 
 
-def refusal(path):
+def refusal_of_responses(path):
     with pytest.raises(SceneError) as caught:
         read_responses(path, 1)
     return str(caught.value)
@@ -28,7 +28,7 @@ def test_the_arrays_of_a_file_are_bounded_together(numbers, tmp_path, monkeypatc
     with h5py.File(tmp_path / "a.h5", "w") as file:
         for name in ("frequency", "response", "real", "imaginary", "coherence"):
             file.create_dataset(name, (2**15,), numbers, chunks=(2**10,), compression="gzip")
-    assert "more than 1048576 bytes when unpacked" in refusal(tmp_path / "a.h5")
+    assert "more than 1048576 bytes when unpacked" in refusal_of_responses(tmp_path / "a.h5")
 
 
 @pytest.mark.parametrize(
@@ -44,7 +44,7 @@ def test_odd_arrays(content, message, tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         for name, values in content.items():
             file[name] = values
-    assert message in refusal(tmp_path / "a.h5")
+    assert message in refusal_of_responses(tmp_path / "a.h5")
 
 
 def test_half_precision_is_read_without_warnings(tmp_path):
@@ -57,12 +57,12 @@ def test_a_mat_file_of_empty_variables(tmp_path, monkeypatch):
     monkeypatch.setattr(arrays, "MOST_VARIABLES", 100)
     header = b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM"
     (tmp_path / "a.mat").write_bytes(header + struct.pack("<II", arrays.COMPRESSED, 0) * 101)
-    assert "holds more than 100 variables" in refusal(tmp_path / "a.mat")
+    assert "holds more than 100 variables" in refusal_of_responses(tmp_path / "a.mat")
 
 
 def test_a_signal_too_loud_for_its_squares(tmp_path):
     scipy.io.wavfile.write(tmp_path / "a.wav", 10_000, np.full((20_000, 2), 1e200))
-    assert "numbers up to 1e+30" in refusal(tmp_path / "a.wav")
+    assert "numbers up to 1e+30" in refusal_of_responses(tmp_path / "a.wav")
 
 
 def test_errors_are_lines_that_can_be_read(write_scene, command):

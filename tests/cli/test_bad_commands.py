@@ -54,7 +54,7 @@ COMMANDS = {
 
 
 @pytest.fixture
-def folder(write_scene):
+def folder_of_files(write_scene):
     """The working folder, with a valid scene, invalid ones, and folders in place of files."""
     write_scene(damping=88.5, precision="float32", search={"particles": 3, "iterations": 2})
     Path("wrong.toml").write_text("x = 1", encoding="utf-8")
@@ -69,7 +69,7 @@ def files():
 
 
 @pytest.mark.parametrize(("name", "option"), [(name, one) for name, (_, known) in COMMANDS.items() for one in known])
-def test_every_option_with_values_that_it_does_not_take(name, option, folder, command):
+def test_every_option_with_values_that_it_does_not_take(name, option, folder_of_files, command):
     before = files()
     scene = ["panel.toml"]
     if name == "sweep" and option not in ("vary", "resume"):
@@ -81,14 +81,14 @@ def test_every_option_with_values_that_it_does_not_take(name, option, folder, co
 
 
 @pytest.mark.parametrize("name", ["localize", "sweep", "simulate", "modes", "effects", "accuracy"])
-def test_every_command_with_what_is_no_scene(name, folder, command):
+def test_every_command_with_what_is_no_scene(name, folder_of_files, command):
     for odd in ("", ".", "file", "wrong.toml", "junk.h5", "folder.h5", "a\0b", "[red]", "\x1b[31m", "\ud800", LONG):
         refused(command(name, odd))
     refused(command(name, "panel.toml", "panel.toml"))
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
-def test_pipes_and_folders_are_no_files(folder, command):
+def test_pipes_and_folders_are_no_files(folder_of_files, command):
     """Reading a pipe that nobody writes to would never end."""
     os.mkfifo("pipe")
     for words in (["render", "pipe"], ["view", "pipe"], ["localize", "--resume", "pipe"]):
@@ -99,7 +99,7 @@ def test_pipes_and_folders_are_no_files(folder, command):
         assert files() == before
 
 
-def test_the_longest_file_names(folder, command):
+def test_the_longest_file_names(folder_of_files, command):
     """Names that leave no room for the temporary file of a checkpoint are refused before any work."""
     most = os.pathconf(".", "PC_NAME_MAX") - len(LONGEST_ENDING) - 1
     longest = "y" * most + ".h5"
@@ -115,7 +115,7 @@ def test_the_longest_file_names(folder, command):
     assert files() == before
 
 
-def test_more_than_fits_into_memory(folder, write_scene, command, monkeypatch):
+def test_more_than_fits_into_memory(folder_of_files, write_scene, command, monkeypatch):
     """Scenes and swarms that never fit, and an allocation that fails."""
     with monkeypatch.context() as patch:
         patch.setattr(memory, "machine_memory", lambda: 2.0**10)

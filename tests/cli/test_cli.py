@@ -18,7 +18,7 @@ QUICK = ("--device", "cpu", "--no-pictures", "--no-estimate")
 
 
 @pytest.fixture
-def panel(write_scene):
+def recorded(write_scene):
     """A small scene in a file of an otherwise empty working folder."""
     search = {"method": "pso", "particles": 6, "iterations": 5}
     return write_scene(damping=88.5, precision="float32", search=search, record={"points": ((0.1, 0.1),)})
@@ -29,7 +29,7 @@ def files():
     return sorted(str(path) for path in Path().rglob("*") if path.is_file())
 
 
-def test_localize_and_simulate_with_every_kind_of_drive(command, panel):
+def test_localize_and_simulate_with_every_kind_of_drive(command, recorded):
     words = ("localize", "panel.toml", "--seed", 4, "--json", "--device", "cpu", "--no-pictures")
     record = json.loads(output_of(command(*words)))
     assert (record["scene"], record["seed"]) == ("panel.toml", 4)
@@ -48,7 +48,7 @@ def test_localize_and_simulate_with_every_kind_of_drive(command, panel):
     assert record["files"] == ["panel-localize.h5", "panel-localize.best.toml"]
     assert files() == ["panel-localize.best.toml", "panel-localize.h5", "panel.toml"]
     result = load_result("panel-localize.h5")
-    assert result.scene == panel
+    assert result.scene == recorded
     assert {name: case.localization_factor for name, case in result.cases.items()} | {"bound": result.bound} == factors
     phasors = [entry["magnitude"] * np.exp(-1j * entry["phase"]) for entry in record["drive"]]
     np.testing.assert_allclose(result.cases["best"].phasors, phasors, rtol=1e-12)
@@ -81,23 +81,23 @@ def test_the_table_of_the_paper(command, tmp_path, monkeypatch):
         assert text in " ".join(out.split())
 
 
-def test_a_search_that_misses_the_bound_names_the_method_that_reaches_it(command, panel, write_scene):
+def test_a_search_that_misses_the_bound_names_the_method_that_reaches_it(command, recorded, write_scene):
     remark = 'The bound can be reached: method = "exact" in [search] finds that drive.'
     assert remark in output_of(command("localize", "panel.toml", *QUICK))
     # In so early a window a phase that all actuators have in common counts.
-    write_scene(panel.with_tables(search={"method": "exact"}))
+    write_scene(recorded.with_tables(search={"method": "exact"}))
     out = output_of(command("localize", "panel.toml", *QUICK, "--json"))
     factors = json.loads(out)["localization_factor"]
     assert factors["best"] == pytest.approx(factors["bound"], abs=1e-6)
     assert remark not in output_of(command("localize", "panel.toml", *QUICK))
 
 
-def test_errors_are_one_line_and_status_2(command, panel, write_scene):
+def test_errors_are_one_line_and_status_2(command, recorded, write_scene):
     Path("wrong.toml").write_text(panel.to_toml().replace("density", "densty"), encoding="utf-8")
     write_scene(panel.with_tables(grid={"nodes": (13, 13), "time_step": 1.0}), "fast")
     write_scene(name="two", actuators=[actuator.area for actuator in panel.actuators[:2]])
     command("simulate", "two.toml", "--out", "two.h5", *QUICK)
-    write_scene(panel.with_tables(drive={"frequency": 290.0, "electrostatic": {"bias": 1.0, "gain": 1.0}}), "volts")
+    write_scene(recorded.with_tables(drive={"frequency": 290.0, "electrostatic": {"bias": 1.0, "gain": 1.0}}), "volts")
     command("simulate", "volts.toml", "--out", "volts.h5", *QUICK)
     before = files()
     for words, named in (
@@ -117,7 +117,7 @@ def test_errors_are_one_line_and_status_2(command, panel, write_scene):
         assert files() == before
 
 
-def test_init_writes_a_preset_and_never_overwrites(command, panel):
+def test_init_writes_a_preset_and_never_overwrites(command, recorded):
     assert "paper.toml" in output_of(command("init", "paper"))
     assert Path("paper.toml").read_text(encoding="utf-8") == preset_text("paper")
     assert command("init", "paper-supported", "--out", "other.toml")[0] == 0
@@ -136,7 +136,7 @@ def process(*arguments, **options):
     return started.returncode, out, err
 
 
-def test_as_a_process(command, panel):
+def test_as_a_process(command, recorded):
     """Streams are free of messages of Warp, CUDA and VTK, also in a terminal without Greek letters."""
     out = output_of(process("localize", "panel.toml", *QUICK, encoding="ascii"))
     assert out.startswith("panel.toml")
@@ -145,7 +145,7 @@ def test_as_a_process(command, panel):
     assert all(name in output_of(command("--help")) for name in ("localize", "simulate", "init"))
 
 
-def test_standard_output_that_is_closed_or_full(panel):
+def test_standard_output_that_is_closed_or_full(recorded):
     """``warp-plate ... | head`` closes the pipe, and the command ends quietly."""
     read, write = os.pipe()
     os.close(read)

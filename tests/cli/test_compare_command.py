@@ -20,12 +20,12 @@ SEARCH = {"particles": 8, "iterations": 30, "seed": 5}
 
 
 @pytest.fixture
-def panel(write_scene):
+def compared(write_scene):
     """A small scene in a file of an empty working folder."""
     return write_scene(damping=88.5, search=SEARCH)
 
 
-def test_all_methods_share_a_budget_and_none_exceeds_the_bound(panel, command):
+def test_all_methods_share_a_budget_and_none_exceeds_the_bound(compared, command):
     """Also in the JSON, the file and its picture."""
     pytest.importorskip("cma", reason="pycma is not installed: pip install 'warp-plate[cma]'")
     pytest.importorskip("matplotlib")
@@ -63,30 +63,30 @@ def test_all_methods_share_a_budget_and_none_exceeds_the_bound(panel, command):
     assert max(map(len, out.splitlines())) <= 80
 
 
-def test_a_trial_is_the_search_of_localize_by_either_evaluator(panel):
-    trial = compare(panel, methods=["pso"], seeds=1, device="cpu").trials[0]
-    single = localize(panel, device="cpu", evaluator="response", estimate=False)
+def test_a_trial_is_the_search_of_localize_by_either_evaluator(compared):
+    trial = compare(compared, methods=["pso"], seeds=1, device="cpu").trials[0]
+    single = localize(compared, device="cpu", evaluator="response", estimate=False)
     np.testing.assert_allclose(1 - trial.loss, single.history["best"], rtol=0, atol=1e-12)
     np.testing.assert_array_equal(trial.evaluations, single.history["evaluations"])
-    direct = compare(panel, methods=["pso"], seeds=1, device="cpu", evaluator="direct", evaluations=80)
+    direct = compare(compared, methods=["pso"], seeds=1, device="cpu", evaluator="direct", evaluations=80)
     assert (direct.evaluator, direct.budget, direct.trials[0].evaluations[-1]) == ("direct", 80, 80)
     assert direct.trials[0].loss[0] == pytest.approx(trial.loss[0], rel=1e-9)
 
 
-def test_bounds_of_other_problems(panel):
+def test_bounds_of_other_problems(compared):
     """Limits raise the bound and exclude the eigenvector; other objectives have a bound of their own; what is
     nonlinear has none."""
-    limited = panel.with_tables(search={**SEARCH, "limits": {"equal_magnitudes": True}})
-    free, result = (compare(scene, seeds=2, methods=["pso"], device="cpu") for scene in (panel, limited))
+    limited = compared.with_tables(search={**SEARCH, "limits": {"equal_magnitudes": True}})
+    free, result = (compare(scene, seeds=2, methods=["pso"], device="cpu") for scene in (compared, limited))
     assert result.bound > free.bound + 1e-3
     assert all(trial.best_loss >= result.bound - 1e-9 for trial in result.trials)
     found = compare(limited, seeds=1, device="cpu")
     assert ("exact" in found.skipped, "exact" in found.methods) == (True, False)
-    scene = panel.with_tables(search={**SEARCH, "objectives": [{"kind": "velocity"}], "limits": {"power": 2.0}})
+    scene = compared.with_tables(search={**SEARCH, "objectives": [{"kind": "velocity"}], "limits": {"power": 2.0}})
     result = compare(scene, seeds=2, methods=["pso", "gradient"], device="cpu")
     assert not result.localization
     assert all(result.bound * (1 + 1e-9) <= trial.best_loss < 0 for trial in result.trials)
-    bent = panel.with_tables(effects={"damping": {"viscous": 88.5}, "stretching": {}})
+    bent = compared.with_tables(effects={"damping": {"viscous": 88.5}, "stretching": {}})
     result = compare(bent, seeds=1, device="cpu", evaluations=16, methods=["pso"])
     assert (result.bound, result.evaluator) == (None, "direct")
     single = scene_of(actuators=[(0.05, 0.08, 0.05, 0.08)])
@@ -99,7 +99,7 @@ def test_bounds_of_other_problems(panel):
             compare(refused, seeds=1, device="cpu", **options)
 
 
-def test_ctrl_c_keeps_the_finished_trials(panel):
+def test_ctrl_c_keeps_the_finished_trials(compared):
     """Three trials are kept if the fourth is interrupted; without any the interrupt is passed on."""
 
     def stop_in(trial):
@@ -109,17 +109,17 @@ def test_ctrl_c_keeps_the_finished_trials(panel):
 
         return on_progress
 
-    result = compare(panel, methods=["pso", "ring"], seeds=4, device="cpu", on_progress=stop_in(4))
+    result = compare(compared, methods=["pso", "ring"], seeds=4, device="cpu", on_progress=stop_in(4))
     assert result.interrupted
     assert [(trial.method, trial.seed) for trial in result.trials] == [("pso", 5), ("pso", 6), ("ring", 5)]
     with pytest.raises(KeyboardInterrupt):
-        compare(panel, methods=["pso"], seeds=2, device="cpu", on_progress=stop_in(1))
+        compare(compared, methods=["pso"], seeds=2, device="cpu", on_progress=stop_in(1))
 
 
-def test_statistics_and_files_of_trials_of_different_length(panel):
+def test_statistics_and_files_of_trials_of_different_length(compared):
     first = Trial("pso", 9, np.array([8, 16, 24]), np.array([0.1, 0.2, 0.4]), np.array([0.9, 0.5, 0.4]))
     second = Trial("pso", 10, np.array([8]), np.array([0.3]), np.array([0.7]))
-    made = MethodComparison("panel", panel, "cpu", "direct", 40, {"prepare": 0.5}, True, (first, second))
+    made = MethodComparison("panel", compared, "cpu", "direct", 40, {"prepare": 0.5}, True, (first, second))
     clocks, losses = loss_statistics(made.trials, "evaluations", 40)
     np.testing.assert_array_equal(clocks, [8, 12, 16, 40])
     np.testing.assert_allclose(losses, [[0.7, 0.5, 0.4, 0.4], [0.8, 0.6, 0.55, 0.55], [0.9, 0.7, 0.7, 0.7]])

@@ -19,7 +19,7 @@ GUIDE = Path(__file__).parents[2] / "docs" / "exports.md"
 
 
 @pytest.fixture(scope="module")
-def searched(tmp_path_factory):
+def search_file(tmp_path_factory):
     """The result file of a small search."""
     record = {"times": (0.002, 0.004), "points": ((0.1, 0.1),)}
     scene = scene_of(damping=88.5, record=record, search={"particles": 4, "iterations": 3})
@@ -27,10 +27,10 @@ def searched(tmp_path_factory):
 
 
 @pytest.fixture
-def folder(searched, tmp_path, monkeypatch):
+def result_folder(search_file, tmp_path, monkeypatch):
     """A working folder with the result of the search, run.h5."""
     monkeypatch.chdir(tmp_path)
-    shutil.copy(searched, "run.h5")
+    shutil.copy(search_file, "run.h5")
 
 
 def new_files():
@@ -47,7 +47,7 @@ def new_files():
         ("drive-csv", ["run-drive.csv"], "Drive best: 290 periods"),
     ],
 )
-def test_each_format(command, folder, to, files, words):
+def test_each_format(command, result_folder, to, files, words):
     assert words in output_of(command("export", "run.h5", "--to", to))
     assert new_files() == files
     for name in files:
@@ -60,7 +60,7 @@ def test_each_format(command, folder, to, files, words):
         assert (record["times"], record["recorded"]) == (2, True)
 
 
-def test_options_of_a_drive(command, folder):
+def test_options_of_a_drive(command, result_folder):
     options = "--case single --rate 8000 --duration 0.05 --full-scale 4 --encoding pcm16 --out s.wav --json"
     record = json.loads(output_of(command("export", "run.h5", "--to", "drive-wav", *options.split())))
     drive = load_result("run.h5").cases["single"].phasors
@@ -74,7 +74,7 @@ def test_options_of_a_drive(command, folder):
     assert re.search(r"which repeat with a phase jump of -?\d\.?\d* degrees\. 1\.0 stands for", out)
 
 
-def test_a_motion_repeats_the_run(command, folder):
+def test_a_motion_repeats_the_run(command, result_folder):
     """Displacements at the recorded time are those of the result."""
     options = ("--case", "best", "--case", "single", "--start", 0.002, "--end", 0.004, "--frames", 4, "--device", "cpu")
     assert "recorded times" not in command("export", "run.h5", "--to", "pvd", *options)[1]
@@ -98,7 +98,7 @@ def test_a_motion_repeats_the_run(command, folder):
     np.testing.assert_array_equal(first, recorded.cases["single"].displacement[0])
 
 
-def test_invalid_options_are_one_line(command, folder):
+def test_invalid_options_are_one_line(command, result_folder):
     for options, line in (
         ("--to pvd --rate 3", "--rate 3: has no effect with --to pvd; leave it out"),
         ("--to pvd --case worst", "--case worst: run.h5 holds equal, single, best"),
@@ -112,7 +112,7 @@ def test_invalid_options_are_one_line(command, folder):
         assert new_files() == []
 
 
-def test_matlab_can_read_a_result(command, folder):
+def test_matlab_can_read_a_result(command, result_folder):
     """Datasets hold plain numbers (no compounds, enumerations or references) or text, attributes text in UTF-8, but for
     those of netCDF's dimensions; those of the guide's example exist, with the dimensions that it states."""
     example, _, series = re.findall(r"```matlab\n(.*?)```", GUIDE.read_text(encoding="utf-8"), re.S)

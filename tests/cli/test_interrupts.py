@@ -30,7 +30,7 @@ def default_handler():
 
 
 @pytest.fixture
-def panel(write_scene):
+def endless(write_scene):
     """A small scene in a file of the working folder, with a search that takes seconds."""
     return write_scene(damping=88.5, precision="float32", search={"particles": 6, "iterations": 2500})
 
@@ -43,7 +43,7 @@ def end(process):
 
 
 @pytest.mark.parametrize("number", ["SIGINT", "SIGTERM", "SIGHUP"])
-def test_a_search_ends_with_its_best_and_a_checkpoint(number, panel):
+def test_a_search_ends_with_its_best_and_a_checkpoint(number, endless):
     file = Path("panel-localize.checkpoint.h5")
     process = start("-m", "warp_plate", "localize", "panel.toml", *QUICK, "--json", "--checkpoint-every", 0)
     while not file.exists() and process.poll() is None:
@@ -65,10 +65,10 @@ def test_a_search_ends_with_its_best_and_a_checkpoint(number, panel):
     assert not list(Path().rglob("*.part*"))
 
 
-def test_a_long_iteration_ends_within_a_launch(panel, write_scene):
+def test_a_long_iteration_ends_within_a_launch(endless, write_scene):
     """A plate that takes minutes is interrupted: status 130, one line, nothing written."""
     grid = {"nodes": (101, 101), "precision": "float64"}
-    write_scene(panel.with_tables(grid=grid, window={"start": 0.0, "end": 100.0}))
+    write_scene(endless.with_tables(grid=grid, window={"start": 0.0, "end": 100.0}))
     code = "import sys; from warp_plate.cli.main import main; import warp_plate.studies.simulate; "
     process = start("-c", code + "print(flush=True); main(sys.argv[1:])", "simulate", "panel.toml", *QUICK)
     process.stdout.readline()
@@ -80,7 +80,7 @@ def test_a_long_iteration_ends_within_a_launch(panel, write_scene):
     assert [path.name for path in Path().iterdir()] == ["panel.toml"]
 
 
-def test_a_closed_terminal_leaves_result_and_checkpoint(panel):
+def test_a_closed_terminal_leaves_result_and_checkpoint(endless):
     """The terminal is gone when SIGHUP comes, so that nothing can be printed."""
     pty = pytest.importorskip("pty")
     child, terminal = pty.fork()
@@ -116,17 +116,17 @@ main(sys.argv[1:])
 
 
 @pytest.mark.parametrize("module", ["cyclopts", "warp_plate.kernels.loads"])
-def test_a_command_that_starts_ends_in_one_line(module, panel):
+def test_a_command_that_starts_ends_in_one_line(module, endless):
     status, out, err, _ = end(start("-c", STARTING.format(module=module), "localize", "panel.toml", *QUICK))
     assert (status, out, err) == (130, "", "warp-plate: interrupted\n")
     assert [path.name for path in Path().iterdir()] == ["panel.toml"]
 
 
 @pytest.mark.parametrize("target", ["warp_plate.result.model.save_result", "matplotlib.figure.Figure.savefig"])
-def test_files_are_written_whole_or_not_at_all(target, panel, write_scene, command, monkeypatch):
+def test_files_are_written_whole_or_not_at_all(target, endless, write_scene, command, monkeypatch):
     """Ctrl-C comes when the result is about to be written, or the first picture."""
     pytest.importorskip("matplotlib")
-    write_scene(panel.with_tables(search={"particles": 6, "iterations": 2}))
+    write_scene(endless.with_tables(search={"particles": 6, "iterations": 2}))
     function = pkgutil.resolve_name(target)
 
     def interrupted(*arguments, **options):

@@ -18,7 +18,7 @@ pytest.importorskip("pyvista", reason="PyVista is not installed: pip install 'wa
 
 
 @pytest.fixture(scope="module")
-def searched(tmp_path_factory):
+def search_file(tmp_path_factory):
     """A result file of a small search."""
     scene = scene_of(damping=200.0, search={"particles": 4, "iterations": 3})
     path = tmp_path_factory.mktemp("search") / "panel.h5"
@@ -26,13 +26,13 @@ def searched(tmp_path_factory):
 
 
 @pytest.fixture
-def render(searched, tmp_path, monkeypatch, command):
+def render(search_file, tmp_path, monkeypatch, command):
     """Run the command in an empty folder; return (status, standard output, standard error)."""
     monkeypatch.chdir(tmp_path)
 
     def run(*options):
         width = [] if "--width" in options else ["--width", "160"]
-        return command("render", searched, "--device", "cpu", *width, *options)
+        return command("render", search_file, "--device", "cpu", *width, *options)
 
     return run
 
@@ -134,9 +134,9 @@ def test_invalid_options_are_named(render, tmp_path):
         assert not list(tmp_path.iterdir())
 
 
-def test_a_moment_is_the_frame_of_pictures(searched):
+def test_a_moment_is_the_frame_of_pictures(search_file):
     """--time selects a frame of the period from there on, or of the last one."""
-    result = load_result(searched)
+    result = load_result(search_file)
     period = 1 / result.scene.drive.frequency
     for time, start, span in (
         (0.004, None, (0.004, 0.004 + period)), (0.0119, None, (0.012 - period, 0.012)), (None, 0.001, (0.001, None))

@@ -24,24 +24,24 @@ FILE = Path("panel-localize.checkpoint.h5")
 
 
 @pytest.fixture
-def panel(write_scene):
+def resumable(write_scene):
     """A small scene with a search, in a file of the working folder."""
     return write_scene(damping=88.5, precision="float32", search={"particles": 6, "iterations": 60})
 
 
 @pytest.fixture
-def left(panel):
+def left(resumable):
     """The checkpoint of a search of the panel that Ctrl-C ended."""
     file = CheckpointFile(FILE, np.inf)
-    localize(panel, source="panel.toml", device="cpu", on_progress=stop_after(5), estimate=False, checkpoints=file)
+    localize(resumable, source="panel.toml", device="cpu", on_progress=stop_after(5), estimate=False, checkpoints=file)
     return file.path
 
 
-def test_what_would_change_the_result_is_refused_by_name(command, panel, left, write_scene):
-    write_scene(panel.with_tables(plate={**panel.plate.model_dump(), "thickness": 1e-3}), "thicker")
-    first, second, *rest = panel.actuators
+def test_what_would_change_the_result_is_refused_by_name(command, resumable, left, write_scene):
+    write_scene(resumable.with_tables(plate={**resumable.plate.model_dump(), "thickness": 1e-3}), "thicker")
+    first, second, *rest = resumable.actuators
     moved = (first, second.model_copy(update={"area": first.area}), *rest)
-    write_scene(panel.model_copy(update={"actuators": moved}), "moved")
+    write_scene(resumable.model_copy(update={"actuators": moved}), "moved")
     before = left.read_bytes()
     for options, named in (
         ("--seed 3", "--seed 3: the search in panel-localize.checkpoint.h5 began with 0"),
@@ -56,10 +56,10 @@ def test_what_would_change_the_result_is_refused_by_name(command, panel, left, w
     assert not Path("panel-localize.h5").exists()
 
 
-def test_the_command_resumes(command, panel, left):
+def test_the_command_resumes(command, resumable, left):
     """The same scene may be given or not; the result is beside the checkpoint, which is deleted."""
     kept = left.read_bytes()
-    full = localize(panel, source="panel.toml", device="cpu", estimate=False)
+    full = localize(resumable, source="panel.toml", device="cpu", estimate=False)
     for more in ([], ["panel.toml", "--seed", "0", "--path", "auto", "--device", "cpu"]):
         left.write_bytes(kept)
         record = json.loads(output_of(command("localize", "--resume", left, *more, *QUICK, "--json")))
@@ -105,9 +105,9 @@ def killed(arguments, seconds):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
 @pytest.mark.parametrize("kills", [2, pytest.param(10, marks=pytest.mark.slow)])
-def test_killed_at_random_moments(kills, panel, random, write_scene):
+def test_killed_at_random_moments(kills, resumable, random, write_scene):
     """A search killed and resumed several times gives the result of one that was left alone."""
-    panel = write_scene(panel.with_tables(search={"particles": 6, "iterations": 200}))
+    resumable = write_scene(resumable.with_tables(search={"particles": 6, "iterations": 200}))
     arguments, reached = [*COMMAND, "--checkpoint-every", "0"], [0]
     for _ in range(kills):
         assert not killed(arguments, random.uniform(0, 0.3 / kills))
@@ -117,17 +117,17 @@ def test_killed_at_random_moments(kills, panel, random, write_scene):
     assert reached == sorted(reached)
     found = resume(checkpoint, estimate=False)
     assert_same_results(
-        replace(found, source="panel.toml"), localize(panel, source="panel.toml", device="cpu", estimate=False)
+        replace(found, source="panel.toml"), localize(resumable, source="panel.toml", device="cpu", estimate=False)
     )
     CheckpointFile(FILE, resumes=True).remove()
     assert [path.name for path in Path().iterdir()] == ["panel.toml"]
 
 
-def test_a_result_that_cannot_be_written_leaves_the_checkpoint(command, panel, monkeypatch, write_scene):
+def test_a_result_that_cannot_be_written_leaves_the_checkpoint(command, resumable, monkeypatch, write_scene):
     def full_disk(result, path):
         raise SceneError(f"{path}: cannot be written: No space left on device")
 
-    write_scene(panel.with_tables(search={"particles": 6, "iterations": 3}))
+    write_scene(resumable.with_tables(search={"particles": 6, "iterations": 3}))
     with monkeypatch.context() as patch:
         patch.setattr("warp_plate.result.model.save_result", full_disk)
         err = error_of(command(*COMMAND, "--checkpoint-every", "0"))
@@ -137,7 +137,7 @@ def test_a_result_that_cannot_be_written_leaves_the_checkpoint(command, panel, m
     assert load_result("panel-localize.h5").evaluations == 18
 
 
-def test_files_that_the_scene_names_must_be_the_same(command, panel):
+def test_files_that_the_scene_names_must_be_the_same(command, resumable):
     """They are beside the scene if that is given, else beside the checkpoint."""
     Path("scenes").mkdir()
     text = Path("panel.toml").read_text(encoding="utf-8") + '\n[effects.variation]\nthickness = "map.csv"\n'

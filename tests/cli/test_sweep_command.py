@@ -27,12 +27,12 @@ CHECKS = (*SWEEP, "--what", "check")
 
 
 @pytest.fixture
-def panel(write_scene):
+def swept_panel(write_scene):
     """A small scene in a file of an empty working folder."""
     return write_scene(damping=88.5, time_step=2e-4, search={"particles": 8, "iterations": 30, "seed": 5})
 
 
-def test_table_and_files(panel, command):
+def test_table_and_files(swept_panel, command):
     pytest.importorskip("matplotlib")
     out = output_of(command("sweep", "panel.toml", *GRID, "--what", "check", "--device", "cpu"))
     assert "3 of 9 points refused" in out
@@ -44,7 +44,7 @@ def test_table_and_files(panel, command):
     assert sorted(path.name for path in Path().iterdir()) == [*files, "panel.toml"]
 
 
-def test_many_points_are_summarised_and_counted(panel, command, monkeypatch):
+def test_many_points_are_summarised_and_counted(swept_panel, command, monkeypatch):
     notes = []
     monkeypatch.setattr(output, "progress_bar", lambda *_: nullcontext(lambda *shown: notes.append(shown)))
     options = ("--vary", "plate.thickness=4e-4:5e-4:41", "--what", "modes", *QUICK)
@@ -143,7 +143,7 @@ def interrupt_after(monkeypatch):
     return patch
 
 
-def test_an_interrupted_sweep_is_resumed(panel, command, interrupt_after, write_scene):
+def test_an_interrupted_sweep_is_resumed(swept_panel, command, interrupt_after, write_scene):
     """--resume and the same command again give bit-identical results, with the same options only."""
     command(*CHECKS, "--out", "full.h5")
     write_scene(name="other", damping=80, time_step=2e-4)
@@ -181,7 +181,7 @@ def test_an_interrupted_sweep_is_resumed(panel, command, interrupt_after, write_
     assert made.reasons == full.reasons
 
 
-def test_only_the_same_sweep_is_replaced(panel, command, interrupt_after):
+def test_only_the_same_sweep_is_replaced(swept_panel, command, interrupt_after):
     """A finished new result replaces the old one."""
     assert command(*CHECKS)[0] == 0
     Path("panel-localize.h5").write_bytes(b"another command's")
@@ -205,7 +205,7 @@ def test_only_the_same_sweep_is_replaced(panel, command, interrupt_after):
     assert result.read_bytes() != before[result]
 
 
-def test_the_device_beside_a_cluster_is_that_of_its_workers(panel, command, monkeypatch, interrupt_after):
+def test_the_device_beside_a_cluster_is_that_of_its_workers(swept_panel, command, monkeypatch, interrupt_after):
     """In all commands with workers: this machine need not have it, and continues with what they report. Workers that
     are gone leave a file."""
     opened = []
@@ -243,7 +243,7 @@ def test_the_device_beside_a_cluster_is_that_of_its_workers(panel, command, monk
     assert "no worker is left; there is a checkpoint after 2 of 9 points; resume with: " in err
 
 
-def test_bad_input_is_one_line(panel, command):
+def test_bad_input_is_one_line(swept_panel, command):
     for arguments, message in (
         ((), "sweep needs a SCENE"),
         (("panel.toml",), "--vary: nothing is varied; write --vary KEY=RANGE, RANGE being START:STOP:COUNT"),

@@ -18,7 +18,7 @@ from support.worker_tasks import doubled, end_worker, process_number
 from support.workers import assert_same_history, assert_same_run, random_phasors, small_search
 from warp_plate import CheckpointFile, PlateSolver, SceneError, load_checkpoint, localize, resume
 from warp_plate.cluster import opening
-from warp_plate.cluster.evaluator import BLOCK_NODE_STEPS, make_evaluator
+from warp_plate.cluster.evaluator import make_evaluator
 from warp_plate.cluster.opening import open_pool
 from warp_plate.cluster.pool import ATTEMPTS, Task, WorkersGone, run_tasks
 
@@ -36,12 +36,6 @@ def pool():
     """Two workers of this machine, started once for all tests here."""
     with open_pool(None, "local:2", log=LINES.append) as made:
         yield made
-
-
-@pytest.fixture(autouse=True)
-def small_blocks(monkeypatch):
-    """Blocks of the fewest plates."""
-    monkeypatch.setitem(BLOCK_NODE_STEPS, "cpu", (1.0, 1.0))
 
 
 def worker_processes(pool):

@@ -40,12 +40,6 @@ def pool():
         yield made
 
 
-@pytest.fixture(autouse=True)
-def small_blocks(monkeypatch):
-    """Blocks of the fewest plates."""
-    monkeypatch.setitem(evaluators.BLOCK_NODE_STEPS, "cpu", (1.0, 1.0))
-
-
 def random_designs(scene, random):
     """Designs that differ in all that the scene's search frees."""
     per_plate, whole = per_plate_of(scene), np.ones((1, 3))

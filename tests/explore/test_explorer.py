@@ -28,7 +28,7 @@ PATHS = {"auto": ["modal"], "resident": ["resident"]}
 
 
 @pytest.fixture
-def panel(scene):
+def explored_panel(scene):
     """Three actuators, steady at the end."""
     return scene(damping=DAMPING, window=(0.08, 0.1), search=SEARCH)
 
@@ -41,8 +41,8 @@ def live():
 
 
 @pytest.fixture
-def model(live, panel):
-    return live(panel)
+def model(live, explored_panel):
+    return live(explored_panel)
 
 
 @pytest.fixture
@@ -62,13 +62,13 @@ def after(model, **changes):
 
 
 @pytest.mark.parametrize("path", ["auto", "resident"])
-def test_frequency_and_damping_are_simulated_again(panel, live, path):
+def test_frequency_and_damping_are_simulated_again(explored_panel, live, path):
     """The model uses modes, or time steps if a path is requested."""
-    model = live(panel, path)
+    model = live(explored_panel, path)
     assert model.by_modes == (path == "auto")
     for frequency, damping in ((240.0, DAMPING), (290.0, 500.0), (290.0, 0.0)):
         reading = after(model, frequency=frequency, damping=damping)
-        run = make_solver(changed_scene(panel, frequency, damping), "cpu", *PATHS[path]).run(np.ones((1, 3)))
+        run = make_solver(changed_scene(explored_panel, frequency, damping), "cpu", *PATHS[path]).run(np.ones((1, 3)))
         assert reading.localization_factor == pytest.approx(localization_factor(run.energy)[0], rel=1e-9)
         assert (reading.scene.drive.frequency, reading.scene.effects.damping.viscous) == (frequency, damping)
 
@@ -116,8 +116,8 @@ def test_what_cannot_be_simulated_is_reported_and_the_rest_goes_on(scene, live, 
     assert model.status().startswith("the simulation has failed")
 
 
-def test_slider_ranges_are_within_what_the_run_can_carry(panel, scene):
-    ranges = slider_ranges(panel)
+def test_slider_ranges_are_within_what_the_run_can_carry(explored_panel, scene):
+    ranges = slider_ranges(explored_panel)
     assert (ranges.magnitude, ranges.damping) == (2.0, 5 * DAMPING)
     assert ranges.frequency == pytest.approx((58, 580))
     short = scene(window=(0.0, 0.005), time_step=8e-4, nodes=(7, 7))
@@ -126,8 +126,8 @@ def test_slider_ranges_are_within_what_the_run_can_carry(panel, scene):
     assert slider_ranges(short).damping == pytest.approx(0.5 * short.drive_angular_frequency * 0.5)
 
 
-def test_choices_are_what_localize_means_by_them(panel, model):
-    result = localize(panel, device="cpu", evaluator="modal", estimate=False)
+def test_choices_are_what_localize_means_by_them(explored_panel, model):
+    result = localize(explored_panel, device="cpu", evaluator="modal", estimate=False)
     for choice in ("equal", "single"):
         expected = result.cases[choice].localization_factor
         assert after(model, choice=choice).localization_factor == pytest.approx(expected, rel=1e-6)
@@ -153,7 +153,7 @@ def test_one_actuator_and_damping_where_the_scene_has_none(scene, live):
     assert model.swarm() is None
 
 
-def test_a_search_is_watched(panel, model):
+def test_a_search_is_watched(explored_panel, model):
     """Particles and best at each iteration; the plate is that of the best, as localize finds it."""
     model.choose("found", seconds=0.02)
     seen = {}
@@ -171,7 +171,7 @@ def test_a_search_is_watched(panel, model):
         np.testing.assert_array_equal(swarm.phasors[:, 0], 1)
     assert last.factors.max() <= last.best[-1] <= model.read().bound
     assert model.read().localization_factor == pytest.approx(last.best[-1], rel=1e-12)
-    history = localize(panel, device="cpu", evaluator="modal", estimate=False).history["best"]
+    history = localize(explored_panel, device="cpu", evaluator="modal", estimate=False).history["best"]
     np.testing.assert_allclose(last.best, history, rtol=1e-6)
     # A search ends when a slider is moved: what it finds after that is not taken.
     model.choose("found", seconds=0.02)

@@ -24,7 +24,7 @@ PATIENCE = 60.0
 
 
 @pytest.fixture
-def served(tmp_path, write_scene, monkeypatch):
+def page_at(tmp_path, write_scene, monkeypatch):
     """The address at which ``explore`` serves a small scene and which it opens; Ctrl-C ends it quietly."""
     if (problem := missing_page() or viz.missing_renderer()) is not None:
         pytest.skip(problem)
@@ -47,7 +47,7 @@ def served(tmp_path, write_scene, monkeypatch):
 
 
 @pytest.fixture
-def page(browser, served):
+def page(browser, page_at):
     """The loaded page; at the end there was no error, and no request to any other host."""
     made = browser.new_page(viewport={"width": 1300, "height": 900})
     requests, errors = [], []
@@ -56,12 +56,12 @@ def page(browser, served):
     made.on("console", lambda message: message.type in ("error", "warning") and errors.append(message.text))
     made.on("pageerror", lambda error: errors.append(str(error)))
     made.set_default_timeout(1000 * PATIENCE)
-    made.goto(served)
+    made.goto(page_at)
     made.wait_for_selector("#stage img")
     yield made
     made.close()
     assert not errors
-    allowed = rf"(http|ws)://{re.escape(served.split('/')[2])}/|data:|blob:"
+    allowed = rf"(http|ws)://{re.escape(page_at.split('/')[2])}/|data:|blob:"
     assert len(requests) > 5
     assert not [url for url in requests if not re.match(allowed, url)]
 
@@ -132,17 +132,17 @@ def test_sliders_and_buttons_change_picture_and_numbers(page):
     until(lambda: page.evaluate("document.querySelector('#stage img').naturalWidth") == 900 - 390)
 
 
-def test_connections(browser, served, tmp_path):
+def test_connections(browser, page_at, tmp_path):
     """There is one server per port, at one address; only this page gets the secret of the connection.
 
     Browsers may disconnect, and one that is still connected does not delay Ctrl-C; see the fixture.
     """
     until((tmp_path / "opened").exists)
-    until(lambda: (tmp_path / "opened").read_text("utf-8").strip() == served)
+    until(lambda: (tmp_path / "opened").read_text("utf-8").strip() == page_at)
     for _ in range(2):
         tab = browser.new_page()
         tab.set_default_timeout(1000 * PATIENCE)
-        tab.goto(served)
+        tab.goto(page_at)
         # The second finds the plate paused, and is sent a picture nevertheless.
         tab.wait_for_function("document.querySelector('#stage img')?.naturalWidth > 300")
         tab.click("#pause")
@@ -150,7 +150,7 @@ def test_connections(browser, served, tmp_path):
     browser.contexts[0].pages[0].close()
     time.sleep(0.3)
 
-    page = served.partition("?")[0]
+    page = page_at.partition("?")[0]
     port = page.rstrip("/").rpartition(":")[2]
     second = start_program("-m", "warp_plate", "explore", "panel.toml", "--web", "--port", port, "--device", "cpu")
     out, err = second.communicate(timeout=PATIENCE)
@@ -165,7 +165,9 @@ def test_connections(browser, served, tmp_path):
             tab.goto(f"{page}?sessionURL=ws://127.0.0.1:{elsewhere.getsockname()[1]}/ws")
 
     request = partial(urllib.request.Request, page + "paraview/", b"{}")
-    with urllib.request.urlopen(request({"Host": served.split("/")[2], "Referer": served}), timeout=PATIENCE) as answer:
+    with urllib.request.urlopen(
+        request({"Host": page_at.split("/")[2], "Referer": page_at}), timeout=PATIENCE
+    ) as answer:
         assert (answer.status, "Access-Control-Allow-Origin" in answer.headers) == (200, False)
     with pytest.raises(urllib.error.HTTPError, match="403"):
-        urllib.request.urlopen(request({"Host": "elsewhere.example:80", "Referer": served}), timeout=PATIENCE)
+        urllib.request.urlopen(request({"Host": "elsewhere.example:80", "Referer": page_at}), timeout=PATIENCE)

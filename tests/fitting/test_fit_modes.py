@@ -23,7 +23,7 @@ RIGIDITY = MODULUS * MATERIAL["thickness"] ** 3 / 12 / (1 - MATERIAL["poisson_ra
 MODULI = {"plate.young_modulus": (0.5 * MODULUS, 1.5 * MODULUS)}
 
 
-def supported(**fit):
+def stiff_panel(**fit):
     """Return a supported panel whose own modulus is a tenth too high."""
     made = scene_of(size=SIZE, edges=("supported",) * 4, damping=1.0, fit={"starts": 1, **fit})
     return made.replace("plate.young_modulus", 1.1 * MODULUS)
@@ -40,19 +40,19 @@ def measured(random, noise=1e-3, count=12, damping_noise=None):
 
 def test_rigidity(random):
     """Five standard deviations of the estimate are 0.3 %; the interval is as wide as the noise makes it."""
-    found = fit_modes(supported(free=MODULI), measured(random))
+    found = fit_modes(stiff_panel(free=MODULI), measured(random))
     assert found.scene.plate.rigidity == pytest.approx(RIGIDITY, rel=5e-3)
     assert found.values == pytest.approx([found.scene.plate.young_modulus], rel=1e-12)
     # 2.2 · 2 · 0.1 % / √12 to either side, and what χ² of 11 numbers leaves open.
     assert 0.3 * 1.27e-3 < (found.high - found.low)[0] / 2 / MODULUS < 2 * 1.27e-3
-    exact = fit_modes(supported(free=MODULI), measured(random, noise=0))
+    exact = fit_modes(stiff_panel(free=MODULI), measured(random, noise=0))
     assert exact.values == pytest.approx([MODULUS], rel=2e-5)
 
 
 def test_what_cannot_be_told_apart_is_named(random):
     """Modulus and density by frequencies alone; an actuator's place; their ratio is still right."""
     free = {**MODULI, "plate.density": (500.0, 2000.0), "actuators.0.area[0]": (0.0, 0.05)}
-    found = fit_modes(supported(free=free), measured(random))
+    found = fit_modes(stiff_panel(free=free), measured(random))
     assert found.inseparable == (("plate.young_modulus", "plate.density"), ("actuators[0].area[0]",))
     assert np.isnan([*found.low, *found.high]).all()
     assert found.values[0] / found.values[1] == pytest.approx(MODULUS / MATERIAL["density"], rel=5e-3)
@@ -74,7 +74,7 @@ def test_what_cannot_be_told_apart_is_named(random):
 def test_frequencies_of_a_supported_plate_tell_one_number(extra, noise, random):
     """They are all proportional to √(E H² / ρ (1 − ν²)), whatever the noise."""
     free = {**MODULI, **extra}
-    found = fit_modes(supported(free=free), measured(random, noise=noise))
+    found = fit_modes(stiff_panel(free=free), measured(random, noise=noise))
     assert found.inseparable == (tuple(free),)
     assert np.isnan([*found.low, *found.high]).all()
 
@@ -83,7 +83,7 @@ def test_damping_separates_modulus_and_density(random):
     """c/2ρHω falls with the density; damping is measured a hundred times worse, and the intervals know it."""
     free = {**MODULI, "plate.density": (500.0, 2000.0)}
     data = measured(random, noise=1e-4, damping_noise=1e-2, count=16)
-    found = fit_modes(supported(free=free).replace("effects.damping.viscous", VISCOUS), data)
+    found = fit_modes(stiff_panel(free=free).replace("effects.damping.viscous", VISCOUS), data)
     assert found.inseparable == ()
     assert found.values == pytest.approx([MODULUS, MATERIAL["density"]], rel=0.02)
     assert (found.high - found.low) / found.values == pytest.approx(2 * 2.13 * 0.01 / 4, rel=0.7)
@@ -96,7 +96,7 @@ def test_missing_modes(named, random):
     seen = np.array([1, 2, 4, 5, 8, 9, 11])
     every = measured(random, noise=3e-4).frequencies[seen - 1]
     data = MeasuredModes("data.csv", every, np.full(7, math.nan), seen if named else None)
-    found = fit_modes(supported(free=MODULI, starts=16, pairing="order" if named else "nearest"), data)
+    found = fit_modes(stiff_panel(free=MODULI, starts=16, pairing="order" if named else "nearest"), data)
     np.testing.assert_array_equal(found.numbers, seen)
     assert found.values == pytest.approx([MODULUS], rel=5e-3)
 
@@ -119,7 +119,7 @@ def test_intervals_hold_and_a_spring_is_found(random):
 
 
 def test_command(command, write_scene, random):
-    write_scene(supported(free=MODULI))
+    write_scene(stiff_panel(free=MODULI))
     Path("data.csv").write_text(
         "# by hammer\nfrequency [Hz];mode;note\n"
         + "".join(f"{value};{mode};\n" for mode, value in enumerate(measured(random).frequencies, 1)),
@@ -131,7 +131,7 @@ def test_command(command, write_scene, random):
     assert record["files"] == ["panel.fitted.toml", "panel.fitted.png", "panel.fitted.svg"]
     fitted = Scene.load("panel.fitted.toml")
     assert fitted.plate.young_modulus == parameter["value"]
-    assert fitted == supported(free=MODULI).replace("plate.young_modulus", parameter["value"])
+    assert fitted == stiff_panel(free=MODULI).replace("plate.young_modulus", parameter["value"])
     free = "fit.free.plate.density=[500, 2000]"
     out = output_of(command("fit", "panel.toml", "--data", "data.csv", "--set", free))
     assert "plate.young_modulus and plate.density: cannot be told apart" in " ".join(out.split())
@@ -187,11 +187,11 @@ def test_bad_tables(fit, message):
 def test_too_few_data_and_ranges_beyond_the_scene(random):
     free = {**MODULI, "plate.thickness": (1e-4, 1e-3)}
     with pytest.raises(SceneError, match="2 numbers do not determine 2 free ones"):
-        fit_modes(supported(free=free), measured(random, count=2))
+        fit_modes(stiff_panel(free=free), measured(random, count=2))
     with pytest.raises(SceneError, match="fit: is missing"):
         fit_modes(scene_of(), measured(random))
     with pytest.raises(SceneError, match="a range reaches too far: plate"):
-        fit_modes(supported(free={"plate.thickness": (0.1, 1.0)}), measured(random))
+        fit_modes(stiff_panel(free={"plate.thickness": (0.1, 1.0)}), measured(random))
 
 
 CROSSING = (0.2, 0.19)
@@ -232,14 +232,14 @@ def test_modes_that_cross(pairing, random):
 
 def test_shapes_are_needed_for_the_mac(random):
     with pytest.raises(SceneError, match="has no shapes with points"):
-        fit_modes(supported(free=MODULI, pairing="mac"), measured(random))
+        fit_modes(stiff_panel(free=MODULI, pairing="mac"), measured(random))
 
 
 @pytest.mark.slow
 def test_bootstrap_and_profiles_agree_with_the_jacobian(random):
     """Of a nearly linear fit with normal errors; the same seed gives the same samples."""
     free = {**MODULI, "effects.damping.viscous": (0.1, 10.0)}
-    scene = supported(free=free, bootstrap=200, profile=7)
+    scene = stiff_panel(free=free, bootstrap=200, profile=7)
     data = measured(random, count=20, damping_noise=0.02)
     found, again = fit_modes(scene, data), fit_modes(scene, data)
     np.testing.assert_array_equal(found.bootstrap, again.bootstrap)

@@ -27,7 +27,7 @@ MODULI = {"plate.young_modulus": (0.7 * MODULUS, 1.4 * MODULUS)}
 FREE = {**MODULI, "effects.loss_factor.eta": (0.002, 0.2)}
 
 
-def supported(rows=None, free=FREE, density=0.5, **fit):
+def wrong_panel(rows=None, free=FREE, density=0.5, **fit):
     """Return a panel whose own modulus and loss factor are wrong."""
     return scene_of(
         size=SIZE,
@@ -62,7 +62,7 @@ def noisy(random, noise=0.01, frequencies=None):
 
 def test_command(command, write_scene, random):
     """An outlier does no harm."""
-    write_scene(supported(free=MODULI).replace("effects.loss_factor.eta", ETA))
+    write_scene(wrong_panel(free=MODULI).replace("effects.loss_factor.eta", ETA))
     data = noisy(random)
     data.responses[1, 30] *= -20
     parts = np.stack([data.responses.real, data.responses.imag], axis=1).reshape(6, -1)
@@ -80,7 +80,7 @@ def test_command(command, write_scene, random):
 def test_intervals_hold_from_far_starts(random):
     """Intervals of 12 sets of noise; the sensors whose gains are known tell modulus and density apart."""
     free = {**FREE, "plate.density": (700.0, 1400.0), "measurement[0].gain": (0.5, 2.0)}
-    scene, truth, held = supported(free=free, starts=8), (MODULUS, ETA, MATERIAL["density"], 1.3), []
+    scene, truth, held = wrong_panel(free=free, starts=8), (MODULUS, ETA, MATERIAL["density"], 1.3), []
     for _ in range(12):
         data = noisy(random)
         data.responses[0] *= 1.3
@@ -96,7 +96,7 @@ def test_gains_of_all_sensors_hide_the_density(random):
     rows = [{"force_at": HIT, "point": POINTS[0]}]
     free = {**MODULI, "plate.density": (700.0, 1400.0), "measurement[0].gain": (0.5, 2.0)}
     data = noisy(random, frequencies=np.linspace(6, 30, 20))
-    scene = supported(rows, free).replace("effects.loss_factor.eta", ETA)
+    scene = wrong_panel(rows, free).replace("effects.loss_factor.eta", ETA)
     found = fit_responses(scene, MeasuredResponses("data.csv", data.frequencies, data.responses[:1]))
     assert found.inseparable == (tuple(free),)
 
@@ -106,7 +106,7 @@ def test_coarse_plates_leave_no_error():
     """Springs without losses couple the modes; of coarse plates alone, the loss factor is wrong by 3e-5."""
     edge = {"translation": 1e5, "rotation": 0.05}
     free = {**FREE, "edges.left.rotation": (0.005, 0.5)}
-    scene = supported(density=1.0).with_tables(edges=dict.fromkeys(("left", "bottom", "right", "top"), edge))
+    scene = wrong_panel(density=1.0).with_tables(edges=dict.fromkeys(("left", "bottom", "right", "top"), edge))
     truth = scene.replace("plate.young_modulus", MODULUS).replace("effects.loss_factor.eta", ETA)
     exact = frf(truth, [HIT], POINTS, (5.0, 80.0), "accelerance")
     kept = np.linspace(0, len(exact.frequencies) - 1, 60).astype(int)
@@ -121,7 +121,7 @@ def test_files_of_frf(ending, write, tmp_path):
     """Files of ``frf`` are read to the digits written, the universal file to the last bit."""
     if ending == "uff":
         pytest.importorskip("pyuff")
-    exact = frf(supported(), [HIT], POINTS[:2], (5.0, 40.0), "accelerance")
+    exact = frf(wrong_panel(), [HIT], POINTS[:2], (5.0, 40.0), "accelerance")
     write(exact, tmp_path / f"data.{ending}")
     found = read_responses(tmp_path / f"data.{ending}", 2)
     tolerance = 1e-8 if ending == "csv" else 0
@@ -165,19 +165,19 @@ def test_bad_files(name, text, message, tmp_path):
 )
 def test_bad_tables(row, message):
     with pytest.raises(SceneError) as caught:
-        supported().with_tables(measurement=[row])
+        wrong_panel().with_tables(measurement=[row])
     assert message in str(caught.value)
 
 
 def test_a_panel_without_damping_is_refused(random):
     with pytest.raises(SceneError, match="effects: responses of a panel without damping"):
-        fit_responses(supported(free={"plate.density": (700.0, 1400.0)}).with_tables(effects={}), noisy(random))
+        fit_responses(wrong_panel(free={"plate.density": (700.0, 1400.0)}).with_tables(effects={}), noisy(random))
 
 
 def test_a_sensor_on_a_held_edge_is_refused(random):
     rows = [{"force_at": HIT, "point": point} for point in (POINTS[0], (0.0, 0.1), POINTS[2])]
     with pytest.raises(SceneError, match=r"measurement\[1\]: an edge holds the panel"):
-        fit_responses(supported(rows), noisy(random))
+        fit_responses(wrong_panel(rows), noisy(random))
 
 
 @pytest.mark.parametrize("read", [read_modes, partial(read_responses, count=1)])
@@ -197,7 +197,7 @@ def test_sensors_off_the_middle_tell_opposite_edges_apart():
     half = SIZE[0] / 2
     for hit, point, mirrored in (((half, 0.05), (half, 0.12), True), (HIT, POINTS[0], False)):
         rows = [{"force_at": hit, "point": point}]
-        scene = supported(rows, MODULI).with_tables(edges=edges).with_tables(fit={"starts": 1, "free": free})
+        scene = wrong_panel(rows, MODULI).with_tables(edges=edges).with_tables(fit={"starts": 1, "free": free})
         data = MeasuredResponses("data.csv", np.linspace(6, 60, 40), np.ones((1, 40)))
         data = MeasuredResponses("data.csv", data.frequencies, PanelResponses(scene, data).values)
         found = fit_responses(scene, data)

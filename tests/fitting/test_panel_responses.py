@@ -47,7 +47,7 @@ KEYS = [
 ]
 
 
-def panel(**effects):
+def measured_panel(**effects):
     rows = [{"actuator": "0", "point": (0.15, 0.08), "gain": 1.2}, {"force_at": (0.05, 0.06), "point": (0.1, 0.1)}]
     rows[1]["quantity"] = "mobility"
     return scene_of(effects={**EFFECTS, **effects}, edges=EDGES, measurement=rows, grid={"modal_density": 0.4})
@@ -69,19 +69,19 @@ def compare(scene, key, tolerance, coarse=False):
 
 @pytest.mark.parametrize("key", KEYS[:8:3])
 def test_derivatives(key):
-    compare(panel(), key, 3e-4)
+    compare(measured_panel(), key, 3e-4)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("key", KEYS)
 def test_derivatives_of_all_numbers(key):
-    compare(panel(), key, 3e-4)
+    compare(measured_panel(), key, 3e-4)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("effects", [{"loss_factor": {"eta": [0.03, 0.02]}}, {"modal_damping": {"ratio": 0.01}}])
 def test_damping_mode_by_mode(effects):
-    compare(panel(**effects), "plate.young_modulus", 5e-4)
+    compare(measured_panel(**effects), "plate.young_modulus", 5e-4)
 
 
 LAYER = {"area": [0.05, 0.15, 0.08, 0.12], "thickness": 3e-4, "young_modulus": 2e9, "density": 1500.0}
@@ -91,20 +91,20 @@ RIGIDITIES = {"Dx": 0.02, "Dy": 0.01, "D1": 3e-3, "Dxy": 5e-3}
 @pytest.mark.slow
 @pytest.mark.parametrize("key", [f"effects.orthotropic.{name}" for name in RIGIDITIES])
 def test_orthotropic_plates(key):
-    compare(panel(orthotropic=RIGIDITIES), key, 3e-4)
+    compare(measured_panel(orthotropic=RIGIDITIES), key, 3e-4)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("key", [f"effects.layers[0].{name}" for name in ("thickness", "young_modulus", "density")])
 def test_layers(key):
-    compare(panel(layers=[LAYER]), key, 3e-4)
+    compare(measured_panel(layers=[LAYER]), key, 3e-4)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("key", KEYS)
 def test_every_number_can_be_fitted(key):
     """Responses without noise give back each number from 2 % off."""
-    scene = panel()
+    scene = measured_panel()
     value = value_of(scene, key)
     exact = MeasuredResponses("data.csv", DATA.frequencies, PanelResponses(scene, DATA).values)
     wrong = scene.replace(key, 1.02 * value).with_tables(fit={"starts": 1, "free": {key: (0.8 * value, 1.2 * value)}})

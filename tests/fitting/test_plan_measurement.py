@@ -17,7 +17,7 @@ from warp_plate.studies.frequency_response import frf
 SIZE, ETA = (0.23, 0.17), 0.03
 
 
-def panel(**free):
+def lossy_panel(**free):
     made = scene_of(size=SIZE, effects={"loss_factor": {"eta": ETA}}, grid={"modal_density": 0.5})
     modulus = made.plate.young_modulus
     ranges = {"plate.young_modulus": (0.8 * modulus, 1.2 * modulus), "effects.loss_factor.eta": (0.01, 0.1), **free}
@@ -42,7 +42,7 @@ def test_places_are_the_best_of_all(random):
 @pytest.mark.slow
 def test_intervals_are_those_of_fits(random):
     """The intervals of a plan are the spread of fits to noisy responses of its sensors."""
-    plan = plan_measurement(panel(), 2, 0.02)
+    plan = plan_measurement(lossy_panel(), 2, 0.02)
     points = [row.point for row in plan.scene.measurement]
     low, high = plan.frequencies[[0, -1]]
     frequencies = np.linspace(low, high, 100)
@@ -62,7 +62,7 @@ def test_intervals_are_those_of_fits(random):
 
 
 def test_command(command, write_scene):
-    write_scene(panel(**{"actuators[0].area[0]": (0.0, 0.01)}))
+    write_scene(lossy_panel(**{"actuators[0].area[0]": (0.0, 0.01)}))
     record = json.loads(output_of(command("plan-measurement", "panel.toml", "--sensors", "3", "--json")))
     planned = Scene.load("panel.plan.toml")
     np.testing.assert_allclose([row.point for row in planned.measurement], record["points"])
@@ -79,8 +79,8 @@ def test_bad_plans():
     with pytest.raises(SceneError, match="fit: is missing"):
         plan_measurement(scene_of())
     rows = [{"actuator": "0", "point": (0.1, 0.1)}]
-    gains = panel().with_tables(measurement=rows, fit={"free": {"measurement[0].gain": (0.5, 2.0)}})
+    gains = lossy_panel().with_tables(measurement=rows, fit={"free": {"measurement[0].gain": (0.5, 2.0)}})
     with pytest.raises(SceneError, match=r"fit.free: measurement\[0\].gain: is of a sensor"):
         plan_measurement(gains)
     with pytest.raises(SceneError, match="effects: responses of a panel without damping"):
-        plan_measurement(panel().with_tables(effects={}, fit={"free": {"plate.density": (900.0, 1100.0)}}))
+        plan_measurement(lossy_panel().with_tables(effects={}, fit={"free": {"plate.density": (900.0, 1100.0)}}))

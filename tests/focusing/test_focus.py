@@ -19,20 +19,20 @@ OVERSAMPLED = 8
 
 
 @pytest.fixture(scope="module")
-def found():
+def focused():
     return focus(scene_of(damping=20.0, focus={**TABLE, "energy": 0.02, "peak": 0.8}))
 
 
-def test_the_optimum_is_best_and_says_what_limits_it(found):
-    optimum = found.methods["optimum"]
+def test_the_optimum_is_best_and_says_what_limits_it(focused):
+    optimum = focused.methods["optimum"]
     assert optimum.limits == ("energy, peak",) * 2
     assert np.abs(optimum.gap).max() < 1e-6
-    np.testing.assert_allclose(optimum.peak, found.bound, rtol=1e-6)
+    np.testing.assert_allclose(optimum.peak, focused.bound, rtol=1e-6)
     for name in ("time_reversal", "one_bit", "inverse_filter"):
-        method = found.methods[name]
+        method = focused.methods[name]
         assert (method.peak < optimum.peak).all()
-        np.testing.assert_allclose(method.gap, 1 - method.peak / found.bound, atol=1e-9)
-    for name, method in found.methods.items():
+        np.testing.assert_allclose(method.gap, 1 - method.peak / focused.bound, atol=1e-9)
+    for name, method in focused.methods.items():
         assert (method.energy <= 0.02 * (1 + 1e-9)).all()
         assert np.abs(method.waveforms).max() <= 0.8 * (1 + 1e-9)
         assert (
@@ -40,19 +40,19 @@ def test_the_optimum_is_best_and_says_what_limits_it(found):
         )  # where waveforms focus, little moves more at other times
 
 
-def test_field_and_responses_agree_at_the_focus(found):
+def test_field_and_responses_agree_at_the_focus(focused):
     """The field goes by modal amplitudes, the responses by convolution; cells are 1.5 mm wide."""
-    for method in found.methods.values():
+    for method in focused.methods.values():
         for field, peak, (x, y) in zip(method.fields, method.peak, TABLE["points"], strict=True):
             ny, nx = field.shape
             assert field[int(y / 0.2 * ny), int(x / 0.2 * nx)] == pytest.approx(peak, rel=0.05)
 
 
-def test_motion_passes_through_the_field_at_the_moment(found):
+def test_motion_passes_through_the_field_at_the_moment(focused):
     """Frames come by recursion from sample to sample; their velocity is the slope of the displacement."""
-    shown = focus_motions(found, ["optimum", "one_bit"], (0.015, 0.022), 200)
+    shown = focus_motions(focused, ["optimum", "one_bit"], (0.015, 0.022), 200)
     for motion, name in zip(shown, ("optimum", "one_bit"), strict=True):
-        method, at = found.methods[name], int(np.abs(motion.times - 0.02).argmin())
+        method, at = focused.methods[name], int(np.abs(motion.times - 0.02).argmin())
         assert motion.times[at] == pytest.approx(0.02)
         ny, nx = motion.displacement.shape[1:]
         *_, number, unit = motion.name.split()
@@ -66,15 +66,15 @@ def test_motion_passes_through_the_field_at_the_moment(found):
         slope = np.gradient(motion.displacement, motion.times, axis=0)[1:-1]
         assert np.abs(slope - motion.velocity[1:-1]).max() < 0.15 * np.abs(motion.velocity).max()
     with pytest.raises(SceneError, match="must lie within the motion"):
-        focus_motions(found, span=(0.0, 1.0))
+        focus_motions(focused, span=(0.0, 1.0))
 
 
-def test_files_read_back(found, tmp_path):
-    read = load_focus(save_focus(found, tmp_path / "found.h5"))
-    assert read.methods.keys() == found.methods.keys()
+def test_files_read_back(focused, tmp_path):
+    read = load_focus(save_focus(focused, tmp_path / "found.h5"))
+    assert read.methods.keys() == focused.methods.keys()
     for name, method in read.methods.items():
-        np.testing.assert_array_equal(method.waveforms, found.methods[name].waveforms)
-        assert method.limits == found.methods[name].limits
+        np.testing.assert_array_equal(method.waveforms, focused.methods[name].waveforms)
+        assert method.limits == focused.methods[name].limits
 
 
 def test_inverse_filter_makes_foci_follow_bursts_of_their_own():
@@ -93,20 +93,20 @@ def test_inverse_filter_makes_foci_follow_bursts_of_their_own():
         np.testing.assert_allclose(motion / peak, burst, atol=0.02)
 
 
-def test_waveforms_of_another_panel_are_played(found):
+def test_waveforms_of_another_panel_are_played(focused):
     """Waveforms reach the same on their own panel, less with more damping; the gap is to the optimum of that panel."""
-    again = focus(found.scene, found)
-    harder = focus(found.scene.replace("effects.damping.viscous", 40.0), found)
-    for name, method in found.methods.items():
+    again = focus(focused.scene, focused)
+    harder = focus(focused.scene.replace("effects.damping.viscous", 40.0), focused)
+    for name, method in focused.methods.items():
         np.testing.assert_allclose(again.methods[name].peak, method.peak, rtol=1e-12)
         np.testing.assert_array_equal(harder.methods[name].waveforms, method.waveforms)
         assert (harder.methods[name].peak < method.peak).all()
     assert (harder.methods["optimum"].gap > 1e-4).all()
     np.testing.assert_allclose(harder.bound, focus(harder.scene).bound)
     with pytest.raises(SceneError, match=r"focus.rate: the waveforms were made with another one, 16000"):
-        focus(found.scene.replace("focus.rate", 32000), found)
+        focus(focused.scene.replace("focus.rate", 32000), focused)
     with pytest.raises(SceneError, match="actuators: the waveforms were made for others, 0, 1, 2"):
-        focus(found.scene.with_tables(actuators=found.scene.actuators[:2]), found)
+        focus(focused.scene.with_tables(actuators=focused.scene.actuators[:2]), focused)
 
 
 def test_four_fingers_feel_bursts_of_their_own():

@@ -15,21 +15,21 @@ PIEZO = [
 
 
 @pytest.fixture(scope="module")
-def found():
+def piezo_focus():
     return focus(scene_of(damping=88.5, focus=FOCUS).with_tables(actuators=PIEZO))
 
 
-def test_volts_are_written_as_volts(found, tmp_path):
-    written = export(found, tmp_path / "a.csv", to="drive-csv")
+def test_volts_are_written_as_volts(piezo_focus, tmp_path):
+    written = export(piezo_focus, tmp_path / "a.csv", to="drive-csv")
     assert written.contents["unit"] == "V"
     assert " V]" in (tmp_path / "a.csv").read_text(encoding="utf-8").splitlines()[0]
 
 
-def test_volts_are_not_played_as_pressures(found, tmp_path):
-    file = save_focus(found, tmp_path / "volts.h5")
+def test_volts_are_not_played_as_pressures(piezo_focus, tmp_path):
+    file = save_focus(piezo_focus, tmp_path / "volts.h5")
     pressures = [{"name": each["name"], "area": each["area"]} for each in PIEZO]
     with pytest.raises(SceneError, match="made for actuators driven by V, not N/m²"):
-        focus(found.scene.with_tables(actuators=pressures), load_focus(file))
+        focus(piezo_focus.scene.with_tables(actuators=pressures), load_focus(file))
 
 
 @pytest.mark.parametrize(
@@ -40,13 +40,13 @@ def test_volts_are_not_played_as_pressures(found, tmp_path):
         ({"rate": 96000}, "rate = 96000: waveforms of focus have a rate"),
     ],
 )
-def test_exports_refuse_what_they_cannot_do(found, tmp_path, arguments, message):
+def test_exports_refuse_what_they_cannot_do(piezo_focus, tmp_path, arguments, message):
     with pytest.raises(SceneError, match=message):
-        export(found, tmp_path / "a.wav", **{"to": "drive-wav", **arguments})
+        export(piezo_focus, tmp_path / "a.wav", **{"to": "drive-wav", **arguments})
     assert not list(tmp_path.iterdir())
 
 
-def test_wishes_are_real_numbers(found):
+def test_wishes_are_real_numbers(piezo_focus):
     for wished in (np.ones(9) * 1j, ["a", "b"]):
         with pytest.raises(SceneError, match="must be real numbers"):
-            focus(found.scene, wished=wished)
+            focus(piezo_focus.scene, wished=wished)

@@ -20,14 +20,14 @@ def wishes(rate=2000, duration=0.06):
     return times, np.stack([hump, hump * np.sin(2 * np.pi * (80 + 1500 * times) * times)])
 
 
-def panel(**tables):
+def focus_panel(**tables):
     return scene_of(damping=20.0, edges=("supported",) * 4, actuators=PATCHES, focus=TABLE).with_tables(**tables)
 
 
 def test_foci_follow_wished_waveforms_of_their_own(tmp_path):
     """From an array at the rate of the waveforms; a hump, which is quasi-static, and a sweep."""
     times, wished = wishes(TABLE["rate"])
-    found = focus(panel(), wished=wished)
+    found = focus(focus_panel(), wished=wished)
     inverse = found.methods["inverse_filter"]
     assert inverse.waveforms.shape == (2, 4, times.size)
     assert inverse.misfit.max() < 0.02
@@ -58,7 +58,7 @@ def test_wishes_are_read_from_files_of_another_rate(tmp_path, kind):
     else:
         wavfile.write(tmp_path / "wish.wav", 1500, wished.T.astype(np.float32))
         table = {"file": "wish.wav", "per_point": True, "start": float(times[0])}
-    found = focus(panel(focus={**TABLE, "wish": table}).in_folder(tmp_path))
+    found = focus(focus_panel(focus={**TABLE, "wish": table}).in_folder(tmp_path))
     expected = wishes(TABLE["rate"])[1]
     assert found.wished.shape[1] == pytest.approx(expected.shape[1], abs=4)
     np.testing.assert_allclose(found.wished[:, :-20], expected[:, : found.wished.shape[1] - 20], atol=0.02)
@@ -67,7 +67,7 @@ def test_wishes_are_read_from_files_of_another_rate(tmp_path, kind):
 
 def test_a_wish_of_all_points_is_one_channel(tmp_path):
     np.savetxt(tmp_path / "wish.csv", wishes(4000)[1][1])
-    found = focus(panel(focus={**TABLE, "wish": {"file": "wish.csv", "rate": 4000.0}}).in_folder(tmp_path))
+    found = focus(focus_panel(focus={**TABLE, "wish": {"file": "wish.csv", "rate": 4000.0}}).in_folder(tmp_path))
     np.testing.assert_array_equal(found.wished[0], found.wished[1])
 
 
@@ -87,7 +87,7 @@ def test_files_that_are_no_wish_are_refused(tmp_path, wish, words):
     np.savetxt(tmp_path / "three.csv", np.ones((9, 3)), delimiter=",")
     np.savetxt(tmp_path / "one.csv", wishes(4000)[1][1])
     with pytest.raises(SceneError, match=words) as caught:
-        focus(panel(focus={**TABLE, "wish": wish}).in_folder(tmp_path))
+        focus(focus_panel(focus={**TABLE, "wish": wish}).in_folder(tmp_path))
     assert "\n" not in str(caught.value)
 
 
@@ -105,7 +105,7 @@ def test_files_that_are_no_wish_are_refused(tmp_path, wish, words):
 )
 def test_arrays_that_are_no_wish_are_refused(wished, words):
     with pytest.raises(SceneError, match=words):
-        focus(panel(), wished=wished)
+        focus(focus_panel(), wished=wished)
 
 
 def test_a_wish_excludes_a_burst_and_a_bound_of_the_rest():
@@ -115,23 +115,23 @@ def test_a_wish_excludes_a_burst_and_a_bound_of_the_rest():
         ({"rest": {"contrast": 9.0, "radius": 0.02}}, "of a wish"),
     ):
         with pytest.raises(SceneError, match=words):
-            panel(focus={**TABLE, "wish": wish, **tables})
+            focus_panel(focus={**TABLE, "wish": wish, **tables})
 
 
 def test_waveforms_without_a_wish_are_not_played_under_one(tmp_path):
     np.savetxt(tmp_path / "wish.csv", wishes(4000)[1][1])
-    made = focus(panel())
-    wishing = panel(focus={**TABLE, "wish": {"file": "wish.csv", "rate": 4000.0}}).in_folder(tmp_path)
+    made = focus(focus_panel())
+    wishing = focus_panel(focus={**TABLE, "wish": {"file": "wish.csv", "rate": 4000.0}}).in_folder(tmp_path)
     with pytest.raises(SceneError, match=r"focus.wish: the waveforms were made without one"):
         focus(wishing, made)
     with pytest.raises(SceneError, match="rank = optimum: not for waveforms of a file"):
-        focus(panel(), made, rank="optimum")
+        focus(focus_panel(), made, rank="optimum")
 
 
 def test_fewer_actuators_reach_less_and_each_row_is_a_panel_of_its_own(tmp_path):
     """The figures of n actuators are those of a panel that has no others; for time reversal the best choice of n."""
     table = {"points": [(0.07, 0.06)], "highest": 600.0, "time": 0.02, "rate": 8000, "energy": 0.02}
-    scene = panel(focus=table)
+    scene = focus_panel(focus=table)
     found = focus(scene, rank="time_reversal")
     ranking = load_focus(save_focus(found, tmp_path / "found.h5")).ranking
     assert sorted(ranking.actuators) == ["0", "1", "2", "3"]
@@ -152,7 +152,7 @@ def test_a_filter_for_many_panels_loses_less_on_others(tmp_path):
     """With a modulus within 2 %: worst misfit and crosstalk of panels that neither filter has seen."""
     table = {**TABLE, "time": 0.03, "burst": {"frequency": 300.0, "cycles": 4.0}, "condition": 1e3}
     robust = {"young_modulus": 0.01, "scenarios": 8, "fresh": 12}
-    found = focus(panel(focus=table, search={"robust": robust}))
+    found = focus(focus_panel(focus=table, search={"robust": robust}))
     nominal, many = (found.methods[name] for name in ("inverse_filter", "robust_filter"))
     assert many.panels.peak.shape == (12, 2)
     assert nominal.misfit.max() < many.misfit.max()  # on the panel that it was made for
@@ -161,17 +161,17 @@ def test_a_filter_for_many_panels_loses_less_on_others(tmp_path):
     assert (nominal.panels.misfit.max(axis=1) > nominal.misfit.max()).all()
     read = load_focus(save_focus(found, tmp_path / "found.h5"))
     np.testing.assert_array_equal(read.methods["robust_filter"].panels.misfit, many.panels.misfit)
-    chosen = focus(panel(focus={**table, "condition": "l-curve"}, search={"robust": robust}))
+    chosen = focus(focus_panel(focus={**table, "condition": "l-curve"}, search={"robust": robust}))
     assert 10 < chosen.condition < 1e5
     assert chosen.methods["robust_filter"].panels.misfit.max() < 1.2 * many.panels.misfit.max()
 
 
 def test_the_l_curve_of_one_panel_is_refused():
     with pytest.raises(SceneError, match=r'focus.condition = "l-curve": exact responses of one panel have'):
-        focus(panel(focus={**TABLE, "condition": "l-curve"}))
+        focus(focus_panel(focus={**TABLE, "condition": "l-curve"}))
     for wrong in (0.5, "curve", True):
         with pytest.raises(SceneError, match=r'focus.condition = .*: must be a number from 1 to 1e7, or "l-curve"'):
-            panel(focus={**TABLE, "condition": wrong})
+            focus_panel(focus={**TABLE, "condition": wrong})
 
 
 def test_resolution_is_in_half_waves():

@@ -47,7 +47,7 @@ def inside(region, x, y):
 
 
 @pytest.fixture(scope="module")
-def plate(tmp_path_factory):
+def layered_plate(tmp_path_factory):
     """Modes of a plate with a layer and two oscillators, one of which has a mass."""
     folder = tmp_path_factory.mktemp("scene")
     np.savetxt(folder / "mask.csv", MASK, delimiter=",")
@@ -63,54 +63,54 @@ def plate(tmp_path_factory):
 
 @pytest.mark.parametrize("within", [None, (0.04, 0.15, 0.03, 0.12)])
 @pytest.mark.parametrize("name", REGIONS)
-def test_regions(plate, name, within):
+def test_regions(layered_plate, name, within):
     region, (x, y) = REGIONS[name], (middles(side) for side in SIZE)
-    shapes = plate.displacement(np.eye(MODES, len(plate.frequencies)), x, y).reshape(MODES, -1)
+    shapes = layered_plate.displacement(np.eye(MODES, len(layered_plate.frequencies)), x, y).reshape(MODES, -1)
     density = MATERIAL["density"] * MATERIAL["thickness"] + 0.6 * inside(LAYER["area"], x, y)
     density = density * inside(region, x, y) * (1 if within is None else inside(within, x, y))
     cell = SIZE[0] * SIZE[1] / POINTS**2
     expected = (shapes * density.ravel()) @ shapes.T * cell
-    matrix = plate.kinetic_matrix(region, within)
+    matrix = layered_plate.kinetic_matrix(region, within)
     assert np.allclose(matrix, matrix.T, rtol=0, atol=1e-12)
     assert np.allclose(matrix[:MODES, :MODES], expected, rtol=0, atol=6e-3)
     assert np.linalg.eigvalsh(matrix[:MODES, :MODES]).min() > -1e-9
 
 
-def test_parts_add_up(plate):
+def test_parts_add_up(layered_plate):
     """∫ over all rectangles of a division, the whole as a rectangle, a polygon, and the identity less the masses."""
     lowest, (width, height) = (slice(300),) * 2, SIZE  # the highest are orthogonal but for rounding
-    whole = plate.kinetic_matrix()[lowest]
+    whole = layered_plate.kinetic_matrix()[lowest]
     cuts = [0.0, 0.06, 0.1, width], [0.0, 0.04, height]
     cells = [(*cuts[0][i : i + 2], *cuts[1][j : j + 2]) for i in range(3) for j in range(2)]
-    assert np.allclose(sum(plate.kinetic_matrix(cell)[lowest] for cell in cells), whole, rtol=0, atol=1e-9)
+    assert np.allclose(sum(layered_plate.kinetic_matrix(cell)[lowest] for cell in cells), whole, rtol=0, atol=1e-9)
     outline = Target(polygon=[(0, 0), (width, 0), (width, height), (0, height)])
-    assert np.allclose(plate.kinetic_matrix(outline)[lowest], whole, rtol=0, atol=1e-9)
-    motion = plate.attached_motions[:300, 0]
+    assert np.allclose(layered_plate.kinetic_matrix(outline)[lowest], whole, rtol=0, atol=1e-9)
+    motion = layered_plate.attached_motions[:300, 0]
     assert np.allclose(whole + 3e-3 * np.outer(motion, motion), np.eye(300), rtol=0, atol=1e-9)
 
 
-def test_rectangle_is_a_polygon(plate):
+def test_rectangle_is_a_polygon(layered_plate):
     """Both are exact, whatever layers and splines lie across them; sides at other positions along x than along y."""
     x0, x1, y0, y1 = area = REGIONS["rectangle"]
     outline = Target(polygon=[(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
-    matrix, expected = (plate.kinetic_matrix(region)[:MODES, :MODES] for region in (area, outline))
+    matrix, expected = (layered_plate.kinetic_matrix(region)[:MODES, :MODES] for region in (area, outline))
     assert np.allclose(matrix, expected, rtol=0, atol=1e-10)
 
 
-def test_polygon_across_a_layer(plate):
+def test_polygon_across_a_layer(layered_plate):
     """Its outline crosses all sides of the layer: the parts that the layer's lines cut off add up to it."""
     polygon = REGIONS["concave polygon"]
     x, y = (0.0, *LAYER["area"][:2], SIZE[0]), (0.0, *LAYER["area"][2:], SIZE[1])
-    parts = sum(plate.kinetic_matrix(polygon, (*across, *up)) for across in pairwise(x) for up in pairwise(y))
-    assert np.allclose(parts[:MODES, :MODES], plate.kinetic_matrix(polygon)[:MODES, :MODES], rtol=0, atol=1e-9)
+    parts = sum(layered_plate.kinetic_matrix(polygon, (*across, *up)) for across in pairwise(x) for up in pairwise(y))
+    assert np.allclose(parts[:MODES, :MODES], layered_plate.kinetic_matrix(polygon)[:MODES, :MODES], rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("disc", [(0.1, 0.08, 0.057), (0.0505, 0.06, 0.004)], ids=["large", "small"])
-def test_disc_across_a_layer(plate, disc):
+def test_disc_across_a_layer(layered_plate, disc):
     """Chords by Gauss's rule, each in and beside the layer; between the angles at which they enter or leave it, too."""
     (left, right, bottom, top), (x0, y0, radius) = LAYER["area"], disc
     nodes, shares = np.polynomial.legendre.leggauss(14)
-    shapes, expected = np.eye(MODES, len(plate.frequencies)), 0.0
+    shapes, expected = np.eye(MODES, len(layered_plate.frequencies)), 0.0
     across = np.arccos(np.clip(np.abs(np.array([left, right]) - x0) / radius, 0, 1))
     up = np.arcsin(np.clip([-1, (bottom - y0) / radius, (top - y0) / radius, 1], -1, 1))
     for low, high in pairwise(np.unique([*up, *across, *-across])):
@@ -120,14 +120,14 @@ def test_disc_across_a_layer(plate, disc):
             x = (ends[:-1, None] + np.diff(ends)[:, None] * (1 + nodes) / 2).ravel()
             weights = (np.diff(ends)[:, None] * shares / 2).ravel() * half * part
             mass = MATERIAL["density"] * MATERIAL["thickness"] + 0.6 * inside(LAYER["area"], x, np.array([y]))[0]
-            values = plate.displacement(shapes, x, np.array([y]))[:, 0]
+            values = layered_plate.displacement(shapes, x, np.array([y]))[:, 0]
             expected = expected + (values * weights * mass) @ values.T
-    error = np.abs(plate.kinetic_matrix(Target(disc=disc))[:MODES, :MODES] - expected).max()
+    error = np.abs(layered_plate.kinetic_matrix(Target(disc=disc))[:MODES, :MODES] - expected).max()
     assert error < 1e-8 * np.abs(expected).max()
 
 
-def test_disc_within_a_rectangle_around_it(plate):
+def test_disc_within_a_rectangle_around_it(layered_plate):
     """The polygon of 512 corners that stands for part of a disc."""
     disc = REGIONS["disc"]
-    around = plate.kinetic_matrix(disc, (0.0, SIZE[0], 0.0, SIZE[1]))
-    assert around[:MODES, :MODES] == pytest.approx(plate.kinetic_matrix(disc)[:MODES, :MODES], rel=0, abs=1e-5)
+    around = layered_plate.kinetic_matrix(disc, (0.0, SIZE[0], 0.0, SIZE[1]))
+    assert around[:MODES, :MODES] == pytest.approx(layered_plate.kinetic_matrix(disc)[:MODES, :MODES], rel=0, abs=1e-5)

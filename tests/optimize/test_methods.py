@@ -34,7 +34,7 @@ def made_problem(search):
     return make_problem(scene_of((9, 9), damping=88.5, search=json.loads(search)), "cpu", evaluator="response")
 
 
-def searched(**search):
+def space_and_problem(**search):
     """Return the space and the problem of a search for drives of a small panel with three actuators."""
     made = made_problem(json.dumps(search))
     return made.space, made.quadratic
@@ -42,7 +42,7 @@ def searched(**search):
 
 def ranges(low, high, **search):
     """Return a search for all magnitudes in a range and all phases that matter."""
-    return searched(magnitude={"range": [low, high]}, phase={}, **search)
+    return space_and_problem(magnitude={"range": [low, high]}, phase={}, **search)
 
 
 def bound_of(problem):
@@ -89,7 +89,7 @@ def test_keys_that_a_method_does_not_read_are_named(method):
 @pytest.mark.parametrize(("method", "tolerance"), [("exact", 1e-10), ("gradient", 1e-10), ("cma", 1e-6), ("pso", 1e-2)])
 def test_the_bound_is_reached(method, tolerance, tables):
     """1 − the largest λ of A z = λ B z; for the gradient and CMA-ES to 1e-6, as is promised."""
-    space, problem = searched(**tables)
+    space, problem = space_and_problem(**tables)
     optimizer = make_optimizer(Search(method=method, particles=20, iterations=150), space, 3, problem)
     result = minimize(optimizer, problem.losses)
     assert 1 - result.fbest == pytest.approx(bound_of(problem), abs=tolerance)

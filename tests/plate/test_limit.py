@@ -107,7 +107,7 @@ def dense_matrices(made):
     return stiffness.toarray() / root / root[:, None], loss / root / root[:, None]
 
 
-def check(made):
+def check_limit(made):
     """Compare with Δt [s] at which the largest eigenvalue of Δt²K + 2Δt C is 4: it grows with Δt, so that it must be
     below 4 at the limit, and above 4 at 1.01 times the limit."""
     (stiffness, loss), limit = dense_matrices(made), find_limit(made)[0]
@@ -125,12 +125,12 @@ def check(made):
 @pytest.mark.parametrize(("name", "edge", "size"), COVERING)
 def test_within_one_percent_and_never_above(name, edge, size, scene):
     nodes, sides = SIZES[size]
-    check(scene(nodes, sides, EDGES[edge], effects=on_plate(sides, EFFECTS[name])))
+    check_limit(scene(nodes, sides, EDGES[edge], effects=on_plate(sides, EFFECTS[name])))
 
 
 @pytest.mark.parametrize(("nodes", "loss"), [((9, 9), None), ((17, 9), 400.0)])
 def test_fourth_order(nodes, loss, edges, scene):
-    check(scene(nodes, (0.2, 0.16), edges, damping=loss, scheme="backward", order=4))
+    check_limit(scene(nodes, (0.2, 0.16), edges, damping=loss, scheme="backward", order=4))
 
 
 @pytest.mark.parametrize(
@@ -142,7 +142,7 @@ def test_fourth_order(nodes, loss, edges, scene):
 def test_formulas(name, edge, order, scene):
     """The coarsest grids that a formula serves, where it is furthest off."""
     nodes = (FORMULA_NODES, FORMULA_NODES + 1)
-    assert check(scene(nodes, (0.2, 0.16), EDGES[edge], effects=EFFECTS[name], order=order)).formula
+    assert check_limit(scene(nodes, (0.2, 0.16), EDGES[edge], effects=EFFECTS[name], order=order)).formula
 
 
 @pytest.mark.parametrize("loss", [0.0, 177.0, 1e9])
@@ -166,13 +166,13 @@ def test_formula_of_backward_damping(loss, scene):
 def test_shares_and_place_of_the_fastest_motion(scene):
     """A stiff spring on a patch moves fastest itself; a bare plate by bending."""
     spring = {"oscillators": [{"area": (0.14, 0.16, 0.04, 0.06), "stiffness": 1e8}]}
-    found = check(scene(effects=spring))
+    found = check_limit(scene(effects=spring))
     assert found.shares["oscillators"] > 0.98
     assert found.place == pytest.approx((0.15, 0.05), abs=0.02)
-    bare = check(scene())
+    bare = check_limit(scene())
     assert bare.shares == pytest.approx({"bending": 1})
     assert bare.frequency * math.pi * bare.time_step == pytest.approx(1, abs=0.005)
-    assert check(scene(effects={"material_damping": {"time": 1e-3}})).shares["material damping"] > 0.9
+    assert check_limit(scene(effects={"material_damping": {"time": 1e-3}})).shares["material damping"] > 0.9
 
 
 @pytest.mark.parametrize(("edge", "nodes"), [("clamped", (9, 9)), ("springy", (27, 25)), ("rigid springs", (9, 9))])

@@ -21,14 +21,14 @@ SEARCHES = {
 }
 
 
-def searched(search, nodes=(9, 9), **tables):
+def projected_search(search, nodes=(9, 9), **tables):
     tables = {"damping": 60.0, "window": (0.03, 0.05)} | tables
     return scene_of(nodes=nodes, search={"particles": 6, "iterations": 4, "method": "constriction", **search}, **tables)
 
 
 @pytest.mark.parametrize("name", SEARCHES)
 def test_the_loss_of_a_position_is_that_of_its_best_drive(name, random):
-    problem = make_problem(searched(SEARCHES[name]), "cpu")
+    problem = make_problem(projected_search(SEARCHES[name]), "cpu")
     assert problem.evaluator_name == "modal"
     assert not any("magnitude" in each or "phase" in each for each in problem.space.names)
     positions = problem.space.from_unit(random.random((60, problem.space.dimension)))
@@ -49,7 +49,7 @@ def test_the_loss_of_a_position_is_that_of_its_best_drive(name, random):
 
 def test_particles_at_one_frequency_each_have_a_loss(random):
     """A swarm that gathers at an end of the range."""
-    problem = make_problem(searched(SEARCHES["contrast"]), "cpu")
+    problem = make_problem(projected_search(SEARCHES["contrast"]), "cpu")
     position = problem.space.from_unit(random.random((1, problem.space.dimension)))
     assert np.array_equal(problem.losses(position.repeat(4, axis=0)), problem.losses(position).repeat(4))
 
@@ -60,7 +60,7 @@ def response_at(problem, position):
 
 def test_no_drive_that_is_known_is_better_than_the_one_returned():
     """Neither one of the result's spectrum nor, at the same places and frequency, the exact one."""
-    result = localize(searched(SEARCHES["frequency and places"]), device="cpu", estimate=False)
+    result = localize(projected_search(SEARCHES["frequency and places"]), device="cpu", estimate=False)
     best = result.cases["best"].localization_factor
     assert best == pytest.approx(result.history["best"][-1], abs=1e-6)
     assert result.spectrum["best"].max() <= best + 1e-6
@@ -87,7 +87,7 @@ def overlapping(areas, clearance):
 )
 def test_patches_keep_their_clearance(clearance, evaluator, random):
     area = [0.0, 0.12, 0.0, 0.12]
-    scene = searched(
+    scene = projected_search(
         {"phase": {}, "position": {"area": area, "clearance": clearance}, "particles": 12},
         actuators=[(0.0, 0.04, 0.0, 0.04), (0.06, 0.1, 0.06, 0.1), (0.07, 0.1, 0.01, 0.05)],
     )
@@ -102,7 +102,7 @@ def test_patches_keep_their_clearance(clearance, evaluator, random):
 
 def test_a_clearance_without_room_is_refused():
     with pytest.raises(SceneError, match=r"^search.position.clearance = 0.1: no places were found"):
-        localize(searched({"phase": {}, "position": {"clearance": 0.1}}), device="cpu", estimate=False)
+        localize(projected_search({"phase": {}, "position": {"clearance": 0.1}}), device="cpu", estimate=False)
 
 
 GRADIENTS = {
@@ -118,7 +118,7 @@ GRADIENTS = {
 
 @pytest.mark.parametrize("name", GRADIENTS)
 def test_slopes_are_those_of_differences(name, random):
-    problem = make_problem(searched(GRADIENTS[name]), "cpu", evaluator="modal")
+    problem = make_problem(projected_search(GRADIENTS[name]), "cpu", evaluator="modal")
     space, steps = problem.space, 1e-4 * np.diag(problem.space.span)
     positions = space.from_unit(random.uniform(0.05, 0.95, (40, space.dimension)))
     position = positions[np.argmin(problem.losses(positions))]
@@ -131,6 +131,6 @@ def test_slopes_are_those_of_differences(name, random):
 @pytest.mark.slow
 def test_descents_push_patches_apart_and_end_in_a_minimum():
     search = {**DRIVES, **FREQUENCY, "position": {"clearance": 0.01}, "method": "gradient", "iterations": 30}
-    result = localize(searched(search), device="cpu", estimate=False)
+    result = localize(projected_search(search), device="cpu", estimate=False)
     assert not overlapping(areas_of(result.driven_scene(result.cases["best"])), 0.01)
     assert result.cases["best"].localization_factor > result.history["best"][0] + 0.05

@@ -14,7 +14,7 @@ DRIVE = np.array([1, 0.3 - 0.4j, 0, 0.2j])
 X, Y = np.linspace(0, 0.2, 8), np.linspace(0, 0.2, 11)
 
 
-def supported(viscous=112.0, window=(0.05, 0.1), **changes):
+def paper_plate(viscous=112.0, window=(0.05, 0.1), **changes):
     """The paper's supported plate; its first mode is critically damped at 75.45 N·s/m³."""
     scene = Scene.load("paper-supported")
     update = {
@@ -50,7 +50,7 @@ def test_very_strong_damping_does_not_overflow():
 
 def test_pressures_add_up_to_the_patches():
     """Their series is p inside the patches and zero outside; Parseval: ab/4 Σ|Z|² = ∫|p|² dA from below."""
-    scene = supported()
+    scene = paper_plate()
     for terms, share in ((50, 0.85), (400, 0.98)):
         pressures = series.patch_pressures(scene, DRIVE, terms)
         power = 0.04 / 4 * np.sum(np.abs(pressures) ** 2)
@@ -64,7 +64,7 @@ def test_pressures_add_up_to_the_patches():
 
 def test_energies_are_integrals_of_the_mean_square_velocity():
     """½ρH ∫ v² dA over the plate and over the target, by Gauss's rule in space and in time; the plate's from below."""
-    scene = supported(window=(0.002, 0.006))
+    scene = paper_plate(window=(0.002, 0.006))
     energies = series.kinetic_energies(scene, DRIVE, terms=8)
     times = np.linspace(0.002, 0.006, 8001)
     s, weights = legendre.leggauss(24)

@@ -17,7 +17,7 @@ SMALL = {"search": {"particles": 4, "iterations": 3}, "record": {"points": ((0.1
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory):
+def written_files(tmp_path_factory):
     """A checkpoint and a result, as bytes by kind, with the function that reads each."""
     folder = tmp_path_factory.mktemp("written")
     file = CheckpointFile(folder / "a.checkpoint.h5", 0)
@@ -31,7 +31,7 @@ def written(tmp_path_factory):
     }
 
 
-def refused(read, path):
+def refusal_of(read, path):
     """Return the one line with which a file is refused."""
     with pytest.raises(SceneError) as caught:
         read(path)
@@ -41,9 +41,9 @@ def refused(read, path):
 
 
 @pytest.mark.parametrize("kind", ["checkpoint", "result"])
-def test_a_changed_file_is_refused(kind, written, tmp_path, random):
+def test_a_changed_file_is_refused(kind, written_files, tmp_path, random):
     """Cut it short, change a bit, zero a block, exchange two bytes, or append bytes."""
-    content, read = written[kind]
+    content, read = written_files[kind]
     path, length = tmp_path / "a.h5", len(content)
     places = [*range(length - SEAL_BYTES, length), *range(0, 100, 7), *random.integers(0, length, 150).tolist()]
     changed = [content + more for more in (b"\n", b"x" * 100, content, content[-SEAL_BYTES:])]
@@ -56,30 +56,30 @@ def test_a_changed_file_is_refused(kind, written, tmp_path, random):
     for wrong in changed:
         path.write_bytes(wrong)
         if wrong != content:
-            assert "damaged" in refused(read, path)
+            assert "damaged" in refusal_of(read, path)
     path.write_bytes(content)
     assert read(path).source == "panel"
 
 
 @pytest.mark.parametrize("kind", ["checkpoint", "result"])
-def test_other_files_are_refused(kind, written, tmp_path, random):
-    _, read = written[kind]
+def test_other_files_are_refused(kind, written_files, tmp_path, random):
+    _, read = written_files[kind]
     path, noise = tmp_path / "a.h5", random.bytes(5000)
     for content in (b"", b"plate", noise, noise + make_seal(noise), make_seal(b"")):
         path.write_bytes(content)
-        assert "damaged" in refused(read, path)
-    path.write_bytes(written["result" if kind == "checkpoint" else "checkpoint"][0])
-    assert f"not a {kind} of warp-plate" in refused(read, path)
-    refused(read, tmp_path)
-    assert "no such file" in refused(read, tmp_path / "none.h5")
+        assert "damaged" in refusal_of(read, path)
+    path.write_bytes(written_files["result" if kind == "checkpoint" else "checkpoint"][0])
+    assert f"not a {kind} of warp-plate" in refusal_of(read, path)
+    refusal_of(read, tmp_path)
+    assert "no such file" in refusal_of(read, tmp_path / "none.h5")
     if hasattr(os, "mkfifo"):
         os.mkfifo(tmp_path / "pipe.h5")
-        refused(read, tmp_path / "pipe.h5")
+        refusal_of(read, tmp_path / "pipe.h5")
 
 
-def test_a_checkpoint_that_contradicts_itself_is_refused(written, tmp_path):
+def test_a_checkpoint_that_contradicts_itself_is_refused(written_files, tmp_path):
     path = tmp_path / "a.checkpoint.h5"
-    path.write_bytes(written["checkpoint"][0])
+    path.write_bytes(written_files["checkpoint"][0])
     checkpoint = load_checkpoint(path)
     state, random = checkpoint.search_state, checkpoint.search_state["random"]
     for changes in (
@@ -97,7 +97,7 @@ def test_a_checkpoint_that_contradicts_itself_is_refused(written, tmp_path):
         ({"matrices": np.ones((2, 5, 6))}, "matrices has shape"),
     ):
         save_checkpoint(replace(checkpoint, **changes), path)
-        assert words in refused(load_checkpoint, path)
+        assert words in refusal_of(load_checkpoint, path)
 
 
 LIMITED = """
@@ -122,21 +122,21 @@ file.save(checkpoint)  # warns once
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no limit on the size of files")
-def test_a_limit_on_the_size_of_files(written, tmp_path):
+def test_a_limit_on_the_size_of_files(written_files, tmp_path):
     """Writes that fail half-way, as on a full disk, keep the old files."""
-    (tmp_path / "a.checkpoint.h5").write_bytes(written["checkpoint"][0])
+    (tmp_path / "a.checkpoint.h5").write_bytes(written_files["checkpoint"][0])
     command = [sys.executable, "-c", LIMITED]
     answer = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
     first, second = answer.stdout.splitlines()
     assert first.startswith("file.bin: cannot be written: File too large")
     assert second.startswith("a.checkpoint.h5: cannot be written: File too large")
     found = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    assert found == {"file.bin": b"whole", "a.checkpoint.h5": written["checkpoint"][0]}
+    assert found == {"file.bin": b"whole", "a.checkpoint.h5": written_files["checkpoint"][0]}
 
 
-def test_an_interrupted_swap_leaves_one_that_can_be_read(written, tmp_path, monkeypatch):
+def test_an_interrupted_swap_leaves_one_that_can_be_read(written_files, tmp_path, monkeypatch):
     """Whichever rename fails, the newest complete checkpoint is found; nothing is renamed before a flush."""
-    path, content = tmp_path / "a.checkpoint.h5", written["checkpoint"][0]
+    path, content = tmp_path / "a.checkpoint.h5", written_files["checkpoint"][0]
     replace_file, flush, calls = os.replace, os.fsync, []
     monkeypatch.setattr(os, "fsync", lambda handle: (calls.append("flush"), flush(handle)))
     for stop in (0, 1):

@@ -29,7 +29,7 @@ NEEDS_VTK = "PyVista is not installed: pip install 'warp-plate[viz]'"
 
 
 @pytest.fixture
-def result(random, scene):
+def oblong(random, scene):
     """A plate that is not square, with names that formats must quote."""
     x0, x1, y0, y1 = 0.05, 0.1, 0.04, 0.08
     names = ('left, "upper"', "größer & <right>", "3")
@@ -47,15 +47,15 @@ def result(random, scene):
     return result_of(made, cases, times=np.array(TIMES), trace_times=8e-5 * np.arange(150))
 
 
-def displacements(result):
-    return {f"displacement_{name}": case.displacement for name, case in result.cases.items()}
+def displacements(oblong):
+    return {f"displacement_{name}": case.displacement for name, case in oblong.cases.items()}
 
 
-def check_field(mesh, result, index):
+def check_field(mesh, oblong, index):
     """Compare one time of a series as VTK reads it: x fastest, float32 as it was."""
     assert mesh.dimensions == (*NODES, 1)
     assert mesh.bounds == pytest.approx((0, SIZE[0], 0, SIZE[1], 0, 0))
-    for name, case in result.cases.items():
+    for name, case in oblong.cases.items():
         read = np.asarray(mesh.point_data[f"displacement_{name}"])
         assert read.dtype == np.float32
         np.testing.assert_array_equal(read.reshape(NODES[::-1]), case.displacement[index])
@@ -66,38 +66,38 @@ def check_field(mesh, result, index):
     target = np.asarray(mesh.point_data["target"]).reshape(NODES[::-1])
     np.testing.assert_allclose(target, np.outer(row, column), atol=1e-6)
     cell = SIZE[0] / (NODES[0] - 1) * SIZE[1] / (NODES[1] - 1)
-    areas = [(x1 - x0) * (y1 - y0) for x0, x1, y0, y1 in (actuator.area for actuator in result.scene.actuators)]
+    areas = [(x1 - x0) * (y1 - y0) for x0, x1, y0, y1 in (actuator.area for actuator in oblong.scene.actuators)]
     assert mesh.point_data["actuators"].sum() * cell == pytest.approx(sum(areas), rel=1e-5)
 
 
-def test_a_pvd_series_reads_back_in_vtk(result, tmp_path):
+def test_a_pvd_series_reads_back_in_vtk(oblong, tmp_path):
     pyvista = pytest.importorskip("pyvista", reason=NEEDS_VTK)
-    files = write_pvd(result.scene, result.times, displacements(result), tmp_path / "run & more.pvd")
+    files = write_pvd(oblong.scene, oblong.times, displacements(oblong), tmp_path / "run & more.pvd")
     assert sorted(tmp_path.iterdir()) == sorted(files)
     reader = pyvista.get_reader(files[-1])
     assert reader.time_values == list(TIMES)
     for index, time in enumerate(TIMES):
         reader.set_active_time_value(time)
         (mesh,) = reader.read()
-        check_field(mesh, result, index)
+        check_field(mesh, oblong, index)
         array = mesh.GetPointData().GetArray("displacement_best")
         assert array.GetInformation().Get(array.UNITS_LABEL()) == "m"
         assert mesh.field_data["TimeValue"] == [time]
 
 
-def test_a_vtkhdf_series_reads_back_in_vtk(result, tmp_path):
+def test_a_vtkhdf_series_reads_back_in_vtk(oblong, tmp_path):
     pyvista = pytest.importorskip("pyvista", reason=NEEDS_VTK)
     from vtkmodules.vtkCommonExecutionModel import vtkStreamingDemandDrivenPipeline
     from vtkmodules.vtkIOHDF import vtkHDFReader
 
-    (path,) = write_vtkhdf(result.scene, result.times, displacements(result), tmp_path / "run.vtkhdf")
+    (path,) = write_vtkhdf(oblong.scene, oblong.times, displacements(oblong), tmp_path / "run.vtkhdf")
     reader = vtkHDFReader()
     reader.SetFileName(str(path))
     reader.UpdateInformation()
     assert reader.GetOutputInformation(0).Get(vtkStreamingDemandDrivenPipeline.TIME_STEPS()) == TIMES
     for index in (2, 0, 1):
         reader.UpdateTimeStep(TIMES[index])
-        check_field(pyvista.wrap(reader.GetOutputDataObject(0)), result, index)
+        check_field(pyvista.wrap(reader.GetOutputDataObject(0)), oblong, index)
 
 
 def read_csv(path):
@@ -106,12 +106,12 @@ def read_csv(path):
     return heading, np.array(rows, dtype=float)
 
 
-def test_traces_read_back_from_csv(result, tmp_path):
-    heading, read = read_csv(*write_traces(result, result.cases, tmp_path / "traces.csv"))
+def test_traces_read_back_from_csv(oblong, tmp_path):
+    heading, read = read_csv(*write_traces(oblong, oblong.cases, tmp_path / "traces.csv"))
     columns = [f"{name} u(x={x} y={y}) [m]" for name in ("best", "equal") for x, y in POINTS]
     assert heading == ["time [s]", *columns]
-    np.testing.assert_allclose(read[:, 0], result.trace_times, rtol=1e-14, atol=0)
-    expected = np.concatenate([case.trace for case in result.cases.values()]).T
+    np.testing.assert_allclose(read[:, 0], oblong.trace_times, rtol=1e-14, atol=0)
+    expected = np.concatenate([case.trace for case in oblong.cases.values()]).T
     np.testing.assert_array_equal(read[:, 1:].astype(np.float32), expected)
 
 
@@ -124,10 +124,10 @@ def played(signal, phasors):
 @pytest.mark.parametrize(
     ("encoding", "rate", "share", "error"), [("float32", 48000, 1, 1e-6), ("pcm16", 44100, 4, 0.51 / 32767)]
 )
-def test_a_wav_plays_the_drive(result, tmp_path, encoding, rate, share, error):
-    case = result.cases["best"]
+def test_a_wav_plays_the_drive(oblong, tmp_path, encoding, rate, share, error):
+    case = oblong.cases["best"]
     full_scale = None if share == 1 else share * float(case.magnitude.max())
-    signal = make_drive_signal(result.scene, case, rate, 2.0, full_scale)
+    signal = make_drive_signal(oblong.scene, case, rate, 2.0, full_scale)
     assert signal.samples == 2 * rate > BLOCK
     assert signal.full_scale == share * case.magnitude.max()
     (path,) = write_wav(signal, tmp_path / "drive.wav", encoding)
@@ -145,9 +145,9 @@ def test_a_wav_plays_the_drive(result, tmp_path, encoding, rate, share, error):
     assert comment.endswith(f"290.0 Hz; full scale = {signal.full_scale:.9g} N/m^2")
 
 
-def test_a_wav_of_24_bits_reads_back_as_a_signal(result, tmp_path):
+def test_a_wav_of_24_bits_reads_back_as_a_signal(oblong, tmp_path):
     """Files are read as channels of ``[drive.signal]``, with an odd number of bytes of samples."""
-    signal = replace(make_drive_signal(result.scene, result.cases["best"], 48000, 0.1), samples=4799)
+    signal = replace(make_drive_signal(oblong.scene, oblong.cases["best"], 48000, 0.1), samples=4799)
     (path,) = write_wav(signal, tmp_path / "drive.wav", "pcm24")
     read = read_samples(SampledSignal(file="drive.wav", per_actuator=True), tmp_path, 3)
     expected = played(signal, signal.phasors).T * (1 - 2**-23)
@@ -157,9 +157,9 @@ def test_a_wav_of_24_bits_reads_back_as_a_signal(result, tmp_path):
     assert len(content) % 2 == 0
 
 
-def test_a_drive_csv_plays_the_drive(result, tmp_path):
-    case = result.cases["best"]
-    signal = make_drive_signal(result.scene, case, 10_000, 0.1)
+def test_a_drive_csv_plays_the_drive(oblong, tmp_path):
+    case = oblong.cases["best"]
+    signal = make_drive_signal(oblong.scene, case, 10_000, 0.1)
     heading, read = read_csv(*write_drive_csv(signal, tmp_path / "drive.csv"))
     assert heading == ["time [s]", *(f"{name} [1 = {signal.full_scale:.9g} N/m^2]" for name in signal.names)]
     np.testing.assert_allclose(read[:, 0], np.arange(signal.samples) / 10_000, rtol=1e-14)
@@ -194,13 +194,13 @@ def test_signals_repeat_as_well_as_they_can(frequency, rate, duration):
         ({"case": Case(np.zeros(3, complex), {}, np.zeros(0), np.zeros(0))}, "zero"),
     ],
 )
-def test_impossible_signals_are_refused(result, options, words):
+def test_impossible_signals_are_refused(oblong, options, words):
     with pytest.raises(SceneError, match=words):
-        make_drive_signal(result.scene, **{"case": result.cases["best"], "rate": 48000, "duration": 1.0, **options})
+        make_drive_signal(oblong.scene, **{"case": oblong.cases["best"], "rate": 48000, "duration": 1.0, **options})
 
 
-def test_what_no_file_can_hold_or_the_result_lacks_is_refused(result, tmp_path):
-    signal = make_drive_signal(result.scene, result.cases["best"], 8000, 0.01)
+def test_what_no_file_can_hold_or_the_result_lacks_is_refused(oblong, tmp_path):
+    signal = make_drive_signal(oblong.scene, oblong.cases["best"], 8000, 0.01)
     many = replace(signal, names=("a",) * 20_000, phasors=np.ones(20_000))
     with pytest.raises(SceneError, match="16383 channels"):
         write_wav(many, tmp_path / "drive.wav")
@@ -208,5 +208,5 @@ def test_what_no_file_can_hold_or_the_result_lacks_is_refused(result, tmp_path):
         write_wav(replace(signal, rate=2_000_000_000), tmp_path / "drive.wav")
     for write in (write_pvd, write_vtkhdf):
         with pytest.raises(SceneError, match=r"record\.times"):
-            write(result.scene, np.zeros(0), displacements(result), tmp_path / "run")
+            write(oblong.scene, np.zeros(0), displacements(oblong), tmp_path / "run")
     assert not list(tmp_path.iterdir())

@@ -17,7 +17,7 @@ LINKED = ("times", "cases", "cases/best", "cases/best/energy", "objectives/sum",
 
 
 @pytest.fixture
-def result(random):
+def full_result(random):
     """A result with something in every field."""
     scene = Scene.load("paper")
     targets = [{"name": name, "disc": (0.05, 0.05, 0.01 + 0.01 * len(name))} for name in ("a", "bc")]
@@ -54,11 +54,11 @@ def result(random):
     )  # fmt: skip
 
 
-def test_results_compare_by_identity(result):
+def test_results_compare_by_identity(full_result):
     """A comparison of arrays would have no single truth value."""
-    assert result == result
-    assert result != replace(result)
-    assert len({result, result.robust, *result.cases.values(), *result.target_searches}) == 7
+    assert full_result == full_result
+    assert full_result != replace(full_result)
+    assert len({full_result, full_result.robust, *full_result.cases.values(), *full_result.target_searches}) == 7
 
 
 def assert_equal(one, other):
@@ -76,22 +76,22 @@ def assert_equal(one, other):
         assert getattr(one, "dtype", None) == getattr(other, "dtype", None)
 
 
-def test_a_result_is_loaded_as_it_was_saved(result, tmp_path):
-    path = save_result(result, tmp_path / "run.h5")
-    assert_equal(result, load_result(path))
+def test_a_result_is_loaded_as_it_was_saved(full_result, tmp_path):
+    path = save_result(full_result, tmp_path / "run.h5")
+    assert_equal(full_result, load_result(path))
 
 
-def test_a_file_without_real_parts_has_its_drive_from_magnitude_and_phase(result, tmp_path):
+def test_a_file_without_real_parts_has_its_drive_from_magnitude_and_phase(full_result, tmp_path):
     """Files of before have no others."""
-    path = save_result(result, tmp_path / "run.h5")
+    path = save_result(full_result, tmp_path / "run.h5")
     with h5py.File(path, "r+") as file:
         for name in ("real", "imaginary"):
             del file[f"cases/best/{name}"]
     path.write_bytes(path.read_bytes() + make_seal(path.read_bytes()))
-    np.testing.assert_allclose(load_result(path).cases["best"].phasors, result.cases["best"].phasors, rtol=1e-14)
+    np.testing.assert_allclose(load_result(path).cases["best"].phasors, full_result.cases["best"].phasors, rtol=1e-14)
 
 
-def test_other_programs_find_the_documented_names_and_units(result, tmp_path):
+def test_other_programs_find_the_documented_names_and_units(full_result, tmp_path):
     units = {}
 
     def visit(name, item):
@@ -99,9 +99,9 @@ def test_other_programs_find_the_documented_names_and_units(result, tmp_path):
             assert item.attrs["long_name"], name
             units[name] = item.attrs["units"]
 
-    with h5py.File(save_result(result, tmp_path / "run.h5")) as file:
+    with h5py.File(save_result(full_result, tmp_path / "run.h5")) as file:
         file.visititems(visit)
-        best = result.cases["best"]
+        best = full_result.cases["best"]
         for name, expected in {
             "x": np.linspace(0, 0.2, 27), "y": np.linspace(0, 0.2, 27), "cases/best/magnitude": best.magnitude,
             "cases/best/phase": best.phase, "cases/best/energy": list(best.energy.values()),
@@ -113,7 +113,7 @@ def test_other_programs_find_the_documented_names_and_units(result, tmp_path):
         shares = [[best.energy[f"target {name}"] / best.energy["plate"] for name in ("a", "bc")]]
         np.testing.assert_allclose(file["crosstalk"][:1], shares)
         assert json.loads(file["crosstalk"].attrs["targets"]) == ["a", "bc"]
-        assert (file.attrs["interrupted"], file.attrs["title"]) == (1, result.scene.title)
+        assert (file.attrs["interrupted"], file.attrs["title"]) == (1, full_result.scene.title)
         assert {"lost", "versions", "accuracy", "bound_kind", "node_steps", "format"} <= set(file.attrs)
     expected = {
         "x": "m", "times": "s", "trace_times": "s", "localization_factor/bound": "1", "peak_displacement": "m",
@@ -133,7 +133,7 @@ def test_the_phase_lag_is_positive_and_zero_for_an_idle_actuator():
     assert np.isnan(case.localization_factor)
 
 
-def refused(path, change):
+def refusal_after(path, change):
     """Change a file, seal it again and return the one line with which it is refused."""
     with h5py.File(path, "r+") as file:
         change(file)
@@ -174,9 +174,9 @@ def replace_member(parent, name, value):
         *((name, h5py.ExternalLink("secret.h5", "data"), f"{name} is a link") for name in LINKED),
     ],
 )  # fmt: skip
-def test_wrong_datasets_are_refused_by_name(result, tmp_path, name, values, words):
-    path = save_result(result, tmp_path / "run.h5")
-    assert words in refused(path, lambda file: replace_member(file, name, values))
+def test_wrong_datasets_are_refused_by_name(full_result, tmp_path, name, values, words):
+    path = save_result(full_result, tmp_path / "run.h5")
+    assert words in refusal_after(path, lambda file: replace_member(file, name, values))
 
 
 @pytest.mark.parametrize(
@@ -187,6 +187,8 @@ def test_wrong_datasets_are_refused_by_name(result, tmp_path, name, values, word
         ("effects", 3), ("seconds", '{"a": "1"}'), ("seconds", "[" * 10**5), ("format", "warp-plate result 3"),
     ],
 )  # fmt: skip
-def test_wrong_attributes_are_refused_in_one_line(result, tmp_path, name, value):
-    line = refused(save_result(result, tmp_path / "run.h5"), lambda file: replace_member(file.attrs, name, value))
+def test_wrong_attributes_are_refused_in_one_line(full_result, tmp_path, name, value):
+    line = refusal_after(
+        save_result(full_result, tmp_path / "run.h5"), lambda file: replace_member(file.attrs, name, value)
+    )
     assert f" {name} " in line or "its scene" in line or "damaged" in line

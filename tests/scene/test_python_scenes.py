@@ -7,7 +7,7 @@ from warp_plate import Actuator, Drive, Grid, Plate, Scene, SceneError, Target, 
 GLASS = {"thickness": 0.7e-3, "young_modulus": 72e9, "poisson_ratio": 0.22, "density": 2480}
 
 
-def panel(**tables):
+def glass_panel(**tables):
     plate = Plate(size=(0.2, 0.12), **GLASS)
     actuators = [Actuator(name=f"a{k}", area=(0.03 * k + 0.02, 0.03 * k + 0.03, 0.02, 0.04)) for k in range(6)]
     tables = {"drive": Drive(frequency=300), "target": Target(disc=(0.1, 0.06, 0.015)), **tables}
@@ -15,12 +15,12 @@ def panel(**tables):
 
 
 def test_scene_of_tables_is_that_of_its_text():
-    assert Scene.parse(panel().to_toml(), "") == panel()
+    assert Scene.parse(glass_panel().to_toml(), "") == glass_panel()
 
 
 def test_repr_is_a_short_line():
-    assert repr(panel(title="glass")) == str(panel(title="glass"))
-    assert repr(panel(title="glass")) == "<Scene 'glass', 200 × 120 × 0.7 mm, 6 actuators, 300 Hz>"
+    assert repr(glass_panel(title="glass")) == str(glass_panel(title="glass"))
+    assert repr(glass_panel(title="glass")) == "<Scene 'glass', 200 × 120 × 0.7 mm, 6 actuators, 300 Hz>"
 
 
 def test_wrong_value_of_a_table_is_one_line():
@@ -35,19 +35,19 @@ def test_wrong_key_of_a_table_suggests_the_right_one():
 
 def test_wrong_table_inside_a_scene_is_named_in_full():
     with pytest.raises(SceneError, match=r"^drive\.frequency = -1: must be greater than 0$"):
-        panel(drive={"frequency": -1})
+        glass_panel(drive={"frequency": -1})
 
 
 def test_tables_that_do_not_fit_together_are_one_line():
     with pytest.raises(SceneError, match=r"^target.* plate"):
-        panel(target=Target(disc=(0.5, 0.06, 0.015)))
+        glass_panel(target=Target(disc=(0.5, 0.06, 0.015)))
 
 
 def test_replace_changes_one_key():
-    changed = panel().replace("drive.frequency", 310)
+    changed = glass_panel().replace("drive.frequency", 310)
     assert changed.drive.frequency == 310
-    assert changed == panel(drive=Drive(frequency=310))
-    assert panel().replace("actuators.a2.phase", 1.5).actuators[2].phase == 1.5
+    assert changed == glass_panel(drive=Drive(frequency=310))
+    assert glass_panel().replace("actuators.a2.phase", 1.5).actuators[2].phase == 1.5
 
 
 @pytest.mark.parametrize(
@@ -60,11 +60,11 @@ def test_replace_changes_one_key():
 )
 def test_replace_names_what_is_wrong(key, value, why):
     with pytest.raises(SceneError, match=why):
-        panel().replace(key, value)
+        glass_panel().replace(key, value)
 
 
 def test_functions_take_scenes_and_files(tmp_path):
-    small = panel(grid=Grid(nodes=(11, 9)), window={"start": 0.001, "end": 0.002})
+    small = glass_panel(grid=Grid(nodes=(11, 9)), window={"start": 0.001, "end": 0.002})
     file = tmp_path / "panel.toml"
     file.write_text(small.to_toml(), encoding="utf-8")
     assert check(small, "cpu") == check(file, "cpu") == check(str(file), "cpu")

@@ -17,13 +17,13 @@ PARTS = st.just(0.0) | SIZES | SIZES.map(lambda size: -size)
 
 
 @pytest.fixture(scope="module")
-def solver():
+def short_solver():
     return PlateSolver(scene_of(damping=88.5, precision="float32", window=(0.002, 0.006)), "cpu")
 
 
-def refused(solver, *arguments, **options):
+def refuse(short_solver, *arguments, **options):
     with pytest.raises(SceneError) as caught:
-        solver.run(*arguments, **options)
+        short_solver.run(*arguments, **options)
     assert str(caught.value).isprintable()
     return str(caught.value)
 
@@ -36,11 +36,11 @@ def refused(solver, *arguments, **options):
     ),
     good=st.lists(st.tuples(*[PARTS] * ACTUATORS), min_size=1, max_size=4),
 )  # fmt: skip
-def test_a_bad_drive_harms_no_other(solver, drives, good):
+def test_a_bad_drive_harms_no_other(short_solver, drives, good):
     """Good drives give the same bits as alone whatever stands beside them; every bad one is reported."""
     good = np.array(good)
-    alone = solver.run(good, (0.004,))
-    mixed = solver.run(np.concatenate([drives, good, drives]), (0.004,))
+    alone = short_solver.run(good, (0.004,))
+    mixed = short_solver.run(np.concatenate([drives, good, drives]), (0.004,))
     middle = slice(len(drives), len(drives) + len(good))
     np.testing.assert_array_equal(mixed.energy[middle], alone.energy)
     np.testing.assert_array_equal(mixed.displacement[middle], alone.displacement)
@@ -57,36 +57,36 @@ def test_a_bad_drive_harms_no_other(solver, drives, good):
     assert set(faults[~bad & ~near]) <= {"ok"}
 
 
-def test_values_that_are_no_drives_are_refused(solver):
+def test_values_that_are_no_drives_are_refused(short_solver):
     for shape in ((), (3,), (0, 0), (2, 4), (1, 1, 3), (2, 3, 1, 1)):
-        assert "drives: shape" in refused(solver, np.zeros(shape))
+        assert "drives: shape" in refuse(short_solver, np.zeros(shape))
     for drives in (
         None, "abc", {1: 2}, [[1, None, 2]], [[1, 2, 3], [1, 2]], [[10**400, 1, 1]], iter([[1, 2, 3]]),
         np.ma.masked_array([[1.0, 2, 3]], mask=[[0, 1, 0]]), ([[1, 2, 3]], [[0, 0]]), ([[1j, 1, 1]], [[0, 0, 0]]),
         ([[1, 2, 3]], [[0, 0, 0]], [[0, 0, 0]]), np.array([["2026-01-01"] * 3], "M8[D]"), np.array([[b"1"] * 3]),
     ):  # fmt: skip
-        assert refused(solver, drives).startswith("drives: ")
+        assert refuse(short_solver, drives).startswith("drives: ")
 
 
-def test_magnitudes_and_phases(solver):
+def test_magnitudes_and_phases(short_solver):
     """Pairs Z = magnitude · exp(−i·phase) of numbers; those that are not finite are reported."""
     magnitude, phase = np.random.default_rng(0).uniform(-2, 2, (2, 4, 3))
-    expected = solver.run(magnitude * np.exp(-1j * phase)).energy
-    np.testing.assert_array_equal(solver.run((magnitude, phase)).energy, expected)
+    expected = short_solver.run(magnitude * np.exp(-1j * phase)).energy
+    np.testing.assert_array_equal(short_solver.run((magnitude, phase)).energy, expected)
     for magnitude, phase in ([[np.inf, 1, 1]], 0.0), ([[1, 1, 1]], np.nan), ([[1, 1, 1]], [[0, np.inf, 0]]):
-        assert not solver.run((np.array(magnitude), np.array(phase))).finite.any()
+        assert not short_solver.run((np.array(magnitude), np.array(phase))).finite.any()
 
 
-def test_numbers_of_every_kind_are_accepted(solver):
-    expected = solver.run([[1.0, 0.0, 1.0]]).energy
+def test_numbers_of_every_kind_are_accepted(short_solver):
+    expected = short_solver.run([[1.0, 0.0, 1.0]]).energy
     for dtype in ("f2", "f4", "f8", "i1", "u8", "c8", "c16", "?"):
-        np.testing.assert_array_equal(solver.run(np.array([[1, 0, 1]], dtype=dtype)).energy, expected)
+        np.testing.assert_array_equal(short_solver.run(np.array([[1, 0, 1]], dtype=dtype)).energy, expected)
 
 
-def test_bad_times_and_points_are_refused(solver):
+def test_bad_times_and_points_are_refused(short_solver):
     for times in 5, ("a",), ((0.001, 0.002),), (np.inf,), (None,), (0.004, -0.001), (0.007,):
-        assert refused(solver, [[1, 1, 1]], times=times).startswith("times")
+        assert refuse(short_solver, [[1, 1, 1]], times=times).startswith("times")
     for points in (
         (5,), ((0.1,),), ((0.1, 0.1, 0.1),), (("a", "b"),), ((np.nan, 0.1),), ((0.1, 0.1), (0.21, 0.1)), ((0.1, -0.01),)
     ):  # fmt: skip
-        assert refused(solver, [[1, 1, 1]], points=points).startswith("points")
+        assert refuse(short_solver, [[1, 1, 1]], points=points).startswith("points")

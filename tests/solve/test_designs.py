@@ -219,7 +219,7 @@ def test_per_plate_of_a_search(scene):
     assert per_plate_of(searched) == PerPlate(frequency=True, delay=True, centre=True, per_actuator=True, areas=areas)
 
 
-def refused(message, call, *arguments, **options):
+def refuses(message, call, *arguments, **options):
     with pytest.raises(SceneError, match=message):
         call(*arguments, **options)
 
@@ -230,10 +230,10 @@ def test_bad_designs_are_refused(burst_scene, draw):
     plain = PlateSolver(made, "cpu", quantity="displacement")
     kept = PerPlate(centre=True, areas=tuple(actuator.area for actuator in made.actuators))
     centres = Designs(designs.drives, centre=designs.centre)
-    refused(r"designs\.frequency.*PerPlate\(frequency=True\)", plain.run, designs)
-    refused("times, points", plain.run, designs.drives, times=(0.0,))
-    refused("designs.centre: shape", solver.run, Designs(designs.drives, centre=designs.centre[:2]))
-    refused("'0' on plate 0", PlateSolver(made, "cpu", per_plate=kept).run, centres)
+    refuses(r"designs\.frequency.*PerPlate\(frequency=True\)", plain.run, designs)
+    refuses("times, points", plain.run, designs.drives, times=(0.0,))
+    refuses("designs.centre: shape", solver.run, Designs(designs.drives, centre=designs.centre[:2]))
+    refuses("'0' on plate 0", PlateSolver(made, "cpu", per_plate=kept).run, centres)
     for name, value, message in (
         ("centre", (0.001, 0.08), "must be a place"),
         ("centre", np.nan, "must be a place"),
@@ -244,17 +244,17 @@ def test_bad_designs_are_refused(burst_scene, draw):
     ):
         values = getattr(designs, name).copy()
         values[2, 1] = value
-        refused(f"'1' on plate 2; {message}", solver.run, Designs(designs.drives, **{name: values}))
+        refuses(f"'1' on plate 2; {message}", solver.run, Designs(designs.drives, **{name: values}))
 
 
 def test_bad_solvers_are_refused(scene):
     def solver(per_plate=None, quantity="velocity", **tables):
         PlateSolver(scene((9, 9), **tables), "cpu", per_plate=per_plate or PerPlate(), quantity=quantity)
 
-    refused("grid.load", solver, PerPlate(centre=True), load="nodes")
-    refused("drive.burst", solver, PerPlate(delay=True))
-    refused("drive.signal", solver, PerPlate(frequency=True), drive={"frequency": 290.0, "signal": {"file": "a.wav"}})
-    refused("per_plate.areas", solver, PerPlate(centre=True, areas=((0.0, 0.2, 0.0, 0.2),)))
-    refused("quantity = 'speed'", solver, quantity="speed")
-    refused("effects.stretching", solver, quantity="displacement", effects={"stretching": {}})
-    refused("grid.order = 4", solver, PerPlate(frequency=True, per_actuator=True), order=4)
+    refuses("grid.load", solver, PerPlate(centre=True), load="nodes")
+    refuses("drive.burst", solver, PerPlate(delay=True))
+    refuses("drive.signal", solver, PerPlate(frequency=True), drive={"frequency": 290.0, "signal": {"file": "a.wav"}})
+    refuses("per_plate.areas", solver, PerPlate(centre=True, areas=((0.0, 0.2, 0.0, 0.2),)))
+    refuses("quantity = 'speed'", solver, quantity="speed")
+    refuses("effects.stretching", solver, quantity="displacement", effects={"stretching": {}})
+    refuses("grid.order = 4", solver, PerPlate(frequency=True, per_actuator=True), order=4)

@@ -20,8 +20,6 @@ SCENES = {
 }
 
 
-
-
 @pytest.mark.parametrize(("name", "evaluator"), [("fourth order", "direct"), ("effects", "response")])
 def test_on_any_number_of_threads_in_pieces_of_any_size(name, evaluator, device, path, scene, monkeypatch):
     made, found = scene(**SCENES[name], **SEARCH), set()

@@ -21,49 +21,49 @@ FREQUENCY = 290.0
 
 
 @pytest.fixture(scope="module")
-def solver():
+def settled_solver():
     """A plate damped so strongly that its transient is over long before the end of the window."""
     return PlateSolver(scene_of(damping=130.0, window=(0.06, 0.1), frequency=FREQUENCY), "cpu")
 
 
-def test_transfer_functions_agree_with_traces(solver, phasors):
+def test_transfer_functions_agree_with_traces(settled_solver, phasors):
     """u(t) = Re(Σ H_k Z_k exp(iωt)) at a node, over the last whole periods."""
-    transfer, drive = transfer_functions(solver), phasors(1, 3)
+    transfer, drive = transfer_functions(settled_solver), phasors(1, 3)
     ny, nx = transfer.shape[1:]
-    width, height = solver.scene.plate.size
+    width, height = settled_solver.scene.plate.size
     column, row = 4, 7
     point = (width * column / (nx - 1), height * row / (ny - 1))
-    run = solver.run(drive, points=[point])
+    run = settled_solver.run(drive, points=[point])
     late = run.trace_times > 0.1 - 4 / FREQUENCY
     steady = transfer[:, row, column] @ drive[0] * np.exp(2j * np.pi * FREQUENCY * run.trace_times[late])
     scale = np.abs(run.trace).max()
     np.testing.assert_allclose(run.trace[0, 0, late], steady.real, atol=2e-3 * scale)
 
 
-def test_time_reversal_moves_the_middle_of_the_target_most(solver):
+def test_time_reversal_moves_the_middle_of_the_target_most(settled_solver):
     """No drive of the same power moves that point more: the Cauchy-Schwarz inequality becomes an equality."""
-    transfer = transfer_functions(solver)
+    transfer = transfer_functions(settled_solver)
     ny, nx = transfer.shape[1:]
     # The target is the lower left quarter, and its middle the node a quarter of the way along both sides.
-    middle, drive = transfer[:, (ny - 1) // 4, (nx - 1) // 4], time_reversal(solver, transfer)
+    middle, drive = transfer[:, (ny - 1) // 4, (nx - 1) // 4], time_reversal(settled_solver, transfer)
     assert abs(middle @ drive) == pytest.approx(np.linalg.norm(middle) * np.linalg.norm(drive), rel=1e-9)
     assert np.abs(drive).max() == pytest.approx(1)
 
 
-def test_inverse_filter_solves_the_normal_equations(solver):
+def test_inverse_filter_solves_the_normal_equations(settled_solver):
     """Minimiser of Σ W|HZ − b|² + λΣ|Z|²."""
-    transfer, weights = transfer_functions(solver), region_weights(solver.scene)
+    transfer, weights = transfer_functions(settled_solver), region_weights(settled_solver.scene)
     plate, target = (weights[REGIONS.index(name)].ravel() for name in ("plate", "target"))
     field = transfer.reshape(3, -1).T
     largest = np.linalg.svd(field * np.sqrt(plate)[:, None], compute_uv=False)[0]
     normal = field.conj().T @ (plate[:, None] * field) + (REGULARISATION * largest) ** 2 * np.eye(3)
     solution = np.linalg.solve(normal, field.conj().T @ target)
-    np.testing.assert_allclose(inverse_filter(solver, transfer), solution / np.abs(solution).max(), rtol=1e-9)
+    np.testing.assert_allclose(inverse_filter(settled_solver, transfer), solution / np.abs(solution).max(), rtol=1e-9)
 
 
-def test_a_common_frequency_of_all_actuators_overrides_that_of_the_drive(solver):
-    made, reference = solver.scene, transfer_functions(solver)
-    grid = made.grid.model_dump() | {"time_step": solver.specialized.scheme.time_step}
+def test_a_common_frequency_of_all_actuators_overrides_that_of_the_drive(settled_solver):
+    made, reference = settled_solver.scene, transfer_functions(settled_solver)
+    grid = made.grid.model_dump() | {"time_step": settled_solver.specialized.scheme.time_step}
     actuators = [actuator.model_dump() | {"frequency": FREQUENCY} for actuator in made.actuators]
     named = made.with_tables(drive={"frequency": 100.0}, actuators=actuators, grid=grid)
     other = transfer_functions(PlateSolver(named, "cpu"))

@@ -31,7 +31,7 @@ MIXED = {
 
 
 @pytest.fixture
-def supported(scene):
+def driven_panel(scene):
     """A damped supported panel with unequal phasors."""
     made = scene(size=(0.2, 0.16), edges=SUPPORTED, damping=20.0)
     rows = zip(made.actuators, (1.0, 0.4, 2.0), (0.0, 1.0, -2.0), strict=True)
@@ -59,43 +59,43 @@ def unit_pressures(scene, actuator, terms):
     return patch_pressures(scene, np.eye(len(scene.actuators))[actuator], terms)
 
 
-def test_receptance_is_that_of_the_sine_series(supported):
+def test_receptance_is_that_of_the_sine_series(driven_panel):
     """Also of a point force, whose series converges slowly, 4/ab sin sin the modal pressures."""
-    found = frf(supported, ["1", (0.11, 0.04)], POINTS, (20, 400), "receptance")
+    found = frf(driven_panel, ["1", (0.11, 0.04)], POINTS, (20, 400), "receptance")
     assert found.inputs == ("1", "0.11,0.04")
     assert found.unit == "m/N"
     chosen = slice(None, None, 25)
-    x0, x1, y0, y1 = supported.actuators[1].area
-    patch = unit_pressures(supported, 1, 90) / ((x1 - x0) * (y1 - y0))
-    (width, height), orders = supported.plate.size, np.arange(1, 301) * math.pi
+    x0, x1, y0, y1 = driven_panel.actuators[1].area
+    patch = unit_pressures(driven_panel, 1, 90) / ((x1 - x0) * (y1 - y0))
+    (width, height), orders = driven_panel.plate.size, np.arange(1, 301) * math.pi
     point = 4 / (width * height) * np.outer(np.sin(orders * 0.04 / height), np.sin(orders * 0.11 / width))
     for index, (pressures, tolerance) in enumerate([(patch, 1e-5), (point, 1e-3)]):
-        amplitudes = modal_sums(supported, found.frequencies[chosen], pressures)
-        exact = np.stack([at(supported, amplitudes, place) for place in POINTS])
+        amplitudes = modal_sums(driven_panel, found.frequencies[chosen], pressures)
+        exact = np.stack([at(driven_panel, amplitudes, place) for place in POINTS])
         got = found.responses[2 * index : 2 * index + 2, chosen]
         np.testing.assert_allclose(got, exact, atol=tolerance * np.abs(exact).max(), rtol=10 * tolerance)
 
 
-def test_localization_bound_and_velocity_are_those_of_the_sine_series(supported):
+def test_localization_bound_and_velocity_are_those_of_the_sine_series(driven_panel):
     """Sines have the mean square 1/4 over the plate; over the target, a quarter, Gauss's rule gives their products."""
-    found, terms = frf(supported, frequency_range=(20, 400)), 60
+    found, terms = frf(driven_panel, frequency_range=(20, 400)), 60
     chosen = slice(3, None, 40)
     omega = 2 * math.pi * found.frequencies[chosen]
     amplitudes = np.stack(
-        [modal_sums(supported, found.frequencies[chosen], unit_pressures(supported, k, terms)) for k in range(3)]
+        [modal_sums(driven_panel, found.frequencies[chosen], unit_pressures(driven_panel, k, terms)) for k in range(3)]
     )
     nodes, weights = legendre.leggauss(150)
     sines = np.sin(np.outer(np.arange(1, terms + 1) * math.pi, (nodes + 1) / 4))
     overlap = (sines * weights / 4) @ sines.T  # over half a side, of a length of one
     target = np.einsum("kfnm,np,mq,lfpq->fkl", amplitudes.conj(), overlap, overlap, amplitudes, optimize=True)
     plate = np.einsum("kfnm,lfnm->fkl", amplitudes.conj(), amplitudes) / 4
-    drive = scene_phasors(supported)
+    drive = scene_phasors(driven_panel)
     share, whole = (np.einsum("k,fkl,l->f", drive.conj(), gram, drive).real for gram in (target, plate))
     np.testing.assert_allclose(found.localization_factor[chosen], share / whole, rtol=1e-4)
     largest = [scipy.linalg.eigh(a, b, eigvals_only=True)[-1] for a, b in zip(target, plate, strict=True)]
     np.testing.assert_allclose(found.bound[chosen], largest, rtol=1e-4)
     assert (found.localization_factor <= found.bound + 1e-12).all()
-    areas = [(x1 - x0) * (y1 - y0) for x0, x1, y0, y1 in (actuator.area for actuator in supported.actuators)]
+    areas = [(x1 - x0) * (y1 - y0) for x0, x1, y0, y1 in (actuator.area for actuator in driven_panel.actuators)]
     for index, area in enumerate(areas):
         velocity = omega**2 * plate[:, index, index].real / area**2 / 2
         np.testing.assert_allclose(found.mean_square_velocity[index, chosen], velocity, rtol=1e-4)
@@ -116,10 +116,10 @@ def test_reciprocity_of_a_plate_with_coupled_modes(scene):
     np.testing.assert_allclose(found.responses[:, chosen].T, exact.reshape(-1, 4), rtol=1e-5)
 
 
-def test_quantities_are_derivatives(supported):
+def test_quantities_are_derivatives(driven_panel):
     """Mobility = iω receptance, accelerance = iω mobility."""
     receptance, mobility, accelerance = (
-        frf(supported, ["0"], POINTS, (20, 60), quantity) for quantity in ("receptance", "mobility", "accelerance")
+        frf(driven_panel, ["0"], POINTS, (20, 60), quantity) for quantity in ("receptance", "mobility", "accelerance")
     )
     turn = 2j * math.pi * receptance.frequencies
     np.testing.assert_allclose(mobility.responses, turn * receptance.responses, rtol=1e-12)

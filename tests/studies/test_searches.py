@@ -37,7 +37,7 @@ SEARCHES = {
 TITLES = {"frequency": "frequency (Hz)", "position": "x (m)", "delay": "burst from (s)"}
 
 
-def searched(name, particles=6, iterations=5, precision="float32", **tables):
+def small_search(name, particles=6, iterations=5, precision="float32", **tables):
     search = {**SEARCHES[name], "particles": particles, "iterations": iterations, "seed": 2}
     drive = {"drive": BURST} if "delay" in search else {}
     return scene_of(
@@ -49,7 +49,7 @@ def searched(name, particles=6, iterations=5, precision="float32", **tables):
 def test_the_scene_found_simulates_to_the_result(name, tmp_path):
     """The best of the search, its case, its scene and the file of the result agree; the spectrum of a common frequency
     covers the range and bounds what the search finds."""
-    result = localize(searched(name), device="cpu", estimate=False)
+    result = localize(small_search(name), device="cpu", estimate=False)
     best, spectrum = result.cases["best"], result.spectrum
     # Kernels differ between a batch of plates with parameters of their own and a scene of its own.
     assert best.localization_factor == pytest.approx(result.history["best"][-1], abs=2e-5)
@@ -77,7 +77,7 @@ def test_the_scene_found_simulates_to_the_result(name, tmp_path):
     ("name", "method"), [("all", "pso"), ("phase", "ring"), ("phase", "constriction"), ("phase", "gradient")]
 )
 def test_an_interrupted_search_resumes_bit_identically(name, method, tmp_path):
-    scene = searched(name)
+    scene = small_search(name)
     scene = scene.with_tables(search={**scene.search.model_dump(), "method": method})
     _, checkpoint = interrupted_search(tmp_path, scene, device="cpu", after=2)
     assert_same_results(
@@ -86,7 +86,7 @@ def test_an_interrupted_search_resumes_bit_identically(name, method, tmp_path):
 
 
 def test_history_holds_the_weighted_sum_of_other_objectives():
-    scene = searched("magnitude")
+    scene = small_search("magnitude")
     objectives = [{"kind": "velocity", "weight": 1e3}, {"kind": "displacement", "weight": 1e5}]
     scene = scene.with_tables(search={**scene.search.model_dump(), "objectives": objectives})
     direct, by_matrices = (
@@ -99,9 +99,9 @@ def test_history_holds_the_weighted_sum_of_other_objectives():
 
 
 @pytest.fixture
-def panel(write_scene):
+def frequency_search(write_scene):
     """A search for a frequency and a position, in a file of the working folder."""
-    scene = searched("frequency")
+    scene = small_search("frequency")
     search = scene.search.model_dump() | {"position": {"actuators": ["0"]}, "method": "constriction", "inertia": 0.3}
     return write_scene(scene.with_tables(title="panel", search=search))
 
@@ -109,7 +109,7 @@ def panel(write_scene):
 QUICK = ("--device", "cpu", "--no-estimate", "--no-pictures")
 
 
-def test_the_command_writes_the_scene_that_it_found(panel, command):
+def test_the_command_writes_the_scene_that_it_found(frequency_search, command):
     record = json.loads(command("localize", "panel.toml", *QUICK, "--json")[1])
     assert record["files"] == ["panel-localize.h5", "panel-localize.best.toml"]
     assert {"magnitude", "phase"} <= record["drive"][0].keys()
@@ -129,8 +129,8 @@ def test_the_command_writes_the_scene_that_it_found(panel, command):
     assert not load_result("panel-localize.h5").spectrum
 
 
-def test_motions_and_signals_use_the_frequency_and_positions_of_a_case(panel):
-    result = localize(panel, device="cpu", estimate=False, spectrum=False)
+def test_motions_and_signals_use_the_frequency_and_positions_of_a_case(frequency_search):
+    result = localize(frequency_search, device="cpu", estimate=False, spectrum=False)
     best = result.cases["best"]
     equal, found = motions(result.scene, {name: result.cases[name] for name in ("equal", "best")}, device="cpu")
     assert (equal.frequency, equal.scene) == (290, None)
@@ -161,7 +161,7 @@ def best_of_all_phases(response):
 def test_the_spectrum_equals_scenes_of_one_frequency_each():
     """Equal drive, best single actuator and best drive, from Gram matrices of a scene of that frequency; the best of
     equal magnitudes by trying phases."""
-    scene = searched("frequency", precision="float64")
+    scene = small_search("frequency", precision="float64")
     frequencies = np.array([150.0, 290.0])
     found = factors_over(scene, frequencies, device="cpu")
     table = {"frequency": {"range": [100.0, 300.0]}}
@@ -185,7 +185,7 @@ def test_the_spectrum_equals_scenes_of_one_frequency_each():
 
 def test_resonances_are_the_natural_frequencies_in_the_range():
     """Those of a supported plate are (π/2)√(D/ρH)(m²/a² + n²/b²)."""
-    scene = searched("frequency", size=(0.26, 0.2), edges=("supported",) * 4)
+    scene = small_search("frequency", size=(0.26, 0.2), edges=("supported",) * 4)
     plate, waves = scene.plate, np.arange(1, 12)
     squares = (waves / plate.size[0]) ** 2 + (waves[:, None] / plate.size[1]) ** 2
     frequencies = np.sort(math.pi / 2 * math.sqrt(plate.rigidity / plate.density / plate.thickness) * squares.ravel())

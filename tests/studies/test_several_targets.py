@@ -26,7 +26,7 @@ TARGETS = (
 SEARCH = {"particles": 8, "iterations": 9, "seed": 3}
 
 
-def panel(**tables):
+def panel_of_targets(**tables):
     """A small scene with three targets."""
     made = scene_of(damping=88.5, precision="float32", **{"search": SEARCH, **tables})
     return single_target(made, 0).with_tables(targets=TARGETS)
@@ -39,37 +39,37 @@ def single_target(scene, index):
 
 
 @pytest.fixture(scope="module")
-def found():
+def whole():
     """The result of an uninterrupted search."""
-    return localize(panel(), source="mine", device="cpu", estimate=False)
+    return localize(panel_of_targets(), source="mine", device="cpu", estimate=False)
 
 
-def test_each_search_equals_that_of_a_single_target(found):
+def test_each_search_equals_that_of_a_single_target(whole):
     """Bit-identical drives, displacements, bounds and histories."""
-    scene = panel()
-    assert list(found.cases) == ["equal", "single", "best", "best left", "best three corners"]
-    assert (found.evaluations, found.bound, found.scene.target) == (216, found.target_searches[0].bound, scene.target)
+    scene = panel_of_targets()
+    assert list(whole.cases) == ["equal", "single", "best", "best left", "best three corners"]
+    assert (whole.evaluations, whole.bound, whole.scene.target) == (216, whole.target_searches[0].bound, scene.target)
     # Gram matrices once; for each target single actuators, the swarm and three cases.
-    assert found.node_steps == 11 * 11 * make_scheme(found.scene).steps * (21 + 3 * (3 + 72 + 3))
+    assert whole.node_steps == 11 * 11 * make_scheme(whole.scene).steps * (21 + 3 * (3 + 72 + 3))
     for index, case in enumerate(target_cases(scene).values()):
         single = localize(single_target(scene, index), source="mine", device="cpu", estimate=False)
-        search, best = found.target_searches[index], single.cases["best"]
-        np.testing.assert_array_equal(found.cases[case].phasors, best.phasors)
-        np.testing.assert_array_equal(found.cases[case].displacement, best.displacement)
-        assert found.cases[case].localization_factor == best.localization_factor
+        search, best = whole.target_searches[index], single.cases["best"]
+        np.testing.assert_array_equal(whole.cases[case].phasors, best.phasors)
+        np.testing.assert_array_equal(whole.cases[case].displacement, best.displacement)
+        assert whole.cases[case].localization_factor == best.localization_factor
         assert search.bound == single.bound
         np.testing.assert_equal(search.history, single.history)
 
 
-def test_crosstalk_is_the_share_of_each_target_under_each_drive(found):
+def test_crosstalk_is_the_share_of_each_target_under_each_drive(whole):
     """Compared with one run of all three drives in float64, with the targets as regions."""
-    shares = crosstalk(found)
-    scene = found.scene.with_tables(grid={**found.scene.grid.model_dump(), "precision": "float64"})
-    phasors = np.array([found.cases[case].phasors for case in target_cases(scene).values()])
+    shares = crosstalk(whole)
+    scene = whole.scene.with_tables(grid={**whole.scene.grid.model_dump(), "precision": "float64"})
+    phasors = np.array([whole.cases[case].phasors for case in target_cases(scene).values()])
     run = PlateSolver(scene, "cpu", areas=target_regions(scene)).run(phasors)
     np.testing.assert_allclose(shares, run.energy[:, 2:] / run.energy[:, :1], rtol=1e-4)
     for row, case in enumerate(target_cases(scene).values()):
-        assert shares[row, row] == found.cases[case].localization_factor
+        assert shares[row, row] == whole.cases[case].localization_factor
     np.testing.assert_allclose(relative_to_own(shares), 10 * np.log10(shares / np.diag(shares)[:, None]), atol=1e-12)
 
 
@@ -79,7 +79,7 @@ def test_gram_matrices_are_measured_once(kind, measured, monkeypatch):
     measure, calls = plates.measure_response, []
     monkeypatch.setattr(plates, "measure_response", lambda *given: calls.append(1) or measure(*given))
     limits = {"magnitude": 2.0} if kind == "displacement" else {}
-    scene = panel(search={**SEARCH, "objectives": [{"kind": kind}], "limits": limits}, nodes=(17, 17))
+    scene = panel_of_targets(search={**SEARCH, "objectives": [{"kind": kind}], "limits": limits}, nodes=(17, 17))
     several = localize(scene, source="mine", device="cpu", evaluator="response", estimate=False)
     assert len(calls) == measured
     single = localize(single_target(scene, 2), source="mine", device="cpu", evaluator="response", estimate=False)
@@ -87,30 +87,30 @@ def test_gram_matrices_are_measured_once(kind, measured, monkeypatch):
 
 
 @pytest.mark.parametrize(("count", "index", "iterations"), [(9, 0, 9), (25, 2, 7)])
-def test_an_interrupted_search_resumes_bit_identically(count, index, iterations, found, tmp_path):
-    left, checkpoint = interrupted_search(tmp_path, panel(), device="cpu", after=count)
+def test_an_interrupted_search_resumes_bit_identically(count, index, iterations, whole, tmp_path):
+    left, checkpoint = interrupted_search(tmp_path, panel_of_targets(), device="cpu", after=count)
     assert len(left.target_searches) == index + 1
     shares = crosstalk(left)
     assert np.isfinite(shares[: index + 1]).all()
     assert np.isnan(shares[index + 1 :]).all()
     name = TARGETS[index]["name"]
     assert checkpoint.progress == f"{iterations} of 9 iterations of target {index + 1} of 3 ({name!r})"
-    assert_same_results(resume(checkpoint, estimate=False), found)
+    assert_same_results(resume(checkpoint, estimate=False), whole)
 
 
-def test_files_keep_the_searches(found, tmp_path):
-    again = load_result(save_result(found, tmp_path / "result.h5"))
+def test_files_keep_the_searches(whole, tmp_path):
+    again = load_result(save_result(whole, tmp_path / "result.h5"))
     np.testing.assert_equal([asdict(search) for search in again.target_searches],
-                            [asdict(search) for search in found.target_searches])  # fmt: skip
+                            [asdict(search) for search in whole.target_searches])  # fmt: skip
     with h5py.File(tmp_path / "result.h5") as file:
-        np.testing.assert_array_equal(file["crosstalk"][:], crosstalk(found))
+        np.testing.assert_array_equal(file["crosstalk"][:], crosstalk(whole))
         assert json.loads(file["crosstalk"].attrs["targets"]) == ["disc", "left", "three corners"]
     scenes = best_drive_scenes(again)
     assert list(scenes) == ["best", "best left", "best three corners"]
     for index, (case, scene) in enumerate(scenes.items()):
         assert scene.target == scene.targets[index].unnamed
         drive = simulate(scene, device="cpu", estimate=False).cases["drive"]
-        assert drive.localization_factor == pytest.approx(found.cases[case].localization_factor, rel=1e-4)
+        assert drive.localization_factor == pytest.approx(whole.cases[case].localization_factor, rel=1e-4)
 
 
 QUICK = ("panel.toml", "--device", "cpu", "--no-estimate", "--no-pictures")
@@ -118,7 +118,7 @@ QUICK = ("panel.toml", "--device", "cpu", "--no-estimate", "--no-pictures")
 
 def test_the_commands(command, write_scene):
     """Tables, a scene for each target, and JSON; simulate shows the energy of every target."""
-    write_scene(panel())
+    write_scene(panel_of_targets())
     out = output_of(command("localize", *QUICK, "--evaluator", "response"))
     assert "localization factor, target disc" in out
     assert [out.count(f"Drive found for {name}") for name in ("disc", "left", "three corners")] == [1, 1, 1]

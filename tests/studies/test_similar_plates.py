@@ -102,7 +102,7 @@ SIMILAR = {
 
 
 @pytest.fixture(scope="module", params=["auto", "modal"])
-def found(request):
+def path_and_factor(request):
     return request.param, factor_of(TABLES, request.param)
 
 
@@ -112,7 +112,7 @@ def factor_of(tables, path):
 
 
 @pytest.mark.parametrize("name", SIMILAR)
-def test_similar_plates_have_the_same_localization_factor(name, found):
-    path, factor = found
+def test_similar_plates_have_the_same_localization_factor(name, path_and_factor):
+    path, factor = path_and_factor
     assert 0.05 < factor < 0.95
     assert factor_of(SIMILAR[name](copy.deepcopy(TABLES)), path) == pytest.approx(factor, rel=1e-7)

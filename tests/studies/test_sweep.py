@@ -25,7 +25,7 @@ from warp_plate.studies.sweep_file import check_replaceable, resume_sweep, save_
 
 
 @pytest.fixture
-def plate():
+def swept_plate():
     """A small scene whose thickness may be too large for its time step."""
     return scene_of(damping=88.5, time_step=2e-4, search={"particles": 8, "iterations": 10})
 
@@ -35,13 +35,13 @@ def plan_of(scene, *vary, samples=None):
 
 
 @pytest.mark.parametrize("evaluator", ["modal", "direct"])
-def test_quantities_are_those_of_the_commands(plate, evaluator):
-    plan = plan_of(plate, "drive.frequency=250,290", "actuators[1].phase=1.5")
+def test_quantities_are_those_of_the_commands(swept_plate, evaluator):
+    plan = plan_of(swept_plate, "drive.frequency=250,290", "actuators[1].phase=1.5")
     by_modes = evaluator == "modal"
     found = {}
     for what, quantities in QUANTITIES.items():
         asked = evaluator if evaluator in quantities.evaluators else None
-        result = sweep(plate, plan, what, device="cpu", count=3, evaluator=asked, frequencies="100,250")
+        result = sweep(swept_plate, plan, what, device="cpu", count=3, evaluator=asked, frequencies="100,250")
         assert result.evaluator == asked or quantities.evaluators == (result.evaluator,)
         found[what] = result.values
     for point in (0, 1):
@@ -94,8 +94,8 @@ def test_what_no_eigenvector_answers_is_searched(tables, evaluator):
     assert found["bound"][0] == pytest.approx(expected, rel=1e-9, nan_ok=True)
 
 
-def test_refused_points_have_a_reason_and_others_run(plate):
-    found = sweep(plate, ["plate.thickness=5e-4,2e-3,0.1", "drive.frequency=250,290"], "check", device="cpu")
+def test_refused_points_have_a_reason_and_others_run(swept_plate):
+    found = sweep(swept_plate, ["plate.thickness=5e-4,2e-3,0.1", "drive.frequency=250,290"], "check", device="cpu")
     assert found.status.tolist() == [RUN, RUN, REFUSED, REFUSED, REFUSED, REFUSED]
     assert np.isfinite(found.shaped("limit")[0]).all()
     assert np.isnan(found.shaped("limit")[1:]).all()
@@ -103,41 +103,41 @@ def test_refused_points_have_a_reason_and_others_run(plate):
     assert "not thin" in found.reasons[4]
     assert found.refusal(2).startswith("at plate.thickness = 0.002, drive.frequency = 250: grid.time_step = 0.0002: ab")
     with pytest.raises(SceneError, match=r"all points are refused; grid\.order = 3: must be 2 or 4 \(and 1 point more"):
-        sweep(plate, ["grid.order=3,5"], "check", device="cpu")
+        sweep(swept_plate, ["grid.order=3,5"], "check", device="cpu")
 
 
-def test_keys_without_effect(plate):
+def test_keys_without_effect(swept_plate):
     for vary, samples, keys in (
         (["drive.frequency=200,300", "search.seed=1,2", "plate.density=1000"], None, ("search.seed",)),
         (["search.seed=1:9"], 3, ("search.seed",)),
         (["search.seed=1:9", "drive.frequency=200:300"], 3, ()),
     ):
-        assert sweep(plate, vary, "check", samples, device="cpu").keys_without_effect == keys
+        assert sweep(swept_plate, vary, "check", samples, device="cpu").keys_without_effect == keys
 
 
-def test_a_sweep_interrupted_anywhere_resumes_to_the_same(plate, tmp_path, random):
+def test_a_sweep_interrupted_anywhere_resumes_to_the_same(swept_plate, tmp_path, random):
     vary = ["plate.thickness=4e-4:2e-3:5", "drive.frequency=log:200:300:2"]
-    plan, file, described = plan_of(plate, *vary), tmp_path / "a.h5", []
+    plan, file, described = plan_of(swept_plate, *vary), tmp_path / "a.h5", []
 
     def on_progress(done, total, note):
         described.append(note)
         if random.random() < 0.4:
             raise KeyboardInterrupt
 
-    current = start_sweep(plate, plan, "modes", "cpu", count=2)
+    current = start_sweep(swept_plate, plan, "modes", "cpu", count=2)
     while not current.finished:
         kept = SweepFile(file, math.inf, resumes=file.exists())
         try:
             current = run_sweep(current, on_progress, kept)
         except KeyboardInterrupt:
             current = resume_sweep(load_sweep(file))
-    full, read = sweep(plate, plan, "modes", device="cpu", count=2), load_sweep(save_sweep(current, file))
+    full, read = sweep(swept_plate, plan, "modes", device="cpu", count=2), load_sweep(save_sweep(current, file))
     for name in ("values", "status", "reasons"):
         np.testing.assert_equal(getattr(read, name), getattr(full, name))
     assert len(described) == len(set(described)) == len(plan)  # no point is run twice
     assert read.plan.same(plan)
     assert read.plan.logarithmic == (False, True)
-    assert (read.scene, read.what, read.count, read.outputs) == (plate, "modes", 2, full.outputs)
+    assert (read.scene, read.what, read.count, read.outputs) == (swept_plate, "modes", 2, full.outputs)
 
 
 @pytest.mark.parametrize(
@@ -192,11 +192,11 @@ class Killing(InlinePool):
         return super().run(function, argument)
 
 
-def test_points_whose_workers_end_are_tried_again_and_then_given_up(plate, random, tmp_path):
+def test_points_whose_workers_end_are_tried_again_and_then_given_up(swept_plate, random, tmp_path):
     """The workers have the files that the scene names, which must not change before a sweep goes on."""
     path = tmp_path / "thick.csv"
     path.write_text("1.0,1.1\n", encoding="utf-8")
-    varied = plate.with_tables(effects={"variation": {"thickness": "thick.csv"}}).in_folder(tmp_path)
+    varied = swept_plate.with_tables(effects={"variation": {"thickness": "thick.csv"}}).in_folder(tmp_path)
     plan = plan_of(varied, "drive.frequency=200:300:6", "plate.thickness=5e-4,0.1")
     start, pool = start_sweep(varied, plan, "modes", "cpu"), Killing(random, 220.0)
     here, there = run_sweep(start), run_sweep(start, pool=pool)
@@ -226,9 +226,9 @@ class Away(InlinePool):
         return result._replace(device="cuda:0", worker={**result.worker, "processor": self.processor})
 
 
-def test_processors_of_workers_are_kept_and_not_mixed_silently(plate, tmp_path):
+def test_processors_of_workers_are_kept_and_not_mixed_silently(swept_plate, tmp_path):
     file, lines = tmp_path / "a.h5", []
-    start = start_sweep(plate, plan_of(plate, "drive.frequency=200:300:4"), "check")
+    start = start_sweep(swept_plate, plan_of(swept_plate, "drive.frequency=200:300:4"), "check")
     with pytest.raises(KeyboardInterrupt):
         run_sweep(start, stop_after(1), SweepFile(file, math.inf), Away())
     half = load_sweep(file)
@@ -250,7 +250,7 @@ def test_processors_of_workers_are_kept_and_not_mixed_silently(plate, tmp_path):
 
 
 @pytest.mark.parametrize("error", [RuntimeError("Failed to allocate 9 bytes\non device 'cuda:0'"), MemoryError("9")])
-def test_a_point_without_memory_is_given_up_and_others_run(plate, monkeypatch, error):
+def test_a_point_without_memory_is_given_up_and_others_run(swept_plate, monkeypatch, error):
     real = QUANTITIES["check"]
 
     def compute(scene, *options):
@@ -260,17 +260,17 @@ def test_a_point_without_memory_is_given_up_and_others_run(plate, monkeypatch, e
 
     monkeypatch.setitem(QUANTITIES, "check", replace(real, compute=compute))
     for pool, attempts in ((None, ""), (InlinePool(), f" after {ATTEMPTS} attempts")):
-        found = sweep(plate, ["drive.frequency=200:300:3"], "check", device="cpu", pool=pool)
+        found = sweep(swept_plate, ["drive.frequency=200:300:3"], "check", device="cpu", pool=pool)
         assert found.status.tolist() == [RUN, REFUSED, RUN]
         assert found.reasons == {1: f"given up{attempts}: out of memory ({' '.join(str(error).split())})"}
     error = RuntimeError("a fault of the program")
     with pytest.raises(RuntimeError, match="a fault of the program"):
-        sweep(plate, ["drive.frequency=200:300:3"], "check", device="cpu")
+        sweep(swept_plate, ["drive.frequency=200:300:3"], "check", device="cpu")
 
 
-def test_a_result_replaces_only_one_of_the_same_sweep(plate, tmp_path):
-    plan, path = plan_of(plate, "drive.frequency=200,300"), tmp_path / "a.h5"
-    found, unfinished = sweep(plate, plan, "check", device="cpu"), tmp_path / "a.checkpoint.h5"
+def test_a_result_replaces_only_one_of_the_same_sweep(swept_plate, tmp_path):
+    plan, path = plan_of(swept_plate, "drive.frequency=200,300"), tmp_path / "a.h5"
+    found, unfinished = sweep(swept_plate, plan, "check", device="cpu"), tmp_path / "a.checkpoint.h5"
     save_sweep(found, path)
     check_replaceable(path, replace(found, seconds=9.0, device="cuda:0"))
     with pytest.raises(SceneError, match="h5: holds a sweep of another scene; name another file by --out"):

@@ -15,16 +15,16 @@ SIZE = (0.23, 0.17)
 
 
 @pytest.fixture(scope="module")
-def result():
+def lossy_run():
     scene = scene_of(size=SIZE, effects={"loss_factor": {"eta": 0.05}}, grid={"modal_density": 0.5})
     return simulate(scene, estimate=False)
 
 
-def field_of(result, count=12, noise=0.0, random=None, scale=2.0):
+def field_of(lossy_run, count=12, noise=0.0, random=None, scale=2.0):
     """Return velocities of a result at count × count points, read off its own motion by the nodes next to them."""
-    (motion,) = motions(result.scene, {"drive": result.main_case})
+    (motion,) = motions(lossy_run.scene, {"drive": lossy_run.main_case})
     rows, columns = (np.unique(np.rint(np.linspace(1, n - 2, count)).astype(int)) for n in motion.rms_velocity.shape)
-    (nx, ny), (width, height) = result.scene.grid.nodes, SIZE
+    (nx, ny), (width, height) = lossy_run.scene.grid.nodes, SIZE
     x, y = np.meshgrid(columns * width / (nx - 1), rows * height / (ny - 1))
     velocity = scale * motion.rms_velocity[np.ix_(rows, columns)].ravel().astype(float)
     sigma = np.full(velocity.size, noise * velocity.max())
@@ -32,8 +32,8 @@ def field_of(result, count=12, noise=0.0, random=None, scale=2.0):
     return MeasuredField("data.csv", np.stack([x.ravel(), y.ravel()], axis=1), velocity, sigma if noise else None)
 
 
-def test_the_own_field_keeps_the_promise(result):
-    found = verify(result, field_of(result))
+def test_the_own_field_keeps_the_promise(lossy_run):
+    found = verify(lossy_run, field_of(lossy_run))
     assert found.kept
     assert found.localization_factor == pytest.approx(found.promised_factor, abs=0.02)
     assert found.localization_factor - found.sampling == pytest.approx(found.promised_factor, abs=2e-3)
@@ -42,10 +42,10 @@ def test_the_own_field_keeps_the_promise(result):
     assert np.isnan(found.deviation)
 
 
-def test_the_deviation_is_that_of_noise(result, random):
+def test_the_deviation_is_that_of_noise(lossy_run, random):
     """Intervals hold for 200 noisy fields; noise does not shift the mean."""
-    clean = verify(result, field_of(result)).localization_factor
-    found = [verify(result, field_of(result, noise=0.05, random=random)) for _ in range(25)]
+    clean = verify(lossy_run, field_of(lossy_run)).localization_factor
+    found = [verify(lossy_run, field_of(lossy_run, noise=0.05, random=random)) for _ in range(25)]
     factors = np.array([each.localization_factor for each in found])
     deviation = np.mean([each.deviation for each in found])
     assert deviation == pytest.approx(factors.std(ddof=1), rel=0.4)
@@ -54,12 +54,12 @@ def test_the_deviation_is_that_of_noise(result, random):
     assert sum(held) >= 21
 
 
-def test_another_panel_does_not(result):
+def test_another_panel_does_not(lossy_run):
     """A field that is even over the panel has the target's share of its area."""
-    field = field_of(result)
+    field = field_of(lossy_run)
     even = MeasuredField("data.csv", field.points, np.ones(len(field.points)), np.full(len(field.points), 0.01))
-    found = verify(result, even)
-    x0, x1, y0, y1 = result.scene.target.area
+    found = verify(lossy_run, even)
+    x0, x1, y0, y1 = lossy_run.scene.target.area
     share = (x1 - x0) * (y1 - y0) / (SIZE[0] * SIZE[1])
     assert found.localization_factor == pytest.approx(share, rel=0.05)
     assert found.correlation < 0.95
@@ -72,14 +72,14 @@ def test_readings_are_averaged(random):
     assert found.uncertainty == pytest.approx(np.full(4, 1 / np.sqrt(50)), rel=0.4)
 
 
-def test_command(command, result, tmp_path):
-    save_result(result, "panel.h5")
-    field = field_of(result)
+def test_command(command, lossy_run, tmp_path):
+    save_result(lossy_run, "panel.h5")
+    field = field_of(lossy_run)
     table = np.column_stack([field.points, field.velocity])
     np.savetxt("data.csv", table, delimiter=",", header="x [m],y [m],velocity [m/s]", comments="")
     record = json.loads(output_of(command("verify", "panel.h5", "--data", "data.csv", "--json")))
     assert record["kept"]
-    assert record["localization_factor"] == pytest.approx(verify(result, field).localization_factor, rel=1e-9)
+    assert record["localization_factor"] == pytest.approx(verify(lossy_run, field).localization_factor, rel=1e-9)
     assert "The noise is not known" in output_of(command("verify", "panel.h5", "--data", "data.csv"))
     assert "case 'x': is not one of drive" in error_of(
         command("verify", "panel.h5", "--data", "data.csv", "--case", "x")
@@ -97,9 +97,9 @@ def test_command(command, result, tmp_path):
         ("x,y,velocity\n0.1,0.1,1\n0.11,0.1,1\n0.12,0.1,1\n0.13,0.1,1\n", "all points lie on one line"),
     ],
 )
-def test_bad_files(text, message, result, tmp_path):
+def test_bad_files(text, message, lossy_run, tmp_path):
     path = tmp_path / "data.csv"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(SceneError) as caught:
-        verify(result, path)
+        verify(lossy_run, path)
     assert message in str(caught.value)

@@ -31,7 +31,7 @@ SHARES = {"best": 0.6853, "equal": 0.25, "single": 0.6367}
 
 
 @pytest.fixture
-def result():
+def paper_run():
     """A result like that of ``localize paper``; amplitudes of the cases differ by factors of ten."""
     x, cases = np.linspace(0, np.pi, 27), {}
     for rank, (name, share) in enumerate(SHARES.items()):
@@ -56,9 +56,9 @@ def new_trial():
     availability.working_window.cache_clear()
 
 
-def test_all_pictures_that_a_result_holds(result, drawing, tmp_path):
+def test_all_pictures_that_a_result_holds(paper_run, drawing, tmp_path):
     """Surfaces show every case and time; the history has the width of a column of the paper."""
-    written, problem = viz.draw_all(result, tmp_path / "paper")
+    written, problem = viz.draw_all(paper_run, tmp_path / "paper")
     assert problem is None
     assert written == [tmp_path / "paper-history.png", tmp_path / "paper-surfaces.png"]
     assert sorted(tmp_path.iterdir()) == written
@@ -78,24 +78,24 @@ def test_all_pictures_that_a_result_holds(result, drawing, tmp_path):
     assert (picture[[0, 1, 2, -3, -2, -1]] > 250).all()
 
 
-def test_surfaces_may_share_their_limits(result, drawing, tmp_path):
+def test_surfaces_may_share_their_limits(paper_run, drawing, tmp_path):
     """Then weak rows are nearly grey."""
-    viz.draw_surfaces(result, tmp_path / "common.png", ColourOptions("bwr", "common"))
+    viz.draw_surfaces(paper_run, tmp_path / "common.png", ColourOptions("bwr", "common"))
     picture = pixels(tmp_path / "common.png")
     red = [(row[..., 0] - row[..., 2] > 100).sum() for row in np.split(picture[:, :1400], 3)]
     assert red[2] > 1000 > 100 > red[0]  # the best drive is the last row
 
 
-def test_the_best_never_falls_and_infinite_means_are_gaps(result):
+def test_the_best_never_falls_and_infinite_means_are_gaps(paper_run):
     """Beside the bound, the drives that need no search and the published factor, of results that have them."""
     from matplotlib.figure import Figure
 
     def lines(loss=False, **changes):
-        plot_history(axes := Figure().add_subplot(), replace(result, history=history, **changes), loss)
+        plot_history(axes := Figure().add_subplot(), replace(paper_run, history=history, **changes), loss)
         return {line.get_label(): line.get_ydata() for line in axes.get_lines()}
 
     history = {"best": np.array([0.3, 0.5, 0.4]), "mean": np.array([0.1, -np.inf, 0.2])}
-    only = {"best": result.cases["best"]}
+    only = {"best": paper_run.cases["best"]}
     drawn, losses, without = lines(), lines(True), lines(source="panel.toml", bound=None, cases=only)
     np.testing.assert_allclose(drawn["best so far: 0.5000"], [0.3, 0.5, 0.5])
     np.testing.assert_allclose(losses["best so far: 0.5000"], [0.7, 0.5, 0.5])
@@ -105,17 +105,17 @@ def test_the_best_never_falls_and_infinite_means_are_gaps(result):
         assert drawn[f"{name}: {factor:.4f}"][0] == pytest.approx(factor)
         assert losses[f"{name}: {1 - factor:.4f}"][0] == pytest.approx(1 - factor)
     assert set(without) == {"best so far: 0.5000", "swarm mean"}
-    single = replace(result.cases["single"], phasors=np.array([0, 1, 0, 0j]))
+    single = replace(paper_run.cases["single"], phasors=np.array([0, 1, 0, 0j]))
     assert "single actuator, upper left: 0.6367" in lines(cases={"single": single})
 
 
-def test_missing_data_and_folders_are_reported(result, drawing, tmp_path):
-    empty = replace(result, history={}, times=np.zeros(0))
+def test_missing_data_and_folders_are_reported(paper_run, drawing, tmp_path):
+    empty = replace(paper_run, history={}, times=np.zeros(0))
     assert viz.draw_all(empty, tmp_path / "empty") == ([], None)
     for draw, match in ((viz.draw_surfaces, "no displacement"), (viz.draw_history, "no history")):
         with pytest.raises(ValueError, match=match):
             draw(empty, tmp_path / "empty.png")
-    written, problem = viz.draw_all(result, tmp_path / "no such folder" / "paper")
+    written, problem = viz.draw_all(paper_run, tmp_path / "no such folder" / "paper")
     assert written == []
     assert problem.count("cannot be written") == 2
 
@@ -129,20 +129,20 @@ def test_missing_data_and_folders_are_reported(result, drawing, tmp_path):
         ("import time; time.sleep(9)", "cannot be drawn"),
     ],
 )
-def test_if_vtk_fails_only_surfaces_are_missing(result, monkeypatch, new_trial, tmp_path, trial, reason):
+def test_if_vtk_fails_only_surfaces_are_missing(paper_run, monkeypatch, new_trial, tmp_path, trial, reason):
     monkeypatch.setattr(availability, "TRIAL", trial)
     monkeypatch.setattr(availability, "TIMEOUT", 1.0)
-    written, problem = viz.draw_all(result, tmp_path / "paper")
+    written, problem = viz.draw_all(paper_run, tmp_path / "paper")
     assert written == [tmp_path / "paper-history.png"]
     assert reason in problem
     assert "\n" not in problem
     with pytest.raises(viz.DrawingUnavailable, match=reason):
-        viz.draw_surfaces(result, tmp_path / "paper.png")
+        viz.draw_surfaces(paper_run, tmp_path / "paper.png")
 
 
-def test_missing_packages_are_named(result, monkeypatch, new_trial, tmp_path):
+def test_missing_packages_are_named(paper_run, monkeypatch, new_trial, tmp_path):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    written, problem = viz.draw_all(result, tmp_path / "paper")
+    written, problem = viz.draw_all(paper_run, tmp_path / "paper")
     assert written == []
     assert all(words in problem for words in ("PyVista", "Matplotlib", "pip install 'warp-plate[viz]'"))
 
@@ -221,8 +221,8 @@ def test_actuators_are_named_where_all_names_fit(scene):
     assert dark[1] > dark[0]
 
 
-def test_results_show_tables_and_a_picture(drawing, result):
-    html = result_html(result)
+def test_results_show_tables_and_a_picture(drawing, paper_run):
+    html = result_html(paper_run)
     rows = rows_of(html)
     assert rows[1:4] == [["equal drive", "25.00 %"], ["single actuator", "63.67 %"], ["best drive found", "68.53 %"]]
     assert rows[4][1] == "68.67 %"
@@ -236,12 +236,12 @@ def test_results_show_tables_and_a_picture(drawing, result):
         assert (picture[..., strong] - picture[..., weak] > 60).sum() > 100
 
 
-def test_without_drawing_libraries_tables_remain(result, monkeypatch):
+def test_without_drawing_libraries_tables_remain(paper_run, monkeypatch):
     monkeypatch.setattr(figures, "missing_renderer", lambda: "install a renderer")
-    assert picture_of(result_html(result)).std() > 0  # the history
+    assert picture_of(result_html(paper_run)).std() > 0  # the history
     monkeypatch.setattr(figures, "missing_plots", lambda: "install Matplotlib")
-    assert "install Matplotlib" in result_html(result)
-    simulation = replace(result, cases={"drive": result.cases["best"]}, history={}, bound=None, interrupted=True)
+    assert "install Matplotlib" in result_html(paper_run)
+    simulation = replace(paper_run, cases={"drive": paper_run.cases["best"]}, history={}, bound=None, interrupted=True)
     html = result_html(simulation)
     assert "install a renderer" in html
     assert "Interrupted" in html
@@ -249,24 +249,24 @@ def test_without_drawing_libraries_tables_remain(result, monkeypatch):
     assert "nothing to draw" in result_html(replace(simulation, times=np.zeros(0)))
 
 
-def test_the_player_holds_all_that_it_shows(result):
-    shown = view(result, "best", "equal", frames=8, quantity="velocity", device="cpu", height=500)
+def test_the_player_holds_all_that_it_shows(paper_run):
+    shown = view(paper_run, "best", "equal", frames=8, quantity="velocity", device="cpu", height=500)
     frame = ElementTree.fromstring(shown._repr_html_())
     assert (frame.tag, frame.get("sandbox"), frame.get("height")) == ("iframe", "allow-scripts", "500")
     assert frame.get("srcdoc") == shown.html
     for text in ("best drive found, t = ", "equal drive, t = ", "velocity"):
         assert text in shown.html
     assert not re.search(r"""(src|href)=["']?(https?:)?//""", shown.html)
-    assert "equal drive" not in view(result, frames=4, device="cpu").html
+    assert "equal drive" not in view(paper_run, frames=4, device="cpu").html
     for case, quantity in (("worst", "phase"), ("best", "colour")):
         with pytest.raises(SceneError, match=r"= '(worst|colour)': must be one of"):
-            view(result, case, quantity=quantity, device="cpu")
+            view(paper_run, case, quantity=quantity, device="cpu")
 
 
-def test_scenes_and_results_show_themselves_in_ipython(result, tmp_path, monkeypatch):
+def test_scenes_and_results_show_themselves_in_ipython(paper_run, tmp_path, monkeypatch):
     """Importing the package registers its formatters, and so does the extension."""
     pytest.importorskip("IPython", reason="IPython is missing: pip install ipython")
-    path = save_result(result, tmp_path / "run.h5")
+    path = save_result(paper_run, tmp_path / "run.h5")
     code = f"""
 from warp_plate import Scene, load_result
 html = get_ipython().display_formatter.formatters["text/html"]

@@ -81,7 +81,7 @@ def test_the_largest_responses_are_coloured_and_natural_frequencies_explained(dr
     assert {f"({20 + 20 * index}, 50) mm → (70, 110) mm" in texts for index in largest} == {True}
 
 
-def searched(names=(), **search):
+def search_result(names=(), **search):
     """A result of a search; with several targets, the second drive has actuators elsewhere."""
     made = scene_of(nodes=(11, 11), search=search).model_dump()
     if names:
@@ -100,7 +100,7 @@ def searched(names=(), **search):
 
 
 def test_crosstalk_names_fit_and_actuators_move(drawn):
-    result = searched(LONG, position={})
+    result = search_result(LONG, position={})
     figure, words = drawn(draw_crosstalk, result)
     assert {f"drive for {name}" for name in LONG} <= {text.replace("\n", " ") for text in words}
     panels = [axes for axes in figure.get_axes() if axes.get_title()]
@@ -112,13 +112,13 @@ def test_crosstalk_names_fit_and_actuators_move(drawn):
 
 @pytest.mark.parametrize("draw", [draw_history, draw_spectrum])
 def test_plots_of_the_first_of_several_targets_say_so(drawn, draw):
-    assert f"search for target {LONG[0]}, the first of 2" in drawn(draw, searched(LONG, **FREE))[1]
-    words = " ".join(drawn(draw, searched(method="exact"))[1])  # one drive, without a mean
+    assert f"search for target {LONG[0]}, the first of 2" in drawn(draw, search_result(LONG, **FREE))[1]
+    words = " ".join(drawn(draw, search_result(method="exact"))[1])  # one drive, without a mean
     assert not any(part in words for part in ("search for", "mean"))
 
 
 def test_small_localization_factors_fill_a_spectrum(drawn):
-    result = searched(**FREE)
+    result = search_result(**FREE)
     small = {name: 0.1 * result.spectrum[name] for name in ("equal", "single", "best")}
     cases = {"best": replace(result.cases["best"], energy={"plate": 1.0, "target": 0.05})}
     axes = drawn(draw_spectrum, replace(result, cases=cases, spectrum=result.spectrum | small))[0].axes[0]
@@ -138,7 +138,7 @@ def test_small_localization_factors_fill_a_spectrum(drawn):
     ],
 )
 def test_curves_that_are_only_bounds_say_so(drawn, changes, best, any_size):
-    result = searched(**{**FREE, **changes})
+    result = search_result(**{**FREE, **changes})
     words = curve_labels(result.scene.search)
     assert (words["best"], "cannot" not in words["single"]) == (best, any_size)
     assert set(words.values()) <= set(drawn(draw_spectrum, result)[1])

@@ -104,7 +104,7 @@ def test_modes_have_periods_instead_of_times_and_no_fields(scene, drawing, tmp_p
 
 
 @pytest.fixture
-def saved(scene, tmp_path):
+def saved_result(scene, tmp_path):
     """The path of a result with three cases."""
     made = localize(scene(damping=200.0, search=SEARCH), device="cpu", estimate=False)
     return save_result(made, tmp_path / "panel.h5")
@@ -112,15 +112,15 @@ def saved(scene, tmp_path):
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only on Linux is there a system without displays")
 @pytest.mark.parametrize("display", [None, ":987"])
-def test_without_a_display_other_commands_are_named(saved, monkeypatch, command, display):
+def test_without_a_display_other_commands_are_named(saved_result, monkeypatch, command, display):
     monkeypatch.delenv("DISPLAY", raising=False)
     if display is not None:
         monkeypatch.setenv("DISPLAY", display)
-    assert f"warp-plate render {saved}" in error_of(command("view", saved))
+    assert f"warp-plate render {saved_result}" in error_of(command("view", saved_result))
 
 
 @pytest.mark.slow
-def test_the_window_opens_plays_and_closes(display, saved, tmp_path, monkeypatch):
+def test_the_window_opens_plays_and_closes(display, saved_result, tmp_path, monkeypatch):
     """The window responds to real keys and clicks; Ctrl-C closes it too."""
     monkeypatch.setenv("DISPLAY", display)
     monkeypatch.delenv("VTK_DEFAULT_OPENGL_WINDOW", raising=False)
