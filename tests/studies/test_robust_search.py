@@ -126,8 +126,9 @@ def test_the_nominal_drive_of_a_robust_search_by_modes_is_that_of_a_plain_search
     """A swarm over drives and frequency had ended at 260 Hz with 0.0698, where the plain search found 0.0941 at 180."""
     free = {"magnitude": {"range": [0.0, 1.0]}, "phase": {}, "frequency": {"range": [100.0, 400.0]}}
     scene = robust({"loss_factor": {"eta": 0.02}}, search={"iterations": 4, **free}, fresh=3)
-    plain = localize(scene.with_tables(search=scene.search.model_dump() | {"robust": None}), device="cpu")
-    found = localize(scene, device="cpu", estimate=False)
+    options = {"device": "cpu", "estimate": False, "spectrum": False}
+    plain = localize(scene.with_tables(search=scene.search.model_dump() | {"robust": None}), **options)
+    found = localize(scene, **options)
     assert found.cases["nominal"].localization_factor == pytest.approx(plain.cases["best"].localization_factor)
     robust_drive, nominal_drive = found.robust.rows()["searched"]
     assert robust_drive >= nominal_drive
@@ -145,6 +146,6 @@ def test_a_nominal_search_that_ends_early_leaves_the_robust_result(error, monkey
         raise error
 
     monkeypatch.setattr(polish, "minimize", end)
-    found = localize(scene, device="cpu", estimate=False)
+    found = localize(scene, device="cpu", estimate=False, spectrum=False)
     assert (len(begun), found.robust) == (1, None)
     assert np.isfinite(found.cases["best"].localization_factor)

@@ -23,9 +23,7 @@ SEARCHES = {
     "magnitude": {"magnitude": {"range": [0.0, 2.0]}, "phase": {}, "limits": {"power": 2.0}},
     "phase": {"phase": {}},
     "frequency": {"phase": {}, "frequency": {"range": [100.0, 300.0]}},
-    "own frequencies": {"frequency": {"range": [100.0, 300.0], "own": True}},
     "position": {"phase": {}, "position": {"area": [0.0, 0.2, 0.0, 0.15]}},
-    "delay of one": {"delay": {"range": [0.0, 0.004], "actuators": ["1"]}},
     "all": {
         "magnitude": {"range": [0.1, 2.0]},
         "phase": {},

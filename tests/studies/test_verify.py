@@ -1,6 +1,7 @@
 """Measured drives against their results: sampled fields with seeded noise, another panel, bad files."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,16 +21,20 @@ def lossy_run():
     return simulate(scene, estimate=False)
 
 
-def field_of(lossy_run, count=12, noise=0.0, random=None, scale=2.0):
+def field_of(lossy_run, count=12, scale=2.0):
     """Return velocities of a result at count × count points, read off its own motion by the nodes next to them."""
     (motion,) = motions(lossy_run.scene, {"drive": lossy_run.main_case})
     rows, columns = (np.unique(np.rint(np.linspace(1, n - 2, count)).astype(int)) for n in motion.rms_velocity.shape)
     (nx, ny), (width, height) = lossy_run.scene.grid.nodes, SIZE
     x, y = np.meshgrid(columns * width / (nx - 1), rows * height / (ny - 1))
     velocity = scale * motion.rms_velocity[np.ix_(rows, columns)].ravel().astype(float)
-    sigma = np.full(velocity.size, noise * velocity.max())
-    velocity = velocity if random is None else np.abs(velocity + sigma * random.normal(size=velocity.size))
-    return MeasuredField("data.csv", np.stack([x.ravel(), y.ravel()], axis=1), velocity, sigma if noise else None)
+    return MeasuredField("data.csv", np.stack([x.ravel(), y.ravel()], axis=1), velocity, None)
+
+
+def with_noise(field, share, random):
+    """Return the velocities of a field with noise of a share of the largest."""
+    sigma = np.full(field.velocity.size, share * field.velocity.max())
+    return replace(field, velocity=np.abs(field.velocity + sigma * random.normal(size=sigma.size)), uncertainty=sigma)
 
 
 def test_the_own_field_keeps_the_promise(lossy_run):
@@ -43,9 +48,10 @@ def test_the_own_field_keeps_the_promise(lossy_run):
 
 
 def test_the_deviation_is_that_of_noise(lossy_run, random):
-    """Intervals hold for 200 noisy fields; noise does not shift the mean."""
-    clean = verify(lossy_run, field_of(lossy_run)).localization_factor
-    found = [verify(lossy_run, field_of(lossy_run, noise=0.05, random=random)) for _ in range(25)]
+    """Intervals hold for nearly all noisy fields; noise does not shift the mean."""
+    field = field_of(lossy_run)
+    clean = verify(lossy_run, field).localization_factor
+    found = [verify(lossy_run, with_noise(field, 0.05, random)) for _ in range(25)]
     factors = np.array([each.localization_factor for each in found])
     deviation = np.mean([each.deviation for each in found])
     assert deviation == pytest.approx(factors.std(ddof=1), rel=0.4)
