@@ -8,7 +8,7 @@ from warp_plate.modal.gram import gram_matrices
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.optimize.quadratic import quadratic_forms
 from warp_plate.plate.designs import Designs, PerPlate
-from warp_plate.problem.make_problem import make_problem
+from warp_plate.problem.problem import make_problem
 
 TARGET = {"disc": (0.13, 0.11, 0.03)}
 CHIRP = {"frequency": 200.0, "chirp": {"end_frequency": 350.0, "duration": 0.005}}
