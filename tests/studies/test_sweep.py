@@ -45,7 +45,7 @@ def test_quantities_are_those_of_the_commands(swept_plate, evaluator):
         assert result.evaluator == asked or quantities.evaluators == (result.evaluator,)
         found[what] = result.values
     for point in (0, 1):
-        scene = plate.with_values(plan.values(point))
+        scene = swept_plate.with_values(plan.values(point))
         at = {what: {name: array[point] for name, array in values.items()} for what, values in found.items()}
         single = simulate(scene, device="cpu", path="modal" if by_modes else "auto", estimate=False)
         assert at["simulate"] == {
