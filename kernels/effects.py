@@ -16,8 +16,8 @@ def make_attached_force(real):
     def attached_force(f: Fields, m: Material, k: int, o: int, patch_u: real, patch_rate: real):
         mass_u = f.attached[k, o, 0]
         mass_rate = f.attached[k, o, 1]
-        force = m.oscillators[o, 0] * (mass_u - patch_u) + m.oscillators[o, 1] * (mass_rate - patch_rate)
-        rate = mass_rate - m.oscillators[o, 2] * force
+        force = m.attached[o, 0] * (mass_u - patch_u) + m.attached[o, 1] * (mass_rate - patch_rate)
+        rate = mass_rate - m.attached[o, 2] * force
         f.attached[k, o, 0] = mass_u + rate
         f.attached[k, o, 1] = rate
         return force
@@ -32,7 +32,7 @@ def make_membrane_tension(real):
 
     @wp.func
     def membrane_tension(d: Forcing, m: Material, k: int, total: real):
-        return m.stretching * d.units[k] * d.units[k] * total
+        return m.membrane * d.units[k] * d.units[k] * total
 
     return membrane_tension
 
@@ -60,7 +60,7 @@ def make_add_local_forces(effects, real):
         total = load
         if wp.static(effects.foundation):
             total -= inverse_mass * (spring * u)
-        if wp.static(effects.stretching):
+        if wp.static(effects.membrane):
             total += inverse_mass * (tension * membrane_curvature)
         return total
 

@@ -199,8 +199,8 @@ def integrate_ramp(time: wp.float64, ramp: wp.float64):
     """Integrate the rise ½(1 − cos πt/ramp) from 0 to ``time``, which is within 0 … ramp."""
     total = wp.float64(0.0)
     if ramp > wp.float64(0.0):
-        turn = wp.float64(wp.static(wp.PI)) / ramp
-        total = (time - wp.sin(turn * time) / turn) / wp.float64(2.0)
+        omega = wp.float64(wp.static(wp.PI)) / ramp
+        total = (time - wp.sin(omega * time) / omega) / wp.float64(2.0)
     return total
 
 

@@ -106,7 +106,7 @@ def make_compute_moments(effects, real):
         w.my[k, j, i] = moment(m.bend_yy[j, i], along_y, m.bend_xy[j, i], along_x, tension_y, u)
         if i < nx - 1 and j < ny - 1:
             w.mxy[k, j, i] = m.twist[j, i] * (m.root_aspect * (retarded_u(f, m, k, j + 1, i + 1) - e - n + c))
-        if wp.static(effects.stretching):
+        if wp.static(effects.membrane):
             u_xx = f.u[k, j, west] + f.u[k, j, east] - real(2.0) * u
             u_yy = m.aspect * (f.u[k, south, i] + f.u[k, north, i] - real(2.0) * u)
             w.membrane_curvature[k, j, i] = u_xx + m.stretch_ratio * u_yy
@@ -116,21 +116,21 @@ def make_compute_moments(effects, real):
 
 @cache
 def make_sum_row(effects, real):
-    """Make ``sum_row``: the sums along row j for stretching (first, if on) and for each oscillator's patch."""
+    """Make ``sum_row``: the sums along row j for the membrane (first, if on) and each attached mass's patch."""
     Material, Work, (Forcing, Fields) = make_material(real), make_work(real), make_state(real)
-    first = 1 if effects.stretching else 0
+    first = 1 if effects.membrane else 0
 
     @wp.func
     def sum_row(f: Fields, w: Work, m: Material, k: int, which: int, j: int):
         total = real(0.0)
         total_rate = real(0.0)
         for i in range(f.u.shape[2]):
-            if wp.static(effects.stretching):
+            if wp.static(effects.membrane):
                 if which == 0:
                     total -= m.weight[j, i] * f.u[k, j, i] * w.membrane_curvature[k, j, i]
-            if wp.static(effects.oscillators):
+            if wp.static(effects.attached):
                 if which >= wp.static(first):
-                    share = m.oscillator_shares[which - wp.static(first), j, i]
+                    share = m.attached_shares[which - wp.static(first), j, i]
                     total += share * f.u[k, j, i]
                     total_rate += share * f.rate[k, j, i]
         w.row_sums[k, which, 0, j] = total
@@ -141,10 +141,10 @@ def make_sum_row(effects, real):
 
 @cache
 def make_finish_sum(effects, real):
-    """Make ``finish_sum``: from the rows' sums the tension, or an oscillator's force and its state after the step."""
+    """Make ``finish_sum``: from the rows' sums the tension, or the force of an attached mass, which moves by a step."""
     Material, Work, (Forcing, Fields) = make_material(real), make_work(real), make_state(real)
     attached_force, membrane_tension = make_attached_force(real), make_membrane_tension(real)
-    first = 1 if effects.stretching else 0
+    first = 1 if effects.membrane else 0
 
     @wp.func
     def finish_sum(d: Forcing, f: Fields, w: Work, m: Material, k: int, which: int):
@@ -153,10 +153,10 @@ def make_finish_sum(effects, real):
         for j in range(f.u.shape[1]):
             total += w.row_sums[k, which, 0, j]
             total_rate += w.row_sums[k, which, 1, j]
-        if wp.static(effects.stretching):
+        if wp.static(effects.membrane):
             if which == 0:
                 w.tension[k] = membrane_tension(d, m, k, total)
-        if wp.static(effects.oscillators):
+        if wp.static(effects.attached):
             if which >= wp.static(first):
                 o = which - wp.static(first)
                 w.attached_force[k, o] = attached_force(f, m, k, o, total, total_rate)
@@ -199,20 +199,20 @@ def make_update_node(effects, real):
             load = real(0.0)
             for term in range(wp.static(effects.terms)):
                 load += d.wave[k, n, term] * d.loads[term, k, j, i]
-            if wp.static(effects.moving_load):
+            if wp.static(effects.travelling):
                 load += inverse_mass / m.weight[j, i] * travelling_pressure(d, m, k, n, j, i)
             spring = real(0.0)
             tension = real(0.0)
             membrane_curvature = real(0.0)
             if wp.static(effects.foundation):
                 spring = m.spring[j, i]
-            if wp.static(effects.stretching):
+            if wp.static(effects.membrane):
                 tension = w.tension[k]
                 membrane_curvature = w.membrane_curvature[k, j, i]
             load = add_local_forces(load, inverse_mass, spring, u, tension, membrane_curvature)
-            if wp.static(effects.oscillators):
-                for o in range(m.oscillator_shares.shape[0]):
-                    load += inverse_mass / m.weight[j, i] * m.oscillator_shares[o, j, i] * w.attached_force[k, o]
+            if wp.static(effects.attached):
+                for o in range(m.attached_shares.shape[0]):
+                    load += inverse_mass / m.weight[j, i] * m.attached_shares[o, j, i] * w.attached_force[k, o]
             p = Parameters()
             if wp.static(effects.damping):
                 p.decay = m.decay[j, i]

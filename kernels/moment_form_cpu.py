@@ -194,10 +194,10 @@ def make_run_steps(effects, real, ny, stride):
             node_curvature = real(0.0)
             if wp.static(effects.foundation):
                 node_spring = spring[i]
-            if wp.static(effects.stretching):
+            if wp.static(effects.membrane):
                 node_curvature = membrane_curvature[i]
             load = add_local_forces(load, inverse_mass[i], node_spring, here, tension, node_curvature)
-            if wp.static(effects.oscillators or effects.moving_load):
+            if wp.static(effects.attached or effects.travelling):
                 load += pressure_gain[i] * pressure[i]
             if wp.static(effects.damping):
                 p.decay = decay[i]
@@ -246,21 +246,21 @@ def make_run_steps(effects, real, ny, stride):
                 compute_retarded_u(u_at, rate_at, retarded, m.retardation)
                 strained = retarded
             compute_moments(shared.ptr, u_at, strained, mx, my, mxy, m.aspect, m.root_aspect, m.tension_x, m.tension_y)
-            if wp.static(effects.stretching):
+            if wp.static(effects.membrane):
                 compute_membrane_curvature(shared.ptr, u_at, curvature, m.aspect, m.stretch_ratio)
                 # The pressure plane is not in use yet; it holds weight · u.
                 weight = shared.ptr + wp.uint64(wp.static(plane["weight"] * plane_bytes)) + row
                 multiply_planes(weight, u_at, pressure)
                 tension = membrane_tension(d, m, k, -sum_of_products(pressure, curvature, retarded))
-            if wp.static(effects.oscillators or effects.moving_load):
+            if wp.static(effects.attached or effects.travelling):
                 clear(pressure)
-            if wp.static(effects.moving_load):
+            if wp.static(effects.travelling):
                 add_travelling_load(d.travelling[k] * m.strength[n], m.along_y[n], m.along_x[n], pressure)
             if wp.static(effects.terms != 2):
                 clear(load)
                 for t in range(wp.static(effects.terms)):
                     add_multiple(d.wave[k, n, t], first_load + wp.uint64(t) * term, load)
-            if wp.static(effects.oscillators):
+            if wp.static(effects.attached):
                 for o in range(patches.shape[0]):
                     shares = patches.ptr + wp.uint64(o) * step + row
                     plate_u = sum_of_products(shares, u_at, retarded)

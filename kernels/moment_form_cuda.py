@@ -89,14 +89,14 @@ def make_run_steps(effects, real, nx, ny, stride, attached, block):
     threads, nodes_per_thread, held, shared = block.threads, block.nodes, block.in_registers, material_planes(effects)
     count, padded, warps = nx * ny, threads * nodes_per_thread, -(-threads // LANES)
     state_size, words = ny * stride, -(-nodes_per_thread // NODES_PER_WORD)
-    has_sums = effects.stretching or effects.oscillators
+    has_sums = effects.membrane or effects.attached
     offsets = workspace_layout(nx, attached, block)
     u_at, mx_at, my_at, mxy_at = (offsets[name] for name in ("u", "mx", "my", "mxy"))
     retarded_at, curvature_at = offsets.get("retarded_u", u_at), offsets.get("membrane_curvature", 0)
     partial_sums, totals, workspace_size = offsets["partial_sums"], offsets["totals"], offsets["end"]
     row = {name: index for index, name in enumerate(held)}
-    u_row, rate_row, squares_row, own_force_row, curvature_row = (
-        row.get(name, 0) for name in ("u", "rate", "squares", "own_force", "membrane_curvature")
+    u_row, rate_row, squares_row, centre_force_row, curvature_row = (
+        row.get(name, 0) for name in ("u", "rate", "squares", "centre_force", "membrane_curvature")
     )
     first_shared = min((row[name] for name in held if name in shared), default=0)
     held_shared = sum(name in shared for name in held)
@@ -147,7 +147,7 @@ def make_run_steps(effects, real, nx, ny, stride, attached, block):
         return state_array(address)[at]
 
     @wp.func
-    def own_force(mx: real, my: real, mxy: real, factor: real, aspect: real):
+    def centre_force(mx: real, my: real, mxy: real, factor: real, aspect: real):
         """Return the share of the force on a node by its own moments and the cell to its upper right."""
         return fused(factor, mxy, real(-2.0) * mx) - real(2.0) * aspect * my
 
@@ -258,10 +258,10 @@ def make_run_steps(effects, real, nx, ny, stride, attached, block):
                 x[i + mx_at] = mx
                 x[i + my_at] = my
                 x[i + mxy_at] = mxy
-                if wp.static("own_force" in held):
+                if wp.static("centre_force" in held):
                     factor = twist_factor(flags, p.root_aspect)
-                    h[own_force_row, m] = own_force(mx, my, mxy, factor, p.aspect)
-                if wp.static(effects.stretching):
+                    h[centre_force_row, m] = centre_force(mx, my, mxy, factor, p.aspect)
+                if wp.static(effects.membrane):
                     u_xx = sum_of_neighbours(x, i + u_at, LEFT, RIGHT, flags, 1) - real(2.0) * here
                     u_yy = sum_of_neighbours(x, i + u_at, BOTTOM, TOP, flags, nx) - real(2.0) * here
                     curvature = fused(p.aspect * p.stretch_ratio, u_yy, u_xx)
@@ -270,11 +270,11 @@ def make_run_steps(effects, real, nx, ny, stride, attached, block):
                     else:
                         x[i + curvature_at] = curvature
                     stretched -= read_weight(h, planes, m, i) * here * curvature
-            if wp.static(effects.stretching):
+            if wp.static(effects.membrane):
                 stretched = sum_of_warp(stretched, lane)
                 if lane == 0:
                     x[wp.static(partial_sums + 2 * attached * warps) + warp] = stretched
-            if wp.static(effects.oscillators):
+            if wp.static(effects.attached):
                 for o in range(attached):
                     patch_u = real(0.0)
                     patch_rate = real(0.0)
@@ -295,7 +295,7 @@ def make_run_steps(effects, real, nx, ny, stride, attached, block):
             barrier()
             if wp.static(has_sums):
                 # A thread for each attached mass, and one for the membrane.
-                for which in range(thread, wp.static(attached + int(effects.stretching)), threads):
+                for which in range(thread, wp.static(attached + int(effects.membrane)), threads):
                     finish_sum(d, f, p, x, k, which)
                 barrier()
 
@@ -310,10 +310,10 @@ def make_run_steps(effects, real, nx, ny, stride, attached, block):
                 flags = word >> (FLAG_BITS * (m % NODES_PER_WORD))
                 factor = twist_factor(flags, p.root_aspect)
                 bending = real(0.0)
-                if wp.static("own_force" in held):
-                    bending = h[own_force_row, m]
+                if wp.static("centre_force" in held):
+                    bending = h[centre_force_row, m]
                 else:
-                    bending = own_force(x[i + mx_at], x[i + my_at], x[i + mxy_at], factor, p.aspect)
+                    bending = centre_force(x[i + mx_at], x[i + my_at], x[i + mxy_at], factor, p.aspect)
                 bending += sum_of_neighbours(x, i + mx_at, LEFT, RIGHT, flags, 1)
                 bending += p.aspect * sum_of_neighbours(x, i + my_at, BOTTOM, TOP, flags, nx)
                 bending += factor * ((x[i + mxy_at - nx - 1] - x[i + mxy_at - 1]) - x[i + mxy_at - nx])
@@ -333,17 +333,17 @@ def make_run_steps(effects, real, nx, ny, stride, attached, block):
                 curvature = real(0.0)
                 if wp.static(effects.foundation):
                     spring = read_spring(h, planes, m, i)
-                if wp.static(effects.stretching):
+                if wp.static(effects.membrane):
                     curvature = read_curvature(h, x, m, i)
                 load = add_local_forces(load, inverse_mass, spring, here, tension, curvature)
-                if wp.static(effects.oscillators or effects.moving_load):
+                if wp.static(effects.attached or effects.travelling):
                     pressure = real(0.0)
-                    if wp.static(effects.moving_load):
+                    if wp.static(effects.travelling):
                         line = i // nx
                         if line < wp.static(ny):
                             column = i - line * nx
                             pressure = travelling_pressure(d, p, k, n, line, column)
-                    if wp.static(effects.oscillators):
+                    if wp.static(effects.attached):
                         for o in range(attached):
                             pressure += patches[o, i] * x[totals + o]
                     load += read_pressure_gain(h, planes, m, i) * pressure

@@ -22,9 +22,9 @@ NODES_PER_WORD = 6
 MATERIAL_PLANES = (
     "inverse_mass", "bend_xx", "bend_xy", "bend_yy", "twist", "decay", "spring", "weight", "pressure_gain",
 )  # fmt: skip
-# Planes that save most when held in registers, best first. own_force: the share of the force on a node by its own
+# Planes that save most when held in registers, best first. centre_force: the share of the force on a node by its own
 # moments and the cell to its upper right.
-REGISTERS_FIRST = ("rate", "squares", "own_force", "u")
+REGISTERS_FIRST = ("rate", "squares", "centre_force", "u")
 # Registers for addresses, neighbours and the like.
 OVERHEAD_REGISTERS = 30
 # Most nodes of a thread that are unrolled.
@@ -193,8 +193,8 @@ def material_planes(effects):
     needed = {
         "decay": effects.damping,
         "spring": effects.foundation,
-        "weight": effects.stretching,
-        "pressure_gain": effects.oscillators or effects.moving_load,
+        "weight": effects.membrane,
+        "pressure_gain": effects.attached or effects.travelling,
     }
     return tuple(name for name in MATERIAL_PLANES if needed.get(name, True))
 
@@ -202,7 +202,7 @@ def material_planes(effects):
 def workspace_planes(effects, in_registers):
     """Return the names of the planes in a block's workspace."""
     retarded = ("retarded_u",) if effects.material_damping else ()
-    in_workspace = effects.stretching and "membrane_curvature" not in in_registers
+    in_workspace = effects.membrane and "membrane_curvature" not in in_registers
     return ("u", "mx", "my", "mxy", *retarded, *(("membrane_curvature",) if in_workspace else ()))
 
 
@@ -220,14 +220,14 @@ def plan_block(nx, ny, real, effects, attached, few, shared_bytes):
     """
     warps = -(-nx * ny // LANES)
     words = 1 if real is wp.float32 else 2
-    if few and not (effects.stretching or effects.oscillators):
+    if few and not (effects.membrane or effects.attached):
         threads, blocks = LANES * min(32, warps), 1
     else:
         threads = LANES * min(32, -(-warps // (3 if warps <= 3 * 12 else 6)))
         blocks = max(1, 1024 // (words * threads))
     nodes = -(-nx * ny // threads)
     registers = most_registers(-(-threads // LANES) * blocks)
-    wanted = [*REGISTERS_FIRST, *(["membrane_curvature"] if effects.stretching else []), *material_planes(effects)]
+    wanted = [*REGISTERS_FIRST, *(["membrane_curvature"] if effects.membrane else []), *material_planes(effects)]
     most = max(0, registers - OVERHEAD_REGISTERS) // (words * nodes) if nodes <= MOST_UNROLLED else 0
     in_registers = tuple(wanted[:most])
     block = BlockPlan(threads, nodes, in_registers, workspace_planes(effects, in_registers), True, registers)

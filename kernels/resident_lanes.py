@@ -118,11 +118,11 @@ def make_run_steps(effects, real, ny, loaded, summed, registers=None):
                 load = real(0.0)
                 if wp.static(loaded >> j & 1):
                     load = fused(wave_cosine, cosine[j], wave_sine * sine[j])
-                moved = update(lane_rate[j], biharmonic, load, stiffness, p)
-                lane_rate[j] = moved
-                lane_u[j] = lane_u[j] + moved
+                stepped = update(lane_rate[j], biharmonic, load, stiffness, p)
+                lane_rate[j] = stepped
+                lane_u[j] = lane_u[j] + stepped
                 if wp.static(summed):
-                    squared[j] = squared[j] + moved * moved
+                    squared[j] = squared[j] + stepped * stepped
                 below = here
                 here = above
 

@@ -241,14 +241,14 @@ def make_run_steps(effects, real, across, along, stride, plan, summed):
                     if wp.static(j > last_row):
                         if warp == wp.static(last_warp):
                             node_stiffness = real(0.0)
-                    moved = update(strip_rate[j, c], biharmonic, load[c], node_stiffness, p)
-                    strip_rate[j, c] = moved
-                    strip_u[j, c] = strip_u[j, c] + moved
+                    stepped = update(strip_rate[j, c], biharmonic, load[c], node_stiffness, p)
+                    strip_rate[j, c] = stepped
+                    strip_u[j, c] = strip_u[j, c] + stepped
                     if wp.static(squares_in_registers):
-                        squared[j, c] = squared[j, c] + moved * moved
+                        squared[j, c] = squared[j, c] + stepped * stepped
                     if wp.static(squares_in_shared):
                         slot = wp.static(2 * buffer + (j * columns + c) * threads) + thread
-                        shared[slot] = shared[slot] + moved * moved
+                        shared[slot] = shared[slot] + stepped * stepped
                 below = here
                 here = above
 

@@ -293,14 +293,14 @@ def make_run_steps(effects, real, across, along, stride, plan, summed):
                             global_in_phase, global_quadrature, wp.static((r - 3) * stride), loaded_next, x0
                         )
                     for c in range(wp.static(columns)):
-                        moved = update(strip_rate[r - 4, c], biharmonic[c], load[c], row_stiffness[c], p)
-                        strip_rate[r - 4, c] = moved
-                        strip_u[r, c] = strip_u[r, c] + moved
+                        stepped = update(strip_rate[r - 4, c], biharmonic[c], load[c], row_stiffness[c], p)
+                        strip_rate[r - 4, c] = stepped
+                        strip_u[r, c] = strip_u[r, c] + stepped
                         if wp.static(squares_in_registers):
-                            squared[r - 4, c] = squared[r - 4, c] + moved * moved
+                            squared[r - 4, c] = squared[r - 4, c] + stepped * stepped
                         if wp.static(squares_in_shared):
                             slot = wp.static(squares_at + ((r - 4) * columns + c) * threads) + thread
-                            shared[slot] = shared[slot] + moved * moved
+                            shared[slot] = shared[slot] + stepped * stepped
 
         for j in range(wp.static(rows)):
             if y0 + j <= wp.static(ny) and y0 + j > first_y and y0 + j <= end_y:

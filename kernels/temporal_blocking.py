@@ -29,14 +29,14 @@ REACH, ROUND = 2, 3
 WARPS = 8
 
 
-def strips(nx, levels):
+def strips(nx, margin):
     """Return the warps that share a row, each of which moves all but the margins of its strip."""
-    return -(-nx // (LANES * COLUMNS - 2 * REACH * levels))
+    return -(-nx // (LANES * COLUMNS - 2 * margin))
 
 
 @cache
 def make_row_access(real, ny, stride):
-    """Make functions that read and write a lane's columns of a row of a field: read_row, write_row, row_at."""
+    """Make functions of a lane's columns of a row of a field: read_row, write_row, row_at, zero_if."""
     size = wp.types.type_size_in_bytes(real)
     read_pair, write_pair = make_pairs(real)
     Row = wp.types.vector(length=COLUMNS, dtype=real)
@@ -55,7 +55,14 @@ def make_row_access(real, ny, stride):
         """Return row y times stride; rows beyond the plate stand for its first or last one."""
         return opaque(wp.min(wp.max(y, 1), wp.static(ny)) * wp.static(stride))
 
-    return read_row, write_row, row_at
+    @wp.func
+    def zero_if(zero: bool, row: Row):
+        values = Row()
+        for c in range(COLUMNS):
+            values[c] = wp.where(zero, real(0.0), row[c])
+        return values
+
+    return read_row, write_row, row_at, zero_if
 
 
 @cache
@@ -64,21 +71,14 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
     laplacian = make_laplacian(effects.square_cells, real)
     update, from_lane, Parameters = make_update(effects, real), make_from_lane(real), make_parameters(real)
     fused, (Forcing, Fields) = make_fused(real), make_state(real)
-    read_row, write_row, row_at = make_row_access(real, ny, stride)
+    read_row, write_row, row_at, zero_if = make_row_access(real, ny, stride)
     size = wp.types.type_size_in_bytes(real)
-    columns, margin, strip_count = COLUMNS, REACH * levels, strips(nx, levels)
+    columns, margin, strip_count = COLUMNS, REACH * levels, strips(nx, REACH * levels)
     useful = LANES * columns - 2 * margin
     Row = wp.types.vector(length=columns, dtype=real)
     Rows = wp.types.matrix(shape=(levels * ROUND, columns), dtype=real)
     Waves = wp.types.matrix(shape=(levels, 2), dtype=real)
     Round = wp.types.matrix(shape=(ROUND, columns), dtype=real)
-
-    @wp.func
-    def zero_if(zero: bool, row: Row):
-        values = Row()
-        for c in range(wp.static(columns)):
-            values[c] = wp.where(zero, real(0.0), row[c])
-        return values
 
     @wp.func
     def laplacian_of_row(south: Row, centre: Row, north: Row, lane: int, aspect: real):
@@ -154,17 +154,17 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
             waves[level, 1] = plate_wave[n + level, 1]
 
         # Windows of each level: displacement, curvature, and the rates and sums that the level before passed on.
-        kept_u = Rows()
-        kept_curvature = Rows()
-        kept_rate = Rows()
-        kept_sum = Rows()
+        window_u = Rows()
+        window_curvature = Rows()
+        window_rate = Rows()
+        window_sum = Rows()
         # Rows are requested a round ahead, so that memory has time to answer.
         ahead_u = Round()
         ahead_rate = Round()
         ahead_squares = Round()
         first = low - wp.static(margin)
-        for turn in range(wp.static(ROUND)):
-            ahead_u[turn] = zero_if(beside, read_row(lane_u, row_at(first + turn)))
+        for phase in range(wp.static(ROUND)):
+            ahead_u[phase] = zero_if(beside, read_row(lane_u, row_at(first + phase)))
         for round in range((high - first + wp.static(margin + ROUND - 1)) // wp.static(ROUND)):
             start = first + wp.static(ROUND) * round
             bits = loaded[opaque(start + wp.static(margin))]  # of rows from start − margin on
@@ -182,43 +182,43 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
                             # All reads first, so that they overlap; rows without load hold zeros.
                             cosines = Rows()
                             sines = Rows()
-                            for turn in range(wp.static(ROUND)):
+                            for phase in range(wp.static(ROUND)):
                                 for level in range(wp.static(levels)):
-                                    where = row_at(start + turn - wp.static(REACH * (level + 1)))
-                                    slot = wp.static(ROUND * level + turn)
+                                    where = row_at(start + phase - wp.static(REACH * (level + 1)))
+                                    slot = wp.static(ROUND * level + phase)
                                     cosines[slot] = zero_if(beside, read_row(lane_in_phase, where))
                                     sines[slot] = zero_if(beside, read_row(lane_quadrature, where))
-                            for turn in range(wp.static(ROUND)):
+                            for phase in range(wp.static(ROUND)):
                                 for level in range(wp.static(levels)):
                                     for c in range(wp.static(columns)):
-                                        slot = wp.static(ROUND * level + turn)
+                                        slot = wp.static(ROUND * level + phase)
                                         loads[slot, c] = waves[level, 0] * cosines[slot, c]
                                         loads[slot, c] += waves[level, 1] * sines[slot, c]
-                    for turn in range(wp.static(ROUND)):
-                        y = start + turn
+                    for phase in range(wp.static(ROUND)):
+                        y = start + phase
                         above = Row()
-                        moved = Row()
+                        stepped_rate = Row()
                         for c in range(wp.static(columns)):
-                            above[c] = ahead_u[turn, c]
-                            moved[c] = ahead_rate[turn, c]
-                        total = ahead_squares[turn]  # of the row that level 1 moves
-                        next_u = at + wp.static((margin + ROUND + turn) * stride)
-                        next_rate = at + wp.static((margin + ROUND - REACH + turn) * stride)
+                            above[c] = ahead_u[phase, c]
+                            stepped_rate[c] = ahead_rate[phase, c]
+                        total = ahead_squares[phase]  # of the row that level 1 moves
+                        next_u = at + wp.static((margin + ROUND + phase) * stride)
+                        next_rate = at + wp.static((margin + ROUND - REACH + phase) * stride)
                         if wp.static(body == 1):
                             next_u = row_at(y + wp.static(ROUND))
                             next_rate = row_at(y + wp.static(ROUND - REACH))
-                        ahead_u[turn] = zero_if(beside, read_row(lane_u, next_u))
-                        ahead_rate[turn] = zero_if(beside, read_row(lane_rate, next_rate))
+                        ahead_u[phase] = zero_if(beside, read_row(lane_u, next_u))
+                        ahead_rate[phase] = zero_if(beside, read_row(lane_rate, next_rate))
                         if wp.static(summed):
-                            ahead_squares[turn] = read_row(lane_squares, next_rate)
+                            ahead_squares[phase] = read_row(lane_squares, next_rate)
 
                         for level in range(wp.static(levels)):
                             # ``above`` is row y − 2·level of this level; ``here`` is the row that it moves.
                             here = y - wp.static(REACH * (level + 1))
-                            newest = wp.static(ROUND * level + turn)
-                            second = wp.static(ROUND * level + (turn + 2) % ROUND)  # the row below
-                            third = wp.static(ROUND * level + (turn + 1) % ROUND)
-                            bare = laplacian_of_row(kept_u[third], kept_u[second], above, lane, p.aspect)
+                            newest = wp.static(ROUND * level + phase)
+                            second = wp.static(ROUND * level + (phase + 2) % ROUND)  # the row below
+                            third = wp.static(ROUND * level + (phase + 1) % ROUND)
+                            bare = laplacian_of_row(window_u[third], window_u[second], above, lane, p.aspect)
                             curvature = Row()
                             factor_row = real(1.0)
                             if wp.static(body == 1):
@@ -230,41 +230,41 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
                                 else:
                                     curvature[c] = factor[c] * bare[c]
                             biharmonic = laplacian_of_row(
-                                kept_curvature[newest], kept_curvature[third], curvature, lane, p.aspect
+                                window_curvature[newest], window_curvature[third], curvature, lane, p.aspect
                             )
                             moves = True
                             if wp.static(body == 1):
                                 moves = here > 1 and here < wp.static(ny)
                             for c in range(wp.static(columns)):
-                                before = moved[c]
+                                before = stepped_rate[c]
                                 if wp.static(level > 0):
-                                    before = kept_rate[third, c]
-                                    kept_rate[newest, c] = moved[c]
+                                    before = window_rate[third, c]
+                                    window_rate[newest, c] = stepped_rate[c]
                                     if wp.static(summed):
-                                        partial = kept_sum[third, c]
-                                        kept_sum[newest, c] = total[c]
+                                        partial = window_sum[third, c]
+                                        window_sum[newest, c] = total[c]
                                         total[c] = fused(before, before, partial)
                                 stiffness_here = stiffness[c]
                                 if wp.static(body == 1):
                                     stiffness_here = wp.where(moves, stiffness[c], real(0.0))
-                                load = loads[wp.static(ROUND * level + turn), c]
-                                moved[c] = update(before, biharmonic[c], load, stiffness_here, p)
-                                kept_u[newest, c] = above[c]
-                                above[c] = kept_u[third, c] + moved[c]
-                                kept_curvature[second, c] = curvature[c]
+                                load = loads[wp.static(ROUND * level + phase), c]
+                                stepped_rate[c] = update(before, biharmonic[c], load, stiffness_here, p)
+                                window_u[newest, c] = above[c]
+                                above[c] = window_u[third, c] + stepped_rate[c]
+                                window_curvature[second, c] = curvature[c]
 
                         done = y - wp.static(margin)
                         storing = stores and done >= low
-                        to = at + wp.static(turn * stride)
+                        to = at + wp.static(phase * stride)
                         if wp.static(body == 1):
                             storing = storing and done < high
                             to = opaque(wp.max(done, 0) * wp.static(stride))
                         if storing:
                             write_row(lane_u_next, to, above)
-                            write_row(lane_rate_next, to, moved)
+                            write_row(lane_rate_next, to, stepped_rate)
                             if wp.static(summed):
                                 for c in range(wp.static(columns)):
-                                    total[c] = fused(moved[c], moved[c], total[c])
+                                    total[c] = fused(stepped_rate[c], stepped_rate[c], total[c])
                                 write_row(lane_squares, to, total)
 
     return advance_tiles

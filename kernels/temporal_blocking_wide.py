@@ -16,7 +16,7 @@ import warp as wp
 from warp_plate.kernels.arithmetic import make_fused
 from warp_plate.kernels.cuda import LANES, any_lane, cuda_kernel, most_registers, opaque
 from warp_plate.kernels.resident_wide import SPECIAL, make_apply_taps
-from warp_plate.kernels.temporal_blocking import COLUMNS, make_row_access
+from warp_plate.kernels.temporal_blocking import COLUMNS, make_row_access, strips
 from warp_plate.kernels.update import make_parameters, make_state, make_update
 
 # Rows below the newest one that a level moves, and rows of a round, in which each window turns once.
@@ -25,19 +25,14 @@ REACH, ROUND = 4, 4
 WARPS = {wp.float32: 12, wp.float64: 8}
 
 
-def strips(nx, levels):
-    """Return the warps that share a row, each of which moves all but the margins of its strip."""
-    return -(-nx // (LANES * COLUMNS - 2 * REACH * levels))
-
-
 @cache
 def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
     """Make the kernel of ``levels`` steps, in the window if ``summed``; launch over (plates · strips · tiles · 32,)."""
     update, Parameters, (Forcing, Fields) = make_update(effects, real), make_parameters(real), make_state(real)
     fused, apply_taps = make_fused(real), make_apply_taps(real, COLUMNS)
-    read_row, write_row, row_at = make_row_access(real, ny, stride)
+    read_row, write_row, row_at, zero_if = make_row_access(real, ny, stride)
     size = wp.types.type_size_in_bytes(real)
-    columns, margin, strip_count = COLUMNS, REACH * levels, strips(nx, levels)
+    columns, margin, strip_count = COLUMNS, REACH * levels, strips(nx, REACH * levels)
     useful = LANES * columns - 2 * margin
     # Rows by which sums are read later than rates: the first level has nothing to add to them.
     delay = REACH if levels > 1 else 0
@@ -47,13 +42,6 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
     Rows = wp.types.matrix(shape=(levels * ROUND, columns), dtype=real)
     Waves = wp.types.matrix(shape=(levels, 2), dtype=real)
     Round = wp.types.matrix(shape=(ROUND, columns), dtype=real)
-
-    @wp.func
-    def zero_if(zero: bool, row: Row):
-        values = Row()
-        for c in range(wp.static(columns)):
-            values[c] = wp.where(zero, real(0.0), row[c])
-        return values
 
     @cuda_kernel(most_registers(WARPS[real]), max_unroll=32)
     def advance_tiles(
@@ -118,17 +106,17 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
             waves[level, 1] = plate_wave[n + level, 1]
 
         # Windows of each level: displacement, curvature, and the rates and sums that the level before passed on.
-        kept_u = Rows()
-        kept_curvature = Rows()
-        kept_rate = Rows()
-        kept_sum = Rows()
+        window_u = Rows()
+        window_curvature = Rows()
+        window_rate = Rows()
+        window_sum = Rows()
         # Rows are requested a round ahead, so that memory has time to answer.
         ahead_u = Round()
         ahead_rate = Round()
         ahead_squares = Round()
         first = low - wp.static(margin)
-        for turn in range(wp.static(ROUND)):
-            ahead_u[turn] = zero_if(beside, read_row(lane_u, row_at(first + turn)))
+        for phase in range(wp.static(ROUND)):
+            ahead_u[phase] = zero_if(beside, read_row(lane_u, row_at(first + phase)))
         for round in range((high - first + wp.static(margin + ROUND - 1)) // wp.static(ROUND)):
             start = first + wp.static(ROUND) * round
             bits = loaded[opaque(start + wp.static(margin))]  # of rows from start − margin on
@@ -146,43 +134,43 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
                             # All reads first, so that they overlap; rows without load hold zeros.
                             cosines = Rows()
                             sines = Rows()
-                            for turn in range(wp.static(ROUND)):
+                            for phase in range(wp.static(ROUND)):
                                 for level in range(wp.static(levels)):
-                                    where = row_at(start + turn - wp.static(REACH * (level + 1)))
-                                    slot = wp.static(ROUND * level + turn)
+                                    where = row_at(start + phase - wp.static(REACH * (level + 1)))
+                                    slot = wp.static(ROUND * level + phase)
                                     cosines[slot] = zero_if(beside, read_row(lane_in_phase, where))
                                     sines[slot] = zero_if(beside, read_row(lane_quadrature, where))
-                            for turn in range(wp.static(ROUND)):
+                            for phase in range(wp.static(ROUND)):
                                 for level in range(wp.static(levels)):
                                     for c in range(wp.static(columns)):
-                                        slot = wp.static(ROUND * level + turn)
+                                        slot = wp.static(ROUND * level + phase)
                                         quadrature_part = waves[level, 1] * sines[slot, c]
                                         loads[slot, c] = fused(waves[level, 0], cosines[slot, c], quadrature_part)
-                    for turn in range(wp.static(ROUND)):
-                        y = start + turn
-                        above = ahead_u[turn]
-                        moved = ahead_rate[turn]
-                        total = ahead_squares[turn]  # of the row that the second level moves, or the only one
-                        next_u = at + wp.static((margin + ROUND + turn) * stride)
-                        next_rate = at + wp.static((margin + turn) * stride)
+                    for phase in range(wp.static(ROUND)):
+                        y = start + phase
+                        above = ahead_u[phase]
+                        stepped_rate = ahead_rate[phase]
+                        total = ahead_squares[phase]  # of the row that the second level moves, or the only one
+                        next_u = at + wp.static((margin + ROUND + phase) * stride)
+                        next_rate = at + wp.static((margin + phase) * stride)
                         if wp.static(body == 1):
                             next_u = row_at(y + wp.static(ROUND))
                             next_rate = row_at(y)
-                        ahead_u[turn] = zero_if(beside, read_row(lane_u, next_u))
-                        ahead_rate[turn] = zero_if(beside, read_row(lane_rate, next_rate))
+                        ahead_u[phase] = zero_if(beside, read_row(lane_u, next_u))
+                        ahead_rate[phase] = zero_if(beside, read_row(lane_rate, next_rate))
                         if wp.static(summed):
                             next_squares = next_rate - wp.static(delay * stride)
                             if wp.static(body == 1):
                                 next_squares = row_at(y - delay)
-                            ahead_squares[turn] = read_row(lane_squares, next_squares)
+                            ahead_squares[phase] = read_row(lane_squares, next_squares)
 
                         for level in range(wp.static(levels)):
                             # ``above`` is row y − 4·level of this level; ``here`` is the row that it moves.
                             here = y - wp.static(REACH * (level + 1))
-                            oldest = wp.static(ROUND * level + turn)
-                            second = wp.static(ROUND * level + (turn + 1) % ROUND)
-                            third = wp.static(ROUND * level + (turn + 2) % ROUND)
-                            fourth = wp.static(ROUND * level + (turn + 3) % ROUND)
+                            oldest = wp.static(ROUND * level + phase)
+                            second = wp.static(ROUND * level + (phase + 1) % ROUND)
+                            third = wp.static(ROUND * level + (phase + 2) % ROUND)
+                            fourth = wp.static(ROUND * level + (phase + 3) % ROUND)
                             bend = inside
                             move = inside
                             if wp.static(body == 1):
@@ -190,49 +178,49 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
                                     bend[tap] = bend_y[opaque(here + wp.static(2 + 2 * margin)), tap]
                                     move[tap] = move_y[opaque(here + wp.static(2 * margin)), tap]
                             curvature = apply_taps(
-                                kept_u[oldest], kept_u[second], kept_u[third], kept_u[fourth], above,
+                                window_u[oldest], window_u[second], window_u[third], window_u[fourth], above,
                                 bend_taps, bend, lane,
                             )  # fmt: skip
                             biharmonic = apply_taps(
-                                kept_curvature[third], kept_curvature[fourth], kept_curvature[oldest],
-                                kept_curvature[second], curvature, move_taps, move, lane,
+                                window_curvature[third], window_curvature[fourth], window_curvature[oldest],
+                                window_curvature[second], curvature, move_taps, move, lane,
                             )  # fmt: skip
                             moves = True
                             if wp.static(body == 1):
                                 moves = here > 1 and here < wp.static(ny)
                             for c in range(wp.static(columns)):
-                                before = moved[c]
+                                before = stepped_rate[c]
                                 if wp.static(level > 0):
-                                    before = kept_rate[oldest, c]
-                                    kept_rate[oldest, c] = moved[c]
+                                    before = window_rate[oldest, c]
+                                    window_rate[oldest, c] = stepped_rate[c]
                                     if wp.static(summed):
                                         partial = total[c]
                                         if wp.static(level > 1):
-                                            partial = kept_sum[oldest, c]
-                                            kept_sum[oldest, c] = total[c]
+                                            partial = window_sum[oldest, c]
+                                            window_sum[oldest, c] = total[c]
                                         total[c] = fused(before, before, partial)
                                 stiffness_here = stiffness[c]
                                 if wp.static(body == 1):
                                     stiffness_here = wp.where(moves, stiffness[c], real(0.0))
-                                load = loads[wp.static(ROUND * level + turn), c]
-                                moved[c] = update(before, biharmonic[c], load, stiffness_here, p)
+                                load = loads[wp.static(ROUND * level + phase), c]
+                                stepped_rate[c] = update(before, biharmonic[c], load, stiffness_here, p)
                                 entering = above[c]
-                                above[c] = kept_u[oldest, c] + moved[c]
-                                kept_u[oldest, c] = entering
-                                kept_curvature[third, c] = curvature[c]
+                                above[c] = window_u[oldest, c] + stepped_rate[c]
+                                window_u[oldest, c] = entering
+                                window_curvature[third, c] = curvature[c]
 
                         done = y - wp.static(margin)
                         storing = stores and done >= low
-                        to = at + wp.static(turn * stride)
+                        to = at + wp.static(phase * stride)
                         if wp.static(body == 1):
                             storing = storing and done < high
                             to = opaque(wp.max(done, 0) * wp.static(stride))
                         if storing:
                             write_row(lane_u_next, to, above)
-                            write_row(lane_rate_next, to, moved)
+                            write_row(lane_rate_next, to, stepped_rate)
                             if wp.static(summed):
                                 for c in range(wp.static(columns)):
-                                    total[c] = fused(moved[c], moved[c], total[c])
+                                    total[c] = fused(stepped_rate[c], stepped_rate[c], total[c])
                                 write_row(lane_squares, to, total)
 
     return advance_tiles

@@ -41,13 +41,13 @@ def exponential(a: wp.vec2d):
 @wp.func
 def mean_exponential(rate: wp.vec2d, window: wp.vec2d):
     """Return the mean of exp(rate·t) over the window."""
-    turn = (window[1] - window[0]) * rate
+    phase = (window[1] - window[0]) * rate
     early = exponential(window[0] * rate)
-    mean = divide(exponential(window[1] * rate) - early, turn)
-    if wp.length(turn) < wp.float64(1e-3):  # where the difference would cancel
+    mean = divide(exponential(window[1] * rate) - early, phase)
+    if wp.length(phase) < wp.float64(1e-3):  # where the difference would cancel
         one = wp.vec2d(wp.float64(1.0), wp.float64(0.0))
-        series = one + multiply(turn, one + turn / wp.float64(4.0)) / wp.float64(3.0)
-        mean = multiply(early, one + multiply(turn, series) / wp.float64(2.0))
+        series = one + multiply(phase, one + phase / wp.float64(4.0)) / wp.float64(3.0)
+        mean = multiply(early, one + multiply(phase, series) / wp.float64(2.0))
     return mean
 
 
@@ -129,7 +129,7 @@ def write_drives(
     # outputs
     drive: wp.array2d[wp.vec2d],  # (plates, actuators) exponents [1/s]
 ):
-    """Write iω, moved if it meets a pole; launch over (plates, actuators)."""
+    """Write iω, weighted if it meets a pole; launch over (plates, actuators)."""
     plate, actuator = wp.tid()
     rate = wp.vec2d(wp.float64(0.0), wp.float64(wp.static(2.0 * wp.PI)) * frequency[plate, actuator])
     shift = wp.float64(0.0)
@@ -195,7 +195,7 @@ def write_motions(
 @portable_kernel()
 def contract(
     # parameters
-    kept: wp.array[int],  # (free motions,) their modes
+    lasting_modes: wp.array[int],  # (free motions,) their modes
     steady: int,  # 1 for means over the periods of equal frequencies
     window: wp.vec2d,  # start and end [s]
     # inputs; matrices with the columns of the plates' actuators
@@ -203,7 +203,7 @@ def contract(
     forced: wp.array2d[wp.vec2d],  # see ``write_motions``
     free: wp.array2d[wp.vec2d],
     means: wp.array2d[wp.vec2d],
-    moved: wp.array2d[wp.vec2d],  # the region's mass matrix times ``forced``
+    weighted: wp.array2d[wp.vec2d],  # the region's mass matrix times ``forced``
     formed: wp.array2d[wp.vec2d],  # the region's form of free motions times ``free``
     region: int,
     # outputs
@@ -220,7 +220,7 @@ def contract(
     mixed = wp.vec2d()  # mean of conj(v_k) v_m
     for row in range(forced.shape[0]):
         a = forced[row, first]
-        b = moved[row, second]
+        b = weighted[row, second]
         plain += multiply(a, b)
         mixed += multiply(conjugate(a), b)
     if steady == 1:
@@ -230,11 +230,11 @@ def contract(
     else:
         plain = multiply(plain, mean_exponential(drive[plate, k] + drive[plate, m], window))
         mixed = multiply(mixed, mean_exponential(conjugate(drive[plate, k]) + drive[plate, m], window))
-    for row in range(kept.shape[0]):
+    for row in range(lasting_modes.shape[0]):
         a = free[row, first]
         b = free[row, second]
-        across_a = multiply(moved[kept[row], first], means[row, first])
-        across_b = multiply(moved[kept[row], second], means[row, second])
+        across_a = multiply(weighted[lasting_modes[row], first], means[row, first])
+        across_b = multiply(weighted[lasting_modes[row], second], means[row, second])
         both = across_b + formed[row, second]
         plain += multiply(across_a, b) + multiply(a, both)
         mixed += multiply(conjugate(across_a), b) + multiply(conjugate(a), both)

@@ -33,9 +33,9 @@ class KernelEffects:
     material_damping: bool = False  # Stress follows the strain rate too (Kelvin–Voigt)
     tension: bool = False  # Constant membrane tension
     foundation: bool = False  # Elastic bed or elastic edges
-    stretching: bool = False  # Tension that grows with the deflection (Berger)
-    oscillators: bool = False  # Masses on springs
-    moving_load: bool = False  # A load that travels over the plate
+    membrane: bool = False  # Tension that grows with the deflection (Berger)
+    attached: bool = False  # Masses on springs
+    travelling: bool = False  # A load that travels over the plate
 
     @property
     def plain(self) -> bool:
@@ -98,14 +98,14 @@ def make_material(real):
         strength: wp.array[real]  # (steps,) of the moving load
         along_x: wp.array2d[real]  # (steps, nx) its shares of the nodes
         along_y: wp.array2d[real]  # (steps, ny)
-        oscillator_shares: wp.array3d[real]  # (oscillators, ny, nx) shares of the nodes in an oscillator's patch
-        oscillators: wp.array2d[real]  # (oscillators, 4) stiffness, damping, 1 / mass, 0
+        attached_shares: wp.array3d[real]  # (attached masses, ny, nx) shares of the nodes in each one's patch
+        attached: wp.array2d[real]  # (attached masses, 4) stiffness, damping, 1 / mass, 0
         aspect: real  # (hx / hy)²
         root_aspect: real  # hx / hy
         tension_x: real
         tension_y: real
         retardation: real  # of the material, in steps
-        stretching: real  # tension per Σ weight · (−u · membrane curvature), in SI displacements
+        membrane: real  # tension per Σ weight · (−u · membrane curvature), in SI displacements
         stretch_ratio: real  # κ of the membrane curvature u_xx + κ u_yy
 
     return Material

@@ -34,7 +34,7 @@ KINDS = {
     "order 2": KernelEffects(True, True, 2),
     "order 4": KernelEffects(True, True, 4),
     "free edges": KernelEffects(True, True, 2, moments=True),
-    "stretching": KernelEffects(True, True, 2, moments=True, stretching=True),
+    "stretching": KernelEffects(True, True, 2, moments=True, membrane=True),
 }
 # Numbers in a cubin: kinds of its entries in .nv.info.
 REGISTER_COUNT = 0x2F
@@ -46,7 +46,7 @@ def planned(effects, nodes, shared_bytes):
     if effects.moments:
         plan = plans.plan_block(nodes, nodes, real, effects, 0, few=False, shared_bytes=shared_bytes)
         if not plan.on_chip:
-            levels, planes = 1 if effects.stretching else 3, plans.material_planes(effects)
+            levels, planes = 1 if effects.membrane else 3, plans.material_planes(effects)
             kernel = moment_form_blocking.make_advance_tiles(effects, real, nodes, nodes, stride, planes, levels, True)
             return kernel, 128
         return moment_form_cuda.make_run_steps(effects, real, nodes, nodes, stride, 0, plan), plan.threads

@@ -32,7 +32,7 @@ SHARED_BYTES = 224 * 1024
 KERNELS = Path(__file__).parents[2] / "kernels"
 # Plates (nx, ny, stride) for a warp, for a block, for a block with sums in shared memory, and for no multiprocessor.
 SMALL, LARGE, LARGEST, HUGE = (27, 27, 32), (41, 43, 48), (97, 89, 112), (257, 129, 272)
-ALONE = ("material_damping", "tension", "foundation", "stretching", "oscillators", "moving_load")
+ALONE = ("material_damping", "tension", "foundation", "membrane", "attached", "travelling")
 EVERYTHING = KernelEffects(True, True, 2, terms=5, moments=True, **dict.fromkeys(ALONE, True))
 FEW = [KernelEffects(True, True, 2), KernelEffects(True, True, 4), EVERYTHING]
 PLAIN = itertools.product((False, True), ((False, 2), (True, 2), (True, 4)))
@@ -64,14 +64,14 @@ def cuda_kernels(effects, real):
     if not effects.plain:
         for kernel in moment_form.make_passes(effects, real):
             yield "moment_form.make_passes", kernel
-        oscillators = 2 if effects.oscillators else 0
+        oscillators = 2 if effects.attached else 0
         for nx, ny, stride in (SMALL, HUGE):
             plan = plans.plan_block(nx, ny, real, effects, oscillators, few=False, shared_bytes=SHARED_BYTES)
             assert plan.on_chip == bool(plan.in_registers) == (nx < HUGE[0])
             kernel = moment_form_cuda.make_run_steps(effects, real, nx, ny, stride, oscillators, plan)
             yield "moment_form_cuda.make_run_steps", kernel
         planes = plans.material_planes(effects)
-        for levels, summed in ((1, False), (1 if effects.stretching else 3, True)):
+        for levels, summed in ((1, False), (1 if effects.membrane else 3, True)):
             kernel = moment_form_blocking.make_advance_tiles(effects, real, *LARGE, planes, levels, summed)
             yield "moment_form_blocking.make_advance_tiles", kernel
         return

@@ -16,9 +16,9 @@ MEMBERS = {
     "material_damping": "retardation",
     "tension": "tension_x",
     "foundation": "spring",
-    "stretching": "stretching",
-    "oscillators": "oscillator_shares",
-    "moving_load": "strength",
+    "membrane": "membrane",
+    "attached": "attached_shares",
+    "travelling": "strength",
     "damping": "decay",
 }
 

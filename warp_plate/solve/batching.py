@@ -254,7 +254,7 @@ def steps_between_checks(specialized: Specialized, plates: int) -> int | None:
     """
     if not specialized.scheme.stable:
         return CHECK_STEPS
-    if not specialized.effects.stretching:
+    if not specialized.effects.membrane:
         return None
     work = CHECK_NODE_STEPS["cuda" if specialized.device.is_cuda else "cpu"]
     return max(CHECK_STEPS, int(work / (plates * specialized.interior_nodes)))

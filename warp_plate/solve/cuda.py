@@ -232,7 +232,7 @@ def _blocking_path(specialized: Specialized) -> Advance:
     def launch_tiles(
         launch: Launcher, state: State, plates: int, clock: wp.array, offset: int, levels: int, summed: bool
     ) -> None:
-        strips = blocking.strips(nx, levels)
+        strips = temporal_blocking.strips(nx, blocking.REACH * levels)
         tiles = tiles_of(specialized, plates * strips, ny - 2)
         launch(
             kernels[levels, summed],

@@ -56,8 +56,8 @@ def make_material(specialized: Specialized) -> Any:
         "decay": 1 - loss if scheme.backward else (1 - loss / 2) / (1 + loss / 2),
         "spring": bending.spring * unit,
         "weight": bending.weight,
-        "oscillator_shares": bending.shares,
-        "oscillators": np.array(attached).reshape(-1, 4),
+        "attached_shares": bending.shares,
+        "attached": np.array(attached).reshape(-1, 4),
         "strength": moving.wave / moving.largest if moving else np.zeros(1),
         "along_x": moving.along_x if moving else np.zeros((1, 1)),
         "along_y": moving.along_y if moving else np.zeros((1, 1)),
@@ -69,7 +69,7 @@ def make_material(specialized: Specialized) -> Any:
     material.root_aspect = hx / hy
     material.tension_x, material.tension_y = (force * unit / hx**2 for force in bending.membrane)
     material.retardation = bending.retardation / step
-    material.stretching = bending.berger * (hy / hx) * unit / hx**2
+    material.membrane = bending.berger * (hy / hx) * unit / hx**2
     material.stretch_ratio = bending.stretch_ratio
     return material
 
@@ -82,7 +82,7 @@ def streaming_path(specialized: Specialized) -> Advance:
     kernels = moment_form.make_passes(specialized.effects, specialized.real)
     specialized.load(*kernels)
     compute_moments, sum_rows, finish_sums, update_nodes = kernels
-    material, sums = make_material(specialized), attached_masses(specialized) + int(specialized.effects.stretching)
+    material, sums = make_material(specialized), attached_masses(specialized) + int(specialized.effects.membrane)
 
     def structs_of(state: State) -> list[Any]:
         """Return a state's drive and fields as views of the plate, and what the passes leave each other."""
@@ -119,14 +119,14 @@ def streaming_path(specialized: Specialized) -> Advance:
 
 def takes_blocks(specialized: Specialized) -> bool:
     """Return whether temporal blocking has the effects: not those that act on patches at every step."""
-    return not (specialized.effects.oscillators or specialized.effects.moving_load)
+    return not (specialized.effects.attached or specialized.effects.travelling)
 
 
 def _blocking_path(specialized: Specialized) -> Advance:
     """Return the path of temporal blocking on CUDA."""
     effects, real, (nx, ny) = specialized.effects, specialized.real, specialized.scheme.nodes
-    # More steps per launch than this cost registers that there are not; stretching needs a sum before each step.
-    most_levels = 1 if effects.stretching or real is wp.float64 else 2 if effects.material_damping else 3
+    # More steps per launch than this cost registers that there are not; a membrane needs a sum before each step.
+    most_levels = 1 if effects.membrane or real is wp.float64 else 2 if effects.material_damping else 3
     names = plans.material_planes(effects)
     kernels = {
         (levels, summed): moment_form_blocking.make_advance_tiles(
@@ -142,7 +142,7 @@ def _blocking_path(specialized: Specialized) -> Advance:
 
     # Sums must not depend on the number of plates.
     summed_tiles = max(1, ny // SUMMED_ROWS)
-    parts = moment_form_blocking.strips(effects, nx, 1) * summed_tiles if effects.stretching else 1
+    parts = temporal_blocking.strips(nx, moment_form_blocking.margin_of(effects, 1)) * summed_tiles
 
     def sums_of(state: State) -> list[wp.array]:
         """Return the sums that a launch reads and those that it writes, which alternate with the fields."""
@@ -153,8 +153,8 @@ def _blocking_path(specialized: Specialized) -> Advance:
     def launch_tiles(
         launch: Launcher, state: State, plates: int, clock: wp.array, offset: int, levels: int, summed: bool
     ) -> None:
-        strips = plates * moment_form_blocking.strips(effects, nx, levels)
-        tiles = summed_tiles if effects.stretching else cuda.tiles_of(specialized, strips, ny)
+        strips = plates * temporal_blocking.strips(nx, moment_form_blocking.margin_of(effects, levels))
+        tiles = summed_tiles if effects.membrane else cuda.tiles_of(specialized, strips, ny)
         sums = sums_of(state)
         launch(
             kernels[levels, summed],
@@ -227,7 +227,7 @@ def block_path(specialized: Specialized, plan: plans.BlockPlan) -> Advance:
         return specialized.to_device(np.pad(planes.reshape(len(planes), nx * ny), ((0, 0), (0, beyond))))
 
     planes = np.stack([_material_plane(material, name) for name in plans.material_planes(effects)])
-    shared = [material, lines(planes), lines(material.oscillator_shares.numpy())]
+    shared = [material, lines(planes), lines(material.attached_shares.numpy())]
     shared.append(wp.vec2i(*specialized.scheme.window))
     workspace_size = 0 if plan.on_chip else plans.workspace_layout(nx, masses, plan)["end"]
 
@@ -256,7 +256,7 @@ def _cpu_path(specialized: Specialized) -> Advance:
     planes = np.stack([_shared_plane(material, name) for name in moment_form_cpu.SHARED_PLANES])
     shared = [
         specialized.to_device(np.pad(values, ((0, 0), (1, 1), (0, stride - nx))))
-        for values in (planes, material.oscillator_shares.numpy())
+        for values in (planes, material.attached_shares.numpy())
     ]
     along_x = material.along_x.numpy()
     material.along_x = specialized.to_device(np.pad(along_x, ((0, 0), (0, stride - along_x.shape[1]))))

@@ -189,9 +189,9 @@ def kernel_effects(discretization: Discretization) -> KernelEffects:
         material_damping=("damping", "bending", DISPLACEMENT) in kinds,
         tension=any(("stiffness", "", factors) in kinds for factors in IN_PLANE),
         foundation=("stiffness", "", DISPLACEMENT) in kinds,
-        stretching=scene.effects.stretches,
-        oscillators=scene.effects.attached,
-        moving_load=scene.effects.travelling is not None,
+        membrane=scene.effects.stretches,
+        attached=scene.effects.attached,
+        travelling=scene.effects.travelling is not None,
     )
 
 
