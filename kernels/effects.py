@@ -58,7 +58,7 @@ def make_add_local_forces(effects, real):
         load: real, inverse_mass: real, spring: real, u: real, tension: real, membrane_curvature: real
     ):
         total = load
-        if wp.static(effects.foundation):
+        if wp.static(effects.springs):
             total -= inverse_mass * (spring * u)
         if wp.static(effects.membrane):
             total += inverse_mass * (tension * membrane_curvature)

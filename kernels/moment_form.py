@@ -37,7 +37,7 @@ def make_work(real):
         mxy: wp.array3d[real]
         membrane_curvature: wp.array3d[real]
         row_sums: wp.array4d[real]  # (plates, sums, 2, ny)
-        tension: wp.array[real]  # (plates,) of the stretched membrane
+        membrane_force: wp.array[real]  # (plates,) of the stretched membrane
         attached_force: wp.array2d[real]  # (plates, attached masses) on the plate
 
     return Work
@@ -61,7 +61,7 @@ def make_moment(effects, real):
 
     @wp.func
     def moment(rigidity: real, along: real, rigidity_across: real, across: real, tension: real, u: real):
-        if wp.static(effects.tension):
+        if wp.static(effects.in_plane):
             return fused(rigidity, along, rigidity_across * across) - tension * u
         else:
             return fused(rigidity, along, rigidity_across * across)
@@ -78,7 +78,7 @@ def make_compute_moments(effects, real):
     @wp.func
     def retarded_u(f: Fields, m: Material, k: int, j: int, i: int):
         """Return the displacement that causes stress, which includes the strain rate's share."""
-        if wp.static(effects.material_damping):
+        if wp.static(effects.retarded):
             return f.u[k, j, i] + m.retardation * f.rate[k, j, i]
         else:
             return f.u[k, j, i]
@@ -97,13 +97,13 @@ def make_compute_moments(effects, real):
         along_x = retarded_u(f, m, k, j, west) + e - real(2.0) * c
         along_y = m.aspect * (retarded_u(f, m, k, south, i) + n - real(2.0) * c)
         u = f.u[k, j, i]
-        tension_x = real(0.0)
-        tension_y = real(0.0)
-        if wp.static(effects.tension):
-            tension_x = m.tension_x
-            tension_y = m.tension_y
-        w.mx[k, j, i] = moment(m.bend_xx[j, i], along_x, m.bend_xy[j, i], along_y, tension_x, u)
-        w.my[k, j, i] = moment(m.bend_yy[j, i], along_y, m.bend_xy[j, i], along_x, tension_y, u)
+        in_plane_x = real(0.0)
+        in_plane_y = real(0.0)
+        if wp.static(effects.in_plane):
+            in_plane_x = m.in_plane_x
+            in_plane_y = m.in_plane_y
+        w.mx[k, j, i] = moment(m.bend_xx[j, i], along_x, m.bend_xy[j, i], along_y, in_plane_x, u)
+        w.my[k, j, i] = moment(m.bend_yy[j, i], along_y, m.bend_xy[j, i], along_x, in_plane_y, u)
         if i < nx - 1 and j < ny - 1:
             w.mxy[k, j, i] = m.twist[j, i] * (m.root_aspect * (retarded_u(f, m, k, j + 1, i + 1) - e - n + c))
         if wp.static(effects.membrane):
@@ -155,7 +155,7 @@ def make_finish_sum(effects, real):
             total_rate += w.row_sums[k, which, 1, j]
         if wp.static(effects.membrane):
             if which == 0:
-                w.tension[k] = membrane_tension(d, m, k, total)
+                w.membrane_force[k] = membrane_tension(d, m, k, total)
         if wp.static(effects.attached):
             if which >= wp.static(first):
                 o = which - wp.static(first)
@@ -204,10 +204,10 @@ def make_update_node(effects, real):
             spring = real(0.0)
             tension = real(0.0)
             membrane_curvature = real(0.0)
-            if wp.static(effects.foundation):
+            if wp.static(effects.springs):
                 spring = m.spring[j, i]
             if wp.static(effects.membrane):
-                tension = w.tension[k]
+                tension = w.membrane_force[k]
                 membrane_curvature = w.membrane_curvature[k, j, i]
             load = add_local_forces(load, inverse_mass, spring, u, tension, membrane_curvature)
             if wp.static(effects.attached):

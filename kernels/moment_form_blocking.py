@@ -55,7 +55,7 @@ def make_advance_tiles(effects, real, nx, ny, stride, planes, levels, summed):
     Rows = wp.types.matrix(shape=(levels * ROUND, columns), dtype=real)
     Round = wp.types.matrix(shape=(ROUND, columns), dtype=real)
     Levels = wp.types.vector(length=levels, dtype=real)
-    strained = effects.material_damping
+    strained = effects.retarded
 
     @wp.func
     def read_material(lane: wp.uint64, at: int):
@@ -241,8 +241,8 @@ def make_advance_tiles(effects, real, nx, ny, stride, planes, levels, summed):
                                 neighbours = fused(south_1, below[c], (real(2.0) - south_1) * strain[c])
                                 curved_y = p.aspect * (neighbours - real(2.0) * centre[c])
                                 u_1 = window_u[second, c]
-                                mx[c] = moment(bend_xx[c], curved_x, bend_xy[c], curved_y, p.tension_x, u_1)
-                                my[c] = moment(bend_yy[c], curved_y, bend_xy[c], curved_x, p.tension_y, u_1)
+                                mx[c] = moment(bend_xx[c], curved_x, bend_xy[c], curved_y, p.in_plane_x, u_1)
+                                my[c] = moment(bend_yy[c], curved_y, bend_xy[c], curved_x, p.in_plane_y, u_1)
                             twisted = (centre[1] - below[1]) - (centre[0] - below[0])
                             twist[0] = rigidity[0] * (p.root_aspect * twisted)
                             twisted = (from_east - window_east[level]) - (centre[1] - below[1])
@@ -282,7 +282,7 @@ def make_advance_tiles(effects, real, nx, ny, stride, planes, levels, summed):
                             if wp.static(effects.damping):
                                 decay = read_material(lane_material, here_at + wp.static(at_plane["decay"]))
                             spring = Row()
-                            if wp.static(effects.foundation):
+                            if wp.static(effects.springs):
                                 spring = read_material(lane_material, here_at + wp.static(at_plane["spring"]))
                             stepped = Row()
                             stepped_rate = Row()

@@ -61,7 +61,7 @@ def make_run_steps(effects, real, ny, stride):
     @wp.func
     def compute_moments(
         s: wp.uint64, u_at: wp.uint64, retarded_at: wp.uint64, mx_at: wp.uint64, my_at: wp.uint64, mxy_at: wp.uint64,
-        aspect: real, root_aspect: real, tension_x: real, tension_y: real,
+        aspect: real, root_aspect: real, in_plane_x: real, in_plane_y: real,
     ):
         """Addresses are those of the first row; ``retarded_at`` may be that of u."""
         west = shared_plane(s, wp.static(plane["west"]))
@@ -84,8 +84,8 @@ def make_run_steps(effects, real, ny, stride):
             n = v[i + wp.static(2 * stride + 1)]
             along_x = west[i] * v[i + wp.static(stride)] + (east[i] * e - real(2.0) * c)
             along_y = south[i] * v[i + 1] + (north[i] * n - real(2.0) * aspect * c)
-            mx[i] = moment(bend_xx[i], along_x, bend_xy[i], along_y, tension_x, u[i])
-            my[i] = moment(bend_yy[i], along_y, bend_xy[i], along_x, tension_y, u[i])
+            mx[i] = moment(bend_xx[i], along_x, bend_xy[i], along_y, in_plane_x, u[i])
+            my[i] = moment(bend_yy[i], along_y, bend_xy[i], along_x, in_plane_y, u[i])
             mxy[i] = twist[i] * root_aspect * ((v[i + wp.static(2 * stride + 2)] - e) - (n - c))
 
     @wp.func
@@ -192,7 +192,7 @@ def make_run_steps(effects, real, ny, stride):
                 load = loads[i]
             node_spring = real(0.0)
             node_curvature = real(0.0)
-            if wp.static(effects.foundation):
+            if wp.static(effects.springs):
                 node_spring = spring[i]
             if wp.static(effects.membrane):
                 node_curvature = membrane_curvature[i]
@@ -242,10 +242,12 @@ def make_run_steps(effects, real, ny, stride):
         tension = real(0.0)
         for n in range(start, stop):
             strained = u_at
-            if wp.static(effects.material_damping):
+            if wp.static(effects.retarded):
                 compute_retarded_u(u_at, rate_at, retarded, m.retardation)
                 strained = retarded
-            compute_moments(shared.ptr, u_at, strained, mx, my, mxy, m.aspect, m.root_aspect, m.tension_x, m.tension_y)
+            compute_moments(
+                shared.ptr, u_at, strained, mx, my, mxy, m.aspect, m.root_aspect, m.in_plane_x, m.in_plane_y
+            )
             if wp.static(effects.membrane):
                 compute_membrane_curvature(shared.ptr, u_at, curvature, m.aspect, m.stretch_ratio)
                 # The pressure plane is not in use yet; it holds weight · u.

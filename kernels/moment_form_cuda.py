@@ -223,7 +223,7 @@ def make_run_steps(effects, real, nx, ny, stride, attached, block):
                     h[rate_row, m] = plate_rate[at]
                 if wp.static("squares" in held):
                     h[squares_row, m] = plate_squares[at]
-                if wp.static(effects.material_damping):
+                if wp.static(effects.retarded):
                     x[i + retarded_at] = here + p.retardation * plate_rate[at]
                 flags = edge_flags(i)
                 for t in range(wp.static(effects.terms)):
@@ -245,15 +245,15 @@ def make_run_steps(effects, real, nx, ny, stride, attached, block):
                 at = i + retarded_at
                 here = read_u(h, x, m, i)
                 c = here
-                if wp.static(effects.material_damping):
+                if wp.static(effects.retarded):
                     c = x[at]
                 e = x[at + 1]
                 up = x[at + nx]
                 along_x = sum_of_neighbours(x, at, LEFT, RIGHT, flags, 1) - real(2.0) * c
                 along_y = p.aspect * (sum_of_neighbours(x, at, BOTTOM, TOP, flags, nx) - real(2.0) * c)
                 bend_xy = read_bend_xy(h, planes, m, i)
-                mx = moment(read_bend_xx(h, planes, m, i), along_x, bend_xy, along_y, p.tension_x, here)
-                my = moment(read_bend_yy(h, planes, m, i), along_y, bend_xy, along_x, p.tension_y, here)
+                mx = moment(read_bend_xx(h, planes, m, i), along_x, bend_xy, along_y, p.in_plane_x, here)
+                my = moment(read_bend_yy(h, planes, m, i), along_y, bend_xy, along_x, p.in_plane_y, here)
                 mxy = read_twist(h, planes, m, i) * (p.root_aspect * ((x[at + wp.static(nx + 1)] - e) - (up - c)))
                 x[i + mx_at] = mx
                 x[i + my_at] = my
@@ -331,7 +331,7 @@ def make_run_steps(effects, real, nx, ny, stride, attached, block):
                 inverse_mass = read_inverse_mass(h, planes, m, i)
                 spring = real(0.0)
                 curvature = real(0.0)
-                if wp.static(effects.foundation):
+                if wp.static(effects.springs):
                     spring = read_spring(h, planes, m, i)
                 if wp.static(effects.membrane):
                     curvature = read_curvature(h, x, m, i)
@@ -354,7 +354,7 @@ def make_run_steps(effects, real, nx, ny, stride, attached, block):
                 if wp.static("u" in held):
                     h[u_row, m] = here + new
                 x[i + u_at] = here + new
-                if wp.static(effects.material_damping):
+                if wp.static(effects.retarded):
                     x[i + retarded_at] = (here + new) + p.retardation * new
                 if wp.static("rate" in held):
                     h[rate_row, m] = new

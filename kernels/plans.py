@@ -192,7 +192,7 @@ def material_planes(effects):
     """Return the names of the material planes that the effects read at every step."""
     needed = {
         "decay": effects.damping,
-        "spring": effects.foundation,
+        "spring": effects.springs,
         "weight": effects.membrane,
         "pressure_gain": effects.attached or effects.travelling,
     }
@@ -201,7 +201,7 @@ def material_planes(effects):
 
 def workspace_planes(effects, in_registers):
     """Return the names of the planes in a block's workspace."""
-    retarded = ("retarded_u",) if effects.material_damping else ()
+    retarded = ("retarded_u",) if effects.retarded else ()
     in_workspace = effects.membrane and "membrane_curvature" not in in_registers
     return ("u", "mx", "my", "mxy", *retarded, *(("membrane_curvature",) if in_workspace else ()))
 

@@ -30,9 +30,9 @@ class KernelEffects:
     # The moment form alone has these, see ``moment_form``
     terms: int = 2  # Terms of the load in time, see ``loads``
     moments: bool = False  # Bending stiffness varies over the plate, or an edge is free or elastic
-    material_damping: bool = False  # Stress follows the strain rate too (Kelvin–Voigt)
-    tension: bool = False  # Constant membrane tension
-    foundation: bool = False  # Elastic bed or elastic edges
+    retarded: bool = False  # Stress follows the strain rate too (Kelvin–Voigt)
+    in_plane: bool = False  # Constant membrane tension
+    springs: bool = False  # Elastic bed or elastic edges
     membrane: bool = False  # Tension that grows with the deflection (Berger)
     attached: bool = False  # Masses on springs
     travelling: bool = False  # A load that travels over the plate
@@ -102,8 +102,8 @@ def make_material(real):
         attached: wp.array2d[real]  # (attached masses, 4) stiffness, damping, 1 / mass, 0
         aspect: real  # (hx / hy)²
         root_aspect: real  # hx / hy
-        tension_x: real
-        tension_y: real
+        in_plane_x: real
+        in_plane_y: real
         retardation: real  # of the material, in steps
         membrane: real  # tension per Σ weight · (−u · membrane curvature), in SI displacements
         stretch_ratio: real  # κ of the membrane curvature u_xx + κ u_yy

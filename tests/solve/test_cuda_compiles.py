@@ -32,7 +32,7 @@ SHARED_BYTES = 224 * 1024
 KERNELS = Path(__file__).parents[2] / "kernels"
 # Plates (nx, ny, stride) for a warp, for a block, for a block with sums in shared memory, and for no multiprocessor.
 SMALL, LARGE, LARGEST, HUGE = (27, 27, 32), (41, 43, 48), (97, 89, 112), (257, 129, 272)
-ALONE = ("material_damping", "tension", "foundation", "membrane", "attached", "travelling")
+ALONE = ("retarded", "in_plane", "springs", "membrane", "attached", "travelling")
 EVERYTHING = KernelEffects(True, True, 2, terms=5, moments=True, **dict.fromkeys(ALONE, True))
 FEW = [KernelEffects(True, True, 2), KernelEffects(True, True, 4), EVERYTHING]
 PLAIN = itertools.product((False, True), ((False, 2), (True, 2), (True, 4)))
@@ -150,7 +150,7 @@ def test_warp_places_tiles_where_the_kernels_expect_them():
 @pytest.mark.parametrize("real", REALS)
 def test_a_quarter_of_a_multiprocessor_has_room_for_its_warps(real):
     """It has 16384 registers, and a fourth of the warps of a block, rounded up."""
-    effects = KernelEffects(moments=True, material_damping=True, tension=True)
+    effects = KernelEffects(moments=True, retarded=True, in_plane=True)
     for nx, ny in itertools.product((9, 28, 33, 53, 81, 105, 113, 160), repeat=2):
         blocks = [plans.plan_block(nx, ny, real, effects, 0, few, SHARED_BYTES) for few in (False, True)]
         assert all(plan.threads * plan.nodes >= nx * ny for plan in blocks)

@@ -13,9 +13,9 @@ from warp_plate.solve.specialize import Specialized
 
 # Members of the kernels' structs that belong to one effect alone.
 MEMBERS = {
-    "material_damping": "retardation",
-    "tension": "tension_x",
-    "foundation": "spring",
+    "retarded": "retardation",
+    "in_plane": "in_plane_x",
+    "springs": "spring",
     "membrane": "membrane",
     "attached": "attached_shares",
     "travelling": "strength",

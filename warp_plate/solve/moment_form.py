@@ -67,7 +67,7 @@ def make_material(specialized: Specialized) -> Any:
         setattr(material, name, specialized.to_device(values))
     material.aspect = scheme.aspect
     material.root_aspect = hx / hy
-    material.tension_x, material.tension_y = (force * unit / hx**2 for force in bending.membrane)
+    material.in_plane_x, material.in_plane_y = (force * unit / hx**2 for force in bending.membrane)
     material.retardation = bending.retardation / step
     material.membrane = bending.berger * (hy / hx) * unit / hx**2
     material.stretch_ratio = bending.stretch_ratio
@@ -96,7 +96,7 @@ def streaming_path(specialized: Specialized) -> Advance:
         for name in ("mx", "my", "mxy", "membrane_curvature"):
             setattr(work, name, state.scratch(name, state.capacity, ny, nx))
         work.row_sums = state.scratch("row_sums", state.capacity, sums, 2, ny)
-        work.tension = state.scratch("tension", state.capacity)
+        work.membrane_force = state.scratch("membrane_force", state.capacity)
         work.attached_force = state.scratch("attached_force", state.capacity, attached_masses(specialized))
         return [drive, fields, work]
 
@@ -126,7 +126,7 @@ def _blocking_path(specialized: Specialized) -> Advance:
     """Return the path of temporal blocking on CUDA."""
     effects, real, (nx, ny) = specialized.effects, specialized.real, specialized.scheme.nodes
     # More steps per launch than this cost registers that there are not; a membrane needs a sum before each step.
-    most_levels = 1 if effects.membrane or real is wp.float64 else 2 if effects.material_damping else 3
+    most_levels = 1 if effects.membrane or real is wp.float64 else 2 if effects.retarded else 3
     names = plans.material_planes(effects)
     kernels = {
         (levels, summed): moment_form_blocking.make_advance_tiles(
