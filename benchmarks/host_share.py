@@ -24,6 +24,7 @@ from warp_plate import Scene, SceneError
 from warp_plate.accuracy.machine import busy, describe_machine, describe_versions
 from warp_plate.problem.methods import make_optimizer
 from warp_plate.problem.problem import Problem, make_problem
+from warp_plate.resolve import resolve
 
 PLATES = (20, 1024, 16384, 131072)
 GENERATIONS, FIRST = 9, 2
@@ -84,7 +85,7 @@ def measure(
     scene: Scene, device: str, plates: tuple[int, ...] = PLATES, count: int = GENERATIONS
 ) -> list[dict[str, object]]:
     """Return the rows of the table."""
-    problem = make_problem(scene, device)
+    problem = make_problem(resolve(scene, device))
     device_time = DeviceTime(problem)
     return [generations(problem, device_time, each, count) for each in plates]
 

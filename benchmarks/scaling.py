@@ -29,6 +29,7 @@ from warp_plate.cluster.opening import open_pool
 from warp_plate.cluster.pool import Task, WorkerPool, run_tasks
 from warp_plate.problem.methods import make_optimizer
 from warp_plate.problem.problem import Problem, make_problem
+from warp_plate.resolve import resolve
 
 PLATES, GENERATIONS = 4096, 9
 # Generations of a turn that count.
@@ -101,7 +102,7 @@ def measure(
     Raises:
         RuntimeError: their losses are not the same.
     """
-    problems = {name: make_problem(scene, device, pool=pool) for name, pool in {HERE: None, **pools}.items()}
+    problems = {name: make_problem(resolve(scene, device), pool=pool) for name, pool in {HERE: None, **pools}.items()}
     turns = -(-generations // TURN)
     searches = {name: Search(problem, plates, (1 + turns) * (1 + TURN)) for name, problem in problems.items()}
     for turn in range(1 + turns):

@@ -19,6 +19,7 @@ FLOORS = (
     {"solve", "viz"},
     {"modal"},
     {"accuracy", "cluster", "fitting"},
+    {"resolve"},
     {"problem"},
     {"analysis", "focusing"},
     {"studies"},

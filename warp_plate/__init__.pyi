@@ -36,13 +36,13 @@ from .scene.plate import Plate as Plate
 from .scene.search import Search as Search
 from .scene.target import Target as Target
 from .solve.solver import PlateSolver as PlateSolver
-from .studies.checkpointing import CheckpointFile as CheckpointFile
 from .studies.compare import compare as compare
 from .studies.frequency_response import frf as frf
 from .studies.localize import localize as localize
 from .studies.localize import resume as resume
 from .studies.simulate import simulate as simulate
 from .studies.sweep import sweep as sweep
+from .studies.unfinished import CheckpointFile as CheckpointFile
 from .studies.verify import verify as verify
 
 def load_ipython_extension(shell: object) -> None: ...

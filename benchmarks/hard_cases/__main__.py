@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from hard_cases.case import Case, Where
 from hard_cases.catalogue import CASES
 from warp_plate.solve.devices import find_device
-from warp_plate.studies.provenance import device_name, versions
+from warp_plate.studies.unfinished import device_name, versions
 
 PRECISIONS = ("float32", "float64")
 # Of the picture: colours of the precisions, markers of the files, least share of the allowed value that is drawn.

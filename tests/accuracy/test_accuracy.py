@@ -5,14 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import warp as wp
 
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.accuracy import choose as choosing
+from warp_plate.accuracy import choose as searching
 from warp_plate.accuracy import configurations, report
-from warp_plate.accuracy import grid_search as searching
 from warp_plate.accuracy.choose import choose
-from warp_plate.accuracy.configurations import Configuration, cost_of_run, percent, scene_with, seconds_text
+from warp_plate.accuracy.configurations import Configuration, cost_of_run, percent, regrid, seconds_text
 from warp_plate.accuracy.estimate import estimate, estimate_modal
 from warp_plate.accuracy.measure import START_SECONDS, AccuracyRow, MeasurementContext, measure, measure_modal
 from warp_plate.accuracy.reference_solution import find_reference_solution, grid_lines, solve_response
@@ -21,10 +20,9 @@ from warp_plate.modal.solver import ModalSolver
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import localization_factor
 from warp_plate.reference import series
+from warp_plate.resolve import resolve, resolve_for_sweep
 from warp_plate.scene.grid import Grid, Window
 from warp_plate.scene.vary import make_plan, parse_vary
-from warp_plate.studies import grid_choice
-from warp_plate.studies.grid_choice import resolve_for_sweep, resolve_search_grid
 from warp_plate.studies.simulate import simulate
 
 OVERLAP = Configuration(2, "overlap", (27, 27), None, "float32")
@@ -55,13 +53,13 @@ def test_formatting():
 
 def test_another_configuration_keeps_the_physics(scene):
     written = scene(damping=50.0, scheme="backward", size=(0.3, 0.2))
-    made = scene_with(written, replace(MOMENTS, time_step=1e-5))
+    made = regrid(written, replace(MOMENTS, time_step=1e-5))
     assert configurations.configuration_of(made) == replace(MOMENTS, time_step=1e-5)
     assert (made.effects.damping.scheme, made.effects.damping.viscous) == ("centred", 50.0)
     kept = ("plate", "edges", "window", "drive", "target", "actuators", "search", "record")
     assert all(getattr(made, name) == getattr(written, name) for name in kept)
     with pytest.raises(SceneError, match=r"^grid\.nodes"):
-        scene_with(written, replace(MOMENTS, nodes=(27, 8)))
+        regrid(written, replace(MOMENTS, nodes=(27, 8)))
 
 
 @pytest.mark.parametrize(("size", "side"), [((0.2, 0.2), 13), ((0.3, 0.1), 27), ((0.05, 0.4), 105)])
@@ -91,7 +89,7 @@ def test_configurations_vary_load_precision_grid_and_time_step(panel):
         (4, "moments", "float64"),
     }  # fmt: skip
     for order, load in ((2, "overlap"), (4, "moments")):
-        limit = make_scheme(scene_with(panel, Configuration(order, load, (27, 27), None, "float64"))).limit
+        limit = make_scheme(regrid(panel, Configuration(order, load, (27, 27), None, "float64"))).limit
         assert configurations.stability_limit(panel, order, (27, 27)) == pytest.approx(limit, rel=1e-12)
         longest = configurations.longest_time_step(panel, order, (27, 27))
         steps = sorted({one.time_step for one in made if (one.order, one.nodes) == (order, (27, 27))})
@@ -151,7 +149,7 @@ def test_an_undamped_resonance_has_no_modal_reference(panel, exact):
 def test_a_row_agrees_with_a_run(paper_exact):
     scene = Scene.load("paper")
     row = measure(MeasurementContext(scene, paper_exact, "cpu"), MOMENTS)
-    computed = factors_of(scene_with(scene, MOMENTS), np.array(list(paper_exact.drives.values())))
+    computed = factors_of(regrid(scene, MOMENTS), np.array(list(paper_exact.drives.values())))
     assert (row.status, row.plates) == ("ok", scene.search.particles)
     assert row.localization_factor == pytest.approx(computed[0], rel=1e-6)
     for factor, name, error in zip(computed, ("single", "best"), (row.error_single, row.error_best), strict=True):
@@ -284,7 +282,7 @@ def test_grids_are_confirmed_by_finer_ones(panel, exact, monkeypatch):
 
 @pytest.mark.parametrize("configuration", [OVERLAP, replace(OVERLAP, load="nodes"), MOMENTS], ids=str)
 def test_error_bars_cover_the_exact_value(panel, exact, configuration):
-    made = scene_with(panel, configuration)
+    made = regrid(panel, configuration)
     phasors = np.array([*exact.drives.values(), np.ones(3)])
     run = PlateSolver(made, "cpu").run(phasors, [0.02, 0.03])
     factors = localization_factor(run.energy)
@@ -301,7 +299,7 @@ def test_error_bars_cover_the_exact_value(panel, exact, configuration):
     assert found.displacement_errors[1] == pytest.approx(moved, rel=0.05)
     # The priced configuration follows from a convergence law.
     price = found.price
-    computed = factors_of(scene_with(panel, price.configuration), phasors[:2])
+    computed = factors_of(regrid(panel, price.configuration), phasors[:2])
     assert np.abs(computed / list(exact.localization_factors.values()) - 1).max() < 1.5 * price.tolerance
     step = make_scheme(made).time_step
     assert price.cost == pytest.approx(
@@ -332,13 +330,13 @@ def test_a_short_window_is_estimated(panel):
 
 def test_modes_are_chosen_where_they_keep_an_error(panel, exact):
     """A path or an evaluator that is named keeps its engine."""
-    chosen = resolve_search_grid(panel.with_accuracy(0.02), "cpu")
+    chosen = resolve(panel.with_accuracy(0.02), "cpu")
     assert (chosen.evaluator, chosen.scene.grid) == ("modal", Grid())
     assert chosen.accuracy["expected"] <= 0.01
     bound = ModalSolver(chosen.scene, "cpu").response.bound()
     assert bound == pytest.approx(exact.bound, rel=chosen.accuracy["expected"] + exact.uncertainty)
     for named in ({"evaluator": "direct"}, {"path": "resident"}):
-        stepped = resolve_search_grid(panel.with_accuracy(0.3), "cpu", **named)
+        stepped = resolve(panel.with_accuracy(0.3), "cpu", **named)
         assert stepped.evaluator == "direct"
         assert stepped.scene.grid.time_step
 
@@ -390,21 +388,3 @@ def test_a_sweep_chooses_once_where_waves_are_shortest(panel):
     found = factors_of(gridded.with_values({"drive.frequency": 100.0}), phasors)
     assert found == pytest.approx(solve_response(lowest, 1.0)[1].localization_factors(phasors), rel=0.2)
     assert resolve_for_sweep(scene, make_plan([parse_vary(scene, "grid.accuracy=0.1,0.2")]), "cpu", "direct") is scene
-
-
-def test_choices_are_kept_with_the_same_digits(panel, monkeypatch, tmp_path):
-    """A damaged file is made again, a folder that cannot be made is passed over."""
-    scene, calls = panel.with_accuracy(0.3), []
-    expected = choose(scene, 0.3, "cpu").scene
-    monkeypatch.setattr(grid_choice, "choose", lambda *given: calls.append(1) or choose(*given))
-    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
-    first, again = (grid_choice.resolve_grid(scene, "cpu") for _ in range(2))
-    assert len(calls) == 1
-    assert (first.scene, first.accuracy, first.evaluator) == (again.scene, again.accuracy, again.evaluator)
-    assert first.scene == expected
-    (file,) = (tmp_path / "warp-plate").iterdir()
-    file.write_text("{")
-    assert grid_choice.resolve_grid(scene, "cpu").scene == first.scene
-    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(file / "kernels"))
-    assert grid_choice.resolve_grid(scene, "cpu").scene == first.scene
-    assert len(calls) == 3

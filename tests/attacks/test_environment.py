@@ -6,11 +6,9 @@ import sys
 from pathlib import Path
 
 import pytest
-import warp as wp
 
 from support.commands import error_of, output_of
 from warp_plate import load_result
-from warp_plate.studies.kept_choices import kept
 
 QUICK = ("--device", "cpu", "--no-pictures", "--no-estimate", "--json")
 
@@ -46,20 +44,6 @@ def test_damaged_kernels_are_compiled_again(write_scene, tmp_path):
     assert sorted(err.splitlines()) == [f"warp-plate: {file}: damaged; compiled again" for file in files]
     assert [file.stat().st_size for file in files] == list(map(len, intact))
     assert output_of(simulate(**cache)).partition('"energy"')[2] == energy
-
-
-def test_a_damaged_choice_is_made_again(scene, tmp_path, monkeypatch):
-    wp.init()  # sets the folder
-    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
-    made = []
-
-    def ask():
-        return kept(scene(), "cpu", None, "any", lambda: made.append("choice") or {"nodes": 41})
-
-    assert [ask(), ask(), len(made)] == [{"nodes": 41}, {"nodes": 41}, 1]
-    (file,) = tmp_path.glob("*/*.json")
-    file.write_bytes(file.read_bytes().replace(b"41", b"11"))
-    assert [ask(), ask(), len(made)] == [{"nodes": 41}, {"nodes": 41}, 2]
 
 
 @pytest.mark.parametrize("threads", ["1025", "1000000", "9" * 5000, "-1", "²"])

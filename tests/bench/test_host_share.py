@@ -4,7 +4,8 @@ import host_share
 
 from warp_plate.optimize.optimizer import minimize
 from warp_plate.problem.problem import make_problem
-from warp_plate.studies.driver import search_optimizer
+from warp_plate.resolve import resolve
+from warp_plate.studies.polish import search_optimizer
 
 
 def test_parts_add_up_and_the_clock_changes_no_bit(scene):
@@ -15,7 +16,7 @@ def test_parts_add_up_and_the_clock_changes_no_bit(scene):
         assert 0 < seconds["device"] < seconds["whole"]
         assert min(seconds.values()) > 0
     plain, timed = (
-        make_problem(scene(nodes=(9, 9), search={"particles": 5, "iterations": 3}), "cpu") for _ in range(2)
+        make_problem(resolve(scene(nodes=(9, 9), search={"particles": 5, "iterations": 3}), "cpu")) for _ in range(2)
     )
     clock = host_share.DeviceTime(timed)
     best, same = (minimize(search_optimizer(one, 0), one.losses).fbest for one in (plain, timed))

@@ -12,7 +12,7 @@ from warp_plate.analysis import influence
 from warp_plate.analysis.influence import DRIVES, bare_scene, is_on, toggle
 from warp_plate.analysis.warnings import find_warnings, warning_texts
 from warp_plate.effects.table import Effects
-from warp_plate.modal.solver import make_solver
+from warp_plate.modal.solver import ModalSolver
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.plate.scheme import make_scheme
@@ -74,7 +74,7 @@ def test_a_scene_with_a_loss_factor_is_solved_by_modes(grid, command, write_scen
     record = json.loads(output_of(command(*options, "--json")))
     edges, foundation, stretching = record["effects"]
     clamped = scene_of(effects={"loss_factor": {"eta": 0.02}})
-    energy = make_solver(clamped, "cpu", "modal").run(scene_phasors(clamped)[None]).energy[0]
+    energy = ModalSolver(clamped, "cpu").run(scene_phasors(clamped)[None]).energy[0]
     assert edges["localization_factor"] == pytest.approx(energy[1] / energy[0], rel=0.01)
     assert foundation["localization_factor"] != record["localization_factor"]
     assert (edges["price"], edges["steps"], record["bare_step_seconds"]) == (None, None, None)

@@ -16,7 +16,7 @@ from support.commands import error_of, output_of, start_program
 from support.searches import assert_same_results, stop_after
 from warp_plate import Scene, SceneError, load_result, localize, resume
 from warp_plate.result.checkpoint import load_newest, previous_path
-from warp_plate.studies.checkpointing import CheckpointFile
+from warp_plate.studies.unfinished import CheckpointFile
 
 QUICK = ("--no-pictures", "--no-estimate")
 COMMAND = ("localize", "panel.toml", "--device", "cpu", *QUICK)

@@ -27,6 +27,7 @@ from warp_plate.cluster.pool import ATTEMPTS, Task, WorkersGone, run_tasks
 from warp_plate.plate.designs import Designs, per_plate_of
 from warp_plate.problem.scenario_losses import simulate_scenarios
 from warp_plate.problem.uncertainty import draw_scenarios
+from warp_plate.resolve import resolve
 from warp_plate.result.model import save_result
 from warp_plate.studies.compare import compare
 
@@ -110,7 +111,7 @@ def test_searches_give_the_same_on_workers(pool, scene, random):
     assert pool.description in result.device
     robust = small_search(scene, robust={"young_modulus": 0.1, "scenarios": 3})
     scenarios, phasors = draw_scenarios(robust, 3, 0), random_phasors(random)
-    here, there = (simulate_scenarios(scenarios, "cpu", pool=run_by) for run_by in (None, pool))
+    here, there = (simulate_scenarios(scenarios, resolve(scenarios[0].scene, "cpu"), run_by) for run_by in (None, pool))
     assert there.losses(Designs(phasors)).tobytes() == here.losses(Designs(phasors)).tobytes()
     one, two = (
         compare(small_search(scene), methods=["pso"], seeds=1, device="cpu", evaluator="direct", pool=run)

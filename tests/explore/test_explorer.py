@@ -10,11 +10,10 @@ import pytest
 
 from support.commands import error_of, until
 from warp_plate import PlateSolver, SceneError, localize
-from warp_plate.analysis.superposition import ORDERS, last_period
+from warp_plate.analysis.superposition import ORDERS, last_period, live_solver
 from warp_plate.explore import live_model
 from warp_plate.explore.live_model import CHOICES, LiveModel
 from warp_plate.explore.settings import changed_scene, slider_ranges
-from warp_plate.modal.solver import make_solver
 from warp_plate.plate.weights import localization_factor
 from warp_plate.result.motion import QUADRANTS, DriveResponse, SteadyMotion, SwarmSnapshot
 from warp_plate.viz import explorer_page
@@ -68,7 +67,7 @@ def test_frequency_and_damping_are_simulated_again(explored_panel, live, path):
     assert model.by_modes == (path == "auto")
     for frequency, damping in ((240.0, DAMPING), (290.0, 500.0), (290.0, 0.0)):
         reading = after(model, frequency=frequency, damping=damping)
-        run = make_solver(changed_scene(explored_panel, frequency, damping), "cpu", *PATHS[path]).run(np.ones((1, 3)))
+        run = live_solver(changed_scene(explored_panel, frequency, damping), "cpu", *PATHS[path]).run(np.ones((1, 3)))
         assert reading.localization_factor == pytest.approx(localization_factor(run.energy)[0], rel=1e-9)
         assert (reading.scene.drive.frequency, reading.scene.effects.damping.viscous) == (frequency, damping)
 

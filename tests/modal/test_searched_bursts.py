@@ -9,6 +9,7 @@ from warp_plate.modal.solver import ModalSolver
 from warp_plate.optimize.quadratic import quadratic_forms
 from warp_plate.plate.designs import Designs, PerPlate
 from warp_plate.problem.problem import make_problem
+from warp_plate.resolve import resolve
 
 TARGET = {"disc": (0.13, 0.11, 0.03)}
 CHIRP = {"frequency": 200.0, "chirp": {"end_frequency": 350.0, "duration": 0.005}}
@@ -66,7 +67,7 @@ def test_searches_under_bursts_are_solved_by_modes(random):
     search = {"frequency": {"range": (200.0, 300.0)}, "delay": {"range": (0.0, 0.005)}}
     grid = {"modal_density": 0.25}
     scene = scene_of(damping=60.0, drive={"frequency": 290.0, "burst": BURSTS["single"]}, search=search)
-    problem = make_problem(scene.with_tables(grid=grid), "cpu", evaluator="modal")
+    problem = make_problem(resolve(scene.with_tables(grid=grid), "cpu", evaluator="modal"))
     space = problem.space
     losses = problem.losses(random.uniform(space.initial_lower, space.initial_upper, (1, space.dimension)))
     assert problem.evaluator_name == "modal"

@@ -16,6 +16,7 @@ from warp_plate.problem.methods import READ_BY, make_optimizer, unread_keys
 from warp_plate.problem.objectives import loss_scale
 from warp_plate.problem.problem import make_problem
 from warp_plate.quantities.region_quantities import PLATE, TARGET
+from warp_plate.resolve import resolve
 from warp_plate.result.layouts import SearchState
 from warp_plate.scene.search import Objective, Search
 
@@ -31,7 +32,11 @@ def make_space(lower, upper, initial, period):
 
 @cache
 def made_problem(search):
-    return make_problem(scene_of((9, 9), damping=88.5, search=json.loads(search)), "cpu", evaluator="response")
+    return make_problem(
+        resolve(
+            scene_of((9, 9), damping=88.5, search=json.loads(search)), "cpu", evaluator="response", purpose="search"
+        )
+    )
 
 
 def space_and_problem(**search):

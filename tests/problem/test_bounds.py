@@ -11,6 +11,7 @@ from warp_plate.problem.drives import AllowedDrives, allowed_drives
 from warp_plate.problem.problem import make_problem
 from warp_plate.problem.semidefinite import least_majorant
 from warp_plate.quantities.region_quantities import PLATE, TARGET
+from warp_plate.resolve import resolve
 from warp_plate.solve.response import Response
 
 INFINITE, SEARCHED = math.inf, math.nan
@@ -156,7 +157,7 @@ def test_no_position_has_less_loss_and_every_drive_is_allowed(scene, random, sea
     actuators[2]["phase"] = 0.7
     if not search.get("limits", {}).get("equal_magnitudes"):
         actuators[2]["magnitude"] = -0.6
-    problem = make_problem(made.with_tables(actuators=actuators), "cpu", evaluator="response")
+    problem = make_problem(resolve(made.with_tables(actuators=actuators), "cpu", evaluator="response"))
     bound, objectives = problem.loss_bound, problem.objectives
     positions = problem.space.from_unit(random.random((20_000, problem.space.dimension)))
     losses, phasors = problem.losses(positions), problem.parametrization.designs(positions).drives
@@ -181,10 +182,10 @@ def test_the_drive_that_reaches_a_bound_may_lie_outside_the_range(scene):
     kinds = []
     for lowest in (0.05, 0.0):
         search = {**SEARCHES["displacement"], "magnitude": {"range": (lowest, 200.0)}, "limits": {"power": 1e4}}
-        kinds.append(make_problem(scene((9, 9), search=search), "cpu").loss_bound.kind)
+        kinds.append(make_problem(resolve(scene((9, 9), search=search), "cpu")).loss_bound.kind)
     assert kinds == ["bound only", "attained"]
 
 
 def test_no_loss_is_bounded_without_gram_matrices(scene):
     for tables in ({"search": {"position": {}}}, {"effects": {"stretching": {}}}):
-        assert make_problem(scene((9, 9), **tables), "cpu").loss_bound is None
+        assert make_problem(resolve(scene((9, 9), **tables), "cpu")).loss_bound is None

@@ -11,10 +11,11 @@ from warp_plate import Scene, load_result, localize
 from warp_plate.problem.evaluate_cases import evaluate_cases, reference_phasors
 from warp_plate.problem.objectives import keeps_limit
 from warp_plate.problem.problem import make_problem
+from warp_plate.resolve import resolve
 from warp_plate.result.checkpoint import load_checkpoint
 from warp_plate.result.model import save_result
-from warp_plate.studies.checkpointing import CheckpointFile
 from warp_plate.studies.localize import resume
+from warp_plate.studies.unfinished import CheckpointFile
 
 OBJECTIVES = [
     {"kind": "velocity", "weight": 1e4, "rest_limit": 1.0},
@@ -59,7 +60,7 @@ def test_values_follow_from_the_energies_of_the_drive_found(scene):
 
 def test_references_are_all_actuators_and_the_best_single_one(scene):
     """The best single one also stands for the best drive where there is none."""
-    cases = evaluate_cases(make_problem(scene((9, 9)), "cpu"), 2, None).cases
+    cases = evaluate_cases(make_problem(resolve(scene((9, 9)), "cpu")), 2, None).cases
     expected = {"equal": [1, 1, 1], "single": [0, 0, 1], "best": [0, 0, 1]}
     assert {name: case.phasors.tolist() for name, case in cases.items()} == expected
     shares = np.array([0.2, 0.6, np.nan])
@@ -80,7 +81,7 @@ def test_the_command_shows_those_of_all_cases(scene, localize_command):
     for name in ("velocity", "velocity of the rest", "contrast", "sum", "bound"):
         known = [column[name] for column in columns if name in column]
         assert any(row[-len(known) :] == pytest.approx(known, rel=1e-3) for row in rows if len(row) >= len(known))
-    problem = make_problem(panel, "cpu")
+    problem = make_problem(resolve(panel, "cpu"))
     phasors = np.array([result.cases[name].phasors for name in CASES])
     evaluators = (problem.plates.drives, problem.plates.displacements)
     values = problem.objectives.values(*(evaluator.run(phasors).energy for evaluator in evaluators))
@@ -122,5 +123,5 @@ def test_a_robust_search_has_those_of_the_nominal_plate(scene):
     search = {**SEARCH, "robust": {"young_modulus": 0.1, "scenarios": 4, "fresh": 2}}
     result = localize(scene((9, 9), damping=88.5, search=search), device="cpu", estimate=False)
     assert result.objective_values["sum"] == pytest.approx(result.robust.nominal_plate[0], rel=1e-9)
-    nominal = make_problem(scene((9, 9), damping=88.5, search=SEARCH), "cpu")
+    nominal = make_problem(resolve(scene((9, 9), damping=88.5, search=SEARCH), "cpu"))
     assert result.objective_values["bound"] == pytest.approx(-nominal.loss_bound.value, rel=1e-9)

@@ -8,6 +8,7 @@ from warp_plate import PlateSolver, SceneError
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.parametrization import paper_phasors
 from warp_plate.problem.problem import make_problem
+from warp_plate.resolve import resolve
 from warp_plate.solve.response import measure_response
 
 SMALL = {"nodes": (9, 9), "window": (0.004, 0.006)}
@@ -19,7 +20,7 @@ def positions(problem, count=6):
 
 @pytest.fixture(scope="module")
 def problem():
-    return make_problem(scene_of(**SMALL, precision="float32"), "cpu")
+    return make_problem(resolve(scene_of(**SMALL, precision="float32"), "cpu"))
 
 
 def test_losses_are_those_of_the_papers_reading_to_the_last_bit(problem):
@@ -37,15 +38,15 @@ def test_the_bound_and_the_matrices_are_those_of_float64(problem):
     asked = positions(problem)
     losses = problem.losses(asked)
     assert problem.bound >= (1 - losses).max() - 1e-6
-    known = make_problem(problem.scene, "cpu", evaluator="response", matrices=problem.plates.matrices)
+    known = make_problem(resolve(problem.scene, "cpu", evaluator="response"), matrices=problem.plates.matrices)
     assert np.allclose(known.losses(asked), losses, atol=1e-5)
     assert known.node_steps == 0
     with pytest.raises(SceneError, match=r"^matrices: of 1 regions; must be 2"):
-        make_problem(problem.scene, "cpu", matrices=problem.plates.matrices[:1])
+        make_problem(resolve(problem.scene, "cpu"), matrices=problem.plates.matrices[:1])
 
 
 def test_plates_have_the_places_of_their_positions():
-    problem = make_problem(scene_of(**SMALL, search={"position": {}, "phase": {}}), "cpu", evaluator="direct")
+    problem = make_problem(resolve(scene_of(**SMALL, search={"position": {}, "phase": {}}), "cpu", evaluator="direct"))
     space = problem.space
     asked = space.from_unit(np.random.default_rng(4).random((3, space.dimension)))
     for position, loss in zip(asked, problem.losses_without_clearance(asked), strict=True):
@@ -56,9 +57,11 @@ def test_plates_have_the_places_of_their_positions():
 
 def test_kinds_of_bounds(problem):
     """Limits of drives lower the bound; places and frequencies have none."""
-    limited = make_problem(scene_of(**SMALL, search={"limits": {"equal_magnitudes": True}, "phase": {}}), "cpu")
+    limited = make_problem(
+        resolve(scene_of(**SMALL, search={"limits": {"equal_magnitudes": True}, "phase": {}}), "cpu")
+    )
     assert limited.bound == 1 - limited.loss_bound.value < limited.response.bound()
-    searched = make_problem(scene_of(**SMALL, search={"frequency": {"range": (200.0, 400.0)}}), "cpu")
+    searched = make_problem(resolve(scene_of(**SMALL, search={"frequency": {"range": (200.0, 400.0)}}), "cpu"))
     assert searched.bound is None
     kinds = [made.bound_kind for made in (problem, limited, searched)]
     assert kinds == ["attained", "attained within limits", ""]
@@ -68,8 +71,8 @@ def test_kinds_of_bounds(problem):
 def test_node_steps_and_seconds_are_those_of_all_solvers():
     """A solver for drives, another for places, and a third in float64 for the Gram matrices of 3 actuators."""
     plate = PlateSolver(scene_of(**SMALL), "cpu").node_steps_per_plate
-    assert make_problem(scene_of(**SMALL, precision="float32"), "cpu").node_steps == 21 * plate
-    places = make_problem(scene_of(**SMALL, search={"position": {}}), "cpu", evaluator="direct")
+    assert make_problem(resolve(scene_of(**SMALL, precision="float32"), "cpu")).node_steps == 21 * plate
+    places = make_problem(resolve(scene_of(**SMALL, search={"position": {}}), "cpu", evaluator="direct"))
     assert places.node_steps == 0
     places.losses(positions(places).clip(places.space.lower, places.space.upper))
     places.plates.energies_of_phasors(np.ones((2, 3)))
@@ -80,7 +83,7 @@ def test_node_steps_and_seconds_are_those_of_all_solvers():
 def test_the_response_is_refused_where_it_does_not_hold():
     stretching = scene_of(**SMALL, effects={"stretching": {}})
     with pytest.raises(SceneError, match=r"evaluator = 'response': effects.stretching is not linear"):
-        make_problem(stretching, "cpu", evaluator="response")
+        make_problem(resolve(stretching, "cpu", evaluator="response"))
     searched = scene_of(**SMALL, search={"phase": {}, "position": {}})
     with pytest.raises(SceneError, match=r"evaluator = 'response': no Gram matrix holds where x, y is searched"):
-        make_problem(searched, "cpu", evaluator="response")
+        make_problem(resolve(searched, "cpu", evaluator="response"))

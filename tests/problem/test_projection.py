@@ -10,6 +10,7 @@ from support.scenes import areas_of, scene_of
 from warp_plate import SceneError, localize
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.problem.problem import make_problem
+from warp_plate.resolve import resolve
 
 DRIVES = {"magnitude": {"range": [0.0, 2.0]}, "phase": {}}
 FREQUENCY = {"frequency": {"range": [100.0, 300.0]}}
@@ -28,7 +29,7 @@ def projected_search(search, nodes=(9, 9), **tables):
 
 @pytest.mark.parametrize("name", SEARCHES)
 def test_the_loss_of_a_position_is_that_of_its_best_drive(name, random):
-    problem = make_problem(projected_search(SEARCHES[name]), "cpu")
+    problem = make_problem(resolve(projected_search(SEARCHES[name]), "cpu"))
     assert problem.evaluator_name == "modal"
     assert not any("magnitude" in each or "phase" in each for each in problem.space.names)
     positions = problem.space.from_unit(random.random((60, problem.space.dimension)))
@@ -49,7 +50,7 @@ def test_the_loss_of_a_position_is_that_of_its_best_drive(name, random):
 
 def test_particles_at_one_frequency_each_have_a_loss(random):
     """A swarm that gathers at an end of the range."""
-    problem = make_problem(projected_search(SEARCHES["contrast"]), "cpu")
+    problem = make_problem(resolve(projected_search(SEARCHES["contrast"]), "cpu"))
     position = problem.space.from_unit(random.random((1, problem.space.dimension)))
     assert np.array_equal(problem.losses(position.repeat(4, axis=0)), problem.losses(position).repeat(4))
 
@@ -91,7 +92,7 @@ def test_patches_keep_their_clearance(clearance, evaluator, random):
         {"phase": {}, "position": {"area": area, "clearance": clearance}, "particles": 12},
         actuators=[(0.0, 0.04, 0.0, 0.04), (0.06, 0.1, 0.06, 0.1), (0.07, 0.1, 0.01, 0.05)],
     )
-    problem = make_problem(scene, "cpu", evaluator=evaluator)
+    problem = make_problem(resolve(scene, "cpu", evaluator=evaluator))
     positions = problem.space.from_unit(random.random((40, problem.space.dimension)))
     near = problem.losses(positions) > 2
     scenes = [problem.parametrization.scene_of(position) for position in positions]
@@ -118,7 +119,7 @@ GRADIENTS = {
 
 @pytest.mark.parametrize("name", GRADIENTS)
 def test_slopes_are_those_of_differences(name, random):
-    problem = make_problem(projected_search(GRADIENTS[name]), "cpu", evaluator="modal")
+    problem = make_problem(resolve(projected_search(GRADIENTS[name]), "cpu", evaluator="modal"))
     space, steps = problem.space, 1e-4 * np.diag(problem.space.span)
     positions = space.from_unit(random.uniform(0.05, 0.95, (40, space.dimension)))
     position = positions[np.argmin(problem.losses(positions))]

@@ -15,6 +15,7 @@ from warp_plate.plate.weights import localization_factor
 from warp_plate.problem import scenario_losses
 from warp_plate.problem.scenario_losses import ScenarioLosses, apply_measure, scenario_responses, simulate_scenarios
 from warp_plate.problem.uncertainty import draw_scenarios
+from warp_plate.resolve import resolve
 from warp_plate.result.model import mean_of_worst
 from warp_plate.scene.search import Robust
 
@@ -136,7 +137,10 @@ def test_gram_matrices_give_the_losses_of_plates(device, path, phasors, several)
     tables = {"effects": FINGERED, "search": {"objectives": SEVERAL}, "without_oscillators": 0.5} if several else {}
     scenarios = draw_scenarios(robust(**tables, **TOLERANCES), 3, 2)
     designs = Designs(phasors(7, 3))
-    responses, simulated = scenario_responses(scenarios, device, path), simulate_scenarios(scenarios, device, path)
+    responses, simulated = (
+        losses(scenarios, resolve(scenarios[0].scene, device, path=path))
+        for losses in (scenario_responses, simulate_scenarios)
+    )
     losses = simulated.losses(designs)
     np.testing.assert_allclose(responses.losses(designs), losses, rtol=1e-9)
     sets = len(simulated.scenarios[0].evaluators)
@@ -156,7 +160,9 @@ def test_bits_do_not_depend_on_how_a_batch_is_cut(phasors, monkeypatch):
     scenarios, drives = draw_scenarios(made, 3, 3), phasors(9, 3)
     drives[4] = 1e200
     designs = Designs(drives)
-    responses, simulated = scenario_responses(scenarios, "cpu"), simulate_scenarios(scenarios, "cpu")
+    responses, simulated = (
+        losses(scenarios, resolve(scenarios[0].scene, "cpu")) for losses in (scenario_responses, simulate_scenarios)
+    )
     for losses_of in (responses, simulated):
         losses = losses_of.losses(designs)
         parts = np.concatenate([losses_of.losses(designs[cut]) for cut in (slice(0, 2), slice(2, 3), slice(3, 9))])
@@ -178,7 +184,9 @@ def test_bits_do_not_depend_on_how_a_batch_is_cut(phasors, monkeypatch):
 def test_scenarios_share_kernels_wherever_their_actuators_are():
     """On CUDA the rows that some actuator loads are compiled in: all scenarios have those of their wider areas."""
     scenarios = draw_scenarios(robust(**{**TOLERANCES, "place": 0.05}), 6, 0)
-    solvers = [evaluator.solver for evaluator in simulate_scenarios(scenarios, "cpu").evaluators]
+    solvers = [
+        evaluator.solver for evaluator in simulate_scenarios(scenarios, resolve(scenarios[0].scene, "cpu")).evaluators
+    ]
     assert len({tuple(solver.specialized.loaded_rows) for solver in solvers}) == 1
     alone = {tuple(PlateSolver(scenario.scene, "cpu").specialized.loaded_rows) for scenario in scenarios}
     assert len(alone) > 1
@@ -190,7 +198,7 @@ def test_actuators_are_off_by_their_offsets(device, path, phasors, searched):
     made = robust(search={"position": {}} if searched else {}, **{**TOLERANCES, "place": 0.02})
     scenario = draw_scenarios(made, 1, 4)[0]
     drives, centre = phasors(1, 3), np.array([[[0.02, 0.02], [0.1, 0.14], [0.11, 0.1]]])
-    (plates,) = simulate_scenarios([scenario], device, path).scenarios
+    (plates,) = simulate_scenarios([scenario], resolve(scenario.scene, device, path=path)).scenarios
     energy = plates.evaluators[0].run(scenario.designs(Designs(drives, centre=centre if searched else None))).energy
     areas = areas_of(made)
     half = np.diff(areas, axis=2)[..., 0] / 2

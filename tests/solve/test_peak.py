@@ -10,7 +10,7 @@ import pytest
 from warp_plate import PlateSolver
 from warp_plate.cli.main import main
 from warp_plate.modal.motion import fields
-from warp_plate.modal.solver import make_solver
+from warp_plate.modal.solver import ModalSolver
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.solve.run import record_times, run_with_peaks, sample_times
 
@@ -98,7 +98,7 @@ def test_the_command_warns_of_a_burst_s_peak(struck, tmp_path, monkeypatch, caps
 def test_by_modes_the_largest_displacement_may_lie_on_the_outline_of_the_target(scene, target, effects):
     """Read at the nodes of the pictures alone it was 1.4 % off, beside an error bar of 0.08 %."""
     made = scene(effects=effects, target=target, nodes=(27, 27))
-    solver = make_solver(made, "cpu", "modal")
+    solver = ModalSolver(made, "cpu")
     drives = scene_phasors(made)[None]
     peaks = run_with_peaks(solver, drives)[1][0]
     x, y = np.linspace(0, 0.2, 801), np.linspace(0, 0.2, 801)

@@ -8,7 +8,7 @@ import pytest
 from support.scenes import scene_of
 from warp_plate import PlateSolver, SceneError
 from warp_plate.reference.series import supported_plate
-from warp_plate.studies.impulse_response import compute_impulse_response
+from warp_plate.studies.frequency_response import compute_impulse_response
 
 SUPPORTED = ("supported",) * 4
 

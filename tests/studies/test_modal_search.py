@@ -11,6 +11,7 @@ from warp_plate.optimize.quadratic import real_parts
 from warp_plate.plate.designs import Designs, PerPlate
 from warp_plate.problem.methods import with_method
 from warp_plate.problem.problem import make_problem
+from warp_plate.resolve import resolve
 from warp_plate.solve.solver import PlateSolver
 
 FREE_DRIVES = {"magnitude": {"range": (0.0, 2.0)}, "phase": {}}
@@ -73,7 +74,7 @@ def test_modes_need_no_stable_time_step(random, search):
     for scene in (fine, above):
         with pytest.raises(SceneError, match=r"steps of|above the stability limit"):
             PlateSolver(scene, "cpu")
-    problems = [make_problem(scene, "cpu", evaluator="modal") for scene in (ordinary, fine, above)]
+    problems = [make_problem(resolve(scene, "cpu", evaluator="modal")) for scene in (ordinary, fine, above)]
     positions = problems[0].space.from_unit(random.random((4, problems[0].space.dimension)))
     losses = [problem.losses(positions) for problem in problems]
     assert np.isfinite(losses).all()
@@ -106,7 +107,7 @@ def test_exact_search_reaches_the_bound_of_the_continuous_plate():
 
 def test_hysteretic_scene_is_searched_by_modes_without_asking():
     scene = paper(effects={"loss_factor": {"eta": 0.05}}, search={"method": "exact"})
-    assert make_problem(scene, "cpu").evaluator_name == "modal"
+    assert make_problem(resolve(scene, "cpu")).evaluator_name == "modal"
     result = localize(scene, device="cpu", estimate=False)
     assert result.cases["best"].localization_factor == pytest.approx(result.bound, rel=1e-9)
 
@@ -116,7 +117,7 @@ def test_robust_search_by_modes_is_the_limit_of_its_simulated_matrices():
     grid = {"nodes": (41, 41), "order": 4, "load": "moments"}
     scene = paper(search={"robust": robust}, grid=grid)
     drives = np.array([[1, 0.2, 0.1j, 0.4]])
-    problems = [make_problem(scene, "cpu", evaluator=name) for name in ("modal", "response")]
+    problems = [make_problem(resolve(scene, "cpu", evaluator=name)) for name in ("modal", "response")]
     losses = [problem.design_losses(Designs(drives)) for problem in problems]
     assert losses[0] == pytest.approx(losses[1], abs=3e-3)
 
@@ -140,7 +141,7 @@ def test_a_weak_amplifier_costs_no_localization():
 )
 def test_what_has_no_modes_is_refused_by_name(tables, key):
     with pytest.raises(SceneError, match=f"^evaluator = 'modal': {key} "):
-        make_problem(paper(**tables), "cpu", evaluator="modal")
+        make_problem(resolve(paper(**tables), "cpu", evaluator="modal"))
 
 
 def test_a_search_without_a_method_is_exact_and_by_modes_where_it_can_be():
@@ -169,7 +170,9 @@ def test_gram_matrices_of_bursts_are_the_limit_of_fine_grids():
     drive = {"frequency": 290.0, "burst": {"start": 0.002, "duration": 0.06, "ramp": 0.01}}
     grid = {"nodes": (41, 41), "order": 4, "load": "moments"}
     scene = paper(drive=drive, grid=grid, effects={"damping": {"viscous": 80.0}})
-    modal, stepped = (make_problem(scene, "cpu", evaluator=name).response.bound() for name in ("modal", "response"))
+    modal, stepped = (
+        make_problem(resolve(scene, "cpu", evaluator=name)).response.bound() for name in ("modal", "response")
+    )
     assert modal == pytest.approx(stepped, abs=2e-3)
 
 

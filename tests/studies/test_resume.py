@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import warp_plate.resolve as resolving
 from support.scenes import scene_of
 from support.searches import assert_same_results, interrupted_search, stop_after
 from warp_plate import PlateSolver, SceneError, localize, resume
 from warp_plate.result.checkpoint import load_checkpoint, previous_path, save_checkpoint
 from warp_plate.scene.grid import Grid
-from warp_plate.studies import grid_choice
-from warp_plate.studies.checkpointing import CheckpointFile
+from warp_plate.studies.unfinished import CheckpointFile
 
 SEARCH = {"search": {"particles": 8, "iterations": 9, "seed": 3}, "record": {"points": ((0.1, 0.1),)}}
 
@@ -57,7 +57,7 @@ def test_the_chosen_grid_is_kept(tmp_path, monkeypatch):
     assert checkpoint.scene_as_written == written
     assert checkpoint.scene.drive == written.drive
     assert checkpoint.scene.grid.time_step <= 1 / 20 / 400
-    monkeypatch.setattr(grid_choice, "choose", None)
+    monkeypatch.setattr(resolving, "AccuracyRequest", None)
     found = resume(checkpoint, estimate=False)
     assert_same_results(found, localize(checkpoint.scene, source="mine", estimate=False, **options))
     assert found.accuracy == checkpoint.accuracy

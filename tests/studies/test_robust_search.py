@@ -12,6 +12,7 @@ from support.searches import assert_same_results, interrupted_search
 from warp_plate.optimize.quadratic import best_position
 from warp_plate.problem.problem import make_problem
 from warp_plate.problem.scenario_losses import apply_measure
+from warp_plate.resolve import resolve
 from warp_plate.result.model import load_result, save_result
 from warp_plate.scene.errors import SceneError
 from warp_plate.studies import polish
@@ -46,7 +47,7 @@ def test_the_robust_drive_beats_the_nominal_one_in_the_worst_cases(seed):
 
 @pytest.mark.parametrize("measure", ["mean", "quantile"])
 def test_losses_are_the_measure_over_scenarios_and_exceed_the_bound(measure, random):
-    problem = make_problem(robust(measure=measure), "cpu")
+    problem = make_problem(resolve(robust(measure=measure), "cpu"))
     assert problem.scenario_losses is not None
     assert problem.evaluator_name == "response"
     positions = random.normal(size=(40, problem.space.dimension))
@@ -61,7 +62,7 @@ def test_losses_are_the_measure_over_scenarios_and_exceed_the_bound(measure, ran
         assert all(trial.best_loss >= compared.bound for trial in compared.trials)
     nominal = problem.objectives.losses(problem.response.energy(designs.drives))
     np.testing.assert_array_equal(problem.nominal.losses(positions), nominal)
-    direct = make_problem(robust(measure=measure), "cpu", evaluator="direct")
+    direct = make_problem(resolve(robust(measure=measure), "cpu", evaluator="direct"))
     assert (direct.quadratic, direct.loss_bound) == (None, None)
     np.testing.assert_allclose(direct.losses(positions), losses, rtol=1e-9)
 
@@ -75,7 +76,7 @@ def test_losses_are_the_measure_over_scenarios_and_exceed_the_bound(measure, ran
     ids=["positions", "stretching"],
 )
 def test_what_is_not_quadratic_is_simulated(scene):
-    problem = make_problem(scene, "cpu")
+    problem = make_problem(resolve(scene, "cpu"))
     assert problem.evaluator_name == "direct"
     space = problem.space
     positions = np.random.default_rng(0).uniform(space.initial_lower, space.initial_upper, (4, space.dimension))
@@ -116,7 +117,7 @@ def test_the_command_shows_both_drives(write_scene, command):
 def test_no_robust_drive_is_worse_than_the_best_of_the_nominal_plate():
     """The result is no worse by the searched measure; a swarm of three steps by itself would be."""
     scene = robust(search={"method": "pso", "iterations": 3})
-    problem = make_problem(scene, "cpu")
+    problem = make_problem(resolve(scene, "cpu"))
     exact = best_position(problem.space, problem.nominal.quadratic)
     found = localize(scene, device="cpu", estimate=False)
     assert found.history["best"][-1] >= problem.value_from_loss(problem.losses(exact[None])[0])

@@ -12,6 +12,7 @@ from support.searches import assert_same_results, interrupted_search
 from warp_plate import PlateSolver, Scene, load_result, localize, resume
 from warp_plate.analysis.motion import motions
 from warp_plate.plate.scheme import make_scheme
+from warp_plate.resolve import resolve
 from warp_plate.result.export.time_series import make_drive_signal
 from warp_plate.result.model import save_result
 from warp_plate.solve.response import largest_ratio, measure_response
@@ -161,10 +162,12 @@ def test_the_spectrum_equals_scenes_of_one_frequency_each():
     equal magnitudes by trying phases."""
     scene = small_search("frequency", precision="float64")
     frequencies = np.array([150.0, 290.0])
-    found = factors_over(scene, frequencies, device="cpu")
+    found = factors_over(resolve(scene, "cpu", evaluator="direct"), frequencies)
     table = {"frequency": {"range": [100.0, 300.0]}}
     free, fixed = (
-        factors_over(scene.with_tables(search={**table, **more}), frequencies, device="cpu")["best"]
+        factors_over(resolve(scene.with_tables(search={**table, **more}), "cpu", evaluator="direct"), frequencies)[
+            "best"
+        ]
         for more in ({"magnitude": {"range": [0.0, 2.0]}, "phase": {}}, {})
     )
     for index, frequency in enumerate(frequencies):

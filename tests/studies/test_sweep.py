@@ -15,13 +15,20 @@ from warp_plate.cluster.pool import ATTEMPTS
 from warp_plate.modal.continuous_modes import continuous_modes
 from warp_plate.result.sweep import REFUSED, RUN, save_sweep
 from warp_plate.scene.vary import make_plan, parse_vary
-from warp_plate.studies.checkpointing import SweepFile
 from warp_plate.studies.frequency_response import frf, respond_to_drive
 from warp_plate.studies.localize import localize
-from warp_plate.studies.quantities_of_interest import QUANTITIES
 from warp_plate.studies.simulate import simulate
-from warp_plate.studies.sweep import choose_evaluator, run_sweep, start_sweep
-from warp_plate.studies.sweep_file import check_replaceable, resume_sweep, save_finished
+from warp_plate.studies.sweep import (
+    SweepRequest,
+    check_same_sweep,
+    choose_evaluator,
+    resume_sweep,
+    run_sweep,
+    save_finished,
+    start_sweep,
+)
+from warp_plate.studies.sweep_points import QUANTITIES
+from warp_plate.studies.unfinished import SweepFile
 
 
 @pytest.fixture
@@ -124,7 +131,7 @@ def test_a_sweep_interrupted_anywhere_resumes_to_the_same(swept_plate, tmp_path,
         if random.random() < 0.4:
             raise KeyboardInterrupt
 
-    current = start_sweep(swept_plate, plan, "modes", "cpu", count=2)
+    current = start_sweep(SweepRequest(swept_plate, vary=plan, what="modes", count=2), "cpu")
     while not current.finished:
         kept = SweepFile(file, math.inf, resumes=file.exists())
         try:
@@ -198,7 +205,7 @@ def test_points_whose_workers_end_are_tried_again_and_then_given_up(swept_plate,
     path.write_text("1.0,1.1\n", encoding="utf-8")
     varied = swept_plate.with_tables(effects={"variation": {"thickness": "thick.csv"}}).in_folder(tmp_path)
     plan = plan_of(varied, "drive.frequency=200:300:6", "plate.thickness=5e-4,0.1")
-    start, pool = start_sweep(varied, plan, "modes", "cpu"), Killing(random, 220.0)
+    start, pool = start_sweep(SweepRequest(varied, vary=plan, what="modes"), "cpu"), Killing(random, 220.0)
     here, there = run_sweep(start), run_sweep(start, pool=pool)
     lost = plan.points[:, 0] == 220.0
     assert lost.sum() == 2
@@ -228,7 +235,7 @@ class Away(InlinePool):
 
 def test_processors_of_workers_are_kept_and_not_mixed_silently(swept_plate, tmp_path):
     file, lines = tmp_path / "a.h5", []
-    start = start_sweep(swept_plate, plan_of(swept_plate, "drive.frequency=200:300:4"), "check")
+    start = start_sweep(SweepRequest(swept_plate, vary=["drive.frequency=200:300:4"], what="check"))
     with pytest.raises(KeyboardInterrupt):
         run_sweep(start, stop_after(1), SweepFile(file, math.inf), Away())
     half = load_sweep(file)
@@ -272,9 +279,9 @@ def test_a_result_replaces_only_one_of_the_same_sweep(swept_plate, tmp_path):
     plan, path = plan_of(swept_plate, "drive.frequency=200,300"), tmp_path / "a.h5"
     found, unfinished = sweep(swept_plate, plan, "check", device="cpu"), tmp_path / "a.checkpoint.h5"
     save_sweep(found, path)
-    check_replaceable(path, replace(found, seconds=9.0, device="cuda:0"))
+    check_same_sweep(path, replace(found, seconds=9.0, device="cuda:0"))
     with pytest.raises(SceneError, match="h5: holds a sweep of another scene; name another file by --out"):
-        check_replaceable(path, start_sweep(scene_of(damping=80.0), plan, "check"))
+        check_same_sweep(path, start_sweep(SweepRequest(scene_of(damping=80.0), vary=plan, what="check")))
     # All points are kept where the result cannot be written.
     with pytest.raises(SceneError, match="holds a sweep of --count 6"):
         save_finished(replace(found, count=5), path, SweepFile(unfinished))

@@ -7,7 +7,7 @@ import numpy as np
 
 from warp_plate import localize
 from warp_plate.result.checkpoint import load_checkpoint
-from warp_plate.studies.checkpointing import CheckpointFile
+from warp_plate.studies.unfinished import CheckpointFile
 
 
 def assert_same_results(one, other):

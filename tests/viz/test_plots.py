@@ -15,8 +15,8 @@ from warp_plate.result.comparison import MethodComparison, Trial
 from warp_plate.result.sweep import REFUSED
 from warp_plate.scene.vary import make_plan, parse_vary
 from warp_plate.studies.frequency_response import frf
-from warp_plate.studies.quantities_of_interest import QUANTITIES
-from warp_plate.studies.sweep import start_sweep
+from warp_plate.studies.sweep import SweepRequest, start_sweep
+from warp_plate.studies.sweep_points import QUANTITIES
 from warp_plate.viz.plots.frame import figure, number_log_axis
 from warp_plate.viz.plots.frequency_response import draw_frequency_response
 from warp_plate.viz.plots.plan import draw_crosstalk
@@ -183,7 +183,7 @@ def random_sweep(vary, what="localize", samples=None):
     """A sweep with random values, some points refused and one value infinite."""
     panel = scene_of(damping=88.5, time_step=2e-4)
     plan = make_plan([parse_vary(panel, words) for words in vary], samples)
-    begun = start_sweep(panel, plan, what, "cpu", count=3, frequencies="100:200:3")
+    begun = start_sweep(SweepRequest(panel, vary=plan, what=what, count=3, frequencies="100:200:3"), "cpu")
     values = {name: np.random.default_rng(1).random(output.shape) for name, output in begun.values.items()}
     status = np.ones(len(plan), dtype="i1")
     status[::5] = REFUSED

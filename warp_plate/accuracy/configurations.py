@@ -62,7 +62,7 @@ def configuration_of(scene: Scene) -> Configuration:
     return Configuration(grid.order, grid.load, grid.nodes, grid.time_step, grid.precision)
 
 
-def scene_with(scene: Scene, configuration: Configuration) -> Scene:
+def regrid(scene: Scene, configuration: Configuration) -> Scene:
     """Return the scene on another grid, with centred damping, which is of second order in time.
 
     Raises:
@@ -111,7 +111,7 @@ def spacing_of(scene: Scene, nodes: tuple[int, int]) -> float:
 
 def stability_limit(scene: Scene, order: Order, nodes: tuple[int, int]) -> float:
     """Return the largest stable time step [s] with centred damping."""
-    return find_limit(scene_with(scene, Configuration(order, LOAD_OF[order], nodes, None, "float64")))[0].time_step
+    return find_limit(regrid(scene, Configuration(order, LOAD_OF[order], nodes, None, "float64")))[0].time_step
 
 
 def longest_time_step(scene: Scene, order: Order, nodes: tuple[int, int]) -> float:
@@ -160,17 +160,17 @@ def cost_of_run(scene: Scene, configuration: Configuration) -> float:
 
 def make_configurations(scene: Scene) -> list[Configuration]:
     """Return the configurations that ``warp-plate accuracy`` measures, from cheap to expensive."""
-    made: list[Configuration] = []
+    configurations: list[Configuration] = []
     for order in (order for order in LOAD_OF if order <= highest_order(scene)):
         grids = [make_configuration(scene, order, nodes_for(scene.plate.size, side, order)) for side in SIDES]
-        made += [replace(grid, load="nodes") for grid in grids if order == 2]
-        made += [*grids, *(replace(grid, precision="float64") for grid in grids)]
+        configurations += [replace(grid, load="nodes") for grid in grids if order == 2]
+        configurations += [*grids, *(replace(grid, precision="float64") for grid in grids)]
         base = make_configuration(scene, order, nodes_for(scene.plate.size, BASE_SIDE, order))
         longest = longest_time_step(scene, order, base.nodes)
         steps = [aligned(scene, fraction * longest) for fraction in TIME_STEP_FRACTIONS]
         steps.append(TOO_LONG * stability_limit(scene, order, base.nodes))
-        made += [replace(base, time_step=step) for step in steps]
-    return sorted(dict.fromkeys(made), key=partial(cost_of_run, scene))
+        configurations += [replace(base, time_step=step) for step in steps]
+    return sorted(dict.fromkeys(configurations), key=partial(cost_of_run, scene))
 
 
 def percent(value: float) -> str:

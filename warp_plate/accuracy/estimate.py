@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from warp_plate.accuracy.choose import try_out
 from warp_plate.accuracy.configurations import (
     LOAD_OF,
     Configuration,
@@ -26,10 +27,11 @@ from warp_plate.accuracy.configurations import (
     refine,
     two_digits,
 )
-from warp_plate.accuracy.grid_search import try_out
-from warp_plate.accuracy.more_functions import MoreFunctions, compare_with_more_functions, error_of
 from warp_plate.accuracy.reference_solution import (
+    MoreFunctions,
     ReferenceSolution,
+    compare_with_more_functions,
+    error_of,
     find_reference_solution,
     grid_lines,
     refine_until,
@@ -90,7 +92,7 @@ class Estimate:
     def line(self, drive: int = -1) -> str:
         """Return the localization factor of a drive with its error bar, and the price of a better one, for people."""
         value, true = float(self.localization_factors[drive]), float(self.references[drive])
-        bar, moved = float(self.errors[drive]) * true, float(self.displacement_errors[drive])
+        bar, displacement = float(self.errors[drive]) * true, float(self.displacement_errors[drive])
         if not math.isfinite(bar):
             return f"{self.numerics}: no error estimate (the plate is at rest)"
         text = f"{self.numerics}: localization factor {_with_bar(value, bar)}"
@@ -100,8 +102,8 @@ class Estimate:
             text += f" at most (the reference is known to {percent(self.uncertainty)} only)"
         else:
             text += f", the true value is {_with_bar(true, self.uncertainty * true)}"
-        if math.isfinite(moved):
-            text += f", displacement ± {percent(moved)}"
+        if math.isfinite(displacement):
+            text += f", displacement ± {percent(displacement)}"
         if self.price is None:
             return text
         times = "" if 0.95 < self.price.cost < 1.05 else f"{two_digits(self.price.cost)} times "
@@ -141,6 +143,7 @@ def estimate(
     times: Sequence[float] | np.ndarray = (),
     displacement: np.ndarray | None = None,
     reference: ReferenceSolution | None = None,
+    time_step: float | None = None,
 ) -> Estimate:
     """Estimate the errors of localization factors.
 
@@ -155,32 +158,35 @@ def estimate(
         times: Times of ``displacement`` [s].
         displacement: (drives, times, ny, nx) displacement of the run [m].
         reference: Reference solution, if there is one already.
+        time_step: Time step of the run [s] (default: the one that the scheme of the scene has).
     """
     started = time.perf_counter()
     computed = np.asarray(localization_factors, dtype=float)
     phasors = np.asarray(phasors, dtype=complex)
-    kept = _known(scene, phasors, computed)
+    moving = _known(scene, phasors, computed)
     unknown = np.full(computed.shape, math.nan)
-    if not kept.any():
+    if not moving.any():
         return _no_estimate(configuration_of(scene).grid_text, computed)
 
     references, displacement_errors = unknown.copy(), unknown.copy()
-    found, references[kept] = _reference(scene, phasors[kept], computed[kept], device, reference)
+    accurate, references[moving] = _reference(scene, phasors[moving], computed[moving], device, reference)
     differences = np.abs(computed / references - 1)
     largest = float(np.nanmax(differences))
     # A difference within the uncertainty does not allow to extrapolate to smaller errors.
-    known = found.uncertainty < largest
-    price = _price(scene, largest, phasors[kept], references[kept], device) if known else None
-    if displacement is not None and isinstance(found, ReferenceSolution) and found.plate is not None and len(times):
+    resolved = accurate.uncertainty < largest
+    price = None
+    if resolved:
+        price = _price(scene, largest, phasors[moving], references[moving], device, time_step)
+    if displacement is not None and isinstance(accurate, ReferenceSolution) and accurate.plate and len(times):
         for drive, fields in enumerate(displacement):
-            displacement_errors[drive] = found.displacement_error(phasors[drive], times, scene, fields)
+            displacement_errors[drive] = accurate.displacement_error(phasors[drive], times, scene, fields)
     return Estimate(
         numerics=configuration_of(scene).grid_text,
         localization_factors=computed,
         references=references,
-        uncertainty=found.uncertainty,
-        errors=differences + found.uncertainty + ROUNDING[scene.grid.precision],
-        kind=found.kind,
+        uncertainty=accurate.uncertainty,
+        errors=differences + accurate.uncertainty + ROUNDING[scene.grid.precision],
+        kind=accurate.kind,
         seconds=time.perf_counter() - started,
         price=price,
         displacement_errors=displacement_errors,
@@ -204,19 +210,19 @@ def estimate_modal(
         return replace(by_grids, numerics=MODES, price=None)
     started = time.perf_counter()
     computed, phasors = np.asarray(localization_factors, dtype=float), np.asarray(phasors, dtype=complex)
-    kept = _known(scene, phasors, computed)
-    if not kept.any():
+    moving = _known(scene, phasors, computed)
+    if not moving.any():
         return _no_estimate(MODES, computed)
     compared = compared or compare_with_more_functions(scene)
-    references, moved, change = (np.full(computed.shape, math.nan) for _ in range(3))
-    references[kept] = compared.finer.localization_factors(phasors[kept])
-    change[kept] = compared.changes(phasors[kept])
+    references, displacement_errors, change = (np.full(computed.shape, math.nan) for _ in range(3))
+    references[moving] = compared.finer.localization_factors(phasors[moving])
+    change[moving] = compared.changes(phasors[moving])
     change = np.maximum(change, np.abs(computed / references - 1))
     if displacement is not None and len(times):
-        expected = fields(compared.plate, phasors[kept], np.asarray(times, dtype=float), *grid_lines(scene))
-        differences = np.linalg.norm((displacement[kept] - expected).reshape(kept.sum(), -1), axis=1)
-        sizes = np.linalg.norm(expected.reshape(kept.sum(), -1), axis=1)
-        moved[kept] = error_of(differences / np.where(sizes > 0, sizes, math.nan))
+        expected = fields(compared.plate, phasors[moving], np.asarray(times, dtype=float), *grid_lines(scene))
+        differences = np.linalg.norm((displacement[moving] - expected).reshape(moving.sum(), -1), axis=1)
+        sizes = np.linalg.norm(expected.reshape(moving.sum(), -1), axis=1)
+        displacement_errors[moving] = error_of(differences / np.where(sizes > 0, sizes, math.nan))
     return Estimate(
         numerics=MODES,
         localization_factors=computed,
@@ -226,7 +232,7 @@ def estimate_modal(
         kind=MORE_FUNCTIONS,
         seconds=time.perf_counter() - started,
         price=None,
-        displacement_errors=moved,
+        displacement_errors=displacement_errors,
     )
 
 
@@ -242,8 +248,9 @@ def _reference(
     if not scene.linear:
         # As much time as the run took, if that is more.
         seconds = max(REFERENCE_SECONDS, STEPPED_SECONDS * len(phasors) * node_steps(scene, configuration_of(scene)))
-        found = refine_until(extrapolate_drives(scene, phasors, device), lambda last: wanted(last.values), seconds)
-        return found, found.values
+        refinements = extrapolate_drives(scene, phasors, device)
+        extrapolation = refine_until(refinements, lambda last: wanted(last.values), seconds)
+        return extrapolation, extrapolation.values
     if reference is None:
         until = lambda response: wanted(response.localization_factors(phasors))  # noqa: E731
         reference = find_reference_solution(scene, "auto", device, until, REFERENCE_SECONDS, phasors, only=True)
@@ -260,12 +267,14 @@ def _no_estimate(numerics: str, factors: np.ndarray) -> Estimate:
     return Estimate(numerics, factors, unknown, math.nan, unknown, "none", 0.0, None, unknown)
 
 
-def _price(scene: Scene, error: float, phasors: np.ndarray, references: np.ndarray, device: str) -> Price | None:
+def _price(
+    scene: Scene, error: float, phasors: np.ndarray, references: np.ndarray, device: str, time_step: float | None
+) -> Price | None:
     """Return the cheaper of finer grids of the run's own order and of the highest order."""
     tolerance = next((tolerance for tolerance in TOLERANCES if error > tolerance), None)
     if tolerance is None or not math.isfinite(error):
         return None
-    run = replace(configuration_of(scene), time_step=make_scheme(scene).time_step)
+    run = replace(configuration_of(scene), time_step=time_step or make_scheme(scene).time_step)
     trials = [(run, error)]
     if scene.grid.order == 2 and highest_order(scene) == 4:
         # A trial run of fourth order on a coarse grid, unless it would take too long.

@@ -18,7 +18,7 @@ from warp_plate.accuracy.configurations import (
     RELATIVE_COST,
     Configuration,
     configuration_of,
-    scene_with,
+    regrid,
     seconds_text,
     spacing_of,
 )
@@ -88,8 +88,8 @@ class AccuracyRow:
 
     def search_seconds(self, plates: int) -> float:
         """Return the time of a search with a number of plates [s]."""
-        each = (self.seconds_per_plate or 0.0) - self.seconds_once / (self.plates or 1)
-        return self.seconds_once + plates * each
+        alone = (self.seconds_per_plate or 0.0) - self.seconds_once / (self.plates or 1)
+        return self.seconds_once + plates * alone
 
 
 @dataclass
@@ -120,7 +120,7 @@ def measure(
     plates are timed; if that takes longer too, the row is skipped. Nominal times are counted in node-steps, so that the
     same rows are measured on every machine.
     """
-    scene = context.scene if configuration is None else scene_with(context.scene, configuration)
+    scene = context.scene if configuration is None else regrid(context.scene, configuration)
     settings, damping = configuration_of(scene), scene.effects.damping
     row = AccuracyRow(
         **vars(settings),
@@ -159,7 +159,7 @@ def measure_modal(context: MeasurementContext, density: float) -> AccuracyRow:
     drive, plates = reference.drives["best"], scene.search.particles
     phasors = _random_phasors(plates, len(scene.actuators))
     once = median(seconds_of(lambda: solve_response(scene, density), RUNS, TIMING_SECONDS))
-    each = median(seconds_of(lambda: response.energy(phasors), RUNS, TIMING_SECONDS)) / plates
+    alone = median(seconds_of(lambda: response.energy(phasors), RUNS, TIMING_SECONDS)) / plates
     row = AccuracyRow(
         order=plate.space.degree,
         load=MODAL,
@@ -173,7 +173,7 @@ def measure_modal(context: MeasurementContext, density: float) -> AccuracyRow:
             drive, times, scene, fields(plate, drive[None], times, *grid_lines(scene))[0]
         ),
         error_frequencies=largest_frequency_error(plate.frequencies, reference.frequencies),
-        seconds_per_plate=once / plates + each,
+        seconds_per_plate=once / plates + alone,
         seconds_once=once,
         plates=plates,
         path=MODAL,

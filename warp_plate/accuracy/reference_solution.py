@@ -97,8 +97,8 @@ class ReferenceSolution:
         if self.plate is not None:
             return self.plate.frequencies[:FREQUENCIES]
         last = self.scenes[-2:]
-        found: np.ndarray = weights_of_grids(last) @ [natural_modes(scene, FREQUENCIES).frequencies for scene in last]
-        return found
+        on_grids = [natural_modes(scene, FREQUENCIES).frequencies for scene in last]
+        return np.asarray(weights_of_grids(last) @ on_grids)
 
     def displacement(self, phasors: np.ndarray, times: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return the (times, points along y, points along x) displacement [m] under a drive (actuators,) [N/m²]."""
@@ -262,18 +262,72 @@ def _by_richardson(scene: Scene, device: str, change: Change) -> Iterator[Refere
     def differ(matrices: np.ndarray, others: Sequence[np.ndarray]) -> float:
         return change(Response(matrices), [Response(other) for other in others])
 
-    for found in extrapolate(
+    for limit in extrapolate(
         scene,
         plates=len(unit_drives(len(scene.actuators))),
         measure=lambda gridded: measure_response(PlateSolver(gridded, device)).matrices,
         allowed=lambda matrices: np.linalg.eigvalsh(matrices[0]).min() > 0,  # energies are positive
         change=differ,
     ):
-        response, seconds = Response(found.values), (found.seconds, found.next_seconds)
-        yield ReferenceSolution("richardson", response, found.uncertainty, *seconds, found.scenes, device)
+        response, seconds = Response(limit.values), (limit.seconds, limit.next_seconds)
+        yield ReferenceSolution("richardson", response, limit.uncertainty, *seconds, limit.scenes, device)
 
 
 def grid_lines(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Return (nx,) and (ny,) coordinates of the nodes [m]."""
     (width, height), (nx, ny) = scene.plate.size, scene.grid.nodes
     return np.linspace(0, width, nx), np.linspace(0, height, ny)
+
+
+# Modes are compared with those of a higher density, up to a frequency that is higher by another factor. Errors are at
+# most so many times the change, which holds where they fall as density^-1.3 or faster, and LEAST_ERROR besides, for
+# free motion that is left out.
+FINER, HIGHER, CHANGE_FACTOR = 1.2, 2.0, 5.0
+# They are at least this part of the change from fewer functions, since two densities may agree by chance.
+COARSER, COARSER_FACTOR = 0.7, 0.3
+
+
+@dataclass(frozen=True)
+class MoreFunctions:
+    """Responses of a scene by the modes that are taken, by more and by fewer of them."""
+
+    plate: ModalPlate  # modes of more functions
+    response: Response  # response by the modes that are taken
+    finer: Response  # response by those of more functions
+    coarser: Response  # response by those of fewer functions
+
+    def changes(self, phasors: np.ndarray) -> np.ndarray:
+        """Return the relative changes (drives,) of the results of drives (drives, actuators).
+
+        The error of a localization factor may pass through zero, so the changes of the drive's own energies count too,
+        and a part of the changes from fewer functions.
+        """
+        after = _changes(phasors, self.finer, self.response)
+        return np.maximum(after, COARSER_FACTOR / CHANGE_FACTOR * _changes(phasors, self.response, self.coarser))
+
+    def error(self, phasors: np.ndarray) -> float:
+        """Return the largest error of drives (drives, actuators)."""
+        return float(error_of(self.changes(phasors)).max())
+
+
+def compare_with_more_functions(scene: Scene) -> MoreFunctions:
+    """Solve for the modes that are taken, for more and for fewer of them.
+
+    Raises:
+        SceneError: An undamped plate is driven at resonance, or the plate has no modes.
+    """
+    (_, response), (plate, finer) = solve_response(scene, 1.0), solve_response(scene, FINER, HIGHER)
+    return MoreFunctions(plate, response, finer, solve_response(scene, COARSER)[1])
+
+
+def _changes(phasors: np.ndarray, finer: Response, coarser: Response) -> np.ndarray:
+    """Return the largest relative changes (drives,) of the localization factors and the energies of drives."""
+    results = [np.column_stack([of.localization_factors(phasors), of.energy(phasors)]) for of in (finer, coarser)]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        largest: np.ndarray = np.nanmax(np.abs(results[1] / results[0] - 1), axis=1, initial=0)
+    return largest
+
+
+def error_of(change: np.ndarray) -> np.ndarray:
+    """Return the error bar for a change with more functions."""
+    return CHANGE_FACTOR * change + LEAST_ERROR

@@ -238,9 +238,9 @@ def recommend(rows: Sequence[AccuracyRow], uncertainty: float, plates: int) -> l
     fields = {index: _worst(row, measured.values(), "error_displacement") + floor for index, row in measured.items()}
     recommendations = []
     for tolerance in TOLERANCES:
-        kept = [index for index in measured if factors[index] <= tolerance]
-        both = [index for index in kept if fields[index] <= tolerance]
-        row = min(both or kept, key=lambda index: cost[index], default=None)
+        accepted = [index for index in measured if factors[index] <= tolerance]
+        both = [index for index in accepted if fields[index] <= tolerance]
+        row = min(both or accepted, key=lambda index: cost[index], default=None)
         recommendations.append(Recommendation(tolerance, row, None if row is None else cost[row], bool(both)))
     return recommendations
 

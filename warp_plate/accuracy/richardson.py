@@ -20,7 +20,7 @@ from warp_plate.accuracy.configurations import (
     configuration_of,
     highest_order,
     node_steps,
-    scene_with,
+    regrid,
     spacing_of,
     stability_limit,
 )
@@ -101,12 +101,12 @@ def extrapolate(
         values.append(measured)
         possible = [(last, terms) for last, terms in EXTRAPOLATIONS if last + terms <= len(values)]
         limits = [_limit(scenes, values, last, terms, allowed) for last, terms in possible]
-        found, *others = limits or values
+        limit, *others = limits or values
         if len(limits) == len(EXTRAPOLATIONS):
-            uncertainty = max(CHANGE_FACTOR * change(found, others), GAIN_FACTOR * change(found, values[-1:]))
+            uncertainty = max(CHANGE_FACTOR * change(limit, others), GAIN_FACTOR * change(limit, values[-1:]))
         seconds = STEPPED_SECONDS * plates * node_steps(scene, configuration_of(gridded))
         # The next grid has twice the nodes and twice the steps.
-        yield Extrapolation(tuple(scenes), found, uncertainty, seconds, FINER**4 * seconds)
+        yield Extrapolation(tuple(scenes), limit, uncertainty, seconds, FINER**4 * seconds)
     if refusal is not None and uncertainty == math.inf:
         raise refusal
 
@@ -152,7 +152,7 @@ def _scenes(scene: Scene) -> Iterator[Scene]:
         limit = stability_limit(scene, order, nodes)
         # The drive limits the first.
         fraction = fraction or min(SAFETY, 1 / (STEPS_A_PERIOD * highest_frequency(scene)) / limit)
-        yield scene_with(scene, Configuration(order, "moments", nodes, aligned(scene, fraction * limit), "float64"))
+        yield regrid(scene, Configuration(order, "moments", nodes, aligned(scene, fraction * limit), "float64"))
 
 
 def _refuse_short_waves(scene: Scene, plates: int) -> None:
@@ -175,6 +175,6 @@ def _limit(
     allowed: Callable[[np.ndarray], bool],
 ) -> np.ndarray:
     """Return the extrapolation from the ``terms`` grids before the ``last`` ones."""
-    kept = slice(len(values) - last - terms, len(values) - last)
-    found: np.ndarray = np.tensordot(weights_of_grids(scenes[kept]), np.array(values[kept]), 1)
-    return found if allowed(found) else values[kept][-1]
+    selected = slice(len(values) - last - terms, len(values) - last)
+    limit: np.ndarray = np.tensordot(weights_of_grids(scenes[selected]), np.array(values[selected]), 1)
+    return limit if allowed(limit) else values[selected][-1]

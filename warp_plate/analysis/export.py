@@ -98,7 +98,7 @@ def export(
         signal = make_drive_signal(result.case_scene(chosen[name]), chosen[name], rate, duration, full_scale)
         files = write_wav(signal, path, encoding) if to == "drive-wav" else write_drive_csv(signal, path)
         names = ("frequency", "rate", "samples", "periods", "full_scale", "unit")
-        contents = {"case": name, **{each: getattr(signal, each) for each in names}, "channels": signal.names}
+        contents = {"case": name, **{key: getattr(signal, key) for key in names}, "channels": signal.names}
         contents |= {"seconds": signal.samples / signal.rate, "seam_degrees": signal.seam}
         return Exported(files, contents)
     if to == "traces-csv":
@@ -129,21 +129,21 @@ def _export_fields(
 
 
 def _export_waveforms(
-    found: FocusResult, path: Path, to: Format, methods: Sequence[str], full_scale: float | None, encoding: Encoding
+    result: FocusResult, path: Path, to: Format, methods: Sequence[str], full_scale: float | None, encoding: Encoding
 ) -> Exported:
     """Write the waveforms of a method for each point."""
-    table, unit = found.scene.focus, found.scene.drive_unit
+    table, unit = result.scene.focus, result.scene.drive_unit
     assert table is not None
-    name = methods[0] if methods else "optimum" if table.burst is None and found.wished is None else "inverse_filter"
-    if len(methods) > 1 or name not in found.methods:
-        raise SceneError(f"case = {' '.join(methods)}: name one of {', '.join(found.methods)}")
-    waveforms = found.methods[name].waveforms
+    name = methods[0] if methods else "optimum" if table.burst is None and result.wished is None else "inverse_filter"
+    if len(methods) > 1 or name not in result.methods:
+        raise SceneError(f"case = {' '.join(methods)}: name one of {', '.join(result.methods)}")
+    waveforms = result.methods[name].waveforms
     largest = float(abs(waveforms).max())
     full_scale = full_scale_of(full_scale, largest, unit)
-    names, files = tuple(actuator.name for actuator in found.scene.actuators), []
-    for index, ((x, y), each) in enumerate(zip(table.points, waveforms, strict=True), 1):
+    names, files = tuple(actuator.name for actuator in result.scene.actuators), []
+    for index, ((x, y), waveform) in enumerate(zip(table.points, waveforms, strict=True), 1):
         file = path if len(table.points) == 1 else path.with_name(f"{path.stem}-{index}{path.suffix}")
-        signal = WaveformSignal(names, each, full_scale, unit, table.rate, f"{name} at {x:g},{y:g} m")
+        signal = WaveformSignal(names, waveform, full_scale, unit, table.rate, f"{name} at {x:g},{y:g} m")
         files += write_wav(signal, file, encoding) if to == "drive-wav" else write_drive_csv(signal, file)
     contents = {"case": name, "rate": table.rate, "full_scale": full_scale, "unit": unit, "channels": names}
     return Exported(files, contents)

@@ -12,10 +12,11 @@ import numpy as np
 from warp_plate.effects.edges import Edges, ElasticEdge
 from warp_plate.effects.effect import Setting
 from warp_plate.effects.table import Effects, effect_type
-from warp_plate.modal.solver import MODAL, ModalSolver, make_solver
+from warp_plate.modal.solver import ModalSolver
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.plate.signals import carrier_frequencies
 from warp_plate.plate.weights import REGIONS, localization_factor, region_weights
+from warp_plate.resolve import Resolved, resolve
 from warp_plate.scene.drive import Burst, Chirp, Drive, Electrostatic
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
@@ -74,20 +75,19 @@ def measure_effects(
         SceneError: see :class:`PlateSolver`.
     """
     effects, scene = names(), Scene.load(scene)
-    path = "auto" if scene.modal_only_key is None else MODAL
-    base = make_solver(scene, device, path)
+    resolved = resolve(scene, device, purpose="replay")
     others: dict[str, tuple[PlateSolver | ModalSolver | None, str]] = {}
     for index, name in enumerate(effects):
         if on_progress is not None:
             on_progress(index, len(effects), name)
-        others[name] = _alternative(scene, name, device, path)
-    solvers = {"": base} | {name: solver for name, (solver, _) in others.items() if solver is not None}
+        others[name] = _alternative(resolved, name)
+    solvers = {"": resolved.solver()} | {name: solver for name, (solver, _) in others.items() if solver is not None}
     results = {}
     for name, solver in solvers.items():
         run = solver.run(scene_phasors(solver.scene)[None], peak_times=sample_times(solver.scene))
         results[name] = float(localization_factor(run.energy)[0]), float(run.peak.max())
     stepped = {name: solver for name, solver in solvers.items() if isinstance(solver, PlateSolver)}
-    bare_step, costs = _measure_costs(scene, stepped, device) if path != MODAL else (None, {})
+    bare_step, costs = _measure_costs(scene, stepped, device) if not resolved.by_modes else (None, {})
     toggles = []
     for name, (_, text) in others.items():
         price, deviation, steps = costs.get(name, (None, None, None))
@@ -116,20 +116,20 @@ def _measure_costs(
     return bare_step, costs
 
 
-def _alternative(scene: Scene, name: str, device: str, path: str) -> tuple[PlateSolver | ModalSolver | None, str]:
+def _alternative(resolved: Resolved, name: str) -> tuple[PlateSolver | ModalSolver | None, str]:
     """Return the scene with one effect switched, and its description; or None and why it is refused."""
     try:
-        other, text = toggle(scene, name)
+        other, text = toggle(resolved.scene, name)
     except SceneError as error:
         return None, str(error)
     refusal = ""
     for grid in (other.grid, other.grid.model_copy(update={"time_step": None})):
         try:
-            solver = make_solver(other.model_copy(update={"grid": grid}).with_tables(), device, path)
+            solver = resolved.with_scene(other.model_copy(update={"grid": grid}).with_tables()).solver()
         except SceneError as error:
             refusal = f"refused ({text}): {error}"
         else:
-            step = solver.discretization.scheme.time_step
+            step = solver.discretization.time_step
             return solver, text if grid is other.grid else f"{text}; with its own time step of {step:.2g} s"
     return None, refusal
 

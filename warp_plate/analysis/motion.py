@@ -12,10 +12,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from warp_plate.modal.continuous_modes import continuous_modes
-from warp_plate.modal.solver import MODAL, make_solver
-from warp_plate.plate.discretization import Discretization, discretize
 from warp_plate.plate.section import make_section
 from warp_plate.plate.signals import highest_frequency
+from warp_plate.resolve import Resolved, resolve
 from warp_plate.result.case import Case, case_scene, only_actuator
 from warp_plate.result.model import Result
 from warp_plate.result.motion import Motion
@@ -100,34 +99,34 @@ def motions(
         SceneError: see :class:`PlateSolver`; the span is outside the run; or there are too few or too many frames.
     """
     scene = scene.model_copy(update={"record": Record()})
-    discretization = discretize(scene, stepped=scene.modal_only_key is None)
-    scheme = discretization.scheme
+    resolved = resolve(scene, device, purpose="replay")
+    grid = resolved.grid
     scenes = {name: case_scene(scene, case) for name, case in cases.items()}
-    end = scheme.steps * scheme.time_step
-    field_bytes = 8 * math.prod(scheme.nodes) * len(cases)
+    end = grid.steps * grid.time_step
+    field_bytes = 8 * math.prod(scene.grid.nodes) * len(cases)
     first, last = _common_span(scenes, span, end, frames or _default_frames(math.inf, field_bytes))
     fastest = max(s.drive.frequency if s.nonperiodic_key is None else highest_frequency(s) for s in scenes.values())
     count = frames or _default_frames((last - first) * fastest, field_bytes)
     if count < 2 or 2 * count * field_bytes > MOST_BYTES:
         most = max(2, MOST_BYTES // (2 * field_bytes))
         raise SceneError(f"frames = {count}: must be from 2 to {most} for {len(cases)} plates of this grid")
-    wanted = np.linspace(first, last, count, endpoint=False) / scheme.time_step
-    steps = np.unique(np.clip(np.rint(wanted).astype(int), 0, scheme.steps - 1))
+    wanted = np.linspace(first, last, count, endpoint=False) / grid.time_step
+    steps = np.unique(np.clip(np.rint(wanted).astype(int), 0, grid.steps - 1))
     if len(steps) < 2:
-        raise SceneError(f"{first:g} ... {last:g} s: contains fewer than two steps of {scheme.time_step:g} s")
+        raise SceneError(f"{first:g} ... {last:g} s: contains fewer than two steps of {grid.time_step:g} s")
     recorded = np.unique(np.concatenate([steps, steps + 1]))
     at, after = np.searchsorted(recorded, steps), np.searchsorted(recorded, steps + 1)
-    times = (recorded * scheme.time_step).tolist()
-    fields = _displacements(discretization, scenes, cases, times, device, progress)
+    times = (recorded * grid.time_step).tolist()
+    fields = _displacements(resolved, scenes, cases, times, progress)
     return [
         Motion(
             name=name,
             frequency=scenes[name].drive.frequency,
             span=(first, last),
-            times=steps * scheme.time_step,
+            times=steps * grid.time_step,
             displacement=fields[name][at].astype(np.float32),
-            velocity=((fields[name][after] - fields[name][at]) / scheme.time_step).astype(np.float32),
-            surface_density=discretization.surface_density,
+            velocity=((fields[name][after] - fields[name][at]) / grid.time_step).astype(np.float32),
+            surface_density=grid.surface_density,
             localization_factor=case.localization_factor,
             only_actuator=only_actuator(case, scene),
             scene=scenes[name] if case.per_actuator else None,
@@ -152,11 +151,10 @@ def _common_span(
 
 
 def _displacements(
-    discretization: Discretization,
+    resolved: Resolved,
     scenes: Mapping[str, Scene],
     cases: Mapping[str, Case],
     times: Sequence[float],
-    device: str,
     progress: Progress | None,
 ) -> dict[str, np.ndarray]:
     """Return (times, ny, nx) displacements [m] of the cases; equal scenes run together."""
@@ -165,8 +163,7 @@ def _displacements(
         if first in fields:
             continue
         group = [name for name, other in scenes.items() if other == scene]
-        path = "auto" if scene.modal_only_key is None else MODAL
-        solver = make_solver(discretization if scene == discretization.scene else scene, device, path)
+        solver = resolved.with_scene(resolved.scene if scene == resolved.scene else scene).solver()
         plate_steps, before = solver.node_steps_per_plate, len(fields)
 
         def on_progress(done: int, total: int, plate_steps: int = plate_steps, before: int = before) -> None:
@@ -204,11 +201,11 @@ def mode_motions(scene: Scene, numbers: Sequence[int], frames: int = FRAMES_A_PE
     modes = continuous_modes(scene, max(numbers), scene.grid.nodes)
     angle = 2 * math.pi * np.arange(frames)[:, None, None] / frames
     surface_density = make_section(scene).mass
-    made = []
+    motions_of_modes = []
     for number in numbers:
         frequency, shape = float(modes.frequencies[number - 1]), modes.shapes[number - 1]
         period = 1 / frequency if frequency > 0 else 1.0
-        made.append(
+        motions_of_modes.append(
             Motion(
                 name=f"mode {number}, {frequency:.4g} Hz",
                 frequency=frequency,
@@ -219,7 +216,7 @@ def mode_motions(scene: Scene, numbers: Sequence[int], frames: int = FRAMES_A_PE
                 surface_density=surface_density,
             )
         )
-    return made
+    return motions_of_modes
 
 
 def _default_frames(periods: float, field_bytes: int) -> int:

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warp_plate.modal.solver import ModalSolver, make_solver
+from warp_plate.modal.solver import ModalSolver
 from warp_plate.optimize.quadratic import real_parts
 from warp_plate.plate.weights import REGIONS
+from warp_plate.resolve import resolve
 from warp_plate.result.motion import QUADRANTS, DriveResponse, SteadyMotion, quadrants
 from warp_plate.scene.model import Scene
 from warp_plate.solve.response import Response, in_float64, measure_response, unit_drives
@@ -72,7 +73,7 @@ def unit_responses(
     solver = live_solver(in_float64(scene), device, path)
     response = solver.response if isinstance(solver, ModalSolver) else measure_response(solver, progress)
     units = unit_drives(len(scene.actuators))[: 2 * len(scene.actuators)]
-    times = last_period(scene, solver.scheme.time_step, LINEAR_SAMPLES)
+    times = last_period(scene, solver.discretization.time_step, LINEAR_SAMPLES)
     motions = motions_of(solver.run(units, times), scene, LINEAR_ORDERS)
     return UnitResponses(
         scene=scene,
@@ -103,7 +104,7 @@ class SimulatedResponses:
 
     def read(self, phasors: np.ndarray) -> DriveResponse:
         """Return the response to one drive (actuators,) [N/m²]."""
-        times = last_period(self.scene, self.solver.scheme.time_step, SAMPLES)
+        times = last_period(self.scene, self.solver.discretization.time_step, SAMPLES)
         with _SIMULATION:
             run = self.solver.run(phasors[None], times)
         energy = dict(zip(run.regions, run.energy[0].tolist(), strict=True))
@@ -112,7 +113,7 @@ class SimulatedResponses:
 
 def live_solver(scene: Scene, device: str, path: str) -> PlateSolver | ModalSolver:
     """Return a solver that also sums the energies of the plate's quadrants."""
-    return make_solver(scene, device, path, areas=quadrants(scene.plate.size))
+    return resolve(scene, device, purpose="replay", path=path).solver(areas=quadrants(scene.plate.size))
 
 
 def last_period(scene: Scene, time_step: float, samples: int) -> list[float]:

@@ -43,12 +43,11 @@ def check(
     wavelength, condition, memory and stepping path."""
     loaded, scene = changes.load(scene)
     from warp_plate.analysis.check import check as check_scene
-    from warp_plate.modal.solver import MODAL
-    from warp_plate.studies.grid_choice import resolve_search_grid
+    from warp_plate.resolve import resolve
 
     with output.scene_errors(scene):
-        resolved = resolve_search_grid(loaded, device)
-        report = check_scene(resolved.scene, device, allow_unstable, resolved.evaluator == MODAL)
+        resolved = resolve(loaded, device, purpose="check")
+        report = check_scene(resolved.scene, device, allow_unstable, resolved.by_modes)
 
     def show(console: Console) -> None:
         console.print(f"{loaded.title or scene}\n")
@@ -72,10 +71,10 @@ def effects(
     loaded, scene = changes.load(scene)
     from warp_plate.analysis.influence import measure_effects
     from warp_plate.analysis.warnings import find_warnings
-    from warp_plate.studies.grid_choice import resolve_grid
+    from warp_plate.resolve import resolve
 
     with output.scene_errors(scene):
-        loaded = resolve_grid(loaded, device, engine="steps" if loaded.modal_only_key is None else "modes").scene
+        loaded = resolve(loaded, device, purpose="replay").scene
         with output.progress_bar("switching effects", shown=not json) as progress:
             influence = measure_effects(loaded, device, progress)
     findings = find_warnings(loaded, influence.peak)

@@ -54,8 +54,7 @@ def explore(
         raise SceneError("--host '': must be an address of this machine, such as 127.0.0.1, or 0.0.0.0 for all")
     loaded, scene = changes.load(scene)
     from warp_plate.explore.live_model import LiveModel
-    from warp_plate.modal.solver import MODAL, has_modes
-    from warp_plate.studies.grid_choice import resolve_grid, resolve_search_grid
+    from warp_plate.resolve import resolve
     from warp_plate.viz.availability import missing_renderer
     from warp_plate.viz.explorer_page import missing_page, serve_page
 
@@ -71,8 +70,7 @@ def explore(
             threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
 
     with output.scene_errors(scene):
-        by_modes = path == MODAL or (path == "auto" and has_modes(loaded))
-        chosen = (resolve_search_grid(loaded, device, MODAL) if by_modes else resolve_grid(loaded, device)).scene
+        chosen = resolve(loaded, device, purpose="survey", path=path).scene
         with output.progress_bar("simulating the unit responses", shown=True) as show:
             note = "{:.2g} node-steps".format
             model = LiveModel(chosen, device, path, lambda done, total: show(done, total, note(done)))

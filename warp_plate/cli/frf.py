@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from warp_plate.result.frequency_response import FrequencyResponse
     from warp_plate.scene.model import Scene
-    from warp_plate.studies.impulse_response import ImpulseResponse
+    from warp_plate.studies.frequency_response import ImpulseResponse
 
 PICTURES = (".png", ".svg", ".pdf")
 Format = Literal["csv", "uff", "hdf5"]
@@ -104,7 +104,7 @@ def frf(
     check_on_plate(loaded, sources, "--from")
     with output.scene_errors(scene), _errors_of_range(wanted):
         if impulse is not None:
-            from warp_plate.studies.impulse_response import compute_impulse_response
+            from warp_plate.studies.frequency_response import compute_impulse_response
 
             highest = None if limits is None else limits[1]
             span = (impulse, responses.rate, highest)

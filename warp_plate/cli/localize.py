@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from warp_plate.result.checkpoint import Checkpoint
     from warp_plate.result.model import Result
     from warp_plate.scene.model import Scene
-    from warp_plate.studies.checkpointing import CheckpointFile
+    from warp_plate.studies.unfinished import CheckpointFile
     from warp_plate.viz.fields import ColourOptions
 
 CASE_LABELS = {
@@ -114,9 +114,9 @@ def localize(
     needs = "localize needs a SCENE (a preset's name or a TOML file)"
     loaded, scene = changes.load_unless_resumed(scene, resume, needs, "search")
     from warp_plate.result.checkpoint import ENDING
-    from warp_plate.studies.checkpointing import CheckpointFile
     from warp_plate.studies.localize import localize as run_localize
     from warp_plate.studies.localize import resume as run_resume
+    from warp_plate.studies.unfinished import CheckpointFile
 
     # A search that is resumed runs on the device that it began on unless --device names another.
     local = workers.local_device if resume is None else replace(workers, devices=None).local_device

@@ -81,10 +81,10 @@ def modes(
 def _grid_modes(scene: Scene, count: int) -> tuple[Scene, NaturalModes]:
     """Return the scene with its grid, without effects that cannot be stepped, and the modes of the grid."""
     from warp_plate.plate.modes import natural_modes, refuse_many_nodes
-    from warp_plate.studies.grid_choice import resolve_grid
+    from warp_plate.resolve import resolve
 
     effects = scene.effects.keeping(lambda effect: effect.stepped)
-    gridded = resolve_grid(scene.model_copy(update={"effects": effects}), "auto").scene
+    gridded = resolve(scene.model_copy(update={"effects": effects}), purpose="simulate", evaluator="direct").scene
     refuse_many_nodes(gridded)
     return gridded, natural_modes(gridded, count)
 

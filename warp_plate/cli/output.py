@@ -26,7 +26,7 @@ LONGEST_ENDING = ".checkpoint.h5.123456789abc.part.h5"
 if TYPE_CHECKING:
     from warp_plate.result.model import Result
     from warp_plate.scene.model import Scene
-    from warp_plate.studies.checkpointing import StudyFile
+    from warp_plate.studies.unfinished import StudyFile
     from warp_plate.viz.fields import ColourOptions
 
 # Draws pictures beside a file; returns their paths and, if some are missing, the reason.

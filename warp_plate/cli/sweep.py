@@ -95,9 +95,8 @@ def sweep(
     target = output.output_file(out or beside, f"{Path(scene or '').stem}-sweep.h5")
     needs = "sweep needs a SCENE (a preset's name or a TOML file) and --vary KEY=RANGE"
     loaded, scene = options.SceneOptions(assignments).load_unless_resumed(scene, resume, needs, "sweep")
-    from warp_plate.studies.checkpointing import SweepFile
-    from warp_plate.studies.sweep import run_sweep
-    from warp_plate.studies.sweep_file import SweepRequest, open_sweep, save_finished
+    from warp_plate.studies.sweep import SweepRequest, open_sweep, run_sweep, save_finished
+    from warp_plate.studies.unfinished import SweepFile
     from warp_plate.viz.plots.frame import save_plots
     from warp_plate.viz.plots.sweep import draw_sweep
 

@@ -12,7 +12,7 @@ import warp as wp
 from warp_plate._version import __version__
 from warp_plate.cluster.pool import Task, WorkerPool, run_tasks
 from warp_plate.cluster.tasks import Evaluation, SolverSpec, refuse_unlike, run_block
-from warp_plate.modal.solver import ModalSolver, make_solver
+from warp_plate.modal.solver import ModalSolver
 from warp_plate.plate.designs import Designs, as_phasors, check_designs
 from warp_plate.plate.discretization import Discretization
 from warp_plate.scene.errors import SceneError
@@ -75,7 +75,7 @@ class Evaluator:
             designs = Designs(as_phasors(designs, len(solver.scene.actuators)))
         # Checked here: a worker would name a plate by its number in the block.
         grid = solver.discretization
-        check_designs(designs, solver.scene, grid.per_plate, grid.scheme.time_step)
+        check_designs(designs, solver.scene, grid.per_plate, grid.time_step)
         return self._run_blocks(self.pool, designs)
 
     def _run_blocks(self, pool: WorkerPool, designs: Designs) -> Evaluation:
@@ -121,7 +121,7 @@ def make_evaluator(
     pool: WorkerPool | None = None,
     **options: Any,
 ) -> Evaluator:
-    """Return the evaluator of a scene; the options are those of :class:`PlateSolver` (areas, memory_share, ...).
+    """Return the evaluator of a scene by time steps; see :class:`PlateSolver` for the options.
 
     Args:
         scene: A scene with a grid, or its discretization.
@@ -132,8 +132,8 @@ def make_evaluator(
     Raises:
         SceneError: See :class:`PlateSolver`.
     """
-    solver = make_solver(scene, device, path, **options)
-    if pool is None or isinstance(solver, ModalSolver):
+    solver = PlateSolver(scene, device, path, **options)
+    if pool is None:
         return Evaluator(solver)
     options["per_plate"] = solver.discretization.per_plate
     return Evaluator(solver, pool, SolverSpec.of(solver.scene, pool.device, path, **options))

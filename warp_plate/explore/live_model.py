@@ -17,7 +17,7 @@ import numpy as np
 from warp_plate.accuracy.configurations import percent
 from warp_plate.analysis.superposition import SimulatedResponses, UnitResponses, unit_responses
 from warp_plate.explore.settings import LiveSettings, changed_scene, polar, slider_ranges, viscous_damping
-from warp_plate.modal.solver import MODAL, has_modes
+from warp_plate.modal.solver import MODAL
 from warp_plate.optimize.optimizer import minimize
 from warp_plate.optimize.pso import Swarm
 from warp_plate.plate.scene_overrides import scene_phasors
@@ -26,6 +26,7 @@ from warp_plate.problem.design_variables import magnitude_unit, with_paper_searc
 from warp_plate.problem.evaluate_cases import reference_phasors
 from warp_plate.problem.methods import swarm_settings
 from warp_plate.problem.parametrization import paper_phasors, parametrization_of
+from warp_plate.resolve import choose_engine
 from warp_plate.result.motion import DriveResponse, SwarmSnapshot
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -62,7 +63,7 @@ class LiveModel:
             )
         self.scene = scene
         self.ranges = slider_ranges(scene)
-        self.by_modes = path == MODAL or (path == "auto" and has_modes(scene))
+        self.by_modes = choose_engine(scene, "survey", path) == "modes"
         self._device, self._path = device, MODAL if self.by_modes else path
         self._scale = magnitude_unit(scene)
         phasors = scene_phasors(scene)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
 
@@ -15,21 +17,75 @@ from warp_plate.modal.modes import ModalPlate, solve_modes
 from warp_plate.modal.motion import fields, largest_displacements
 from warp_plate.modal.motion import trace as displacement_at
 from warp_plate.modal.slopes import EnergySlopes
-from warp_plate.plate.designs import NO_PER_PLATE, Designs, PerPlate, as_phasors, check_designs
-from warp_plate.plate.discretization import Discretization, discretize
-from warp_plate.plate.scheme import Scheme
+from warp_plate.plate.designs import (
+    NO_PER_PLATE,
+    Designs,
+    PerPlate,
+    PerPlateValues,
+    as_phasors,
+    carriers_of,
+    check_designs,
+)
+from warp_plate.plate.scheme import check_grid, sampling_step
+from warp_plate.plate.section import make_section
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies, highest_frequency
-from warp_plate.plate.weights import NO_AREAS, REGIONS, Region, node_positions, weigh_region
+from warp_plate.plate.stability_limit import find_limit
+from warp_plate.plate.weights import NO_AREAS, REGIONS, Region, node_positions, region_weights, weigh_region
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.response import Response
 from warp_plate.solve.run import Progress, Run
-from warp_plate.solve.solver import Drives, PlateSolver
+from warp_plate.solve.solver import Drives
 from warp_plate.solve.specialize import Quantity
 
 # Path of a solver that takes no time steps.
 MODAL: Literal["modal"] = "modal"
+
+
+def trace_step(scene: Scene, moment_form: bool = False) -> float:
+    """Return the time step of traces [s]: the scene's, or that of time steps on its grid, so that both engines give
+    the same times."""
+    limit = math.inf if scene.grid.time_step else find_limit(scene, moment_form)[0].time_step
+    return sampling_step(scene, limit)
+
+
+@dataclass(frozen=True)
+class ModalGrid:
+    """Nodes at which results by modes are given, and the times of their traces; nothing is stepped on it."""
+
+    scene: Scene  # The scene, which has a grid
+    per_plate: PerPlate = NO_PER_PLATE  # Quantities that may differ between the plates of a batch
+
+    @cached_property
+    def region_weights(self) -> np.ndarray:
+        """(2, ny, nx) weights of the plate and of the target, in cells."""
+        return region_weights(self.scene)
+
+    @cached_property
+    def surface_density(self) -> np.ndarray:
+        """(ny, nx) mass per area [kg/m²]."""
+        return make_section(self.scene).mass
+
+    @property
+    def cell(self) -> float:
+        """Area of a cell of the grid [m²]."""
+        (width, height), (nx, ny) = self.scene.plate.size, self.scene.grid.nodes
+        return width / (nx - 1) * (height / (ny - 1))
+
+    def __post_init__(self) -> None:
+        check_grid(self.scene)
+        sampling_step(self.scene, math.inf)  # refuses a time step that the drive does not allow
+
+    @cached_property
+    def time_step(self) -> float:
+        """Time step of traces [s]."""
+        return trace_step(self.scene, carriers_of(self.scene, self.per_plate) > 1)
+
+    @property
+    def steps(self) -> int:
+        """Number of time steps of the whole run, of which the last ends within half a step of its end."""
+        return math.ceil(self.scene.window.end / self.time_step - 0.5 - 1e-9)
 
 
 class ModalSolver:
@@ -39,17 +95,17 @@ class ModalSolver:
     weights are given.
 
     Args:
-        scene: Scene, or its discretization.
+        scene: Scene, or its grid.
         device: Device of batches of designs under tones; everything else is computed on the CPU.
         areas: Further regions whose energy runs return, by name.
         per_plate: Quantities that may differ between plates besides their drives.
         quantity: "velocity" or "displacement", see :class:`PlateSolver`.
 
     Attributes:
-        discretization: The scene on its grid.
+        discretization: Grid of displacements and traces.
         plate: Modes of the scene's plate.
         node_steps: 0, for comparison with stepping.
-        compile_seconds: Time that discretizing and solving for the modes took [s].
+        compile_seconds: Time that solving for the modes took [s].
 
     Raises:
         SceneError: The scene is not linear, its plate buckles, or a file is malformed.
@@ -61,7 +117,7 @@ class ModalSolver:
 
     def __init__(
         self,
-        scene: Scene | Discretization,
+        scene: Scene | ModalGrid,
         device: str = "auto",
         areas: Mapping[str, Region] = NO_AREAS,
         per_plate: PerPlate = NO_PER_PLATE,
@@ -69,7 +125,7 @@ class ModalSolver:
     ) -> None:
         started = time.perf_counter()
         self.device, self.quantity = find_device(device), quantity
-        self.discretization = discretize(scene, per_plate, stepped=False) if isinstance(scene, Scene) else scene
+        self.discretization = ModalGrid(scene, per_plate) if isinstance(scene, Scene) else scene
         self._areas = areas
         self.plate: ModalPlate = solve_modes(self.scene, highest=_highest_frequency(self.scene))
         self.compile_seconds = time.perf_counter() - started
@@ -78,11 +134,6 @@ class ModalSolver:
     def scene(self) -> Scene:
         """The scene."""
         return self.discretization.scene
-
-    @property
-    def scheme(self) -> Scheme:
-        """Grid of displacements and time step of traces."""
-        return self.discretization.scheme
 
     @property
     def regions(self) -> tuple[str, ...]:
@@ -129,7 +180,7 @@ class ModalSolver:
     ) -> Run:
         """Return energies, displacements at ``times``, their peak and traces, as :meth:`PlateSolver.run` does."""
         designs = drives if isinstance(drives, Designs) else Designs(as_phasors(drives, len(self.scene.actuators)))
-        check_designs(designs, self.scene, self.discretization.per_plate, self.scheme.time_step)
+        self._check(designs)
         energy = self._energies(designs)
         energy[~np.isfinite(designs.drives).all(axis=1)] = np.nan
         displacement, trace, trace_times = self._records(designs.drives, times, points)
@@ -163,7 +214,7 @@ class ModalSolver:
 
     def _parameters(self, designs: Designs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return frequencies (plates, M) [Hz], areas (plates or 1, M, 4) [m] and delays (plates, M) [s] of designs."""
-        values = check_designs(designs, self.scene, self.discretization.per_plate, self.scheme.time_step)
+        values = self._check(designs)
         frequency = actuator_frequencies(self.scene) if values.frequency is None else values.frequency
         delay = actuator_delays(self.scene) if values.delay is None else values.delay
         areas = (
@@ -171,6 +222,10 @@ class ModalSolver:
         )
         shape = designs.drives.shape
         return np.broadcast_to(frequency, shape), areas, np.broadcast_to(delay, shape)
+
+    def _check(self, designs: Designs) -> PerPlateValues:
+        grid = self.discretization
+        return check_designs(designs, grid.scene, grid.per_plate, math.inf if designs.only_drives else grid.time_step)
 
     @cached_property
     def _modal_energies(self) -> ModalEnergies:
@@ -202,8 +257,8 @@ class ModalSolver:
         self, phasors: np.ndarray, times: Sequence[float], points: Sequence[tuple[float, float]]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return displacements (plates, times, ny, nx), traces (plates, points, steps) [m] and their times [s]."""
-        scheme = self.scheme
-        trace_times = scheme.time_step * np.arange(1, scheme.steps + 1) if len(points) else np.empty(0)
+        grid = self.discretization
+        trace_times = grid.time_step * np.arange(1, grid.steps + 1) if len(points) else np.empty(0)
         x, y = node_positions(self.scene)
         displacement = np.empty((len(phasors), len(times), y.size, x.size))
         if len(times):
@@ -212,36 +267,6 @@ class ModalSolver:
         if len(points):
             trace[:] = displacement_at(self.plate, phasors, points, trace_times)
         return displacement, trace, trace_times
-
-
-def make_solver(
-    scene: Scene | Discretization, device: str = "auto", path: str = "auto", **options: Any
-) -> PlateSolver | ModalSolver:
-    """Return the solver of a scene: modes if ``path`` is "modal", otherwise time steps.
-
-    Raises:
-        SceneError: See :class:`ModalSolver` and :class:`PlateSolver`.
-    """
-    if path != MODAL:
-        return PlateSolver(scene, device, path, **options)
-    options.pop("memory_share", None)
-    return ModalSolver(scene, device, **options)
-
-
-def has_modes(scene: Scene) -> bool:
-    """Return whether the search of a scene costs less by modes than by time steps on an ordinary grid.
-
-    Bursts, sweeps and files of frequencies, places or delays that are searched do not.
-    """
-    search = scene.search
-    searched = search.frequency is not None or search.position is not None or search.delay is not None
-    return scene.linear and not (searched and scene.drive.waveform_key is not None)
-
-
-def refuse_no_modes(scene: Scene) -> None:
-    """Refuse a scene whose search takes time steps, with a SceneError that names the key."""
-    if not scene.linear:
-        raise SceneError(f"evaluator = 'modal': {scene.nonlinear_table} needs time steps; write 'direct'")
 
 
 def _highest_frequency(scene: Scene) -> float:

@@ -59,6 +59,16 @@ class Discretization:
         return make_section(self.scene).mass if bending is None else bending.mass
 
     @property
+    def time_step(self) -> float:
+        """Time step [s]."""
+        return self.scheme.time_step
+
+    @property
+    def steps(self) -> int:
+        """Number of steps of the whole run."""
+        return self.scheme.steps
+
+    @property
     def cell(self) -> float:
         """Area of a cell of the grid [m²]."""
         return self.scheme.spacing[0] * self.scheme.spacing[1]

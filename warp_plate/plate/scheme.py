@@ -105,12 +105,7 @@ def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = 
             run take more memory than there is.
     """
     plate, grid = scene.plate, scene.grid
-    if grid.accuracy is not None:
-        raise SceneError(
-            f"grid.accuracy = {grid.accuracy:g}: no grid is chosen yet; write grid.nodes, or take "
-            f"warp_plate.accuracy.choose.choose(scene, {grid.accuracy:g}).scene"
-        )
-    check_grid_memory(scene, moment_form or needs_moment_form(scene))
+    check_grid(scene, moment_form)
     surface_density = plate.density * plate.thickness
     stability, bending = find_limit(scene, moment_form)
     time_step = _time_step(scene, stability.time_step, allow_unstable, stepped)
@@ -143,6 +138,21 @@ def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = 
         viscous=viscous,
         backward=backward,
     )
+
+
+def check_grid(scene: Scene, moment_form: bool = False) -> None:
+    """Raise a SceneError if no grid is chosen yet, or if it takes more memory than there is."""
+    if (accuracy := scene.grid.accuracy) is not None:
+        raise SceneError(
+            f"grid.accuracy = {accuracy:g}: no grid is chosen yet; write grid.nodes, or take "
+            f"warp_plate.accuracy.choose.choose(scene, {accuracy:g}).scene"
+        )
+    check_grid_memory(scene, moment_form or needs_moment_form(scene))
+
+
+def sampling_step(scene: Scene, limit: float) -> float:
+    """Return the time step [s] at which a run that takes no time steps is sampled; see :func:`_time_step`."""
+    return _time_step(scene, limit, allow_unstable=True, stepped=False)
 
 
 def _time_step(scene: Scene, limit: float, allow_unstable: bool, stepped: bool) -> float:

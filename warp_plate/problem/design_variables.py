@@ -15,10 +15,12 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from warp_plate.modal.solver import trace_step
 from warp_plate.plate.designs import per_plate_of
-from warp_plate.plate.scheme import MOST_STEPS, STEPS_A_PERIOD, make_scheme
+from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
 from warp_plate.quantities.region_quantities import REGION_QUANTITIES
+from warp_plate.resolve import at_highest_frequency, plate_harmonic
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import FreeDelay, FreeFrequency, FreeMagnitude, FreePhase, FreePosition, Search
@@ -248,43 +250,19 @@ def with_common_step(scene: Scene, stepped: bool = True) -> Scene:
         highest = at_highest_frequency(scene)
         # Plates whose actuators differ in these are stepped in moment form, which has another stability limit.
         forms = {False, per_plate_of(scene).per_actuator}
-        step = min(make_scheme(highest, moment_form=moment_form, stepped=stepped).time_step for moment_form in forms)
+        steps = (
+            make_scheme(highest, moment_form=form).time_step if stepped else trace_step(highest, form) for form in forms
+        )
+        step = min(steps)
         return scene.with_tables(grid={**scene.grid.model_dump(), "time_step": step})
     if step is not None and table is not None:
-        carried = 0.5 / step / _harmonic(scene)
+        carried = 0.5 / step / plate_harmonic(scene)
         if table.range[1] >= carried:
             raise SceneError(
                 f"search.frequency.range = {list(table.range)}: a step of {step:g} s carries less than {carried:.6g} "
                 "Hz; end the range lower, or write a smaller grid.time_step"
             )
     return scene
-
-
-def at_highest_frequency(scene: Scene) -> Scene:
-    """Return the scene with searched frequencies at the upper end of their range, which needs the finest grid.
-
-    Raises:
-        SceneError: a step chosen for it is too short for a run of at most MOST_STEPS.
-    """
-    table = scene.search.frequency
-    if table is None or scene.drive.signal is not None:  # ``make_design_variables`` refuses both together
-        return scene
-    most = MOST_STEPS / STEPS_A_PERIOD / scene.window.end / _harmonic(scene)
-    if scene.grid.time_step is None and table.range[1] > most:
-        raise SceneError(
-            f"search.frequency.range = {list(table.range)}: {table.range[1]:g} Hz takes "
-            f"{MOST_STEPS * table.range[1] / most:.3g} steps until window.end = {scene.window.end:g} s, and at most "
-            f"{MOST_STEPS:.3g} are possible; end the range at {most:.4g} Hz or lower"
-        )
-    actuators = [actuator.model_dump() for actuator in scene.actuators]
-    for index in _named_actuators(scene, "frequency"):
-        actuators[index]["frequency"] = table.range[1]
-    return scene.with_tables(actuators=actuators)
-
-
-def _harmonic(scene: Scene) -> int:
-    """Return the plate's highest frequency as a multiple of the voltage's: its square has twice the frequency."""
-    return 1 if scene.drive.electrostatic is None else 2
 
 
 def _paper_variables(scene: Scene) -> Iterator[DesignVariable]:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from warp_plate.modal.solver import make_solver
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.plate.signals import actuator_frequencies
 from warp_plate.plate.weights import localization_factor, region_weights
@@ -53,7 +52,7 @@ def evaluate_cases(problem: Problem, single: int, position: np.ndarray | None) -
         return EvaluatedCases(cases, scene, phasors, run, float(peaks[-1].max()), 0)
     # The best scene runs as in ``simulate``, so that the stored numbers can be reproduced.
     best_scene, designs = parametrization.scene_of(position), parametrization.designs(position[None])
-    solver = make_solver(best_scene, problem.drive_solver.device.alias, problem.path, areas=target_regions(best_scene))
+    solver = problem.resolved.with_scene(best_scene).solver(areas=target_regions(best_scene))
     best = {"best": scene_phasors(best_scene)}
     best_run, peaks = run_with_peaks(solver, best["best"][None], recorded=record_times(scene))
     names = ("frequency", "centre", "delay")
@@ -128,8 +127,7 @@ def evaluate_objectives(problem: Problem, cases: Mapping[str, Case]) -> tuple[di
     displacement_energy, node_steps = None, 0
     try:
         if objectives.needs_displacement:
-            grid, areas = solver.discretization, objectives.regions
-            solver = make_solver(grid, solver.device.alias, problem.path, areas=areas, quantity="displacement")
+            solver = problem.resolved.solver(areas=objectives.regions, quantity="displacement")
             run = solver.run(np.array([case.phasors for case in cases.values()]))
             displacement_energy, node_steps = run.energy, run.node_steps
     except (KeyboardInterrupt, SceneError):  # a failing comparison does not lose the result

@@ -14,6 +14,7 @@ from itertools import pairwise, product
 
 import numpy as np
 
+from warp_plate.modal.solver import ModalGrid
 from warp_plate.plate.discretization import Discretization
 from warp_plate.plate.shapes import bounds, shape_weights
 from warp_plate.plate.weights import Region, localization_factor
@@ -99,7 +100,7 @@ def loss_scale(objectives: Iterable[Objective]) -> float:
     return float(sum(term.weight for term in objectives if REGION_QUANTITIES[term.kind].is_ratio))
 
 
-def make_objectives(discretization: Discretization) -> Objectives:
+def make_objectives(discretization: Discretization | ModalGrid) -> Objectives:
     """Return the objectives of a scene on its grid.
 
     Raises:
@@ -124,7 +125,7 @@ def make_objectives(discretization: Discretization) -> Objectives:
     return Objectives(terms, {**cells, **target_regions(scene)}, RegionSizes(areas, masses, cell_areas))
 
 
-def _target_cells(discretization: Discretization) -> dict[str, np.ndarray]:
+def _target_cells(discretization: Discretization | ModalGrid) -> dict[str, np.ndarray]:
     """Return weights (ny, nx) of the target's parts in a raster over its bounding box, without the empty ones."""
     scene = discretization.scene
     key = next(iter(scene.targets_by_key))

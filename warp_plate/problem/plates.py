@@ -8,13 +8,13 @@ from functools import partial
 
 import numpy as np
 
-from warp_plate.cluster.evaluator import Evaluator, make_evaluator
+from warp_plate.cluster.evaluator import Evaluator
 from warp_plate.cluster.pool import WorkerPool
 from warp_plate.modal.solver import MODAL, ModalSolver
 from warp_plate.plate.designs import Designs, per_plate_of
-from warp_plate.plate.discretization import Discretization, discretize
 from warp_plate.problem.objectives import Objectives
 from warp_plate.problem.parametrization import Parametrization
+from warp_plate.resolve import Resolved
 from warp_plate.scene.errors import SceneError
 from warp_plate.solve.response import Response, in_float64, measure_response
 from warp_plate.solve.solver import PlateSolver
@@ -66,23 +66,21 @@ class SearchPlates:
 
 def make_plates(
     parametrization: Parametrization,
-    grid: Discretization,
+    resolved: Resolved,
     objectives: Objectives,
     evaluator: str,
-    device: str,
-    path: str,
     pool: WorkerPool | None,
     matrices: np.ndarray | None,
 ) -> SearchPlates:
-    """Return the plates of a search; the arguments are those of ``make_problem``, with the scene's grid and objectives.
+    """Return the plates of a search; the arguments are those of ``make_problem``, with the scene's objectives.
 
     Raises:
         SceneError: see :class:`PlateSolver`; or ``matrices`` are those of other regions.
     """
-    evaluator_on = partial(make_evaluator, device=device, path=path, pool=pool, areas=objectives.regions)
-    scene, varied = grid.scene, grid
+    evaluator_on = partial(resolved.plates, pool=pool, areas=objectives.regions)
+    grid = varied = resolved.grid
     if not parametrization.only_drives:
-        varied = discretize(scene, per_plate_of(scene), stepped=path != MODAL)
+        varied = resolved.grid_for(per_plate_of(resolved.scene))
     designs = evaluator_on(varied)
     # All designs share the modes of a plate; kernels are compiled for the quantities that differ between plates.
     drives = designs if varied is grid or evaluator == MODAL else evaluator_on(grid)
@@ -90,7 +88,7 @@ def make_plates(
     evaluators = [drives] if displacements is None else [drives, displacements]
     seconds, node_steps = 0.0, 0
     if matrices is None and parametrization.quadratic:
-        matrices, seconds, node_steps = _measure_matrices(evaluators, objectives, path)
+        matrices, seconds, node_steps = _measure_matrices(evaluators, objectives, resolved)
     regions = len(evaluators) * len(drives.solver.regions)
     if matrices is not None and len(matrices) != regions:
         raise SceneError(f"matrices: of {len(matrices)} regions; must be {regions}")
@@ -101,7 +99,7 @@ def make_plates(
 
 
 def _measure_matrices(
-    evaluators: Iterable[Evaluator], objectives: Objectives, path: str
+    evaluators: Iterable[Evaluator], objectives: Objectives, resolved: Resolved
 ) -> tuple[np.ndarray, float, int]:
     """Return Gram matrices, measured in double precision, and the compilation and node-steps of further solvers."""
     matrices, seconds, node_steps = [], 0.0, 0
@@ -112,7 +110,8 @@ def _measure_matrices(
             continue
         if solver.scene.grid.precision != "float64":
             grid, quantity = solver.discretization.with_scene(in_float64(solver.scene)), solver.specialized.quantity
-            solver = PlateSolver(grid, solver.device.alias, path, areas=objectives.regions, quantity=quantity)
+            device, path = resolved.device, resolved.path
+            solver = PlateSolver(grid, device, path, areas=objectives.regions, quantity=quantity)
         matrices.append(measure_response(solver).matrices)
         if solver is not evaluator.solver:
             seconds, node_steps = seconds + solver.compile_seconds, node_steps + solver.node_steps

@@ -14,18 +14,16 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Literal
 
 import numpy as np
 
 from warp_plate.cluster.evaluator import Evaluator
 from warp_plate.cluster.pool import WorkerPool
-from warp_plate.modal.solver import MODAL, ModalSolver, has_modes, refuse_no_modes
+from warp_plate.modal.solver import MODAL, ModalSolver
 from warp_plate.optimize.gradient import Slopes
 from warp_plate.optimize.optimizer import SearchSpace
 from warp_plate.optimize.quadratic import Quadratic, slopes_by_drive, slopes_by_energy
 from warp_plate.plate.designs import Designs
-from warp_plate.plate.discretization import discretize
 from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.problem.bounds import Bound, bound_loss
 from warp_plate.problem.design_variables import LossSlopes, has_design_tables, with_common_step
@@ -36,6 +34,7 @@ from warp_plate.problem.plates import SearchPlates, make_plates
 from warp_plate.problem.scenario_losses import ScenarioLosses, apply_measure, scenario_responses, simulate_scenarios
 from warp_plate.problem.uncertainty import draw_scenarios
 from warp_plate.quantities.region_quantities import PLATE, TARGET
+from warp_plate.resolve import Resolved
 from warp_plate.result.model import BoundKind
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -43,7 +42,6 @@ from warp_plate.scene.search import Limits, Robust
 from warp_plate.solve.response import Response
 from warp_plate.solve.solver import PlateSolver
 
-EvaluatorName = Literal["direct", "response", "modal"]
 # Function from phasors (plates, actuators) to energies (plates, regions) [J].
 Energies = Callable[[np.ndarray], np.ndarray]
 
@@ -58,7 +56,7 @@ class Problem:
     # "direct" simulates plates, "response" takes energies from their Gram matrices, "modal" computes energies from the
     # modes of the plate
     evaluator_name: str
-    path: str  # path of the kernels, as asked for
+    resolved: Resolved  # scene on its grid, with engine and device
     pool: WorkerPool | None  # workers that run batches; None if this process does
     # losses over the scenarios of a robust search; None for other searches
     scenario_losses: ScenarioLosses | None = None
@@ -305,20 +303,11 @@ class Problem:
         return [part.setup_cost for part in (self.plates, self.scenario_losses) if part is not None]
 
 
-def make_problem(
-    scene: Scene,
-    device: str = "auto",
-    path: str = "auto",
-    evaluator: str | None = None,
-    matrices: np.ndarray | None = None,
-    pool: WorkerPool | None = None,
-) -> Problem:
-    """Return the problem of a scene with a grid, robust where it has ``[search.robust]``.
+def make_problem(resolved: Resolved, matrices: np.ndarray | None = None, pool: WorkerPool | None = None) -> Problem:
+    """Return the problem of a resolved scene, robust where it has ``[search.robust]``.
 
     Args:
-        scene: the scene; device and path are those of :class:`PlateSolver`.
-        evaluator: see ``Problem.evaluator_name`` (default: "modal" where places, frequencies or delays of a linear
-            scene are searched; else "direct", in a robust search "response" if it can be).
+        resolved: scene; without an evaluator, a robust search takes "response" if it can, and others "direct".
         matrices: ``SearchPlates.matrices`` where they are known (default: they are measured).
         pool: workers that run batches (default: this process does).
 
@@ -326,56 +315,37 @@ def make_problem(
         SceneError: see ``parametrization_of``, ``with_common_step``, ``make_objectives``, ``draw_scenarios`` and
             :class:`PlateSolver`; "response" for energies that are not quadratic forms of the phasors.
     """
-    evaluator = evaluator or default_evaluator(scene, path)
-    if evaluator == MODAL:
-        refuse_no_modes(scene)
-        path = MODAL
-    stepped = path != MODAL
-    parametrization = parametrization_of(with_common_step(scene, stepped))
+    parametrization = parametrization_of(with_common_step(resolved.scene, not resolved.by_modes))
     scene, robust, quadratic = parametrization.scene, parametrization.scene.search.robust, parametrization.quadratic
+    resolved, evaluator = resolved.with_scene(scene), resolved.evaluator
     if evaluator == "response" and not quadratic:
         kinds = dict.fromkeys(variable.kind for variable in parametrization.variables if not variable.is_drive)
         reason = f"no Gram matrix holds where {', '.join(kinds)} is searched"
         reason = reason if scene.linear else f"{scene.nonlinear_table} is not linear in the drives"
         raise SceneError(f"evaluator = 'response': {reason}; write 'direct'")
     name = evaluator or ("response" if robust is not None and quadratic else "direct")
-    grid = discretize(scene, stepped=stepped)
-    objectives = make_objectives(grid)
-    plates = make_plates(parametrization, grid, objectives, name, device, path, pool, matrices)
+    objectives = make_objectives(resolved.grid)
+    plates = make_plates(parametrization, resolved, objectives, name, pool, matrices)
     scenarios = None
     if robust is not None:
-        of_device, measured = plates.drives.solver.device.alias, name != "direct" and quadratic
-        scenarios = _scenario_losses(scene, robust, of_device, path, pool, measured)
+        scenarios = _scenario_losses(resolved, robust, pool, measured=name != "direct" and quadratic)
     projected = name == MODAL and robust is None and has_free_drives(parametrization, objectives)
     return Problem(
         parametrization=parametrization,
         objectives=objectives,
         plates=plates,
         evaluator_name=name,
-        path=path,
+        resolved=resolved,
         pool=pool,
         scenario_losses=scenarios,
         projected=projected,
     )
 
 
-def default_evaluator(scene: Scene, path: str = "auto") -> EvaluatorName | None:
-    """Return "modal" where time steps cannot, or where each of the places, frequencies or delays that are searched
-    would take plates of its own; None to leave the choice to :func:`make_problem`."""
-    search = scene.search
-    searched = search.frequency is not None or search.position is not None or search.delay is not None
-    by_modes = path == "auto" and searched and search.robust is None and has_modes(scene)
-    return MODAL if scene.modal_only_key is not None or by_modes else None
-
-
-def _scenario_losses(
-    scene: Scene, robust: Robust, device: str, path: str, pool: WorkerPool | None, measured: bool
-) -> ScenarioLosses:
+def _scenario_losses(resolved: Resolved, robust: Robust, pool: WorkerPool | None, measured: bool) -> ScenarioLosses:
     """Return the losses over the scenarios of a robust search, by Gram matrices if ``measured``, else by simulation."""
-    particles = scene.search.particles
+    particles = resolved.scene.search.particles
     what = f"search.particles = {particles} with search.robust.scenarios = {robust.scenarios}"
     refuse_beyond_memory(24.0 * particles * robust.scenarios, what)
-    drawn = draw_scenarios(scene, robust.scenarios, robust.seed, stepped=path != MODAL)
-    if measured:
-        return scenario_responses(drawn, device, path)
-    return simulate_scenarios(drawn, device, path, pool)
+    drawn = draw_scenarios(resolved.scene, robust.scenarios, robust.seed, stepped=not resolved.by_modes)
+    return scenario_responses(drawn, resolved) if measured else simulate_scenarios(drawn, resolved, pool)

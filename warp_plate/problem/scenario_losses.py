@@ -13,14 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.cluster.evaluator import Evaluator, make_evaluator
+from warp_plate.cluster.evaluator import Evaluator
 from warp_plate.cluster.pool import WorkerPool
-from warp_plate.modal.solver import MODAL, ModalSolver
+from warp_plate.modal.solver import ModalSolver
 from warp_plate.optimize.quadratic import quadratic_forms
 from warp_plate.plate.designs import Designs
-from warp_plate.plate.discretization import discretize
 from warp_plate.problem.objectives import Objectives, make_objectives
 from warp_plate.problem.uncertainty import Scenario
+from warp_plate.resolve import Resolved
 from warp_plate.scene.search import Robust
 from warp_plate.solve.response import Response, in_float64, measure_response
 
@@ -100,18 +100,18 @@ def apply_measure(losses: np.ndarray, robust: Robust) -> np.ndarray:
 
 
 def simulate_scenarios(
-    scenarios: Sequence[Scenario], device: str = "auto", path: str = "auto", pool: WorkerPool | None = None
+    scenarios: Sequence[Scenario], resolved: Resolved, pool: WorkerPool | None = None
 ) -> ScenarioLosses:
-    """Return losses by simulation, a launch a scenario; all solvers together take the memory of one.
+    """Return losses by simulation, one launch for each scenario; all solvers together take the memory of one.
 
     Raises:
         SceneError: see :class:`PlateSolver` and ``make_objectives``.
     """
-    plates = (_scenario_plates(scenario, device, path, pool, 1 / len(scenarios)) for scenario in scenarios)
+    plates = (_scenario_plates(scenario, resolved, pool, 1 / len(scenarios)) for scenario in scenarios)
     return ScenarioLosses(tuple(plates))
 
 
-def scenario_responses(scenarios: Sequence[Scenario], device: str = "auto", path: str = "auto") -> ScenarioLosses:
+def scenario_responses(scenarios: Sequence[Scenario], resolved: Resolved) -> ScenarioLosses:
     """Return losses by Gram matrices, measured in double precision, for energies that are quadratic in the phasors.
 
     Raises:
@@ -120,7 +120,7 @@ def scenario_responses(scenarios: Sequence[Scenario], device: str = "auto", path
     measured, matrices, seconds, node_steps = [], [], 0.0, 0
     for scenario in scenarios:
         gain = np.tile(scenario.gain, 2)
-        plates = _scenario_plates(replace(scenario, scene=in_float64(scenario.scene)), device, path)
+        plates = _scenario_plates(replace(scenario, scene=in_float64(scenario.scene)), resolved)
         for evaluator in plates.evaluators:
             solver = evaluator.solver
             response = solver.response if isinstance(solver, ModalSolver) else measure_response(solver)
@@ -131,12 +131,13 @@ def scenario_responses(scenarios: Sequence[Scenario], device: str = "auto", path
 
 
 def _scenario_plates(
-    scenario: Scenario, device: str, path: str, pool: WorkerPool | None = None, memory_share: float = 1.0
+    scenario: Scenario, resolved: Resolved, pool: WorkerPool | None = None, memory_share: float = 1.0
 ) -> ScenarioPlates:
     """Return the plates of one scenario; all its solvers together use a fraction of the memory for plates."""
-    grid = discretize(scenario.scene, scenario.per_plate, stepped=path != MODAL)
+    resolved = resolved.with_scene(scenario.scene)
+    grid = resolved.grid_for(scenario.per_plate)
     objectives = make_objectives(grid)
     quantities = ("velocity", "displacement") if objectives.needs_displacement else ("velocity",)
     options = {"areas": objectives.regions, "memory_share": memory_share / len(quantities)}
-    evaluators = [make_evaluator(grid, device, path, pool, **options, quantity=quantity) for quantity in quantities]
+    evaluators = [resolved.plates(grid, pool, **options, quantity=quantity) for quantity in quantities]
     return ScenarioPlates(scenario, objectives, tuple(evaluators))

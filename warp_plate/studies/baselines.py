@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from warp_plate.analysis.superposition import LINEAR_ORDERS, LINEAR_SAMPLES, last_period, motions_of
-from warp_plate.modal.solver import ModalSolver, make_solver
+from warp_plate.modal.solver import ModalSolver
 from warp_plate.plate.signals import carrier_frequencies
 from warp_plate.plate.weights import REGIONS, bilinear, node_positions
 from warp_plate.problem.design_variables import magnitude_unit
@@ -43,8 +43,7 @@ def baseline_phasors(solver: PlateSolver | ModalSolver) -> dict[str, np.ndarray]
 
 def baseline_cases(problem: Problem) -> tuple[dict[str, Case], int]:
     """Simulate the baselines of a problem's scene; return their cases by name, and the node-steps."""
-    plates, regions = problem.drive_solver, problem.objectives.regions
-    solver = make_solver(plates.discretization, plates.device.alias, problem.path, areas=regions)
+    solver = problem.resolved.solver(areas=problem.objectives.regions)
     phasors = baseline_phasors(solver)
     run, peaks = run_with_peaks(solver, np.array(list(phasors.values())))
     return cases_from_run(phasors, run, problem.scene, peaks), solver.node_steps
@@ -70,7 +69,7 @@ def transfer_functions(solver: PlateSolver | ModalSolver) -> np.ndarray:
     (frequency,) = carrier_frequencies(scene)
     # ``superposition`` reads the frequency of the drive, which the actuators may override.
     tone = scene.model_copy(update={"drive": scene.drive.model_copy(update={"frequency": frequency})})
-    times = last_period(tone, solver.discretization.scheme.time_step, LINEAR_SAMPLES)
+    times = last_period(tone, solver.discretization.time_step, LINEAR_SAMPLES)
     count = len(scene.actuators)
     run = solver.run(np.concatenate([np.eye(count), -1j * np.eye(count)]), times)
     motions = np.stack([motion.amplitudes[0] for motion in motions_of(run, tone, LINEAR_ORDERS)])

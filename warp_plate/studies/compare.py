@@ -14,12 +14,12 @@ from warp_plate.interrupts import check_interrupt, deferred_interrupts
 from warp_plate.optimize.optimizer import Optimizer
 from warp_plate.problem.bounds import NEAR, Bound
 from warp_plate.problem.methods import make_optimizer, with_method
-from warp_plate.problem.problem import EvaluatorName, Problem, make_problem
+from warp_plate.problem.problem import Problem, make_problem
+from warp_plate.resolve import EvaluatorName, resolve
 from warp_plate.result.comparison import MethodComparison, Trial
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene, SceneSource
-from warp_plate.studies.grid_choice import resolve_search_grid
-from warp_plate.studies.provenance import devices_text, versions
+from warp_plate.studies.unfinished import devices_text, versions
 
 METHODS = ("pso", "constriction", "ring", "cma", "gradient", "exact")
 # Methods that find the same from every seed.
@@ -95,8 +95,9 @@ def _prepare(
             raise SceneError(f"--evaluations {evaluations}: must be at least {at_once}")
         search = scene.search.model_copy(update={"iterations": evaluations // particles})
         scene = scene.model_copy(update={"search": search})
-    resolved, started = resolve_search_grid(with_method(scene), device, evaluator, path), time.perf_counter()
-    problem = make_problem(resolved.scene, device, path, resolved.evaluator, pool=pool)
+    resolved = resolve(with_method(scene), device, purpose="search", path=path, evaluator=evaluator)
+    started = time.perf_counter()
+    problem = make_problem(resolved, pool=pool)
     prepared = time.perf_counter() - started - problem.compile_seconds
     if evaluator is None and problem.evaluator_name == "direct" and problem.response is not None:
         problem = replace(problem, evaluator_name="response")

@@ -6,31 +6,38 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from warp_plate.accuracy.more_functions import MoreFunctions
 from warp_plate.cluster.pool import WorkerPool
-from warp_plate.modal.solver import MODAL, has_modes
+from warp_plate.modal.solver import MODAL
 from warp_plate.plate.files import digests
 from warp_plate.problem.evaluate_cases import EvaluatedCases, evaluate_objectives
 from warp_plate.problem.methods import with_method
-from warp_plate.problem.problem import EvaluatorName, Problem, default_evaluator, make_problem
+from warp_plate.problem.problem import Problem, make_problem
+from warp_plate.resolve import EvaluatorName, Purpose, resolve
 from warp_plate.result.atomic_io import write_atomically
+from warp_plate.result.case import Case
 from warp_plate.result.checkpoint import Checkpoint, load_newest
 from warp_plate.result.model import Result, best_drive_scenes
 from warp_plate.scene.errors import SceneError, printable
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.solve.devices import processor_of
-from warp_plate.studies import provenance
 from warp_plate.studies.baselines import baseline_cases, check_baselines
-from warp_plate.studies.checkpointing import CheckpointFile
-from warp_plate.studies.driver import OnProgress
-from warp_plate.studies.grid_choice import estimate_error, resolve_search_grid
-from warp_plate.studies.spectrum import make_spectrum
-from warp_plate.studies.target_searches import evaluate_targets, initial_state, search_targets
-from warp_plate.studies.validation import compare_with_nominal
-
-T = TypeVar("T")
+from warp_plate.studies.polish import compare_with_nominal
+from warp_plate.studies.searches import OnProgress, SearchOutcome, evaluate_targets, initial_state, search_targets
+from warp_plate.studies.simulate import estimate_error, optional_part
+from warp_plate.studies.spectrum import has_spectrum, make_spectrum
+from warp_plate.studies.unfinished import (
+    CheckpointFile,
+    changes,
+    check_files,
+    check_unchanged,
+    devices_text,
+    merged_versions,
+    run_fields,
+    same_device,
+    versions,
+)
 
 
 @dataclass(frozen=True)
@@ -85,8 +92,8 @@ def localize(
     scene = Scene.load(scene)
     if baselines:
         check_baselines(scene)
-    start, problem, reference = _new_search(scene, source, device, seed, evaluator, path, pool)
-    return _run(start, problem, _Options(on_progress, checkpoints, estimate, spectrum, baselines), reference)
+    start, problem = _new_search(scene, source, device, seed, evaluator, path, pool)
+    return _run(start, problem, _Options(on_progress, checkpoints, estimate, spectrum, baselines))
 
 
 def resume(
@@ -115,9 +122,10 @@ def resume(
     if baselines:
         check_baselines(checkpoint.scene)
     started, matrices, earlier = time.perf_counter(), checkpoint.matrices, checkpoint.earlier_devices
-    provenance.check_files(digests(checkpoint.scene), checkpoint, "search")
-    device = device or provenance.same_device(checkpoint.device, checkpoint.processor, "search")
-    problem = make_problem(checkpoint.scene, device, checkpoint.path, checkpoint.evaluator, matrices, pool)
+    check_files(digests(checkpoint.scene), checkpoint, "search")
+    device = device or same_device(checkpoint.device, checkpoint.processor, "search")
+    resolved = resolve(checkpoint.scene, device, purpose="search", path=checkpoint.path, evaluator=checkpoint.evaluator)
+    problem = make_problem(resolved, matrices, pool)
     if problem.parametrization.quadratic and matrices is None:
         raise SceneError("checkpoint: the matrices of its scene's response are missing")
     for search in checkpoint.finished_searches:
@@ -133,7 +141,7 @@ def resume(
         processor=processor_of(used),
         earlier_devices=earlier,
         seconds={**checkpoint.seconds, "compile": compiling},
-        versions=provenance.merged_versions(checkpoint.versions),
+        versions=merged_versions(checkpoint.versions),
     )
     return _run(start, problem, _Options(on_progress, checkpoints, estimate, spectrum, baselines))
 
@@ -151,12 +159,12 @@ def load_to_resume(
     checkpoint, remark = load_newest(file)
     if remark:
         log(remark)
-    known = checkpoint.scene_as_written
-    provenance.check_unchanged(checkpoint, f"search in {file}", options, (scene, known), "start again without --resume")
+    written = checkpoint.scene_as_written
+    check_unchanged(checkpoint, f"search in {file}", options, (scene, written), "start again without --resume")
     if scene is not None:
         gridded = checkpoint.scene.in_folder(scene.folder)
-        checkpoint = replace(checkpoint, scene_as_written=known.in_folder(scene.folder), scene=gridded)
-    for line in provenance.changes(checkpoint, device):
+        checkpoint = replace(checkpoint, scene_as_written=written.in_folder(scene.folder), scene=gridded)
+    for line in changes(checkpoint, device):
         log(f"{file}: {line}")
     return checkpoint
 
@@ -184,18 +192,17 @@ def _new_search(
     evaluator: EvaluatorName | None,
     path: str,
     pool: WorkerPool | None,
-) -> tuple[Checkpoint, Problem, MoreFunctions | None]:
-    """Return the checkpoint of iteration 0, its problem, and the reference solution if the grid was chosen by one."""
+) -> tuple[Checkpoint, Problem]:
+    """Return the checkpoint of iteration 0 and its problem."""
     seed = scene.search.seed if seed is None else seed
     if not 0 <= seed < 2**63:
         raise SceneError(f"seed = {seed}: must be an integer from 0 to 2^63 - 1")
     files, written = digests(scene), scene
     scene = with_method(scene)
-    if evaluator is None and scene.grid.accuracy is None:
-        exact = written.search.method is None and scene.search.method == "exact"
-        evaluator = MODAL if exact and path == "auto" and has_modes(scene) else default_evaluator(scene, path)
-    resolved, started = resolve_search_grid(scene, device, evaluator, path), time.perf_counter()
-    problem = make_problem(resolved.scene, device, path, resolved.evaluator, pool=pool)
+    purpose: Purpose = "exact" if written.search.method is None and scene.search.method == "exact" else "search"
+    resolved = resolve(scene, device, purpose=purpose, path=path, evaluator=evaluator)
+    started = time.perf_counter()
+    problem = make_problem(resolved, pool=pool)
     initial, compiling = initial_state(problem, seed), problem.compile_seconds
     start = Checkpoint(
         scene_as_written=written,
@@ -209,33 +216,28 @@ def _new_search(
         seed=seed,
         accuracy=resolved.accuracy,
         seconds={**resolved.seconds, "compile": compiling, "solve": time.perf_counter() - started - compiling},
-        versions=provenance.versions(),
+        versions=versions(),
         node_steps=problem.node_steps,
         **initial,
     )
-    return start, problem, resolved.reference
+    return start, problem
 
 
-def _run(
-    start: Checkpoint,
-    problem: Problem,
-    options: _Options,
-    reference: MoreFunctions | None = None,
-) -> Result:
+def _run(start: Checkpoint, problem: Problem, options: _Options) -> Result:
     """Run a search from a checkpoint, which may be that of iteration 0, and make its result."""
-    end, problem, interrupted = search_targets(start, problem, options.on_progress, options.checkpoints)
+    outcome = search_targets(start, problem, options.on_progress, options.checkpoints)
+    end, problem = outcome.checkpoint, outcome.problem
     first, seconds, before = end.finished_searches[0], dict(end.seconds), problem.node_steps
     started = time.perf_counter()
     evaluated = evaluate_targets(problem, end.finished_searches)
     seconds["solve"] += time.perf_counter() - started
-    known = reference if evaluated.scene is problem.scene else None  # that of another plate does not help
-    parts = _optional_parts(end, problem, evaluated, options, seconds, interrupted, known)
+    parts = _optional_parts(end, outcome, evaluated, options, seconds)
     node_steps = end.node_steps + problem.node_steps - before + evaluated.node_steps + parts.pop("node_steps")
     return Result(
         command="localize",
         source=end.source,
         scene=problem.scene,
-        device=end.earlier_devices + provenance.devices_text(problem),
+        device=end.earlier_devices + devices_text(problem),
         seed=end.seed,
         seconds=seconds,
         bound=first.bound,
@@ -243,55 +245,42 @@ def _run(
         history=first.history,
         objective_values=first.objective_values,
         evaluator=end.evaluator,
-        interrupted=interrupted,
+        interrupted=outcome.interrupted,
         versions=end.versions,
         node_steps=node_steps,
         evaluations=sum(search.evaluations for search in end.finished_searches),
         peak_displacement=evaluated.peak,
         target_searches=end.finished_searches if problem.scene.targets else (),
         lost_plates=end.lost_plates,
-        **provenance.run_fields(problem.plates.designs.solver, evaluated.run),
+        **run_fields(problem.plates.designs.solver, evaluated.run),
         **parts,
     )
 
 
 def _optional_parts(
-    end: Checkpoint,
-    problem: Problem,
-    evaluated: EvaluatedCases,
-    options: _Options,
-    seconds: dict[str, float],
-    interrupted: bool,
-    reference: MoreFunctions | None,
+    end: Checkpoint, outcome: SearchOutcome, evaluated: EvaluatedCases, options: _Options, seconds: dict[str, float]
 ) -> dict[str, Any]:
-    """Compute the optional fields of a result and their node-steps, and add their seconds; a part that is refused or
-    interrupted is left out."""
-
-    def attempt(name: str, wanted: bool, compute: Callable[..., T | None], *arguments: Any) -> T | None:
-        started = time.perf_counter()
-        try:
-            value = compute(*arguments) if wanted else None
-        except (KeyboardInterrupt, SceneError):
-            return None
-        if value:
-            seconds[name] = time.perf_counter() - started
-        return value
-
-    position, best, run = end.finished_searches[0].position, evaluated.cases["best"], evaluated.run
-    is_robust = problem.scenario_losses is not None and position is not None and not interrupted
-    robust, nominal, steps = attempt("robust", is_robust, compare_with_nominal, problem, end, position) or (None, {}, 0)
-    device, by_modes = problem.drive_solver.device.alias, end.evaluator == MODAL
-    of_run = evaluated.scene, evaluated.phasors, run, device, reference, by_modes
-    estimated = attempt("estimate", options.estimate, estimate_error, *of_run) or {}
-    baselines, more_steps = attempt("baselines", options.baselines, baseline_cases, problem) or ({}, 0)
-    references = {name: evaluated.cases[name] for name in ("equal", "single")} | baselines
-    values, last_steps = evaluate_objectives(problem, references)
-    spectrum = attempt("spectrum", options.spectrum and not interrupted, make_spectrum, problem, best) or {}
-    return {
-        "cases": {**evaluated.cases, **nominal, **baselines},
-        "accuracy": {**end.accuracy, **estimated},
-        "robust": robust,
-        "objective_values_by_case": values,
-        "spectrum": spectrum,
-        "node_steps": steps + more_steps + last_steps,
-    }
+    """Compute the optional fields of a result and their node-steps, and add their seconds."""
+    problem, cases, node_steps = outcome.problem, evaluated.cases, 0
+    fields: dict[str, Any] = {"robust": None, "spectrum": {}, "accuracy": end.accuracy}
+    nominal: dict[str, Case] = {}
+    baselines: dict[str, Case] = {}
+    position = end.finished_searches[0].position
+    if problem.scenario_losses is not None and position is not None and not outcome.interrupted:
+        with optional_part(seconds, "robust"):
+            compared = compare_with_nominal(problem, end, position, outcome.nominal)
+            fields["robust"], nominal, node_steps = compared or (None, {}, 0)
+    if options.estimate:
+        with optional_part(seconds, "estimate"):
+            simulated = problem.resolved.with_scene(evaluated.scene)
+            fields["accuracy"] = {**end.accuracy} | estimate_error(simulated, evaluated.phasors, evaluated.run)
+    if options.baselines:
+        with optional_part(seconds, "baselines"):
+            baselines, steps = baseline_cases(problem)
+            node_steps += steps
+    references = {name: cases[name] for name in ("equal", "single")} | baselines
+    fields["objective_values_by_case"], steps = evaluate_objectives(problem, references)
+    if options.spectrum and not outcome.interrupted and has_spectrum(problem.scene):
+        with optional_part(seconds, "spectrum"):
+            fields["spectrum"] = make_spectrum(problem, cases["best"])
+    return {**fields, "cases": {**cases, **nominal, **baselines}, "node_steps": node_steps + steps}

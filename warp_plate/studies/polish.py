@@ -1,12 +1,12 @@
-"""The end of a search: by modes, from the best position down to the nearest minimum; of a robust one, the best position
-of the nominal plate if that is better."""
+"""The end of a search: local refinement by modes; for robust searches, a comparison with the nominal plate."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
-from typing import NamedTuple
-from weakref import WeakKeyDictionary
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -14,10 +14,16 @@ import scipy
 from warp_plate.modal.solver import MODAL
 from warp_plate.optimize.optimizer import MethodError, Optimizer, minimize
 from warp_plate.optimize.quadratic import best_position
+from warp_plate.problem.evaluate_cases import evaluate_cases
+from warp_plate.problem.methods import make_optimizer
 from warp_plate.problem.objectives import loss_scale
 from warp_plate.problem.problem import Problem
+from warp_plate.problem.scenario_losses import simulate_scenarios
+from warp_plate.problem.uncertainty import draw_scenarios
+from warp_plate.result.case import Case
+from warp_plate.result.checkpoint import Checkpoint
+from warp_plate.result.model import RobustComparison
 from warp_plate.scene.errors import SceneError
-from warp_plate.studies.driver import history_of, search_optimizer
 from warp_plate.studies.spectrum import spectrum_frequencies
 
 # Differences for slopes, in initial ranges.
@@ -25,8 +31,6 @@ STEP = 1e-6
 # A descent ends where a step gains less, and the search where a round of descents does, as a part of the loss's scale.
 TOLERANCE, GAIN = 1e-10, 1e-7
 MOST_STEPS, MOST_ROUNDS = 40, 5
-# Nominal positions of the robust problems in use.
-_known: WeakKeyDictionary[Problem, np.ndarray | None] = WeakKeyDictionary()
 
 
 class Polished(NamedTuple):
@@ -37,14 +41,36 @@ class Polished(NamedTuple):
     evaluations: int
 
 
+def search_optimizer(problem: Problem, seed: int, state: Mapping[str, Any] | None = None) -> Optimizer | None:
+    """Return the optimizer of a problem, at its start or in a saved state; None if there is nothing to search."""
+    if not problem.space.dimension:
+        return None
+    try:
+        return make_optimizer(problem.scene.search, problem.space, seed, problem.quadratic, state, problem.slopes)
+    except SceneError:
+        raise
+    except ValueError as error:
+        raise SceneError(f"checkpoint: {error}") from None
+
+
+def history_of(optimizer: Optimizer | None, problem: Problem) -> dict[str, np.ndarray]:
+    """Return the evaluations, and the best and mean values, after each iteration; empty without a search."""
+    if optimizer is None:
+        return {}
+    history = optimizer.history
+    values = {name: np.asarray(problem.value_from_loss(history[name])) for name in ("best", "mean")}
+    return {"evaluations": history["evaluations"], **values}
+
+
 def finish_search(
-    optimizer: Optimizer | None, problem: Problem, seed: int, interrupted: bool
+    optimizer: Optimizer | None, nominal: NominalSearch, interrupted: bool = False
 ) -> tuple[np.ndarray | None, int, dict[str, np.ndarray]]:
     """Return the position of all design variables, the evaluations and the history of a search that has ended.
 
     Where places, frequencies or delays are searched by modes, a descent follows it. A robust search tries the best
     position of the nominal plate, which takes another search from the same seed if it is not known exactly.
     """
+    problem = nominal.problem
     history = history_of(optimizer, problem)
     if optimizer is None or optimizer.result.xbest is None:
         return None, 0 if optimizer is None else optimizer.result.evaluations, history
@@ -54,8 +80,10 @@ def finish_search(
     polished = None
     if by_modes and not problem.parametrization.only_drives and not interrupted:
         polished = polish(problem, position, optimizer.result.fbest)
-    elif problem.scenario_losses is not None and not interrupted:
-        polished = _nominal_position(problem, seed, optimizer.result.fbest)
+    elif problem.scenario_losses is not None and not interrupted and nominal.position is not None:
+        loss = float(problem.losses(nominal.position[None])[0])
+        if loss < optimizer.result.fbest:
+            polished = Polished(nominal.position, loss, 1)
     if polished is not None:
         evaluations += polished.evaluations
         value = problem.value_from_loss(polished.loss)
@@ -65,26 +93,20 @@ def finish_search(
     return complete, evaluations, history
 
 
-def _nominal_position(problem: Problem, seed: int, loss: float) -> Polished | None:
-    """Return the best position of the nominal plate if its loss over the scenarios is less than ``loss``."""
-    position = best_nominal(problem, seed)
-    if position is None:
-        return None
-    tried = Polished(position, float(problem.losses(position[None])[0]), 1)
-    return tried if tried.loss < loss else None
+@dataclass(frozen=True, eq=False)
+class NominalSearch:
+    """Search for the best position of a robust problem's nominal plate, which runs once if it is needed."""
 
+    problem: Problem
+    seed: int
 
-def best_nominal(problem: Problem, seed: int) -> np.ndarray | None:
-    """Return the best position (dimension,) of a robust search's nominal plate: the exact one if it is known, else that
-    of the same search without uncertainty.
-
-    It is None if that search finds nothing, is refused or is interrupted, and is found once for a problem.
-    """
-    if problem not in _known:
-        _known[problem] = None
+    @cached_property
+    def position(self) -> np.ndarray | None:
+        """Best position (dimension,): the exact one if it is known, else that of the same search without uncertainty;
+        None if that search has no result, is refused or is interrupted."""
         with suppress(KeyboardInterrupt, SceneError):
-            _known[problem] = _search_nominal(problem.nominal, seed)
-    return _known[problem]
+            return _search_nominal(self.problem.nominal, self.seed)
+        return None
 
 
 def _search_nominal(nominal: Problem, seed: int) -> np.ndarray | None:
@@ -93,7 +115,7 @@ def _search_nominal(nominal: Problem, seed: int) -> np.ndarray | None:
     optimizer = search_optimizer(nominal, seed)
     if optimizer is not None:
         minimize(optimizer, nominal.losses)
-    return finish_search(optimizer, nominal, seed, interrupted=False)[0]
+    return finish_search(optimizer, NominalSearch(nominal, seed))[0]
 
 
 def polish(problem: Problem, position: np.ndarray, loss: float) -> Polished:
@@ -133,7 +155,7 @@ def _descend(losses: Callable[[np.ndarray], np.ndarray], problem: Problem, point
         values = losses(at + np.concatenate([np.zeros((1, at.size)), np.diag(steps)])) / scale
         return float(values[0]), (values[1:] - values[0]) / steps
 
-    found = scipy.optimize.minimize(
+    result = scipy.optimize.minimize(
         loss_and_slope,
         point,
         jac=True,
@@ -142,7 +164,7 @@ def _descend(losses: Callable[[np.ndarray], np.ndarray], problem: Problem, point
         constraints=_clearance(problem, point),
         options={"maxiter": MOST_STEPS, "ftol": TOLERANCE},
     )
-    return np.asarray(np.clip(found.x, *limits.T))
+    return np.asarray(np.clip(result.x, *limits.T))
 
 
 def _scale(problem: Problem, loss: float) -> float:
@@ -174,3 +196,40 @@ def _best_frequency(losses: Callable[[np.ndarray], np.ndarray], problem: Problem
     points[:, kinds.index("frequency")] = frequencies
     points = problem.space.to_unit(points)
     return np.asarray(points[int(np.nanargmin(losses(points)))])
+
+
+def compare_with_nominal(
+    problem: Problem, start: Checkpoint, position: np.ndarray, nominal_search: NominalSearch
+) -> tuple[RobustComparison, dict[str, Case], int] | None:
+    """Compare the position (dimension,) of a robust search with the best one of the nominal plate.
+
+    Both drives are then simulated, as two plates of one launch, in
+    each of ``search.robust.fresh`` new scenarios.
+
+    Returns:
+        The comparison, the nominal drive as the case "nominal", and the node-steps besides those of the problem; None
+        without a nominal position.
+    """
+    nominal, table = problem.nominal, problem.robust
+    best = nominal_search.position
+    if best is None:
+        return None
+    evaluated = evaluate_cases(nominal, start.single_actuator, best)
+    designs = problem.parametrization.designs(np.stack([position, best]))
+    losses, node_steps = [], evaluated.node_steps
+    stepped = not problem.resolved.by_modes
+    for scenario in draw_scenarios(problem.scene, table.fresh, table.seed, validation=True, stepped=stepped):
+        panel = simulate_scenarios([scenario], problem.resolved)
+        losses.append(panel.losses(designs)[:, 0])
+        node_steps += sum(evaluator.node_steps for evaluator in panel.evaluators)
+    bound = problem.loss_bound
+    comparison = RobustComparison(
+        measure=f"quantile {table.quantile:g}" if table.measure == "quantile" else table.measure,
+        scenarios=table.scenarios,
+        localization=problem.objectives.only_localization,
+        bound=None if bound is None else float(problem.value_from_loss(bound.value)),
+        searched=np.asarray(problem.value_from_loss(problem.design_losses(designs))),
+        nominal_plate=np.asarray(problem.value_from_loss(nominal.design_losses(designs))),
+        validation=np.asarray(problem.value_from_loss(np.stack(losses, axis=1))),
+    )
+    return comparison, {"nominal": evaluated.cases["best"]}, node_steps

@@ -1,27 +1,28 @@
-"""Simulation of one plate under one drive."""
+"""Simulation of one plate under one drive, and the estimated error of a result."""
 
 from __future__ import annotations
 
 import time
-from contextlib import suppress
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from warp_plate.modal.solver import MODAL, ModalSolver
+from warp_plate.accuracy.estimate import estimate, estimate_modal
+from warp_plate.modal.solver import MODAL
 from warp_plate.plate.scene_overrides import scene_phasors
+from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.design_variables import magnitude_unit
 from warp_plate.problem.evaluate_cases import cases_from_run, reference_phasors
+from warp_plate.resolve import Resolved, resolve
 from warp_plate.result.model import Result, load_result
 from warp_plate.result.targets import target_regions
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.solve.run import Progress, Run, run_with_peaks
-from warp_plate.solve.solver import PlateSolver
-from warp_plate.studies.grid_choice import ResolvedGrid, estimate_error, resolve_grid
-from warp_plate.studies.provenance import device_name, run_fields, versions
+from warp_plate.studies.unfinished import device_name, run_fields, versions
 
 
 def simulate(
@@ -49,21 +50,21 @@ def simulate(
         SceneError: see :class:`PlateSolver` and :func:`phasors_from_file`.
     """
     scene = Scene.load(scene)
-    resolved, phasors = _resolve(scene, drive, device, path)
-    scene, by_modes = resolved.scene, resolved.evaluator == MODAL
-    solver: PlateSolver | ModalSolver
-    if by_modes:
-        solver = ModalSolver(scene, device, areas=target_regions(scene))
-    else:
-        solver = PlateSolver(scene, device, path, allow_unstable=allow_unstable, areas=target_regions(scene))
+    phasors = _phasors(scene, drive)
+    drives = None if phasors is None else phasors[None]
+    resolved = resolve(scene, device, purpose="simulate", path=path, phasors=drives, allow_unstable=allow_unstable)
+    scene = resolved.scene
+    solver = resolved.solver(areas=target_regions(scene))
     started = time.perf_counter()
     if phasors is None:
         phasors = reference_phasors(scene, lambda phasors: solver.run(phasors).energy)["single"]
     run, peaks = run_with_peaks(solver, phasors[None], progress)
     solved = time.perf_counter() - started
     seconds = {**resolved.seconds, "compile": solver.compile_seconds, "solve": solved}
-    estimate = estimate and bool(run.finite.all())
-    estimated = _estimate(resolved, phasors, run, seconds, device) if estimate else {}
+    accuracy = dict(resolved.accuracy)
+    if estimate and run.finite.all():
+        with optional_part(seconds, "estimate"):
+            accuracy |= estimate_error(resolved, {"drive": phasors}, run)
     return Result(
         command="simulate",
         source=source,
@@ -74,39 +75,29 @@ def simulate(
         seconds=seconds,
         node_steps=solver.node_steps,
         versions=versions(),
-        accuracy={**resolved.accuracy, **estimated},
+        accuracy=accuracy,
         peak_displacement=float(peaks[0].max()),
-        evaluator=MODAL if by_modes else "direct",
+        evaluator=MODAL if resolved.by_modes else "direct",
         **run_fields(solver, run),
     )
 
 
-def _resolve(scene: Scene, drive: str, device: str, path: str) -> tuple[ResolvedGrid, np.ndarray | None]:
-    """Return the scene with an engine and a grid, and the phasors of a drive, None if they are to be found by
-    simulation."""
-    phasors: np.ndarray | None = None
+def _phasors(scene: Scene, drive: str) -> np.ndarray | None:
+    """Return the phasors (actuators,) of a drive; None for the best single actuator, which simulation shows."""
+    if drive == "single":
+        return None
     if drive == "equal":
-        phasors = np.full(len(scene.actuators), magnitude_unit(scene), dtype=complex)
-    elif drive != "single":
-        phasors = scene_phasors(scene) if drive == "scene" else phasors_from_file(drive, scene)
-    drives = None if phasors is None else phasors[None]
-    if path == MODAL or (path == "auto" and scene.modal_only_key is not None):
-        return replace(resolve_grid(scene, device, drives, "modes"), evaluator=MODAL), phasors
-    return resolve_grid(scene, device, drives, "any" if path == "auto" else "steps"), phasors
+        return np.full(len(scene.actuators), magnitude_unit(scene), dtype=complex)
+    return scene_phasors(scene) if drive == "scene" else phasors_from_file(drive, scene)
 
 
-def _estimate(
-    resolved: ResolvedGrid, phasors: np.ndarray, run: Run, seconds: dict[str, float], device: str
-) -> dict[str, Any]:
-    """Return the estimated error and add its seconds; empty if it is interrupted, as a result is kept."""
+@contextmanager
+def optional_part(seconds: dict[str, float], name: str) -> Iterator[None]:
+    """Add the seconds of a part of a result, which is left out if it is refused or if Ctrl-C interrupts it."""
     started = time.perf_counter()
-    with suppress(KeyboardInterrupt):
-        drives = {"drive": phasors}
-        by_modes = resolved.evaluator == MODAL
-        found = estimate_error(resolved.scene, drives, run, device, resolved.reference, by_modes)
-        seconds["estimate"] = time.perf_counter() - started
-        return found
-    return {}
+    with suppress(KeyboardInterrupt, SceneError):
+        yield
+        seconds[name] = time.perf_counter() - started
 
 
 def phasors_from_file(name: str, scene: Scene) -> np.ndarray:
@@ -123,3 +114,17 @@ def phasors_from_file(name: str, scene: Scene) -> np.ndarray:
             "result of a scene with the same kind of drive, or the scene's own drive"
         )
     return phasors
+
+
+def estimate_error(resolved: Resolved, phasors: Mapping[str, np.ndarray], run: Run) -> dict[str, Any]:
+    """Estimate the errors of a run of the named drives; return them as entry "estimate" of ``Result.accuracy``."""
+    scene, drives, factors = resolved.scene, np.array(list(phasors.values())), localization_factor(run.energy)
+    try:
+        if resolved.by_modes:
+            result = estimate_modal(scene, drives, factors, run.times, run.displacement, resolved.reference)
+        else:
+            of_run = resolved.device, run.times, run.displacement
+            result = estimate(scene, drives, factors, *of_run, time_step=resolved.grid.time_step)
+    except SceneError as error:
+        return {"estimate": {"cases": list(phasors), "line": f"no error estimate: {error}"}}
+    return {"estimate": {"cases": list(phasors), **result.as_json(), "line": result.line()}}

@@ -8,13 +8,14 @@ import numpy as np
 
 from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.poles import adaptive_frequencies
-from warp_plate.modal.solver import MODAL, ModalSolver, make_solver
+from warp_plate.modal.solver import ModalSolver
 from warp_plate.plate.designs import Designs, per_plate_of
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.bounds import bound_localization
 from warp_plate.problem.drives import allowed_drives
 from warp_plate.problem.parametrization import Parametrization, parametrization_of
 from warp_plate.problem.problem import Problem
+from warp_plate.resolve import Resolved
 from warp_plate.result.case import Case
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -33,22 +34,26 @@ def make_spectrum(problem: Problem, best: Case) -> dict[str, np.ndarray]:
     scene, frequencies = problem.scene, spectrum_frequencies(problem)
     if not frequencies.size:
         return {}
-    device = problem.drive_solver.device.alias
-    factors = factors_over(scene, frequencies, best.centre, best.delay, device, problem.path)
+    factors = factors_over(problem.resolved, frequencies, best.centre, best.delay)
     return {"frequency": frequencies, **factors, "resonances": resonances(scene, frequencies[0], frequencies[-1])}
 
 
+def has_spectrum(scene: Scene) -> bool:
+    """Return whether a common frequency of all actuators is searched, and the scene is linear in the drives."""
+    search = scene.search.frequency
+    return search is not None and not search.own and search.actuators is None and scene.linear
+
+
 def spectrum_frequencies(problem: Problem) -> np.ndarray:
-    """Return the frequencies of a result's spectrum [Hz]; empty unless a common frequency of all actuators is searched
-    and the scene is linear in the drives.
+    """Return the frequencies of a result's spectrum [Hz]; empty without one.
 
     By modes they follow every resonance, unless limits on magnitudes make the bound at each too dear.
     """
     scene = problem.scene
     search = scene.search.frequency
-    if search is None or search.own or search.actuators is not None or not scene.linear:
+    if search is None or not has_spectrum(scene):
         return np.empty(0)
-    if problem.path == MODAL and not allowed_drives(parametrization_of(scene)).limits_ratios:
+    if problem.resolved.by_modes and not allowed_drives(parametrization_of(scene)).limits_ratios:
         plate = solve_modes(scene, search.range[1], key="search.frequency.range")
         return adaptive_frequencies(*plate.resonances, *search.range)
     evaluations, units = scene.search.particles * scene.search.iterations, len(unit_drives(len(scene.actuators)))
@@ -56,12 +61,7 @@ def spectrum_frequencies(problem: Problem) -> np.ndarray:
 
 
 def factors_over(
-    scene: Scene,
-    frequencies: np.ndarray,
-    centre: np.ndarray | None = None,
-    delay: np.ndarray | None = None,
-    device: str = "auto",
-    path: str = "auto",
+    resolved: Resolved, frequencies: np.ndarray, centre: np.ndarray | None = None, delay: np.ndarray | None = None
 ) -> dict[str, np.ndarray]:
     """Compute localization factors at (n,) frequencies [Hz] from Gram matrices; all plates run in one batch.
 
@@ -72,8 +72,9 @@ def factors_over(
         Arrays (n,) "equal"; "single", of the best single actuator at each frequency; and "best", an upper bound over
         the drives that the search may choose there.
     """
-    exact, singles = in_float64(scene), np.eye(len(scene.actuators), dtype=complex)
-    solver = make_solver(exact, device, path, per_plate=per_plate_of(exact))
+    scene = resolved.scene
+    exact, singles = resolved.with_scene(in_float64(scene)), np.eye(len(scene.actuators), dtype=complex)
+    solver = exact.solver(exact.grid_for(per_plate_of(exact.scene)))
     parametrization = parametrization_of(scene)
     rows = []
     for response in _responses(solver, frequencies, centre, delay):
@@ -113,7 +114,7 @@ def _best_factor(response: Response, parametrization: Parametrization) -> float:
 def resonances(scene: Scene, low: float, high: float) -> np.ndarray:
     """Return the natural frequencies [Hz] of a linear scene's plate from ``low`` to ``high``; none if too many are."""
     try:
-        found = solve_modes(scene, highest=high).frequencies
+        natural = solve_modes(scene, highest=high).frequencies
     except SceneError:
         return np.empty(0)
-    return found[(found >= low) & (found <= high)]
+    return natural[(natural >= low) & (natural <= high)]

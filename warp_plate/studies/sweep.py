@@ -1,4 +1,4 @@
-"""Quantities of interest of many scenes that differ in some of their values, here or on the workers of a pool."""
+"""Quantities of many scenes that differ in some of their values, and the files of unfinished sweeps."""
 
 from __future__ import annotations
 
@@ -6,31 +6,69 @@ import hashlib
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from warp_plate.cluster.pool import WorkerPool
 from warp_plate.interrupts import SecondInterrupt, check_interrupt, deferred_interrupts
 from warp_plate.modal.continuous_modes import MOST_MODES
-from warp_plate.modal.solver import MODAL, has_modes, refuse_no_modes
+from warp_plate.modal.solver import MODAL
 from warp_plate.plate.files import digests, read_beside
-from warp_plate.result.sweep import REFUSED, RUN, Sweep
+from warp_plate.resolve import Purpose, choose_engine, refuse_nonlinear_modes, resolve_for_sweep
+from warp_plate.result.checkpoint import ENDING
+from warp_plate.result.sweep import REFUSED, RUN, Sweep, load_sweep, save_sweep
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import label_of
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.scene.vary import Plan, counted, make_plan, parse_vary, value_text
 from warp_plate.solve.devices import find_device, processor_of
-from warp_plate.studies.checkpointing import SweepFile
-from warp_plate.studies.grid_choice import resolve_for_sweep
-from warp_plate.studies.provenance import versions
-from warp_plate.studies.quantities_of_interest import QUANTITIES
-from warp_plate.studies.sweep_points import PointResult, run_here, run_on_pool, varied_files
+from warp_plate.studies.sweep_points import QUANTITIES, PointResult, run_here, run_on_pool, varied_files
+from warp_plate.studies.unfinished import (
+    SweepFile,
+    changes,
+    check_files,
+    check_unchanged,
+    merged_versions,
+    same_device,
+    versions,
+)
 
 # Called after each point with the points done, their total, and the values of the point.
 OnPointProgress = Callable[[int, int, str], object]
 # Numbers of a quantity at all points, 8 bytes each.
 MOST_NUMBERS = 100_000_000
+# Values of options that are left out; None: a new sweep chooses, another one keeps its own.
+DEFAULTS = {"what": "localize", "count": 6, "path": "auto", "evaluator": None, "frequencies": ""}
+
+
+@dataclass(frozen=True)
+class SweepRequest:
+    """What a user asks for, see :func:`sweep`; None for what is left out."""
+
+    scene: Scene | None
+    source: str = ""
+    vary: Sequence[str] | Plan | None = None
+    what: str | None = None
+    samples: int | None = None
+    seed: int | None = None
+    count: int | None = None
+    path: str | None = None
+    evaluator: str | None = None
+    frequencies: str | None = None
+
+    def options(self, complete: bool) -> dict[str, Any]:
+        """Return the options that a sweep keeps, by its attributes; those left out have their defaults if complete."""
+        given = {name: getattr(self, name) for name in DEFAULTS}
+        return {name: DEFAULTS[name] if complete and value is None else value for name, value in given.items()}
+
+    def plan(self, scene: Scene) -> Plan:
+        """Return the points asked for; ``scene`` has the numbers to vary."""
+        if isinstance(self.vary, Plan):
+            return self.vary
+        return make_plan([parse_vary(scene, text) for text in self.vary or ()], self.samples, self.seed or 0)
 
 
 def sweep(
@@ -50,8 +88,8 @@ def sweep(
 ) -> Sweep:
     """Compute the quantities of a command at every point of a plan.
 
-        >>> found = sweep(Scene.load("paper"), ["drive.frequency=200:400:21"])
-        >>> found.plan.coordinates[0], found.shaped("best")      # (21,) Hz, (21,) localization factors
+        >>> result = sweep(Scene.load("paper"), ["drive.frequency=200:400:21"])
+        >>> result.plan.coordinates[0], result.shaped("best")      # (21,) Hz, (21,) localization factors
 
     Args:
         scene: scene with values to vary; ``source`` is its name, kept in the result.
@@ -69,51 +107,37 @@ def sweep(
     Raises:
         SceneError: ``vary`` or ``what`` is invalid, or all points are refused.
     """
-    scene = Scene.load(scene)
-    plan = vary if isinstance(vary, Plan) else make_plan([parse_vary(scene, text) for text in vary], samples, seed)
-    device = device if pool is None else "auto"
-    start = start_sweep(scene, plan, what, device, path, source, count, evaluator, frequencies)
-    return run_sweep(start, on_progress, None, pool)
+    request = SweepRequest(Scene.load(scene), source, vary, what, samples, seed, count, path, evaluator, frequencies)
+    return run_sweep(start_sweep(request, device if pool is None else "auto"), on_progress, None, pool)
 
 
-def start_sweep(
-    scene: Scene,
-    plan: Plan,
-    what: str,
-    device: str = "auto",
-    path: str = "auto",
-    source: str = "",
-    count: int = 6,
-    evaluator: str | None = None,
-    frequencies: str = "",
-) -> Sweep:
-    """Return a sweep without any finished point; see :func:`sweep` for the arguments."""
+def start_sweep(request: SweepRequest, device: str = "auto") -> Sweep:
+    """Return the sweep of a request, without any finished point."""
+    scene, asked = request.scene, request.options(complete=True)
+    assert scene is not None
+    what, count, plan = asked["what"], asked["count"], request.plan(scene)
     if what not in QUANTITIES:
         raise SceneError(f"--what {what}: must be one of {', '.join(QUANTITIES)}")
     if not 1 <= count <= MOST_MODES:
         raise SceneError(f"--count {count}: must be from 1 to {MOST_MODES}")
     outputs, used = QUANTITIES[what].outputs, find_device(device)
-    if what == "frf" and not frequencies:
+    if what == "frf" and not asked["frequencies"]:
         raise SceneError("--what frf: at which frequencies? write --frequencies LOW:HIGH:COUNT (hertz)")
     start = Sweep(
-        source=source,
+        source=request.source,
         scene=scene,
         files=file_digests(scene, plan),
         plan=plan,
-        what=what,
-        count=count,
-        frequencies=frequencies,
         device=used.alias,
         processor=processor_of(used),
         earlier_devices="",
-        path=path,
-        evaluator=choose_evaluator(scene, plan.keys, what, path, evaluator),
         outputs=outputs,
         values={},
         status=np.zeros(len(plan), dtype="i1"),
         reasons={},
         seconds=0.0,
         versions=versions(),
+        **asked | {"evaluator": choose_evaluator(scene, plan.keys, what, asked["path"], asked["evaluator"])},
     )
     shapes = {name: (len(plan), *([len(start.along(o.axis))] if o.axis else [])) for name, o in outputs.items()}
     if (largest := max(map(math.prod, shapes.values()))) > MOST_NUMBERS:
@@ -149,13 +173,13 @@ def choose_evaluator(scene: Scene, keys: Sequence[str], what: str, path: str, as
     if asked not in (None, *evaluators):
         raise SceneError(f"--evaluator {asked}: --what {what} is always {evaluators[0]}; leave it out")
     if asked == MODAL and len(evaluators) > 1:
-        refuse_no_modes(scene)
+        refuse_nonlinear_modes(scene)
         if path != "auto":
             raise SceneError(f"--evaluator modal: takes no steps, which --path {path} asks for; leave one of them out")
     if asked is not None or len(evaluators) == 1:
         return asked or evaluators[0]
-    for_steps = path != "auto" or any(key.startswith("grid.") for key in keys)
-    return MODAL if scene.modal_only_key is not None or (has_modes(scene) and not for_steps) else "direct"
+    purpose: Purpose = "replay" if any(key.startswith("grid.") for key in keys) else "survey"
+    return MODAL if choose_engine(scene, purpose, path) == "modes" else "direct"
 
 
 def run_sweep(
@@ -232,3 +256,116 @@ def _describe(result: PointResult, sweep: Sweep) -> str:
     values = sweep.plan.values(result.point).items()
     text = ", ".join(f"{label_of(sweep.scene, key)} {value_text(value)}" for key, value in values)
     return f"{text}: refused" if result.values is None else text
+
+
+def open_sweep(
+    request: SweepRequest,
+    target: Path,
+    resume: Path | None = None,
+    device: str | None = None,
+    on_workers: bool = False,
+    log: Callable[[str], object] = lambda line: None,
+    force: bool = False,
+) -> Sweep:
+    """Return the sweep to run for a request: the unfinished one of the same request, or a new one.
+
+    Args:
+        target: file of the result; unfinished sweeps are beside it.
+        resume: unfinished sweep to continue, or the result that it will become; None: one left by the same request, if
+            any.
+        device: device of the points, or None for the default.
+        on_workers: whether workers of a pool run the points, which then report their devices.
+        log: called with one line for each thing to know about a sweep that is continued.
+        force: whether the result may replace any file.
+    """
+    unfinished = target.with_suffix(ENDING)
+    file = unfinished if unfinished.exists() else None
+    if resume is not None:
+        beside = resume.with_suffix(ENDING)
+        file = beside if beside.exists() else resume
+        if unfinished.exists() and not unfinished.samefile(file):
+            raise SceneError(f"{unfinished}: holds another unfinished sweep; name another file by --out, or delete it")
+    if file is not None:
+        sweep = _load_unfinished(file, request, resume is not None)
+    else:
+        sweep = start_sweep(request, "auto" if on_workers or device is None else device)
+    axes = {output.axis for output in sweep.outputs.values()}
+    if request.count is not None and "mode" not in axes:
+        raise SceneError(f"--count {request.count}: --what {sweep.what} has no modes to count; leave it out")
+    if request.frequencies is not None and "frequency" not in axes:
+        raise SceneError(f"--frequencies {request.frequencies}: are those of --what frf; leave it out")
+    if not force:
+        check_same_sweep(target, sweep)
+    if file is None:
+        return sweep
+    log(f"{file}: {sweep.progress} done; {'nothing is left' if sweep.finished else 'continuing'}")
+    for line in changes(sweep, None if on_workers or not sweep.processor else device):
+        log(f"{file}: {line}")
+    return resume_sweep(sweep, device, on_workers)
+
+
+def resume_sweep(sweep: Sweep, device: str | None = None, on_workers: bool = False) -> Sweep:
+    """Return an unfinished sweep as it continues on workers of a pool, on another device, which may round differently,
+    or by default on one of the kind that it began on."""
+    check_files(file_digests(sweep.scene, sweep.plan), sweep, "sweep")
+    if sweep.finished:
+        return sweep
+    sweep = replace(sweep, versions=merged_versions(sweep.versions))
+    if on_workers:
+        return sweep
+    if device is None:
+        device = same_device(sweep.device, sweep.processor, "sweep") if sweep.processor else "auto"
+    used = find_device(device)
+    return sweep.moved_to(used.alias, processor_of(used))
+
+
+def save_finished(sweep: Sweep, path: Path, file: SweepFile, force: bool = False) -> None:
+    """Save a finished sweep as its result and remove the unfinished file; on failure all points are in that file."""
+    try:
+        if not force:
+            check_same_sweep(path, sweep)
+        save_sweep(sweep, path)
+    except SceneError:
+        file.save(sweep)
+        raise
+    file.remove()
+
+
+def check_same_sweep(path: Path, sweep: Sweep) -> None:
+    """Check that a result would replace no file other than an earlier result of the same sweep."""
+    if not path.exists():
+        return
+    advice = "name another file by --out, or give --force"
+    try:
+        existing = load_sweep(path)
+    except SceneError as error:
+        raise SceneError(f"{error}; {advice}") from None
+    same_scene = existing.scene.model_dump() == sweep.scene.model_dump() and existing.files == sweep.files
+    for difference, same in (
+        ("another scene", same_scene),
+        (f"--what {existing.what}", existing.what == sweep.what),
+        (f"--count {existing.count}", existing.count == sweep.count),
+        (f"--frequencies {existing.frequencies}", existing.frequencies == sweep.frequencies),
+        (f"--evaluator {existing.evaluator}", existing.evaluator == sweep.evaluator),
+        (f"other points ({existing.plan.description})", existing.plan.same(sweep.plan)),
+    ):
+        if not same:
+            raise SceneError(f"{path}: holds a sweep of {difference}; {advice}")
+
+
+def _load_unfinished(file: Path, request: SweepRequest, resumed: bool) -> Sweep:
+    """Load an unfinished sweep for a request, all of which must be the same if it was not named by ``--resume``."""
+    advice = "start again without --resume" if resumed else f"name another file by --out, or delete {file}"
+    try:
+        sweep = load_sweep(file)
+    except SceneError as error:
+        raise error if resumed else SceneError(f"{error}; {advice}") from None
+    options = request.options(complete=not resumed)
+    check_unchanged(sweep, f"sweep in {file}", options, (request.scene, sweep.scene), advice)
+    if (request.vary or not resumed) and not request.plan(sweep.scene).same(sweep.plan):
+        raise SceneError(
+            f"--vary: the sweep in {file} began with other points ({sweep.plan.description}) and continues with "
+            f"nothing else; {'leave --vary out, or ' if resumed else ''}{advice}"
+        )
+    # Files that the scene names are beside the scene, not beside the sweep.
+    return sweep if request.scene is None else replace(sweep, scene=sweep.scene.in_folder(request.scene.folder))

@@ -95,7 +95,7 @@ def verify(result: Result, data: Path | MeasuredField, case: str | None = None) 
     Raises:
         SceneError: The file is invalid, or the points are not on the panel or all lie on one line.
     """
-    name = next(key for key, each in result.cases.items() if each is result.main_case) if case is None else case
+    name = next(key for key, value in result.cases.items() if value is result.main_case) if case is None else case
     if name not in result.cases:
         raise SceneError(f"case {name!r}: is not one of {', '.join(result.cases)}")
     scene = result.case_scene(result.cases[name])
@@ -140,7 +140,7 @@ def read_field(path: Path) -> MeasuredField:
     columns = read_columns(path)
     if missing := [name for name in COLUMNS[:3] if name not in columns]:
         raise SceneError(f"{path}: has no column {missing[0]!r}; the columns are: {', '.join(columns)}")
-    found = {}
+    table = {}
     for name in (name for name in COLUMNS if name in columns):
         values = []
         for line, cell in columns[name]:
@@ -150,11 +150,11 @@ def read_field(path: Path) -> MeasuredField:
                 values.append(math.nan)
             if not math.isfinite(values[-1]) or values[-1] < 0:
                 raise SceneError(f"{path}: line {line}, {name} = {cell[:40]!r}: must be a number, 0 or more")
-        found[name] = np.array(values)
-    if not any(found["velocity"]):
+        table[name] = np.array(values)
+    if not any(table["velocity"]):
         raise SceneError(f"{path}: needs velocities that are not all 0")
-    points = np.stack([found["x"], found["y"]], axis=1)
-    return MeasuredField(str(path), points, found["velocity"], found.get("uncertainty"))
+    points = np.stack([table["x"], table["y"]], axis=1)
+    return MeasuredField(str(path), points, table["velocity"], table.get("uncertainty"))
 
 
 def average_readings(field: MeasuredField) -> MeasuredField:

@@ -1,0 +1,282 @@
+"""The way from a scene to what runs it: engine, grid and device are decided here, once, and by nobody after.
+
+:func:`choose_engine` chooses between modes and time steps; :func:`resolve` also chooses a grid for a scene that asks
+for an accuracy. Studies, problems and analyses take the :class:`Resolved` scene.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import islice, product
+from typing import Any, Literal
+
+import numpy as np
+
+from warp_plate.accuracy.choose import AccuracyRequest
+from warp_plate.accuracy.configurations import (
+    bending_wavelength,
+    configuration_of,
+    longest_time_step,
+    regrid,
+)
+from warp_plate.accuracy.reference_solution import MoreFunctions
+from warp_plate.cluster.evaluator import Evaluator, make_evaluator
+from warp_plate.cluster.pool import WorkerPool
+from warp_plate.modal.solver import MODAL, ModalGrid, ModalSolver
+from warp_plate.plate.designs import NO_PER_PLATE, PerPlate
+from warp_plate.plate.discretization import Discretization, discretize
+from warp_plate.plate.scheme import MOST_STEPS, STEPS_A_PERIOD
+from warp_plate.plate.signals import Signals
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.grid import CELLS_A_WAVE, Grid
+from warp_plate.scene.model import Scene
+from warp_plate.scene.vary import Plan
+from warp_plate.solve.devices import find_device
+from warp_plate.solve.solver import PlateSolver
+
+Engine = Literal["modes", "steps"]
+EvaluatorName = Literal["direct", "response", "modal"]
+# What a scene is resolved for; "exact": a search that an eigenvector solves, unless the scene says otherwise; "survey":
+# many scenes or drives; "replay": the run of a result, or the effects of a scene, once more.
+Purpose = Literal["simulate", "search", "exact", "survey", "check", "replay"]
+# Most corners of the ranges of a sweep that are looked at.
+MOST_CORNERS = 64
+
+
+@dataclass(frozen=True, eq=False)
+class Resolved:
+    """A scene with all that its run needs.
+
+    Attributes:
+        scene: Scene with a grid, in place of an accuracy.
+        engine: "modes" or "steps".
+        device: Alias of the device.
+        path: Path of the kernels for time steps, as asked for.
+        evaluator: How a search computes energies; None for the default of time steps.
+        accuracy: Accuracy asked for, expected error, and reason for the choice; empty if the scene has a grid.
+        seconds: Time that the choice took, under "choose".
+        reference: More functions that the choice compared modes with.
+        allow_unstable: True if a time step above the stability limit is accepted.
+    """
+
+    scene: Scene
+    engine: Engine
+    device: str
+    path: str = "auto"
+    evaluator: str | None = None
+    accuracy: Mapping[str, Any] = field(default_factory=dict)
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    reference: MoreFunctions | None = None
+    allow_unstable: bool = False
+
+    @property
+    def by_modes(self) -> bool:
+        """True if modes of the plate are taken, False for time steps."""
+        return self.engine == "modes"
+
+    @cached_property
+    def grid(self) -> Discretization | ModalGrid:
+        """The scene on its grid."""
+        return self.grid_for(NO_PER_PLATE)
+
+    @property
+    def signals(self) -> Signals | None:
+        """Waves of the drive in time steps; None for modes, which take the drive as a formula."""
+        return None if isinstance(self.grid, ModalGrid) else self.grid.signals
+
+    def grid_for(self, per_plate: PerPlate) -> Discretization | ModalGrid:
+        """Return the scene on its grid for plates that differ in more than their drives."""
+        if self.by_modes:
+            return ModalGrid(self.scene, per_plate)
+        return discretize(self.scene, per_plate, self.allow_unstable)
+
+    def solver(self, grid: Discretization | ModalGrid | None = None, **options: Any) -> PlateSolver | ModalSolver:
+        """Return a solver on ``grid`` (default: the scene's); for the options see :class:`PlateSolver`.
+
+        Raises:
+            SceneError: See :class:`ModalSolver` and :class:`PlateSolver`.
+        """
+        grid = self.grid if grid is None else grid
+        if isinstance(grid, ModalGrid):
+            options.pop("memory_share", None)
+            return ModalSolver(grid, self.device, **options)
+        return PlateSolver(grid, self.device, self.path, **options)
+
+    def plates(self, grid: Discretization | ModalGrid, pool: WorkerPool | None = None, **options: Any) -> Evaluator:
+        """Return the evaluator of a grid, whose time steps run on the workers of a pool; see :meth:`solver`."""
+        if isinstance(grid, Discretization):
+            return make_evaluator(grid, self.device, self.path, pool, **options)
+        return Evaluator(self.solver(grid, **options))
+
+    def with_scene(self, scene: Scene) -> Resolved:
+        """Return another scene, which has a grid, resolved to the same engine and device."""
+        return self if scene is self.scene else replace(self, scene=scene, reference=None)
+
+
+def choose_engine(
+    scene: Scene, purpose: Purpose, path: str = "auto", evaluator: str | None = None
+) -> Literal["modes", "steps", "any"]:
+    """Return the engine of a scene; "any": whichever keeps ``grid.accuracy`` at the least cost.
+
+    Args:
+        path: Path of the kernels, or "modal".
+        evaluator: Evaluator of a search or a sweep that is asked for.
+    """
+    search, fast = scene.search, costs_less_by_modes(scene)
+    # 1. What is asked for.
+    if MODAL in (path, evaluator):
+        return "modes"
+    if evaluator is not None:
+        return "steps"
+    # 2. Effects that have no time steps.
+    if scene.modal_only_key is not None and (path == "auto" or purpose != "simulate"):
+        return "modes"
+    if path != "auto":
+        return "steps"
+    # 3. An accuracy.
+    if scene.grid.accuracy is not None and purpose not in ("survey", "replay"):
+        return "any" if fast or purpose == "simulate" else "steps"
+    # 4. Time steps are the judge of a single run. Searches of places, frequencies or delays would take a plate of
+    # their own for each, and modes give exact searches and surveys without any.
+    if purpose == "search":
+        searched = search.frequency is not None or search.position is not None or search.delay is not None
+        fast = fast and searched and search.robust is None
+    return "modes" if fast and purpose in ("search", "exact", "survey") else "steps"
+
+
+def costs_less_by_modes(scene: Scene) -> bool:
+    """Return whether a search of a scene costs less by modes than by time steps on an ordinary grid.
+
+    Waveforms whose frequencies, places or delays are searched do not.
+    """
+    search = scene.search
+    searched = search.frequency is not None or search.position is not None or search.delay is not None
+    return scene.linear and not (searched and scene.drive.waveform_key is not None)
+
+
+def refuse_nonlinear_modes(scene: Scene) -> None:
+    """Refuse to search a scene by modes that needs time steps, with a SceneError that names the key."""
+    if not scene.linear:
+        raise SceneError(f"evaluator = 'modal': {scene.nonlinear_table} needs time steps; write 'direct'")
+
+
+def resolve(
+    scene: Scene,
+    device: str = "auto",
+    *,
+    purpose: Purpose = "search",
+    path: str = "auto",
+    evaluator: str | None = None,
+    phasors: np.ndarray | None = None,
+    allow_unstable: bool = False,
+) -> Resolved:
+    """Decide the engine, grid and device of a scene.
+
+    A grid for ``grid.accuracy`` is that of the highest frequency that the scene's search may choose.
+
+    Args:
+        purpose: What the scene is resolved for.
+        path, evaluator: What is asked for, see :func:`choose_engine`.
+        phasors: (drives, actuators) drives whose errors matter (default: the usual ones).
+        allow_unstable: True if a time step above the stability limit is accepted.
+
+    Raises:
+        SceneError: There is no such device, or no engine keeps the accuracy.
+    """
+    device = find_device(device).alias
+    engine = choose_engine(scene, purpose, path, evaluator)
+    if engine == "modes" and purpose in ("search", "exact"):
+        refuse_nonlinear_modes(scene)
+    if engine == "modes":
+        evaluator = MODAL
+    options: dict[str, Any] = {"device": device, "path": path, "allow_unstable": allow_unstable}
+    asked = scene.grid.accuracy
+    if asked is None:
+        assert engine != "any"
+        return Resolved(scene, engine, evaluator=evaluator, accuracy=_reason_of_waves(scene), **options)
+    if engine == "steps":
+        scene.check_stepped()
+    started = time.perf_counter()
+    of_search = purpose in ("search", "exact", "check") or (purpose == "survey" and engine == "modes")
+    hardest = at_highest_frequency(scene) if of_search else scene
+    choice = AccuracyRequest(hardest, asked, device, phasors).choose(engine)
+    grid = Grid(**choice.scene.grid.model_dump(exclude={"accuracy"}))
+    chosen = choice.scene.model_copy(update={"grid": grid} | ({"actuators": scene.actuators} if of_search else {}))
+    if of_search and not choice.by_modes and evaluator is None and scene.search.robust is None:
+        evaluator = "direct"
+    return Resolved(
+        chosen,
+        "modes" if choice.by_modes else "steps",
+        evaluator=MODAL if choice.by_modes else evaluator,
+        accuracy={"asked": asked, "expected": choice.error, "reason": choice.reason},
+        seconds={"choose": time.perf_counter() - started},
+        reference=choice.reference if isinstance(choice.reference, MoreFunctions) else None,
+        **options,
+    )
+
+
+def at_highest_frequency(scene: Scene) -> Scene:
+    """Return the scene with searched frequencies at the upper end of their range, which needs the finest grid.
+
+    Raises:
+        SceneError: The step chosen for it is too short for a run of at most MOST_STEPS.
+    """
+    table = scene.search.frequency
+    if table is None or scene.drive.signal is not None:  # ``make_design_variables`` refuses both together
+        return scene
+    most = MOST_STEPS / STEPS_A_PERIOD / scene.window.end / plate_harmonic(scene)
+    if scene.grid.time_step is None and table.range[1] > most:
+        raise SceneError(
+            f"search.frequency.range = {list(table.range)}: {table.range[1]:g} Hz takes "
+            f"{MOST_STEPS * table.range[1] / most:.3g} steps until window.end = {scene.window.end:g} s, and at most "
+            f"{MOST_STEPS:.3g} are possible; end the range at {most:.4g} Hz or lower"
+        )
+    named, actuators = table.actuators, [actuator.model_dump() for actuator in scene.actuators]
+    for actuator in actuators:
+        if named is None or actuator["name"] in named:
+            actuator["frequency"] = table.range[1]
+    return scene.with_tables(actuators=actuators)
+
+
+def plate_harmonic(scene: Scene) -> int:
+    """Return the plate's highest frequency as a multiple of the voltage's: its square has twice the frequency."""
+    return 1 if scene.drive.electrostatic is None else 2
+
+
+def resolve_for_sweep(scene: Scene, plan: Plan, device: str, evaluator: str) -> Scene:
+    """Choose the grid for all points of a sweep: at the corner of its ranges where bending waves are shortest.
+
+    The scene is returned unchanged if the grid is varied, or if the accuracy cannot be reached at that corner; points
+    then choose for themselves.
+    """
+    if scene.grid.accuracy is None or any(key.startswith("grid.") for key in plan.keys):
+        return scene
+    ends = [np.unique(values)[[0, -1]] if values.dtype.kind in "iuf" else np.unique(values)
+            for values in plan.coordinates]  # fmt: skip
+    corners = []
+    for values in islice(product(*(end.tolist() for end in ends)), MOST_CORNERS):
+        with suppress(SceneError):
+            corners.append(at_highest_frequency(scene.with_values(dict(zip(plan.keys, values, strict=True)))))
+    with suppress(SceneError, ValueError):  # refused, or without corners
+        hardest = max(corners, key=lambda corner: math.sqrt(math.prod(corner.plate.size)) / bending_wavelength(corner))
+        chosen = resolve(hardest, device, purpose="replay", evaluator=evaluator).scene
+        if evaluator == MODAL:
+            return scene.model_copy(update={"grid": chosen.grid})
+        grid = configuration_of(chosen)  # stable at all corners
+        step = min(longest_time_step(corner, grid.order, grid.nodes) for corner in corners)
+        return regrid(scene, replace(grid, time_step=step))
+    return scene
+
+
+def _reason_of_waves(scene: Scene) -> dict[str, str]:
+    """Return the reason for the grid of a scene that is not linear and has no ``[grid]``; empty for others."""
+    if not scene.gridded_by_waves:
+        return {}
+    (nx, ny), table = scene.grid.nodes, scene.nonlinear_table
+    reason = f"time steps: {nx} × {ny} nodes, {CELLS_A_WAVE:g} cells a bending wave; no error is known with {table}"
+    return {"reason": reason}
