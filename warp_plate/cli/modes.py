@@ -12,7 +12,6 @@ import numpy as np
 from cyclopts import Parameter
 
 from warp_plate.cli import options, output
-from warp_plate.effects.effect import attachments
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
@@ -118,6 +117,7 @@ def _as_json(
 def _print(
     name: str, scene: Scene, natural: NaturalModes, errors: np.ndarray | None, left_out: list[str], console: Console
 ) -> None:
+    from warp_plate.effects.effect import attachments
     from warp_plate.plate.signals import highest_frequency
 
     nx, ny = scene.grid.nodes
