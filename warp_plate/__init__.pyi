@@ -32,8 +32,8 @@ from .scene.grid import Grid as Grid
 from .scene.grid import Record as Record
 from .scene.grid import Window as Window
 from .scene.model import Scene as Scene
-from .scene.plate import Plate as Plate
 from .scene.search import Search as Search
+from .scene.tables import Plate as Plate
 from .scene.target import Target as Target
 from .solve.solver import PlateSolver as PlateSolver
 from .studies.compare import compare as compare

@@ -110,7 +110,7 @@ def plot(
         FocusResult: partial(draw_focus, colours=colours),
     }
     if type(shown) not in drawings:
-        names = ", ".join(each.__name__ for each in (Result, *drawings))
+        names = ", ".join(kind.__name__ for kind in (Result, *drawings))
         raise TypeError(f"{type(shown).__name__}: there are pictures of {names}")
     if (problem := missing_plots()) is not None:
         raise DrawingUnavailable(problem)

@@ -33,8 +33,7 @@ MODULES = {
     "render": ("view", "render"),
     "explore": ("explore",),
     "export": ("export",),
-    "init": ("init",),
-    "keys": ("keys",),
+    "scene_files": ("init", "keys"),
     "doctor": ("doctor",),
 }
 for module, names in MODULES.items():

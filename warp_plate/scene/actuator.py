@@ -97,7 +97,7 @@ class Actuator(Table):
         if magnitude and not SMALLEST <= abs(magnitude) <= LARGEST:
             limits = f"{SMALLEST:g} to {LARGEST:g} N/m² are possible"
             raise ValueError(f"force: {self.force:g} N on {area:g} m² press with {magnitude:g} N/m²; {limits}")
-        object.__setattr__(self, "magnitude", magnitude)  # the table is frozen for everybody else
+        self._derive("magnitude", magnitude)
         return self
 
     @model_serializer(mode="wrap")

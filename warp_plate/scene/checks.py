@@ -40,8 +40,7 @@ def check_tables(scene: SceneTables) -> None:
     _check_measurements(scene)
     if scene.fit is not None:
         _check_free_keys(scene, list(scene.fit.free))
-    if scene.focus is not None:
-        scene.focus.check(scene.plate, len(actuators))
+    _check_focus(scene)
     for index, time in enumerate(scene.record.times):
         if time > scene.window.end * (1 + 1e-9):
             limit = f"window.end = {scene.window.end:g} s"
@@ -108,6 +107,17 @@ def _check_measurements(scene: SceneTables) -> None:
         for name, point in {"point": row.point, "force_at": row.force_at}.items():
             if point is not None:
                 scene.plate.check_point(f"measurement[{index}].{name}", point)
+
+
+def _check_focus(scene: SceneTables) -> None:
+    """Check that the points of a focus lie on the plate and that its waveforms are not too many."""
+    if (focus := scene.focus) is None:
+        return
+    for index, point in enumerate(focus.points):
+        scene.plate.check_point(f"focus.points[{index}]", point)
+    if focus.rest is not None and focus.rest.radius > min(scene.plate.size) / 2:
+        raise ValueError(f"focus.rest.radius: {focus.rest.radius:g} m is above half of a side of the plate")
+    focus.check_numbers(focus.samples, len(scene.actuators), "time")
 
 
 def _check_free_keys(scene: SceneTables, names: Sequence[str]) -> None:

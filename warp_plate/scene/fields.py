@@ -57,6 +57,10 @@ class Table(BaseModel):
         # Pydantic then validates the tables of a file without this constructor, and reports their keys in full.
         __init__.__pydantic_base_init__ = True
 
+    def _derive(self, key: str, value: object) -> None:
+        """Set a key that follows from others, during validation: it does not count as written in the file."""
+        self.__dict__[key] = value
+
     @classmethod
     def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         """Return the table's JSON schema, in which the unit of a key follows its description."""

@@ -68,7 +68,7 @@ class Fit(Table):
         dict[str, tuple[Moderate, Moderate]],
         BeforeValidator(_flat),
         Unit("unit of the key"),
-        Field(examples=[{"plate.young_modulus": [6e10, 8e10], "effects.loss_factor.eta": [0.001, 0.1]}]),
+        Field(examples=[{"plate.young_modulus": [6e10, 8e10], "effects.damping.viscous": [10.0, 200.0]}]),
     ]
     """Lowest and highest value of each free key."""
     pairing: Annotated[Literal["order", "nearest", "mac"], Field(examples=["nearest"])] = "order"

@@ -9,7 +9,6 @@ from pydantic_core import PydanticCustomError
 
 from warp_plate.scene.drive import SampledFile
 from warp_plate.scene.fields import Flag, NotNegative, Point, Positive, Table, Unit
-from warp_plate.scene.plate import Plate
 
 # Samples of all waveforms and responses together.
 MOST_NUMBERS = 2**22
@@ -126,14 +125,6 @@ class Focus(Table):
         if not 2 <= self.time * self.rate <= MOST_NUMBERS:
             raise ValueError(f"time: {self.time:g} s at rate = {self.rate}: must be 2 to {MOST_NUMBERS} samples")
         return self
-
-    def check(self, plate: Plate, actuators: int) -> None:
-        """Raise ValueError, naming the key, unless the points lie on the plate and the waveforms are not too many."""
-        for index, point in enumerate(self.points):
-            plate.check_point(f"focus.points[{index}]", point)
-        if self.rest is not None and self.rest.radius > min(plate.size) / 2:
-            raise ValueError(f"focus.rest.radius: {self.rest.radius:g} m is above half of a side of the plate")
-        self.check_numbers(self.samples, actuators, "time")
 
     def check_numbers(self, samples: int, actuators: int, key: str) -> None:
         """Raise ValueError, naming a key, if waveforms of so many samples are too many."""

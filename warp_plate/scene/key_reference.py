@@ -65,8 +65,8 @@ def table_references() -> list[TableReference]:
 
 
 def _definition(schema: dict[str, Any], name: str) -> dict[str, Any]:
-    found: dict[str, Any] = schema if name == Scene.__name__ else schema["$defs"][name]
-    return found
+    definition: dict[str, Any] = schema if name == Scene.__name__ else schema["$defs"][name]
+    return definition
 
 
 def _collect(schema: dict[str, Any], path: str, name: str, repeated: bool, headings: dict[str, list[str]]) -> None:
@@ -74,14 +74,16 @@ def _collect(schema: dict[str, Any], path: str, name: str, repeated: bool, headi
     headings.setdefault(name, []).append(f"[[{path}]]" if repeated else f"[{path}]" if path else "Top level")
     for key, field in _definition(schema, name)["properties"].items():
         inner = [field, field.get("items", {}), *field.get("anyOf", [])]
-        for table in (each["$ref"].rpartition("/")[2] for each in inner if "$ref" in each):
+        for table in (entry["$ref"].rpartition("/")[2] for entry in inner if "$ref" in entry):
             _collect(schema, f"{path}.{key}".strip("."), table, "items" in field, headings)
 
 
 def _subclasses(model: type[Table]) -> dict[str, type[Table]]:
     """Return a model and all its subclasses by their names."""
-    below = [_subclasses(each) for each in model.__subclasses__()]
-    return {model.__name__: model} | {name: each for found in below for name, each in found.items()}
+    models = {model.__name__: model}
+    for subclass in model.__subclasses__():
+        models |= _subclasses(subclass)
+    return models
 
 
 def _reference(model: type[Table], headings: tuple[str, ...], definition: dict[str, Any]) -> TableReference:
@@ -113,7 +115,7 @@ def _type(field: dict[str, Any]) -> str:
         return ", ".join(f"`{toml_text(value)}`" for value in field.get("enum", [field.get("const")]))
     if "anyOf" in field or "oneOf" in field:
         options = field.get("anyOf") or field.get("oneOf", [])
-        return " or ".join(_type(each) for each in options if each.get("type") != "null")
+        return " or ".join(_type(option) for option in options if option.get("type") != "null")
     if "$ref" in field:
         return "table"
     if "prefixItems" in field:
@@ -128,9 +130,9 @@ def _type(field: dict[str, Any]) -> str:
 
 def _range(annotation: Any, metadata: Sequence[Any] = ()) -> str:
     """Return the limits of the numbers of an annotation, or of the first type in it that has any."""
-    for each in (annotation, *get_args(annotation)):
-        metadata = [*metadata, *getattr(each, "metadata", []), *getattr(each, "__metadata__", [])]
-    flat = [inner for each in metadata for inner in getattr(each, "metadata", [each])]
-    found = [(sign, getattr(each, name)) for each in flat for name, sign in BOUNDS.items() if hasattr(each, name)]
-    text = ", ".join(dict.fromkeys(f"{sign} {value:g}" for sign, value in found if abs(value) < LARGEST))
-    return text or next((inner for each in get_args(annotation) if (inner := _range(each))), "")
+    for part in (annotation, *get_args(annotation)):
+        metadata = [*metadata, *getattr(part, "metadata", []), *getattr(part, "__metadata__", [])]
+    flat = [inner for item in metadata for inner in getattr(item, "metadata", [item])]
+    limits = [(sign, getattr(item, name)) for item in flat for name, sign in BOUNDS.items() if hasattr(item, name)]
+    text = ", ".join(dict.fromkeys(f"{sign} {value:g}" for sign, value in limits if abs(value) < LARGEST))
+    return text or next((inner for part in get_args(annotation) if (inner := _range(part))), "")

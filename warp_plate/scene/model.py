@@ -1,4 +1,4 @@
-"""The scene: a pydantic model for each table of the scene file, with the checks that need no grid."""
+"""The scene: its tables, checked, how it is read and written, and what follows from them."""
 
 from __future__ import annotations
 
@@ -80,13 +80,12 @@ class Scene(SceneTables):
             frequencies.append(drive.chirp.end_frequency if drive.chirp else 0.0)
             highest = max(frequencies) * (2 if drive.electrostatic else 1)  # a squared voltage has twice the frequency
             speed = math.sqrt(plate.rigidity / (plate.density * plate.thickness))
-            grid = grid_by_waves(plate.size, math.sqrt(2 * math.pi * speed / highest))
-            self.__dict__["grid"] = grid  # the model is frozen, and the table counts as not written
+            self._derive("grid", grid_by_waves(plate.size, math.sqrt(2 * math.pi * speed / highest)))
         return self
 
     @property
     def gridded_by_waves(self) -> bool:
-        """True if the scene has no ``[grid]``, and no accuracy could be kept because it is not linear."""
+        """True if the scene has no ``[grid]``, and no accuracy could be held because it is not linear."""
         return "grid" not in self.model_fields_set and not self.linear
 
     @model_validator(mode="after")
@@ -132,8 +131,8 @@ class Scene(SceneTables):
         # A grid with an accuracy must have no other keys; a grid that was not written stays unwritten.
         grid = {"grid": self.grid} if self.grid.accuracy is not None else {}
         unwritten = {"grid"} - self.model_fields_set
-        kept = {key: table for key, table in {**self.model_dump(), **grid}.items() if key not in unwritten}
-        return Scene.from_tables({**kept, **tables}).in_folder(self._folder)
+        present = {key: table for key, table in {**self.model_dump(), **grid}.items() if key not in unwritten}
+        return Scene.from_tables({**present, **tables}).in_folder(self._folder)
 
     def with_accuracy(self, accuracy: float) -> Scene:
         """Return the scene with an accuracy in place of its grid, or raise a SceneError if it is out of range."""
