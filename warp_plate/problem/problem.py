@@ -106,6 +106,11 @@ class Problem:
         return replace(self, scenario_losses=None, projected=projected)
 
     @property
+    def by_matrices(self) -> Problem:
+        """The same search with energies from its Gram matrices instead of simulated plates."""
+        return replace(self, evaluator_name="response", plates=replace(self.plates, direct=False))
+
+    @property
     def node_steps(self) -> int:
         """Node-steps of all plates so far."""
         return sum(cost[1] for cost in self._setup_costs) + sum(one.node_steps for one in self._evaluators)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -100,7 +99,7 @@ def _prepare(
     problem = make_problem(resolved, pool=pool)
     prepared = time.perf_counter() - started - problem.compile_seconds
     if evaluator is None and problem.evaluator_name == "direct" and problem.response is not None:
-        problem = replace(problem, evaluator_name="response")
+        problem = problem.by_matrices
     if not problem.space.dimension:
         raise SceneError("actuators: a single one leaves nothing to search, so there is nothing to compare")
     return problem, prepared

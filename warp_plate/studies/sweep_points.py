@@ -87,7 +87,7 @@ def _localization_quantities(scene: Scene, settings: Settings) -> Values:
         resolved = replace(resolved, evaluator=None)
     problem = make_problem(resolved)
     if problem.response is not None and scene.search.robust is None:
-        problem = replace(problem, evaluator_name="response")
+        problem = problem.by_matrices
     phasors = np.array(list(reference_phasors(problem.scene, problem.plates.energies_of_phasors).values()))
     equal, single = localization_factor(problem.plates.energies_of_phasors(phasors)).tolist()
     if not np.isfinite([equal, single]).any() and (fault := problem.drive_solver.run(phasors[:1]).fault(0)) != "ok":
