@@ -18,10 +18,8 @@ from warp_plate.kernels.cuda import LANES, any_lane, cuda_kernel, make_from_lane
 from warp_plate.kernels.effects import make_add_local_forces, make_membrane_tension
 from warp_plate.kernels.moment_form import make_moment
 from warp_plate.kernels.temporal_blocking import COLUMNS, REACH, ROUND, make_row_access, strips
+from warp_plate.kernels.temporal_blocking_wide import WARPS
 from warp_plate.kernels.update import make_material, make_parameters, make_state, make_update
-
-# Warps that share a multiprocessor.
-WARPS = {wp.float32: 12, wp.float64: 8}
 
 
 def margin_of(effects, levels):

@@ -21,7 +21,7 @@ from warp_plate.kernels.update import make_parameters, make_state, make_update
 
 # Rows below the newest one that a level moves, and rows of a round, in which each window turns once.
 REACH, ROUND = 4, 4
-# Warps that share a multiprocessor.
+# Warps that share a multiprocessor, also in the moment form.
 WARPS = {wp.float32: 12, wp.float64: 8}
 
 

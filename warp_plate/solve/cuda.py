@@ -21,16 +21,14 @@ from warp_plate.solve.streaming import Launcher, several_steps_a_launch, split_a
 
 # Threads per block where each warp has its own plate.
 LANES_BLOCK = 32
-# From 2 to FEW_PLATES per multiprocessor the speed of a plate counts, and the compiler may use FEW_REGISTERS if at most
-# FEW_LOADED_ROWS rows are loaded; beyond, what counts is how many plates run side by side.
+# 2 to FEW_PLATES plates per multiprocessor: optimise latency, with FEW_REGISTERS if at most FEW_LOADED_ROWS rows are
+# loaded; more: occupancy.
 FEW_PLATES, FEW_REGISTERS, FEW_LOADED_ROWS = 12, 160, 16
 # Temporal blocking: steps per launch by order and precision, and threads per block, whose warps are independent.
 LEVELS = {(2, wp.float32): 5, (2, wp.float64): 2, (4, wp.float32): 2, (4, wp.float64): 1}
 STREAMING_BLOCK = 128
 # Fewest rows of a tile, which must pay for its margins.
 FEWEST_TILE_ROWS = 4
-
-
 # Tiles of few large plates: steps per launch by order, and the longest step that is faster so.
 TILE_LEVELS, MOST_LATENCY = {2: 8, 4: 3}, 72
 
@@ -88,8 +86,8 @@ def _lanes_path(specialized: Specialized) -> Advance:
         few = compiled(FEW_REGISTERS)
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
-        each = -(-plates // specialized.device.sm_count)
-        (fewest if each <= 1 else few if each <= FEW_PLATES else many)(state, plates, start, stop)
+        share = -(-plates // specialized.device.sm_count)  # plates per multiprocessor
+        (fewest if share <= 1 else few if share <= FEW_PLATES else many)(state, plates, start, stop)
 
     return advance
 
@@ -186,8 +184,8 @@ def streaming_path(specialized: Specialized) -> Advance:
 
     @cache
     def tiled(plates: int) -> Advance | None:
-        found = plan_tiles(specialized, plates)
-        return found and _blocks_path(specialized, *found, TILE_LEVELS[specialized.scheme.order])
+        tiles = plan_tiles(specialized, plates)
+        return tiles and _blocks_path(specialized, *tiles, TILE_LEVELS[specialized.scheme.order])
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
         ((None if state.nodes.shape[0] else tiled(plates)) or blocking)(state, plates, start, stop)

@@ -23,8 +23,8 @@ from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import Advance, State, attached_masses
 from warp_plate.solve.streaming import Launcher, loaded_ahead, several_steps_a_launch, step_by_step
 
-# Temporal blocking: threads per block, and rows of a tile that adds up sums.
-BLOCKING_BLOCK, SUMMED_ROWS = 128, 64
+# Temporal blocking: rows of a tile that adds up sums.
+SUMMED_ROWS = 64
 
 
 def make_material(specialized: Specialized) -> Any:
@@ -135,7 +135,7 @@ def _blocking_path(specialized: Specialized) -> Advance:
         for levels in (1, most_levels)
         for summed in (False, True)
     }
-    specialized.load(*kernels.values(), block_dim=BLOCKING_BLOCK)
+    specialized.load(*kernels.values(), block_dim=cuda.STREAMING_BLOCK)
     material = make_material(specialized)
     planes = np.stack([_material_plane(material, name) for name in names])
     constants = {levels: [material, *_planes_of_lanes(specialized, planes, levels)] for levels in (1, most_levels)}
@@ -162,7 +162,7 @@ def _blocking_path(specialized: Specialized) -> Advance:
             inputs=[*constants[levels], clock, offset, tiles, -(-ny // tiles), state.drive, state.fields, sums[0]],
             outputs=[state.next_fields, sums[1]],
             device=specialized.device,
-            block_dim=BLOCKING_BLOCK,
+            block_dim=cuda.STREAMING_BLOCK,
         )
 
     steps = several_steps_a_launch(specialized, most_levels, launch_tiles)

@@ -91,8 +91,8 @@ def largest_ratio(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     size = np.sqrt(np.where(diagonal > 0, diagonal, 1))
     values, vectors = np.linalg.eigh(plate / (size[..., :, None] * size[..., None, :]))
     largest = values[..., -1:]
-    kept = (values > RANK_TOLERANCE * largest) & (largest > 0)
-    basis = vectors * np.where(kept, 1 / np.sqrt(np.where(kept, values, 1)), 0)[..., None, :] / size[..., :, None]
+    nonzero = (values > RANK_TOLERANCE * largest) & (largest > 0)
+    basis = vectors * np.where(nonzero, 1 / np.sqrt(np.where(nonzero, values, 1)), 0)[..., None, :] / size[..., :, None]
     ratios, directions = np.linalg.eigh(basis.mT @ target @ basis)
     best = (basis @ directions[..., -1:])[..., 0]
-    return np.where(kept.any(axis=-1), ratios[..., -1], np.nan), best
+    return np.where(nonzero.any(axis=-1), ratios[..., -1], np.nan), best
