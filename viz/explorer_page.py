@@ -259,7 +259,7 @@ def _within(on_change: Callable[[float], object], ends: tuple[float, float], val
 
 
 def _is_not_of_a_connection(record: logging.LogRecord) -> bool:
-    """Return whether a log record reports anything but a browser that disconnected, or too many connections."""
+    """Filter out log records of disconnected browsers and of too many connections."""
     error = record.exc_info[1] if record.exc_info else sys.exc_info()[1]
     too_many = isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE)
     return not (isinstance(error, ConnectionError) or too_many)
@@ -306,7 +306,7 @@ def _key_in(address: str) -> str:
 
 
 def _is_address(name: str) -> bool:
-    """Return whether a host is a number, to which no other site can lead a browser by a name of its own."""
+    """Return whether a host is an IP address, which no other site's name can stand for."""
     try:
         ipaddress.ip_address(name)
     except ValueError:
@@ -315,7 +315,7 @@ def _is_address(name: str) -> bool:
 
 
 def _drop_if_idle(request: web.Request) -> None:
-    """End a connection through which nothing can be sent any more; others would wait for it (Linux only)."""
+    """Drop a connection that accepts no data, so that others need not wait for it (Linux only)."""
     connection = request.get_extra_info("socket")
     if connection is not None and hasattr(socket, "TCP_USER_TIMEOUT"):
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, PATIENCE)

@@ -134,7 +134,7 @@ def test_command(command, write_scene, random):
     assert fitted == stiff_panel(free=MODULI).replace("plate.young_modulus", parameter["value"])
     free = "fit.free.plate.density=[500, 2000]"
     out = output_of(command("fit", "panel.toml", "--data", "data.csv", "--set", free))
-    assert "plate.young_modulus and plate.density: cannot be told apart" in " ".join(out.split())
+    assert "plate.young_modulus and plate.density: cannot be distinguished" in " ".join(out.split())
     Path("mine.toml").write_text("mine = 1", encoding="utf-8")
     assert "--force" in error_of(command("fit", "panel.toml", "--data", "data.csv", "--out", "mine.toml"))
     assert "no.csv: no such file" in error_of(command("fit", "panel.toml", "--data", "no.csv"))

@@ -58,7 +58,7 @@ def draw_plan(
             caption = frame_caption(motion, frame, scene)
             draw_field(axes, scene, values[frame % len(values)], scale)
             _draw_outlines(axes, motion.scene or scene)
-            # A field without time dependence belongs to no moment.
+            # Captions of constant fields have no time.
             time = r"\n\1" if len(values) > 1 else ""
             axes.set_title(re.sub(", (t = .*)", time, caption), fontsize=8, pad=6)
             _label_sides(axes, scene, index + columns >= len(motions), index % columns == 0)
@@ -161,7 +161,7 @@ def _draw_outlines(axes: Axes, scene: Scene) -> None:
 
 
 def _label_sides(axes: Axes, scene: Scene, bottom: bool = True, left: bool = True) -> None:
-    """Put round ticks on the lower and left side of a plate, in mm if it is small, and name these that are asked."""
+    """Put round ticks on the lower and left sides, in mm for small plates; name the axes as asked."""
     from matplotlib.ticker import MaxNLocator
 
     unit, factor = length_unit(scene.plate.size)

@@ -45,8 +45,8 @@ SMALLEST_DISTANCE = 1e-12  # from the bound; smaller ones are rounding errors
 def draw_history(result: Result, path: str | Path, loss: bool = False) -> None:
     """Plot localization factor or weighted sum of the objectives against the iteration, as the tables print them.
 
-    With several targets the history is that of the first. Lines are a claimed bound, the drives that need no search
-    and, for the preset "paper", the published factor. ``loss`` plots 1 − localization factor as the source paper does,
+    With several targets the history is that of the first. Horizontal lines show the bound, drives that need no search
+    and, for the preset "paper", the published factor. ``loss`` plots 1 − localization factor, as the source paper does,
     or the negative sum.
     """
     if not result.history:
@@ -68,7 +68,7 @@ def plot_history(axes: Axes, result: Result, loss: bool = False) -> None:
     iteration = np.arange(1, best.size + 1)
     marker = "." if best.size < 10 else None
     label = MEAN_LABELS.get(result.scene.search.method)
-    # Places that overlap have losses beyond all others, which leave a mean without meaning.
+    # Overlapping places have huge losses, which would dominate the mean.
     if "mean" in values and label is not None and result.scene.search.position is None:
         axes.plot(iteration, offset + sign * values["mean"], color="#9ecae1", linewidth=1.0, marker=marker, label=label)
     axes.plot(iteration, best, color="#08519c", linewidth=1.8, marker=marker, label=f"best so far: {_number(best[-1])}")
@@ -109,7 +109,7 @@ def _number(value: float) -> str:
 
 
 def _fit_limits(axes: Axes, values: Sequence[float]) -> None:
-    """Fit the axis to these values, so that a mean far below does not flatten them."""
+    """Fit the axis to these values; a mean far below may lie outside."""
     finite = np.array(values)[np.isfinite(values)]
     if finite.size and np.ptp(finite) > 0:
         margin = 0.06 * np.ptp(finite)
@@ -182,7 +182,7 @@ def _plot_cumulative(axes: Axes, compared: RobustComparison) -> None:
     fraction = np.arange(1, count + 1) / count
     for name, values, tail in zip(DRIVES, compared.validation, mean_of_worst(compared.validation), strict=True):
         colour = DRIVE_COLOURS[name]
-        # Plates that failed count as worse than all others, so the curve starts at their share.
+            # Failed plates count as worst, so the curve starts at their share.
         ordered = np.sort(np.where(np.isfinite(values), values, -np.inf))
         finite = np.isfinite(ordered)
         axes.step(ordered[finite], fraction[finite], where="post", color=colour, linewidth=1.4)

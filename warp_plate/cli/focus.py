@@ -54,8 +54,8 @@ def focus(
         File of focus with waveforms made for another panel, which are played on this one: shows how a finger or another
         damping changes the focus.
     rank
-        Method (time_reversal, one_bit, inverse_filter or optimum) for which to show what fewer actuators reach: the
-        one that is used least is left out, again and again.
+        Method (time_reversal, one_bit, inverse_filter or optimum) for which to rank the actuators: the least used one
+        is left out repeatedly, and the table shows what the others reach.
     out
         The .h5 file with waveforms, responses and fields (default: SCENE-focus.h5 in this folder).
     """

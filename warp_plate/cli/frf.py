@@ -148,7 +148,7 @@ def _range(text: str) -> tuple[float, float]:
 
 @contextmanager
 def _errors_of_range(text: str | None) -> Iterator[None]:
-    """Begin errors about the highest frequency with ``--range`` if it was given."""
+    """Prefix errors about the highest frequency with ``--range`` if it was given."""
     try:
         yield
     except SceneError as error:
@@ -232,4 +232,4 @@ def _print(name: str, scene: Scene, response: FrequencyResponse, console: Consol
 
 def _extremes(values: np.ndarray) -> str:
     finite = values[np.isfinite(values)]
-    return f"{finite.min():.4f} to {finite.max():.4f}" if finite.size else "none, for it moves nothing"
+    return f"{finite.min():.4f} to {finite.max():.4f}" if finite.size else "none (no motion)"

@@ -80,8 +80,8 @@ def localize(
 ) -> None:
     """Search for the drive that puts most of the plate's kinetic energy into the target.
 
-    Every actuator's magnitude and phase is searched. If only their ratios matter, the strongest actuator of the drive
-    found presses with the largest magnitude or force of the scene.
+    Every actuator's magnitude and phase is searched. If only their ratios matter, the result is scaled so that its
+    strongest actuator has the largest magnitude or force of the scene.
 
     [search.magnitude], [search.phase], [search.frequency], [search.position] and [search.delay] in the scene select
     what is searched (docs/searching.md), and method under [search] how (docs/methods.md).

@@ -173,10 +173,10 @@ def _remarks(fitted: ModeFit | ResponseFit) -> list[str]:
     """Return lines about properties that the data do not determine."""
     lines = []
     for group in fitted.inseparable:
-        fault = "cannot be told apart by these data; fix all but one" if len(group) > 1 else "has no influence here"
+        fault = "cannot be distinguished by these data; fix all but one" if len(group) > 1 else "has no influence here"
         lines.append(f"{' and '.join(group)}: {fault}")
     for group in fitted.mirrored:
-        lines.append(f"{' and '.join(group)}: may change places; give them different ranges, or measure off the middle")
+        lines.append(f"{' and '.join(group)}: interchangeable; give them different ranges, or measure off centre")
     for key, limited in zip(fitted.keys, fitted.at_limit, strict=True):
         if limited:
             lines.append(f"{key}: is at an end of its range, so its interval is not valid; widen the range")

@@ -107,7 +107,7 @@ def view(
     colours: options.ColourChoice = options.ColourChoice(),
     frames: FrameOptions = FrameOptions(),
 ) -> None:
-    """Show the plates of a result in motion, in a window; the key h lists what its keys do.
+    """Show the plates of a result in motion, in a window; press h for a list of keys.
 
     A result holds few displacements, so its scene is run again under its drives to make the frames.
     """

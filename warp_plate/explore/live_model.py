@@ -82,7 +82,7 @@ class LiveModel:
         self._worker.start()
 
     def read(self) -> DriveResponse:
-        """Return the plate under the settings, or as near to them as has been simulated."""
+        """Return the response to the settings, or to the latest ones that have been simulated."""
         self._follow_search()
         responses, phasors = self._responses, self.settings.phasors
         if isinstance(responses, UnitResponses) and (
@@ -92,7 +92,7 @@ class LiveModel:
         return self._reading
 
     def status(self) -> str:
-        """Return one line about work in progress, errors or hidden motion; mostly empty."""
+        """Return one line about work in progress, errors or hidden motion, or ""."""
         if self._problem:
             return self._problem
         if self._outdated(self.settings):
@@ -107,7 +107,7 @@ class LiveModel:
         return ""
 
     def swarm(self) -> SwarmSnapshot | None:
-        """Return the last iteration of the search, while its frequency and damping hold; None without one."""
+        """Return the latest iteration of the search; None without one, or after frequency or damping has changed."""
         return self._search.snapshot if self._search is not None else None
 
     def set_frequency(self, frequency: float) -> None:
