@@ -65,7 +65,7 @@ def caption(label: str, time: float, localization_factor: float, decimals: int |
     """Return two lines: the drive and the time [s], with so many decimals or four digits; the localization factor and
     the text of :func:`at_frequency`."""
     moment = f"{time:.4g}" if decimals is None else f"{time:.{decimals}f}"
-    return f"{label}, t = {moment} s\nlocalization factor {percent(localization_factor)}{tone}"
+    return f"{label}, t = {moment} s\nlocalization factor {in_percent(localization_factor)}{tone}"
 
 
 def at_frequency(scene: Scene, frequency: float) -> str:
@@ -86,8 +86,8 @@ def frame_caption(motion: Motion, frame: int, scene: Scene) -> str:
     return caption(label, float(motion.times[frame]), motion.localization_factor, decimals, tone)
 
 
-def percent(share: float, decimals: int = 2) -> str:
-    """Return a share in percent, or "not defined" for a plate at rest."""
+def in_percent(share: float, decimals: int = 2) -> str:
+    """Return a share in in_percent, or "not defined" for a plate at rest."""
     return f"{100 * share:.{decimals}f} %" if math.isfinite(share) else "not defined"
 
 

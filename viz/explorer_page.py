@@ -25,7 +25,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs, urlsplit
 
-from warp_plate.viz.annotations import percent
+from warp_plate.viz.annotations import in_percent
 from warp_plate.viz.explorer_view import ROW_WEIGHTS, ExplorerView, share_texts
 from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions
 from warp_plate.viz.pictures import make_plotter
@@ -35,11 +35,11 @@ if TYPE_CHECKING:
 
     from warp_plate.explore.live_model import LiveModel
 
-EXTRA = "pip install 'warp-plate[web]'"
+WEB_EXTRA = "pip install 'warp-plate[web]'"
 TITLE = "warp-plate explore"
 # Labels of the buttons by the choice of a drive.
-CHOICES = {"scene": "scene's own", "equal": "equal", "single": "best single"}
-CHOICES |= {"found": "best found", "exact": "exact best", "random": "random"}
+CHOICE_LABELS = {"scene": "scene's own", "equal": "equal", "single": "best single"}
+CHOICE_LABELS |= {"found": "best found", "exact": "exact best", "random": "random"}
 ITERATION_SECONDS = 0.1  # least duration of an iteration of the swarm, so that it can be watched
 # Initial size of the picture, and its font size for this size [pixels].
 SIZE, FONT_SIZE = (900, 800), 16
@@ -72,7 +72,7 @@ PAGE_NEEDS = "data: blob: 'unsafe-inline' 'unsafe-eval'"
 def missing_page() -> str | None:
     """Return a sentence on what is missing for the page, or None."""
     modules = ("trame", "trame_vtk", "trame_vuetify")
-    return None if all(map(importlib.util.find_spec, modules)) else f"the explorer's page needs trame: {EXTRA}"
+    return None if all(map(importlib.util.find_spec, modules)) else f"the explorer's page needs trame: {WEB_EXTRA}"
 
 
 def serve_page(
@@ -175,8 +175,8 @@ class ExplorerPage:
         state.frequency, state.damping = settings.frequency, settings.damping
         for index, (magnitude, phase) in enumerate(zip(settings.magnitude, settings.phase, strict=True)):
             state[f"magnitude_{index}"], state[f"phase_{index}"] = magnitude, phase
-        state.factor = percent(reading.localization_factor)
-        state.bound = "none" if reading.bound is None else percent(reading.bound)
+        state.factor = in_percent(reading.localization_factor)
+        state.bound = "none" if reading.bound is None else in_percent(reading.bound)
         state.energy = f"{reading.energy['plate']:.3g} J"
         state.shares = share_texts(reading)
         state.engine = "by modes, without time steps" if self.model.by_modes else "in time steps"
@@ -209,7 +209,7 @@ class ExplorerPage:
         model, ranges = self.model, self.model.ranges
         with html.Div(style="display: grid; grid-template-columns: 1fr 1fr 1fr; gap: 6px; margin-bottom: 8px"):
             style = {"size": "small", "style": "text-transform: none; letter-spacing: 0"}
-            for choice, label in CHOICES.items():
+            for choice, label in CHOICE_LABELS.items():
                 colour, click = (f"choice === '{choice}' ? 'primary' : undefined",), (self._choose, f"['{choice}']")
                 vuetify3.VBtn(label, id=f"choose-{choice}", color=colour, click=click, **style)
             vuetify3.VBtn("{{ playing ? 'pause' : 'play' }}", id="pause", click="playing = !playing", **style)
@@ -228,7 +228,7 @@ class ExplorerPage:
         self.model.set_actuator(index, **{key: value})
 
     def _choose(self, choice: str) -> None:
-        if choice not in CHOICES:
+        if choice not in CHOICE_LABELS:
             return
         self.server.state.choice = choice
         self.model.choose(choice, ITERATION_SECONDS)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_plate.result.motion import QUADRANTS, DriveResponse, SwarmSnapshot
-from warp_plate.viz.annotations import add_text, percent, style_text
+from warp_plate.viz.annotations import add_text, in_percent, style_text
 from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions, DrawingScale, drawing_scale
 from warp_plate.viz.scene3d import PlateActors
 
@@ -29,7 +29,7 @@ HINT = (
     "relative to the first actuator's, Z₁. The plate is that of the best."
 )
 # Colours of the particles' drives, by actuator.
-COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#9467bd", "#8c564b", "#e377c2")
+PARTICLE_COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#9467bd", "#8c564b", "#e377c2")
 # Half-widths of the complex plane; steps, so that the picture rests while the swarm shrinks.
 REACHES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 
@@ -74,8 +74,8 @@ class ExplorerView:
     def _caption(self) -> str:
         """Return a text without the time, as changing texts take longer to draw than the plate."""
         reading, frequency = self._reading, self._reading.scene.drive.frequency
-        bound = "" if reading.bound is None else f", bound {percent(reading.bound)}"
-        factor = f"localization factor {percent(reading.localization_factor)}{bound}"
+        bound = "" if reading.bound is None else f", bound {in_percent(reading.bound)}"
+        factor = f"localization factor {in_percent(reading.localization_factor)}{bound}"
         return f"{frequency:.4g} Hz, shown {frequency * PERIOD:.3g} times slower\n{factor}"
 
 
@@ -92,7 +92,7 @@ class SearchCharts:
         self._bound = self.history.line([0, 1], [0, 0], color="#b2182b", width=1.5, style="--", label="bound")
         self._best = self.history.line([0], [0], color="#08519c", width=2.5, label="best so far")
         self._factors = self.history.scatter([0], [0], color="#6baed6", size=5, style="o", label="particles now")
-        others = list(zip(actuators[1:], COLOURS * len(actuators), strict=False))
+        others = list(zip(actuators[1:], PARTICLE_COLOURS * len(actuators), strict=False))
         scatter = partial(self.plane.scatter, [0], [0])
         self._particles = [scatter(color=colour, size=5, style="o", label=name) for name, colour in others]
         self._marks = [scatter(color=colour, size=14, style="x") for _, colour in others]
@@ -142,7 +142,7 @@ class SearchCharts:
 def share_texts(reading: DriveResponse) -> dict[str, str]:
     """Return the quadrants' shares of the kinetic energy in percent."""
     shares = {name: reading.share(name) for name in QUADRANTS}
-    return {name: percent(share, 1) if math.isfinite(share) else "—" for name, share in shares.items()}
+    return {name: in_percent(share, 1) if math.isfinite(share) else "—" for name, share in shares.items()}
 
 
 def _fitting_scale(reading: DriveResponse, before: DrawingScale | None, colours: ColourOptions) -> DrawingScale:

@@ -21,9 +21,9 @@ from warp_plate.viz.annotations import (
     at_frequency,
     caption,
     case_label,
+    in_percent,
     name_actuators,
     ordered_cases,
-    percent,
 )
 from warp_plate.viz.availability import missing_plots, missing_renderer, prepare
 from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions, drawing_scale
@@ -36,9 +36,9 @@ from warp_plate.viz.styles import EDGE_STYLES, edges_by_kind, size_text
 # Most plates in a row; of more recorded times, some are left out evenly.
 MOST_COLUMNS = 6
 # In pixels.
-FONT_SIZE, ROW_HEIGHT, LEGEND_WIDTH = 20, 480, 180
+FONT_SIZE, ROW_HEIGHT, KEY_WIDTH = 20, 480, 180
 # Headings and rows.
-Table = tuple[Sequence[str], Sequence[Sequence[str]]]
+TextTable = tuple[Sequence[str], Sequence[Sequence[str]]]
 
 
 def draw_all(
@@ -87,10 +87,10 @@ def draw_surfaces(result: Result, path: str | Path, colours: ColourOptions = DEF
     cases, scene = ordered_cases(result), result.scene
     times = result.times.size
     shown = np.linspace(0, times - 1, min(times, MOST_COLUMNS)).round().astype(int).tolist()
-    width = min(730, max(520, (1600 - LEGEND_WIDTH) // len(shown)))
-    size = (width * len(shown) + LEGEND_WIDTH, ROW_HEIGHT * len(cases))
+    width = min(730, max(520, (1600 - KEY_WIDTH) // len(shown)))
+    size = (width * len(shown) + KEY_WIDTH, ROW_HEIGHT * len(cases))
     font_size = round(SUPERSAMPLING * FONT_SIZE)
-    weights = [width] * len(shown) + [LEGEND_WIDTH]
+    weights = [width] * len(shown) + [KEY_WIDTH]
     with off_screen_plotter(size, shape=(len(cases), len(shown) + 1), col_weights=weights) as (plotter, take_picture):
         for row, (name, case) in enumerate(cases.items()):
             letter = f"({chr(ord('a') + row)}) " if len(cases) > 1 else ""
@@ -130,11 +130,12 @@ def result_html(result: Result) -> str:
     scene = result.scene
     cases = ordered_cases(result).items()
     rows = [
-        (case_label(name, scene, only_actuator(case, scene)), percent(case.localization_factor)) for name, case in cases
+        (case_label(name, scene, only_actuator(case, scene)), in_percent(case.localization_factor))
+        for name, case in cases
     ]
     if result.bound is not None:
         target = f", target {scene.targets[0].name}" if result.target_searches else ""
-        rows.append((BOUND_DESCRIPTIONS[result.bound_kind] + target, percent(result.bound)))
+        rows.append((BOUND_DESCRIPTIONS[result.bound_kind] + target, in_percent(result.bound)))
     name, case = result.main_name, result.main_case
     label = case_label(name, scene)
     heading, amplitudes = amplitude_column(scene, case.magnitude, ".4f")
@@ -177,7 +178,7 @@ def _picture(draw: Callable[[Path], object], problem: str | None) -> bytes | str
         return f"no picture: {error}"
 
 
-def _html(title: str, tables: Sequence[Table], notes: Sequence[str], picture: bytes | str, alt: str) -> str:
+def _html(title: str, tables: Sequence[TextTable], notes: Sequence[str], picture: bytes | str, alt: str) -> str:
     root = Element("div")
     SubElement(root, "strong").text = title
     columns = SubElement(root, "div", {"style": "display: flex; flex-wrap: wrap; gap: 2em; align-items: flex-start"})

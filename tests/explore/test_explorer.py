@@ -141,7 +141,7 @@ def test_choices_are_what_localize_means_by_them(explored_panel, model):
         assert all(0 <= phase < 2 * math.pi for phase in model.settings.phase)
     with pytest.raises(ValueError, match="'best': there are: scene, equal"):
         model.choose("best")
-    assert tuple(explorer_page.CHOICES) == CHOICES
+    assert tuple(explorer_page.CHOICE_LABELS) == CHOICES
 
 
 def test_one_actuator_and_damping_where_the_scene_has_none(scene, live):

@@ -21,7 +21,7 @@ from warp_plate.viz.plots.frame import figure, number_log_axis
 from warp_plate.viz.plots.frequency_response import draw_frequency_response
 from warp_plate.viz.plots.plan import draw_crosstalk
 from warp_plate.viz.plots.search import curve_labels, draw_comparison, draw_history, draw_spectrum
-from warp_plate.viz.plots.sweep import COLOURS, REFUSED_COLOUR, cell_edges, draw_sweep
+from warp_plate.viz.plots.sweep import LINE_COLOURS, REFUSED_GREY, cell_edges, draw_sweep
 from warp_plate.viz.styles import GRID, INK
 
 figures = pytest.importorskip("matplotlib.figure", reason="Matplotlib is not installed: pip install 'warp-plate[viz]'")
@@ -215,7 +215,7 @@ def test_sweeps_of_all_shapes(drawn, tmp_path, what, vary, samples):
     figure, _ = drawn(draw_sweep, random_sweep(vary, what, samples))
     picture = pixels(tmp_path / "plot.png")
     assert min(picture.shape[:2]) > 300
-    assert count(picture, REFUSED_COLOUR if samples is None else "#8a8a8a") > 100
+    assert count(picture, REFUSED_GREY if samples is None else "#8a8a8a") > 100
     if (what, vary) == ("modes", PAIR):
         draw_sweep(random_sweep(vary, what, samples), tmp_path / "grey.png", "gray")
         assert np.ptp(pixels(tmp_path / "grey.png"), axis=2).max() < 12 < np.ptp(picture, axis=2).max()
@@ -233,7 +233,7 @@ def test_coinciding_curves_can_all_be_seen(tmp_path, samples):
     draw_sweep(replace(sweep, status=np.ones_like(sweep.status)), tmp_path / "a.png")
     picture = pixels(tmp_path / "a.png")
     legend = picture[:150] if samples is None else picture[:, -350:]
-    assert all(count(picture, colour) > count(legend, colour) + 40 for colour in COLOURS[:4])
+    assert all(count(picture, colour) > count(legend, colour) + 40 for colour in LINE_COLOURS[:4])
 
 
 def test_cell_edges_lie_halfway_between_values():

@@ -22,7 +22,7 @@ OTHER = ("#762a83", "v")
 # Families whose grids are written beside their marks.
 NUMBERED = ((2, "overlap"), (4, "moments"), (7, "modal"))
 FRONT_COLOUR, TOLERANCE_COLOUR, REFUSED_COLOUR = "#a6d9a0", "#b0b0b0", "#b2182b"
-TOLERANCES = (0.1, 0.03, 0.01, 0.003, 0.001)
+DRAWN_TOLERANCES = (0.1, 0.03, 0.01, 0.003, 0.001)
 REFUSED_HEIGHT = 2.2  # of the marks of refused configurations over the largest error
 
 Row = Mapping[str, Any]
@@ -110,7 +110,7 @@ def _annotate(axes: Axes, record: Mapping[str, Any], rows: Sequence[Row]) -> Non
     from matplotlib.ticker import NullFormatter
 
     smallest = min(row["error"] for row in rows)
-    for tolerance in TOLERANCES:
+    for tolerance in DRAWN_TOLERANCES:
         if tolerance > smallest:
             axes.axhline(tolerance, color=TOLERANCE_COLOUR, linewidth=0.5, zorder=0)
             place = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points", "va": "center"}

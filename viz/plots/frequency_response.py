@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 # Colours of responses, which repeat; the dashes of curves that cover earlier ones to the relative distance COVERED;
 # most curves in colour and in the legend: the largest ones, the others are grey.
-COLOURS = ("#08519c", "#d94801", "#1b7837", "#762a83", "#8c6d31", "#c51b7d", "#4d4d4d", "#3288bd")
+CURVE_COLOURS = ("#08519c", "#d94801", "#1b7837", "#762a83", "#8c6d31", "#c51b7d", "#4d4d4d", "#3288bd")
 DASHES, COVERED = ("-", (0, (4, 4)), (0, (2, 6)), (0, (1, 7))), 0.1
 MOST_COLOURED = 5
 FACTOR, BOUND, MARK = "#08519c", "#b2182b", "#b2182b"
@@ -109,8 +109,8 @@ def _plot(axes: Axes, x: np.ndarray, curves: np.ndarray, labels: list[str]) -> d
     looks: dict[int, dict[str, Any]] = {}
     for rank, index in enumerate(chosen):
         covered = sum(np.allclose(curves[index], curves[earlier], rtol=COVERED, atol=0) for earlier in chosen[:rank])
-        dashes = DASHES[min(covered + index // len(COLOURS), len(DASHES) - 1)]
-        looks[index] = {"color": COLOURS[index % len(COLOURS)], "linestyle": dashes, "linewidth": 1.0}
+        dashes = DASHES[min(covered + index // len(CURVE_COLOURS), len(DASHES) - 1)]
+        looks[index] = {"color": CURVE_COLOURS[index % len(CURVE_COLOURS)], "linestyle": dashes, "linewidth": 1.0}
         axes.plot(x, curves[index], label=labels[index], **looks[index])
     return looks
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 # Longer side of a plate [inch]; most plates in a row.
 CMAP, LENGTH, MOST_COLUMNS = "RdBu_r", 1.9, 6
 # Relative to the largest displacement: rounding errors, and the height of spots of the other sign without a meaning.
-ROUNDING, FLAT = 1e-9, 3e-3
+NOISE, FLAT = 1e-9, 3e-3
 FINE = 120  # least cells along the longer side of the spline whose contours are nodal lines
 
 
@@ -98,7 +98,7 @@ def refined(scene: Scene, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
     nodes, refine = shape.shape[::-1], _refinement(shape.shape)
     x, y = map(np.linspace, (0, 0), scene.plate.size, nodes)
     # Rounding errors on a nodal line along grid nodes would make the contour jump from side to side.
-    clean = np.where(np.abs(shape) < ROUNDING, 0.0, shape)
+    clean = np.where(np.abs(shape) < NOISE, 0.0, shape)
     if refine == 1:
         return x, y, clean
     from scipy.interpolate import RectBivariateSpline
@@ -120,7 +120,7 @@ def nodal_field(scene: Scene, fine: np.ndarray, shape: tuple[int, ...]) -> np.nd
     from scipy.ndimage import label, maximum
 
     refine = _refinement(shape)
-    field = np.where(np.abs(fine) < ROUNDING, 0.0, fine)
+    field = np.where(np.abs(fine) < NOISE, 0.0, fine)
     for sign in (1, -1):
         spots, count = label(sign * field > 0)
         heights = maximum(sign * field, spots, range(1, count + 1))

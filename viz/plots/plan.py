@@ -39,7 +39,7 @@ NAME_SIZE = 6
 LAYER, OSCILLATOR = "#8c6bb1", "#e6820e"
 # All lengths in inches: cell of the table, longer side of a plate, note below the plates, letter, line of text.
 CELL, PLATE, NOTE, LETTER, LINE = (0.9, 0.42), 1.9, (3.0, 0.4), 0.07, 0.13
-PLATES_PER_ROW = 4
+CROSSTALK_COLUMNS = 4
 
 
 def draw_plan(
@@ -191,7 +191,7 @@ def draw_crosstalk(result: Result, path: str | Path, colours: ColourOptions = DE
     own."""
     cases = target_cases(result.scene)
     drawn = {target: case for target, case in cases.items() if case in result.cases and result.times.size}
-    rows, columns = math.ceil(len(drawn) / PLATES_PER_ROW), min(len(drawn), PLATES_PER_ROW)
+    rows, columns = math.ceil(len(drawn) / CROSSTALK_COLUMNS), min(len(drawn), CROSSTALK_COLUMNS)
     width, height = drawn_size(result.scene, PLATE)
     total_width = max(CELL[0] * len(cases) + 1.5, columns * (width + 0.2), NOTE[0])
     names = [_wrapped(printable(name), CELL[0]) for name in cases]

@@ -36,8 +36,8 @@ CASE_LINES = {
 CURVES = {"best": ("#08519c", 1.6), "single": ("#6baed6", 1.1), "equal": ("#8a8a8a", 1.1)}
 DRIVE_COLOURS = {"robust": "#08519c", "nominal": "#d94801"}
 BINS = 24
-COLOURS = {"pso": "#4d4d4d", "constriction": "#d95f02", "ring": "#1b7837"}
-COLOURS |= {"cma": "#762a83", "gradient": "#08519c", "exact": "#b2182b"}
+METHOD_COLOURS = {"pso": "#4d4d4d", "constriction": "#d95f02", "ring": "#1b7837"}
+METHOD_COLOURS |= {"cma": "#762a83", "gradient": "#08519c", "exact": "#b2182b"}
 BOUND_LABELS = {"attained": "bound of these searches", "bound only": "upper bound (may be out of reach)"}
 SMALLEST_DISTANCE = 1e-12  # from the bound; smaller ones are rounding errors
 
@@ -182,7 +182,7 @@ def _plot_cumulative(axes: Axes, compared: RobustComparison) -> None:
     fraction = np.arange(1, count + 1) / count
     for name, values, tail in zip(DRIVES, compared.validation, mean_of_worst(compared.validation), strict=True):
         colour = DRIVE_COLOURS[name]
-            # Failed plates count as worst, so the curve starts at their share.
+        # Failed plates count as worst, so the curve starts at their share.
         ordered = np.sort(np.where(np.isfinite(values), values, -np.inf))
         finite = np.isfinite(ordered)
         axes.step(ordered[finite], fraction[finite], where="post", color=colour, linewidth=1.4)
@@ -257,7 +257,7 @@ def _plot_losses(column: Sequence[Axes], comparison: MethodComparison, clock: st
 
 
 def _plot_method(axes: Axes, method: str, clocks: np.ndarray, values: np.ndarray) -> None:
-    colour = COLOURS.get(method, "#666666")
+    colour = METHOD_COLOURS.get(method, "#666666")
     axes.fill_between(clocks, values[0], values[2], step="post", color=colour, alpha=0.13, linewidth=0)
     marker = {"marker": "D", "markevery": [0], "markersize": 4} if method == "exact" else {}
     axes.plot(clocks, values[1], drawstyle="steps-post", color=colour, linewidth=1.4, label=method, **marker)

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
-COLOURS = ("#08519c", "#b2182b", "#6baed6", "#8a8a8a", "#1b7837", "#762a83", "#d95f02", "#4d4d4d")
-REFUSED_COLOUR, CMAP = "#d9d9d9", "viridis"
+LINE_COLOURS = ("#08519c", "#b2182b", "#6baed6", "#8a8a8a", "#1b7837", "#762a83", "#d95f02", "#4d4d4d")
+REFUSED_GREY, CMAP = "#d9d9d9", "viridis"
 # Most modes with a line or map of their own; most small maps, of which some are left out evenly; contour lines.
 MOST_MODES, MOST_MAPS, CONTOURS = 8, 20, 8
 # Values whose relative range is smaller are the same.
@@ -96,10 +96,10 @@ def _draw_lines(figure: Figure, sweep: Sweep) -> None:
             # Every other line is dashed and on top, so that both of two coinciding neighbours can be seen.
             dashed = {"linewidth": 1.6, "zorder": 3.5 - 0.1 * rank, "linestyle": (0, (3, 2))}
             style = dashed if rank % 2 else {"linewidth": 2.2 if rank else 1.2, "zorder": 3 - 0.1 * rank}
-            colour, marker = COLOURS[rank % len(COLOURS)], "." if len(x) <= 30 else None
+            colour, marker = LINE_COLOURS[rank % len(LINE_COLOURS)], "." if len(x) <= 30 else None
             axes.plot(x, values[order], label=name, color=colour, marker=marker, **style)
         for index in np.flatnonzero(refused):
-            axes.axvspan(edges[index], edges[index + 1], color=REFUSED_COLOUR, linewidth=0, zorder=0)
+            axes.axvspan(edges[index], edges[index + 1], color=REFUSED_GREY, linewidth=0, zorder=0)
         _set_axis(axes.yaxis, label, unit)
         axes.set_xscale("log" if logarithmic else "linear")
         if len(lines) > 1:
@@ -160,7 +160,7 @@ def _draw_points(figure: Figure, sweep: Sweep) -> str:
         for axes, x, logarithmic in zip(row, map(positions, plan.coordinates), plan.logarithmic, strict=True):
             for rank, (name, values) in enumerate(zip(names, lines.values(), strict=True)):
                 marker, size = MARKERS[rank]
-                style = {"marker": marker, "markersize": size * shrink, "color": COLOURS[rank], "linestyle": ""}
+                style = {"marker": marker, "markersize": size * shrink, "color": LINE_COLOURS[rank], "linestyle": ""}
                 axes.plot(x, values, label=name, fillstyle="none" if rank else "full", markeredgewidth=0.8, **style)
             # Refused points have no value: ticks at the lower edge.
             axes.plot(x[refused], np.zeros(refused.sum()), "|", color="#8a8a8a", transform=axes.get_xaxis_transform())
@@ -192,7 +192,7 @@ def _draw_map(axes: Axes, sweep: Sweep, field: np.ndarray, keys: tuple[int, int]
 
     x, y = (positions(sweep.plan.coordinates[key]) for key in keys)
     log_x, log_y = (sweep.plan.logarithmic[key] for key in keys)
-    axes.set(facecolor=REFUSED_COLOUR, xscale="log" if log_x else "linear", yscale="log" if log_y else "linear")
+    axes.set(facecolor=REFUSED_GREY, xscale="log" if log_x else "linear", yscale="log" if log_y else "linear")
     edges = cell_edges(x, log_x), cell_edges(y, log_y)
     limits = (np.nanmin(values), np.nanmax(values)) if np.isfinite(values).any() else (0.0, 1.0)
     if limits[1] - limits[0] <= CONSTANT * max(map(abs, limits)):  # Matplotlib itself widens limits that coincide

@@ -21,7 +21,7 @@ from warp_plate.viz.fields import (
     unit_with_prefix,
 )
 from warp_plate.viz.plots.frame import figure
-from warp_plate.viz.plots.frequency_response import COLOURS
+from warp_plate.viz.plots.frequency_response import CURVE_COLOURS
 from warp_plate.viz.plots.plan import draw_edges, draw_outline, drawn_size, light_rim
 from warp_plate.viz.styles import GRID, INK, length_unit, point_text
 
@@ -99,7 +99,7 @@ def _draw_foci(axes: Axes, result: FocusResult, method: FocusedWaveforms) -> Non
     unit, factor = unit_with_prefix(float(np.abs(method.responses[0]).max()) or 1.0, result.unit)
     for index, (motion, point) in enumerate(zip(method.responses[0], table.points, strict=True)):
         label = f"({point_text(point, size)}) {length_unit(size)[0]}"
-        look = {"color": COLOURS[index % len(COLOURS)], "linewidth": 0.7, "zorder": 3 - min(index, 1)}
+        look = {"color": CURVE_COLOURS[index % len(CURVE_COLOURS)], "linewidth": 0.7, "zorder": 3 - min(index, 1)}
         axes.plot(1e3 * result.times, factor * motion, label=label, **look)
     if result.wished is not None:
         wish, motion = result.wished[0], method.responses[0, 0, : result.wished.shape[1]]

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from warp_plate.accuracy.report import AccuracyReport
     from warp_plate.analysis.influence import Influence
 
-HEADINGS = ("single", "bound", "error %", "u %", "modes %", "a plate", "")
-MODES = "modes, without a grid"
-LEGEND = (
+ACCURACY_HEADINGS = ("single", "bound", "error %", "u %", "modes %", "a plate", "")
+BY_MODES = "modes, without a grid"
+ACCURACY_LEGEND = (
     "single, bound: localization factor of the best single actuator, and the largest that any drive can have. error: "
     "largest relative error of single, best drive and bound; u: error of the displacement under the best drive (L2 "
     "norm over plate and window); modes: error of the first natural frequencies. a plate: seconds per plate in a "
@@ -182,14 +182,14 @@ def _print_accuracy(report: AccuracyReport, device: str, console: Console) -> No
     reference = report.reference
     console.print(f"{report.scene} on {device}\n")
     for kind in dict.fromkeys(map(_kind, report.rows)):
-        head = ("functions",) if kind == MODES else ("nodes", "Δt (s)", "bits")
-        table = output.table(*head, *HEADINGS, title=kind)
+        head = ("functions",) if kind == BY_MODES else ("nodes", "Δt (s)", "bits")
+        table = output.table(*head, *ACCURACY_HEADINGS, title=kind)
         for index, row in enumerate(report.rows):
             if _kind(row) == kind and not row.status.startswith("skipped"):
                 table.add_row(*_cells(row, index in report.front, reference.uncertainty))
         if table.row_count:
             console.print(table, "")
-    console.print(LEGEND + "\n")
+    console.print(ACCURACY_LEGEND + "\n")
     console.print(
         f"Reference ({reference.kind}): best single actuator {reference.localization_factors['single']:.5f}, bound "
         f"{reference.bound:.5f}, known to {reference.uncertainty:.1g}.\n"
@@ -240,7 +240,7 @@ def _recommendations(report: AccuracyReport) -> Table:
 
 def _kind(row: AccuracyRow) -> str:
     if row.load == "modal":
-        return MODES
+        return BY_MODES
     kind = f"order {row.order}, {row.load}"
     return f"as written: {kind}, {row.damping or 'no'} damping" if row.as_written else kind
 
@@ -264,7 +264,7 @@ def _cells(row: AccuracyRow, on_front: bool, uncertainty: float) -> list[str]:
     from warp_plate.accuracy.report import displacement_floor
 
     head = [_size(row)]
-    if _kind(row) != MODES:
+    if _kind(row) != BY_MODES:
         head += ["" if row.time_step is None else f"{row.time_step:.2g}", row.precision.removeprefix("float")]
     if not row.measured:
         return [*head, *[""] * 5, row.status.partition(":")[0], ""]

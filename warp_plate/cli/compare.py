@@ -41,8 +41,8 @@ class TrialOptions:
     """
 
     methods: str | None = None
-    seeds: options.Count = 10
-    evaluations: options.Count | None = None
+    seeds: options.PositiveInteger = 10
+    evaluations: options.PositiveInteger | None = None
     evaluator: Literal["direct", "response", "modal"] | None = None
 
 

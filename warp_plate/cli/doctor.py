@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 # Such as: pyvista>=0.46; extra == "viz". Requirements under other conditions are left to pip.
 REQUIREMENT = re.compile(r"""([\w.-]+)(?:\[(\w+)\])?(?:>=([\d.]+))?(?: ?; ?extra == ["'](\w+)["'])?""")
 OTHER_CACHE = "WARP_CACHE_PATH can name another folder"
-State = Literal["ok", "missing", "error"]
+CheckState = Literal["ok", "missing", "error"]
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Diagnosis:
     """A line of the report."""
 
     name: str
-    state: State  # missing: not needed; error: needed and broken
+    state: CheckState  # missing: not needed; error: needed and broken
     text: str  # finding, and the remedy if it is not ok
     details: Mapping[str, object] = field(default_factory=dict)
 
@@ -112,7 +112,7 @@ def _check_results() -> Iterator[Diagnosis]:
     yield _diagnose_folder("results", Path.cwd(), "missing", "--out can name a file elsewhere")
 
 
-def _diagnose_folder(name: str, folder: Path, state: State, remedy: str) -> Diagnosis:
+def _diagnose_folder(name: str, folder: Path, state: CheckState, remedy: str) -> Diagnosis:
     try:
         with tempfile.TemporaryFile(dir=folder):
             return Diagnosis(name, "ok", f"{folder}, {shutil.disk_usage(folder).free / 2**30:.3g} GiB free")

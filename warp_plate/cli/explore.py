@@ -25,7 +25,7 @@ class PageOptions:
         port: Port of the page; 0 takes any free one.
     """
 
-    web: options.Flag = False
+    web: options.Switch = False
     host: str = "127.0.0.1"
     port: int = 8080
 

@@ -148,7 +148,7 @@ def _draw(file: Path, contents: Mapping[str, Any], picture: Path) -> output.Draw
     if "frequency" in contents:
         values = values[:, : round(PERIODS * rate / contents["frequency"]) + 1]
     unit = f"{contents['full_scale']:.4g} {contents['unit']}"
-    return output.draw_picture(partial(draw_channels, values, rate, contents["channels"], unit), picture)
+    return output.draw_plot(partial(draw_channels, values, rate, contents["channels"], unit), picture)
 
 
 def _print(files: list[Path], to: Format, record: Mapping[str, Any]) -> None:

@@ -72,7 +72,7 @@ def focus(
 
     written = [save_focus(result, target)]
     draw = partial(draw_focus, result, colours=chosen)
-    drawn, missing = output.draw_picture(draw, target.with_suffix(".png"), files.pictures)
+    drawn, missing = output.draw_plot(draw, target.with_suffix(".png"), files.pictures)
     output.report(files.json, _as_json, _print, scene, result, written=([*written, *drawn], missing))
 
 

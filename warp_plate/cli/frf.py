@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from warp_plate.studies.frequency_response import ImpulseResponse
 
 PICTURES = (".png", ".svg", ".pdf")
-Format = Literal["csv", "uff", "hdf5"]
+ResponseFormat = Literal["csv", "uff", "hdf5"]
 NUMBER = r"[-+]?(?:[0-9]{1,30}\.?[0-9]{0,30}|\.[0-9]{1,30})(?:[eE][-+]?[0-9]{1,2})?"
 MOST_ROWS = 20
 
@@ -62,7 +62,7 @@ def frf(
     *,
     assignments: options.Assignments = None,
     responses: ResponseOptions = ResponseOptions(),
-    to: Annotated[list[Format] | None, Parameter(negative="")] = None,
+    to: Annotated[list[ResponseFormat] | None, Parameter(negative="")] = None,
     out: Path | None = None,
     files: options.FileOptions = options.FileOptions(),
 ) -> None:
@@ -94,7 +94,7 @@ def frf(
     points = [_point("--at", text) for text in responses.at or ()]
     limits = None if wanted is None else _range(wanted)
     if "hdf5" in formats:
-        output.check_replaceable(target.with_suffix(".h5"), "a frequency response", files.force)
+        output.check_overwriting(target.with_suffix(".h5"), "a frequency response", files.force)
     loaded, scene = output.load_scene(scene, assignments)
     from warp_plate.studies.frequency_response import check_on_plate
     from warp_plate.studies.frequency_response import frf as compute
@@ -157,7 +157,7 @@ def _errors_of_range(text: str | None) -> Iterator[None]:
         raise SceneError(f"--range {text}: {str(error).removeprefix(key[0])}") from None
 
 
-def _write(response: FrequencyResponse, target: Path, formats: list[Format], pictures: bool) -> output.Drawn:
+def _write(response: FrequencyResponse, target: Path, formats: list[ResponseFormat], pictures: bool) -> output.Drawn:
     """Write the files of the formats and the picture; return them, and why there is no picture."""
     from warp_plate.result.export.frequency_response import WRITERS
     from warp_plate.viz.plots.frequency_response import draw_frequency_response
@@ -169,7 +169,7 @@ def _write(response: FrequencyResponse, target: Path, formats: list[Format], pic
         write(response, file)
         written.append(file)
     picture = target if target.suffix.lower() in PICTURES else target.with_suffix(".png")
-    drawn, missing = output.draw_picture(partial(draw_frequency_response, response), picture, pictures)
+    drawn, missing = output.draw_plot(partial(draw_frequency_response, response), picture, pictures)
     return [*written, *drawn], missing
 
 

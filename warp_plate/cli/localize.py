@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from warp_plate.studies.unfinished import CheckpointFile
     from warp_plate.viz.fields import ColourOptions
 
-CASE_LABELS = {
+CASE_DESCRIPTIONS = {
     "equal": "all actuators alike",
     "single": "best single actuator",
     "time_reversal": "time reversal to the target's middle, at one frequency",
@@ -60,8 +60,8 @@ class SearchOptions:
 
     seed: options.Integer | None = None
     evaluator: Literal["direct", "response", "modal"] | None = None
-    estimate: options.Estimate = True
-    baselines: options.Flag = False
+    estimate: options.EstimateSwitch = True
+    baselines: options.Switch = False
     spectrum: bool = True
     resume: Path | None = None
 
@@ -110,7 +110,7 @@ def localize(
     default = f"{Path(scene or '').stem}-localize.h5"
     beside = None if resume is None else _result_beside(resume)
     target = output.output_file(out or beside, default, holds="a result of localize", force=files.force)
-    output.check_replaceable(target.with_suffix(".best.toml"), "# Found by: warp-plate localize", files.force)
+    output.check_overwriting(target.with_suffix(".best.toml"), "# Found by: warp-plate localize", files.force)
     needs = "localize needs a SCENE (a preset's name or a TOML file)"
     loaded, scene = changes.load_unless_resumed(scene, resume, needs, "search")
     from warp_plate.result.checkpoint import ENDING
@@ -124,7 +124,7 @@ def localize(
     if resume is not None:
         with output.scene_errors(scene or "--accuracy"):
             loaded, checkpoint = _load_checkpoint(resume, search, loaded, changes.accuracy, local, workers.path)
-    output.check_replaceable(target.with_suffix(ENDING), "a checkpoint", files.force or resume is not None)
+    output.check_overwriting(target.with_suffix(ENDING), "a checkpoint", files.force or resume is not None)
     file = CheckpointFile(target.with_suffix(ENDING), checkpoint_every, resume is not None, output.log)
     if checkpoint is None and file.path.exists():
         output.log(f"{file.path} holds an unfinished search; a checkpoint of this one will replace it")
@@ -249,7 +249,7 @@ def _labels(result: Result) -> dict[str, str]:
     """Return the labels of the result's cases, with the name of the best single actuator."""
     from warp_plate.result.case import only_actuator
 
-    labels = {name: label for name, label in CASE_LABELS.items() if name in result.cases}
+    labels = {name: label for name, label in CASE_DESCRIPTIONS.items() if name in result.cases}
     name = only_actuator(result.cases["single"], result.scene)
     return {**labels, "single": f"{labels['single']}{f', {name}' if name else ''}"}
 

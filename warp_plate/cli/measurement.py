@@ -190,7 +190,7 @@ def plan_measurement(
     scene: options.SceneName,
     /,
     *,
-    sensors: options.Count = 4,
+    sensors: options.PositiveInteger = 4,
     noise: float = 0.02,
     assignments: options.Assignments = None,
     out: Path | None = None,

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from warp_plate.scene.model import Scene
 
 ENDINGS = (".png", ".svg", ".pdf")
-# Significant digits of frequencies without a grid; motions of masses below ROUNDING are zero.
-DIGITS, ROUNDING = 6, 1e-9
+# Significant digits of frequencies without a grid; motions of masses below STILL are zero.
+DIGITS, STILL = 6, 1e-9
 
 
 @Parameter(name="*")
@@ -36,7 +36,7 @@ class ModeOptions:
         accuracy: With --grid: largest relative error of localization factors; the program chooses the cheapest grid.
     """
 
-    count: options.Count = 6
+    count: options.PositiveInteger = 6
     grid: bool = False
     accuracy: str | None = None
 
@@ -92,7 +92,7 @@ def _draw(scene: Scene, natural: NaturalModes, path: Path, colours: options.Colo
     from warp_plate.viz.plots.modes import draw_modes
 
     draw = partial(draw_modes, scene, natural.frequencies, natural.shapes, colours=colours.chosen())
-    return output.draw_picture(draw, path)
+    return output.draw_plot(draw, path)
 
 
 def _left_out(scene: Scene, grid: bool) -> list[str]:
@@ -132,7 +132,7 @@ def _print(
             str(number),
             *cells,
             "mixed" if waves is None else f"{waves[0]} × {waves[1]}",
-            *(f"{motion[index] if abs(motion[index]) > ROUNDING else 0:.3g}" for index in masses),
+            *(f"{motion[index] if abs(motion[index]) > STILL else 0:.3g}" for index in masses),
         )
     console.print(table)
     console.print(

@@ -30,8 +30,8 @@ def _integer(kind: object, tokens: Sequence[cyclopts.Token]) -> int:
 
 
 Integer = Annotated[int, Parameter(converter=_integer)]
-Count = Annotated[int, Parameter(converter=_integer, validator=validators.Number(gte=1, lte=10**9))]
-Flag = Annotated[bool, Parameter(negative="")]
+PositiveInteger = Annotated[int, Parameter(converter=_integer, validator=validators.Number(gte=1, lte=10**9))]
+Switch = Annotated[bool, Parameter(negative="")]
 
 _PRESETS = "paper, touch-panel, ...; warp-plate init --help lists them"
 SceneName = Annotated[str, Parameter(help=f"A preset ({_PRESETS}) or a TOML file.")]
@@ -59,7 +59,7 @@ SteppingOrModes = Annotated[
         "scenes whose damping cannot be stepped."
     ),
 ]
-Estimate = Annotated[bool, Parameter(help="Estimate the error of the result at the end.")]
+EstimateSwitch = Annotated[bool, Parameter(help="Estimate the error of the result at the end.")]
 AllowUnstable = Annotated[
     bool, Parameter(negative="", help="Accept a time step above the stability limit and report what becomes of it.")
 ]

@@ -233,7 +233,7 @@ def output_file(
 
     Args:
         endings: the endings that are allowed (default: that of ``default``).
-        holds: what the file will hold, see :func:`check_replaceable`.
+        holds: what the file will hold, see :func:`check_overwriting`.
         force: whether it may replace anything.
     """
     path = Path(default) if out is None else out
@@ -243,11 +243,11 @@ def output_file(
         problem = f"must end in {' or '.join(', '.join(endings).rsplit(', ', 1))}"
     if problem:
         raise SceneError(f"--out {path}: {problem}")
-    check_replaceable(path, holds, force)
+    check_overwriting(path, holds, force)
     return path
 
 
-def check_replaceable(path: Path, holds: str, force: bool) -> None:
+def check_overwriting(path: Path, holds: str, force: bool) -> None:
     """Raise a SceneError if a file is there that another command or program has written, unless ``--force``.
 
     Args:
@@ -298,7 +298,7 @@ def prepare_pictures(pictures: bool) -> None:
         prepare()
 
 
-def draw_picture(draw: Callable[[Path], object], path: Path, wanted: bool = True) -> Drawn:
+def draw_plot(draw: Callable[[Path], object], path: Path, wanted: bool = True) -> Drawn:
     """Draw a plot of Matplotlib; return the file written, or why there is none."""
     from warp_plate.result.atomic_io import atomic_paths
     from warp_plate.viz.availability import missing_plots

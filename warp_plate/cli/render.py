@@ -94,7 +94,7 @@ class PictureOptions:
         width: Width of one plate's picture in pixels.
     """
 
-    plan: options.Flag = False
+    plan: options.Switch = False
     time: float | None = None
     width: Annotated[int, Parameter(validator=Number(gte=120, lte=4000))] = 560
 

@@ -23,7 +23,7 @@ class RunOptions:
 
     device: options.Device = "auto"
     path: options.SteppingOrModes = "auto"
-    estimate: options.Estimate = True
+    estimate: options.EstimateSwitch = True
     allow_unstable: options.AllowUnstable = False
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from warp_plate.accuracy.configurations import percent
 from warp_plate.analysis.superposition import SimulatedResponses, UnitResponses, unit_responses
-from warp_plate.explore.settings import LiveSettings, changed_scene, polar, slider_ranges, viscous_damping
+from warp_plate.explore.settings import LiveSettings, changed_scene, polar, scene_damping, slider_ranges
 from warp_plate.modal.solver import MODAL
 from warp_plate.optimize.optimizer import minimize
 from warp_plate.optimize.pso import Swarm
@@ -67,7 +67,7 @@ class LiveModel:
         self._device, self._path = device, MODAL if self.by_modes else path
         self._scale = magnitude_unit(scene)
         phasors = scene_phasors(scene)
-        self.settings = LiveSettings(scene.drive.frequency, viscous_damping(scene), *polar(phasors))
+        self.settings = LiveSettings(scene.drive.frequency, scene_damping(scene), *polar(phasors))
         self._random = np.random.default_rng()
         self._responses: UnitResponses | SimulatedResponses = self._simulate(scene, progress)
         self._reading = self._responses.read(phasors)

@@ -44,7 +44,7 @@ def slider_ranges(scene: Scene) -> SliderRanges:
     """Return the ends of the sliders for a scene, within the limits of its run."""
     frequency, surface_density = scene.drive.frequency, scene.plate.density * scene.plate.thickness
     stiff = scene.drive_angular_frequency * surface_density  # damping of a loss factor of 1
-    damping = DAMPING_RANGE * viscous_damping(scene) or LOSS_FACTOR_RANGE * stiff
+    damping = DAMPING_RANGE * scene_damping(scene) or LOSS_FACTOR_RANGE * stiff
     highest = FREQUENCY_RANGE[1] * frequency
     if scene.grid.time_step is not None:
         highest = max(frequency, min(highest, 1 / (MIN_STEPS_PER_PERIOD * scene.grid.time_step)))
@@ -52,7 +52,7 @@ def slider_ranges(scene: Scene) -> SliderRanges:
     return SliderRanges(MAGNITUDE_RANGE * magnitude_unit(scene), damping, (lowest, highest))
 
 
-def viscous_damping(scene: Scene) -> float:
+def scene_damping(scene: Scene) -> float:
     """Return the viscous damping of the scene [N·s/m³]; 0 if it has none."""
     return scene.effects.damping.viscous if scene.effects.damping else 0.0
 
