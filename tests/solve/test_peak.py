@@ -93,8 +93,13 @@ def test_the_command_warns_of_a_burst_s_peak(struck, tmp_path, monkeypatch, caps
     assert any("0.3 of the thickness" in line for line in answer["warnings"])
 
 
-@pytest.mark.parametrize("effects", [{"loss_factor": {"eta": 0.02}}, {"damping": {"viscous": 88.5}}])
-@pytest.mark.parametrize("target", [{"area": (0.101, 0.149, 0.033, 0.083)}, {"disc": (0.06, 0.11, 0.027)}])
+@pytest.mark.parametrize(
+    ("effects", "target"),
+    [
+        ({"loss_factor": {"eta": 0.02}}, {"area": (0.101, 0.149, 0.033, 0.083)}),
+        ({"damping": {"viscous": 88.5}}, {"disc": (0.06, 0.11, 0.027)}),
+    ],
+)
 def test_by_modes_the_largest_displacement_may_lie_on_the_outline_of_the_target(scene, target, effects):
     """Read at the nodes of the pictures alone it was 1.4 % off, beside an error bar of 0.08 %."""
     made = scene(effects=effects, target=target, nodes=(27, 27))
