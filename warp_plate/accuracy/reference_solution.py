@@ -35,8 +35,7 @@ DENSITIES = (0.5, 0.7, 1.0, 1.4)
 MODAL_SECONDS = 1e-9
 # Natural frequencies that are returned.
 FREQUENCIES = 6
-# Error of a reference by modes: this many times the last change; undamped plates, whose high modes keep swinging, need
-# it.
+# Error of a reference by modes in last changes: a safety factor, since undamped high modes do not decay.
 MODAL_FACTOR = 4.0
 # At least this many times the change before it, since two refinements may agree by chance.
 BEFORE_FACTOR = 0.25

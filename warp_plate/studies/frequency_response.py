@@ -184,7 +184,7 @@ def _responses(
 
 
 def _moved_by(plate: ModalPlate, target: Target) -> tuple[np.ndarray, np.ndarray | Matrix]:
-    """Return (unknowns, modes) rows of Φ that move a target, few for a small one, and their mass matrix [kg]."""
+    """Return the (unknowns, modes) rows of Φ that move a target, and their mass matrix [kg]."""
     matrix = plate.galerkin.region_matrix(target)
     matrix.eliminate_zeros()
     rows = np.flatnonzero(np.diff(matrix.indptr))

@@ -67,8 +67,8 @@ def finish_search(
 ) -> tuple[np.ndarray | None, int, dict[str, np.ndarray]]:
     """Return the position of all design variables, the evaluations and the history of a search that has ended.
 
-    Where places, frequencies or delays are searched by modes, a descent follows it. A robust search tries the best
-    position of the nominal plate, which takes another search from the same seed if it is not known exactly.
+    A search of places, frequencies or delays by modes is followed by a descent; a robust search also tries the nominal
+    optimum.
     """
     problem = nominal.problem
     history = history_of(optimizer, problem)
@@ -121,8 +121,7 @@ def _search_nominal(nominal: Problem, seed: int) -> np.ndarray | None:
 def polish(problem: Problem, position: np.ndarray, loss: float) -> Polished:
     """Return the minimum to which a descent from a position of ``problem.space`` leads.
 
-    A searched frequency that all actuators have in common also moves to the best of those of the result's spectrum, if
-    that is better, so that no neighbouring resonance is missed.
+    A shared frequency may jump to a better peak of the result's spectrum.
     """
     evaluations, space = 0, problem.space
 
