@@ -30,7 +30,7 @@ exclude_patterns = ["examples/**", "gallery/**/*.ipynb", "**/sg_execution_times.
 
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 4
-autodoc_default_options = {"members": True, "exclude-members": "model_config, model_post_init"}
+autodoc_default_options = {"members": True, "inherited-members": True}
 templates_path = ["_templates"]
 autosummary_generate = ["reference/python-api.rst"]
 autodoc_typehints = "signature"

@@ -3,6 +3,7 @@
 import inspect
 import operator
 import re
+import sys
 import tomllib
 from dataclasses import is_dataclass
 from functools import reduce
@@ -63,7 +64,18 @@ def setup(app):
     app.setup_extension("sphinx.ext.autodoc")
     app.connect("autodoc-process-signature", short_signature)
     app.connect("autodoc-process-docstring", add_fields)
+    app.connect("autodoc-skip-member", skip_members)
     return {"parallel_read_safe": True}
+
+
+def skip_members(app, what, name, member, skip, options):
+    """Leave out the keys of tables, which the reference of scene keys explains, and what libraries' classes lend."""
+    kind = getattr(sys.modules.get(app.env.temp_data.get("autodoc:module")), app.env.temp_data["autodoc:class"], None)
+    if not isinstance(kind, type):
+        return None
+    if issubclass(kind, Table):
+        return True if name in kind.model_fields or name in dir(Table) else None
+    return None if name in vars(kind) or name in inspect.get_annotations(kind) else True
 
 
 def short_signature(app, what, name, kind, options, signature, returned):

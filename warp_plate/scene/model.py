@@ -11,7 +11,6 @@ from typing import Any
 
 from pydantic import PrivateAttr, ValidationError, model_validator
 
-from warp_plate.effects.effect import Term
 from warp_plate.scene.checks import check_tables
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.explain_errors import explain_error
@@ -83,33 +82,10 @@ class Scene(SceneTables):
             self._derive("grid", grid_by_waves(plate.size, math.sqrt(2 * math.pi * speed / highest)))
         return self
 
-    @property
-    def gridded_by_waves(self) -> bool:
-        """True if the scene has no ``[grid]``, and no accuracy could be held because it is not linear."""
-        return "grid" not in self.model_fields_set and not self.linear
-
     @model_validator(mode="after")
     def _tables_fit_together(self) -> Scene:
         check_tables(self)
         return self
-
-    @property
-    def terms(self) -> tuple[Term, ...]:
-        """Terms of the equation of motion besides bending and inertia: those of elastic edges, then of the effects."""
-        return (*self.edges.terms(), *self.effects.terms(self.plate))
-
-    @property
-    def uniform(self) -> bool:
-        """True if the plate is isotropic, homogeneous, and clamped or supported along all edges."""
-        varied = self.effects.section_keys or self.layers
-        return not varied and all(edge in ("clamped", "supported") for _, edge in self.edges)
-
-    @property
-    def names_files(self) -> bool:
-        """True if parts of the scene lie in other files."""
-        masks = any(target.mask is not None for target in self.targets_by_key.values())
-        signals = (self.drive.signal, self.focus and self.focus.wish)
-        return masks or any(signals) or bool(self.effects.map_files)
 
     def aimed_at(self, index: int) -> Scene:
         """Return the scene with another one of its ``targets`` as ``target``."""
@@ -199,63 +175,6 @@ class Scene(SceneTables):
         return f"<Scene {title}{millimetres}, {count} actuator{'s'[: count > 1]}, {self.drive.frequency:g} Hz>"
 
     __str__ = __repr__
-
-    @property
-    def nonlinear_table(self) -> str | None:
-        """First table that makes displacements nonlinear in the drives, so that superposition fails; None if none."""
-        return self.nonlinear_key or self.effects.first(lambda effect: effect.travels)
-
-    @property
-    def nonlinear_key(self) -> str | None:
-        """First table that keeps the motion from obeying a linear equation; None if none."""
-        electrostatic = "drive.electrostatic" if self.drive.electrostatic is not None else None
-        return self.effects.first(lambda effect: not effect.linear) or electrostatic
-
-    @property
-    def linear(self) -> bool:
-        return self.nonlinear_table is None
-
-    @property
-    def modal_only_key(self) -> str | None:
-        """First key that only the modal engine knows, because it has no time steps; None if none."""
-        return self.effects.first(lambda effect: not effect.stepped)
-
-    def check_stepped(self) -> None:
-        """Raise a SceneError if only the modal engine knows the scene's effects."""
-        if (key := self.modal_only_key) is not None:
-            raise SceneError(
-                f'{key}: cannot be stepped in time; use the evaluator "modal", or write [effects.damping] instead'
-            )
-
-    @property
-    def steady(self) -> bool:
-        """True if the response is the steady one: energies are means over all time, and ``window`` is not read."""
-        return self.steady_key is not None
-
-    @property
-    def steady_key(self) -> str | None:
-        """First effect that is defined for steady tones alone, without motion in time; None if none."""
-        return self.effects.first(lambda effect: effect.steady)
-
-    @property
-    def nonharmonic_key(self) -> str | None:
-        """First key that makes the drive other than a tone of one frequency from t = 0 on; None if none."""
-        return self.nonperiodic_key or ("drive.electrostatic" if self.drive.electrostatic is not None else None)
-
-    @property
-    def nonperiodic_key(self) -> str | None:
-        """First key that keeps the load from repeating with the drive's period from t = 0 on; None if none."""
-        if self.drive.waveform_key is not None:
-            return self.drive.waveform_key
-        for index, actuator in enumerate(self.actuators):
-            if actuator.frequency not in (None, self.drive.frequency):
-                return f"actuators[{index}].frequency"
-        return self.effects.first(lambda effect: effect.travels)
-
-    @property
-    def drive_angular_frequency(self) -> float:
-        """Angular frequency of the drive, 2πf [rad/s]."""
-        return 2 * math.pi * self.drive.frequency
 
 
 SceneSource = Scene | str | Path

@@ -1,16 +1,19 @@
-"""The table ``[plate]`` and the top level of a scene file, before its tables are checked against each other."""
+"""The table ``[plate]``, and the top level of a scene file with what follows from its tables."""
 
 from __future__ import annotations
 
+import math
 from typing import Annotated
 
 from pydantic import Field, model_validator
 
 from warp_plate.effects.edges import Edges
+from warp_plate.effects.effect import Term
 from warp_plate.effects.layers import Layer
 from warp_plate.effects.table import Effects
 from warp_plate.scene.actuator import Actuator
 from warp_plate.scene.drive import Drive
+from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Density, Point, Positive, Table, Text, Unit, YoungModulus
 from warp_plate.scene.fit import Fit, Measurement
 from warp_plate.scene.focus import Focus
@@ -56,7 +59,7 @@ class Plate(Table):
 
 
 class SceneTables(Table):
-    """The top level of a scene file."""
+    """The top level of a scene file, before its tables are checked against each other."""
 
     title: Annotated[Text, Field(examples=["Touch panel"])] = ""
     """Title of tables and pictures."""
@@ -115,3 +118,83 @@ class SceneTables(Table):
     def drive_unit(self) -> str:
         """Unit of all magnitudes, N/m² or, for electrostatic actuators and piezo patches, V."""
         return "V" if self.piezo or self.drive.electrostatic is not None else "N/m²"
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """Terms of the equation of motion besides bending and inertia: those of elastic edges, then of the effects."""
+        return (*self.edges.terms(), *self.effects.terms(self.plate))
+
+    @property
+    def uniform(self) -> bool:
+        """True if the plate is isotropic, homogeneous, and clamped or supported along all edges."""
+        varied = self.effects.section_keys or self.layers
+        return not varied and all(edge in ("clamped", "supported") for _, edge in self.edges)
+
+    @property
+    def names_files(self) -> bool:
+        """True if parts of the scene lie in other files."""
+        masks = any(target.mask is not None for target in self.targets_by_key.values())
+        signals = (self.drive.signal, self.focus and self.focus.wish)
+        return masks or any(signals) or bool(self.effects.map_files)
+
+    @property
+    def gridded_by_waves(self) -> bool:
+        """True if the scene has no ``[grid]``, and no accuracy could be held because it is not linear."""
+        return "grid" not in self.model_fields_set and not self.linear
+
+    @property
+    def nonlinear_table(self) -> str | None:
+        """First table that makes displacements nonlinear in the drives, so that superposition fails; None if none."""
+        return self.nonlinear_key or self.effects.first(lambda effect: effect.travels)
+
+    @property
+    def nonlinear_key(self) -> str | None:
+        """First table that keeps the motion from obeying a linear equation; None if none."""
+        electrostatic = "drive.electrostatic" if self.drive.electrostatic is not None else None
+        return self.effects.first(lambda effect: not effect.linear) or electrostatic
+
+    @property
+    def linear(self) -> bool:
+        return self.nonlinear_table is None
+
+    @property
+    def modal_only_key(self) -> str | None:
+        """First key that only the modal engine knows, because it has no time steps; None if none."""
+        return self.effects.first(lambda effect: not effect.stepped)
+
+    def check_stepped(self) -> None:
+        """Raise a SceneError if only the modal engine knows the scene's effects."""
+        if (key := self.modal_only_key) is not None:
+            raise SceneError(
+                f'{key}: cannot be stepped in time; use the evaluator "modal", or write [effects.damping] instead'
+            )
+
+    @property
+    def steady(self) -> bool:
+        """True if the response is the steady one: energies are means over all time, and ``window`` is not read."""
+        return self.steady_key is not None
+
+    @property
+    def steady_key(self) -> str | None:
+        """First effect that is defined for steady tones alone, without motion in time; None if none."""
+        return self.effects.first(lambda effect: effect.steady)
+
+    @property
+    def nonharmonic_key(self) -> str | None:
+        """First key that makes the drive other than a tone of one frequency from t = 0 on; None if none."""
+        return self.nonperiodic_key or ("drive.electrostatic" if self.drive.electrostatic is not None else None)
+
+    @property
+    def nonperiodic_key(self) -> str | None:
+        """First key that keeps the load from repeating with the drive's period from t = 0 on; None if none."""
+        if self.drive.waveform_key is not None:
+            return self.drive.waveform_key
+        for index, actuator in enumerate(self.actuators):
+            if actuator.frequency not in (None, self.drive.frequency):
+                return f"actuators[{index}].frequency"
+        return self.effects.first(lambda effect: effect.travels)
+
+    @property
+    def drive_angular_frequency(self) -> float:
+        """Angular frequency of the drive, 2πf [rad/s]."""
+        return 2 * math.pi * self.drive.frequency
