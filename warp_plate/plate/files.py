@@ -1,4 +1,4 @@
-"""Files that a scene names: found in the scene's folder, limited in size, and read as bytes or as tables of numbers."""
+"""Files that a scene names: read from the scene's folder, up to a limit of size, as bytes or as tables of numbers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from warp_plate.scene.model import Scene
 MOST_BYTES = 2**27
 # Rows of a table, each of which takes some 150 bytes while it is read.
 MOST_ROWS = 2**22
-# Tables that are kept after they are read.
+# Tables cached after they are read.
 MOST_TABLES = 4
 
 

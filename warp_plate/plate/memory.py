@@ -50,24 +50,24 @@ def refuse_beyond_memory(needed: float, what: str) -> None:
 def check_grid_memory(scene: Scene, moment_form: bool) -> None:
     """Refuse a grid with fields that do not fit."""
     terms, nodes = scene.terms, math.prod(scene.grid.nodes)
-    each = PLAIN + 16.0 * (len(scene.actuators) + CASES * len(scene.record.times))
+    bytes_a_node = PLAIN + 16.0 * (len(scene.actuators) + CASES * len(scene.record.times))
     if moment_form:
         attached = attachments(terms)
-        each += MOMENT_FORM + 32 * len(attached)
-        each += MATRICES * bool(scene.layers or attached)
-        each += FACTORISED * any(term.role == "stiffness" and term.coefficient < 0 for term in terms)
+        bytes_a_node += MOMENT_FORM + 32 * len(attached)
+        bytes_a_node += MATRICES * bool(scene.layers or attached)
+        bytes_a_node += FACTORISED * any(term.role == "stiffness" and term.coefficient < 0 for term in terms)
     times = f" and {len(scene.record.times)} record.times" if scene.record.times else ""
     what = f"grid.nodes = {list(scene.grid.nodes)} with {len(scene.actuators)} actuators{times}"
-    refuse_beyond_memory(nodes * each, what)
+    refuse_beyond_memory(nodes * bytes_a_node, what)
 
 
 def check_steps_memory(scene: Scene, steps: int) -> None:
     """Refuse a run with drives and traces that do not fit."""
     frequencies = len({actuator.frequency for actuator in scene.actuators})
     terms = 2 * frequencies if scene.drive.electrostatic is None else 4 * frequencies + 2
-    each = TERM * terms + POINT * CASES * len(scene.record.points)
+    bytes_a_step = TERM * terms + POINT * CASES * len(scene.record.points)
     beside = f", {len(scene.record.points)} record.points" if scene.record.points else ""
     if scene.effects.travelling is not None:
-        each += 24 * sum(scene.grid.nodes)
+        bytes_a_step += 24 * sum(scene.grid.nodes)
         beside += f", a moving load on {list(scene.grid.nodes)} nodes"
-    refuse_beyond_memory(float(steps) * each, f"window.end = {scene.window.end:g}: {steps} steps{beside}")
+    refuse_beyond_memory(float(steps) * bytes_a_step, f"window.end = {scene.window.end:g}: {steps} steps{beside}")

@@ -1,5 +1,8 @@
-"""The numbers and texts of a scene by dotted keys such as ``plate.thickness``, ``actuators[0].phase`` or
-``edges.left``: lookup, units, labels and replacement."""
+"""Dotted keys of a scene such as ``plate.thickness``, ``actuators[0].phase`` or ``edges.left``.
+
+They name numbers and texts of a scene, with units and labels, and in ``KEY=VALUE`` what is put into its tables before
+these are checked.
+"""
 
 from __future__ import annotations
 
@@ -39,27 +42,27 @@ def scalar_keys(scene: SceneTables) -> dict[str, type]:
     return {key: kind for key, kind in _numbers_in(scene, "") if not (scene.targets and key.startswith("target."))}
 
 
-def resolved_key(scene: SceneTables, key: str, known: Mapping[str, type] | None = None) -> str:
+def resolved_key(scene: SceneTables, key: str, kinds: Mapping[str, type] | None = None) -> str:
     """Return the key with names replaced by indices: ``actuators[0].phase`` for ``actuators.lower left.phase``.
 
     Args:
-        scene: SceneTables.
+        scene: Scene.
         key: Key.
-        known: Its ``scalar_keys``, if these are at hand.
+        kinds: ``scalar_keys`` of the scene, if these are at hand.
 
     Raises:
         SceneError: the scene has no such key, or it holds no number or text; the message suggests similar keys.
     """
-    known, resolved = scalar_keys(scene) if known is None else known, key.strip()
+    kinds, resolved = scalar_keys(scene) if kinds is None else kinds, key.strip()
     for table in NAMED:
         names = [(row.name, index) for index, row in enumerate(getattr(scene, table))]
         for name, index in sorted(names, key=lambda item: -len(item[0])):  # a name may begin with another
             if resolved.startswith(f"{table}.{name}."):
                 resolved = f"{table}[{index}].{resolved[len(table) + len(name) + 2 :]}"
                 break
-    if resolved in known:
+    if resolved in kinds:
         return resolved
-    raise SceneError(f"{key}: {_why_unknown(scene, resolved, list(known))}")
+    raise SceneError(f"{key}: {_why_unknown(scene, resolved, list(kinds))}")
 
 
 def value_of(scene: SceneTables, key: str) -> Any:
@@ -118,20 +121,20 @@ def key_parts(key: str) -> list[str | int]:
     return [name or int(index) for name, index in _PART.findall(key)]
 
 
-def _why_unknown(scene: SceneTables, key: str, known: list[str]) -> str:
-    inside = [other for other in known if other.startswith((f"{key}.", f"{key}["))]
+def _why_unknown(scene: SceneTables, key: str, keys: list[str]) -> str:
+    inside = [other for other in keys if other.startswith((f"{key}.", f"{key}["))]
     if inside:
         return f"is not a single value; write {_listed(inside)}"
     optional = _optional_table(scene, key)
     if optional:
         return f"the scene has no {optional}; write it in the scene file to vary what is in it"
-    close = difflib.get_close_matches(key, known, n=4)
+    close = difflib.get_close_matches(key, keys, n=4)
     head, tail = re.split(r"[.\[]", key)[0], re.split(r"[.\]]", key)[-1]
     similar = (
-        sorted(close, key=known.index)
-        or [other for other in known if tail and other.endswith(f".{tail}")]
-        or [other for other in known if other.startswith((f"{head}.", f"{head}["))]
-        or known
+        sorted(close, key=keys.index)
+        or [other for other in keys if tail and other.endswith(f".{tail}")]
+        or [other for other in keys if other.startswith((f"{head}.", f"{head}["))]
+        or keys
     )
     return f"is not a key of this scene that holds a number or a text; similar keys: {_listed(similar)}"
 
@@ -171,7 +174,9 @@ def assign(tables: dict[str, Any], assignments: Iterable[str]) -> None:
         holder: Any = tables
         for depth, part in enumerate(path):
             holder = _entered(holder, part, {} if isinstance(last, str) or depth < len(path) - 1 else [], assignment)
-        _put(holder, last, _value(text.strip()), assignment)
+        if not (isinstance(last, str) and isinstance(holder, dict)):
+            _check_index(holder, last, assignment)
+        holder[last] = _value(text.strip())
         for other in _excluded(path, last, holder):
             holder.pop(other, None)
 
@@ -202,13 +207,8 @@ def _entered(holder: Any, part: str | int, empty: dict[str, Any] | list[Any], as
     return holder[part]
 
 
-def _put(holder: Any, part: str | int, value: Any, assignment: str) -> None:
-    if not (isinstance(part, str) and isinstance(holder, dict)):
-        _check_index(holder, part, assignment)
-    holder[part] = value
-
-
 def _check_index(holder: Any, part: str | int, assignment: str) -> None:
+    """Raise SceneError unless a part of a key is an index into a list."""
     if isinstance(holder, list) and isinstance(part, int) and part < len(holder):
         return
     held = (

@@ -72,7 +72,7 @@ def dump_toml(tables: dict[str, Any]) -> str:
 
 def _lines(name: str, table: dict[str, Any]) -> list[str]:
     """Return the lines of a table without its heading: its own keys first, then the tables inside it."""
-    own: list[str] = []
+    lines_here: list[str] = []
     nested: list[str] = []
     for key, value in table.items():
         key = key if re.fullmatch(r"[\w-]+", key, re.ASCII) else toml_text(key)
@@ -85,5 +85,5 @@ def _lines(name: str, table: dict[str, Any]) -> list[str]:
             for row in value:
                 nested += ["", f"[[{path}]]", *_lines(path, row)]
         elif value != ():
-            own.append(f"{key} = {toml_text(value)}")
-    return own + nested
+            lines_here.append(f"{key} = {toml_text(value)}")
+    return lines_here + nested
