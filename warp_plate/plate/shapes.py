@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from numpy.polynomial import legendre
+from numpy.polynomial import legendre, polynomial
 
 from warp_plate.plate.files import read_table
 from warp_plate.scene.errors import SceneError
@@ -50,8 +50,7 @@ class Axis:
 
     def integrals(self, interval: np.ndarray, at: np.ndarray) -> np.ndarray:
         """Return (..., nodes of an interval) ∫ φ from the beginning of the interval to points."""
-        raised = np.zeros((len(self.powers), self.powers.shape[1] + 1))
-        raised[:, 1:] = self.powers / np.arange(1, self.powers.shape[1] + 1)
+        raised = polynomial.polyint(self.powers, axis=1)
         start, middle = self.breaks[interval], self.middle[interval]
         return _polynomials(raised, at - middle) - _polynomials(raised, start - middle)
 
@@ -170,10 +169,7 @@ def read_mask(scene: Scene, key: str, target: Target) -> np.ndarray:
 
 def _polynomials(powers: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Return (..., polynomials) values of polynomials with coefficients (polynomials, degree + 1)."""
-    values = np.zeros((*at.shape, len(powers)))
-    for column in powers.T[::-1]:
-        values = values * at[..., None] + column
-    return values
+    return np.ascontiguousarray(np.moveaxis(polynomial.polyval(at, powers.T), 0, -1))
 
 
 def _parts(start: np.ndarray, end: np.ndarray, across: Axis, up: Axis) -> tuple[np.ndarray, np.ndarray]:
