@@ -50,7 +50,7 @@ def main(arguments: list[str] | None = None) -> None:
         parser.error(str(error))
     record = asdict(report)
     written = output.write_measurements(target, record, draw_bench, given.pictures)
-    output.report(given.json, lambda: record, lambda console: print_report(report, console), written)
+    output.report(given.json, lambda: record, lambda console: print_report(report, console), written=written)
 
 
 def make_parser() -> argparse.ArgumentParser:
