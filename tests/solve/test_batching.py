@@ -70,7 +70,7 @@ def test_parts_that_take_turns_change_no_bit(count, name, device, path, phasors,
     whole = PlateSolver(make(name), device, path).run(drives, (0.003,))
     solver = PlateSolver(make(name), device, path)
     states = [State(solver.specialized, 5) for _ in range(count)]
-    monkeypatch.setattr(solver.parts, "states_for", lambda plates, corners: (states, 5))
+    monkeypatch.setattr(solver, "_states_for", lambda plates, corners: states)
     calls = itertools.count()
 
     def interrupt(done, total):
@@ -93,13 +93,13 @@ def test_little_memory_and_large_batches(device, path, phasors, monkeypatch):
     poor, solver = PlateSolver(plain, device, path, memory_share=1e-9), PlateSolver(plain, device, path)
     if device == "cpu":
         np.testing.assert_array_equal(poor.run(drives[:5]).energy, right[:5])
-        assert [state.capacity for state in poor.parts.states] == [1]
+        assert [state.capacity for state in poor.states] == [1]
     else:
         with pytest.raises(SceneError, match=r"grid\.nodes .* may be taken"):
             poor.run(drives)
         monkeypatch.setattr("warp_plate.solve.parts.PART_NODE_STEPS", 20 * solver.node_steps_per_plate)
         np.testing.assert_array_equal(solver.run(drives).energy, right)
-        assert [state.capacity for state in solver.parts.states] == [20, 20]
+        assert [state.capacity for state in solver.states] == [20, 20]
 
 
 @pytest.mark.parametrize("tables", [{"order": 4}, {"effects": {**LINEAR, "stretching": {}}}])

@@ -50,7 +50,7 @@ class Batch:
         self.engine, self.state, self.plates = engine, state, plates
         self.grown = np.full(plates, -1)
         self.step = 0
-        self.largest_rate = largest_rate_per_step(engine.specialized)
+        self.largest_rate = SLACK * engine.specialized.largest_rate_per_step
         moving = engine.specialized.discretization.moving
         self.least = moving.largest if moving else 0.0  # Pressure that all plates have beside their drives [N/m²]
         self._summed = False
@@ -230,21 +230,6 @@ def energy_unit(specialized: Specialized) -> float:
     scheme = specialized.scheme
     (hx, hy), (first, last) = scheme.spacing, scheme.window
     return 0.5 * scheme.surface_density * hx * hy * speed_unit(specialized) ** 2 / (last - first)
-
-
-def largest_rate_per_step(specialized: Specialized) -> float:
-    """Return the rate, in the kernels' units, that no bounded plate exceeds per step since the start."""
-    norms = np.linalg.norm(specialized.patches.numpy().astype(float), axis=1)
-    if specialized.discretization.per_plate.centre:  # the largest norms wherever the actuators are
-        areas = np.array([actuator.area for actuator in specialized.scene.actuators])
-        sides = np.stack([areas[:, 1] - areas[:, 0], areas[:, 3] - areas[:, 2]], axis=1)
-        covered = (sides / specialized.scheme.spacing + 2).prod(axis=1)
-        norms = np.maximum(norms, specialized.share.max() * np.sqrt(covered))
-    # Waves are below two in size and coefficients at most one.
-    load = 2 * specialized.effects.terms * norms.sum()
-    if specialized.discretization.moving is not None:
-        load += np.sqrt(specialized.interior_nodes)
-    return SLACK * float(load)
 
 
 def steps_between_checks(specialized: Specialized, plates: int) -> int | None:

@@ -99,7 +99,6 @@ class PlateSolver:
         self.states: list[State] = []
         self._chunk, self._areas, self._memory_share = chunk, areas, memory_share
         self._batch: Batch | None = None
-        self._in_use: list[tuple[wp.Event, wp.array]] = []  # drives that queued work reads, with its end
         self.node_steps = 0
         self.compile_seconds = time.perf_counter() - started
 
@@ -221,9 +220,7 @@ class PlateSolver:
         pairs = import_drives(drives, len(self.scene.actuators), self.device)
         energy: wp.array = wp.empty((len(pairs), len(self.regions)), dtype=wp.float64, device=self.device)
         run_parts_on_device(self.engine, self._states_for(len(pairs), np.empty((0, 2), int))[0], pairs, energy)
-        if self.device.is_cuda:  # the drives' memory must stay until their run is done
-            self._in_use = [(done, drives) for done, drives in self._in_use if not done.is_complete]
-            self._in_use.append((wp.get_stream(self.device).record_event(), pairs))
+        energy.drives = pairs  # which queued work reads: their memory stays as long as the energies
         self.node_steps += len(pairs) * self.node_steps_per_plate
         return energy
 

@@ -114,6 +114,21 @@ class Specialized:
         return masses
 
     @cached_property
+    def largest_rate_per_step(self) -> float:
+        """Rate, in the kernels' units, that the loads' work adds at most in a step; cached as ``masses``."""
+        norms = np.linalg.norm(self.patches.numpy().astype(float), axis=1)
+        if self.discretization.per_plate.centre:  # the largest norms wherever the actuators are
+            areas = np.array([actuator.area for actuator in self.scene.actuators])
+            sides = np.stack([areas[:, 1] - areas[:, 0], areas[:, 3] - areas[:, 2]], axis=1)
+            covered = (sides / self.scheme.spacing + 2).prod(axis=1)
+            norms = np.maximum(norms, self.share.max() * np.sqrt(covered))
+        # Waves are below two in size and coefficients at most one.
+        load = 2 * self.effects.terms * norms.sum()
+        if self.discretization.moving is not None:
+            load += np.sqrt(self.interior_nodes)
+        return float(load)
+
+    @cached_property
     def drive_factors(self) -> wp.array:
         """(terms, features, actuators) factors of the features of ``plate.signals`` in the coefficients, float64."""
         factors = self.discretization.signals.mixing * self.sizes[:, None, None]
