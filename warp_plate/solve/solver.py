@@ -220,7 +220,8 @@ class PlateSolver:
         pairs = import_drives(drives, len(self.scene.actuators), self.device)
         energy: wp.array = wp.empty((len(pairs), len(self.regions)), dtype=wp.float64, device=self.device)
         run_parts_on_device(self.engine, self._states_for(len(pairs), np.empty((0, 2), int))[0], pairs, energy)
-        energy.drives = pairs  # which queued work reads: their memory stays as long as the energies
+        # Queued work reads the drives: their memory stays as long as the energies.
+        energy.drives = pairs  # type: ignore[attr-defined]
         self.node_steps += len(pairs) * self.node_steps_per_plate
         return energy
 
