@@ -149,13 +149,11 @@ def files_naming(word):
     return {str(path.relative_to(ROOT)) for path, text in outside if re.search(rf"\b{word}\b", text)}
 
 
-@pytest.mark.xfail(strict=False, reason="effects move to effects/ one by one")
 @pytest.mark.parametrize("word", HIDDEN_EFFECTS)
 def test_an_effect_is_named_by_its_own_file_alone(word):
     assert not {name for name in files_naming(word) if not name.startswith("kernels")}
 
 
-@pytest.mark.xfail(strict=False, reason="effects move to effects/ one by one")
 @pytest.mark.parametrize("word", RARE_EFFECTS)
 def test_an_effect_with_functions_of_its_own_is_named_by_few_files(word):
     assert len(files_naming(word)) <= MOST_FILES
