@@ -22,8 +22,6 @@ from warp_plate.scene.fields import Area, Table
 Role = Literal["mass", "stiffness", "damping", "hysteretic"]
 Derivative = Literal["", "x", "y", "xx", "yy", "xy", "n"]
 Factors: TypeAlias = "tuple[Derivative, Derivative]"
-# Coefficient: a number, or values at the points of a grid (y, x).
-Coefficient: TypeAlias = "float | np.ndarray"
 
 DISPLACEMENT: Factors = ("", "")
 SLOPE: Factors = ("n", "n")

@@ -197,7 +197,8 @@ def stiffness_parts(bending: Bending) -> dict[str, scipy.sparse.csr_array]:
         parts[bending.labels.get("membrane", "membrane")] = -curved
     for label, springs in bending.springs.items():
         if springs.any():
-            parts[label] = diagonal(weight * springs)
+            # An effect may have both in-plane forces and springs, under one name.
+            parts[label] = parts.get(label, 0) + diagonal(weight * springs)
     return {label: scipy.sparse.csr_array(hx * hy * part) for label, part in parts.items()}
 
 

@@ -234,8 +234,9 @@ def _largest_of_homogeneous(scene: Scene, bending: Bending) -> tuple[dict[str, f
     stiff = {
         "bending": float(16 * max(along_x, along_y, along_x + along_y + 2 * mixed / (hx * hy) ** 2)) / mass,
         bending.labels.get("membrane", "membrane"): 4 * (max(pull_x, 0) / hx**2 + max(pull_y, 0) / hy**2) / mass,
-        **{label: float(springs[middle]) / mass for label, springs in bending.springs.items()},
     }
+    for label, springs in bending.springs.items():
+        stiff[label] = stiff.get(label, 0.0) + float(springs[middle]) / mass
     viscous, backward = viscous_damping(scene)
     return stiff, {
         "backward damping": viscous / mass if backward else 0.0,
