@@ -1,5 +1,6 @@
 """Plates on Dask's workers: the same bits, and the right answer when workers or their scheduler end."""
 
+import gc
 import os
 import signal
 import socket
@@ -22,7 +23,7 @@ from warp_plate.cluster.evaluator import make_evaluator
 from warp_plate.cluster.opening import open_pool
 from warp_plate.cluster.pool import ATTEMPTS, Task, WorkersGone, run_tasks
 
-pytest.importorskip("distributed")
+distributed = pytest.importorskip("distributed")
 dask = pytest.importorskip("dask")
 psutil = pytest.importorskip("psutil")  # which Dask needs as well
 needs_listeners = pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells who listens where")
@@ -118,7 +119,10 @@ def test_a_task_that_no_worker_survives(pool):
 
 
 def test_no_scheduler_is_one_line(tmp_path, monkeypatch):
+    """Each client is closed at once: if the garbage collector did it, two of them could wait for each other."""
     monkeypatch.setattr(opening, "ANSWER_SECONDS", 0.5)
+    open_clients = []
+    monkeypatch.setattr(distributed.Client, "__del__", lambda client: open_clients.append(client.status))
     file = tmp_path / "scheduler.json"
     for text in ("x", '{"address": 7}', "[1]", "[" * 10**5):
         file.write_text(text, encoding="utf-8")
@@ -128,6 +132,8 @@ def test_no_scheduler_is_one_line(tmp_path, monkeypatch):
     for where in ("tcp://127.0.0.1:1", "tls://127.0.0.1:1", "ucx://127.0.0.1:1"):  # a reserved port
         with pytest.raises(SceneError, match=f"--cluster {where}: no scheduler answers there"), open_pool(None, where):
             pass
+    gc.collect()
+    assert set(open_clients) <= {"closed"}
     assert dask.config.get("scheduler", None) is None  # Dask's other users in this process keep theirs
 
 

@@ -268,8 +268,8 @@ def connect(address: str, device: str, log: Callable[[str], object]) -> DaskPool
         SceneError: Dask is not installed, no scheduler answers, or no worker has joined it.
     """
     try:
-        import distributed
         from dask import config
+        from distributed import Client
 
         config.set(SETTINGS)
         cluster = _start_workers(address) if address.startswith("local:") else None
@@ -277,8 +277,19 @@ def connect(address: str, device: str, log: Callable[[str], object]) -> DaskPool
         raise SceneError(f"--cluster {address}: {error}: pip install 'warp-plate[cluster]'") from None
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # errors are reported here in one line
     scheduler = address if cluster or "://" in address else _address_in(address)
+
+    class ClosedIfRefused(Client):  # type: ignore[misc]
+        """A client that closes when it cannot connect: the garbage collector, which closes Dask's, can deadlock."""
+
+        def start(self, **options: Any) -> None:
+            try:
+                super().start(**options)
+            except BaseException:
+                self.close(timeout=1)
+                raise
+
     try:
-        client = distributed.Client(cluster or scheduler, timeout=ANSWER_SECONDS, set_as_default=False)
+        client = ClosedIfRefused(cluster or scheduler, timeout=ANSWER_SECONDS, set_as_default=False)
     except Exception as error:  # Dask raises a different one for each scheme of an address
         line = str(error).partition("\n")[0] or type(error).__name__
         raise SceneError(f"--cluster {address}: no scheduler answers there: {line}") from None
