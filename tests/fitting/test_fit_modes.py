@@ -236,18 +236,14 @@ def test_shapes_are_needed_for_the_mac(random):
 
 
 @pytest.mark.slow
-def test_bootstrap_and_profiles_agree_with_the_jacobian(random):
+def test_bootstrap_agrees_with_the_jacobian(random):
     """Of a nearly linear fit with normal errors; the same seed gives the same samples."""
     free = {**MODULI, "effects.damping.viscous": (0.1, 10.0)}
-    scene = stiff_panel(free=free, bootstrap=200, profile=7)
+    scene = stiff_panel(free=free, bootstrap=200)
     data = measured(random, count=20, damping_noise=0.02)
     found, again = fit_modes(scene, data), fit_modes(scene, data)
     np.testing.assert_array_equal(found.bootstrap, again.bootstrap)
     np.testing.assert_allclose(found.bootstrap[1] - found.bootstrap[0], found.high - found.low, rtol=0.35)
-    values, rises = found.profiles
-    half = (found.high - found.low)[:, None] / 2
-    np.testing.assert_allclose(rises, found.rise * ((values - found.values[:, None]) / half) ** 2, atol=0.6)
-    assert found.rise == pytest.approx(4, rel=0.1)
 
 
 @pytest.mark.slow

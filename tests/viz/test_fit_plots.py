@@ -5,7 +5,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from warp_plate import Scene
 from warp_plate.fitting.fit_modes import modal_assurance
 from warp_plate.fitting.measured_responses import MeasuredResponses
 from warp_plate.viz.plots import frequency_response as plots
@@ -67,24 +66,3 @@ def test_modes(axes_of, random):
     np.testing.assert_allclose([bar.get_height() for bar in bars.patches], 100 * errors)
     np.testing.assert_array_equal(matrix.images[0].get_array(), mac)
     assert len(axes_of(plots.draw_mode_fit, found)) == 1
-
-
-def test_profiles(axes_of):
-    """The line of 95 % crosses the parabola at the ends of the interval; a number without one has none."""
-    values = np.array([np.linspace(69e9, 71e9, 5), np.linspace(0.1, 0.3, 5)])
-    rises = np.array([[4.0, 1.0, 0.0, 1.0, 4.0], np.zeros(5)])
-    found = SimpleNamespace(
-        scene=Scene.load("paper"),
-        keys=("plate.young_modulus", "plate.poisson_ratio"),
-        values=np.array([70e9, 0.2]),
-        low=np.array([69e9, np.nan]),
-        high=np.array([71e9, np.nan]),
-        profiles=np.stack([values, rises]),
-        rise=4.0,
-    )
-    first, second = axes_of(plots.draw_profiles, found)
-    profile, limit, parabola = first.lines
-    np.testing.assert_array_equal(profile.get_ydata(), rises[0])
-    np.testing.assert_allclose(parabola.get_ydata()[[0, -1]], limit.get_ydata()[0])
-    assert "Pa" in first.get_xlabel()
-    assert np.isnan(second.lines[2].get_ydata()).all()

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_plate.result.frequency_response import UNITS, FrequencyResponse
-from warp_plate.scene.keys import unit_of
 from warp_plate.viz.annotations import shortened
-from warp_plate.viz.plots.frame import figure, label_axis, number_log_axis
+from warp_plate.viz.plots.frame import figure, number_log_axis
 from warp_plate.viz.styles import GRID, length_unit, point_text
 
 if TYPE_CHECKING:
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
 
     from warp_plate.fitting.fit_modes import ModeFit
     from warp_plate.fitting.fit_responses import ResponseFit
-    from warp_plate.fitting.fitted_panel import FittedPanel
 
 # Colours of responses, which repeat; the dashes of curves that cover earlier ones to the relative distance COVERED;
 # most curves in colour and in the legend: the largest ones, the others are grey.
@@ -32,9 +30,7 @@ MOST_DECADES = 8.0
 # Factor between the ends of a range from which its axis is logarithmic.
 LOGARITHMIC = 4.0
 MEASURED, FITTED = "#d94801", "#08519c"
-MOST_RESPONSES, PROFILES_IN_A_ROW = 4, 4
-# Rise of χ² at the top of profiles, relative to that at the ends of 95 % intervals.
-PROFILE_TOP = 2.4
+MOST_RESPONSES = 4
 # Phases further apart than this are drawn without a line between them [°].
 JUMP = 270
 
@@ -193,40 +189,6 @@ def draw_mode_fit(fitted: ModeFit, path: str | Path, mac: np.ndarray | None = No
         if mac is not None:
             _draw_mac(fig, others[0], mac, fitted.numbers)
         fig.suptitle(fitted.scene.title or "Natural frequencies", fontsize=10)
-
-
-def draw_profiles(fitted: FittedPanel, path: str | Path) -> None:
-    """Draw the profile likelihood of each number, and the parabola that its interval assumes."""
-    assert fitted.profiles is not None
-    columns = min(len(fitted.keys), PROFILES_IN_A_ROW)
-    rows = -(-len(fitted.keys) // columns)
-    with figure(path, (max(4.6, 2.6 * columns), 0.9 + 2.1 * rows)) as fig:
-        panels = fig.subplots(rows, columns, squeeze=False, sharey=True)
-        for axes in panels.ravel()[len(fitted.keys) :]:
-            axes.set_visible(False)
-        for index, axes in enumerate(panels.ravel()[: len(fitted.keys)]):
-            _draw_profile(fitted, index, axes)
-        for axes in panels[:, 0]:
-            axes.set_ylabel("rise of χ²")
-        panels[0, 0].set_ylim(-0.1 * fitted.rise, PROFILE_TOP * fitted.rise)
-        fig.suptitle(fitted.scene.title or "Profile likelihoods", fontsize=10)
-        fig.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8)
-
-
-def _draw_profile(fitted: FittedPanel, index: int, axes: Axes) -> None:
-    assert fitted.profiles is not None
-    (values, rise), best = fitted.profiles[:, index], fitted.values[index]
-    axes.plot(values, rise, color=FITTED, marker=".", markersize=4, linewidth=1, label="others fitted")
-    axes.axhline(fitted.rise, color="black", linewidth=0.8, linestyle=":", label="95 %")
-    half = (fitted.high[index] - fitted.low[index]) / 2
-    label = "parabola of the interval"
-    axes.plot(
-        values, fitted.rise * ((values - best) / half) ** 2, color=MEASURED, linewidth=1.2, linestyle="--", label=label
-    )
-    label_axis(axes.xaxis, fitted.keys[index], unit_of(fitted.scene, fitted.keys[index]), 7)
-    axes.locator_params(axis="x", nbins=3)
-    axes.tick_params(labelsize=7)
-    axes.grid(True, color=GRID, linewidth=0.4, alpha=0.4)
 
 
 def _draw_mac(fig: Figure, axes: Axes, mac: np.ndarray, numbers: np.ndarray) -> None:

@@ -39,8 +39,7 @@ def fit(
 
     The table [fit.free] of the scene lists the free properties and their ranges, such as
     "plate.young_modulus" = [6e10, 8e10]. The fitted scene is written as a scene file. Properties that the data cannot
-    distinguish are reported and have no interval. fit.bootstrap = 200 adds intervals by the bootstrap, and
-    fit.profile = 11 the profile likelihood of each property.
+    distinguish are reported and have no interval. fit.bootstrap = 200 adds intervals by the bootstrap.
 
     Parameters
     ----------
@@ -53,8 +52,7 @@ def fit(
         .csv with the table [fit.signals]. May be repeated, for files with as many responses each.
     out
         The fitted scene (.toml; default: SCENE.fitted.toml in this folder). Pictures of measured and fitted values
-        (.png and .svg) are written beside it under the same name, and those of profile likelihoods under
-        SCENE.fitted.profiles.
+        (.png and .svg) are written beside it under the same name.
     """
     target = output.output_file(out, f"{Path(scene).stem}.fitted.toml", (), FITTED, files.force)
     loaded, scene = output.load_scene(scene, assignments)
@@ -87,24 +85,18 @@ def _draw(fitted: ModeFit | ResponseFit, target: Path) -> output.Drawn:
     from warp_plate.fitting.fit_modes import assurance
     from warp_plate.fitting.fit_responses import ResponseFit
     from warp_plate.viz.plots.frame import save_plots
-    from warp_plate.viz.plots.frequency_response import draw_mode_fit, draw_profiles, draw_response_fit
+    from warp_plate.viz.plots.frequency_response import draw_mode_fit, draw_response_fit
 
     if isinstance(fitted, ResponseFit):
-        drawn, missing = save_plots(draw_response_fit, fitted, target)
-    else:
-        mac = assurance(fitted.scene, fitted.measured, fitted.numbers)
-        drawn, missing = save_plots(partial(draw_mode_fit, mac=mac), fitted, target)
-    if fitted.profiles is not None and missing is None:
-        drawn = [*drawn, *save_plots(draw_profiles, fitted, target.with_suffix(".profiles.toml"))[0]]
-    return drawn, missing
+        return save_plots(draw_response_fit, fitted, target)
+    mac = assurance(fitted.scene, fitted.measured, fitted.numbers)
+    return save_plots(partial(draw_mode_fit, mac=mac), fitted, target)
 
 
 def _fit_as_json(name: str, fitted: ModeFit | ResponseFit) -> dict[str, object]:
     columns = {"value": fitted.values, "low": fitted.low, "high": fitted.high, "at_limit": fitted.at_limit}
     if fitted.bootstrap is not None:
         columns["bootstrap"] = fitted.bootstrap.T
-    if fitted.profiles is not None:
-        columns["profile"], columns["profile_rise"] = fitted.profiles
     return {
         "scene": name,
         "parameters": {key: {name: of[row] for name, of in columns.items()} for row, key in enumerate(fitted.keys)},

@@ -19,7 +19,6 @@ from warp_plate.fitting.least_squares import (
     bootstrap,
     exchangeable,
     fit_least_squares,
-    profile,
 )
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import resolved_key, value_of
@@ -140,9 +139,6 @@ class FittedPanel:
         mirrored: Groups of keys of opposite edges whose numbers may change places without a change of the data.
         evaluations: Number of plates that were computed.
         bootstrap: (2, p) ends of the 95 % intervals by the bootstrap; None if it was not asked for.
-        profiles: (2, p, points) values of each number, and by how much χ² rises if the number is fixed there and the
-            others are fitted; None if they were not asked for.
-        rise: Rise of χ² at the ends of a 95 % interval.
     """
 
     scene: Scene
@@ -156,8 +152,6 @@ class FittedPanel:
     mirrored: tuple[tuple[str, ...], ...]
     evaluations: int
     bootstrap: np.ndarray | None
-    profiles: np.ndarray | None
-    rise: float
 
 
 F = TypeVar("F", bound=FittedPanel)
@@ -205,14 +199,11 @@ def fit_panel(cls: type[F], problem: PanelProblem, describe: Callable[[Scene], d
         raise SceneError(f"{problem.source}: {given}; measure more, or free fewer keys in [fit.free]")
     starts = free.starts(fit.starts, fit.seed)
     optimum = fit_least_squares(problem.predict, problem.residuals, starts, weigh, problem.exact)
-    samples = profiles = None
+    samples = None
     if fit.bootstrap:
         drawn = bootstrap(optimum, problem.kinds, weigh, fit.bootstrap, fit.seed)
         ends = np.where(np.isnan(optimum.deviations), np.nan, np.quantile(drawn, TAILS, axis=0))
         samples = np.array([free.values(row) for row in ends])
-    if fit.profile:
-        grids, rises = profile(optimum, fit.profile)
-        profiles = np.stack([np.array([free.values(column) for column in grids.T]).T, rises])
     mirrored = [pairs for pairs in free.mirror_pairs() if exchangeable(optimum, pairs)]
     width, scene = optimum.student * optimum.deviations, free.scene_at(optimum.unknowns)
     return cls(
@@ -227,7 +218,5 @@ def fit_panel(cls: type[F], problem: PanelProblem, describe: Callable[[Scene], d
         mirrored=tuple(tuple(free.keys[index] for pair in pairs for index in pair) for pairs in mirrored),
         evaluations=problem.predict.evaluations + (problem.exact.evaluations if problem.exact else 0),
         bootstrap=samples,
-        profiles=profiles,
-        rise=optimum.student**2,
         **describe(scene),
     )

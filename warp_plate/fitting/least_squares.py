@@ -6,8 +6,7 @@ has no singular value are combinations of unknowns that the data do not tell apa
 
 The bootstrap (B. Efron, R. J. Tibshirani, An Introduction to the Bootstrap, 1993, section 9.4) draws the residuals of a
 fit with replacement, adds them to the prediction at the optimum and fits these data, many times; it makes no assumption
-of normal errors, and follows the unknowns where they are not linear in the data. A profile likelihood fixes one unknown
-at a time and fits the others.
+of normal errors, and follows the unknowns where they are not linear in the data.
 """
 
 from __future__ import annotations
@@ -34,8 +33,6 @@ MOST_CACHED = 128
 # Rounds of reweighting the residuals.
 ROUNDS = 3
 LEVEL = 0.95
-# Half-width of profiles in standard deviations.
-REACH = 3.0
 # Half the distance of exchanged unknowns, and the part of the residuals' change that differs for mirror images.
 APART, ALIKE = 0.1, 1e-3
 Function = Callable[[np.ndarray], np.ndarray]
@@ -100,7 +97,6 @@ class LeastSquaresFit:
         correlations: (p, p) correlations, NaN for the same.
         inseparable: Groups of indices of unknowns that cannot be distinguished; a group of one has no influence.
         student: Half-width of 95 % intervals in standard deviations.
-        freedom: Number of degrees of freedom of the residuals.
         problem: The problem, with the weights at the optimum, for further fits.
     """
 
@@ -109,7 +105,6 @@ class LeastSquaresFit:
     correlations: np.ndarray
     inseparable: tuple[tuple[int, ...], ...]
     student: float
-    freedom: int
     problem: LeastSquaresProblem
 
 
@@ -183,27 +178,18 @@ class LeastSquaresProblem:
             slopes = self.of.slopes(self.predict(unknowns) + self.lacking, changes).T
         return np.asarray((self.weights * slopes.T).T)
 
-    def solve(self, start: np.ndarray, tolerance: float, fixed: int | None = None) -> np.ndarray:
-        """Return the (p,) unknowns of a local optimum, with one of them ``fixed``."""
-        free = np.arange(len(start)) != (-1 if fixed is None else fixed)
-        if not free.any():
-            return start
-
-        def point(changed: np.ndarray) -> np.ndarray:
-            whole = start.copy()
-            whole[free] = changed
-            return whole
-
+    def solve(self, start: np.ndarray, tolerance: float) -> np.ndarray:
+        """Return the (p,) unknowns of a local optimum."""
         optimum = scipy.optimize.least_squares(
-            lambda changed: self.weights * self.residuals(point(changed)),
-            start[free],
-            lambda changed: self.jacobian(point(changed), central=tolerance < COARSE)[:, free],
+            lambda unknowns: self.weights * self.residuals(unknowns),
+            start,
+            lambda unknowns: self.jacobian(unknowns, central=tolerance < COARSE),
             bounds=(0, 1),
             xtol=tolerance,
             ftol=tolerance**2,
             gtol=None,
         )
-        return point(optimum.x)
+        return np.asarray(optimum.x)
 
 
 def leverage(jacobian: np.ndarray) -> np.ndarray:
@@ -233,7 +219,7 @@ def _judge(unknowns: np.ndarray, problem: LeastSquaresProblem, jacobian: np.ndar
     groups = (tuple(np.flatnonzero((labels == label) & ~identifiable).tolist()) for label in range(count))
     student = float(scipy.special.stdtrit(freedom, (1 + LEVEL) / 2))
     inseparable = tuple(group for group in groups if group)
-    return LeastSquaresFit(unknowns, deviations / lengths, correlations, inseparable, student, freedom, problem)
+    return LeastSquaresFit(unknowns, deviations / lengths, correlations, inseparable, student, problem)
 
 
 def bootstrap(
@@ -264,31 +250,6 @@ def bootstrap(
     return np.array(samples)
 
 
-def profile(optimum: LeastSquaresFit, points: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return (p, points) values of each unknown, and by how much χ² rises if it is fixed there.
-
-    χ² is the sum of squared residuals over its estimated variance; a 95 % interval ends where it rises by the square of
-    ``optimum.student``. Values reach three standard deviations to either side, or over the range of an unknown that the
-    data do not determine.
-    """
-    best = _squares(optimum.problem, optimum.unknowns)
-    variance = best / max(1, optimum.freedom)
-    grids, rises = [], []
-    for index, (value, deviation) in enumerate(zip(optimum.unknowns, optimum.deviations, strict=True)):
-        width = REACH * deviation if np.isfinite(deviation) else 1.0
-        grid = np.linspace(max(value - width, 0.0), min(value + width, 1.0), points)
-        squares = np.empty(points)
-        for order in (np.flatnonzero(grid >= value), np.flatnonzero(grid < value)[::-1]):  # outwards
-            unknowns = optimum.unknowns
-            for place in order:
-                start = np.where(np.arange(len(unknowns)) == index, grid[place], unknowns)
-                unknowns = optimum.problem.solve(start, AROUND, fixed=index)
-                squares[place] = _squares(optimum.problem, unknowns)
-        grids.append(grid)
-        rises.append((squares - best) / variance if variance else squares * 0)
-    return np.array(grids), np.array(rises)
-
-
 def exchangeable(optimum: LeastSquaresFit, pairs: Sequence[tuple[int, int]]) -> bool:
     """Return whether the data stay as they are if the unknowns of all pairs change places."""
     first, second = np.array(pairs).T
@@ -301,7 +262,3 @@ def exchangeable(optimum: LeastSquaresFit, pairs: Sequence[tuple[int, int]]) -> 
     equal[first] = equal[second] = middle
     change = np.linalg.norm(one - optimum.problem.residuals(equal))
     return bool(np.linalg.norm(one - other) < ALIKE * change)
-
-
-def _squares(problem: LeastSquaresProblem, unknowns: np.ndarray) -> float:
-    return float(np.sum((problem.weights * problem.residuals(unknowns)) ** 2))

@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from warp_plate.scene.fields import Gain, Moderate, Name, Point, Positive, Table, Unit
 
-FEWEST_SAMPLES, FEWEST_POINTS = 40, 3
+FEWEST_SAMPLES = 40
 
 
 def _flat(free: Any) -> Any:
@@ -80,8 +80,6 @@ class Fit(Table):
     """Random seed of the starts and of the bootstrap."""
     bootstrap: Annotated[int, Field(ge=0, le=100_000, examples=[200])] = 0
     """Number of resampled data sets for further intervals."""
-    profile: Annotated[int, Field(ge=0, le=1000, examples=[11])] = 0
-    """Number of points of each profile likelihood."""
     range: Annotated[tuple[Positive, Positive] | None, Unit("Hz"), Field(examples=[[50.0, 2000.0]])] = None
     """Lowest and highest frequency of responses that are used."""
     signals: TimeSignals | None = None
@@ -98,8 +96,6 @@ class Fit(Table):
             raise ValueError(
                 f"bootstrap = {self.bootstrap}: must be 0 or at least {FEWEST_SAMPLES}, for intervals of 95 %"
             )
-        if 0 < self.profile < FEWEST_POINTS:
-            raise ValueError(f"profile = {self.profile}: must be 0 or at least {FEWEST_POINTS}")
         if self.range is not None and self.range[0] >= self.range[1]:
             raise ValueError(f"range: {list(self.range)}: the lowest frequency comes first, and they differ")
         return self
