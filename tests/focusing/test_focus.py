@@ -110,9 +110,16 @@ def test_waveforms_of_another_panel_are_played(focused):
 
 
 def test_four_fingers_feel_bursts_of_their_own():
-    inverse = focus("four-fingers").methods["inverse_filter"]
+    """Resolution is in half bending waves at 2000 Hz: π/k with k² = ω √(ρH/D)."""
+    found = focus("four-fingers")
+    inverse = found.methods["inverse_filter"]
     assert inverse.crosstalk_db[~np.eye(4, dtype=bool)].max() < -20
     assert inverse.misfit.max() < 0.05
+    rigidity = 7e10 * 5e-4**3 / 12 / (1 - 0.22**2)
+    half_wave = np.pi / np.sqrt(2 * np.pi * 2000 * np.sqrt(2500 * 5e-4 / rigidity))
+    assert found.half_wave == pytest.approx(half_wave)
+    area = found.methods["optimum"].focus_area
+    np.testing.assert_allclose(found.resolution("optimum"), np.sqrt(4 * area / np.pi) / half_wave)
 
 
 @pytest.mark.slow
@@ -139,14 +146,14 @@ def test_four_fingers_feel_them_in_time_steps_too(tmp_path):
 
 def test_quiet_waveforms_keep_the_rest_within_its_bound():
     """Against random waveforms near them: none within the bound and the energy moves the point further."""
-    rest = {"contrast": 15.0, "radius": 0.03}
-    scene = scene_of(damping=20.0, focus={**TABLE, "energy": 0.02, "rest": rest})
+    rest, rate = {"contrast": 15.0, "radius": 0.03}, 4000
+    scene = scene_of(damping=20.0, focus={**TABLE, "rate": rate, "energy": 0.02, "rest": rest})
     found = focus(scene)
     quiet, plain = found.methods["quiet"], found.methods["time_reversal"]
     assert quiet.limits == ("energy, rest",) * 2
     assert (quiet.peak < plain.peak).all()
     plate = modes_below(scene, 600.0)
-    responses = HeldResponses(plate, TABLE["rate"], scene.focus.recorded, velocity=False)
+    responses = HeldResponses(plate, rate, scene.focus.recorded, velocity=False)
     inside = [plate.kinetic_matrix(Target(disc=(*point, 0.03))) for point in TABLE["points"]]
     mass = plate.space.plate_mass * (1 - math.pi * 0.03**2 / 0.04)
 

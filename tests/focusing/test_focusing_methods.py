@@ -4,15 +4,7 @@ import numpy as np
 import pytest
 import scipy
 
-from warp_plate.focusing import methods
-from warp_plate.focusing.methods import (
-    Convolution,
-    inverse_filter,
-    keep_above,
-    l_curve_condition,
-    optimum,
-    scale_to_limits,
-)
+from warp_plate.focusing.methods import Convolution, inverse_filter, keep_above, optimum, scale_to_limits
 
 SHAPE = (3, 2, 40)  # actuators, foci, samples
 ENERGY, PEAK = 30.0, 0.8
@@ -32,7 +24,7 @@ def gains(h):
 
 def matrix_of(h):
     """Return the matrix of the convolution, (foci · samples, actuators · samples)."""
-    return np.block([[scipy.linalg.toeplitz(h[a, f], np.zeros(40)) for a in range(3)] for f in range(2)])
+    return np.block([[scipy.linalg.toeplitz(row, np.zeros(40)) for row in rows] for rows in h.swapaxes(0, 1)])
 
 
 def test_motion_and_gains_follow_the_definition(h, gains, random):
@@ -50,7 +42,7 @@ def test_motion_and_gains_follow_the_definition(h, gains, random):
 
 @pytest.mark.parametrize(("energy", "peak"), LIMITS)
 def test_no_random_waveforms_beat_the_optimum(gains, random, energy, peak):
-    """10⁵ of them at the limits: half at random, half near the optimum."""
+    """10⁴ of them at the limits: half at random, half near the optimum."""
     gains = gains[0]
     best, bound = optimum(gains, energy, peak)
     reached = float((gains * best).sum())
@@ -59,7 +51,7 @@ def test_no_random_waveforms_beat_the_optimum(gains, random, energy, peak):
     assert np.abs(best).max() <= (peak or np.inf) * (1 + 1e-12)
     for near in (0.0, 1.0):
         for _ in range(10):
-            tried = near * best + random.normal(size=(5000, *best.shape)) * 10.0 ** random.uniform(-6, 1)
+            tried = near * best + random.normal(size=(500, *best.shape)) * 10.0 ** random.uniform(-6, 1)
             tried = scale_to_limits(np.clip(tried, -(peak or np.inf), peak or np.inf), energy, peak)
             assert (tried * gains).sum(axis=(1, 2)).max() <= bound * (1 + 1e-12)
 
@@ -89,53 +81,19 @@ def test_low_frequencies_are_left_out():
     np.testing.assert_allclose(keep_above(low + high, 48000, 1000.0)[inside], high[inside], atol=0.02)
 
 
-def test_an_inverse_filter_that_does_not_converge_says_so(h, caplog, monkeypatch):
-    monkeypatch.setattr(methods, "STEPS", 2)
-    inverse_filter(Convolution(h, 30), np.ones((1, 2, 40)), 1e4)
+def test_an_inverse_filter_that_does_not_converge_says_so(h, caplog):
+    inverse_filter(Convolution(h, 30), np.ones((1, 2, 40)), 1e4, most_steps=2)
     assert "ended after 2 steps; a smaller focus.condition" in caplog.text
 
 
-def test_of_more_foci_than_actuators_it_is_that_solution_too(random):
-    """Of three panels of two foci, as an inverse filter for many panels has them."""
-    h = random.normal(size=(3, 6, 40)) * np.exp(-np.arange(40) / 10)
-    wished = random.normal(size=(2, 6, 40))
-    dense = np.block([[scipy.linalg.toeplitz(h[a, f], np.zeros(40)) for a in range(3)] for f in range(6)])
-    largest = np.linalg.svd(np.moveaxis(np.fft.rfft(h, 80), -1, 0), compute_uv=False).max()
-    normal = dense.T @ dense + (largest / 50.0) ** 2 * np.eye(dense.shape[1])
-    expected = np.linalg.solve(normal, dense.T @ wished.reshape(2, -1).T).T.reshape(2, 3, 40)
-    found = inverse_filter(Convolution(h, 40), wished, 50.0)
-    np.testing.assert_allclose(found, expected, atol=3e-3 * np.abs(expected).max())
-
-
-@pytest.mark.parametrize("condition", [3.0, 1000.0])
-def test_inverse_filter_is_the_regularised_least_squares_solution(h, random, condition):
-    """Of 30 samples that move the foci for 40, against dense matrices; singular values at their frequencies."""
-    wished, responses = random.normal(size=(2, 2, 40)), Convolution(h, 30)
-    dense = matrix_of(h).reshape(80, 3, 40)[..., :30].reshape(80, -1)
+@pytest.mark.parametrize(("foci", "samples", "condition"), [(2, 30, 3.0), (2, 30, 1000.0), (6, 40, 50.0)])
+def test_inverse_filter_is_the_regularised_least_squares_solution(random, foci, samples, condition):
+    """Against dense matrices; of 30 samples that move the foci for 40, and of three panels of two foci."""
+    h = random.normal(size=(3, foci, 40)) * np.exp(-np.arange(40) / 10)
+    wished = random.normal(size=(2, foci, 40))
+    dense = matrix_of(h).reshape(-1, 3, 40)[..., :samples].reshape(40 * foci, -1)
     largest = np.linalg.svd(np.moveaxis(np.fft.rfft(h, 80), -1, 0), compute_uv=False).max()
     normal = dense.T @ dense + (largest / condition) ** 2 * np.eye(dense.shape[1])
-    expected = np.linalg.solve(normal, dense.T @ wished.reshape(2, -1).T).T.reshape(2, 3, 30)
-    found = inverse_filter(responses, wished, condition)
+    expected = np.linalg.solve(normal, dense.T @ wished.reshape(2, -1).T).T.reshape(2, 3, samples)
+    found = inverse_filter(Convolution(h, samples), wished, condition)
     np.testing.assert_allclose(found, expected, atol=3e-3 * np.abs(expected).max())
-
-
-def test_the_l_curve_has_a_corner_where_equations_contradict_each_other(random):
-    """Two panels that differ by 1 % bend the curve where the misfit of one meets theirs; those of one never do."""
-    h = random.normal(size=(3, 2, 40)) * np.exp(-np.arange(40) / 10)
-    wished = np.zeros((1, 2, 60))
-    wished[0, 0, 20:30] = np.hanning(10)
-    one = np.pad(h, ((0, 0), (0, 0), (0, 20)))
-    assert l_curve_condition(Convolution(one, 60), wished) is None
-    other = one * (1 + 0.01 * random.normal(size=one.shape))
-    both = Convolution(np.concatenate([one, other], axis=1), 60)
-    wished = np.tile(wished, (1, 2, 1))
-    chosen = l_curve_condition(both, wished)
-    assert chosen is not None
-
-    def rest(condition):
-        waveforms = inverse_filter(both, wished, condition)
-        return np.linalg.norm(both.move(waveforms) - wished), np.linalg.norm(waveforms)
-
-    smaller, best, larger = (rest(chosen * factor) for factor in (0.2, 1.0, 5.0))
-    assert smaller[0] / best[0] > best[0] / larger[0]  # the misfit stops falling beyond the corner,
-    assert best[1] / smaller[1] < larger[1] / best[1]  # and the waveforms begin to grow

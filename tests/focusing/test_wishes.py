@@ -1,11 +1,11 @@
-"""Wished waveforms from files and arrays, fewer actuators, and panels within tolerances."""
+"""Wished waveforms from files and arrays, and panels within tolerances."""
 
 import numpy as np
 import pytest
 from scipy.io import wavfile
 
 from support.scenes import scene_of
-from warp_plate import Scene, SceneError, focus
+from warp_plate import SceneError, focus
 from warp_plate.focusing.motion import focus_motions
 from warp_plate.result.focus import load_focus, save_focus
 
@@ -124,33 +124,11 @@ def test_waveforms_without_a_wish_are_not_played_under_one(tmp_path):
     wishing = focus_panel(focus={**TABLE, "wish": {"file": "wish.csv", "rate": 4000.0}}).in_folder(tmp_path)
     with pytest.raises(SceneError, match=r"focus.wish: the waveforms were made without one"):
         focus(wishing, made)
-    with pytest.raises(SceneError, match="rank = optimum: not for waveforms of a file"):
-        focus(focus_panel(), made, rank="optimum")
 
 
-def test_fewer_actuators_reach_less_and_each_row_is_a_panel_of_its_own(tmp_path):
-    """The figures of n actuators are those of a panel that has no others; for time reversal the best choice of n."""
-    table = {"points": [(0.07, 0.06)], "highest": 600.0, "time": 0.02, "rate": 8000, "energy": 0.02}
-    scene = focus_panel(focus=table)
-    found = focus(scene, rank="time_reversal")
-    ranking = load_focus(save_focus(found, tmp_path / "found.h5")).ranking
-    assert sorted(ranking.actuators) == ["0", "1", "2", "3"]
-    assert (np.diff(ranking.peak) > 0).all()
-    gains = {}
-    for actuator in scene.actuators:
-        gains[actuator.name] = focus(scene.with_tables(actuators=[actuator])).methods["time_reversal"].peak[0]
-    assert list(ranking.actuators) == sorted(gains, key=gains.get, reverse=True)
-    kept = [actuator for actuator in scene.actuators if actuator.name in ranking.actuators[:2]]
-    two = focus(scene.with_tables(actuators=kept)).methods["time_reversal"]
-    assert ranking.peak[1] == pytest.approx(two.peak[0])
-    with pytest.raises(SceneError, match="rank = best: must be one of time_reversal"):
-        focus(scene, rank="best")
-
-
-@pytest.mark.slow
 def test_a_filter_for_many_panels_loses_less_on_others(tmp_path):
     """With a modulus within 2 %: worst misfit and crosstalk of panels that neither filter has seen."""
-    table = {**TABLE, "time": 0.03, "burst": {"frequency": 300.0, "cycles": 4.0}, "condition": 1e3}
+    table = {**TABLE, "rate": 1500, "time": 0.03, "burst": {"frequency": 300.0, "cycles": 4.0}}
     robust = {"young_modulus": 0.01, "scenarios": 8, "fresh": 12}
     found = focus(focus_panel(focus=table, search={"robust": robust}))
     nominal, many = (found.methods[name] for name in ("inverse_filter", "robust_filter"))
@@ -161,24 +139,3 @@ def test_a_filter_for_many_panels_loses_less_on_others(tmp_path):
     assert (nominal.panels.misfit.max(axis=1) > nominal.misfit.max()).all()
     read = load_focus(save_focus(found, tmp_path / "found.h5"))
     np.testing.assert_array_equal(read.methods["robust_filter"].panels.misfit, many.panels.misfit)
-    chosen = focus(focus_panel(focus={**table, "condition": "l-curve"}, search={"robust": robust}))
-    assert 10 < chosen.condition < 1e5
-    assert chosen.methods["robust_filter"].panels.misfit.max() < 1.2 * many.panels.misfit.max()
-
-
-def test_the_l_curve_of_one_panel_is_refused():
-    with pytest.raises(SceneError, match=r'focus.condition = "l-curve": exact responses of one panel have'):
-        focus(focus_panel(focus={**TABLE, "condition": "l-curve"}))
-    for wrong in (0.5, "curve", True):
-        with pytest.raises(SceneError, match=r'focus.condition = .*: must be a number from 1 to 1e7, or "l-curve"'):
-            focus_panel(focus={**TABLE, "condition": wrong})
-
-
-def test_resolution_is_in_half_waves():
-    """Half of a bending wave of four-fingers at 2000 Hz: π/k with k² = ω √(ρH/D)."""
-    found = focus(Scene.load("four-fingers"))
-    rigidity = 7e10 * 5e-4**3 / 12 / (1 - 0.22**2)
-    half_wave = np.pi / np.sqrt(2 * np.pi * 2000 * np.sqrt(2500 * 5e-4 / rigidity))
-    assert found.half_wave == pytest.approx(half_wave)
-    area = found.methods["optimum"].focus_area
-    np.testing.assert_allclose(found.resolution("optimum"), np.sqrt(4 * area / np.pi) / half_wave)

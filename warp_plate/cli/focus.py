@@ -13,7 +13,7 @@ from warp_plate.cli import options, output
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from warp_plate.result.focus import FocusResult, Ranking
+    from warp_plate.result.focus import FocusResult
 
 FIGURES = (
     "peak",
@@ -26,7 +26,6 @@ FIGURES = (
     "misfit",
     "electrical_energy",
 )
-RANKED = ("method", "actuators", "peak", "crosstalk_db", "misfit")
 HOLDS = "a focus"
 
 
@@ -36,7 +35,6 @@ def focus(
     *,
     assignments: options.Assignments = None,
     waveforms: Path | None = None,
-    rank: str | None = None,
     out: Path | None = None,
     files: options.FileOptions = options.FileOptions(),
     colours: options.ColourChoice = options.ColourChoice(),
@@ -53,9 +51,6 @@ def focus(
     waveforms
         File of focus with waveforms made for another panel, which are played on this one: shows how a finger or another
         damping changes the focus.
-    rank
-        Method (time_reversal, one_bit, inverse_filter or optimum) for which to rank the actuators: the least used one
-        is left out repeatedly, and the table shows what the others reach.
     out
         The .h5 file with waveforms, responses and fields (default: SCENE-focus.h5 in this folder).
     """
@@ -67,7 +62,7 @@ def focus(
 
     played = None if waveforms is None else load_focus(waveforms)
     with output.scene_errors(scene):
-        result = compute(loaded, played, rank=rank)
+        result = compute(loaded, played)
     from warp_plate.viz.plots.waveforms import draw_focus
 
     written = [save_focus(result, target)]
@@ -82,7 +77,6 @@ def _as_json(name: str, result: FocusResult) -> dict[str, object]:
         **output.attributes(result.scene.focus, "points", "quantity", "time", "rate", "lowest", "highest"),
         **output.attributes(result, "unit", "modes", "bound", "condition", "half_wave", "seconds"),
         "methods": {method: _method_as_json(result, method) for method in result.methods},
-        "ranking": None if result.ranking is None else output.attributes(result.ranking, *RANKED),
     }
 
 
@@ -124,8 +118,6 @@ def _print(name: str, result: FocusResult, console: Console) -> None:
     for method in result.methods:
         if remarks := _remarks(result, method):
             console.print(f"{method.replace('_', ' ')}: {', '.join(remarks)}")
-    if result.ranking is not None:
-        _print_ranking(result.ranking, result.unit, console)
 
 
 def _remarks(result: FocusResult, name: str) -> list[str]:
@@ -147,15 +139,3 @@ def _remarks(result: FocusResult, name: str) -> list[str]:
         worst.append(f"peak at least {least:.3g} {result.unit}")
         remarks.append(f"on {len(panels.peak)} panels {', '.join(worst)}")
     return remarks
-
-
-def _print_ranking(ranking: Ranking, unit: str, console: Console) -> None:
-    """Print what fewer actuators reach."""
-    table = output.table("actuators", "with", f"least peak ({unit})", "crosstalk (dB)", "misfit (%)")
-    for index, (name, peak, crosstalk) in enumerate(
-        zip(ranking.actuators, ranking.peak, ranking.crosstalk_db, strict=True)
-    ):
-        wrong = "" if ranking.misfit is None else f"{100 * ranking.misfit[index]:.2g}"
-        table.add_row(str(index + 1), name, f"{peak:.4g}", f"{crosstalk:.1f}" if np.isfinite(crosstalk) else "", wrong)
-    console.print(f"\nFewer actuators, by {ranking.method.replace('_', ' ')}; each row has those above it too:")
-    output.print_uncropped(console, table)

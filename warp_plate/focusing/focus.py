@@ -1,31 +1,41 @@
-"""Waveforms of all actuators that focus motion at points of a linear plate, and their results."""
+"""Waveforms of all actuators that focus motion at points of a linear plate, and their results.
+
+Panels within the tolerances of ``[search.robust]`` have an inverse filter made for many of them, the least squares
+Σ |A_p w − d|² / P + μ |w|² with A_p the responses of panel p; and all waveforms are measured on other ones.
+"""
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from warp_plate.focusing import methods
-from warp_plate.focusing.figures import describe_waveforms
-from warp_plate.focusing.methods import Convolution
-from warp_plate.focusing.panels import filter_for_panels, measure_panels
+from warp_plate.focusing.figures import Figures, describe_waveforms
+from warp_plate.focusing.methods import (
+    Convolution,
+    Gains,
+    find_gains,
+    inverse_filter,
+    least_squares,
+    limits_of,
+    make_waveforms,
+    scale_to_limits,
+)
 from warp_plate.focusing.responses import HeldResponses, quiet_optimum
-from warp_plate.focusing.waveforms import Gains, check_rank, find_gains, limits_of, make_waveforms, rank_actuators
 from warp_plate.focusing.wishes import Wish, make_wish
-from warp_plate.result.focus import FocusedWaveforms, FocusResult
+from warp_plate.plate.memory import refuse_beyond_memory
+from warp_plate.problem.uncertainty import Scenario, draw_scenarios
+from warp_plate.result.focus import FocusedWaveforms, FocusResult, PanelFigures
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.focus import L_CURVE, Focus
+from warp_plate.scene.focus import Focus
 from warp_plate.scene.model import Scene, SceneSource
 
+# Bytes for a frequency and a pair of responses: spectra, and what is made of them.
+SPECTRA = 32.0
 
-def focus(
-    scene: SceneSource,
-    played: FocusResult | None = None,
-    wished: np.ndarray | None = None,
-    rank: str | None = None,
-) -> FocusResult:
+
+def focus(scene: SceneSource, played: FocusResult | None = None, wished: np.ndarray | None = None) -> FocusResult:
     """Return the waveforms that focus motion at each point of ``[focus]``, by all methods.
 
     Args:
@@ -33,7 +43,6 @@ def focus(
         played: Waveforms made for another panel, which are played on this one (default: they are made for this one).
         wished: (samples,) or (foci, samples) motion that the foci are to follow in shape, at the ends of the samples of
             ``focus.rate``; waveforms last as long (default: what ``[focus]`` says).
-        rank: Method by which to rank actuators, with figures of fewer of them (default: none).
 
     Raises:
         SceneError: There is no ``[focus]``, the scene has no motion in time by modes, or no mode up to
@@ -44,8 +53,6 @@ def focus(
     if played is not None:
         _check_fit(scene, table, played)
         wished = played.wished
-    if rank is not None:
-        check_rank(rank, played is not None)
     wish = make_wish(scene, wished)
     responses = HeldResponses.of_scene(scene, wish.recorded)
     solved = time.perf_counter()
@@ -53,80 +60,92 @@ def focus(
     for still in np.flatnonzero(~h.any(axis=(0, 2)))[:1].tolist():
         x, y = table.points[still]
         raise SceneError(f"focus.points[{still}]: nothing moves at {x:g}, {y:g}, where an edge holds the plate")
-    waveforms = _make(responses, h, wish) if played is None else _play(h, table, wish, played)
-    ranking = None
-    if rank is not None:
-        assert waveforms.condition is not None
-        names = [actuator.name for actuator in scene.actuators]
-        ranking = rank_actuators(rank, names, h, table, wish, waveforms.condition)
+    gains, quiet = find_gains(h, table, wish), None
+    if played is None:
+        waveforms, quiet = _make(responses, h, wish, gains)
+    else:
+        waveforms = {name: method.waveforms for name, method in played.methods.items()}
     ended = time.perf_counter()
-    results = _describe(responses, h, wish, waveforms)
+    results = _describe(responses, h, wish, gains, waveforms)
+    if quiet is not None:
+        pairs = zip(results["quiet"].limits, quiet, strict=True)
+        limits = tuple(", ".join([*filter(None, [others]), *["rest"] * attained]) for others, attained in pairs)
+        results["quiet"] = replace(results["quiet"], limits=limits)
     seconds = {"modes": solved - started, "waveforms": ended - solved, "figures": time.perf_counter() - ended}
     return FocusResult(
         scene=scene,
         modes=responses.plate.frequencies.size,
         times=np.arange(1, wish.recorded + 1) / table.rate,
-        bound=waveforms.gains.bound,
-        condition=waveforms.condition,
+        bound=gains.bound,
+        condition=table.condition if played is None else None,
         methods=results,
-        ranking=ranking,
         seconds=seconds,
         wished=wish.motion[:, : wish.samples] if wished is not None or table.wish is not None else None,
     )
 
 
-@dataclass(frozen=True)
-class _Waveforms:
-    """Waveforms to play.
+def _make(
+    responses: HeldResponses, h: np.ndarray, wish: Wish, gains: Gains
+) -> tuple[dict[str, np.ndarray], list[bool] | None]:
+    """Return the waveforms of all methods that the scene asks for, and for which foci "quiet" attains its bound."""
+    scene, table, quiet = responses.plate.scene, responses.table, None
+    waveforms = make_waveforms(h, table, wish, gains)
+    if scene.search.robust is not None:
+        waveforms["robust_filter"] = _filter_for_panels(scene, table, wish)
+    if table.rest is not None:
+        waveforms["quiet"], quiet = quiet_optimum(responses, gains.values)
+    return {name: scale_to_limits(values, *limits_of(table)) for name, values in waveforms.items()}, quiet
 
-    Attributes:
-        gains: Gains of the panel that plays them.
-        by_method: (foci, actuators, samples) by method.
-        condition: Condition of the inverse filters; None where they were not made here.
-        quiet: (foci,) whether the method "quiet" attains the bound of the rest; None without it.
-    """
 
-    gains: Gains
-    by_method: dict[str, np.ndarray]
-    condition: float | None = None
-    quiet: list[bool] | None = None
+def _filter_for_panels(scene: Scene, table: Focus, wish: Wish) -> np.ndarray:
+    """Return the waveforms (foci, actuators, samples) of the inverse filter for panels within tolerances."""
+    robust = scene.search.robust
+    assert robust is not None
+    rows = robust.scenarios * len(table.points)
+    wanted = SPECTRA * rows * wish.recorded * len(scene.actuators)
+    refuse_beyond_memory(wanted, f"search.robust.scenarios = {robust.scenarios}: responses at {rows} foci of panels")
+    panels = draw_scenarios(scene, robust.scenarios, robust.seed, stepped=False)
+    h = np.concatenate([_panel_responses(panel, wish) for panel in panels], axis=1)
+    return inverse_filter(*least_squares(h, wish), table.condition)
 
 
 def _describe(
-    responses: HeldResponses, h: np.ndarray, wish: Wish, waveforms: _Waveforms
+    responses: HeldResponses, h: np.ndarray, wish: Wish, gains: Gains, waveforms: dict[str, np.ndarray]
 ) -> dict[str, FocusedWaveforms]:
     """Return the waveforms by method and what they attain, on other panels too where tolerances are given."""
     convolution, scene = Convolution(h, wish.samples), responses.plate.scene
     results = {
-        name: describe_waveforms(responses, convolution, wish, values, waveforms.gains.gap(values))
-        for name, values in waveforms.by_method.items()
+        name: describe_waveforms(responses, convolution, wish, values, gains.gap(values))
+        for name, values in waveforms.items()
     }
-    if waveforms.quiet is not None:
-        pairs = zip(results["quiet"].limits, waveforms.quiet, strict=True)
-        limits = tuple(", ".join([*filter(None, [others]), *["rest"] * attained]) for others, attained in pairs)
-        results["quiet"] = replace(results["quiet"], limits=limits)
     if scene.search.robust is not None:
-        elsewhere = measure_panels(scene, wish, waveforms.by_method)
+        elsewhere = _measure_panels(scene, wish, waveforms)
         results = {name: replace(result, panels=elsewhere[name]) for name, result in results.items()}
     return results
 
 
-def _make(responses: HeldResponses, h: np.ndarray, wish: Wish) -> _Waveforms:
-    """Make waveforms by all methods that the scene asks for."""
-    scene, table = responses.plate.scene, responses.table
-    gains, condition, quiet, others = find_gains(h, table, wish), table.condition, None, {}
-    if scene.search.robust is not None:
-        others["robust_filter"], condition = filter_for_panels(scene, wish)
-    assert not isinstance(condition, str)
-    if table.rest is not None:
-        others["quiet"], quiet = quiet_optimum(responses, gains.values)
-    scaled = {name: methods.scale_to_limits(waveforms, *limits_of(table)) for name, waveforms in others.items()}
-    return _Waveforms(gains, make_waveforms(h, table, wish, gains, condition) | scaled, condition, quiet)
+def _measure_panels(scene: Scene, wish: Wish, waveforms: dict[str, np.ndarray]) -> dict[str, PanelFigures]:
+    """Return what waveforms (foci, actuators, samples) by method attain on ``search.robust.fresh`` other panels."""
+    robust = scene.search.robust
+    assert robust is not None
+    figures: dict[str, list[Figures]] = {name: [] for name in waveforms}
+    for panel in draw_scenarios(scene, robust.fresh, robust.seed, validation=True, stepped=False):
+        convolution = Convolution(_panel_responses(panel, wish), wish.samples)
+        for name, played in waveforms.items():
+            figures[name].append(Figures.measure(convolution.move(played), wish))
+    return {
+        name: PanelFigures(
+            peak=np.array([row.peak for row in rows]),
+            crosstalk_db=np.array([row.crosstalk_db for row in rows]),
+            misfit=np.array([row.misfit for row in rows]) if wish.shaped else None,
+        )
+        for name, rows in figures.items()
+    }
 
 
-def _play(h: np.ndarray, table: Focus, wish: Wish, played: FocusResult) -> _Waveforms:
-    """Take waveforms that were made for another panel."""
-    return _Waveforms(find_gains(h, table, wish), {name: method.waveforms for name, method in played.methods.items()})
+def _panel_responses(panel: Scenario, wish: Wish) -> np.ndarray:
+    """Return h (actuators, foci, recorded) of one panel, with the gains of its actuators."""
+    return HeldResponses.of_scene(panel.scene, wish.recorded).at_foci() * panel.gain[:, None, None]
 
 
 def _table(scene: Scene) -> Focus:
@@ -137,9 +156,6 @@ def _table(scene: Scene) -> Focus:
         raise SceneError(f"{scene.nonlinear_table}: waveforms are focused on a linear plate without it")
     if scene.steady:
         raise SceneError(f"{scene.steady_key}: has no motion in time; take viscous damping or effects.modal_damping")
-    if scene.focus.condition == L_CURVE and scene.search.robust is None:
-        what = "exact responses of one panel have an L-curve without a corner"
-        raise SceneError(f'focus.condition = "{L_CURVE}": {what}; write a number, or tolerances in [search.robust]')
     return scene.focus
 
 

@@ -1,4 +1,4 @@
-"""Waveforms of actuators that focus: plain NumPy over impulse responses.
+"""Waveforms of actuators that focus, by all methods, and what bounds them: plain NumPy over impulse responses.
 
 Waveforms w of samples n = 0 ... N − 1, held between them, move the foci by u = A w, for some time after them too,
 
@@ -14,18 +14,18 @@ from __future__ import annotations
 
 import logging
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
+
+from warp_plate.focusing.wishes import Wish
+from warp_plate.scene.focus import Focus
 
 # Halvings of the interval of the multiplier.
 HALVINGS = 200
 # Relative residual at which the inverse filter's iteration ends, and its most steps.
 RESIDUAL, STEPS = 1e-3, 1000
-# Smallest and largest condition of the L-curve, and their number.
-CONDITIONS = 1.0, 1e7, 281
-# Least curvature of a corner of it.
-CORNER = 0.1
 
 
 class Convolution:
@@ -67,6 +67,61 @@ class Convolution:
     def invert(self, spectra: np.ndarray) -> np.ndarray:
         """Return the rows (sets, rows, samples) of spectra."""
         return np.asarray(scipy.fft.irfft(np.moveaxis(spectra, 0, -1), self._length)[..., : self.samples])
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Correlation of the motion of each focus with its wish.
+
+    Attributes:
+        values: (foci, actuators, samples) g, whose products with the waveforms are those of motion and wish.
+        optimum: (foci, actuators, samples) waveforms of largest g·w within the limits.
+        bound: (foci,) upper bounds of g·w of all waveforms within the limits.
+    """
+
+    values: np.ndarray
+    optimum: np.ndarray
+    bound: np.ndarray
+
+    def gap(self, waveforms: np.ndarray) -> np.ndarray:
+        """Return the parts (foci,) of the bounds that waveforms lack; 0 at a focus that nothing moves."""
+        attained = np.einsum("fan,fan->f", self.values, waveforms)
+        return 1 - np.divide(attained, self.bound, out=np.ones_like(self.bound), where=self.bound > 0)
+
+
+def find_gains(h: np.ndarray, table: Focus, wish: Wish) -> Gains:
+    """Return the gains of responses h (actuators, foci, recorded), without frequencies below ``focus.lowest``."""
+    banded = keep_above(h, table.rate, table.lowest) if table.lowest else h
+    values = Convolution(banded, wish.samples).reverse(wish.apart(wish.motion))
+    best, bounds = zip(*(optimum(g, *limits_of(table)) for g in values), strict=True)
+    return Gains(values, np.stack(best), np.array(bounds))
+
+
+def make_waveforms(h: np.ndarray, table: Focus, wish: Wish, gains: Gains) -> dict[str, np.ndarray]:
+    """Return the waveforms (foci, actuators, samples) of the methods for one panel, not yet scaled to the limits."""
+    return {
+        "time_reversal": gains.values,
+        "one_bit": np.sign(gains.values),
+        "inverse_filter": inverse_filter(*least_squares(h, wish), table.condition),
+        "optimum": gains.optimum,
+    }
+
+
+def least_squares(h: np.ndarray, wish: Wish) -> tuple[Convolution, np.ndarray]:
+    """Return A and d of the least squares |A w − d|² that inverse filters minimise, the mean of several panels.
+
+    Args:
+        h: (actuators, panels · foci, recorded) responses, the foci of each panel after those of the one before.
+        wish: Wished motion.
+    """
+    panels = h.shape[1] // len(wish.followed)
+    wished = np.tile(wish.apart(wish.followed), (1, panels, 1))
+    return Convolution(h / panels**0.5, wish.samples), wished / panels**0.5
+
+
+def limits_of(table: Focus) -> tuple[float | None, float | None]:
+    """Return the largest Σ w² and |w|."""
+    return None if table.energy is None else table.energy * table.rate, table.peak_limit
 
 
 def keep_above(h: np.ndarray, rate: int, lowest: float) -> np.ndarray:
@@ -119,7 +174,9 @@ def optimum(gains: np.ndarray, energy: float | None, peak: float | None) -> tupl
     return best, high * energy + float((gains * best - high * best**2).sum())
 
 
-def inverse_filter(responses: Convolution, wished: np.ndarray, condition: float) -> np.ndarray:
+def inverse_filter(
+    responses: Convolution, wished: np.ndarray, condition: float, most_steps: int = STEPS
+) -> np.ndarray:
     """Return the waveforms w (sets, actuators, played) of least |A w − d|² + μ |w|².
 
     μ is the largest squared singular value of the responses at any frequency, over condition². With w = Aᵀ y that is
@@ -131,6 +188,7 @@ def inverse_filter(responses: Convolution, wished: np.ndarray, condition: float)
         responses: A.
         wished: (sets, foci, samples) d.
         condition: Ratio of the largest singular value to those that are damped to a half.
+        most_steps: Steps after which the iteration ends with a warning.
     """
     by_actuators = wished.shape[1] > responses.actuators
     gram = responses.gram(by_actuators)
@@ -149,7 +207,7 @@ def inverse_filter(responses: Convolution, wished: np.ndarray, condition: float)
     step = precondition(residual)
     product = _dot(residual, step)
     end = RESIDUAL**2 * (product if by_actuators else _dot(residual, residual))
-    for _ in range(STEPS):
+    for _ in range(most_steps):
         if ((product if by_actuators else _dot(residual, residual)) <= end).all() or not product.any():
             break
         image = multiply(step)
@@ -160,31 +218,8 @@ def inverse_filter(responses: Convolution, wished: np.ndarray, condition: float)
         step = divided + _ratio(product, before) * step
     else:
         words = "the inverse filter's iteration ended after %d steps; a smaller focus.condition takes fewer"
-        logging.getLogger("warp_plate").warning(words, STEPS)
+        logging.getLogger("warp_plate").warning(words, most_steps)
     return solution if by_actuators else responses.reverse(solution)
-
-
-def l_curve_condition(responses: Convolution, wished: np.ndarray) -> float | None:
-    """Return the condition at the corner of the inverse filter's L-curve, or None if it has none.
-
-    The corner is where log |w| over log |A w − d| bends most (P. C. Hansen, SIAM Rev. 34, 1992, pp. 561-580), with A
-    taken frequency by frequency; of corners nearly as sharp it is the one of the smallest waveforms.
-
-    Args:
-        responses: A.
-        wished: (sets, foci, samples) d.
-    """
-    squares, vectors = np.linalg.eigh(responses.gram())
-    parts = (np.abs(responses.transform(wished) @ vectors) ** 2).sum(axis=1).ravel()
-    squares = np.maximum(squares, 0).ravel()
-    conditions = np.geomspace(*CONDITIONS)
-    damped = [squares + squares.max() / condition**2 for condition in conditions]
-    residual = np.array([(parts * ((square - squares) / square) ** 2).sum() for square in damped])
-    size = np.array([(parts * squares / square**2).sum() for square in damped])
-    across, up = (np.gradient(np.log(values)) for values in (residual, size))
-    bend = (up * np.gradient(across) - across * np.gradient(up)) / np.hypot(across, up) ** 3
-    corners, _ = scipy.signal.find_peaks(bend, height=max(CORNER, bend.max() / 2))
-    return float(conditions[corners[0]]) if corners.size else None
 
 
 def _dot(first: np.ndarray, second: np.ndarray) -> np.ndarray:

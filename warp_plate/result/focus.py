@@ -91,22 +91,6 @@ class FocusedWaveforms:
 
 
 @dataclass(frozen=True, eq=False)
-class Ranking:
-    """What a method reaches with fewer and fewer actuators.
-
-    Attributes:
-        method: Name of the method.
-        actuators: Names, those left out last first: the first n are the n actuators of the n-th figures.
-    """
-
-    method: str
-    actuators: tuple[str, ...]
-    peak: Annotated[np.ndarray, Dataset("m or m/s", "least peak of the foci by 1, 2, ... actuators", ("number",))]
-    crosstalk_db: Annotated[np.ndarray, Dataset("dB", "largest crosstalk", ("number",))]
-    misfit: Annotated[np.ndarray | None, Dataset("1", "largest misfit of the foci", ("number",))] = None
-
-
-@dataclass(frozen=True, eq=False)
 class FocusResult:
     """Result of ``focus``.
 
@@ -115,7 +99,7 @@ class FocusResult:
         modes: Number of modes up to ``focus.highest``.
         methods: Waveforms by method: "time_reversal", "one_bit", "inverse_filter", "optimum", "quiet",
             "robust_filter".
-        condition: Condition of the inverse filters, chosen or given.
+        condition: Condition of the inverse filters; None for waveforms of another panel.
         seconds: Wall time of the modes, the waveforms and the figures [s].
     """
 
@@ -132,7 +116,6 @@ class FocusResult:
         np.ndarray | None,
         Dataset("1", "wished motion from a file or array, in shape", ("foci", "samples"), bounded=True),
     ] = None
-    ranking: Ranking | None = None
 
     @property
     def half_wave(self) -> float:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import Field, model_validator
 
 from warp_plate.scene.drive import SampledFile
 from warp_plate.scene.fields import Flag, NotNegative, Point, Positive, Table, Unit
@@ -14,13 +13,6 @@ from warp_plate.scene.fields import Flag, NotNegative, Point, Positive, Table, U
 MOST_NUMBERS = 2**22
 # Part of the waveforms' duration for which motion is recorded after them.
 AFTER = 0.2
-L_CURVE = "l-curve"
-
-
-def _condition(value: object) -> object:
-    if value == L_CURVE or (isinstance(value, (int, float)) and not isinstance(value, bool) and 1 <= value <= 1e7):
-        return value
-    raise PydanticCustomError("condition", f'must be a number from 1 to 1e7, or "{L_CURVE}"')
 
 
 class FocusBurst(Table):
@@ -70,11 +62,8 @@ class Focus(Table):
     """Quantity that is focused."""
     peak: Annotated[Positive | None, Unit("drive"), Field(examples=[100.0])] = None
     """Largest drive of an actuator (default: 1 without ``energy``, otherwise none)."""
-    condition: Annotated[float | Literal["l-curve"], BeforeValidator(_condition), Unit("1"), Field(examples=[30.0])] = (
-        100.0
-    )
-    """Condition number of the inverse filters: smaller singular values than the largest over it are damped; "l-curve"
-    chooses it for the panels of [search.robust]."""
+    condition: Annotated[float, Field(ge=1, le=1e7, examples=[30.0]), Unit("1")] = 100.0
+    """Condition number of the inverse filters: smaller singular values than the largest over it are damped."""
     burst: FocusBurst | None = None
     """Desired motion of a focus (default: a pulse)."""
     wish: FocusWish | None = None
