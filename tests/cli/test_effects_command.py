@@ -13,8 +13,8 @@ from warp_plate.analysis.influence import DRIVES, bare_scene, is_on, toggle
 from warp_plate.analysis.warnings import find_warnings, warning_texts
 from warp_plate.effects.table import Effects
 from warp_plate.modal.solver import ModalSolver
+from warp_plate.plate.designs import scene_phasors
 from warp_plate.plate.modes import natural_modes
-from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.solve.specialize import effect_names
 

@@ -18,7 +18,8 @@ from warp_plate.modal.modes import solve_modes
 from warp_plate.plate.bending import make_bending
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.plate.section import factors_at_nodes
+from warp_plate.plate.section import factors_at
+from warp_plate.plate.weights import node_positions
 
 SIZE, NODES = (0.2, 0.18), (13, 11)
 # The tests' plate; density: per area.
@@ -111,16 +112,20 @@ def in_folder(folder, scene, content):
     return Scene.load(folder / "scene.toml")
 
 
+def thickness_at_nodes(scene):
+    return factors_at(scene, *node_positions(scene))["thickness"]
+
+
 def test_rows_of_a_file_lie_along_y(scene, tmp_path):
     """First row at y = 0, first column at x = 0, edge to edge, as for an array in the scene; copies find it too."""
     rows = [[1.0, 1.1, 1.2], [1.3, 1.5, 1.9]]
     made = in_folder(tmp_path, scene((5, 9), SIZE), "# factors\n" + "\n".join(",".join(map(str, row)) for row in rows))
-    found = factors_at_nodes(made)["thickness"]
+    found = thickness_at_nodes(made)
     assert found.shape == (9, 5)
     np.testing.assert_allclose(found[[0, 0, 0, -1, -1, 4], [0, 2, -1, 0, 3, 0]], [1.0, 1.1, 1.2, 1.3, 1.7, 1.15])
     inline = scene((5, 9), SIZE, effects={"variation": {"thickness": rows}})
-    np.testing.assert_array_equal(found, factors_at_nodes(inline)["thickness"])
-    assert factors_at_nodes(made.with_tables(grid={"nodes": (9, 17)}))["thickness"].shape == (17, 9)
+    np.testing.assert_array_equal(found, thickness_at_nodes(inline))
+    assert thickness_at_nodes(made.with_tables(grid={"nodes": (9, 17)})).shape == (17, 9)
     with pytest.raises(SceneError, match="its folder is unknown"):
         make_scheme(scene(effects={"variation": {"density": "a.csv"}}))
 
@@ -129,8 +134,8 @@ def test_rows_of_a_file_lie_along_y(scene, tmp_path):
     ("content", "why"),
     [
         ("x,y\n", "holds no numbers"),
-        ("1,2\n3\n", "line 2 has 1 columns instead of 2 as above it"),
-        ("1,2\n1,nan\n", "line 2, column 2: nan is no number from 0.001 to 1000"),
+        ("1,2\n3\n", "decimal points: the number of columns changed from 2 to 1 at row 2"),
+        ("1,2\n1,nan\n", "row 2, column 2: nan is no number from 0.001 to 1000"),
         ("1,99\n", "0.0495 m is not thin for a side of 0.18 m"),
     ],
 )

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from support.scenes import PAPER, refusal
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.plate.files import digests
-from warp_plate.plate.shapes import cells, clipped, cubics, polygon_weights
+from warp_plate.plate.shapes import cells, clipped, lagrange, polygon_weights
 from warp_plate.plate.weights import REGIONS, region_weights
 from warp_plate.reference import series
 from warp_plate.result.targets import outlines
@@ -65,7 +65,7 @@ def test_weights_sum_to_the_exact_area(load, nodes, scene):
 
 
 @settings(max_examples=40)
-@given(st.integers(0, 2**32), st.sampled_from([cells, cubics]))
+@given(st.integers(0, 2**32), st.sampled_from([cells, lambda nodes: lagrange(nodes, 4)]))
 def test_parts_of_any_polygon_sum_to_it(seed, axis):
     """A star-shaped polygon, cut in four anywhere."""
     random = np.random.default_rng(seed)
@@ -174,7 +174,7 @@ def test_bad_shapes_are_refused(lines, named, right):
         (None, "no such file beside the scene file"),
         ("", "holds no numbers"),
         ("0,0\n0,0\n", "holds no number above 0"),
-        ("0,1\n0,1.5\n", "line 2, column 2: 1.5 is no number from 0 to 1"),
+        ("0,1\n0,1.5\n", "row 2, column 2: 1.5 is no number from 0 to 1"),
     ],
 )
 def test_bad_masks_are_refused(text, right, tmp_path):

@@ -7,8 +7,7 @@ import pytest
 
 from support.scenes import areas_of, scene_of
 from warp_plate import SceneError
-from warp_plate.plate.designs import Designs
-from warp_plate.plate.scene_overrides import scene_phasors
+from warp_plate.plate.designs import Designs, scene_phasors
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.problem.design_variables import at_highest_frequency, with_common_step
 from warp_plate.problem.parametrization import paper_phasors, parametrization_of

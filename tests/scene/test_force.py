@@ -6,8 +6,8 @@ import pytest
 from support.scenes import PAPER, refusal, scene_of
 from warp_plate import Scene, SceneError
 from warp_plate.cli.tables import drive_json, drive_table
+from warp_plate.plate.designs import actuator_centres, scene_phasors, scene_with
 from warp_plate.plate.discretization import discretize
-from warp_plate.plate.scene_overrides import actuator_centres, scene_phasors, scene_with
 from warp_plate.problem.uncertainty import draw_scenarios
 from warp_plate.result.case import Case
 from warp_plate.result.export.time_series import make_drive_signal

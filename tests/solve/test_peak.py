@@ -11,7 +11,7 @@ from warp_plate import PlateSolver
 from warp_plate.cli.main import main
 from warp_plate.modal.motion import fields
 from warp_plate.modal.solver import ModalSolver
-from warp_plate.plate.scene_overrides import scene_phasors
+from warp_plate.plate.designs import scene_phasors
 from warp_plate.solve.run import record_times, run_with_peaks, sample_times
 
 BURST = {"frequency": 290.0, "burst": {"duration": 0.003, "ramp": 0.001}}

@@ -13,7 +13,7 @@ from warp_plate.effects.edges import Edges, ElasticEdge
 from warp_plate.effects.effect import Setting
 from warp_plate.effects.table import Effects, effect_type
 from warp_plate.modal.solver import ModalSolver
-from warp_plate.plate.scene_overrides import scene_phasors
+from warp_plate.plate.designs import scene_phasors
 from warp_plate.plate.signals import carrier_frequencies
 from warp_plate.plate.weights import REGIONS, localization_factor, region_weights
 from warp_plate.resolve import Resolved, resolve

@@ -20,7 +20,7 @@ from warp_plate.explore.settings import LiveSettings, changed_scene, polar, scen
 from warp_plate.modal.solver import MODAL
 from warp_plate.optimize.optimizer import minimize
 from warp_plate.optimize.pso import Swarm
-from warp_plate.plate.scene_overrides import scene_phasors
+from warp_plate.plate.designs import scene_phasors
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.design_variables import magnitude_unit, with_paper_search
 from warp_plate.problem.evaluate_cases import reference_phasors

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from warp_plate.fitting.measured_modes import UNIVERSAL, universal_responses
-from warp_plate.plate.files import number_rows
+from warp_plate.plate.files import read_numbers
 from warp_plate.plate.waveforms import LOUDEST, MOST_SAMPLES, even_step, wav_channels
 from warp_plate.result.arrays import HDF5, MAT, read_arrays
 from warp_plate.scene.errors import SceneError
@@ -129,7 +129,7 @@ def _check(source: str, frequencies: np.ndarray, responses: np.ndarray) -> None:
 def _csv(data: bytes) -> np.ndarray:
     """Return (1 + responses, n) frequencies and responses."""
     named = re.match(rb"(\xef\xbb\xbf)?[\"A-Za-z].*", data)
-    table = np.array([row for _, row in number_rows(data[named.end() if named else 0 :])], dtype=float)
+    table = read_numbers(data[named.end() if named else 0 :])
     if table.size == 0 or table.shape[1] < 3:
         raise ValueError("needs the columns frequency, real and imaginary part of each response")
     pairs = (table.shape[1] - 1) // 2
@@ -170,7 +170,7 @@ def read_signals(path: Path) -> tuple[np.ndarray, float]:
     if path.suffix.lower() == ".wav":
         values, rate = wav_channels(path.read_bytes())
     else:
-        table = np.array([row for _, row in number_rows(path.read_bytes())], dtype=float)
+        table = read_numbers(path.read_bytes())
         if len(table) < 2 or table.shape[1] < 3:
             raise ValueError("needs the columns time, and a signal in each of at least two others")
         values, rate = table[:, 1:].T, 1 / even_step(table[:, 0])

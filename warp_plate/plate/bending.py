@@ -111,9 +111,7 @@ def make_bending(scene: Scene) -> Bending:
         stretch=section.stretch,
     )
     attached = attachments(scene.terms)
-    return replace(
-        _with_terms(bare, scene.terms), attachments=attached, shares=_patch_shares(scene, attached)
-    )
+    return replace(_with_terms(bare, scene.terms), attachments=attached, shares=_patch_shares(scene, attached))
 
 
 def _edge_compliances(scene: Scene, spacing: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:

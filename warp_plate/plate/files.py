@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import io
+import re
 from functools import lru_cache
 from pathlib import Path
 
@@ -13,8 +13,6 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
 MOST_BYTES = 2**27
-# Rows of a table, each of which takes some 150 bytes while it is read.
-MOST_ROWS = 2**22
 # Tables cached after they are read.
 MOST_TABLES = 4
 
@@ -61,74 +59,57 @@ def digests(scene: Scene) -> dict[str, str]:
 
 
 def read_table(key: str, name: str, folder: Path | None, low: float, high: float) -> np.ndarray:
-    """Return (rows, columns) numbers from ``low`` to ``high`` of a text table beside the scene, see ``number_rows``.
+    """Return (rows, columns) numbers from ``low`` to ``high`` of a table beside the scene, see :func:`read_numbers`.
 
     Raises:
         SceneError: The file cannot be read or holds no such table.
     """
     data = read_beside(key, name, folder)
     try:
-        table, lines = _table(data)
+        table = _table(data)
+        if not table.size:
+            raise ValueError("holds no numbers")
         for row, column in np.argwhere(~((low <= table) & (table <= high)))[:1].tolist():
-            where, value = f"line {lines[row]}, column {column + 1}", table[row, column]
-            raise ValueError(f"{where}: {value:g} is no number from {low:g} to {high:g}")
+            where = f"row {row + 1}, column {column + 1}"
+            raise ValueError(f"{where}: {table[row, column]:g} is no number from {low:g} to {high:g}")
     except ValueError as error:
         raise SceneError(f"{key} = {name!r}: {error}") from None
     return table
 
 
-@lru_cache(MOST_TABLES)
-def _table(data: bytes) -> tuple[np.ndarray, list[int]]:
-    """Return the numbers of a text table, read only, and the line of each row; a plate is asked for its maps often."""
-    rows = number_rows(data)
-    if not rows:
-        raise ValueError("holds no numbers")
-    table = np.array([row for _, row in rows])
-    table.flags.writeable = False
-    return table, [number for number, _ in rows]
-
-
-def number_rows(data: bytes) -> list[tuple[int, list[float]]]:
-    """Return the rows of a text table with their line numbers, counted from 1.
+def read_numbers(data: bytes) -> np.ndarray:
+    """Return (rows, columns) numbers of a text table; (0, 0) if it has none.
 
     Columns are separated by semicolons or tabs if the first line of numbers has one, else by commas. A first line
     without numbers, empty lines and lines that begin with # are skipped.
 
     Raises:
-        ValueError: The text is not UTF-8, a cell is no number or has a decimal comma, lines differ in length, or there
-            are more than MOST_ROWS.
+        ValueError: The text is not UTF-8, a cell is no number, or rows differ in length.
     """
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
         raise ValueError("not UTF-8 text") from None
-    rows: list[tuple[int, list[float]]] = []
-    first, separator = True, ""
-    for number, line in enumerate(io.StringIO(text), 1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        if len(rows) == MOST_ROWS:
-            raise ValueError(f"more than {MOST_ROWS} lines")
-        separator = separator or next((mark for mark in ";\t" if mark in line), ",")
-        cells = line.split(separator)
-        if separator != "," and any("," in cell and _number(cell.replace(",", ".")) is not None for cell in cells):
-            raise ValueError(f"line {number} has a comma in a number; write a decimal point, such as 1.05")
-        row = [value for cell in cells if (value := _number(cell)) is not None]
-        heading, first = first and not row, False
-        if heading:
-            separator = ""
-            continue
-        if len(row) < len(cells):
-            raise ValueError(f"line {number} is not made of numbers")
-        if rows and len(row) != len(rows[0][1]):
-            raise ValueError(f"line {number} has {len(row)} columns instead of {len(rows[0][1])} as above it")
-        rows.append((number, row))
-    return rows
-
-
-def _number(cell: str) -> float | None:
-    """Return the number in a cell, or None; Python's 1_000 is none."""
+    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    if lines and not any(map(_is_number, re.split("[,;\t]", lines[0]))):
+        del lines[0]
+    if not lines:
+        return np.empty((0, 0))
+    separator = next((mark for mark in ";\t" if mark in lines[0]), ",")
     try:
-        return None if "_" in cell else float(cell)
+        return np.loadtxt(lines, delimiter=separator, ndmin=2, comments=None)
+    except ValueError as error:
+        reason = str(error).partition(";")[0]
+        raise ValueError(f"not a table of numbers with decimal points: {reason}") from None
+
+
+# A plate is asked for its maps often.
+_table = lru_cache(MOST_TABLES)(read_numbers)
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
     except ValueError:
-        return None
+        return False
+    return True

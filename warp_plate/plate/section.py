@@ -28,6 +28,7 @@ import numpy as np
 from warp_plate.effects.effect import DISPLACEMENT
 from warp_plate.effects.table import FACTOR_MAPS, FACTOR_RANGE
 from warp_plate.plate.files import read_table
+from warp_plate.plate.weights import node_positions
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
@@ -71,7 +72,7 @@ def make_section(scene: Scene) -> Section:
     along_x = _parts(plate.size[0], nx, [place for layer in layers for place in layer.area[:2]])
     along_y = _parts(plate.size[1], ny, [place for layer in layers for place in layer.area[2:]])
     at_parts = np.ix_(along_y.node, along_x.node)
-    factors = {key: values[at_parts] for key, values in factors_at_nodes(scene).items()}
+    factors = {key: values[at_parts] for key, values in factors_at(scene, *node_positions(scene)).items()}
     rigidities, twist, mass, stretches = laminates(scene, along_x.middle, along_y.middle, factors)
     if layers:
         x_first = _across_y(_across_x(rigidities, along_x), along_y)
@@ -84,20 +85,15 @@ def make_section(scene: Scene) -> Section:
     return Section(*rigidities, twist, mass, (stretch_x, stretch_y))
 
 
-def factors_at_nodes(scene: Scene) -> dict[str, np.ndarray]:
-    """Return (ny, nx) factors of thickness, young_modulus and density by name; ones where the scene has no array.
+def factors_at(scene: Scene, x: np.ndarray, y: np.ndarray) -> dict[str, np.ndarray]:
+    """Return factors of thickness, young_modulus and density at points (y, x) [m], ones without an array, by name.
 
-    Arrays are interpolated bilinearly and not averaged: one finer than the grid is sampled.
-
-    Raises:
-        SceneError: A file cannot be read or holds no such array, or the plate is not thin everywhere.
+    Arrays are interpolated bilinearly and not averaged: one finer than the grid is sampled. For errors see
+    :func:`factor_arrays`.
     """
-    nx, ny = scene.grid.nodes
-    factors = {key: np.ones((ny, nx)) for key in VARIED}
-    for key, array in factor_arrays(scene).items():
-        rows, columns = np.linspace(0, len(array) - 1, ny), np.linspace(0, array.shape[1] - 1, nx)
-        factors[key] = interpolate(interpolate(array, rows).T, columns).T
-    return factors
+    width, height = scene.plate.size
+    factors = {key: np.ones((y.size, x.size)) for key in VARIED}
+    return factors | {key: bilinear(array, x / width, y / height) for key, array in factor_arrays(scene).items()}
 
 
 def factor_arrays(scene: Scene) -> dict[str, np.ndarray]:
@@ -138,7 +134,7 @@ def laminates(
 ) -> tuple[Rigidities, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
     """Return rigidities and twist [N·m], mass [kg/m²] and membrane stiffness [N/m] at points x, y [m].
 
-    ``factors`` are those of :func:`factors_at_nodes`, at the points (y, x).
+    ``factors`` are those of :func:`factors_at`, at the points (y, x).
     """
     plate, ratio = scene.plate, scene.plate.poisson_ratio
     thickness = plate.thickness * factors["thickness"]
@@ -201,9 +197,13 @@ def _across_y(rigidities: Rigidities, parts: _Parts) -> Rigidities:
     return xx, xy, yy
 
 
-def interpolate(values: np.ndarray, where: np.ndarray) -> np.ndarray:
-    """Return (places, ...) values, linear between rows (rows, ...), at places from 0 to rows − 1."""
-    low = np.minimum(where.astype(int), max(len(values) - 2, 0))
-    high, part = np.minimum(low + 1, len(values) - 1), (where - low)[:, None]
-    interpolated: np.ndarray = (1 - part) * values[low] + part * values[high]
-    return interpolated
+def bilinear(values: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return (y, x) values between those of an array (rows, columns), at shares x and y of its sides."""
+
+    def between_rows(values: np.ndarray, share: np.ndarray) -> np.ndarray:
+        where = share * (len(values) - 1)
+        low = np.minimum(where.astype(int), max(len(values) - 2, 0))
+        high, part = np.minimum(low + 1, len(values) - 1), (where - low)[:, None]
+        return np.asarray((1 - part) * values[low] + part * values[high])
+
+    return between_rows(between_rows(values, y).T, x).T

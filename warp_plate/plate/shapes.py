@@ -54,6 +54,12 @@ class Axis:
         start, middle = self.breaks[interval], self.middle[interval]
         return _polynomials(raised, at - middle) - _polynomials(raised, start - middle)
 
+    def spread(self, interval: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Return (points, nodes) values (points, nodes of an interval) in the places of their nodes."""
+        spread = np.zeros((len(interval), self.nodes))
+        np.put_along_axis(spread, self.first[interval][:, None] + np.arange(values.shape[1]), values, axis=1)
+        return spread
+
 
 def cells(nodes: int) -> Axis:
     """Return functions that are one in the node's cell, half a spacing to each side, and zero elsewhere."""
@@ -62,11 +68,12 @@ def cells(nodes: int) -> Axis:
     return Axis(nodes, breaks, index, index.astype(float), np.ones((1, 1)))
 
 
-def cubics(nodes: int) -> Axis:
-    """Return Lagrange polynomials through the two nodes around a place and the next on each side."""
-    first = np.clip(np.arange(nodes - 1) - 1, 0, nodes - 4)
-    vandermonde = np.vander([-1.5, -0.5, 0.5, 1.5], 4, increasing=True).T
-    return Axis(nodes, np.arange(nodes, dtype=float), first, first + 1.5, np.linalg.inv(vandermonde))
+def lagrange(nodes: int, points: int) -> Axis:
+    """Return Lagrange polynomials through the 2 or 4 nodes nearest to a place."""
+    first = np.clip(np.arange(nodes - 1) - (points // 2 - 1), 0, nodes - points)
+    middle = (points - 1) / 2
+    vandermonde = np.vander(np.arange(points) - middle, points, increasing=True).T
+    return Axis(nodes, np.arange(nodes, dtype=float), first, first + middle, np.linalg.inv(vandermonde))
 
 
 def shape_weights(scene: Scene, key: str, target: Target, within: Area | None = None) -> np.ndarray:
@@ -80,8 +87,8 @@ def shape_weights(scene: Scene, key: str, target: Target, within: Area | None = 
     Raises:
         SceneError: The file of a mask cannot be read or holds no such array.
     """
-    axis = cubics if scene.grid.load == "moments" else cells
-    across, up = (axis(count) for count in scene.grid.nodes)
+    moments = scene.grid.load == "moments"
+    across, up = (lagrange(count, 4) if moments else cells(count) for count in scene.grid.nodes)
     spacing = np.array(scene.plate.size) / (np.array(scene.grid.nodes) - 1)
     corners = target.corners(DISC_CORNERS)
     if corners is not None:

@@ -9,13 +9,13 @@ node takes the mean over the patch of its hat function, which keeps the force an
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from warp_plate.effects.moving_load import MovingLoad
 from warp_plate.effects.table import TRAVELLING
+from warp_plate.plate.shapes import Axis, lagrange
 from warp_plate.plate.waveforms import step_means
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -70,10 +70,8 @@ def moving_weights(scene: Scene, time_step: float, steps: int) -> MovingWeights:
 
 
 def _presence(load: MovingLoad, scene: Scene, latest: float) -> tuple[float, float]:
-    """Return begin and end [s] of the force, at most ``latest``; equal if it never acts.
-
-    A point acts while it is on the plate. Its driving on and off is then right to second order.
-    """
+    """Return begin and end [s] of the force, at most ``latest``; equal if it never acts. A point acts while it is on
+    the plate: its driving on and off is then right to second order."""
     begin, end = load.from_time, math.inf if load.to_time is None else load.to_time
     for start, speed, side, nodes in zip(load.start, load.velocity, scene.plate.size, scene.grid.nodes, strict=True):
         spacing, slack = side / (nodes - 1), 1e-12 * side
@@ -90,54 +88,24 @@ def _shares(middle: np.ndarray, size: float, side: float, nodes: int, cubic: boo
     centre = middle / spacing
     inside = np.clip(centre, 0, nodes - 1)
     centre = np.where(np.abs(centre - inside) < 1e-12 * nodes, inside, centre)
-    width = size / spacing
+    width, axis = size / spacing, lagrange(nodes, 4 if cubic else 2)
     if width < POINT:
         # Within a step of driving on or off, the force acts at the edge.
         near = np.abs(centre - inside) <= np.abs(np.diff(centre)).max(initial=0.0)
-        return near[:, None] * _basis(inside, nodes, 4 if cubic else 2)
+        interval = axis.interval(inside)
+        return near[:, None] * axis.spread(interval, axis.values(interval, inside))
     low, high = (np.clip(centre + sign * width / 2, 0, nodes - 1) for sign in (-1, 1))
     if cubic or width < 1:
-        points = 4 if cubic else 2
-        return (_basis_integral(high, nodes, points) - _basis_integral(low, nodes, points)) / width
+        return (_integrals(axis, high) - _integrals(axis, low)) / width
     node = np.arange(nodes)
     covered = np.minimum(node + 0.5, high[:, None]) - np.maximum(node - 0.5, low[:, None])
     shares: np.ndarray = np.maximum(covered, 0) / width
     return shares
 
 
-def _basis(place: np.ndarray, nodes: int, points: int) -> np.ndarray:
-    """Return (places, nodes) Lagrange polynomials through the ``points`` nodes around each place [cells]."""
-    return _lagrange(place, np.floor(place), nodes, points, lambda at, begin: at ** np.arange(points))
-
-
-def _basis_integral(place: np.ndarray, nodes: int, points: int) -> np.ndarray:
-    """Return (places, nodes) integrals of the same polynomials from 0 to each place [cells]."""
-    powers = np.arange(1, points + 1)
-
-    def within(place: np.ndarray, start: np.ndarray) -> np.ndarray:
-        return _lagrange(place, start, nodes, points, lambda at, begin: (at**powers - begin**powers) / powers)
-
-    intervals = np.arange(nodes - 1.0)
-    whole = np.concatenate([np.zeros((1, nodes)), np.cumsum(within(intervals + 1, intervals), axis=0)])
-    start = np.clip(np.floor(place), 0, nodes - 2)
-    return whole[start.astype(int)] + within(place, start)
-
-
-def _lagrange(
-    place: np.ndarray,
-    start: np.ndarray,
-    nodes: int,
-    points: int,
-    monomials: Callable[[np.ndarray, np.ndarray], np.ndarray],
-) -> np.ndarray:
-    """Return (places, nodes) combinations of monomials by the coefficients of the nodes' Lagrange polynomials.
-
-    ``monomials`` takes places and the starts of their intervals, counted from the middle of the ``points`` nodes.
-    """
-    first = np.clip(start.astype(int) - (points // 2 - 1), 0, nodes - points)
-    middle = (points - 1) / 2
-    coefficients = np.linalg.inv(np.vander(np.arange(points) - middle, increasing=True))
-    scattered = np.zeros((first.size, nodes))
-    values = monomials((place - first - middle)[:, None], (start - first - middle)[:, None]) @ coefficients
-    scattered[np.arange(first.size)[:, None], first[:, None] + np.arange(points)] = values
-    return scattered
+def _integrals(axis: Axis, place: np.ndarray) -> np.ndarray:
+    """Return (places, nodes) integrals of an axis' functions from 0 to each place [cells]."""
+    interval, every = axis.interval(place), np.arange(axis.nodes - 1)
+    whole = np.cumsum(axis.spread(every, axis.integrals(every, axis.breaks[1:])), axis=0)
+    before = np.concatenate([np.zeros((1, axis.nodes)), whole])[interval]
+    return before + axis.spread(interval, axis.integrals(interval, place))

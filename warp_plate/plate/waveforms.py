@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import scipy
 
-from warp_plate.plate.files import number_rows, read_beside
+from warp_plate.plate.files import read_beside, read_numbers
 from warp_plate.scene.drive import Burst, Chirp, SampledFile, SampledSignal
 from warp_plate.scene.errors import SceneError
 
@@ -244,10 +244,9 @@ def _csv(
     data: bytes, key: str, rate: float | None, channels: int | None, owner: str
 ) -> tuple[np.ndarray, float, float]:
     """Return values (channels, samples), rate and start of a text table; see :func:`read_channels`."""
-    rows = number_rows(data)
-    if len(rows) < 2:
-        raise ValueError(f"{len(rows)} samples; at least 2 are needed")
-    table = np.array([row for _, row in rows])
+    table = read_numbers(data)
+    if len(table) < 2:
+        raise ValueError(f"{len(table)} samples; at least 2 are needed")
     columns = table.shape[1]
     if columns - (channels or 1) not in (0, 1):
         wanted = f"time and value, one value, or per_{owner} = true"

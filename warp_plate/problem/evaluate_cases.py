@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from warp_plate.plate.scene_overrides import scene_phasors
+from warp_plate.plate.designs import scene_phasors
 from warp_plate.plate.signals import actuator_frequencies
 from warp_plate.plate.weights import localization_factor, region_weights
 from warp_plate.problem.design_variables import magnitude_unit

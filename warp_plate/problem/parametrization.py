@@ -16,8 +16,7 @@ from functools import cached_property, reduce
 import numpy as np
 
 from warp_plate.optimize.optimizer import SearchSpace
-from warp_plate.plate.designs import Designs
-from warp_plate.plate.scene_overrides import actuator_centres, scene_with
+from warp_plate.plate.designs import Designs, actuator_centres, scene_with
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
 from warp_plate.problem.design_variables import (
     DesignVariable,

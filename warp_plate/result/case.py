@@ -10,7 +10,7 @@ from typing import Annotated
 import h5py
 import numpy as np
 
-from warp_plate.plate.scene_overrides import scene_with
+from warp_plate.plate.designs import scene_with
 from warp_plate.result.hdf5 import read_array, write_along
 from warp_plate.result.layouts import ELSEWHERE, Attribute, Dataset, Layout, Sizes
 from warp_plate.scene.errors import SceneError

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 
-from warp_plate.plate.scene_overrides import scene_with
+from warp_plate.plate.designs import scene_with
 from warp_plate.quantities.region_quantities import REGION_QUANTITIES
 from warp_plate.result import import_xarray
 from warp_plate.result.case import Case, case_scene

@@ -18,7 +18,7 @@ import numpy as np
 from warp_plate.modal.modes import ModalPlate, modes_below, solve_modes
 from warp_plate.modal.poles import adaptive_frequencies, as_sparse, multiply_modes
 from warp_plate.modal.spaces.space import Matrix
-from warp_plate.plate.scene_overrides import scene_phasors
+from warp_plate.plate.designs import scene_phasors
 from warp_plate.quantities.region_quantities import mean_square
 from warp_plate.result.frequency_response import DERIVATIVES, FrequencyResponse, Quantity
 from warp_plate.scene.errors import SceneError

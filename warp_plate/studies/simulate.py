@@ -12,7 +12,7 @@ import numpy as np
 
 from warp_plate.accuracy.estimate import estimate, estimate_modal
 from warp_plate.modal.solver import MODAL
-from warp_plate.plate.scene_overrides import scene_phasors
+from warp_plate.plate.designs import scene_phasors
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.design_variables import magnitude_unit
 from warp_plate.problem.evaluate_cases import cases_from_run, reference_phasors

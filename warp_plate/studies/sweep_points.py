@@ -20,8 +20,8 @@ from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.solver import MODAL
 from warp_plate.optimize.optimizer import MethodError, minimize
 from warp_plate.optimize.quadratic import best_position
+from warp_plate.plate.designs import scene_phasors
 from warp_plate.plate.files import named_files, read_beside
-from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.evaluate_cases import reference_phasors
 from warp_plate.problem.methods import with_method

@@ -23,7 +23,7 @@ from warp_plate.modal.spaces.splines import (
     side_products,
     weighted_products,
 )
-from warp_plate.plate.section import VARIED, factor_arrays, interpolate, laminates
+from warp_plate.plate.section import factors_at, laminates
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
 
@@ -77,12 +77,7 @@ class Integrals:
 
     def fields_at(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return the fields of :meth:`fields` at points (y, x) [m]."""
-        factors = {key: np.ones((y.size, x.size)) for key in VARIED}
-        width, height = self.scene.plate.size
-        for key, array in factor_arrays(self.scene).items():
-            rows, columns = y / height * (len(array) - 1), x / width * (array.shape[1] - 1)
-            factors[key] = interpolate(interpolate(array, rows).T, columns).T
-        (bend_xx, bend_xy, bend_yy), twist, mass, _ = laminates(self.scene, x, y, factors)
+        (bend_xx, bend_xy, bend_yy), twist, mass, _ = laminates(self.scene, x, y, factors_at(self.scene, x, y))
         return bend_xx, bend_xy, bend_yy, twist, mass
 
     def inside(self, area: Area) -> np.ndarray:

@@ -16,7 +16,7 @@ import numpy as np
 from warp_plate.modal.spaces.integrals import Integrals
 from warp_plate.modal.spaces.knots import lines
 from warp_plate.modal.spaces.splines import Splines, gauss
-from warp_plate.plate.section import interpolate
+from warp_plate.plate.section import bilinear
 from warp_plate.plate.shapes import clipped, read_mask
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
@@ -59,7 +59,7 @@ def _over_mask(scene: Scene, along: tuple[Splines, Splines], target: Target, wit
     cuts = [*np.linspace(0, width, max(columns, 2)), *area[:2]], [*np.linspace(0, height, max(rows, 2)), *area[2:]]
     integrals = Integrals(scene, *along, cuts)
     x, y = integrals.points
-    share = interpolate(interpolate(mask, y / height * (rows - 1)).T, x / width * (columns - 1)).T
+    share = bilinear(mask, x / width, y / height)
     return integrals.values(integrals.fields()[-1] * share * integrals.inside(area))
 
 
