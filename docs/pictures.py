@@ -218,7 +218,9 @@ def explorer(name: str) -> Path:
 
 
 def window(name: str) -> Path:
-    """Let the window take its own picture, by its key, on a virtual display."""
+    """Take a picture of the window on a virtual display."""
+    from PIL import ImageGrab
+
     warp_plate("localize paper")
     reading, writing = os.pipe()
     screen = ["-screen", "0", "1600x1000x24", "-nolisten", "tcp", "-noreset"]
@@ -231,12 +233,14 @@ def window(name: str) -> Path:
             subprocess.run(
                 ["xdotool", "search", "--sync", "--onlyvisible", "--name", "warp-plate view", *at], check=True
             )
-            for key in ("space", "c", "c", "c", "S"):
+            for key in ("space", "c", "c", "c"):
                 subprocess.run(["xdotool", "key", key], check=True)
                 time.sleep(1.5)
+            screen_shot = ImageGrab.grab(xdisplay=os.environ["DISPLAY"])
+            screen_shot.crop(screen_shot.getbbox()).save(name)  # the screen behind is black
             viewer.terminate()
         server.terminate()
-    return Path("paper-localize-view-1.png")
+    return Path(name)
 
 
 class chromium:

@@ -107,7 +107,7 @@ def view(
     colours: options.ColourChoice = options.ColourChoice(),
     frames: FrameOptions = FrameOptions(),
 ) -> None:
-    """Show the plates of a result in motion, in a window; press h for a list of keys.
+    """Show the plates of a result in motion, in a window with a slider and keys.
 
     A result holds few displacements, so its scene is run again under its drives to make the frames.
     """
@@ -125,8 +125,8 @@ def view(
     motions = select_motions(loaded, result, frames, playback, quiet=False)
     from warp_plate.viz.window import open_window
 
-    pictures, rate = Path(f"{result.stem}-view"), playback.frame_rate(motions)
-    open_window(loaded.scene, motions, playback.field, pictures, rate, playback.heights, chosen)
+    rate = playback.frame_rate(motions)
+    open_window(loaded.scene, motions, playback.field, rate, playback.heights, chosen)
 
 
 def render(
