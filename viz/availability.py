@@ -1,8 +1,7 @@
 """Checks of the drawing libraries: can they draw here, and if not, what to install.
 
-VTK's Linux wheels look for a graphics library when a window is made: libX11 and libGL with a display, otherwise
-libEGL.so.1 or libOSMesa.so.8. If there is none, or libEGL.so.1 has no driver, VTK does not raise: the process ends with
-a segmentation fault. So a first drawing is tried in a subprocess, and VTK is then told which kind of window worked.
+Where VTK finds no graphics driver, it does not raise: the process ends with a segmentation fault. So a first drawing is
+tried in a subprocess, and VTK is then told which kind of window worked.
 """
 
 from __future__ import annotations
@@ -17,10 +16,10 @@ import threading
 from contextlib import suppress
 
 WINDOW_VARIABLE = "VTK_DEFAULT_OPENGL_WINDOW"
-X_WINDOW = "vtkXOpenGLRenderWindow"
+X_WINDOW, OSMESA_WINDOW = "vtkXOpenGLRenderWindow", "vtkOSOpenGLRenderWindow"
 EXTRA = "pip install 'warp-plate[viz]'"
-PACKAGES = (
-    "'apt-get install libegl1 libgl1-mesa-dri' (Debian, Ubuntu) or "
+NO_DRIVER = (
+    "there is no driver for off-screen drawing; 'apt-get install libegl1 libgl1-mesa-dri' (Debian, Ubuntu) or "
     "'dnf install mesa-libEGL mesa-dri-drivers' (Fedora) installs it"
 )
 # A trial takes about half a second, and many if VTK is read from a slow disk for the first time [s].
@@ -50,7 +49,7 @@ class DrawingUnavailable(RuntimeError):
 def missing_renderer() -> str | None:
     """Return a sentence on why VTK cannot draw off screen and what to install, or None; takes 0.5 s at first."""
     with _LOCK:  # a trial at a time, whose result is cached
-        return working_window()[1]
+        return missing_meshes() or working_window()[1]
 
 
 def missing_plots() -> str | None:
@@ -71,7 +70,7 @@ def missing_window() -> str | None:
     display = os.environ.get("DISPLAY")
     if not display:
         return "there is no display: DISPLAY is not set"
-    return None if _try_window(X_WINDOW) == (True, X_WINDOW) else f"the display {display} cannot be drawn on"
+    return None if try_window(X_WINDOW) == (True, X_WINDOW) else f"the display {display} cannot be drawn on"
 
 
 def prepare() -> None:
@@ -92,8 +91,8 @@ def set_up_renderer() -> None:
     if (problem := missing_renderer()) is not None:
         raise DrawingUnavailable(problem)
     os.environ.setdefault("EGL_LOG_LEVEL", "fatal")
-    if (window := working_window()[0]) is not None:
-        os.environ[WINDOW_VARIABLE] = window
+    if sys.platform.startswith("linux"):
+        os.environ[WINDOW_VARIABLE] = working_window()[0]
     from vtkmodules.vtkCommonCore import vtkLogger
 
     # VTK warns of every library that it would have preferred, as of a missing X server.
@@ -101,38 +100,33 @@ def set_up_renderer() -> None:
 
 
 @functools.cache
-def working_window() -> tuple[str | None, str | None]:
-    """Return the VTK class of a window that draws off screen (None: VTK's own choice), and None or why none does."""
-    if (problem := missing_meshes()) is not None:
-        return None, problem
-    linux, chosen, answer = sys.platform.startswith("linux"), os.environ.get(WINDOW_VARIABLE), ""
-    # With a display X comes first, as for a window on the screen: GLX and EGL clash in one process.
-    classes = [*([X_WINDOW] if os.environ.get("DISPLAY") else []), "vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow"]
-    for window in classes if linux and not chosen else [chosen or None]:
-        drawn, answer = _try_window(window)
+def working_window() -> tuple[str, str | None]:
+    """Return the VTK class of a window that draws off screen, and None or why none does."""
+    linux, answer = sys.platform.startswith("linux"), ""
+    for window in (os.environ.get(WINDOW_VARIABLE), *([OSMESA_WINDOW] if linux else [])):
+        drawn, answer = try_window(window)
         if drawn:
-            # VTK may have fallen back to another class, which gives no warnings when asked for by name.
-            return None if window is None else answer, None
+            return answer, None
     last = answer.rpartition("\n")[2]
+    reason = NO_DRIVER if linux else "VTK opens no off-screen OpenGL window on this machine"
     if last.startswith(("ImportError", "ModuleNotFoundError")):
         reason = f"VTK cannot be imported ({last}): {EXTRA}"
-    elif linux:
-        reason = f"there is no EGL or OSMesa driver for off-screen drawing; {PACKAGES}"
-    else:
-        reason = "VTK opens no off-screen OpenGL window on this machine"
-    return None, f"the plate cannot be drawn: {reason}"
+    return "", f"the plate cannot be drawn: {reason}"
 
 
-def _try_window(window: str | None) -> tuple[bool, str]:
-    """Return whether a trial drawing can be seen, and the class of its window or the subprocess's error output."""
+def try_window(window: str | None, timeout: float = TIMEOUT) -> tuple[bool, str]:
+    """Return whether a trial drawing can be seen, and the class of its window or the subprocess's error output.
+
+    VTK falls back to another class if ``window`` does not work; None leaves the choice to it.
+    """
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     environment |= {} if window is None else {WINDOW_VARIABLE: window}
     # In a session of its own, as Ctrl-C is meant for the command, not for its trial.
-    options = {"env": environment, "errors": "replace", "timeout": TIMEOUT, "start_new_session": True}
+    options = {"env": environment, "errors": "replace", "timeout": timeout, "start_new_session": True}
     try:
         trial = subprocess.run([sys.executable, "-c", TRIAL], capture_output=True, text=True, **options)
     except subprocess.TimeoutExpired:
-        return False, f"no answer in {TIMEOUT:g} s"
+        return False, f"no answer in {timeout:g} s"
     answer = trial.stdout.split()
     drawn = trial.returncode == 0 and answer[-1:] == ["True"]
     return drawn, answer[-2] if drawn else trial.stderr.strip()

@@ -1,7 +1,7 @@
 """Pictures of results, and scenes, results and moving plates in IPython and Jupyter notebooks.
 
 ``import warp_plate`` in a running notebook (or ``%load_ext warp_plate``) shows every :class:`Scene` and :class:`Result`
-as a table with a picture, and :func:`view` plays a result:
+as text with a picture, and :func:`view` plays a result:
 
     >>> from warp_plate import load_result, view
     >>> view(load_result("paper-localize.h5"))
@@ -11,13 +11,15 @@ The player holds its whole page, so it needs neither a server nor a network, and
 
 from __future__ import annotations
 
+import base64
+import io
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from xml.etree.ElementTree import Element, tostring
+from xml.etree.ElementTree import Element, SubElement, tostring
 
 if TYPE_CHECKING:
     from warp_plate.result.comparison import MethodComparison
@@ -32,14 +34,60 @@ if TYPE_CHECKING:
 def register(shell: Any) -> None:
     """Register the HTML formatters of scenes and results with an IPython shell."""
     formatter = shell.display_formatter.formatters["text/html"]
-    for module, name in (("warp_plate.scene.model", "Scene"), ("warp_plate.result.model", "Result")):
-        formatter.for_type_by_name(module, name, partial(_html, f"{name.lower()}_html"))
+    formatter.for_type_by_name("warp_plate.scene.model", "Scene", scene_html)
+    formatter.for_type_by_name("warp_plate.result.model", "Result", result_html)
 
 
-def _html(function: str, shown: Scene | Result) -> str:
-    from warp_plate.viz import figures
+def scene_html(scene: Scene) -> str:
+    """Return the scene as TOML, and a picture of its layout."""
+    from warp_plate.viz.availability import missing_plots
+    from warp_plate.viz.plots.plan import draw_layout
 
-    return str(getattr(figures, function)(shown))
+    return _card(scene.title or "Scene", scene.to_toml(), partial(draw_layout, scene), missing_plots())
+
+
+def result_html(result: Result) -> str:
+    """Return localization factors, motion, drive and cost as the commands print them, and a picture of the plate."""
+    from warp_plate.cli import output, tables
+    from warp_plate.result.model import BOUND_DESCRIPTIONS
+    from warp_plate.viz.annotations import case_label, in_percent, ordered_cases
+    from warp_plate.viz.availability import missing_plots, missing_renderer
+    from warp_plate.viz.figures import draw_history, draw_surfaces
+
+    scene, cases, main = result.scene, ordered_cases(result), result.main_case
+    factors = output.table("drive", "localization factor")
+    for name, case in cases.items():
+        factors.add_row(case_label(name, scene), in_percent(case.localization_factor))
+    if result.bound is not None:
+        factors.add_row(BOUND_DESCRIPTIONS[result.bound_kind], in_percent(result.bound))
+    drive = tables.drive_table(main, scene) if result.command == "localize" else None
+    text = io.StringIO()
+    console = output.console(file=text, width=160, force_jupyter=False)
+    if result.interrupted:
+        console.print("Interrupted by Ctrl-C: the best so far is shown.")
+    for shown in filter(None, (factors, tables.motion_table(cases, scene), drive)):
+        console.print(shown, "")
+    tables.print_cost(result, console)
+    single = replace(result, cases={result.main_name: main})
+    draw, problem = draw_surfaces, missing_renderer() if result.times.size else "The result holds nothing to draw."
+    if problem is not None and result.history:
+        draw, problem = draw_history, missing_plots()
+    return _card(scene.title or result.source or "Result", text.getvalue(), partial(draw, single), problem)
+
+
+def _card(title: str, text: str, draw: Callable[[Path], object], problem: str | None) -> str:
+    """Return a title, a text with its line breaks, and a picture, or the problem that prevents it."""
+    card = Element("div")
+    SubElement(card, "strong").text = title
+    SubElement(card, "pre").text = text
+    if problem is not None:
+        SubElement(card, "p").text = problem
+        return tostring(card, encoding="unicode")
+    with tempfile.TemporaryDirectory() as folder:
+        draw(path := Path(folder, "picture.png"))
+        source = f"data:image/png;base64,{base64.b64encode(path.read_bytes()).decode()}"
+    SubElement(card, "img", {"src": source, "alt": f"Picture of {title}", "style": "max-width: 100%"})
+    return tostring(card, encoding="unicode")
 
 
 @dataclass(frozen=True)

@@ -60,9 +60,9 @@ class _ProgressStream(io.StringIO):
         return len(text)
 
 
-def console() -> Console:
+def console(**options: Any) -> Console:
     """Return a console on standard output, wrapped to the terminal's width and without colours in a file."""
-    return _PlainConsole(highlight=False, markup=False, emoji=False)
+    return _PlainConsole(highlight=False, markup=False, emoji=False, **options)
 
 
 @contextmanager
