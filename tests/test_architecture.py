@@ -24,7 +24,8 @@ FLOORS = (
     {"analysis", "focusing"},
     {"studies"},
     {"explore"},
-    {"cli", "notebook"},
+    {"cli"},
+    {"notebook"},
 )
 ROOMS = set().union(*FLOORS)
 # The libraries that only some rooms may import, and the rooms.
