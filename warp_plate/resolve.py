@@ -6,7 +6,6 @@ for an accuracy. Studies, problems and analyses take the :class:`Resolved` scene
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Mapping
 from contextlib import suppress
@@ -17,13 +16,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from warp_plate.accuracy.choose import AccuracyRequest
-from warp_plate.accuracy.configurations import (
-    bending_wavelength,
-    configuration_of,
-    longest_time_step,
-    regrid,
-)
+from warp_plate.accuracy.choose import choose
+from warp_plate.accuracy.configurations import configuration_of, longest_time_step, regrid, waves_along
 from warp_plate.accuracy.reference_solution import MoreFunctions
 from warp_plate.cluster.evaluator import Evaluator, make_evaluator
 from warp_plate.cluster.pool import WorkerPool
@@ -204,7 +198,7 @@ def resolve(
     started = time.perf_counter()
     of_search = purpose in ("search", "exact", "check") or (purpose == "survey" and engine == "modes")
     hardest = at_highest_frequency(scene) if of_search else scene
-    choice = AccuracyRequest(hardest, asked, device, phasors).choose(engine)
+    choice = choose(hardest, asked, device, phasors, engine)
     grid = Grid(**choice.scene.grid.model_dump(exclude={"accuracy"}))
     chosen = choice.scene.model_copy(update={"grid": grid} | ({"actuators": scene.actuators} if of_search else {}))
     if of_search and not choice.by_modes and evaluator is None and scene.search.robust is None:
@@ -263,7 +257,7 @@ def resolve_for_sweep(scene: Scene, plan: Plan, device: str, evaluator: str) -> 
         with suppress(SceneError):
             corners.append(at_highest_frequency(scene.with_values(dict(zip(plan.keys, values, strict=True)))))
     with suppress(SceneError, ValueError):  # refused, or without corners
-        hardest = max(corners, key=lambda corner: math.sqrt(math.prod(corner.plate.size)) / bending_wavelength(corner))
+        hardest = max(corners, key=waves_along)
         chosen = resolve(hardest, device, purpose="replay", evaluator=evaluator).scene
         if evaluator == MODAL:
             return scene.model_copy(update={"grid": chosen.grid})

@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 from warp_plate import PlateSolver, Scene, SceneError
-from warp_plate.accuracy import choose as choosing
-from warp_plate.accuracy import choose as searching
 from warp_plate.accuracy import configurations, report
-from warp_plate.accuracy.choose import choose
+from warp_plate.accuracy.choose import choose, find_grid
 from warp_plate.accuracy.configurations import Configuration, cost_of_run, percent, regrid, seconds_text
 from warp_plate.accuracy.estimate import estimate, estimate_modal
 from warp_plate.accuracy.measure import START_SECONDS, AccuracyRow, MeasurementContext, measure, measure_modal
@@ -254,30 +252,26 @@ def test_smaller_errors_need_finer_grids_and_a_drive_asked_for_keeps_them(panel)
     assert (choice.scene, choice.error) == (again.scene, again.error)
 
 
-def test_accuracies_out_of_reach_are_refused(panel, monkeypatch):
-    with monkeypatch.context() as patch:
-        patch.setattr(searching, "MOST_NODE_STEPS", 1e4)
-        with pytest.raises(SceneError, match=r"^accuracy = 0\.003: out of reach"):
-            choose(panel, 0.003, "cpu")
-    monkeypatch.setattr(choosing, "REFERENCE_SECONDS", 0.0)
-    with pytest.raises(SceneError, match=r"^accuracy = 1e-09: the reference solution.*ask for \S+ or more$"):
-        choose(panel, 1e-9, "cpu")
+def test_accuracies_out_of_reach_are_refused(panel):
+    long = panel.model_copy(update={"window": Window(start=0.0, end=1e6)})
+    with pytest.raises(SceneError, match=r"^accuracy = 0\.1: out of reach"):
+        choose(long, 0.1, "cpu")
+    with pytest.raises(SceneError, match=r"^accuracy = 0\.0001: the reference solution.*ask for \S+ or more$"):
+        choose(panel, 1e-4, "cpu")
 
 
-def test_grids_are_confirmed_by_finer_ones(panel, exact, monkeypatch):
+@pytest.mark.parametrize("lucky", [15, 0])
+def test_grids_are_confirmed_by_finer_ones(panel, lucky):
     """A grid that is right by chance, while finer ones are wrong, is not taken."""
-    search = searching.GridSearch(panel, exact, 0.01, "cpu", np.ones((1, 3)))
 
-    def lucky_at_15(scene, configuration, *_):
-        side = configuration.nodes[0]
-        return 0.001 if side == 15 else 0.3 * (12 / (side - 1)) ** 4
+    def error_on(grid):
+        side = grid.nodes[0]
+        return 0.001 if side == 12 or abs(side - lucky) < 2 else 0.3 * (12 / (side - 1)) ** 4
 
-    monkeypatch.setattr(searching, "try_out", lucky_at_15)
-    assert searching.find_coarsest_grid(search, 4, "float32", 15).configuration.nodes == (15, 15)
-    trial = searching.find_confirmed_grid(search, 4, "float32", 15)
-    assert trial.error <= 0.01
+    grid, error = find_grid(panel, 0.01, error_on)
     least = 1 + 12 * (0.3 / 0.01) ** 0.25
-    assert least <= trial.configuration.nodes[0] <= 1.1 * least
+    assert error == error_on(grid) <= 0.01
+    assert least <= grid.nodes[0] <= 1.1 * least
 
 
 @pytest.mark.parametrize("configuration", [OVERLAP, replace(OVERLAP, load="nodes"), MOMENTS], ids=str)
@@ -317,15 +311,6 @@ def test_accurate_runs_have_no_price_and_plates_at_rest_no_error(panel, exact):
     assert np.isnan(found.errors[0])
     assert found.error == found.errors[1] > 0
     assert np.isnan(estimate(panel, phasors[:1], np.array([math.nan]), "cpu").error)
-
-
-def test_a_short_window_is_estimated(panel):
-    """The trial run of fourth order has longer time steps, none of which may end within the window."""
-    end = panel.window.end
-    grid, window = Grid(nodes=(75, 75), load="overlap"), Window(start=end - 6e-5, end=end)
-    short = panel.model_copy(update={"window": window, "grid": grid})
-    phasors = np.eye(3, dtype=complex)[:1]
-    assert np.isfinite(estimate(short, phasors, factors_of(short, phasors), "cpu").error)
 
 
 def test_modes_are_chosen_where_they_keep_an_error(panel, exact):

@@ -5,7 +5,6 @@ Results by modes are compared with those of more functions.
 
 from __future__ import annotations
 
-import contextlib
 import math
 import time
 from collections.abc import Sequence
@@ -13,16 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from warp_plate.accuracy.choose import try_out
 from warp_plate.accuracy.configurations import (
     LOAD_OF,
     Configuration,
     configuration_of,
     cost_of_run,
+    fourth_order,
     highest_order,
-    make_configuration,
     node_steps,
-    nodes_for,
     percent,
     refine,
     two_digits,
@@ -39,7 +36,6 @@ from warp_plate.accuracy.reference_solution import (
 from warp_plate.accuracy.richardson import STEPPED_SECONDS, Extrapolation, extrapolate_drives
 from warp_plate.modal.motion import fields
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
 # Nominal time of the reference [s]. It does not depend on the run's time, so the same run has the same error bar.
@@ -50,8 +46,6 @@ ROUNDING = {"float32": 1e-6, "float64": 1e-13}
 GOOD_ENOUGH, FIRST_WANTED, FINEST_WANTED = 0.1, 0.02, 1e-4
 # A price is named for the first of these that the run does not keep; its grid is to keep this fraction of it.
 TOLERANCES, TOLERANCE_SHARE = (0.01, 0.001), 0.9
-# Side of the grid that shows the error of fourth order, and the most node-steps on it.
-PILOT_SIDE, PILOT_NODE_STEPS = 19, 2e7
 # Numerics and reference of results by modes.
 MODES, MORE_FUNCTIONS = "modes", "more functions"
 
@@ -154,7 +148,7 @@ def estimate(
         scene: Scene as it was run.
         phasors: (drives, actuators) phasors.
         localization_factors: (drives,) computed localization factors.
-        device: Device of the trial run that prices fourth order.
+        device: Device of a reference by grids.
         times: Times of ``displacement`` [s].
         displacement: (drives, times, ny, nx) displacement of the run [m].
         reference: Reference solution, if there is one already.
@@ -174,9 +168,7 @@ def estimate(
     largest = float(np.nanmax(differences))
     # A difference within the uncertainty does not allow to extrapolate to smaller errors.
     resolved = accurate.uncertainty < largest
-    price = None
-    if resolved:
-        price = _price(scene, largest, phasors[moving], references[moving], device, time_step)
+    price = _price(scene, largest, time_step) if resolved else None
     if displacement is not None and isinstance(accurate, ReferenceSolution) and accurate.plate and len(times):
         for drive, fields in enumerate(displacement):
             displacement_errors[drive] = accurate.displacement_error(phasors[drive], times, scene, fields)
@@ -267,25 +259,16 @@ def _no_estimate(numerics: str, factors: np.ndarray) -> Estimate:
     return Estimate(numerics, factors, unknown, math.nan, unknown, "none", 0.0, None, unknown)
 
 
-def _price(
-    scene: Scene, error: float, phasors: np.ndarray, references: np.ndarray, device: str, time_step: float | None
-) -> Price | None:
-    """Return the cheaper of finer grids of the run's own order and of the highest order."""
+def _price(scene: Scene, error: float, time_step: float | None) -> Price | None:
+    """Return the cheaper of finer grids of the run's own order and of fourth order, by their laws."""
     tolerance = next((tolerance for tolerance in TOLERANCES if error > tolerance), None)
     if tolerance is None or not math.isfinite(error):
         return None
+    wanted = TOLERANCE_SHARE * tolerance
     run = replace(configuration_of(scene), time_step=time_step or make_scheme(scene).time_step)
-    trials = [(run, error)]
-    if scene.grid.order == 2 and highest_order(scene) == 4:
-        # A trial run of fourth order on a coarse grid, unless it would take too long.
-        pilot = make_configuration(scene, 4, nodes_for(scene.plate.size, PILOT_SIDE, 4))
-        with contextlib.suppress(SceneError):  # the step is too long for the window, or cells too large for an actuator
-            if len(phasors) * node_steps(scene, pilot) <= PILOT_NODE_STEPS:
-                trials.append((pilot, try_out(scene, pilot, phasors, references, device)))
-    needed = []
-    for grid, trial_error in trials:
-        if math.isfinite(trial_error):  # finer by the convergence law, with the loads that the order needs
-            factor = (trial_error / (TOLERANCE_SHARE * tolerance)) ** (1 / grid.order)
-            needed.append(refine(scene, replace(grid, load=LOAD_OF[grid.order]), max(factor, 9 / min(grid.nodes))))
-    cheapest = min(needed, key=lambda configuration: cost_of_run(scene, configuration))
+    factor = max((error / wanted) ** (1 / run.order), 9 / min(run.nodes))
+    grids = [refine(scene, replace(run, load=LOAD_OF[run.order]), factor)]
+    if highest_order(scene) > run.order:
+        grids.append(fourth_order(scene, wanted))
+    cheapest = min(grids, key=lambda configuration: cost_of_run(scene, configuration))
     return Price(tolerance, cheapest, cost_of_run(scene, cheapest) / cost_of_run(scene, run))

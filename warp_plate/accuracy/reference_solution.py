@@ -129,6 +129,12 @@ def best_single(response: Response) -> np.ndarray:
     return best
 
 
+def usual_drives(response: Response) -> np.ndarray:
+    """Return the best single actuator, the best drive and equal drive (3, actuators)."""
+    best = response.best_drive()
+    return np.array([best_single(response), best, np.ones(best.size)])
+
+
 def find_reference_solution(
     scene: Scene,
     kind: str,
@@ -210,8 +216,7 @@ def largest_change(phasors: np.ndarray, only: bool, response: Response, others: 
     Energies are observed too: the error of their ratio may pass through zero between two refinements.
     """
     if not only:
-        usual = np.array([best_single(response), response.best_drive(), np.ones(phasors.shape[1])])
-        phasors = np.concatenate([usual, phasors])
+        phasors = np.concatenate([usual_drives(response), phasors])
 
     def values(of: Response) -> np.ndarray:
         factors, energies = of.localization_factors(phasors), of.energy(phasors).ravel()
