@@ -5,7 +5,7 @@ import host_share
 from warp_plate.optimize.optimizer import minimize
 from warp_plate.problem.problem import make_problem
 from warp_plate.resolve import resolve
-from warp_plate.studies.polish import search_optimizer
+from warp_plate.studies.searches import search_optimizer
 
 
 def test_parts_add_up_and_the_clock_changes_no_bit(scene):

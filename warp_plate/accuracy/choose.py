@@ -50,7 +50,7 @@ REFERENCE_SHARE, REFERENCE_SECONDS = 0.15, 30.0
 # Error of a grid relative to the accuracy asked for; the rest allows for rounding in float32.
 SEARCH_SHARE = 0.9
 # Fewest cells along a side, and in a bending wave: coarser grids may agree with each other and be wrong.
-FEWEST_CELLS, FEWEST_CELLS_A_WAVE = 11.0, 4.0
+FEWEST_CELLS, FEWEST_CELLS_A_WAVE = 8.0, 4.0
 # A grid is confirmed by one that is finer by this factor, and the next grid is finer by a factor between these.
 CONFIRMING_FACTOR, LEAST_STEP, LARGEST_STEP = 1.2, 1.06, 1.5
 # Grids that are tried, and node-steps of a plate and nodes of a side that are not.

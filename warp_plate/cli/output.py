@@ -26,7 +26,7 @@ LONGEST_ENDING = ".checkpoint.h5.123456789abc.part.h5"
 if TYPE_CHECKING:
     from warp_plate.result.model import Result
     from warp_plate.scene.model import Scene
-    from warp_plate.studies.unfinished import StudyFile
+    from warp_plate.studies.unfinished import CheckpointFile
     from warp_plate.viz.fields import ColourOptions
 
 # Draws pictures beside a file; returns their paths and, if some are missing, the reason.
@@ -66,7 +66,7 @@ def console(**options: Any) -> Console:
 
 
 @contextmanager
-def resumable(file: StudyFile[Any], command: str) -> Iterator[None]:
+def resumable(file: CheckpointFile, command: str) -> Iterator[None]:
     """Add how to resume the study that the file holds to errors and Ctrl-C."""
     try:
         yield
@@ -77,7 +77,7 @@ def resumable(file: StudyFile[Any], command: str) -> Iterator[None]:
         raise KeyboardInterrupt(how_to_resume(file, command)) from None
 
 
-def how_to_resume(file: StudyFile[Any], command: str) -> str:
+def how_to_resume(file: CheckpointFile, command: str) -> str:
     """Return how far an unfinished study is, and the command that resumes it; "" if nothing was saved."""
     resume = f"resume with: warp-plate {command} --resume {shlex.quote(str(file.path))}"
     return "" if file.saved is None else f" after {file.saved.progress}; {resume}"

@@ -96,7 +96,7 @@ def sweep(
     needs = "sweep needs a SCENE (a preset's name or a TOML file) and --vary KEY=RANGE"
     loaded, scene = options.SceneOptions(assignments).load_unless_resumed(scene, resume, needs, "sweep")
     from warp_plate.studies.sweep import SweepRequest, open_sweep, run_sweep, save_finished
-    from warp_plate.studies.unfinished import SweepFile
+    from warp_plate.studies.unfinished import CheckpointFile
     from warp_plate.viz.plots.frame import save_plots
     from warp_plate.viz.plots.sweep import draw_sweep
 
@@ -106,7 +106,7 @@ def sweep(
     with output.scene_errors(scene):
         start = open_sweep(request, target, resume, workers.device, on_workers, output.log, files.force)
     unfinished = target.with_suffix(".checkpoint.h5")
-    file = SweepFile(unfinished, checkpoint_every, unfinished.exists(), output.log)
+    file = CheckpointFile(unfinished, checkpoint_every, unfinished.exists(), output.log)
     # Devices that are named are used, also where another kind began.
     on_device_change = None if workers.devices is None and workers.device is None else output.log
     with output.resumable(file, "sweep"):
@@ -115,7 +115,7 @@ def sweep(
             note = "{} of {}: {}".format
             result = run_sweep(start, lambda *done: show(*done[:2], note(*done)), file, pool, on_device_change)
         draw = partial(save_plots, partial(draw_sweep, colormap=colormap), result)
-        save = partial(save_finished, result, file=file, force=files.force)
+        save = partial(save_finished, result, file=file)
         written = output.write_files(target, save, draw, files.pictures)
     output.report(files.json, _as_json, _print, result, written=written)
 

@@ -23,15 +23,19 @@ from warp_plate.scene.errors import SceneError, printable
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.solve.devices import processor_of
 from warp_plate.studies.baselines import baseline_cases, check_baselines
-from warp_plate.studies.polish import compare_with_nominal
-from warp_plate.studies.searches import OnProgress, SearchOutcome, evaluate_targets, initial_state, search_targets
+from warp_plate.studies.searches import (
+    OnProgress,
+    SearchOutcome,
+    compare_with_nominal,
+    evaluate_targets,
+    initial_state,
+    search_targets,
+)
 from warp_plate.studies.simulate import estimate_error, optional_part
 from warp_plate.studies.spectrum import has_spectrum, make_spectrum
 from warp_plate.studies.unfinished import (
     CheckpointFile,
     changes,
-    check_files,
-    check_unchanged,
     devices_text,
     merged_versions,
     run_fields,
@@ -122,7 +126,9 @@ def resume(
     if baselines:
         check_baselines(checkpoint.scene)
     started, matrices, earlier = time.perf_counter(), checkpoint.matrices, checkpoint.earlier_devices
-    check_files(digests(checkpoint.scene), checkpoint, "search")
+    for key, digest in digests(checkpoint.scene).items():
+        if checkpoint.files.get(key) != digest:
+            raise SceneError(f"{key}: the file has changed since the search began")
     device = device or same_device(checkpoint.device, checkpoint.processor, "search")
     resolved = resolve(checkpoint.scene, device, purpose="search", path=checkpoint.path, evaluator=checkpoint.evaluator)
     problem = make_problem(resolved, matrices, pool)
@@ -160,8 +166,13 @@ def load_to_resume(
     if remark:
         log(remark)
     written = checkpoint.scene_as_written
-    check_unchanged(checkpoint, f"search in {file}", options, (scene, written), "start again without --resume")
+    for option, value in options.items():
+        before = getattr(checkpoint, option)
+        if value not in (None, before):
+            raise SceneError(f"--{option} {value}: the search in {file} began with {before}; leave it out")
     if scene is not None:
+        if scene.model_dump() != written.model_dump():
+            raise SceneError(f"the scene is not that of the search in {file}; start again without --resume")
         gridded = checkpoint.scene.in_folder(scene.folder)
         checkpoint = replace(checkpoint, scene_as_written=written.in_folder(scene.folder), scene=gridded)
     for line in changes(checkpoint, device):
@@ -266,10 +277,10 @@ def _optional_parts(
     nominal: dict[str, Case] = {}
     baselines: dict[str, Case] = {}
     position = end.finished_searches[0].position
-    if problem.scenario_losses is not None and position is not None and not outcome.interrupted:
+    if outcome.nominal_position is not None and position is not None:
         with optional_part(seconds, "robust"):
-            compared = compare_with_nominal(problem, end, position, outcome.nominal)
-            fields["robust"], nominal, node_steps = compared or (None, {}, 0)
+            compared = compare_with_nominal(problem, end.single_actuator, position, outcome.nominal_position)
+            fields["robust"], nominal, node_steps = compared
     if options.estimate:
         with optional_part(seconds, "estimate"):
             simulated = problem.resolved.with_scene(evaluated.scene)

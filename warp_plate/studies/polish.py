@@ -1,29 +1,14 @@
-"""The end of a search: local refinement by modes; for robust searches, a comparison with the nominal plate."""
+"""Local refinement after a search by modes: from the best position down to the nearest minimum."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from contextlib import suppress
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, NamedTuple
+from collections.abc import Callable
 
 import numpy as np
 import scipy
 
-from warp_plate.modal.solver import MODAL
-from warp_plate.optimize.optimizer import MethodError, Optimizer, minimize
-from warp_plate.optimize.quadratic import best_position
-from warp_plate.problem.evaluate_cases import evaluate_cases
-from warp_plate.problem.methods import make_optimizer
 from warp_plate.problem.objectives import loss_scale
 from warp_plate.problem.problem import Problem
-from warp_plate.problem.scenario_losses import simulate_scenarios
-from warp_plate.problem.uncertainty import draw_scenarios
-from warp_plate.result.case import Case
-from warp_plate.result.checkpoint import Checkpoint
-from warp_plate.result.model import RobustComparison
-from warp_plate.scene.errors import SceneError
 from warp_plate.studies.spectrum import spectrum_frequencies
 
 # Differences for slopes, in initial ranges.
@@ -33,93 +18,8 @@ TOLERANCE, GAIN = 1e-10, 1e-7
 MOST_STEPS, MOST_ROUNDS = 40, 5
 
 
-class Polished(NamedTuple):
-    """A position, its loss, and the number of evaluations that they took."""
-
-    position: np.ndarray
-    loss: float
-    evaluations: int
-
-
-def search_optimizer(problem: Problem, seed: int, state: Mapping[str, Any] | None = None) -> Optimizer | None:
-    """Return the optimizer of a problem, at its start or in a saved state; None if there is nothing to search."""
-    if not problem.space.dimension:
-        return None
-    try:
-        return make_optimizer(problem.scene.search, problem.space, seed, problem.quadratic, state, problem.slopes)
-    except SceneError:
-        raise
-    except ValueError as error:
-        raise SceneError(f"checkpoint: {error}") from None
-
-
-def history_of(optimizer: Optimizer | None, problem: Problem) -> dict[str, np.ndarray]:
-    """Return the evaluations, and the best and mean values, after each iteration; empty without a search."""
-    if optimizer is None:
-        return {}
-    history = optimizer.history
-    values = {name: np.asarray(problem.value_from_loss(history[name])) for name in ("best", "mean")}
-    return {"evaluations": history["evaluations"], **values}
-
-
-def finish_search(
-    optimizer: Optimizer | None, nominal: NominalSearch, interrupted: bool = False
-) -> tuple[np.ndarray | None, int, dict[str, np.ndarray]]:
-    """Return the position of all design variables, the evaluations and the history of a search that has ended.
-
-    A search of places, frequencies or delays by modes is followed by a descent; a robust search also tries the nominal
-    optimum.
-    """
-    problem = nominal.problem
-    history = history_of(optimizer, problem)
-    if optimizer is None or optimizer.result.xbest is None:
-        return None, 0 if optimizer is None else optimizer.result.evaluations, history
-    position, evaluations = optimizer.result.xbest, optimizer.result.evaluations
-    complete = problem.complete(position)
-    by_modes = problem.evaluator_name == MODAL and problem.scenario_losses is None
-    polished = None
-    if by_modes and not problem.parametrization.only_drives and not interrupted:
-        polished = polish(problem, position, optimizer.result.fbest)
-    elif problem.scenario_losses is not None and not interrupted and nominal.position is not None:
-        loss = float(problem.losses(nominal.position[None])[0])
-        if loss < optimizer.result.fbest:
-            polished = Polished(nominal.position, loss, 1)
-    if polished is not None:
-        evaluations += polished.evaluations
-        value = problem.value_from_loss(polished.loss)
-        row = {"evaluations": evaluations, "best": value, "mean": value}
-        history = {name: np.append(column, row[name]) for name, column in history.items()}
-        complete = problem.complete(polished.position)
-    return complete, evaluations, history
-
-
-@dataclass(frozen=True, eq=False)
-class NominalSearch:
-    """Search for the best position of a robust problem's nominal plate, which runs once if it is needed."""
-
-    problem: Problem
-    seed: int
-
-    @cached_property
-    def position(self) -> np.ndarray | None:
-        """Best position (dimension,): the exact one if it is known, else that of the same search without uncertainty;
-        None if that search has no result, is refused or is interrupted."""
-        with suppress(KeyboardInterrupt, SceneError):
-            return _search_nominal(self.problem.nominal, self.seed)
-        return None
-
-
-def _search_nominal(nominal: Problem, seed: int) -> np.ndarray | None:
-    with suppress(MethodError):  # it is not known exactly
-        return best_position(nominal.space, nominal.quadratic)
-    optimizer = search_optimizer(nominal, seed)
-    if optimizer is not None:
-        minimize(optimizer, nominal.losses)
-    return finish_search(optimizer, NominalSearch(nominal, seed))[0]
-
-
-def polish(problem: Problem, position: np.ndarray, loss: float) -> Polished:
-    """Return the minimum to which a descent from a position of ``problem.space`` leads.
+def polish(problem: Problem, position: np.ndarray, loss: float) -> tuple[np.ndarray, float, int]:
+    """Return the minimum to which a descent from a position of ``problem.space`` leads, its loss, and the evaluations.
 
     A shared frequency may jump to a better peak of the result's spectrum.
     """
@@ -140,7 +40,7 @@ def polish(problem: Problem, position: np.ndarray, loss: float) -> Polished:
                 point, loss = tried, value
         if not loss < before - GAIN * _scale(problem, before):
             break
-    return Polished(space.from_unit(point[None])[0], loss, evaluations)
+    return space.from_unit(point[None])[0], loss, evaluations
 
 
 def _descend(losses: Callable[[np.ndarray], np.ndarray], problem: Problem, point: np.ndarray) -> np.ndarray:
@@ -195,40 +95,3 @@ def _best_frequency(losses: Callable[[np.ndarray], np.ndarray], problem: Problem
     points[:, kinds.index("frequency")] = frequencies
     points = problem.space.to_unit(points)
     return np.asarray(points[int(np.nanargmin(losses(points)))])
-
-
-def compare_with_nominal(
-    problem: Problem, start: Checkpoint, position: np.ndarray, nominal_search: NominalSearch
-) -> tuple[RobustComparison, dict[str, Case], int] | None:
-    """Compare the position (dimension,) of a robust search with the best one of the nominal plate.
-
-    Both drives are then simulated, as two plates of one launch, in
-    each of ``search.robust.fresh`` new scenarios.
-
-    Returns:
-        The comparison, the nominal drive as the case "nominal", and the node-steps besides those of the problem; None
-        without a nominal position.
-    """
-    nominal, table = problem.nominal, problem.robust
-    best = nominal_search.position
-    if best is None:
-        return None
-    evaluated = evaluate_cases(nominal, start.single_actuator, best)
-    designs = problem.parametrization.designs(np.stack([position, best]))
-    losses, node_steps = [], evaluated.node_steps
-    stepped = not problem.resolved.by_modes
-    for scenario in draw_scenarios(problem.scene, table.fresh, table.seed, validation=True, stepped=stepped):
-        panel = simulate_scenarios([scenario], problem.resolved)
-        losses.append(panel.losses(designs)[:, 0])
-        node_steps += sum(evaluator.node_steps for evaluator in panel.evaluators)
-    bound = problem.loss_bound
-    comparison = RobustComparison(
-        measure=f"quantile {table.quantile:g}" if table.measure == "quantile" else table.measure,
-        scenarios=table.scenarios,
-        localization=problem.objectives.only_localization,
-        bound=None if bound is None else float(problem.value_from_loss(bound.value)),
-        searched=np.asarray(problem.value_from_loss(problem.design_losses(designs))),
-        nominal_plate=np.asarray(problem.value_from_loss(nominal.design_losses(designs))),
-        validation=np.asarray(problem.value_from_loss(np.stack(losses, axis=1))),
-    )
-    return comparison, {"nominal": evaluated.cases["best"]}, node_steps

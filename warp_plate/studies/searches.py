@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,15 +13,21 @@ import numpy as np
 
 from warp_plate.cluster.evaluator import Evaluator
 from warp_plate.interrupts import SecondInterrupt, check_interrupt, deferred_interrupts
-from warp_plate.optimize.optimizer import Optimizer, minimize
+from warp_plate.modal.solver import MODAL
+from warp_plate.optimize.optimizer import MethodError, Optimizer, minimize
+from warp_plate.optimize.quadratic import best_position
 from warp_plate.plate.weights import REGIONS
 from warp_plate.problem.evaluate_cases import EvaluatedCases, evaluate_cases, reference_phasors
+from warp_plate.problem.methods import make_optimizer
 from warp_plate.problem.problem import Problem, make_problem
+from warp_plate.problem.scenario_losses import simulate_scenarios
+from warp_plate.problem.uncertainty import draw_scenarios
+from warp_plate.result.case import Case
 from warp_plate.result.checkpoint import Checkpoint
-from warp_plate.result.model import TargetSearch
+from warp_plate.result.model import RobustComparison, TargetSearch
 from warp_plate.result.targets import target_cases, target_regions
 from warp_plate.scene.errors import SceneError
-from warp_plate.studies.polish import NominalSearch, finish_search, search_optimizer
+from warp_plate.studies.polish import polish
 from warp_plate.studies.unfinished import CheckpointFile
 
 # Called after each iteration with the iterations done, their total, and the best localization factor so far, or the
@@ -88,6 +95,73 @@ def run_search(
     return optimizer, False
 
 
+def search_optimizer(problem: Problem, seed: int, state: Mapping[str, Any] | None = None) -> Optimizer | None:
+    """Return the optimizer of a problem, at its start or in a saved state; None if there is nothing to search."""
+    if not problem.space.dimension:
+        return None
+    try:
+        return make_optimizer(problem.scene.search, problem.space, seed, problem.quadratic, state, problem.slopes)
+    except SceneError:
+        raise
+    except ValueError as error:
+        raise SceneError(f"checkpoint: {error}") from None
+
+
+def find_position(problem: Problem, seed: int) -> np.ndarray | None:
+    """Return the position (dimension,) that a search finds; None if there is nothing to search or nothing is found."""
+    optimizer = search_optimizer(problem, seed)
+    if optimizer is not None:
+        minimize(optimizer, problem.losses)
+    return finish_search(optimizer, problem, find_nominal_position(problem, seed))[0]
+
+
+def find_nominal_position(problem: Problem, seed: int) -> np.ndarray | None:
+    """Return the best position (dimension,) of a robust problem's nominal plate, from the same search without
+    uncertainty unless it is known exactly.
+
+    None for other problems, and if that search has no result, is refused or is interrupted.
+    """
+    if problem.scenario_losses is None:
+        return None
+    with suppress(KeyboardInterrupt, SceneError):
+        nominal = problem.nominal
+        with suppress(MethodError):  # it is not known exactly
+            return best_position(nominal.space, nominal.quadratic)
+        return find_position(nominal, seed)
+    return None
+
+
+def finish_search(
+    optimizer: Optimizer | None, problem: Problem, nominal_position: np.ndarray | None, interrupted: bool = False
+) -> tuple[np.ndarray | None, int, dict[str, np.ndarray]]:
+    """Return the position of all design variables, the evaluations and the history of a search that has ended.
+
+    A search of places, frequencies or delays by modes is followed by a descent; a robust search also tries the nominal
+    optimum.
+    """
+    if optimizer is None:
+        return None, 0, {}
+    position, evaluations = optimizer.result.xbest, optimizer.result.evaluations
+    history = {"evaluations": optimizer.history["evaluations"]}
+    history |= {name: np.asarray(problem.value_from_loss(optimizer.history[name])) for name in ("best", "mean")}
+    if position is None:
+        return None, evaluations, history
+    best, further = optimizer.result.fbest, 0
+    by_modes = problem.evaluator_name == MODAL and problem.scenario_losses is None
+    if by_modes and not problem.parametrization.only_drives and not interrupted:
+        position, best, further = polish(problem, position, best)
+    elif nominal_position is not None:
+        loss = float(problem.losses(nominal_position[None])[0])
+        if loss < best:
+            position, best, further = nominal_position, loss, 1
+    if further:
+        evaluations += further
+        value = problem.value_from_loss(best)
+        row = {"evaluations": evaluations, "best": value, "mean": value}
+        history = {name: np.append(column, row[name]) for name, column in history.items()}
+    return problem.complete(position), evaluations, history
+
+
 def initial_state(problem: Problem, seed: int) -> dict[str, Any]:
     """Return the fields of a checkpoint that differ from target to target, before the first iteration."""
     phasors = reference_phasors(problem.scene, problem.plates.energies_of_phasors)
@@ -107,13 +181,13 @@ class SearchOutcome:
     Attributes:
         checkpoint: Last checkpoint.
         problem: Problem of the first target.
-        nominal: Search for its nominal plate's best position.
+        nominal_position: Best position of a robust problem's nominal plate, or None.
         interrupted: True if Ctrl-C ended the last search.
     """
 
     checkpoint: Checkpoint
     problem: Problem
-    nominal: NominalSearch
+    nominal_position: np.ndarray | None
     interrupted: bool
 
 
@@ -122,12 +196,11 @@ def search_targets(
 ) -> SearchOutcome:
     """Search the remaining targets."""
     count, first, interrupted = max(len(problem.scene.targets), 1), len(start.finished_searches), False
-    nominal = NominalSearch(problem, start.seed)
+    nominal_position = None
     for index in range(first, count):
         started = time.perf_counter()
         if index > first:
             problem = _next_problem(problem, index, start)
-            nominal = NominalSearch(problem, start.seed)
             start = replace(start, **initial_state(problem, start.seed))
             start = replace(start, node_steps=start.node_steps + problem.node_steps)
         first_steps = problem.node_steps
@@ -137,7 +210,9 @@ def search_targets(
                 on_progress(before * total + iterations, count * total, best)
 
         optimizer, interrupted = run_search(start, problem, on_iteration, checkpoints)
-        position, evaluations, history = finish_search(optimizer, nominal, interrupted)
+        if optimizer is not None and not interrupted:
+            nominal_position = find_nominal_position(problem, start.seed)
+        position, evaluations, history = finish_search(optimizer, problem, nominal_position, interrupted)
         search = TargetSearch(
             position=position,
             single_actuator=start.single_actuator,
@@ -159,8 +234,7 @@ def search_targets(
             break
     if count > 1:
         problem = _with_target(problem, 0)
-        nominal = NominalSearch(problem, start.seed)
-    return SearchOutcome(start, problem, nominal, interrupted)
+    return SearchOutcome(start, problem, nominal_position, interrupted)
 
 
 def _next_problem(problem: Problem, index: int, start: Checkpoint) -> Problem:
@@ -195,3 +269,35 @@ def evaluate_targets(problem: Problem, searches: tuple[TargetSearch, ...]) -> Ev
         cases[name] = more.cases["best"]
         node_steps += other.drive_solver.node_steps + more.node_steps
     return replace(evaluated, cases=cases, node_steps=node_steps)
+
+
+def compare_with_nominal(
+    problem: Problem, single_actuator: int, position: np.ndarray, nominal_position: np.ndarray
+) -> tuple[RobustComparison, dict[str, Case], int]:
+    """Compare the position (dimension,) of a robust search with the best one of the nominal plate.
+
+    Both drives are simulated, as two plates of one launch, in each of ``search.robust.fresh`` new scenarios.
+
+    Returns:
+        The comparison, the nominal drive as the case "nominal", and the node-steps besides those of the problem.
+    """
+    nominal, table = problem.nominal, problem.robust
+    evaluated = evaluate_cases(nominal, single_actuator, nominal_position)
+    designs = problem.parametrization.designs(np.stack([position, nominal_position]))
+    losses, node_steps = [], evaluated.node_steps
+    stepped = not problem.resolved.by_modes
+    for scenario in draw_scenarios(problem.scene, table.fresh, table.seed, validation=True, stepped=stepped):
+        panel = simulate_scenarios([scenario], problem.resolved)
+        losses.append(panel.losses(designs)[:, 0])
+        node_steps += sum(evaluator.node_steps for evaluator in panel.evaluators)
+    bound = problem.loss_bound
+    comparison = RobustComparison(
+        measure=f"quantile {table.quantile:g}" if table.measure == "quantile" else table.measure,
+        scenarios=table.scenarios,
+        localization=problem.objectives.only_localization,
+        bound=None if bound is None else float(problem.value_from_loss(bound.value)),
+        searched=np.asarray(problem.value_from_loss(problem.design_losses(designs))),
+        nominal_plate=np.asarray(problem.value_from_loss(nominal.design_losses(designs))),
+        validation=np.asarray(problem.value_from_loss(np.stack(losses, axis=1))),
+    )
+    return comparison, {"nominal": evaluated.cases["best"]}, node_steps

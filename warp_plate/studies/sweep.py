@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,21 +26,13 @@ from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.scene.vary import Plan, counted, make_plan, parse_vary, value_text
 from warp_plate.solve.devices import find_device, processor_of
 from warp_plate.studies.sweep_points import QUANTITIES, PointResult, run_here, run_on_pool, varied_files
-from warp_plate.studies.unfinished import (
-    SweepFile,
-    changes,
-    check_files,
-    check_unchanged,
-    merged_versions,
-    same_device,
-    versions,
-)
+from warp_plate.studies.unfinished import CheckpointFile, changes, merged_versions, same_device, versions
 
 # Called after each point with the points done, their total, and the values of the point.
 OnPointProgress = Callable[[int, int, str], object]
 # Numbers of a quantity at all points, 8 bytes each.
 MOST_NUMBERS = 100_000_000
-# Values of options that are left out; None: a new sweep chooses, another one keeps its own.
+# Options that a sweep keeps, and their values in a new sweep where they are left out.
 DEFAULTS = {"what": "localize", "count": 6, "path": "auto", "evaluator": None, "frequencies": ""}
 
 
@@ -59,10 +51,9 @@ class SweepRequest:
     evaluator: str | None = None
     frequencies: str | None = None
 
-    def options(self, complete: bool) -> dict[str, Any]:
-        """Return the options that a sweep keeps, by its attributes; those left out have their defaults if complete."""
-        given = {name: getattr(self, name) for name in DEFAULTS}
-        return {name: DEFAULTS[name] if complete and value is None else value for name, value in given.items()}
+    def filled(self, values: Mapping[str, Any]) -> SweepRequest:
+        """Return the request with values for what is left out."""
+        return replace(self, **{name: value for name, value in values.items() if getattr(self, name) is None})
 
     def plan(self, scene: Scene) -> Plan:
         """Return the points asked for; ``scene`` has the numbers to vary."""
@@ -113,15 +104,17 @@ def sweep(
 
 def start_sweep(request: SweepRequest, device: str = "auto") -> Sweep:
     """Return the sweep of a request, without any finished point."""
-    scene, asked = request.scene, request.options(complete=True)
+    filled = request.filled(DEFAULTS)
+    kept: dict[str, Any] = {name: getattr(filled, name) for name in DEFAULTS}
+    scene, what, count = filled.scene, kept["what"], kept["count"]
     assert scene is not None
-    what, count, plan = asked["what"], asked["count"], request.plan(scene)
+    plan = filled.plan(scene)
     if what not in QUANTITIES:
         raise SceneError(f"--what {what}: must be one of {', '.join(QUANTITIES)}")
     if not 1 <= count <= MOST_MODES:
         raise SceneError(f"--count {count}: must be from 1 to {MOST_MODES}")
     outputs, used = QUANTITIES[what].outputs, find_device(device)
-    if what == "frf" and not asked["frequencies"]:
+    if what == "frf" and not kept["frequencies"]:
         raise SceneError("--what frf: at which frequencies? write --frequencies LOW:HIGH:COUNT (hertz)")
     start = Sweep(
         source=request.source,
@@ -137,7 +130,7 @@ def start_sweep(request: SweepRequest, device: str = "auto") -> Sweep:
         reasons={},
         seconds=0.0,
         versions=versions(),
-        **asked | {"evaluator": choose_evaluator(scene, plan.keys, what, asked["path"], asked["evaluator"])},
+        **kept | {"evaluator": choose_evaluator(scene, plan.keys, what, kept["path"], kept["evaluator"])},
     )
     shapes = {name: (len(plan), *([len(start.along(o.axis))] if o.axis else [])) for name, o in outputs.items()}
     if (largest := max(map(math.prod, shapes.values()))) > MOST_NUMBERS:
@@ -185,7 +178,7 @@ def choose_evaluator(scene: Scene, keys: Sequence[str], what: str, path: str, as
 def run_sweep(
     start: Sweep,
     on_progress: OnPointProgress | None = None,
-    file: SweepFile | None = None,
+    file: CheckpointFile | None = None,
     pool: WorkerPool | None = None,
     on_device_change: Callable[[str], object] | None = None,
 ) -> Sweep:
@@ -271,32 +264,42 @@ def open_sweep(
 
     Args:
         target: file of the result; unfinished sweeps are beside it.
-        resume: unfinished sweep to continue, or the result that it will become; None: one left by the same request, if
-            any.
+        resume: unfinished sweep to continue, or the result that it will become, for which the request may leave out
+            anything; None: one left by the same request, if any.
         device: device of the points, or None for the default.
         on_workers: whether workers of a pool run the points, which then report their devices.
         log: called with one line for each thing to know about a sweep that is continued.
         force: whether the result may replace any file.
     """
     unfinished = target.with_suffix(ENDING)
-    file = unfinished if unfinished.exists() else None
+    file, advice = unfinished, f"name another file by --out, or delete {unfinished}"
     if resume is not None:
         beside = resume.with_suffix(ENDING)
-        file = beside if beside.exists() else resume
+        file, advice = beside if beside.exists() else resume, "start again without --resume"
         if unfinished.exists() and not unfinished.samefile(file):
             raise SceneError(f"{unfinished}: holds another unfinished sweep; name another file by --out, or delete it")
-    if file is not None:
-        sweep = _load_unfinished(file, request, resume is not None)
+    given = request
+    if resume is not None or file.exists():
+        sweep = _load(file, advice)
+        if resume is not None:
+            kept = {"scene": sweep.scene, "vary": sweep.plan} | {name: getattr(sweep, name) for name in DEFAULTS}
+            if request.what not in (None, sweep.what):
+                kept.pop("evaluator")  # which is not for other quantities
+            request = request.filled(kept)
+        same = start_sweep(request)
+        check_same_sweep(file, sweep, same, advice)
+        sweep = replace(sweep, scene=same.scene)  # files that it names are beside the scene, not beside the sweep
     else:
         sweep = start_sweep(request, "auto" if on_workers or device is None else device)
     axes = {output.axis for output in sweep.outputs.values()}
-    if request.count is not None and "mode" not in axes:
-        raise SceneError(f"--count {request.count}: --what {sweep.what} has no modes to count; leave it out")
-    if request.frequencies is not None and "frequency" not in axes:
-        raise SceneError(f"--frequencies {request.frequencies}: are those of --what frf; leave it out")
-    if not force:
-        check_same_sweep(target, sweep)
-    if file is None:
+    if given.count is not None and "mode" not in axes:
+        raise SceneError(f"--count {given.count}: --what {sweep.what} has no modes to count; leave it out")
+    if given.frequencies is not None and "frequency" not in axes:
+        raise SceneError(f"--frequencies {given.frequencies}: are those of --what frf; leave it out")
+    if target.exists() and not force:
+        advice = "name another file by --out, or give --force"
+        check_same_sweep(target, _load(target, advice), sweep, advice)
+    if not file.exists():
         return sweep
     log(f"{file}: {sweep.progress} done; {'nothing is left' if sweep.finished else 'continuing'}")
     for line in changes(sweep, None if on_workers or not sweep.processor else device):
@@ -304,10 +307,30 @@ def open_sweep(
     return resume_sweep(sweep, device, on_workers)
 
 
+def _load(path: Path, advice: str) -> Sweep:
+    """Load a sweep; an error says what to do."""
+    try:
+        return load_sweep(path)
+    except SceneError as error:
+        raise SceneError(f"{error}; {advice}") from None
+
+
+def check_same_sweep(path: Path, existing: Sweep, sweep: Sweep, advice: str) -> None:
+    """Check that a file holds an earlier run of a sweep; an error says what to do."""
+    differences = [] if existing.scene.model_dump() == sweep.scene.model_dump() else ["another scene"]
+    differences += [f"another {key}" for key, digest in existing.files.items() if digest != sweep.files.get(key)]
+    for name in DEFAULTS:
+        if getattr(existing, name) != getattr(sweep, name):
+            differences.append(f"--{name} {getattr(existing, name)}")
+    if not existing.plan.same(sweep.plan):
+        differences.append(f"other points ({existing.plan.description})")
+    if differences:
+        raise SceneError(f"{path}: holds a sweep of {differences[0]}; {advice}")
+
+
 def resume_sweep(sweep: Sweep, device: str | None = None, on_workers: bool = False) -> Sweep:
     """Return an unfinished sweep as it continues on workers of a pool, on another device, which may round differently,
     or by default on one of the kind that it began on."""
-    check_files(file_digests(sweep.scene, sweep.plan), sweep, "sweep")
     if sweep.finished:
         return sweep
     sweep = replace(sweep, versions=merged_versions(sweep.versions))
@@ -319,53 +342,11 @@ def resume_sweep(sweep: Sweep, device: str | None = None, on_workers: bool = Fal
     return sweep.moved_to(used.alias, processor_of(used))
 
 
-def save_finished(sweep: Sweep, path: Path, file: SweepFile, force: bool = False) -> None:
+def save_finished(sweep: Sweep, path: Path, file: CheckpointFile) -> None:
     """Save a finished sweep as its result and remove the unfinished file; on failure all points are in that file."""
     try:
-        if not force:
-            check_same_sweep(path, sweep)
         save_sweep(sweep, path)
     except SceneError:
         file.save(sweep)
         raise
     file.remove()
-
-
-def check_same_sweep(path: Path, sweep: Sweep) -> None:
-    """Check that a result would replace no file other than an earlier result of the same sweep."""
-    if not path.exists():
-        return
-    advice = "name another file by --out, or give --force"
-    try:
-        existing = load_sweep(path)
-    except SceneError as error:
-        raise SceneError(f"{error}; {advice}") from None
-    same_scene = existing.scene.model_dump() == sweep.scene.model_dump() and existing.files == sweep.files
-    for difference, same in (
-        ("another scene", same_scene),
-        (f"--what {existing.what}", existing.what == sweep.what),
-        (f"--count {existing.count}", existing.count == sweep.count),
-        (f"--frequencies {existing.frequencies}", existing.frequencies == sweep.frequencies),
-        (f"--evaluator {existing.evaluator}", existing.evaluator == sweep.evaluator),
-        (f"other points ({existing.plan.description})", existing.plan.same(sweep.plan)),
-    ):
-        if not same:
-            raise SceneError(f"{path}: holds a sweep of {difference}; {advice}")
-
-
-def _load_unfinished(file: Path, request: SweepRequest, resumed: bool) -> Sweep:
-    """Load an unfinished sweep for a request, all of which must be the same if it was not named by ``--resume``."""
-    advice = "start again without --resume" if resumed else f"name another file by --out, or delete {file}"
-    try:
-        sweep = load_sweep(file)
-    except SceneError as error:
-        raise error if resumed else SceneError(f"{error}; {advice}") from None
-    options = request.options(complete=not resumed)
-    check_unchanged(sweep, f"sweep in {file}", options, (request.scene, sweep.scene), advice)
-    if (request.vary or not resumed) and not request.plan(sweep.scene).same(sweep.plan):
-        raise SceneError(
-            f"--vary: the sweep in {file} began with other points ({sweep.plan.description}) and continues with "
-            f"nothing else; {'leave --vary out, or ' if resumed else ''}{advice}"
-        )
-    # Files that the scene names are beside the scene, not beside the sweep.
-    return sweep if request.scene is None else replace(sweep, scene=sweep.scene.in_folder(request.scene.folder))

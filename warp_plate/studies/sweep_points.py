@@ -18,7 +18,7 @@ from warp_plate.cluster.tasks import SceneSpec, refuse_unlike, run_task, worker_
 from warp_plate.modal.continuous_modes import linear_part
 from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.solver import MODAL
-from warp_plate.optimize.optimizer import MethodError, minimize
+from warp_plate.optimize.optimizer import MethodError
 from warp_plate.optimize.quadratic import best_position
 from warp_plate.plate.designs import scene_phasors
 from warp_plate.plate.files import named_files, read_beside
@@ -34,7 +34,7 @@ from warp_plate.scene.model import Scene
 from warp_plate.scene.vary import Plan, parse_frequencies
 from warp_plate.solve.devices import find_device
 from warp_plate.studies.frequency_response import respond_to_drive
-from warp_plate.studies.polish import NominalSearch, finish_search, search_optimizer
+from warp_plate.studies.searches import find_position
 from warp_plate.studies.simulate import simulate
 
 # By name: one number, or an array along the output's axis.
@@ -42,21 +42,27 @@ Values = dict[str, float | np.ndarray]
 
 
 @dataclass(frozen=True)
-class Settings:
-    """Settings for the computation of quantities.
+class Point:
+    """A point of a sweep, with all that is needed to run it; the scene is plain data for another process.
 
     Attributes:
+        scene: Scene before anything is varied.
+        values: Values of the varied keys.
+        what: A key of ``QUANTITIES``.
         device, path: See :class:`PlateSolver`.
         evaluator: "modal" for the modes of the plate, "direct" for time steps.
         count: Number of modes.
         frequencies: (frequencies,) frequencies of responses [Hz].
     """
 
-    device: str = "auto"
-    path: str = "auto"
-    evaluator: str = MODAL
-    count: int = 6
-    frequencies: tuple[float, ...] = ()
+    scene: Scene | SceneSpec
+    values: Mapping[str, float | str]
+    what: str
+    device: str
+    path: str
+    evaluator: str
+    count: int
+    frequencies: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -70,11 +76,11 @@ class Quantities:
     """
 
     outputs: Mapping[str, SweepOutput]
-    compute: Callable[[Scene, Settings], Values]
+    compute: Callable[[Scene, Point], Values]
     evaluators: tuple[str, ...] = (MODAL, "direct")
 
 
-def _localization_quantities(scene: Scene, settings: Settings) -> Values:
+def _localization_quantities(scene: Scene, point: Point) -> Values:
     """Return the localization factors of the equal drive, the best single actuator and the best drive, and the bound
     (NaN if none is claimed); for the first of several targets.
 
@@ -82,7 +88,7 @@ def _localization_quantities(scene: Scene, settings: Settings) -> Values:
     otherwise it is searched as the scene says.
     """
     scene = with_method(scene.model_copy(update={"targets": ()}))
-    resolved = resolve(scene, settings.device, purpose="search", path=settings.path, evaluator=settings.evaluator)
+    resolved = resolve(scene, point.device, purpose="search", path=point.path, evaluator=point.evaluator)
     if not resolved.by_modes:  # the default evaluator uses Gram matrices for robust searches
         resolved = replace(resolved, evaluator=None)
     problem = make_problem(resolved)
@@ -105,22 +111,18 @@ def _best_position(problem: Problem) -> np.ndarray | None:
             return best_position(problem.space, problem.quadratic)
         except MethodError:  # a limit or a fixed number keeps the search from the eigenvector
             pass
-    seed = problem.scene.search.seed
-    optimizer = search_optimizer(problem, seed)
-    if optimizer is not None:
-        minimize(optimizer, problem.losses)
-    return finish_search(optimizer, NominalSearch(problem, seed))[0]
+    return find_position(problem, problem.scene.search.seed)
 
 
-def _simulation_quantities(scene: Scene, settings: Settings) -> Values:
+def _simulation_quantities(scene: Scene, point: Point) -> Values:
     """Return the localization factor, energies and peak displacement under the scene's own drive."""
-    path = settings.path
-    if settings.evaluator == MODAL:
+    path = point.path
+    if point.evaluator == MODAL:
         path = MODAL
     elif scene.grid.accuracy is not None:  # a grid for time steps, because an accuracy might choose modes
         phasors = scene_phasors(scene)[None]
-        scene = resolve(scene, settings.device, purpose="simulate", evaluator="direct", phasors=phasors).scene
-    result = simulate(scene, device=settings.device, path=path, estimate=False)
+        scene = resolve(scene, point.device, purpose="simulate", evaluator="direct", phasors=phasors).scene
+    result = simulate(scene, device=point.device, path=path, estimate=False)
     case = result.cases["drive"]
     if case.status != "ok":
         raise SceneError(case.status)
@@ -132,22 +134,22 @@ def _simulation_quantities(scene: Scene, settings: Settings) -> Values:
     }
 
 
-def _modal_quantities(scene: Scene, settings: Settings) -> Values:
+def _modal_quantities(scene: Scene, point: Point) -> Values:
     """Return the lowest natural frequencies; NaN beyond those that are solved for."""
-    count = settings.count
+    count = point.count
     frequencies = solve_modes(linear_part(scene), highest=0.0, count=count).frequencies[:count]
     return {"frequency": np.pad(frequencies, (0, count - len(frequencies)), constant_values=np.nan)}
 
 
-def _response_quantities(scene: Scene, settings: Settings) -> Values:
+def _response_quantities(scene: Scene, point: Point) -> Values:
     """Return the response to the scene's own drive at each frequency."""
-    velocity, factor, bound = respond_to_drive(scene, np.array(settings.frequencies))
+    velocity, factor, bound = respond_to_drive(scene, np.array(point.frequencies))
     return {"mean_square_velocity": velocity, "localization_factor": factor, "bound": bound}
 
 
-def _numerical_quantities(scene: Scene, settings: Settings) -> Values:
+def _numerical_quantities(scene: Scene, point: Point) -> Values:
     """Return the time step and its limit, and the resolution in time and space."""
-    numerics = check(resolve(scene, settings.device, purpose="simulate", evaluator="direct").scene, settings.device)
+    numerics = check(resolve(scene, point.device, purpose="simulate", evaluator="direct").scene, point.device)
     return {
         "time_step": numerics.time_step,
         "limit": numerics.limit.time_step,
@@ -207,16 +209,6 @@ QUANTITIES: Mapping[str, Quantities] = {
 TASK_BLOCK = 1000
 
 
-@dataclass(frozen=True)
-class Point:
-    """A point of a sweep, with all that is needed to run it; the scene is plain data for another process."""
-
-    scene: Scene | SceneSpec
-    values: Mapping[str, float | str]
-    what: str
-    settings: Settings
-
-
 class PointResult(NamedTuple):
     """The result at a point.
 
@@ -249,13 +241,13 @@ def varied_files(scene: Scene, plan: Plan) -> dict[str, list[str]]:
 def run_point(point: Point) -> PointResult:
     """Run a point; the caller fills in its number."""
     with TemporaryDirectory() as folder:
-        scene, name = point.scene, point.settings.device or "auto"
+        scene, name = point.scene, point.device or "auto"
         if isinstance(scene, SceneSpec):
             scene, name = scene.scene_in(folder), worker_device(name)
         device, values, reason = find_device(name), None, ""
         try:
             varied = scene.with_values(point.values)
-            values = QUANTITIES[point.what].compute(varied, replace(point.settings, device=device.alias))
+            values = QUANTITIES[point.what].compute(varied, replace(point, device=device.alias))
         except SceneError as error:
             reason = str(error)
         return PointResult(-1, values, reason, device.alias, worker_identity(device))
@@ -291,11 +283,11 @@ def run_on_pool(start: Sweep, points: Sequence[int], pool: WorkerPool) -> Iterat
 
 def _points(start: Sweep, points: Sequence[int], scene: Scene | SceneSpec, device: str) -> Iterator[Point]:
     frequencies = parse_frequencies(start.frequencies).tolist() if start.frequencies else ()
-    settings = Settings(device, start.path, start.evaluator, start.count, tuple(frequencies))
+    kept = start.what, device, start.path, start.evaluator, start.count, tuple(frequencies)
     keys = list(varied_files(start.scene, start.plan))
     for at in points:
         values, complete = start.plan.values(at), scene
         if isinstance(scene, SceneSpec):  # a worker may have none of the files
             read = {str(values[key]): read_beside(key, str(values[key]), start.scene.folder) for key in keys}
             complete = replace(scene, files={**scene.files, **read})
-        yield Point(complete, values, start.what, settings)
+        yield Point(complete, values, *kept)

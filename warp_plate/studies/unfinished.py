@@ -5,10 +5,10 @@ from __future__ import annotations
 import platform
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from glob import escape
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -20,18 +20,16 @@ from warp_plate.result.atomic_io import is_intact
 from warp_plate.result.checkpoint import Checkpoint, previous_path, save_checkpoint
 from warp_plate.result.sweep import Sweep, save_sweep
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import device_aliases, find_device, processor_of
 from warp_plate.solve.run import Run
 from warp_plate.solve.solver import PlateSolver
 
 # Default interval between two checkpoints [s].
 EVERY = 30.0
-Study = TypeVar("Study", Checkpoint, Sweep)
 
 
-class StudyFile(Generic[Study]):
-    """A file that holds a study while it runs.
+class CheckpointFile:
+    """The file that holds an unfinished search or sweep; of a search the one before is kept too.
 
     Args:
         every: least seconds between two saves; 0 saves whenever possible, infinity only when the study is interrupted.
@@ -51,25 +49,19 @@ class StudyFile(Generic[Study]):
         if not every >= 0:
             raise SceneError(f"checkpoint-every = {every:g}: must be a number of seconds, 0 or more")
         self.path, self.every = path, every
-        self.saved: Study | None = None
+        self.saved: Checkpoint | Sweep | None = None
         self._resumes, self._warn = resumes, warn
         self._keep_previous = resumes and is_intact(path)
-        self._signature = _signature(path)
-        self._taken = self._warned = False
+        self._warned = False
         self._last = time.monotonic()
 
     def due(self) -> bool:
         """Return whether ``every`` seconds have passed since the last save."""
         return time.monotonic() - self._last >= self.every
 
-    def save(self, study: Study) -> None:
-        """Write the study atomically; on failure warn once and keep the last file.
-
-        A file that another process has written since is no longer touched.
-        """
+    def save(self, study: Checkpoint | Sweep) -> None:
+        """Write the study atomically; on failure warn once and keep the last file."""
         self._last = time.monotonic()
-        if self._taken_by_another():
-            return
         try:
             if isinstance(study, Checkpoint):
                 save_checkpoint(study, self.path, self._keep_previous)
@@ -83,42 +75,12 @@ class StudyFile(Generic[Study]):
             self._warned = True
             return
         self.saved, self._keep_previous, self._warned = study, True, False
-        self._signature = _signature(self.path)
 
     def remove(self) -> None:
         """Delete the file, the previous one, and temporary files that killed processes left."""
-        if self._taken_by_another():
-            return
         left: Iterable[Path] = self.path.parent.glob(f".{escape(self.path.name)}.*.part.h5")
         for path in (self.path, previous_path(self.path), *left):
             path.unlink(missing_ok=True)
-
-    def _taken_by_another(self) -> bool:
-        """Return whether another process has written the file since; warn once if it has."""
-        if not self._taken and _signature(self.path) not in (None, self._signature):
-            self._taken, self.saved = True, None
-            self._warn(
-                f"{self.path} was written by another process; continuing without checkpoints: give each run a result "
-                "file of its own"
-            )
-        return self._taken
-
-
-class CheckpointFile(StudyFile[Checkpoint]):
-    """File from which a search can be resumed; the previous one is kept as ``previous_path(path)``."""
-
-
-class SweepFile(StudyFile[Sweep]):
-    """The file that holds the finished points of a sweep until all are done."""
-
-
-def _signature(path: Path) -> tuple[int, ...] | None:
-    """Return numbers that change when the file is replaced; None if there is no file."""
-    try:
-        status = path.stat()
-    except OSError:
-        return None
-    return status.st_ino, status.st_mtime_ns, status.st_size
 
 
 def device_name(device: wp.Device) -> str:
@@ -173,39 +135,6 @@ def same_device(device: str, processor: str, study: str) -> str:
     )
 
 
-def check_files(files: Mapping[str, str], study: Checkpoint | Sweep, what: str) -> None:
-    """Check that files, given by their digests, are still those that a study began with."""
-    for key, digest in files.items():
-        if study.files.get(key) != digest:
-            raise SceneError(f"{key}: the file has changed since the {what} began")
-
-
-def check_unchanged(
-    study: object, name: str, options: Mapping[str, object], scenes: tuple[Scene | None, Scene], advice: str
-) -> None:
-    """Check that options and a scene given to resume a study are those that it began with.
-
-    Args:
-        name: kind and file of the study, for errors.
-        options: values by the names of the study's attributes; None for those not given.
-        scenes: the scene that is given, or None, and the original one.
-        advice: what else the user can do, for errors.
-    """
-    changed = {
-        f"--{option} {value}": getattr(study, option)
-        for option, value in options.items()
-        if value not in (None, getattr(study, option))
-    }
-    if scenes[0] is not None:
-        given, original = (dict(_leaves(scene.model_dump())) for scene in scenes if scene is not None)
-        keys = [key for key in {"grid.accuracy": None, **original, **given} if given.get(key) != original.get(key)]
-        changed |= {f"{key} = {given.get(key)}": original.get(key) for key in keys}
-    for difference, before in changed.items():
-        raise SceneError(
-            f"{difference}: the {name} began with {before} and continues with nothing else; leave it out, or {advice}"
-        )
-
-
 def changes(study: Checkpoint | Sweep, device: str | None) -> list[str]:
     """Return a line for each change since a study began, also of the device (None: unknown or the same), that may
     change the last digits of its result."""
@@ -220,15 +149,3 @@ def changes(study: Checkpoint | Sweep, device: str | None) -> list[str]:
         if before != now:
             lines.append(f"began with {name} {before}, this is {now}: the result may differ in its last digits")
     return lines
-
-
-def _leaves(table: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
-    """Yield (dotted key, value) for all values in nested tables and lists of tables."""
-    for key, value in table.items():
-        if isinstance(value, dict):
-            yield from _leaves(value, f"{prefix}{key}.")
-        elif isinstance(value, tuple) and value and all(isinstance(entry, dict) for entry in value):
-            for index, entry in enumerate(value):
-                yield from _leaves(entry, f"{prefix}{key}[{index}].")
-        else:
-            yield f"{prefix}{key}", value
