@@ -126,9 +126,23 @@ def test_waveforms_without_a_wish_are_not_played_under_one(tmp_path):
         focus(wishing, made)
 
 
-def test_a_filter_for_many_panels_loses_less_on_others(tmp_path):
+def test_a_filter_for_panels_alike_is_that_of_one(tmp_path):
+    """Which reaches on other ones what it does on the nominal panel."""
+    table = {**TABLE, "time": 0.02, "burst": {"frequency": 300.0, "cycles": 4.0}}
+    found = focus(focus_panel(focus=table, search={"robust": {"gain": 1e-9, "scenarios": 2, "fresh": 1}}))
+    found = load_focus(save_focus(found, tmp_path / "found.h5"))
+    one, many = (found.methods[name] for name in ("inverse_filter", "robust_filter"))
+    np.testing.assert_allclose(many.waveforms, one.waveforms, atol=2e-3 * np.abs(one.waveforms).max())
+    for name in ("peak", "misfit"):
+        np.testing.assert_allclose(getattr(many.panels, name)[0], getattr(many, name), rtol=1e-6)
+    others = ~np.eye(2, dtype=bool)
+    np.testing.assert_allclose(many.panels.crosstalk_db[0], many.crosstalk_db[others], rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_filter_for_many_panels_loses_less_on_others():
     """With a modulus within 2 %: worst misfit and crosstalk of panels that neither filter has seen."""
-    table = {**TABLE, "rate": 1500, "time": 0.03, "burst": {"frequency": 300.0, "cycles": 4.0}}
+    table = {**TABLE, "time": 0.03, "burst": {"frequency": 300.0, "cycles": 4.0}}
     robust = {"young_modulus": 0.01, "scenarios": 8, "fresh": 12}
     found = focus(focus_panel(focus=table, search={"robust": robust}))
     nominal, many = (found.methods[name] for name in ("inverse_filter", "robust_filter"))
@@ -137,5 +151,3 @@ def test_a_filter_for_many_panels_loses_less_on_others(tmp_path):
     assert many.panels.misfit.max() < 0.8 * nominal.panels.misfit.max()
     assert many.panels.crosstalk_db.max() < nominal.panels.crosstalk_db.max()
     assert (nominal.panels.misfit.max(axis=1) > nominal.misfit.max()).all()
-    read = load_focus(save_focus(found, tmp_path / "found.h5"))
-    np.testing.assert_array_equal(read.methods["robust_filter"].panels.misfit, many.panels.misfit)
