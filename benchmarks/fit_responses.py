@@ -17,7 +17,7 @@ import numpy as np
 from peer_codes.machine import machine, versions
 
 from warp_plate import Scene
-from warp_plate.fitting.fit_responses import fit_responses
+from warp_plate.fitting.fit import fit_responses
 from warp_plate.fitting.measured_responses import MeasuredResponses
 from warp_plate.fitting.panel_responses import PanelResponses
 

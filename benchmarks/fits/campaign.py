@@ -8,7 +8,7 @@ import numpy as np
 from fits.panels import LOSS, MODULUS, VISCOUS, Panel, random_panel
 from fits.stepping import stepped_responses
 from warp_plate import Scene
-from warp_plate.fitting.fit_responses import fit_responses
+from warp_plate.fitting.fit import fit_responses
 from warp_plate.fitting.measured_responses import MeasuredResponses
 from warp_plate.fitting.panel_responses import PanelResponses
 

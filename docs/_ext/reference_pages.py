@@ -32,8 +32,8 @@ RETURNED = (
     "analysis.check.Check",
 )
 FITS = (
-    "fit_modes.fit_modes",
-    "fit_responses.fit_responses",
+    "fit.fit_modes",
+    "fit.fit_responses",
     "measured_modes.read_modes",
     "measured_modes.MeasuredModes",
     "measured_responses.read_responses",

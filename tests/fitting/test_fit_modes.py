@@ -12,7 +12,7 @@ from support.commands import error_of, output_of
 from support.levy import isotropic, levy_frequencies
 from support.scenes import MATERIAL, scene_of
 from warp_plate import Scene, SceneError, modes
-from warp_plate.fitting.fit_modes import fit_modes
+from warp_plate.fitting.fit import fit_modes
 from warp_plate.fitting.least_squares import exchangeable
 from warp_plate.fitting.measured_modes import MeasuredModes, read_modes
 from warp_plate.reference.series import wavenumber_squared

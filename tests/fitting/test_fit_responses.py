@@ -12,7 +12,7 @@ import pytest
 from support.commands import error_of, output_of
 from support.scenes import MATERIAL, scene_of
 from warp_plate import SceneError
-from warp_plate.fitting.fit_responses import fit_responses
+from warp_plate.fitting.fit import fit_responses
 from warp_plate.fitting.measured_modes import read_modes
 from warp_plate.fitting.measured_responses import MeasuredResponses, read_responses
 from warp_plate.fitting.panel_responses import PanelResponses

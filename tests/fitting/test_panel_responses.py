@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from support.scenes import scene_of
-from warp_plate.fitting.fit_responses import fit_responses
+from warp_plate.fitting.fit import fit_responses
 from warp_plate.fitting.fitted_panel import FreeNumbers
 from warp_plate.fitting.measured_responses import MeasuredResponses
 from warp_plate.fitting.panel_responses import PanelResponses

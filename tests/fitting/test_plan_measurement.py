@@ -9,7 +9,7 @@ import pytest
 from support.commands import error_of, output_of
 from support.scenes import scene_of
 from warp_plate import Scene, SceneError, plan_measurement
-from warp_plate.fitting.fit_responses import fit_responses
+from warp_plate.fitting.fit import fit_responses
 from warp_plate.fitting.measured_responses import MeasuredResponses
 from warp_plate.fitting.plan_measurement import choose_places
 from warp_plate.studies.frequency_response import frf

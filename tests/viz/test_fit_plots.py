@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from warp_plate.fitting.fit_modes import modal_assurance
+from warp_plate.fitting.fit import modal_assurance
 from warp_plate.fitting.measured_responses import MeasuredResponses
 from warp_plate.viz.plots import frequency_response as plots
 

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from warp_plate.fitting.fit_modes import ModeFit
-    from warp_plate.fitting.fit_responses import ResponseFit
+    from warp_plate.fitting.fit import ModeFit, ResponseFit
 
 # Colours of responses, which repeat; the dashes of curves that cover earlier ones to the relative distance COVERED;
 # most curves in colour and in the legend: the largest ones, the others are grey.

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from warp_plate.fitting.fit_modes import ModeFit
-    from warp_plate.fitting.fit_responses import ResponseFit
+    from warp_plate.fitting.fit import ModeFit, ResponseFit
     from warp_plate.fitting.plan_measurement import MeasurementPlan
     from warp_plate.scene.model import Scene
     from warp_plate.studies.verify import Verification
@@ -60,8 +59,6 @@ def fit(
 
     _check_folder(loaded, target)
     with output.scene_errors(scene):
-        if len(data) > 1 and not loaded.measurement:
-            raise SceneError(f"--data {data[1]}: several files hold responses of tables [[measurement]]; there is none")
         fitted = fit_files(loaded, data)
     _write_scene(fitted.scene, target, f"{FITTED} to {', '.join(repr(path.name) for path in data)}")
     drawn, missing = _draw(fitted, target) if files.pictures else ([], None)
@@ -82,8 +79,7 @@ def _write_scene(scene: Scene, target: Path, heading: str) -> None:
 
 
 def _draw(fitted: ModeFit | ResponseFit, target: Path) -> output.Drawn:
-    from warp_plate.fitting.fit_modes import assurance
-    from warp_plate.fitting.fit_responses import ResponseFit
+    from warp_plate.fitting.fit import ResponseFit, assurance
     from warp_plate.viz.plots.frame import save_plots
     from warp_plate.viz.plots.frequency_response import draw_mode_fit, draw_response_fit
 
@@ -107,7 +103,7 @@ def _fit_as_json(name: str, fitted: ModeFit | ResponseFit) -> dict[str, object]:
 
 def _compared(fitted: ModeFit | ResponseFit) -> dict[str, object]:
     """Return measured and fitted values, for ``--json``."""
-    from warp_plate.fitting.fit_responses import ResponseFit
+    from warp_plate.fitting.fit import ResponseFit
 
     if isinstance(fitted, ResponseFit):
         record = {"frequencies": fitted.measured.frequencies, "real": fitted.responses.real}
@@ -123,7 +119,7 @@ def _compared(fitted: ModeFit | ResponseFit) -> dict[str, object]:
 
 
 def _print_fit(name: str, fitted: ModeFit | ResponseFit, console: Console) -> None:
-    from warp_plate.fitting.fit_responses import ResponseFit
+    from warp_plate.fitting.fit import ResponseFit
     from warp_plate.scene.keys import unit_of
 
     console.print(f"{fitted.scene.title or name}\n")

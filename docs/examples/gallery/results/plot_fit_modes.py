@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import warp_plate as wpl
-from warp_plate.fitting.fit_modes import fit_modes
+from warp_plate.fitting.fit import fit_modes
 from warp_plate.fitting.measured_modes import MeasuredModes
 
 scene = wpl.Scene.load("paper", ["fit.free.plate.young_modulus=[5e8, 2e9]"])

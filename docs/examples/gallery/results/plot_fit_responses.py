@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import warp_plate as wpl
-from warp_plate.fitting.fit_responses import fit_responses
+from warp_plate.fitting.fit import fit_responses
 from warp_plate.fitting.measured_responses import MeasuredResponses
 
 panel = wpl.Scene.load("paper").with_tables(
