@@ -32,19 +32,12 @@ TAILS = 0.025, 0.975
 
 @dataclass(frozen=True, eq=False)
 class FreeNumbers:
-    """The numbers of ``[fit.free]``.
-
-    Attributes:
-        scene: Scene.
-        keys: (p,) their keys.
-        low: (p,) their lowest values.
-        high: (p,) their highest values.
-    """
+    """The numbers of ``[fit.free]``."""
 
     scene: Scene
     keys: tuple[str, ...]
-    low: np.ndarray
-    high: np.ndarray
+    low: np.ndarray  # (p,) lowest values
+    high: np.ndarray  # (p,) highest values
 
     def values(self, fractions: np.ndarray) -> np.ndarray:
         """Return the values at fractions (p,) of the ranges."""
@@ -54,7 +47,7 @@ class FreeNumbers:
 
     def scene_at(self, fractions: np.ndarray) -> Scene:
         """Return the scene with the values at fractions (p,), or raise a SceneError if they do not fit together."""
-        return self._panel_with(self.values(fractions)).model_copy(update={"fit": self.scene.fit})
+        return self.panel_at(fractions).model_copy(update={"fit": self.scene.fit})
 
     def panel_at(self, fractions: np.ndarray) -> Scene:
         """Return the same without the table ``[fit]``, whose check takes time."""
@@ -68,12 +61,8 @@ class FreeNumbers:
             raise SceneError(f"fit.free: a range reaches too far: {error}") from None
 
     def neighbours(self, fractions: np.ndarray, index: int, central: bool) -> tuple[Scene, Scene | None, float]:
-        """Return scenes whose differences are derivatives with respect to a fraction.
-
-        Returns:
-            Scene with a larger value of the number ``index``, that with a smaller one, None for the value itself, and
-            the factor of their difference.
-        """
+        """Return scenes with a larger and a smaller value of a number, whose difference is the derivative by its
+        fraction, and the factor of that; None for the value itself."""
         values, low, high = self.values(fractions), self.low[index], self.high[index]
         step = STEP * (values[index] if low > 0 else high - low)
         ends = min(values[index] + step, high), max(values[index] - step, low)
@@ -159,34 +148,19 @@ F = TypeVar("F", bound=FittedPanel)
 
 @dataclass(frozen=True, eq=False)
 class PanelProblem:
-    """Measurements of a panel and how its free numbers follow from them by least squares.
-
-    Attributes:
-        free: Free numbers of the scene.
-        source: File of the measurements, for errors.
-        predict: What is measured, as a function of fractions of the ranges.
-        residuals: Residuals of predictions, see :func:`fit_least_squares`.
-        kinds: Indices (m, parts) of residuals that are drawn together and from each other, see :func:`bootstrap`.
-        weigh: Weights, see :func:`fit_least_squares`.
-        exact: Prediction that takes more time, see the same.
-    """
+    """Measurements of a panel and how its free numbers follow from them, see :func:`fit_least_squares`."""
 
     free: FreeNumbers
-    source: str
-    predict: Prediction
+    source: str  # file of the measurements, for errors
+    predict: Prediction  # what is measured, as a function of fractions of the ranges
     residuals: Sequence[Residuals]
-    kinds: Sequence[np.ndarray]
+    kinds: Sequence[np.ndarray]  # (m, parts) residuals that are drawn together, see :func:`bootstrap`
     weigh: Weigh | None
-    exact: Prediction | None = None
+    exact: Prediction | None = None  # prediction that takes more time
 
 
 def fit_panel(cls: type[F], problem: PanelProblem, describe: Callable[[Scene], dict[str, Any]]) -> F:
-    """Fit a scene by least squares to measurements.
-
-    Args:
-        cls: Class of the fit.
-        problem: Measurements.
-        describe: Function that returns the further attributes of the class for the fitted scene.
+    """Fit a scene by least squares to measurements; ``describe`` returns further attributes for the fitted scene.
 
     Raises:
         SceneError: There are too few data, or a range leads to a scene that is refused.

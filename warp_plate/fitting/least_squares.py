@@ -35,7 +35,6 @@ ROUNDS = 3
 LEVEL = 0.95
 # Half the distance of exchanged unknowns, and the part of the residuals' change that differs for mirror images.
 APART, ALIKE = 0.1, 1e-3
-Function = Callable[[np.ndarray], np.ndarray]
 Weigh = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
@@ -64,7 +63,7 @@ class Prediction(Protocol):
 class Differenced:
     """A prediction whose derivatives are differences."""
 
-    def __init__(self, function: Function) -> None:
+    def __init__(self, function: Callable[[np.ndarray], np.ndarray]) -> None:
         self.evaluations = 0
         self._function = function
         self._cached = lru_cache(MOST_CACHED)(self._predict)
@@ -89,23 +88,14 @@ class Differenced:
 
 @dataclass(frozen=True, eq=False)
 class LeastSquaresFit:
-    """The optimum of a least-squares problem with p unknowns.
+    """The optimum of a least-squares problem with p unknowns."""
 
-    Attributes:
-        unknowns: (p,) values within 0 ... 1.
-        deviations: (p,) standard deviations, NaN for unknowns that the data do not determine.
-        correlations: (p, p) correlations, NaN for the same.
-        inseparable: Groups of indices of unknowns that cannot be distinguished; a group of one has no influence.
-        student: Half-width of 95 % intervals in standard deviations.
-        problem: The problem, with the weights at the optimum, for further fits.
-    """
-
-    unknowns: np.ndarray
-    deviations: np.ndarray
-    correlations: np.ndarray
-    inseparable: tuple[tuple[int, ...], ...]
-    student: float
-    problem: LeastSquaresProblem
+    unknowns: np.ndarray  # (p,) values within 0 ... 1
+    deviations: np.ndarray  # (p,) standard deviations, NaN for unknowns that the data do not determine
+    correlations: np.ndarray  # (p, p) correlations, NaN for the same
+    inseparable: tuple[tuple[int, ...], ...]  # groups that cannot be distinguished; a group of one has no influence
+    student: float  # half-width of 95 % intervals in standard deviations
+    problem: LeastSquaresProblem  # the problem, with the weights at the optimum, for further fits
 
 
 def fit_least_squares(
@@ -148,23 +138,14 @@ def fit_least_squares(
 
 @dataclass(eq=False)
 class LeastSquaresProblem:
-    """Weighted residuals of a prediction.
-
-    Attributes:
-        predict: Prediction.
-        of: Its residuals.
-        weights: (n,) weights.
-        lacking: Addition to the prediction.
-        shift: (n,) addition to the residuals.
-        slopes: (n, p) derivatives of the residuals, if one matrix stands for those at all unknowns.
-    """
+    """Weighted residuals of a prediction."""
 
     predict: Prediction
     of: Residuals
-    weights: np.ndarray | float = 1.0
-    lacking: np.ndarray | float = 0.0
-    shift: np.ndarray | float = 0.0
-    slopes: np.ndarray | None = None
+    weights: np.ndarray | float = 1.0  # (n,)
+    lacking: np.ndarray | float = 0.0  # addition to the prediction
+    shift: np.ndarray | float = 0.0  # (n,) addition to the residuals
+    slopes: np.ndarray | None = None  # (n, p) derivatives of the residuals, if one matrix stands for all unknowns
 
     def residuals(self, unknowns: np.ndarray) -> np.ndarray:
         """Return (n,) residuals, not weighted."""
@@ -227,12 +208,7 @@ def bootstrap(
 ) -> np.ndarray:
     """Return (count, p) unknowns that were fitted to resampled data.
 
-    Args:
-        optimum: Optimum.
-        kinds: Indices (m, parts) of residuals that are drawn together, a row at a time, from the rows of their kind.
-        weigh: Weights, see :func:`fit_least_squares`.
-        count: Number of data sets.
-        seed: Random seed.
+    ``kinds`` are indices (m, parts) of residuals that are drawn together, a row at a time, from the rows of their kind.
     """
     problem, random = optimum.problem, np.random.default_rng(seed)
     residuals, jacobian = problem.residuals(optimum.unknowns), problem.jacobian(optimum.unknowns)

@@ -77,11 +77,12 @@ def read_modes(path: Path) -> MeasuredModes:
     frequencies, numbers = table["frequency"][order], table.get("mode")
     damping = table.get("damping", np.full(len(cells), math.nan))[order]
     numbers = None if numbers is None else numbers[order].astype(int)
-    points = [name for name in columns if name.split()[0:1] == [SHAPE]]
-    if not points:
+    named = [name for name in columns if name.split()[0:1] == [SHAPE]]
+    if not named:
         return MeasuredModes(str(path), frequencies, damping, numbers)
-    shapes = np.stack([_numbers(path, name, columns[name]) for name in points], axis=1)[order]
-    return MeasuredModes(str(path), frequencies, damping, numbers, shapes, np.array([_point(path, p) for p in points]))
+    shapes = np.stack([_numbers(path, name, columns[name]) for name in named], axis=1)[order]
+    points = np.array([_point(path, name) for name in named])
+    return MeasuredModes(str(path), frequencies, damping, numbers, shapes, points)
 
 
 def _point(path: Path, name: str) -> tuple[float, float]:
