@@ -15,7 +15,6 @@ from warp_plate import SceneError
 from warp_plate.fitting.fit import fit_responses
 from warp_plate.fitting.measured_modes import read_modes
 from warp_plate.fitting.measured_responses import MeasuredResponses, read_responses
-from warp_plate.fitting.panel_responses import PanelResponses
 from warp_plate.result.export.frequency_response import write_csv, write_uff
 from warp_plate.studies.frequency_response import frf
 
@@ -89,16 +88,6 @@ def test_intervals_hold_from_far_starts(random):
         assert found.values == pytest.approx(truth, rel=0.01)
         held += [low < value < high for low, value, high in zip(found.low, truth, found.high, strict=True)]
     assert sum(held) >= 41
-
-
-@pytest.mark.slow
-def test_gains_of_all_sensors_hide_the_density(random):
-    rows = [{"force_at": HIT, "point": POINTS[0]}]
-    free = {**MODULI, "plate.density": (700.0, 1400.0), "measurement[0].gain": (0.5, 2.0)}
-    data = noisy(random, frequencies=np.linspace(6, 30, 20))
-    scene = wrong_panel(rows, free).replace("effects.loss_factor.eta", ETA)
-    found = fit_responses(scene, MeasuredResponses("data.csv", data.frequencies, data.responses[:1]))
-    assert found.inseparable == (tuple(free),)
 
 
 @pytest.mark.slow
@@ -187,18 +176,3 @@ def test_what_is_no_file_is_refused(read, name, tmp_path):
     os.mkfifo(tmp_path / "pipe.csv")
     with pytest.raises(SceneError, match="no such file"):
         read(tmp_path / name)
-
-
-@pytest.mark.slow
-def test_sensors_off_the_middle_tell_opposite_edges_apart():
-    springs = [{"translation": 1e6, "rotation": value} for value in (0.02, 0.2)]
-    edges = dict(zip(("left", "right", "bottom", "top"), [*springs, "supported", "supported"], strict=True))
-    free = {"edges.left.rotation": (0.005, 1.0), "edges.right.rotation": (0.005, 1.0)}
-    half = SIZE[0] / 2
-    for hit, point, mirrored in (((half, 0.05), (half, 0.12), True), (HIT, POINTS[0], False)):
-        rows = [{"force_at": hit, "point": point}]
-        scene = wrong_panel(rows, MODULI).with_tables(edges=edges).with_tables(fit={"starts": 1, "free": free})
-        data = MeasuredResponses("data.csv", np.linspace(6, 60, 40), np.ones((1, 40)))
-        data = MeasuredResponses("data.csv", data.frequencies, PanelResponses(scene, data).values)
-        found = fit_responses(scene, data)
-        assert found.mirrored == ((tuple(free),) if mirrored else ())

@@ -174,9 +174,7 @@ def optimum(gains: np.ndarray, energy: float | None, peak: float | None) -> tupl
     return best, high * energy + float((gains * best - high * best**2).sum())
 
 
-def inverse_filter(
-    responses: Convolution, wished: np.ndarray, condition: float, most_steps: int = STEPS
-) -> np.ndarray:
+def inverse_filter(responses: Convolution, wished: np.ndarray, condition: float, most_steps: int = STEPS) -> np.ndarray:
     """Return the waveforms w (sets, actuators, played) of least |A w − d|² + μ |w|².
 
     μ is the largest squared singular value of the responses at any frequency, over condition². With w = Aᵀ y that is

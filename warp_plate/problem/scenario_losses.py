@@ -53,6 +53,7 @@ class ScenarioLosses:
     # displacements; None where plates are simulated
     matrices: np.ndarray | None = None
     setup_cost: tuple[float, int] = (0.0, 0)  # seconds of compilation and node-steps of solvers that are not kept
+    block: int = BLOCK
 
     @property
     def evaluators(self) -> list[Evaluator]:
@@ -63,7 +64,7 @@ class ScenarioLosses:
         """Return losses (plates, scenarios) of designs; not finite where a plate has no energies."""
         if self.matrices is None:
             return np.stack([plates.losses(designs) for plates in self.scenarios], axis=1)
-        block = max(1, BLOCK // len(self.matrices))
+        block = max(1, self.block // len(self.matrices))
         starts = range(0, max(len(designs), 1), block)
         phasors = [designs.drives[start : start + block] for start in starts]
         return np.concatenate([self.losses_from_energies(quadratic_forms(self.matrices, some)) for some in phasors])
