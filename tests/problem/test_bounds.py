@@ -130,6 +130,15 @@ def test_where_no_bound_is_proved_none_is_claimed(random):
     assert (bound.value, bound.kind) == (pytest.approx(response.bound()), "bound only")
 
 
+@pytest.mark.parametrize("count", [1, 2, 3, 6])
+def test_limits_that_say_the_same_bound_alike(random, count):
+    """So many of them that the first multipliers keep the slack positive."""
+    matrix = random.normal(size=(4, 4))
+    matrix = matrix @ matrix.T
+    value, _ = least_majorant(matrix, np.tile(np.eye(4), (count, 1, 1)), 2.0 + np.arange(count), np.zeros(count, bool))
+    assert value == pytest.approx(2 * np.linalg.eigvalsh(matrix)[-1], rel=1e-8)
+
+
 RANGE = {"magnitude": {"range": (0.5, 2.0)}, "phase": {}}
 VELOCITY = {"objectives": [{"kind": "velocity"}]}
 SEARCHES = {

@@ -88,6 +88,8 @@ class _Dual:
         wider = _Dual(self.objective, np.concatenate([self.matrices, unit]), last, np.append(self.equation, True))
         multipliers = np.append(np.where(self.equation, 0.0, 1.0), 0.0)
         multipliers[-1] = 1 - np.linalg.eigvalsh(wider.slack(multipliers))[0]
+        if multipliers[-1] <= 0:  # S ⪰ 1 from the start
+            return multipliers[:-1]
         weight = size / multipliers[-1]
         for _ in range(20):
             multipliers, _ = wider.centre(multipliers, weight, stop_below=-1e-9)
