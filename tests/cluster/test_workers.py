@@ -25,8 +25,7 @@ from warp_plate.cluster.evaluator import block_size, make_evaluator
 from warp_plate.cluster.opening import open_pool
 from warp_plate.cluster.pool import ATTEMPTS, Task, WorkersGone, run_tasks
 from warp_plate.plate.designs import Designs, per_plate_of
-from warp_plate.problem.scenario_losses import simulate_scenarios
-from warp_plate.problem.uncertainty import draw_scenarios
+from warp_plate.problem.uncertainty import draw_scenarios, simulate_scenarios
 from warp_plate.resolve import resolve
 from warp_plate.result.model import save_result
 from warp_plate.studies.compare import compare

@@ -12,8 +12,13 @@ from warp_plate.cluster.evaluator import Evaluator
 from warp_plate.plate.designs import Designs
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import localization_factor
-from warp_plate.problem.scenario_losses import ScenarioLosses, apply_measure, scenario_responses, simulate_scenarios
-from warp_plate.problem.uncertainty import draw_scenarios
+from warp_plate.problem.uncertainty import (
+    ScenarioLosses,
+    apply_measure,
+    draw_scenarios,
+    scenario_responses,
+    simulate_scenarios,
+)
 from warp_plate.resolve import resolve
 from warp_plate.result.model import mean_of_worst
 from warp_plate.scene.search import Robust

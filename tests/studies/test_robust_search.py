@@ -11,7 +11,7 @@ from support.scenes import scene_of
 from support.searches import assert_same_results, interrupted_search
 from warp_plate.optimize.quadratic import best_position
 from warp_plate.problem.problem import make_problem
-from warp_plate.problem.scenario_losses import apply_measure
+from warp_plate.problem.uncertainty import apply_measure
 from warp_plate.resolve import resolve
 from warp_plate.result.model import load_result, save_result
 from warp_plate.scene.errors import SceneError

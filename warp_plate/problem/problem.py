@@ -31,8 +31,13 @@ from warp_plate.problem.drives import best_drives, has_free_drives
 from warp_plate.problem.objectives import Objectives, keeps_limit, make_objectives
 from warp_plate.problem.parametrization import Clearance, Parametrization, parametrization_of
 from warp_plate.problem.plates import SearchPlates, make_plates
-from warp_plate.problem.scenario_losses import ScenarioLosses, apply_measure, scenario_responses, simulate_scenarios
-from warp_plate.problem.uncertainty import draw_scenarios
+from warp_plate.problem.uncertainty import (
+    ScenarioLosses,
+    apply_measure,
+    draw_scenarios,
+    scenario_responses,
+    simulate_scenarios,
+)
 from warp_plate.quantities.region_quantities import PLATE, TARGET
 from warp_plate.resolve import Resolved
 from warp_plate.result.model import BoundKind

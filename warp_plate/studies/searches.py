@@ -20,8 +20,7 @@ from warp_plate.plate.weights import REGIONS
 from warp_plate.problem.evaluate_cases import EvaluatedCases, evaluate_cases, reference_phasors
 from warp_plate.problem.methods import make_optimizer
 from warp_plate.problem.problem import Problem, make_problem
-from warp_plate.problem.scenario_losses import simulate_scenarios
-from warp_plate.problem.uncertainty import draw_scenarios
+from warp_plate.problem.uncertainty import draw_scenarios, simulate_scenarios
 from warp_plate.result.case import Case
 from warp_plate.result.checkpoint import Checkpoint
 from warp_plate.result.model import RobustComparison, TargetSearch
