@@ -243,7 +243,7 @@ def test_command(command, write_scene):
         Path("panel.fitted.toml").read_text(encoding="utf-8").startswith("# Fitted by warp-plate to '0.mat', '1.mat'")
     )
     write_scene(scene.with_tables(measurement=()))
-    message = "data b.csv: several files hold responses of tables [[measurement]]; there is none"
+    message = "data b.csv: must be one file, for the scene has no tables [[measurement]]"
     assert message in error_of(command("fit", "panel.toml", "--data", "a.csv", "--data", "b.csv", "--force"))
 
 

@@ -65,7 +65,7 @@ def fit(scene: SceneSource, data: str | Path | Sequence[str | Path]) -> ModeFit 
         return fit_responses(loaded, read_responses(paths, len(loaded.measurement), loaded.fit))
     if len(paths) != 1:
         named = f"data {paths[1]}" if paths else "data"
-        raise SceneError(f"{named}: several files hold responses of tables [[measurement]]; there is none")
+        raise SceneError(f"{named}: must be one file, for the scene has no tables [[measurement]]")
     return fit_modes(loaded, read_modes(paths[0]))
 
 
