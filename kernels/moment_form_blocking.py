@@ -87,6 +87,8 @@ def make_advance_tiles(effects, real, nx, ny, stride, planes, levels, summed):
         tile_rows: int,
         # inputs
         drive: Forcing,
+        wave: wp.array3d[real],  # drive.wave and drive.loads: fields of structs are fetched anew wherever they are used
+        loads: wp.array4d[real],
         old: Fields,
         old_sums: wp.array2d[real],  # (plates, strips · tiles) parts of the sum that makes the tension
         # outputs
@@ -118,7 +120,7 @@ def make_advance_tiles(effects, real, nx, ny, stride, planes, levels, summed):
         column = wp.min(wp.max(x0, 0), wp.static((nx - 1) // columns * columns))
         field = wp.int64(k) * wp.int64(wp.static((ny + 2) * stride)) + wp.int64(column)
         part = wp.uint64(field) * wp.uint64(wp.static(size))
-        term_size = wp.uint64(drive.loads.shape[1]) * wp.uint64(wp.static((ny + 2) * stride * size))
+        term_size = wp.uint64(loads.shape[1]) * wp.uint64(wp.static((ny + 2) * stride * size))
         lane_u = old.u.ptr + part
         lane_rate = old.rate.ptr + part
         lane_u_next = new.u.ptr + part
@@ -171,7 +173,7 @@ def make_advance_tiles(effects, real, nx, ny, stride, planes, levels, summed):
                         if bits != 0:
                             for t in range(wp.static(effects.terms)):
                                 # All reads first, so that they overlap; rows without load hold zeros.
-                                lane_load = drive.loads.ptr + wp.uint64(t) * term_size + part
+                                lane_load = loads.ptr + wp.uint64(t) * term_size + part
                                 parts = Rows()
                                 for phase in range(wp.static(ROUND)):
                                     for level in range(wp.static(levels)):
@@ -181,7 +183,7 @@ def make_advance_tiles(effects, real, nx, ny, stride, planes, levels, summed):
                                     for level in range(wp.static(levels)):
                                         for c in range(wp.static(columns)):
                                             slot = wp.static(ROUND * level + phase)
-                                            pressed[slot, c] += drive.wave[k, n + level, t] * parts[slot, c]
+                                            pressed[slot, c] += wave[k, n + level, t] * parts[slot, c]
                     for phase in range(wp.static(ROUND)):
                         y = start + phase
                         above = ahead_u[phase]

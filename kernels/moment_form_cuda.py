@@ -177,8 +177,12 @@ def make_run_steps(effects, real, nx, ny, stride, attached, block):
         stop: int,
         # inputs
         d: Forcing,
+        wave: wp.array3d[real],  # d.wave, d.loads, f.nodes: fields of structs are fetched anew wherever they are used
+        loads: wp.array4d[real],
+        nodes: wp.array2d[int],
         # outputs
         f: Fields,
+        trace: wp.array3d[real],  # f.trace
         workspace: wp.array2d[real],  # (plates, size by ``workspace_layout``) where it is not shared memory
     ):
         k = wp.tid() // threads
@@ -202,7 +206,7 @@ def make_run_steps(effects, real, nx, ny, stride, attached, block):
         plate_u = state_array(f.u.ptr + plane)
         plate_rate = state_array(f.rate.ptr + plane)
         plate_squares = state_array(f.squares.ptr + plane)
-        term = wp.uint64(d.loads.shape[1]) * wp.uint64(wp.static((ny + 2) * stride * size))
+        term = wp.uint64(loads.shape[1]) * wp.uint64(wp.static((ny + 2) * stride * size))
 
         # Clear what was left in memory: it may be NaN, which a factor of zero does not remove.
         for i in range(thread, workspace_size, threads):
@@ -227,7 +231,7 @@ def make_run_steps(effects, real, nx, ny, stride, attached, block):
                     x[i + retarded_at] = here + p.retardation * plate_rate[at]
                 flags = edge_flags(i)
                 for t in range(wp.static(effects.terms)):
-                    if load_value(d.loads.ptr + plane + wp.uint64(t) * term, at) != real(0.0):
+                    if load_value(loads.ptr + plane + wp.uint64(t) * term, at) != real(0.0):
                         flags = flags | LOADED
                 word_at = m // NODES_PER_WORD * threads + thread
                 flag_words[word_at] = flag_words[word_at] | (flags << (FLAG_BITS * (m % NODES_PER_WORD)))
@@ -327,7 +331,7 @@ def make_run_steps(effects, real, nx, ny, stride, attached, block):
                 load = real(0.0)
                 if (flags & LOADED) != 0:
                     for t in range(wp.static(effects.terms)):
-                        load += d.wave[k, n, t] * load_value(d.loads.ptr + plane + wp.uint64(t) * term, state_index(i))
+                        load += wave[k, n, t] * load_value(loads.ptr + plane + wp.uint64(t) * term, state_index(i))
                 inverse_mass = read_inverse_mass(h, planes, m, i)
                 spring = real(0.0)
                 curvature = real(0.0)
@@ -366,9 +370,9 @@ def make_run_steps(effects, real, nx, ny, stride, attached, block):
                     elif i < count:
                         plate_squares[state_index(i)] = plate_squares[state_index(i)] + new * new
             barrier()
-            for traced in range(thread, f.nodes.shape[0], threads):
+            for traced in range(thread, nodes.shape[0], threads):
                 # A row of zeros lies below the plate.
-                f.trace[k, traced, n] = x[u_at + (f.nodes[traced, 0] - 1) * nx + f.nodes[traced, 1]]
+                trace[k, traced, n] = x[u_at + (nodes[traced, 0] - 1) * nx + nodes[traced, 1]]
 
         for m in range(nodes_per_thread):
             i = thread + m * threads

@@ -159,7 +159,8 @@ def _blocking_path(specialized: Specialized) -> Advance:
         launch(
             kernels[levels, summed],
             dim=strips * tiles * LANES,
-            inputs=[*constants[levels], clock, offset, tiles, -(-ny // tiles), state.drive, state.fields, sums[0]],
+            inputs=[*constants[levels], clock, offset, tiles, -(-ny // tiles)]
+            + [state.drive, state.drive.wave, state.loads, state.fields, sums[0]],
             outputs=[state.next_fields, sums[1]],
             device=specialized.device,
             block_dim=cuda.STREAMING_BLOCK,
@@ -233,7 +234,8 @@ def block_path(specialized: Specialized, plan: plans.BlockPlan) -> Advance:
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
         workspace = state.scratch(f"workspace of {plan}", state.capacity, workspace_size)
-        inputs, outputs = [*shared, start, stop, state.drive], [state.fields, workspace]
+        inputs = [*shared, start, stop, state.drive, state.drive.wave, state.loads, state.nodes]
+        outputs = [state.fields, state.trace, workspace]
         dim, device, threads = plates * plan.threads, specialized.device, plan.threads
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=device, block_dim=threads)
 
