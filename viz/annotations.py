@@ -1,10 +1,11 @@
-"""Captions of plates, and camera, colour bar, legend and texts of 3-D pictures."""
+"""Colours and line styles of the parts of a plate, captions, and camera, colour bar, legend and texts in 3-D."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,7 +15,6 @@ from warp_plate.scene.errors import printable
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
 from warp_plate.viz.fields import TALLEST, DrawingScale, colour_map
-from warp_plate.viz.styles import INK, legend_entries, length_unit, rectangle
 
 if TYPE_CHECKING:
     import pyvista
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from warp_plate.result.case import Case
     from warp_plate.result.model import Result
 
+INK, TARGET, GRID = "#1a1a1a", "#1b7837", "#8a8a8a"
 LONGEST_NAME = 22  # characters of a name in a caption or legend
 CASE_LABELS = {
     "equal": "equal drive",
@@ -40,6 +41,76 @@ AZIMUTH, ELEVATION = -127.5, 40.0
 LEGEND_WIDTH, LINE_HEIGHT = 8.2, 1.35
 # Labels stand at quarters of a limit of two digits, which have at most four digits.
 LABEL_FORMAT = "%.4g"
+# Corners (x, y) [m].
+Path = list[tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class EdgeStyle:
+    """Line style of one kind of edge."""
+
+    colour: str  # #rrggbb
+    width: float  # line width [pt]
+    dashes: str  # Matplotlib line style of plots; lines in 3-D are solid
+    label: str  # text of the legend
+
+    @property
+    def matplotlib(self) -> dict[str, Any]:
+        """Keyword arguments of a Matplotlib line."""
+        line = {"color": self.colour, "linewidth": self.width, "linestyle": self.dashes}
+        return {**line, "solid_capstyle": "projecting"}
+
+
+EDGE_STYLES = {
+    "clamped": EdgeStyle(INK, 3.2, "-", "clamped"),
+    "supported": EdgeStyle(INK, 1.2, "-", "supported"),
+    "springs": EdgeStyle("#e6820e", 2.2, ":", "on springs"),
+    "free": EdgeStyle(GRID, 1.2, "--", "free"),
+}
+
+
+def edges_by_kind(scene: Scene) -> dict[str, dict[str, Path]]:
+    """Return name and ends of the edges of every kind in the scene, in the order of EDGE_STYLES."""
+    width, height = scene.plate.size
+    ends: dict[str, Path] = {
+        "left": [(0, 0), (0, height)],
+        "bottom": [(0, 0), (width, 0)],
+        "right": [(width, 0), (width, height)],
+        "top": [(0, height), (width, height)],
+    }
+    kinds: dict[str, dict[str, Path]] = {kind: {} for kind in EDGE_STYLES}
+    for name, edge in scene.edges:
+        kinds[edge if isinstance(edge, str) else "springs"][name] = ends[name]
+    return {kind: edges for kind, edges in kinds.items() if edges}
+
+
+def length_unit(size: Sequence[float]) -> tuple[str, float]:
+    """Return the unit of lengths of a plate of this size [m], and its number in a metre: mm below a metre."""
+    return ("mm", 1000.0) if max(size) < 1 else ("m", 1.0)
+
+
+def size_text(size: Sequence[float]) -> str:
+    """Return the lengths [m] of a plate's sides with their unit."""
+    unit, factor = length_unit(size)
+    return f"{' × '.join(f'{side * factor:.5g}' for side in size)} {unit}"
+
+
+def point_text(point: Sequence[float], size: Sequence[float]) -> str:
+    """Return a point (x, y) [m] of a plate of this size, without its unit."""
+    return ", ".join(f"{at * length_unit(size)[1]:.5g}" for at in point)
+
+
+def rectangle(area: Area) -> Path:
+    """Return the closed outline of an area."""
+    x0, x1, y0, y1 = area
+    return [(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)]
+
+
+def legend_entries(scene: Scene) -> list[tuple[str, str]]:
+    """Return text and colour of every kind of outline."""
+    styles = [EDGE_STYLES[kind] for kind in edges_by_kind(scene)]
+    edges = [(f"{'━━' if style.width > 2 else '──'} {style.label}", style.colour) for style in styles]
+    return [("□ target", TARGET), ("□ actuator", INK), *edges]
 
 
 def case_label(name: str, scene: Scene, actuator: str = "") -> str:
@@ -87,19 +158,15 @@ def frame_caption(motion: Motion, frame: int, scene: Scene) -> str:
 
 
 def in_percent(share: float, decimals: int = 2) -> str:
-    """Return a share in in_percent, or "not defined" for a plate at rest."""
+    """Return a share in percent, or "not defined" for a plate at rest."""
     return f"{100 * share:.{decimals}f} %" if math.isfinite(share) else "not defined"
 
 
 def look_at_plate(plotter: pyvista.Plotter, size: tuple[float, float], font_size: int, share: float = 1.0) -> None:
     """Point the camera of the active subplot at a plate, the same for every field on it.
 
-    The plate with its largest heights and its axis labels fills the subplot below two lines of text.
-
-    Args:
-        size: lengths of the plate along x and y [m].
-        font_size: height of the text [pixels].
-        share: share of the subplot's width that is used, from the left.
+    The plate of this size [m] with its largest heights and its axis labels fills the subplot below two lines of text
+    [pixels], and this share of its width, from the left.
     """
     pixels_wide, pixels_high = plotter.renderer.GetSize()
     azimuth, elevation = np.radians([AZIMUTH, ELEVATION])
@@ -142,54 +209,16 @@ def axis_labels(size: tuple[float, float]) -> tuple[tuple[str, np.ndarray], tupl
     return label_x, (f"y: 0 … {height * factor:.5g} {unit}", np.array([-away, height / 2, 0.0]))
 
 
-def place_names(names: Sequence[str], patches: np.ndarray, plate: np.ndarray, letter: float) -> np.ndarray:
-    """Return the middles (names, 2) of names beside the actuators' patches, or none if they do not all fit.
-
-    Args:
-        patches: (names, axis, 2) bounds of the patches in the plane of the drawing.
-        plate: (axis, 2) bounds of the plate.
-        letter: width of a letter in this plane; a line is about twice as high.
-    """
-    half = letter * np.array([[len(name) / 2, 1.0] for name in names])
-    middles = patches.mean(axis=2)
-    towards = np.where(middles[:, 1] < plate[1].mean(), 1, -1)  # above patches of the lower half, below the others
-    middles[:, 1] += towards * (np.ptp(patches[:, 1], axis=1) / 2 + half[:, 1])
-    middles = np.clip(middles, plate[:, 0] + half, plate[:, 1] - half)
-    boxes = np.stack([middles - half, middles + half], axis=2)
-    drawn = np.concatenate([boxes, patches])
-    shared = np.minimum(boxes[:, None, :, 1], drawn[:, :, 1]) - np.maximum(boxes[:, None, :, 0], drawn[:, :, 0])
-    covered = (shared > 1e-9 * np.ptp(plate)).all(axis=2).sum(axis=1)
-    fit = (covered == 1).all() and (2 * half <= np.ptp(plate, axis=1)).all()  # each name covers itself
-    return middles if fit else middles[:0]
-
-
 def name_actuators(plotter: pyvista.Plotter, scene: Scene, heights: np.ndarray, font_size: int) -> None:
-    """Write the actuators' names beside their patches, if they all fit, in the active subplot, whose camera
-    :func:`look_at_plate` has set; ``heights`` [m] of the nodes (ny, nx) are those drawn."""
-    camera, (width, height) = plotter.camera, scene.plate.size
-    up = np.array(camera.up)
-    towards = np.array(camera.position) - camera.focal_point
-    towards /= np.linalg.norm(towards)
-    right = np.cross(up, towards) / np.linalg.norm(np.cross(up, towards))
-    screen = np.stack([right, np.cross(towards, right)])
-
-    def bounds(area: Area) -> np.ndarray:
-        corners = screen[:, :2] @ np.array(rectangle(area)).T
-        return np.stack([corners.min(axis=1), corners.max(axis=1)], axis=1)
-
-    names = [shortened(actuator.name) for actuator in scene.actuators]
-    last = np.array(heights.shape[::-1]) - 1
-    centres = np.array([actuator.area for actuator in scene.actuators]).reshape(-1, 2, 2).mean(axis=2)
-    columns, rows = np.rint(centres / scene.plate.size * last).astype(int).T
-    patches = np.array([bounds(actuator.area) for actuator in scene.actuators])
-    patches[:, 1] += screen[1, 2] * heights[rows, columns, None]
-    letter = 0.6 * font_size * 2 * camera.parallel_scale / plotter.renderer.GetSize()[1]
-    middles = place_names(names, patches, bounds((0.0, width, 0.0, height)), letter)
-    in_front = 1.6 * TALLEST * min(scene.plate.size) * towards  # of all hills
-    for name, middle in zip(names, middles, strict=False):
-        style = add_text(plotter, name, (*(middle @ screen + in_front),), font_size).GetTextProperty()
-        style.SetJustificationToCentered()
-        style.SetVerticalJustificationToCentered()
+    """Write the actuators' names in front of their patches, but for those that would overlap, in the active subplot;
+    ``heights`` [m] of the nodes (ny, nx) are those drawn."""
+    front = np.array([(actuator.area[0], actuator.area[2]) for actuator in scene.actuators]).reshape(-1, 2)
+    columns, rows = np.rint(front / scene.plate.size * (np.array(heights.shape[::-1]) - 1)).astype(int).T
+    plotter.add_point_labels(
+        np.column_stack([front, heights[rows, columns]]), [shortened(actuator.name) for actuator in scene.actuators],
+        font_size=font_size, font_file=_font_file(), text_color=INK, bold=False, shape=None, show_points=False,
+        always_visible=True, justification_horizontal="center", justification_vertical="top", reset_camera=False,
+    )  # fmt: skip
 
 
 def free_width(plotter: pyvista.Plotter, font_size: int) -> float:
@@ -253,14 +282,20 @@ def add_text(
     return actor
 
 
-def style_text(text: vtkTextProperty, font_size: int, colour: str = INK, font: str = "DejaVuSans") -> None:
-    """Set Matplotlib's font, as VTK's own fonts lack many characters; the size is in pixels."""
-    import pyvista
+def _font_file() -> str:
+    """Return the path of Matplotlib's font, as VTK's own fonts lack many characters."""
     from matplotlib import get_data_path
+
+    return f"{get_data_path()}/fonts/ttf/DejaVuSans.ttf"
+
+
+def style_text(text: vtkTextProperty, font_size: int, colour: str = INK) -> None:
+    """Set font, size [pixels] and colour."""
+    import pyvista
     from vtkmodules.vtkCommonCore import VTK_FONT_FILE
 
     text.SetFontFamily(VTK_FONT_FILE)
-    text.SetFontFile(f"{get_data_path()}/fonts/ttf/{font}.ttf")
+    text.SetFontFile(_font_file())
     text.SetFontSize(font_size)
     text.SetColor(*pyvista.Color(colour).float_rgb)
     for switch_off in (text.BoldOff, text.ItalicOff, text.ShadowOff):

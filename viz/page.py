@@ -18,7 +18,7 @@ import numpy as np
 
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
-from warp_plate.viz.annotations import AZIMUTH, ELEVATION, LABEL_FORMAT, frame_caption, lookup_table
+from warp_plate.viz.annotations import AZIMUTH, ELEVATION, LABEL_FORMAT, frame_caption, legend_entries, lookup_table
 from warp_plate.viz.fields import (
     DEFAULT_COLOURS,
     DISPLACEMENT,
@@ -29,7 +29,6 @@ from warp_plate.viz.fields import (
     motion_scales,
 )
 from warp_plate.viz.scene3d import PlateMeshes, line_layers, rows_and_columns
-from warp_plate.viz.styles import legend_entries
 
 # Values are integers −PEAK … PEAK in the page; NAN stands for NaN.
 PEAK, NAN = 32767, -32768

@@ -1,4 +1,4 @@
-"""Pictures, movies and pages of plates in motion, drawn off screen, by the ending of the file.
+"""Pictures of results, and pictures, movies and pages of plates in motion, drawn off screen.
 
 They raise DrawingUnavailable if VTK cannot draw here, and OSError if the file cannot be written.
 """
@@ -17,14 +17,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_plate.result.atomic_io import atomic_paths
+from warp_plate.result.atomic_io import atomic_path, atomic_paths
+from warp_plate.result.case import only_actuator
+from warp_plate.result.model import Result
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
-from warp_plate.viz.availability import EXTRA, missing_meshes, missing_plots, missing_renderer, set_up_renderer
-from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions, field_of
+from warp_plate.viz.annotations import add_legend, at_frequency, caption, case_label, name_actuators, ordered_cases
+from warp_plate.viz.availability import EXTRA, missing_meshes, missing_plots, missing_renderer, prepare, set_up_renderer
+from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions, drawing_scale, field_of
 from warp_plate.viz.page import write_page
-from warp_plate.viz.plots.plan import draw_plan
-from warp_plate.viz.scene3d import SideBySide, plate_subplots
+from warp_plate.viz.plots.plan import draw_crosstalk, draw_plan
+from warp_plate.viz.plots.search import draw_history, draw_robust, draw_spectrum
+from warp_plate.viz.scene3d import PlateActors, SideBySide, plate_subplots
 
 if TYPE_CHECKING:
     import pyvista
@@ -32,6 +36,8 @@ if TYPE_CHECKING:
 
 # Pictures are drawn larger by this factor and shrunk, as VTK's own anti-aliasing garbles subplots (VTK 9.4).
 SUPERSAMPLING = 1.25
+# Of figure 2: most plates in a row; of more recorded times, some are left out evenly. Font and sizes in pixels.
+MOST_COLUMNS, FONT_SIZE, ROW_HEIGHT, KEY_WIDTH = 6, 20, 480, 180
 # Height of a plate's picture over its width; least duration of an MP4, which repeats its frames [s].
 ASPECT, LEAST_DURATION = 0.78, 6.0
 # In hundredths of a second, in which GIF counts; most viewers slow down shorter frames.
@@ -39,18 +45,88 @@ SHORTEST_GIF_FRAME = 2
 
 OnFrame = Callable[[int, int], object]  # called with the numbers of frames done and in all
 TakePicture = Callable[[], "Image.Image"]
-PLOTS, MOVIES = (".svg", ".pdf"), (".gif", ".mp4")
-ENDINGS = (".png", *PLOTS, *MOVIES, ".html")
+PLOTS = (".svg", ".pdf")
+ENDINGS = (".png", *PLOTS, ".gif", ".mp4", ".html")
+
+
+def draw_all(
+    result: Result, stem: str | Path, colours: ColourOptions = DEFAULT_COLOURS
+) -> tuple[list[Path], str | None]:
+    """Draw all that the result holds, as ``<stem>-history.png``, ``<stem>-surfaces.png`` and so on.
+
+    Colours are those of fields over the plate. Returns the files written, and None or a sentence for each missing one,
+    joined by "; ".
+    """
+    compared = result.robust is not None and bool(np.isfinite(result.robust.validation).any())
+    jobs = {
+        draw_history: len(result.history.get("best", ())) > 1,
+        draw_robust: compared,
+        draw_spectrum: result.spectrum,
+        draw_crosstalk: result.scene.targets and result.command == "localize",
+        draw_surfaces: result.times.size,
+    }
+    if result.times.size:
+        prepare()
+    written, problems = [], []
+    for draw in (draw for draw, held in jobs.items() if held):
+        path = Path(f"{stem}-{draw.__name__.removeprefix('draw_')}.png")
+        problem = missing_renderer() if draw is draw_surfaces else missing_plots()
+        if problem is None:
+            try:
+                with atomic_path(path) as temporary:
+                    draw(result, temporary, **({"colours": colours} if draw in (draw_crosstalk, draw_surfaces) else {}))
+                written.append(path)
+            except OSError as error:
+                problem = f"{path}: cannot be written: {error}"
+        if problem is not None:
+            problems.append(problem)
+    return written, "; ".join(problems) or None
+
+
+def draw_surfaces(result: Result, path: str | Path, colours: ColourOptions = DEFAULT_COLOURS) -> None:
+    """Draw figure 2 of the paper as a PNG: a row for each case, by default with limits of its own, a column for each
+    recorded time.
+
+    Raises ValueError if the result holds no displacement, and DrawingUnavailable if VTK cannot draw here.
+    """
+    if not result.times.size:
+        raise ValueError("the result holds no displacement: record.times of its scene is empty")
+    cases, scene = ordered_cases(result), result.scene
+    times = result.times.size
+    shown = np.linspace(0, times - 1, min(times, MOST_COLUMNS)).round().astype(int).tolist()
+    width = min(730, max(520, (1600 - KEY_WIDTH) // len(shown)))
+    weights = [width] * len(shown) + [KEY_WIDTH]
+    font_size = round(SUPERSAMPLING * FONT_SIZE)
+    size, shape = (sum(weights), ROW_HEIGHT * len(cases)), (len(cases), len(weights))
+    with off_screen_plotter(size, shape=shape, col_weights=weights) as (plotter, take_picture):
+        for row, (name, case) in enumerate(cases.items()):
+            letter = f"({chr(ord('a') + row)}) " if len(cases) > 1 else ""
+            label = letter + case_label(name, scene, only_actuator(case, scene))
+            together = cases.values() if colours.limits == "common" else [case]
+            scale = drawing_scale([one.displacement for one in together], scene.plate.size, colours=colours)
+            driven = result.case_scene(case)
+            tone = at_frequency(scene, driven.drive.frequency)
+            for column, index in enumerate(shown):
+                plotter.subplot(row, column)
+                text = caption(label, float(result.times[index]), case.localization_factor, tone=tone)
+                field = case.displacement[index]
+                PlateActors(plotter, driven, field, scale, text, font_size, bar=False)
+                name_actuators(plotter, driven, scale.warp_factor * field, round(0.75 * font_size))
+            plotter.subplot(row, len(shown))
+            add_legend(plotter, scene, scale, font_size)
+        take_picture().save(path, format="PNG", compress_level=3)
 
 
 @dataclass(frozen=True)
 class PictureStyle:
-    """Style of pictures and movies of motions."""
+    """Style of pictures, movies and pages of motions."""
 
     quantity: str = "displacement"  # field in colour, a key of FIELDS
     width: int = 560  # width of one plate's picture, without the legend [pixels]
     heights: float | None = None  # factor by which heights are exaggerated (default: to suit the picture)
     colours: ColourOptions = DEFAULT_COLOURS  # colour map and limits of the field
+    plan: bool = False  # whether a .png is seen from above too
+    rate: float = 30.0  # frames per second of movies and pages
 
     @property
     def font_size(self) -> int:
@@ -63,33 +139,54 @@ def missing_movies() -> str | None:
     return None if importlib.util.find_spec("imageio_ffmpeg") else f"MP4 files need imageio-ffmpeg: {EXTRA}"
 
 
-def draw_picture(scene: Scene, motions: Sequence[Motion], path: Path, style: PictureStyle, frame: int) -> None:
-    """Write one frame of all motions as a PNG."""
-    with off_screen_plates(scene, motions, style) as (plates, take_picture):
-        plates.show(frame)
-        take_picture().save(path, format="PNG", compress_level=9)
+def missing_library(path: Path, plan: bool = False) -> str | None:
+    """Return a sentence on what is missing to draw this file, or None; ``plan``: a .png seen from above."""
+    ending = path.suffix.lower()
+    if ending in PLOTS or (plan and ending == ".png"):
+        return missing_plots()
+    if ending == ".html":
+        return missing_meshes()
+    return missing_renderer() or (missing_movies() if ending == ".mp4" else None)
 
 
-def draw_movie(
-    scene: Scene, motions: Sequence[Motion], path: Path, style: PictureStyle, rate: float, on_frame: OnFrame
-) -> None:
-    """Write all frames as a GIF, at most 50 a second, or as an MP4 (H.264) of at least six seconds."""
-    with off_screen_plates(scene, motions, style) as (plates, take_picture):
+def draw_motions(
+    scene: Scene, motions: Sequence[Motion], path: Path, style: PictureStyle, frame: int,
+    on_frame: OnFrame = lambda done, total: None,
+) -> None:  # fmt: skip
+    """Write motions of a scene, side by side, as the ending of the path says.
 
-        def pictures() -> Iterator[Image.Image]:
-            for frame in range(plates.frames):
-                plates.show(frame)
-                yield take_picture()
-                on_frame(frame + 1, plates.frames)
-
-        if path.suffix.lower() == ".gif":
-            plates.show(largest_frame(motions, style.quantity))
-            _write_gif(path, pictures(), take_picture(), rate)
+    Args:
+        path: .png (a picture), .svg, .pdf (seen from above), .gif, .mp4 (movies) or .html (a page that plays them).
+        frame: Frame of a picture.
+        on_frame: Called with the numbers of frames done and in all of a movie.
+    """
+    ending = path.suffix.lower()
+    with atomic_paths(path) as (temporary,):
+        if ending in PLOTS or (style.plan and ending == ".png"):
+            draw_plan(scene, motions, temporary, style.quantity, frame, style.colours)
+        elif ending == ".html":
+            write_page(scene, motions, temporary, style.quantity, style.rate, style.heights, style.colours)
         else:
-            _write_mp4(path, pictures(), take_picture().size, rate, math.ceil(LEAST_DURATION * rate / plates.frames))
+            with _off_screen_plates(scene, motions, style) as (plates, take_picture):
+                if ending == ".png":
+                    plates.show(frame)
+                    take_picture().save(temporary, format="PNG", compress_level=9)
+                    return
+                plates.show(largest_frame(motions, style.quantity))
+                write = _write_gif if ending == ".gif" else _write_mp4
+                write(temporary, _pictures(plates, take_picture, on_frame), take_picture(), plates.frames, style.rate)
 
 
-def _write_gif(path: Path, pictures: Iterator[Image.Image], sample: Image.Image, rate: float) -> None:
+def _pictures(plates: SideBySide, take_picture: TakePicture, on_frame: OnFrame) -> Iterator[Image.Image]:
+    """Yield a picture of each frame."""
+    for frame in range(plates.frames):
+        plates.show(frame)
+        yield take_picture()
+        on_frame(frame + 1, plates.frames)
+
+
+def _write_gif(path: Path, pictures: Iterator[Image.Image], sample: Image.Image, frames: int, rate: float) -> None:
+    """Write a GIF of at most 50 frames a second."""
     from PIL import Image
 
     # One palette for all frames, as colours would flicker with several; this method keeps the background white.
@@ -99,24 +196,24 @@ def _write_gif(path: Path, pictures: Iterator[Image.Image], sample: Image.Image,
     first.save(path, format="GIF", save_all=True, append_images=rest, duration=duration, loop=0, optimize=False)
 
 
-def _write_mp4(path: Path, pictures: Iterator[Image.Image], size: tuple[int, int], rate: float, repeats: int) -> None:
+def _write_mp4(path: Path, pictures: Iterator[Image.Image], sample: Image.Image, frames: int, rate: float) -> None:
+    """Write an MP4 (H.264), which repeats its frames until it has at least six seconds."""
     import imageio_ffmpeg
 
-    width, height = (side // 2 * 2 for side in size)  # H.264 requires even sides
+    width, height = (side // 2 * 2 for side in sample.size)  # H.264 requires even sides
     raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{rate:g}", "-i", "-"]
     encoded = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-movflags", "+faststart", str(path)]
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-v", "error", *raw, *encoded]
-    frames: list[bytes] = []
+    drawn: list[bytes] = []
     with TemporaryFile() as errors:
         encoder = Popen(command, stdin=PIPE, stderr=errors)
         with suppress(BrokenPipeError), encoder:
             assert encoder.stdin is not None
             for picture in pictures:
-                pixels = picture.crop((0, 0, width, height)).tobytes()
-                encoder.stdin.write(pixels)
-                frames += [pixels] * (repeats > 1)
-            for _ in range(repeats - 1):
-                encoder.stdin.writelines(frames)
+                drawn.append(picture.crop((0, 0, width, height)).tobytes())
+                encoder.stdin.write(drawn[-1])
+            for _ in range(math.ceil(LEAST_DURATION * rate / frames) - 1):
+                encoder.stdin.writelines(drawn)
         if encoder.returncode != 0:
             errors.seek(0)
             raise OSError(errors.read().decode(errors="replace").strip())
@@ -132,7 +229,7 @@ def largest_frame(motions: Sequence[Motion], quantity: str = "displacement") -> 
 
 
 @contextmanager
-def off_screen_plates(
+def _off_screen_plates(
     scene: Scene, motions: Sequence[Motion], style: PictureStyle
 ) -> Iterator[tuple[SideBySide, TakePicture]]:
     """Yield the plates in an off-screen plotter, and a function that takes a picture of them."""
@@ -172,47 +269,3 @@ def make_plotter(size: tuple[int, int], **options: Any) -> pyvista.Plotter:
     # VTK's anti-aliasing breaks wide lines here and there.
     plotter.disable_anti_aliasing()
     return plotter
-
-
-def missing_library(path: Path, plan: bool = False) -> str | None:
-    """Return a sentence on what is missing to draw this file, or None; ``plan``: a .png seen from above."""
-    ending = path.suffix.lower()
-    if ending in PLOTS or (plan and ending == ".png"):
-        return missing_plots()
-    if ending == ".html":
-        return missing_meshes()
-    return missing_renderer() or (missing_movies() if ending == ".mp4" else None)
-
-
-def draw_motions(
-    scene: Scene,
-    motions: Sequence[Motion],
-    path: Path,
-    style: PictureStyle,
-    frame: int,
-    rate: float,
-    plan: bool = False,
-    on_frame: OnFrame = lambda done, total: None,
-) -> None:
-    """Write motions as the ending of the path says.
-
-    Args:
-        scene: Scene of the motions.
-        motions: Plates, side by side.
-        path: .png (a picture), .svg, .pdf (seen from above), .gif, .mp4 (movies) or .html (a page that plays them).
-        style: Quantity in colour, width, heights and colours.
-        frame: Frame of a picture.
-        rate: Frames per second of movies and pages.
-        plan: Draw a .png seen from above too.
-        on_frame: Called with the numbers of frames done and in all of a movie.
-    """
-    ending = path.suffix.lower()
-    with atomic_paths(path) as (temporary,):
-        if ending in PLOTS or (plan and ending == ".png"):
-            draw_plan(scene, motions, temporary, style.quantity, frame, style.colours)
-        elif ending == ".png":
-            draw_picture(scene, motions, temporary, style, frame)
-        elif ending == ".html":
-            write_page(scene, motions, temporary, style.quantity, rate, style.heights, style.colours)
-        else:
-            draw_movie(scene, motions, temporary, style, rate, on_frame)

@@ -17,9 +17,18 @@ from warp_plate.result.motion import Motion
 from warp_plate.result.targets import outlines
 from warp_plate.scene.model import Scene
 from warp_plate.viz import annotations
-from warp_plate.viz.annotations import LEGEND_WIDTH, frame_caption, lookup_table
+from warp_plate.viz.annotations import (
+    EDGE_STYLES,
+    GRID,
+    INK,
+    LEGEND_WIDTH,
+    TARGET,
+    edges_by_kind,
+    frame_caption,
+    lookup_table,
+    rectangle,
+)
 from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions, DrawingScale, motion_scales
-from warp_plate.viz.styles import EDGE_STYLES, GRID, INK, TARGET, edges_by_kind, rectangle
 
 if TYPE_CHECKING:
     import pyvista

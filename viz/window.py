@@ -13,11 +13,10 @@ import numpy as np
 from warp_plate.interrupts import END_SIGNALS
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
-from warp_plate.viz.annotations import LEGEND_WIDTH, add_text
+from warp_plate.viz.annotations import INK, LEGEND_WIDTH, add_text
 from warp_plate.viz.fields import DEFAULT_COLOURS, FIELDS, ColourOptions
 from warp_plate.viz.pictures import make_plotter
 from warp_plate.viz.scene3d import SideBySide, plate_subplots, rows_and_columns
-from warp_plate.viz.styles import INK
 
 if TYPE_CHECKING:
     import pyvista

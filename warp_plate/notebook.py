@@ -52,7 +52,7 @@ def result_html(result: Result) -> str:
     from warp_plate.result.model import BOUND_DESCRIPTIONS
     from warp_plate.viz.annotations import case_label, in_percent, ordered_cases
     from warp_plate.viz.availability import missing_plots, missing_renderer
-    from warp_plate.viz.figures import draw_history, draw_surfaces
+    from warp_plate.viz.pictures import draw_history, draw_surfaces
 
     scene, cases, main = result.scene, ordered_cases(result), result.main_case
     factors = output.table("drive", "localization factor")
@@ -139,7 +139,7 @@ def plot(
     from warp_plate.result.sweep import Sweep
     from warp_plate.viz.availability import DrawingUnavailable, missing_plots
     from warp_plate.viz.fields import colour_options
-    from warp_plate.viz.figures import draw_all
+    from warp_plate.viz.pictures import draw_all
     from warp_plate.viz.plots.frequency_response import draw_frequency_response
     from warp_plate.viz.plots.search import draw_comparison
     from warp_plate.viz.plots.sweep import draw_sweep
@@ -249,7 +249,8 @@ def render(
     from warp_plate.viz.fields import colour_options
     from warp_plate.viz.pictures import ENDINGS, PictureStyle, draw_motions, largest_frame, missing_library
 
-    path, style = Path(path), PictureStyle(quantity, width, heights, colour_options(colormap, limits))
+    path, colours = Path(path), colour_options(colormap, limits)
+    style = PictureStyle(quantity, width, heights, colours, plan, rate)
     if path.suffix.lower() not in ENDINGS:
         raise SceneError(f"path = {str(path)!r}: must end in {', '.join(ENDINGS)}")
     if (problem := missing_library(path, plan)) is not None:
@@ -258,7 +259,7 @@ def render(
         span = period_around(result, time)
     moving = _run_again(result, cases, quantity, span, frames, device)
     frame = largest_frame(moving, quantity) if time is None else frame_at(moving[0], time)
-    draw_motions(result.scene, moving, path, style, frame, rate, plan)
+    draw_motions(result.scene, moving, path, style, frame)
     return path
 
 

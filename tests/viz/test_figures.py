@@ -21,8 +21,8 @@ from warp_plate.result.case import Case
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.viz import availability
-from warp_plate.viz.annotations import place_names
 from warp_plate.viz.fields import ColourOptions
+from warp_plate.viz.plots.plan import place_names
 from warp_plate.viz.plots.search import plot_history
 
 pytest.importorskip("pyvista", reason="PyVista is not installed: pip install 'warp-plate[viz]'")
@@ -158,7 +158,7 @@ def test_off_screen_drawing_is_quiet_and_loads_libraries_when_needed(drawing):
     """Not on import; neither does it load the solver."""
     code = """
 import sys
-import warp_plate.viz, warp_plate.viz.figures
+import warp_plate.viz, warp_plate.viz.pictures
 print({"pyvista", "vtkmodules", "matplotlib", "PIL", "warp", "IPython"} & set(sys.modules))
 warp_plate.viz.availability.set_up_renderer()
 exec(warp_plate.viz.availability.TRIAL)

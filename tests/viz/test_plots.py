@@ -16,12 +16,12 @@ from warp_plate.result.sweep import REFUSED
 from warp_plate.scene.vary import make_plan, parse_vary
 from warp_plate.studies.frequency_response import frf
 from warp_plate.studies.sweep import SweepRequest, start_sweep
+from warp_plate.viz.annotations import GRID, INK
 from warp_plate.viz.plots.frame import figure, number_log_axis
 from warp_plate.viz.plots.frequency_response import draw_frequency_response
 from warp_plate.viz.plots.plan import draw_crosstalk
 from warp_plate.viz.plots.search import curve_labels, draw_comparison, draw_history, draw_spectrum
 from warp_plate.viz.plots.sweep import LINE_COLOURS, REFUSED_GREY, REFUSED_TICK, cell_edges, draw_sweep
-from warp_plate.viz.styles import GRID, INK
 
 figures = pytest.importorskip("matplotlib.figure", reason="Matplotlib is not installed: pip install 'warp-plate[viz]'")
 

@@ -13,11 +13,18 @@ from support.results import motion_of
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.target import NamedTarget
-from warp_plate.viz.annotations import axis_labels, caption, case_label, frame_caption, ordered_cases
+from warp_plate.viz.annotations import (
+    axis_labels,
+    caption,
+    case_label,
+    frame_caption,
+    ordered_cases,
+    point_text,
+    size_text,
+)
 from warp_plate.viz.fields import FIELDS, ColourOptions, DrawingScale, drawing_scale, motion_scales, short_number
 from warp_plate.viz.pictures import largest_frame, make_plotter
 from warp_plate.viz.scene3d import SCALARS, PlateMeshes, SideBySide, plate_subplots, rows_and_columns
-from warp_plate.viz.styles import point_text, size_text
 
 pyvista = pytest.importorskip("pyvista", reason="PyVista is not installed: pip install 'warp-plate[viz]'")
 pytest.importorskip("pytest_pyvista", reason="pytest-pyvista is not installed: pip install 'warp-plate[test]'")

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_plate.result.frequency_response import UNITS, FrequencyResponse
-from warp_plate.viz.annotations import shortened
+from warp_plate.viz.annotations import GRID, length_unit, point_text, shortened
 from warp_plate.viz.plots.frame import figure, number_log_axis
-from warp_plate.viz.styles import GRID, length_unit, point_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

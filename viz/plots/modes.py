@@ -11,10 +11,10 @@ import numpy as np
 
 from warp_plate.effects.effect import attachments
 from warp_plate.scene.model import Scene
+from warp_plate.viz.annotations import INK, TARGET, size_text
 from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions, colour_map
 from warp_plate.viz.plots.frame import add_panels, figure
 from warp_plate.viz.plots.plan import draw_edges, draw_outline, drawn_size, edge_handles, line_handle
-from warp_plate.viz.styles import INK, TARGET, size_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

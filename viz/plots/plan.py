@@ -18,11 +18,20 @@ from warp_plate.result.targets import outlines, relative_to_own, target_cases, t
 from warp_plate.scene.errors import printable
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
-from warp_plate.viz.annotations import frame_caption, place_names, shortened
+from warp_plate.viz.annotations import (
+    EDGE_STYLES,
+    INK,
+    TARGET,
+    edges_by_kind,
+    frame_caption,
+    length_unit,
+    rectangle,
+    shortened,
+    size_text,
+)
 from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions, DrawingScale, colour_map, drawing_scale, motion_scales
 from warp_plate.viz.plots.frame import add_panels, figure
 from warp_plate.viz.scene3d import rows_and_columns
-from warp_plate.viz.styles import EDGE_STYLES, INK, TARGET, edges_by_kind, length_unit, rectangle, size_text
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -92,6 +101,22 @@ def drawn_size(scene: Scene, length: float) -> tuple[float, float]:
     """Return the width and height of a plate whose longer side is drawn with this length."""
     width, height = (length * side / max(scene.plate.size) for side in scene.plate.size)
     return width, height
+
+
+def place_names(names: Sequence[str], patches: np.ndarray, plate: np.ndarray, letter: float) -> np.ndarray:
+    """Return the middles (names, 2) of names beside patches (names, axis, 2) of a plate (axis, 2), with this width of a
+    letter; none if they do not all fit."""
+    half = letter * np.array([[len(name) / 2, 1.0] for name in names])
+    middles = patches.mean(axis=2)
+    towards = np.where(middles[:, 1] < plate[1].mean(), 1, -1)  # above patches of the lower half, below the others
+    middles[:, 1] += towards * (np.ptp(patches[:, 1], axis=1) / 2 + half[:, 1])
+    middles = np.clip(middles, plate[:, 0] + half, plate[:, 1] - half)
+    boxes = np.stack([middles - half, middles + half], axis=2)
+    drawn = np.concatenate([boxes, patches])
+    shared = np.minimum(boxes[:, None, :, 1], drawn[:, :, 1]) - np.maximum(boxes[:, None, :, 0], drawn[:, :, 0])
+    covered = (shared > 1e-9 * np.ptp(plate)).all(axis=2).sum(axis=1)
+    fit = (covered == 1).all() and (2 * half <= np.ptp(plate, axis=1)).all()  # each name covers itself
+    return middles if fit else middles[:0]
 
 
 def draw_edges(axes: Axes, scene: Scene) -> None:

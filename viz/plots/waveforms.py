@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_plate.result.focus import FocusedWaveforms, FocusResult
-from warp_plate.viz.annotations import shortened
+from warp_plate.viz.annotations import GRID, INK, length_unit, point_text, shortened
 from warp_plate.viz.fields import (
     DEFAULT_COLOURS,
     FIELDS,
@@ -23,7 +23,6 @@ from warp_plate.viz.fields import (
 from warp_plate.viz.plots.frame import figure
 from warp_plate.viz.plots.frequency_response import CURVE_COLOURS
 from warp_plate.viz.plots.plan import draw_edges, draw_outline, drawn_size, light_rim
-from warp_plate.viz.styles import GRID, INK, length_unit, point_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

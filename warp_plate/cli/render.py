@@ -181,11 +181,13 @@ def render(
         if targets:
             time = picture.time
             frame = largest_frame(motions, playback.field) if time is None else frame_at(motions[0], time)
-            rate = playback.frame_rate(motions)
-            style = PictureStyle(playback.field, picture.width, playback.heights, colours.chosen())
+            style = PictureStyle(
+                playback.field, picture.width, playback.heights, colours.chosen(), picture.plan,
+                playback.frame_rate(motions),
+            )  # fmt: skip
             for target in targets:
                 with output.progress_bar(f"drawing {target.name}", shown=not json) as show:
-                    draw_motions(scene, motions, target, style, frame, rate, picture.plan, show)
+                    draw_motions(scene, motions, target, style, frame, show)
                 files.append(target)
     except DrawingUnavailable as problem:
         raise SceneError(str(problem)) from None
@@ -221,7 +223,7 @@ def _paper_figures(result: Result, name: Path) -> list[Path]:
     """Draw figures 2 and 3 of the source paper."""
     from warp_plate.result.atomic_io import atomic_paths
     from warp_plate.viz.availability import missing_plots, missing_renderer
-    from warp_plate.viz.figures import draw_history, draw_surfaces
+    from warp_plate.viz.pictures import draw_history, draw_surfaces
 
     if not result.history or not result.times.size:
         raise SceneError(f"--figures paper: {name} holds no search; make it with localize")
