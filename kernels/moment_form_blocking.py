@@ -13,13 +13,16 @@ from functools import cache
 
 import warp as wp
 
+from warp_plate.kernels import temporal_blocking
 from warp_plate.kernels.arithmetic import make_fused
 from warp_plate.kernels.cuda import LANES, any_lane, cuda_kernel, make_from_lane, make_pairs, most_registers, opaque
 from warp_plate.kernels.effects import make_add_local_forces, make_membrane_tension
 from warp_plate.kernels.moment_form import make_moment
-from warp_plate.kernels.temporal_blocking import COLUMNS, REACH, ROUND, make_row_access, strips
-from warp_plate.kernels.temporal_blocking_wide import WARPS
+from warp_plate.kernels.temporal_blocking import COLUMNS, make_row_access, strips
 from warp_plate.kernels.update import make_material, make_parameters, make_state, make_update
+
+# As in the plain plate of second order, but for the warps that share a multiprocessor, which need fewer registers.
+REACH, ROUND, WARPS = temporal_blocking.REACH[2], temporal_blocking.ROUND[2], {wp.float32: 12, wp.float64: 8}
 
 
 def margin_of(effects, levels):

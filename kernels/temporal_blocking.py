@@ -1,13 +1,14 @@
-"""Streaming path on CUDA, second order: temporal blocking, several steps in one pass over memory.
+"""Streaming path on CUDA: temporal blocking, several steps in one pass over memory.
 
 A warp walks up a strip of columns; a lane holds ``COLUMNS`` neighbouring ones. For each new row of u that the warp
-reads, level 1 can move the row two below by one step, level 2 the row four below by a second step, and so on: each
-level needs only the last three rows of the level before, which it keeps in registers. After ``levels`` steps a row is
-written back. So one pass serves several steps, without shared memory or barriers, at the price of a margin of 2·levels
-nodes around each strip that neighbouring warps compute as well.
+reads, level 1 can move the row two below (fourth order: four below) by one step, level 2 the row as far below that by a
+second step, and so on: each level needs only the last rows of the level before, which it keeps in registers. After
+``levels`` steps a row is written back. So one pass serves several steps, without shared memory or barriers, at the
+price of a margin around each strip that neighbouring warps compute as well.
 
-Rows are walked in rounds of three, in which row y of each level has slot y modulo 3 of its window, so that no register
-is moved. Most rounds touch neither a loaded row nor an edge: their body is compiled without either.
+Rows are walked in rounds of three (four), in which row y of each level has slot y modulo 3 (4) of its window, so that
+no register is moved. Most rounds touch neither a loaded row nor an edge: their body is compiled without either. In
+fourth order edges take part like other nodes, with taps of their own, see ``resident_wide``.
 
 Displacement and rate are in two buffers that take turns, because neighbours still read the old ones. ``clock`` counts
 steps on the device, so that a captured CUDA graph can be replayed: a launch adds its own offset to it.
@@ -19,14 +20,15 @@ import warp as wp
 
 from warp_plate.kernels.arithmetic import make_fused
 from warp_plate.kernels.cuda import LANES, any_lane, cuda_kernel, make_from_lane, make_pairs, most_registers, opaque
+from warp_plate.kernels.resident_wide import SPECIAL, make_apply_taps
 from warp_plate.kernels.update import make_laplacian, make_parameters, make_state, make_update
 
 # Columns per lane, which it reads and writes in one access.
 COLUMNS = 2
-# Rows below the newest one that a level moves, and rows of a round, in which each window turns once.
-REACH, ROUND = 2, 3
-# Warps that share a multiprocessor, which leaves each thread all registers that it can have.
-WARPS = 8
+# By order: rows below the newest one that a level moves, and rows of a round, in which each window turns once.
+REACH, ROUND = {2: 2, 4: 4}, {2: 3, 4: 4}
+# Warps that share a multiprocessor: with eight, each thread has all registers that it can have.
+WARPS = {(2, wp.float32): 8, (2, wp.float64): 8, (4, wp.float32): 12, (4, wp.float64): 8}
 
 
 def strips(nx, margin):
@@ -68,17 +70,24 @@ def make_row_access(real, ny, stride):
 @cache
 def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
     """Make the kernel of ``levels`` steps, in the window if ``summed``; launch over (plates · strips · tiles · 32,)."""
-    laplacian = make_laplacian(effects.square_cells, real)
+    laplacian, apply_taps = make_laplacian(effects.square_cells, real), make_apply_taps(real, COLUMNS)
     update, from_lane, Parameters = make_update(effects, real), make_from_lane(real), make_parameters(real)
     fused, (Forcing, Fields) = make_fused(real), make_state(real)
+    order, reach, per_round = effects.order, REACH[effects.order], ROUND[effects.order]
     read_row, write_row, row_at, zero_if = make_row_access(real, ny, stride)
     size = wp.types.type_size_in_bytes(real)
-    columns, margin, strip_count = COLUMNS, REACH * levels, strips(nx, REACH * levels)
+    columns, margin, strip_count = COLUMNS, reach * levels, strips(nx, reach * levels)
     useful = LANES * columns - 2 * margin
+    # Rows near an edge, and those by which sums are read later than rates: in fourth order, the first of several levels
+    # has nothing to add to them.
+    edge, delay = (reach, 0) if order == 2 else (SPECIAL + 1, reach if levels > 1 else 0)
+    taps = 1 if order == 2 else 5  # a factor on the curvature, or taps along an axis
+    Taps = wp.types.vector(length=5, dtype=real)
+    ColumnTaps = wp.types.matrix(shape=(columns, taps), dtype=real)
     Row = wp.types.vector(length=columns, dtype=real)
-    Rows = wp.types.matrix(shape=(levels * ROUND, columns), dtype=real)
+    Rows = wp.types.matrix(shape=(levels * per_round, columns), dtype=real)
     Waves = wp.types.matrix(shape=(levels, 2), dtype=real)
-    Round = wp.types.matrix(shape=(ROUND, columns), dtype=real)
+    Round = wp.types.matrix(shape=(per_round, columns), dtype=real)
 
     @wp.func
     def laplacian_of_row(south: Row, centre: Row, north: Row, lane: int, aspect: real):
@@ -95,12 +104,15 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
             sums[c] = laplacian(centre[c], left, right, south[c], north[c], aspect)
         return sums
 
-    @cuda_kernel(most_registers(WARPS), max_unroll=32)
+    @cuda_kernel(most_registers(WARPS[order, real]), max_unroll=32)
     def advance_tiles(
         # parameters
         p: Parameters,
-        factor_x: wp.array[real],  # (nx,) factors on the curvature
-        factor_y: wp.array[real],  # (ny,)
+        inside: Taps,  # along y, of rows away from edges; of fourth order alone, as move_x and move_y
+        bend_x: wp.array2d[real],  # (nx, 5) taps along x; of second order (nx, 1) factors on the curvature
+        bend_y: wp.array2d[real],  # (ny + 2 + 4·margin, 5) of rows −2·margin …, zero beyond the plate; or (ny, 1)
+        move_x: wp.array2d[real],
+        move_y: wp.array2d[real],
         loaded: wp.array[int],  # (ny + 2 + 4·margin,) from row −2·margin on: bit b is set where row + b is loaded
         clock: wp.array[int],  # (1,)
         offset: int,  # the first step is clock[0] + offset
@@ -124,10 +136,14 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
         high = wp.min(low + tile_rows, wp.static(ny))
 
         stiffness = Row()
-        factor = Row()
+        bend_taps = ColumnTaps()
+        move_taps = ColumnTaps()
         for c in range(wp.static(columns)):
             if x0 + c >= 0 and x0 + c < wp.static(nx):
-                factor[c] = factor_x[x0 + c]
+                for tap in range(wp.static(taps)):
+                    bend_taps[c, tap] = bend_x[x0 + c, tap]
+                    if wp.static(order == 4):
+                        move_taps[c, tap] = move_x[x0 + c, tap]
                 if x0 + c > 0 and x0 + c < wp.static(nx - 1):
                     stiffness[c] = p.stiffness
         # A lane beside the plate reads columns of it, which must count as zeros.
@@ -145,8 +161,11 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
         stores = lane * wp.static(columns) >= wp.static(margin)
         stores = stores and lane * wp.static(columns) < wp.static(margin + useful) and x0 < wp.static(nx)
 
-        bottom = factor_y[0]
-        top = factor_y[wp.static(ny - 1)]
+        bottom = real(0.0)
+        top = real(0.0)
+        if wp.static(order == 2):
+            bottom = bend_y[0, 0]
+            top = bend_y[wp.static(ny - 1), 0]
         waves = Waves()
         plate_wave = drive.wave[k]
         for level in range(wp.static(levels)):
@@ -163,14 +182,14 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
         ahead_rate = Round()
         ahead_squares = Round()
         first = low - wp.static(margin)
-        for phase in range(wp.static(ROUND)):
+        for phase in range(wp.static(per_round)):
             ahead_u[phase] = zero_if(beside, read_row(lane_u, row_at(first + phase)))
-        for round in range((high - first + wp.static(margin + ROUND - 1)) // wp.static(ROUND)):
-            start = first + wp.static(ROUND) * round
+        for round in range((high - first + wp.static(margin + per_round - 1)) // wp.static(per_round)):
+            start = first + wp.static(per_round) * round
             bits = loaded[opaque(start + wp.static(margin))]  # of rows from start − margin on
-            inside = start >= wp.static(margin + REACH) and start <= wp.static(ny - 2 * ROUND)
-            inside = inside and start + wp.static(ROUND) <= high + wp.static(margin)
-            plain = any_lane(inside and bits == 0)
+            away = start >= wp.static(margin + edge) and start <= wp.static(ny - 2 * per_round)
+            away = away and start + wp.static(per_round) <= high + wp.static(margin)
+            plain = any_lane(away and bits == 0)
             for body in range(2):
                 if plain == wp.static(body == 0):
                     at = int(0)  # index of row start − margin
@@ -182,76 +201,99 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
                             # All reads first, so that they overlap; rows without load hold zeros.
                             cosines = Rows()
                             sines = Rows()
-                            for phase in range(wp.static(ROUND)):
+                            for phase in range(wp.static(per_round)):
                                 for level in range(wp.static(levels)):
-                                    where = row_at(start + phase - wp.static(REACH * (level + 1)))
-                                    slot = wp.static(ROUND * level + phase)
+                                    where = row_at(start + phase - wp.static(reach * (level + 1)))
+                                    slot = wp.static(per_round * level + phase)
                                     cosines[slot] = zero_if(beside, read_row(lane_in_phase, where))
                                     sines[slot] = zero_if(beside, read_row(lane_quadrature, where))
-                            for phase in range(wp.static(ROUND)):
+                            for phase in range(wp.static(per_round)):
                                 for level in range(wp.static(levels)):
                                     for c in range(wp.static(columns)):
-                                        slot = wp.static(ROUND * level + phase)
-                                        loads[slot, c] = waves[level, 0] * cosines[slot, c]
-                                        loads[slot, c] += waves[level, 1] * sines[slot, c]
-                    for phase in range(wp.static(ROUND)):
+                                        slot = wp.static(per_round * level + phase)
+                                        quadrature_part = waves[level, 1] * sines[slot, c]
+                                        loads[slot, c] = fused(waves[level, 0], cosines[slot, c], quadrature_part)
+                    for phase in range(wp.static(per_round)):
                         y = start + phase
-                        above = Row()
-                        stepped_rate = Row()
-                        for c in range(wp.static(columns)):
-                            above[c] = ahead_u[phase, c]
-                            stepped_rate[c] = ahead_rate[phase, c]
-                        total = ahead_squares[phase]  # of the row that level 1 moves
-                        next_u = at + wp.static((margin + ROUND + phase) * stride)
-                        next_rate = at + wp.static((margin + ROUND - REACH + phase) * stride)
+                        above = ahead_u[phase]
+                        stepped_rate = ahead_rate[phase]
+                        total = ahead_squares[phase]  # of the row that the first level to add to them moves
+                        next_u = at + wp.static((margin + per_round + phase) * stride)
+                        next_rate = at + wp.static((margin + per_round - reach + phase) * stride)
                         if wp.static(body == 1):
-                            next_u = row_at(y + wp.static(ROUND))
-                            next_rate = row_at(y + wp.static(ROUND - REACH))
+                            next_u = row_at(y + wp.static(per_round))
+                            next_rate = row_at(y + wp.static(per_round - reach))
                         ahead_u[phase] = zero_if(beside, read_row(lane_u, next_u))
                         ahead_rate[phase] = zero_if(beside, read_row(lane_rate, next_rate))
                         if wp.static(summed):
-                            ahead_squares[phase] = read_row(lane_squares, next_rate)
+                            next_squares = next_rate - wp.static(delay * stride)
+                            if wp.static(delay > 0 and body == 1):
+                                next_squares = row_at(y - delay)
+                            ahead_squares[phase] = read_row(lane_squares, next_squares)
 
                         for level in range(wp.static(levels)):
-                            # ``above`` is row y − 2·level of this level; ``here`` is the row that it moves.
-                            here = y - wp.static(REACH * (level + 1))
-                            newest = wp.static(ROUND * level + phase)
-                            second = wp.static(ROUND * level + (phase + 2) % ROUND)  # the row below
-                            third = wp.static(ROUND * level + (phase + 1) % ROUND)
-                            bare = laplacian_of_row(window_u[third], window_u[second], above, lane, p.aspect)
+                            # ``above`` is row y − reach·level of this level; ``here`` is the row that it moves.
+                            here = y - wp.static(reach * (level + 1))
+                            newest = wp.static(per_round * level + phase)
+                            row_1 = wp.static(per_round * level + (phase - 1) % per_round)  # the row below, and so on
+                            row_2 = wp.static(per_round * level + (phase - 2) % per_round)
+                            row_3 = wp.static(per_round * level + (phase - 3) % per_round)
+                            moved = wp.static(per_round * level + (phase - reach) % per_round)
+                            bent = wp.static(per_round * level + (phase - reach // 2) % per_round)
                             curvature = Row()
-                            factor_row = real(1.0)
-                            if wp.static(body == 1):
-                                factor_row = wp.where(here == 0, bottom, factor_row)
-                                factor_row = wp.where(here == wp.static(ny - 1), top, factor_row)
-                            for c in range(wp.static(columns)):
+                            biharmonic = Row()
+                            if wp.static(order == 2):
+                                bare = laplacian_of_row(window_u[row_2], window_u[row_1], above, lane, p.aspect)
+                                factor_row = real(1.0)
                                 if wp.static(body == 1):
-                                    curvature[c] = (factor_row * factor[c]) * bare[c]
-                                else:
-                                    curvature[c] = factor[c] * bare[c]
-                            biharmonic = laplacian_of_row(
-                                window_curvature[newest], window_curvature[third], curvature, lane, p.aspect
-                            )
+                                    factor_row = wp.where(here == 0, bottom, factor_row)
+                                    factor_row = wp.where(here == wp.static(ny - 1), top, factor_row)
+                                for c in range(wp.static(columns)):
+                                    if wp.static(body == 1):
+                                        curvature[c] = (factor_row * bend_taps[c, 0]) * bare[c]
+                                    else:
+                                        curvature[c] = bend_taps[c, 0] * bare[c]
+                                biharmonic = laplacian_of_row(
+                                    window_curvature[row_3], window_curvature[row_2], curvature, lane, p.aspect
+                                )
+                            else:
+                                bend = inside
+                                move = inside
+                                if wp.static(body == 1):
+                                    for tap in range(5):
+                                        bend[tap] = bend_y[opaque(here + wp.static(2 + 2 * margin)), tap]
+                                        move[tap] = move_y[opaque(here + wp.static(2 * margin)), tap]
+                                curvature = apply_taps(
+                                    window_u[newest], window_u[row_3], window_u[row_2], window_u[row_1], above,
+                                    bend_taps, bend, lane,
+                                )  # fmt: skip
+                                biharmonic = apply_taps(
+                                    window_curvature[row_2], window_curvature[row_1], window_curvature[newest],
+                                    window_curvature[row_3], curvature, move_taps, move, lane,
+                                )  # fmt: skip
                             moves = True
                             if wp.static(body == 1):
                                 moves = here > 1 and here < wp.static(ny)
                             for c in range(wp.static(columns)):
                                 before = stepped_rate[c]
                                 if wp.static(level > 0):
-                                    before = window_rate[third, c]
+                                    before = window_rate[moved, c]
                                     window_rate[newest, c] = stepped_rate[c]
                                     if wp.static(summed):
-                                        partial = window_sum[third, c]
-                                        window_sum[newest, c] = total[c]
+                                        partial = total[c]
+                                        if wp.static(delay == 0 or level > 1):
+                                            partial = window_sum[moved, c]
+                                            window_sum[newest, c] = total[c]
                                         total[c] = fused(before, before, partial)
                                 stiffness_here = stiffness[c]
                                 if wp.static(body == 1):
                                     stiffness_here = wp.where(moves, stiffness[c], real(0.0))
-                                load = loads[wp.static(ROUND * level + phase), c]
+                                load = loads[wp.static(per_round * level + phase), c]
                                 stepped_rate[c] = update(before, biharmonic[c], load, stiffness_here, p)
-                                window_u[newest, c] = above[c]
-                                above[c] = window_u[third, c] + stepped_rate[c]
-                                window_curvature[second, c] = curvature[c]
+                                entering = above[c]
+                                above[c] = window_u[moved, c] + stepped_rate[c]
+                                window_u[newest, c] = entering
+                                window_curvature[bent, c] = curvature[c]
 
                         done = y - wp.static(margin)
                         storing = stores and done >= low

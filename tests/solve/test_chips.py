@@ -18,7 +18,6 @@ from warp_plate.kernels import (
     resident_strips,
     resident_wide,
     temporal_blocking,
-    temporal_blocking_wide,
 )
 from warp_plate.kernels.cuda import RESERVED_BYTES
 from warp_plate.kernels.plans import whole
@@ -56,8 +55,8 @@ def planned(effects, nodes, shared_bytes):
     plan = next(plans.strip_plans(effects.order, nodes, nodes, real, shared_bytes), None)
     if plan is not None:
         return kind.make_run_steps(effects, real, whole(nodes), whole(nodes), stride, plan, True), 32 * plan.warps
-    blocking, levels = (temporal_blocking_wide, 2) if effects.order == 4 else (temporal_blocking, 5)
-    return blocking.make_advance_tiles(effects, real, nodes, nodes, stride, levels, True), 128
+    levels = 2 if effects.order == 4 else 5
+    return temporal_blocking.make_advance_tiles(effects, real, nodes, nodes, stride, levels, True), 128
 
 
 def compiled_needs(kernel, arch):

@@ -21,7 +21,6 @@ from warp_plate.kernels import (
     resident_wide,
     streaming,
     temporal_blocking,
-    temporal_blocking_wide,
     tones,
 )
 from warp_plate.kernels.plans import cut, strip_plans, whole
@@ -86,8 +85,8 @@ def cuda_kernels(effects, real):
         plan = next(strip_plans(4, axes[0].length, axes[1].length, real, SHARED_BYTES))
         yield "resident_wide.make_run_steps", resident_wide.make_run_steps(effects, real, *axes, HUGE[2], plan, True)
         for levels, summed in ((1, False), (2, True)):
-            kernel = temporal_blocking_wide.make_advance_tiles(effects, real, *LARGE, levels, summed)
-            yield "temporal_blocking_wide.make_advance_tiles", kernel
+            kernel = temporal_blocking.make_advance_tiles(effects, real, *LARGE, levels, summed)
+            yield "temporal_blocking.make_advance_tiles", kernel
         return
     for summed in (False, True):
         kernel = resident_lanes.make_run_steps(effects, real, SMALL[1], 0b1100110000, summed)

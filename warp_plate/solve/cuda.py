@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_plate.kernels import resident_lanes, resident_strips, resident_wide, temporal_blocking, temporal_blocking_wide
+from warp_plate.kernels import resident_lanes, resident_strips, resident_wide, temporal_blocking
 from warp_plate.kernels.cuda import LANES
 from warp_plate.kernels.plans import Cut, StripPlan, cut, plan_few, strip_plans, whole
 from warp_plate.plate.operator import INSIDE, plain_taps
@@ -27,6 +27,8 @@ FEW_PLATES, FEW_REGISTERS, FEW_LOADED_ROWS = 12, 160, 16
 # Temporal blocking: steps per launch by order and precision, and threads per block, whose warps are independent.
 LEVELS = {(2, wp.float32): 5, (2, wp.float64): 2, (4, wp.float32): 2, (4, wp.float64): 1}
 STREAMING_BLOCK = 128
+# Warps of a multiprocessor below which temporal blocking divides strips into tiles.
+BUSY_WARPS = 8
 # Fewest rows of a tile, which must pay for its margins.
 FEWEST_TILE_ROWS = 4
 # Tiles of few large plates: steps per launch by order, and the longest step that is faster so.
@@ -216,21 +218,20 @@ def _blocking_path(specialized: Specialized) -> Advance:
     """Return the path of temporal blocking, with several steps per launch (one where traces are recorded)."""
     device, scheme = specialized.device, specialized.scheme
     (nx, ny), most_levels = scheme.nodes, LEVELS[scheme.order, specialized.real]
-    blocking = temporal_blocking_wide if scheme.order == 4 else temporal_blocking
     kernels = {
-        (levels, summed): blocking.make_advance_tiles(
+        (levels, summed): temporal_blocking.make_advance_tiles(
             specialized.effects, specialized.real, nx, ny, specialized.stride, levels, summed
         )
         for levels in (1, most_levels)
         for summed in (False, True)
     }
     specialized.load(*kernels.values(), block_dim=STREAMING_BLOCK)
-    constants = {levels: _constants(specialized, blocking, levels) for levels in (1, most_levels)}
+    constants = {levels: _constants(specialized, levels) for levels in (1, most_levels)}
 
     def launch_tiles(
         launch: Launcher, state: State, plates: int, clock: wp.array, offset: int, levels: int, summed: bool
     ) -> None:
-        strips = temporal_blocking.strips(nx, blocking.REACH * levels)
+        strips = temporal_blocking.strips(nx, temporal_blocking.REACH[scheme.order] * levels)
         tiles = tiles_of(specialized, plates * strips, ny - 2)
         launch(
             kernels[levels, summed],
@@ -246,20 +247,19 @@ def _blocking_path(specialized: Specialized) -> Advance:
 
 def tiles_of(specialized: Specialized, strips: int, rows: int) -> int:
     """Return the tiles of a strip of so many rows, where there are so many strips, that keep the device busy."""
-    busy = temporal_blocking.WARPS * specialized.device.sm_count
+    busy = BUSY_WARPS * specialized.device.sm_count
     return max(1, min(busy // strips, rows // FEWEST_TILE_ROWS))
 
 
-def _constants(specialized: Specialized, blocking: Any, levels: int) -> list[Any]:
-    """Return the first arguments of a streaming kernel: parameters, taps and loaded rows, zero beyond the plate."""
-    scheme, margin = specialized.scheme, blocking.REACH * levels
-    taps: list[Any]
-    if scheme.order == 2:
-        taps = [specialized.to_device(taps.factors) for taps in (scheme.taps_x, scheme.taps_y)]
-    else:
-        x, y, beyond = scheme.taps_x, scheme.taps_y, 2 * margin + 1
-        rows = [np.pad(scheme.aspect * taps, ((beyond, beyond), (0, 0))) for taps in (y.bend, y.move)]
-        taps = [scheme.aspect * np.array(INSIDE[4])]
-        taps += map(specialized.to_device, (x.bend, rows[0], x.move, rows[1]))
-    ahead = streaming.loaded_ahead(specialized, margin, margin + blocking.ROUND - blocking.REACH)
-    return [specialized.parameters, *taps, ahead]
+def _constants(specialized: Specialized, levels: int) -> list[Any]:
+    """Return the first arguments of temporal blocking: parameters, taps and loaded rows, zero beyond the plate."""
+    scheme = specialized.scheme
+    x, y, reach = scheme.taps_x, scheme.taps_y, temporal_blocking.REACH[scheme.order]
+    margin, ahead = reach * levels, temporal_blocking.ROUND[scheme.order] - reach
+    inside, taps = np.zeros(5), [x.factors[:, None], y.factors[:, None]] * 2
+    if scheme.order == 4:
+        beyond = ((2 * margin + 1, 2 * margin + 1), (0, 0))
+        inside = scheme.aspect * np.array(INSIDE[4])
+        taps = [x.bend, np.pad(scheme.aspect * y.bend, beyond), x.move, np.pad(scheme.aspect * y.move, beyond)]
+    loaded = streaming.loaded_ahead(specialized, margin, margin + ahead)
+    return [specialized.parameters, inside, *map(specialized.to_device, taps), loaded]

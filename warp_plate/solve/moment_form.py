@@ -187,7 +187,8 @@ def _planes_of_lanes(specialized: Specialized, planes: np.ndarray, levels: int) 
     pairs = padded.reshape(len(planes), ny + 2 * beyond, width // columns, columns)
     Row = wp.types.vector(length=columns, dtype=specialized.real)
     material: wp.array = wp.array(pairs, dtype=Row, device=specialized.device)
-    return [material, loaded_ahead(specialized, margin, margin + temporal_blocking.ROUND - temporal_blocking.REACH)]
+    ahead = moment_form_blocking.ROUND - moment_form_blocking.REACH
+    return [material, loaded_ahead(specialized, margin, margin + ahead)]
 
 
 def resident_path(specialized: Specialized) -> Advance:
