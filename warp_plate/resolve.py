@@ -25,7 +25,7 @@ from warp_plate.modal.solver import MODAL, ModalGrid, ModalSolver
 from warp_plate.plate.designs import NO_PER_PLATE, PerPlate
 from warp_plate.plate.discretization import Discretization, discretize
 from warp_plate.plate.scheme import MOST_STEPS, STEPS_A_PERIOD
-from warp_plate.plate.signals import Signals
+from warp_plate.plate.signals import Signals, plate_harmonic
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.grid import CELLS_A_WAVE, Grid
 from warp_plate.scene.model import Scene
@@ -44,29 +44,18 @@ MOST_CORNERS = 64
 
 @dataclass(frozen=True, eq=False)
 class Resolved:
-    """A scene with all that its run needs.
+    """A scene with all that its run needs."""
 
-    Attributes:
-        scene: Scene with a grid, in place of an accuracy.
-        engine: "modes" or "steps".
-        device: Alias of the device.
-        path: Path of the kernels for time steps, as asked for.
-        evaluator: How a search computes energies; None for the default of time steps.
-        accuracy: Accuracy asked for, expected error, and reason for the choice; empty if the scene has a grid.
-        seconds: Time that the choice took, under "choose".
-        reference: More functions that the choice compared modes with.
-        allow_unstable: True if a time step above the stability limit is accepted.
-    """
-
-    scene: Scene
-    engine: Engine
-    device: str
-    path: str = "auto"
-    evaluator: str | None = None
+    scene: Scene  # Scene with a grid, in place of an accuracy
+    engine: Engine  # "modes" or "steps"
+    device: str  # Alias of the device
+    path: str = "auto"  # Path of the kernels for time steps, as asked for
+    evaluator: str | None = None  # How a search computes energies; None for the default of time steps
+    # Accuracy asked for, expected error, and reason for the choice; empty if the scene has a grid
     accuracy: Mapping[str, Any] = field(default_factory=dict)
-    seconds: Mapping[str, float] = field(default_factory=dict)
-    reference: MoreFunctions | None = None
-    allow_unstable: bool = False
+    seconds: Mapping[str, float] = field(default_factory=dict)  # Time that the choice took, under "choose"
+    reference: MoreFunctions | None = None  # More functions that the choice compared modes with
+    allow_unstable: bool = False  # True if a time step above the stability limit is accepted
 
     @property
     def by_modes(self) -> bool:
@@ -235,11 +224,6 @@ def at_highest_frequency(scene: Scene) -> Scene:
         if named is None or actuator["name"] in named:
             actuator["frequency"] = table.range[1]
     return scene.with_tables(actuators=actuators)
-
-
-def plate_harmonic(scene: Scene) -> int:
-    """Return the plate's highest frequency as a multiple of the voltage's: its square has twice the frequency."""
-    return 1 if scene.drive.electrostatic is None else 2
 
 
 def resolve_for_sweep(scene: Scene, plan: Plan, device: str, evaluator: str) -> Scene:

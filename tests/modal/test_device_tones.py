@@ -5,7 +5,6 @@ import pytest
 import warp as wp
 
 from support.scenes import scene_of
-from warp_plate.modal import device_tones
 from warp_plate.modal.device_tones import DeviceToneMatrices
 from warp_plate.modal.gram import ToneMatrices, gram_matrices
 from warp_plate.modal.modes import solve_modes
@@ -33,6 +32,11 @@ def device(request):
     return find_device(request.param)
 
 
+@pytest.fixture(scope="module")
+def damped_plate():
+    return solve_modes(scene_of(size=SIZE, damping=20.0), highest=400.0, density=0.6)
+
+
 def batch(random, many=True):
     """Return frequencies (plates, 3) [Hz] and areas (plates, 3, 4) [m] of patches of one size."""
     frequency = random.uniform(100, 400, (PLATES, 3 if many else 1)) * np.ones(3)
@@ -50,7 +54,7 @@ def patched(scene):
     )
 
 
-def both(plate, quantity, device, frequency, areas):
+def both(plate, quantity, device, frequency, areas, **options):
     """Return matrices by the kernels and by NumPy, each region's relative to its largest."""
     scene = plate.scene
     regions = [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)]
@@ -60,7 +64,7 @@ def both(plate, quantity, device, frequency, areas):
         exact = gram_matrices(plate, regions, forces, frequency, None, quantity)
     else:
         exact = ToneMatrices(plate, regions, window, quantity).matrices(frequency, forces)
-    found = DeviceToneMatrices(plate, regions, window, quantity, device).matrices(frequency, areas)
+    found = DeviceToneMatrices(plate, regions, window, quantity, device, **options).matrices(frequency, areas)
     size = np.abs(exact).max(axis=(2, 3), keepdims=True)
     return found / size, exact / size
 
@@ -75,12 +79,11 @@ def test_kernels_have_the_matrices_of_numpy(random, device, name):
     assert np.allclose(found, exact, rtol=0, atol=1e-10)
 
 
-def test_places_that_all_plates_share(random, device, monkeypatch):
+def test_places_that_all_plates_share(random, device, damped_plate):
     """Plates are computed in blocks of two."""
-    plate = solve_modes(scene_of(size=SIZE, damping=20.0), highest=400.0)
-    monkeypatch.setattr(device_tones, "BLOCK_NUMBERS", 2 * 6 * len(plate.frequencies))
     frequency, areas = batch(random)
-    found, exact = both(plate, "velocity", device, frequency, areas[:1])
+    blocks = 2 * 6 * len(damped_plate.frequencies)
+    found, exact = both(damped_plate, "velocity", device, frequency, areas[:1], block_numbers=blocks)
     assert np.allclose(found, exact, rtol=0, atol=1e-10)
 
 
@@ -109,38 +112,29 @@ def test_undamped_plate_at_resonance(random, device):
     assert np.allclose(found, exact, rtol=0, atol=1e-4)
 
 
-def test_plates_do_not_feel_their_neighbours(random, device, monkeypatch):
+def test_plates_do_not_feel_their_neighbours(random, device, damped_plate):
     """A plate has the same bits alone, in a batch, in blocks, and beside one that is not finite."""
-    plate = solve_modes(scene_of(size=SIZE, damping=20.0), highest=400.0)
-    frequency, areas = batch(random)
-    tones = DeviceToneMatrices(
-        plate, [plate.kinetic_matrix(plate.scene.target)], plate.scene.window, "velocity", device
-    )
+    plate, (frequency, areas) = damped_plate, batch(random)
+    settings = plate, [plate.kinetic_matrix(plate.scene.target)], plate.scene.window, "velocity", device
+    tones = DeviceToneMatrices(*settings)
     together = tones.matrices(frequency, areas)
     for row in range(PLATES):
         assert np.array_equal(tones.matrices(frequency[row : row + 1], areas[row : row + 1])[0], together[row])
     frequency[2] = np.nan
-    monkeypatch.setattr(device_tones, "BLOCK_NUMBERS", 2 * 6 * len(plate.frequencies))
-    beside = tones.matrices(frequency, areas)
+    beside = DeviceToneMatrices(*settings, 2 * 6 * len(plate.frequencies)).matrices(frequency, areas)
     kept = [0, 1, 3, 4]
     assert np.array_equal(beside[kept], together[kept])
     assert np.isnan(beside[2]).any()
 
 
 @pytest.mark.skipif(not wp.is_cuda_available(), reason="no CUDA device")
-@pytest.mark.parametrize("effects", [{"damping": {"viscous": 20.0}}, {"loss_factor": {"eta": 0.02}}])
-def test_solvers_of_both_devices_agree(random, effects):
-    scene, varied = scene_of(size=SIZE, effects=effects), PerPlate(frequency=True, centre=True)
-    centre, frequency = random.uniform(0.05, 0.1, (PLATES, 3, 2)), random.uniform(100, 290, (PLATES, 1)) * np.ones(3)
-    designs = Designs(np.ones((PLATES, 3), dtype=complex), frequency, centre)
-    cpu, cuda = (ModalSolver(scene, device, per_plate=varied).gram_matrices(designs) for device in ("cpu", "cuda:0"))
-    assert np.allclose(cpu, cuda, rtol=0, atol=1e-10 * np.abs(cpu).max())
-
-
-@pytest.mark.skipif(not wp.is_cuda_available(), reason="no CUDA device")
-def test_solvers_of_both_devices_agree_on_piezo_patches(random):
-    scene, varied = patched(scene_of(size=SIZE, damping=20.0)), PerPlate(frequency=True)
+@pytest.mark.parametrize("name", ["viscous", "steady", "piezo"])
+def test_solvers_of_both_devices_agree(random, name):
+    effects = {"loss_factor": {"eta": 0.02}} if name == "steady" else {"damping": {"viscous": 20.0}}
+    scene, piezo = scene_of(size=SIZE, effects=effects), name == "piezo"
+    scene, varied = patched(scene) if piezo else scene, PerPlate(frequency=True, centre=not piezo)
+    centre = None if piezo else random.uniform(0.05, 0.1, (PLATES, 3, 2))
     frequency = random.uniform(100, 290, (PLATES, 1)) * np.ones(3)
-    designs = Designs(np.ones((PLATES, 3), dtype=complex), frequency)
+    designs = Designs(np.ones((PLATES, 3), dtype=complex), frequency, centre)
     cpu, cuda = (ModalSolver(scene, device, per_plate=varied).gram_matrices(designs) for device in ("cpu", "cuda:0"))
     assert np.allclose(cpu, cuda, rtol=0, atol=1e-10 * np.abs(cpu).max())

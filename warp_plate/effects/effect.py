@@ -92,21 +92,13 @@ class Panel(Protocol):
 
 @dataclass(frozen=True)
 class Setting:
-    """A scene as typical values see it.
+    """A scene as typical values see it."""
 
-    Attributes:
-        plate: The table ``[plate]``.
-        angular_frequency: Angular frequency of the drive [rad/s].
-        end: End of the run [s].
-        patches: Rectangles of the actuators [m].
-        spot: Rectangle in the target [m].
-    """
-
-    plate: Panel
-    angular_frequency: float
-    end: float
-    patches: tuple[Area, ...]
-    spot: Area
+    plate: Panel  # The table ``[plate]``
+    angular_frequency: float  # Angular frequency of the drive [rad/s]
+    end: float  # End of the run [s]
+    patches: tuple[Area, ...]  # Rectangles of the actuators [m]
+    spot: Area  # Rectangle in the target [m]
 
 
 class Effect(Table):
@@ -161,21 +153,13 @@ class Effect(Table):
 
 @dataclass(frozen=True)
 class Losses:
-    """The damping of the whole plate by kind.
+    """The damping of the whole plate by kind."""
 
-    Attributes:
-        viscous: Viscous damping [N·s/m³].
-        retardation: Retardation time of the material [s].
-        hysteretic: Loss factor of the bending stiffness [1].
-        ratios: Damping ratios [1], a number for all modes or one for each; None without.
-        loss_factors: Loss factors [1] of each mode; None without.
-    """
-
-    viscous: float
-    retardation: float
-    hysteretic: float
-    ratios: Any
-    loss_factors: Any
+    viscous: float  # Viscous damping [N·s/m³]
+    retardation: float  # Retardation time of the material [s]
+    hysteretic: float  # Loss factor of the bending stiffness [1]
+    ratios: Any  # Damping ratios [1], a number for all modes or one for each; None without
+    loss_factors: Any  # Loss factors [1] of each mode; None without
 
     @property
     def by_modes(self) -> bool:

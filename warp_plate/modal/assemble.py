@@ -46,25 +46,15 @@ STIFFEST = 1e10
 
 @dataclass(frozen=True)
 class Galerkin:
-    """Matrices over the functions of a space, then over the attached masses.
+    """Matrices over the functions of a space, then over the attached masses."""
 
-    Attributes:
-        scene: Scene.
-        space: Functions on the plate.
-        mass: M [kg].
-        bending: B, the stiffness of the plate without edges and effects [N/m].
-        support: K − B, of edges and effects [N/m].
-        damping: C [N·s/m] but for τB, the damping of the material.
-        attachments: Springs, dampers and masses on patches.
-    """
-
-    scene: Scene
-    space: FunctionSpace
-    mass: Matrix
-    bending: Matrix
-    support: Matrix
-    damping: Matrix
-    attachments: Sequence[Attachment]
+    scene: Scene  # Scene
+    space: FunctionSpace  # Functions on the plate
+    mass: Matrix  # M [kg]
+    bending: Matrix  # B, the stiffness of the plate without edges and effects [N/m]
+    support: Matrix  # K − B, of edges and effects [N/m]
+    damping: Matrix  # C [N·s/m] but for τB, the damping of the material
+    attachments: Sequence[Attachment]  # Springs, dampers and masses on patches
 
     @cached_property
     def stiffness(self) -> Matrix:

@@ -55,7 +55,8 @@ def continuous_modes(scene: Scene, count: int, nodes: tuple[int, int] | None = N
         raise SceneError(f"count = {count}: must be from 1 to {MOST_MODES} modes")
     plate = solve_modes(linear_part(scene), highest=0.0, count=count + SPARE)
     plate = plate.part(np.arange(count + SPARE))
-    nx, ny = nodes or _raster(scene)
+    nearly_square = [max(SHORTER, 1 + round((LONGER - 1) * side / max(scene.plate.size))) for side in scene.plate.size]
+    nx, ny = nodes or nearly_square
     x, y = np.linspace(-1, 1, nx), np.linspace(-1, 1, ny)
     (width, height), masses = scene.plate.size, plate.attached_motions
     shapes = plate.shapes((1 + x) / 2 * width, (1 + y) / 2 * height).reshape(len(masses), -1)
@@ -70,9 +71,3 @@ def linear_part(scene: Scene) -> Scene:
     damper holds at rest."""
     drive = scene.drive.model_copy(update={"electrostatic": None})
     return scene.model_copy(update={"effects": scene.effects.linearized(), "drive": drive})
-
-
-def _raster(scene: Scene) -> tuple[int, int]:
-    """Return points (nx, ny) of nearly square cells."""
-    nx, ny = (max(SHORTER, 1 + round((LONGER - 1) * side / max(scene.plate.size))) for side in scene.plate.size)
-    return nx, ny

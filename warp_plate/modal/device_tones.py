@@ -29,15 +29,8 @@ SPLIT = 1e-8
 
 
 class DeviceToneMatrices:
-    """Gram matrices of the regions of a plate under tones, in float64 on a device.
-
-    Args:
-        plate: Modes that damping does not couple.
-        regions: Mass matrices (modes, modes) of the regions.
-        window: Window of energies from rest; None for the steady state.
-        quantity: "velocity" or "displacement".
-        device: Device.
-    """
+    """Gram matrices of regions, by their mass matrices, under tones from rest, or in the steady state without a window,
+    in float64 on a device; of modes that damping does not couple."""
 
     def __init__(
         self,
@@ -46,7 +39,9 @@ class DeviceToneMatrices:
         window: Window | None,
         quantity: str,
         device: wp.Device,
+        block_numbers: int = BLOCK_NUMBERS,
     ) -> None:
+        self._block_numbers = block_numbers
         self._device, self._window, self._velocity = device, window, int(quantity == "velocity")
         if window is None:
             values, squares, lasting = *_steady_poles(plate), np.empty(0, dtype=int)
@@ -86,7 +81,7 @@ class DeviceToneMatrices:
         frequency, areas = np.asarray(frequency, dtype=float), np.asarray(areas, dtype=float)
         plates, actuators = frequency.shape
         matrices = wp.empty((plates, len(self._regions), 2 * actuators, 2 * actuators), wp.float64, self._device)
-        block = max(1, min(plates, BLOCK_NUMBERS // (2 * actuators * self._modes)))
+        block = max(1, min(plates, self._block_numbers // (2 * actuators * self._modes)))
         work, tones, patches = self._workspace(block * actuators), *map(self._put, (frequency, areas))
         for first in range(0, plates, block):
             rows = slice(first, min(first + block, plates))
@@ -185,13 +180,8 @@ def _steady_poles(plate: ModalPlate) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _free_means(poles: np.ndarray, oscillates: np.ndarray, window: Window | None) -> np.ndarray:
-    """Return (2 · modes, 2 · modes) means of products of the free motions in time that the kernels use.
-
-    Args:
-        poles: (2, modes) s.
-        oscillates: (modes,) True for motions Re exp(st) and Im exp(st), of two conjugate poles.
-        window: Window; None if there are no modes.
-    """
+    """Return (2 · modes, 2 · modes) means of products of the free motions of poles (2, modes): exp(st), or Re and Im of
+    it where two conjugate poles oscillate."""
     if window is None:
         return np.zeros((0, 0))
     parts = np.where(oscillates, np.array([[[0.5], [0.5]], [[-0.5j], [0.5j]]]), np.eye(2)[:, :, None])

@@ -17,6 +17,7 @@ from warp_plate.effects.effect import IN_PLANE
 from warp_plate.modal.assemble import Galerkin, make_galerkin, make_space
 from warp_plate.modal.spaces.space import Matrix
 from warp_plate.plate.memory import refuse_beyond_memory
+from warp_plate.plate.modes import lowest_by_lanczos
 from warp_plate.plate.stability_limit import buckled
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -38,14 +39,9 @@ INTERVALS = 18
 def solve_eigenproblem(
     galerkin: Galerkin, wanted: int, scale: float, least: float = 0.0, improve: bool = True
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return ω² [1/s²], rising, and mass-normalised vectors (unknowns, modes) of at least a number of modes.
+    """Return ω² [1/s²], rising, and mass-normalised vectors (unknowns, modes) of at least the ``wanted`` lowest modes.
 
-    Args:
-        galerkin: Matrices.
-        wanted: Number of modes, from the lowest.
-        scale: Size of the lowest ω² [1/s²].
-        least: ω² that all modes up to are found, by Weyl's law ``wanted`` [1/s²] (default: the number counts alone).
-        improve: Solve for the lowest modes once more.
+    ``scale`` is the size of the lowest ω²; all modes up to ``least`` [1/s²] are found, by Weyl's law ``wanted``.
 
     Raises:
         SceneError: The plate buckles, or the matrices do not fit into memory.
@@ -54,9 +50,9 @@ def solve_eigenproblem(
     # Up to a frequency, nearly equal numbers of modes have each parity; the difference grows as the plate's perimeter.
     share = math.ceil(wanted / len(bases) + (len(bases) - 1) * math.sqrt(wanted) / 2)
     if least:
-        share = math.ceil(
-            wanted / len(bases) + (2 / len(bases) + 0.25) * math.sqrt(wanted) * _freedom(galerkin.scene) + 5
-        )
+        # Edges that are neither clamped nor supported add modes to those of Weyl's law.
+        loose = sum(not isinstance(edge, str) or edge == "free" for _, edge in galerkin.scene.edges) / 4
+        share = math.ceil(wanted / len(bases) + (2 / len(bases) + 0.25) * math.sqrt(wanted) * loose + 5)
     parts = [_solve_up_to(galerkin, basis, share, scale, least) for basis in bases]
     sizes = [squares.size for squares, _ in parts]
     highest = min((squares[-1] for squares, _ in parts if squares.size == share), default=math.inf)
@@ -70,11 +66,6 @@ def solve_eigenproblem(
     if squares[order[0]] < -BUCKLED * scale:
         raise _buckled(galerkin.scene)
     return squares[order], vectors[:, order]
-
-
-def _freedom(scene: Scene) -> float:
-    """Return the part of the edges that are neither clamped nor supported, which add modes to those of Weyl's law."""
-    return sum(not isinstance(edge, str) or edge == "free" for _, edge in scene.edges) / 4
 
 
 def _bases(galerkin: Galerkin) -> list[Matrix]:
@@ -104,7 +95,7 @@ def _solve(galerkin: Galerkin, basis: Matrix, wanted: int, scale: float) -> tupl
     refuse_beyond_memory(8.0 * unknowns * held, f"plate.size: {unknowns} functions and {min(wanted, unknowns)} modes")
     stiffness, mass = (Matrix(basis.T @ matrix @ basis) for matrix in (galerkin.stiffness, galerkin.mass))
     try:
-        squares, vectors = _lowest(stiffness, mass, wanted, scale) if few else _all(stiffness, mass, scale)
+        squares, vectors = lowest_by_lanczos(stiffness, mass, wanted, scale) if few else _all(stiffness, mass, scale)
     except np.linalg.LinAlgError:
         raise _buckled(galerkin.scene) from None
     return squares, basis @ vectors
@@ -133,19 +124,6 @@ def _all(stiffness: Matrix, mass: Matrix, scale: float) -> tuple[np.ndarray, np.
     kept = inverse > 1e-9 * inverse[0]  # of still higher ones rounding couples the damping
     inverse, vectors = inverse[kept], vectors[:, kept]
     return 1 / inverse - scale, vectors / np.sqrt(inverse)
-
-
-def _lowest(stiffness: Matrix, mass: Matrix, wanted: int, scale: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lowest modes, by Lanczos' method with shift and inversion."""
-    shifted = scipy.sparse.csc_array(stiffness + scale * mass)
-    solve = scipy.sparse.linalg.splu(
-        shifted, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-    ).solve
-    inverse = scipy.sparse.linalg.LinearOperator(shifted.shape, matvec=solve, dtype=float)
-    start = np.random.default_rng(0).normal(size=shifted.shape[0])
-    squares, vectors = scipy.sparse.linalg.eigsh(stiffness, wanted, mass, sigma=-scale, OPinv=inverse, v0=start)
-    order = np.argsort(squares, kind="stable")
-    return squares[order], vectors[:, order]
 
 
 def bending_energies(galerkin: Galerkin, squares: np.ndarray, vectors: np.ndarray, improve: bool = True) -> np.ndarray:

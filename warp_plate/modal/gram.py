@@ -33,8 +33,6 @@ from warp_plate.plate.signals import actuator_delays
 from warp_plate.scene.grid import Window
 
 Matrix: TypeAlias = np.ndarray | scipy.sparse.csr_array
-# Free motions that change energies by less than about this part of them are left out.
-NEGLIGIBLE = 1e-6
 # Means of exponentials whose exponent changes by less than SLOW over the window are computed by series.
 SLOW = 1e-2
 # Rows of matrices between all poles that are in memory at a time: the whole ones of 7000 poles take gigabytes.
@@ -113,15 +111,8 @@ class ToneMatrices:
     """Gram matrices of the regions of a plate under tones that start from rest, with shared work for all designs.
 
     What depends on free motions alone is computed once, with those that last into the window wherever actuators are: so
-    no design depends on its neighbours.
-
-    Args:
-        plate: Modes.
-        regions: Mass matrices (modes, modes) of the regions.
-        window: Window of the energies.
-        quantity: "velocity" or "displacement".
-        trials: Modal forces (designs or 1, modes, M) and frequencies (designs, M) by which free motions are judged
-            (default: those of the scene and of its search).
+    no design depends on its neighbours. Free motions are judged by ``trials``, modal forces (designs or 1, modes, M)
+    and frequencies (designs, M), which are by default those of the scene and of its search.
     """
 
     def __init__(
@@ -138,12 +129,8 @@ class ToneMatrices:
         self._trials = trials or (trial_forces(plate)[None], trial_frequencies(plate.scene)[:, None])
 
     def matrices(self, frequency: np.ndarray, forces: np.ndarray) -> np.ndarray:
-        """Return (plates, regions, 2M, 2M) matrices of mean energies [J per (N/m²)²].
-
-        Args:
-            frequency: (plates, M) [Hz].
-            forces: (plates or 1, modes, M) modal forces of the actuators' unit pressures.
-        """
+        """Return (plates, regions, 2M, 2M) matrices for frequencies (plates, M) [Hz] and modal forces of unit pressures
+        (plates or 1, modes, M)."""
         matrices = self.motion(frequency, forces).matrices(self.regions, self.window, self._stored_forms)
         return np.broadcast_to(matrices, (max(len(frequency), len(forces)), *matrices.shape[1:]))
 
@@ -186,19 +173,12 @@ class ToneMatrices:
 
 @dataclass(frozen=True)
 class ExponentialMotion:
-    """Rates or displacements of the modes under unit phasors, Σ_j A_j exp(σ_j t) + Σ_p ψ_p c_p exp(s_p t).
+    """Rates or displacements of the modes under unit phasors, Σ_j A_j exp(σ_j t) + Σ_p ψ_p c_p exp(s_p t)."""
 
-    Attributes:
-        forced: (designs, modes, M · terms) amplitudes A.
-        rates: (designs or 1, M · terms or 1) exponents σ [1/s].
-        poles: Poles whose free motions matter.
-        free: (designs, poles, M) amplitudes c.
-    """
-
-    forced: np.ndarray
-    rates: np.ndarray
-    poles: Poles
-    free: np.ndarray
+    forced: np.ndarray  # (designs, modes, M · terms) amplitudes A
+    rates: np.ndarray  # (designs or 1, M · terms or 1) exponents σ [1/s]
+    poles: Poles  # Poles whose free motions matter
+    free: np.ndarray  # (designs, poles, M) amplitudes c
 
     def matrices(
         self,
@@ -242,25 +222,17 @@ class ExponentialMotion:
 
 
 def free_forms(
-    poles: Poles, regions: Sequence[np.ndarray], window: Window
+    poles: Poles, regions: Sequence[np.ndarray], window: Window, most: int = ROWS
 ) -> Iterator[tuple[np.ndarray, list[list[Matrix]]]]:
-    """Yield rows of ψᵀGψ and ψ̄ᵀGψ times the means of the free motions' products, for each region G.
-
-    Yields:
-        Indices (rows,) of poles, and for each region the two matrices (rows, poles).
-    """
+    """Yield indices (rows,) of poles and, for each region G, the rows of ψᵀGψ and of ψ̄ᵀGψ times the means of the free
+    motions' products, for at most so many rows at a time."""
     motions, count = [poles.observe(region) for region in regions], poles.values.size
-    for rows in np.split(np.arange(count), range(ROWS, count, ROWS)):
+    for rows in np.split(np.arange(count), range(most, count, most)):
         part = poles.part(rows)
         sides = part.values[:, None], part.values[:, None].conj()
         means = [mean_exponential(side, poles.values, window) for side in sides]
-        yield (
-            rows,
-            [
-                [as_sparse(part.project(motion, bool(side)) * mean) for side, mean in enumerate(means)]
-                for motion in motions
-            ],
-        )
+        products = [[part.project(motion, conjugate) for conjugate in (False, True)] for motion in motions]
+        yield rows, [[as_sparse(side * mean) for side, mean in zip(both, means, strict=True)] for both in products]
 
 
 def lasting_poles(
@@ -273,20 +245,12 @@ def lasting_poles(
     end: float,
     velocity: bool,
 ) -> np.ndarray:
-    """Return the indices of the poles whose free motion matters in a window, for relative errors of about NEGLIGIBLE.
+    """Return the indices of the poles whose free motion matters in a window, for relative errors of ``negligible``.
 
     Free motion that is left out has energy of its own, and cross energy with the forced motion as far as both stay in
     phase over the window. Residues of nearly coincident poles almost cancel; the remainder is bounded by the time.
-
-    Args:
-        poles: Poles.
-        gains: (..., designs or 1, poles, M) inputs of the actuators.
-        free: (designs, poles, M or 1) states z of the free motion at t = 0, or their rates sz.
-        forced: (designs, poles, M or 1, terms) states that follow the load, or their rates.
-        rates: (designs, M or 1, terms) exponents of the load [1/s].
-        window: Window, counted from t = 0.
-        end: End of the run [s].
-        velocity: True for rates.
+    The actuators have inputs (..., designs or 1, poles, M), the free motion states or rates (designs, poles, M or 1) at
+    t = 0, the forced one (designs, poles, M or 1, terms), and the load exponents (designs, M or 1, terms) [1/s].
     """
     norm, residue = poles.norms
     speed = np.abs(poles.values) if velocity else np.ones(norm.shape)
@@ -299,11 +263,11 @@ def lasting_poles(
     length, columns = Window(start=0.0, end=window.end - window.start), rates.reshape(len(rates), 1, -1)
     decays = poles.values[:, None]
     step = np.maximum(*(np.abs(mean_exponential(decays, column, length)) for column in (columns, columns.conj())))
-    weight = NEGLIGIBLE + step.max(axis=-1, keepdims=True) ** 2
+    weight = poles.negligible + step.max(axis=-1, keepdims=True) ** 2
     shares = weight * (size * left) ** 2 / np.where(total > 0, total, 1)
     shares = np.moveaxis(shares, -2, 0).reshape(poles.values.size, -1)
     order = np.argsort(shares.max(axis=1))
-    return np.sort(order[(np.cumsum(shares[order], axis=0) > NEGLIGIBLE**2).any(axis=1)])
+    return np.sort(order[(np.cumsum(shares[order], axis=0) > poles.negligible**2).any(axis=1)])
 
 
 def mean_exponential(first: np.ndarray, second: np.ndarray, window: Window) -> np.ndarray:

@@ -44,19 +44,12 @@ PLACES = 8
 
 @dataclass(frozen=True)
 class ExponentialLoads:
-    """Unit loads Σ_j weights_kj exp(rates_kj (t − start)) in an interval of time.
+    """Unit loads Σ_j weights_kj exp(rates_kj (t − start)) in an interval of time."""
 
-    Attributes:
-        start: Start of the interval [s].
-        end: End of the interval [s].
-        rates: (actuators, terms) imaginary exponents [1/s].
-        weights: (actuators, terms) complex weights, 0 for an actuator that is switched off.
-    """
-
-    start: float
-    end: float
-    rates: np.ndarray
-    weights: np.ndarray
+    start: float  # Start of the interval [s]
+    end: float  # End of the interval [s]
+    rates: np.ndarray  # (actuators, terms) imaginary exponents [1/s]
+    weights: np.ndarray  # (actuators, terms) complex weights, 0 for an actuator that is switched off
 
     def values(self, times: np.ndarray) -> np.ndarray:
         """Return (actuators, times) loads at times in the interval [s]."""
@@ -71,17 +64,12 @@ class ExponentialLoads:
 
 @dataclass(frozen=True)
 class SampledLoads:
-    """Loads in an interval of time that is divided into equal blocks.
+    """Loads in an interval of time that is divided into equal blocks."""
 
-    Attributes:
-        start: Start of the interval [s].
-        end: End of the interval [s].
-        coefficients: (rows, columns, blocks, DEGREE + 1) coefficients of the powers of the time, counted from 0 to 1 in
-            each block; one row for unit loads of the actuators, one for each mode for modal forces.
-    """
-
-    start: float
-    end: float
+    start: float  # Start of the interval [s]
+    end: float  # End of the interval [s]
+    # (rows, columns, blocks, DEGREE + 1) coefficients of the powers of the time, counted from 0 to 1 in each block; one
+    # row for unit loads of the actuators, one for each mode for modal forces
     coefficients: np.ndarray
 
     @property
@@ -116,17 +104,8 @@ def exponential_loads(scene: Scene, frequency: np.ndarray, delay: np.ndarray, en
 
 
 def sampled_loads(scene: Scene, frequency: np.ndarray, delay: np.ndarray, end: float) -> list[SampledLoads]:
-    """Return the unit loads of a sweep or file, from t = 0 to ``end`` [s].
-
-    Args:
-        scene: Scene with ``drive.chirp`` or ``drive.signal``.
-        frequency: (actuators,) frequencies at which sweeps begin [Hz].
-        delay: (actuators,) starts of the bursts [s].
-        end: End of the run [s].
-
-    Raises:
-        SceneError: The file is missing or malformed.
-    """
+    """Return the unit loads of a sweep that begins at ``frequency`` (actuators,) [Hz], or of a file, from t = 0 to
+    ``end`` [s], with bursts that begin at ``delay`` (actuators,) [s]."""
     chirp, longest, cuts = scene.drive.chirp, math.inf, []
     highest = max(float(frequency.max()), highest_frequency(scene))
     carrier: Callable[[np.ndarray], np.ndarray]
@@ -157,14 +136,8 @@ def sampled_loads(scene: Scene, frequency: np.ndarray, delay: np.ndarray, end: f
 def _envelopes(
     burst: Burst | None, delay: np.ndarray, end: float, cuts: Iterable[float] = ()
 ) -> list[ExponentialLoads]:
-    """Return the envelopes of bursts between their corners, from t = 0 to ``end`` [s].
-
-    Args:
-        burst: Burst; None for envelopes of 1.
-        delay: (actuators,) starts of the first bursts [s].
-        end: End of the run [s].
-        cuts: Further times that intervals are cut at [s].
-    """
+    """Return the envelopes of bursts, 1 if None, that begin at ``delay`` (actuators,), from t = 0 to ``end`` [s],
+    between their corners and ``cuts`` [s]."""
     corners = {0.0, end, *cuts}
     if burst is not None:
         corners.update(corner for start in delay.tolist() for corner in _corners(burst, start, end))
@@ -206,10 +179,7 @@ def _envelope(burst: Burst, delay: np.ndarray, low: float, high: float) -> Expon
 
 
 def moving_loads(plate: ModalPlate, end: float) -> list[SampledLoads]:
-    """Return the modal forces [N/√kg] of a scene's moving load, as one column, from t = 0 to ``end`` [s].
-
-    They are none if the scene has no such load.
-    """
+    """Return the modal forces [N/√kg] of a scene's moving load, if it has one, as one column from t = 0 to ``end``."""
     scene = plate.scene
     load = scene.effects.travelling
     if load is None:

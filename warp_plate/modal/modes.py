@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,7 +20,7 @@ import numpy as np
 from warp_plate.effects.effect import per_mode
 from warp_plate.modal.assemble import Galerkin, load_integrals, make_galerkin, make_space
 from warp_plate.modal.eigenproblem import bending_energies, solve_eigenproblem
-from warp_plate.modal.poles import CoupledModes, Poles, make_poles
+from warp_plate.modal.poles import NEGLIGIBLE, CoupledModes, Poles, make_poles
 from warp_plate.modal.spaces.integrals import mean_wave_frequency
 from warp_plate.modal.spaces.space import FunctionSpace
 from warp_plate.plate.signals import highest_frequency
@@ -47,23 +47,15 @@ PROPORTIONAL, ROUNDING = 1e-6, 1e-13
 
 @dataclass(frozen=True, eq=False)
 class ModalPlate:
-    """Modes of a scene's plate by rising frequency, mass-normalised.
+    """Modes of a scene's plate by rising frequency, mass-normalised."""
 
-    Attributes:
-        galerkin: Matrices that they come from.
-        frequencies: (modes,) natural frequencies of the undamped plate [Hz], 0 for rigid motions.
-        vectors: (unknowns, modes) Φ [1/√kg].
-        damping: (modes, modes) viscous damping C [1/s], 2ζω on the diagonal.
-        hysteretic: (modes, modes) imaginary part H of the stiffness [1/s²].
-        highest: Frequency up to which responses are accurate [Hz].
-    """
-
-    galerkin: Galerkin
-    frequencies: np.ndarray
-    vectors: np.ndarray
-    damping: np.ndarray
-    hysteretic: np.ndarray
-    highest: float
+    galerkin: Galerkin  # Matrices that they come from
+    frequencies: np.ndarray  # (modes,) natural frequencies of the undamped plate [Hz], 0 for rigid motions
+    vectors: np.ndarray  # (unknowns, modes) Φ [1/√kg]
+    damping: np.ndarray  # (modes, modes) viscous damping C [1/s], 2ζω on the diagonal
+    hysteretic: np.ndarray  # (modes, modes) imaginary part H of the stiffness [1/s²]
+    highest: float  # Frequency up to which responses are accurate [Hz]
+    negligible: float = NEGLIGIBLE  # Part of energies that free motions which are left out may change
 
     @property
     def scene(self) -> Scene:
@@ -111,7 +103,8 @@ class ModalPlate:
     def poles(self, longest: float) -> Poles:
         """Return the poles under viscous damping for times up to ``longest`` [s], computed once for each."""
         if longest not in self._poles:
-            self._poles[longest] = make_poles(self.angular_frequencies, self.damping, self.proportional, longest)
+            poles = make_poles(self.angular_frequencies, self.damping, self.proportional, longest)
+            self._poles[longest] = replace(poles, negligible=self.negligible)
         return self._poles[longest]
 
     @property
@@ -124,14 +117,8 @@ class ModalPlate:
     def part(self, indices: np.ndarray) -> ModalPlate:
         """Return the plate with some of its modes."""
         crossed = np.ix_(indices, indices)
-        return ModalPlate(
-            galerkin=self.galerkin,
-            frequencies=self.frequencies[indices],
-            vectors=self.vectors[:, indices],
-            damping=self.damping[crossed],
-            hysteretic=self.hysteretic[crossed],
-            highest=self.highest,
-        )
+        arrays = {"damping": self.damping[crossed], "hysteretic": self.hysteretic[crossed]}
+        return replace(self, frequencies=self.frequencies[indices], vectors=self.vectors[:, indices], **arrays)
 
     def shapes(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return (modes, ny, nx) shapes φ [1/√kg] on the grid of x and y [m]."""
@@ -160,7 +147,7 @@ class ModalPlate:
     @property
     def attached_motions(self) -> np.ndarray:
         """(modes, attached masses) motions of the masses [1/√kg]."""
-        return self.vectors[self._plate_unknowns :].T
+        return self.vectors[self.space.unknowns :].T
 
     def kinetic_matrix(self, region: str | Area | Target = "plate", within: Area | None = None) -> np.ndarray:
         """Return (modes, modes) ∫ ρH φ φ dA over a region: ½ q̇ᵀ matrix q̇ is its kinetic energy [J].
@@ -190,22 +177,11 @@ class ModalPlate:
             (frequencies, modes, loads) complex modal amplitudes q: u = Re Σ φ q exp(iωt). Infinite where an undamped
             mode is driven at its natural frequency.
         """
-        omega = 2 * math.pi * np.asarray(frequencies, dtype=float)
-        if self.coupled is not None:
-            return self.coupled.respond(omega, np.broadcast_to(forces, (len(omega), *forces.shape)))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(forces / self.dynamic_stiffness(omega)[:, :, None])
+        return self.respond_each(np.asarray(frequencies, dtype=float)[:, None], forces[None])
 
     def respond_each(self, frequency: np.ndarray, forces: np.ndarray) -> np.ndarray:
-        """Return the steady response of plates to forces at separate frequencies.
-
-        Args:
-            frequency: (plates, loads) [Hz].
-            forces: (plates or 1, modes, loads) complex modal forces.
-
-        Returns:
-            (plates, modes, loads) complex modal amplitudes, see :meth:`respond`.
-        """
+        """Return the (plates, modes, loads) steady response, see :meth:`respond`, of plates to forces (plates or 1,
+        modes, loads) at separate frequencies (plates, loads or 1) [Hz]."""
         omega = 2 * math.pi * frequency
         if self.coupled is None:
             with np.errstate(divide="ignore", invalid="ignore"):
@@ -223,12 +199,8 @@ class ModalPlate:
         return np.asarray(self.angular_frequencies**2 - turn**2 + 1j * damped)
 
     @property
-    def _plate_unknowns(self) -> int:
-        return self.space.unknowns
-
-    @property
     def _plate_vectors(self) -> np.ndarray:
-        return self.vectors[: self._plate_unknowns]
+        return self.vectors[: self.space.unknowns]
 
 
 def solve_modes(

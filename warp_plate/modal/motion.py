@@ -104,15 +104,8 @@ def modal_motion(
     velocity: bool = False,
     outputs: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return (modes or outputs, drives, times) amplitudes of the modes, or their rates.
-
-    Args:
-        plate: Modes.
-        drives: (drives, actuators) phasors Z [N/m²].
-        times: Times from 0 on, in any order [s].
-        velocity: Return rates.
-        outputs: (outputs, modes) by which amplitudes are multiplied (default: the amplitudes themselves).
-    """
+    """Return (modes, drives, times) amplitudes of the modes, or their rates, or (outputs, drives, times) products with
+    ``outputs`` (outputs, modes), at times from 0 on [s] in any order."""
     times = np.asarray(times, dtype=float)
     if plate.scene.steady:
         return _steady_motion(plate, drives, times, velocity, outputs)
@@ -134,19 +127,12 @@ def _steady_motion(
 
 @dataclass(frozen=True)
 class Excitation:
-    """Loads of a plate that begins at rest, and how they excite its poles.
+    """Loads of a plate that begins at rest, and how they excite its poles."""
 
-    Attributes:
-        poles: Poles, apart from the exponents of the loads.
-        gains: (poles, actuators) inputs of the actuators' unit pressures.
-        loads: Unit loads of the actuators in time.
-        moving: Inputs of a moving load in time; empty if there is none.
-    """
-
-    poles: Poles
-    gains: np.ndarray
-    loads: Sequence[ExponentialLoads] | Sequence[SampledLoads]
-    moving: Sequence[SampledLoads] = ()
+    poles: Poles  # Poles, apart from the exponents of the loads
+    gains: np.ndarray  # (poles, actuators) inputs of the actuators' unit pressures
+    loads: Sequence[ExponentialLoads] | Sequence[SampledLoads]  # Unit loads of the actuators in time
+    moving: Sequence[SampledLoads] = ()  # Inputs of a moving load in time; empty if there is none
 
     def motion(
         self,
@@ -156,33 +142,23 @@ class Excitation:
         outputs: np.ndarray | None = None,
         states: Iterable[tuple[np.ndarray, np.ndarray]] | None = None,
     ) -> np.ndarray:
-        """Return (modes or outputs, drives, times) at rising times [s], see :func:`modal_motion`.
-
-        ``states`` are those of :meth:`sampled_states`, where several excitations share them.
-        """
+        """Return the motion of :func:`modal_motion` at rising times [s]; ``states`` are those of
+        :meth:`sampled_states`, where several excitations share them."""
         rows = len(self.poles.vectors) if outputs is None else len(outputs)
         motion, speed = np.empty((rows, len(drives), times.size)), self.poles.values[:, None] ** int(velocity)
-        for where, amplitudes in self._driven_amplitudes(drives, times, self.gains * speed, states):
+        gains, exponential = self.gains * speed, [load for load in self.loads if isinstance(load, ExponentialLoads)]
+        driven: Iterable[tuple[np.ndarray | slice, np.ndarray]]
+        if exponential:
+            driven = self._exponential_amplitudes(exponential, drives, times, gains)
+        else:
+            states = self.sampled_states(times) if states is None else states
+            driven = ((at, self.poles.superpose((gains[:, None, :] * drives) @ some).real) for at, some in states)
+        for where, amplitudes in driven:
             motion[:, :, where] = amplitudes if outputs is None else np.tensordot(outputs, amplitudes, 1)
         for where, some in sampled_states(self.poles, self.moving, 1, times):
             amplitudes = self.poles.superpose(some * speed[:, :, None]).real
             motion[:, :, where] += amplitudes if outputs is None else np.tensordot(outputs, amplitudes, 1)
         return motion
-
-    def _driven_amplitudes(
-        self,
-        drives: np.ndarray,
-        times: np.ndarray,
-        gains: np.ndarray,
-        states: Iterable[tuple[np.ndarray, np.ndarray]] | None,
-    ) -> Iterator[tuple[np.ndarray | slice, np.ndarray]]:
-        """Yield indices of times, and amplitudes (modes, drives, times) there, or rates, by ``gains``."""
-        exponential = [load for load in self.loads if isinstance(load, ExponentialLoads)]
-        if exponential:
-            yield from self._exponential_amplitudes(exponential, drives, times, gains)
-            return
-        for where, some in self.sampled_states(times) if states is None else states:
-            yield where, self.poles.superpose((gains[:, None, :] * drives) @ some).real
 
     def sampled_states(self, times: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield indices of rising times [s], and states z (poles, actuators, times) under sampled unit inputs."""
@@ -192,6 +168,7 @@ class Excitation:
     def _exponential_amplitudes(
         self, loads: Sequence[ExponentialLoads], drives: np.ndarray, times: np.ndarray, gains: np.ndarray
     ) -> Iterator[tuple[slice, np.ndarray]]:
+        """Yield indices of times, and amplitudes (modes, drives, times) there, or rates, by ``gains``."""
         poles, count = self.poles, len(self.poles.vectors)
         pairs = poles.modes is not None and np.array_equal(poles.values[count:], poles.values[:count].conj())
         block, first = max(1, 4 * BLOCK // poles.values.size), 0
@@ -223,18 +200,10 @@ def make_excitation(
     delay: np.ndarray | None = None,
     moving: bool = True,
 ) -> Excitation:
-    """Return the excitation of a plate from t = 0 to ``end`` [s].
+    """Return the excitation of a plate from t = 0 to ``end`` [s], with the scene's moving load if it is to be added.
 
-    Args:
-        plate: Modes.
-        end: End of the run [s].
-        forces: (modes, actuators) modal forces of unit pressures (default: the scene's).
-        frequency: (actuators,) frequencies at t = 0 [Hz] (default: the scene's).
-        delay: (actuators,) starts of the bursts [s] (default: the scene's).
-        moving: Add the scene's moving load, if there is one.
-
-    Raises:
-        SceneError: The file of the drive is missing or malformed.
+    Modal forces (modes, actuators) of unit pressures, frequencies (actuators,) at t = 0 [Hz] and starts of bursts
+    (actuators,) [s] are by default the scene's.
     """
     scene, poles = plate.scene, plate.poles(end)
     forces = plate.actuator_forces() if forces is None else forces
@@ -253,11 +222,8 @@ def make_excitation(
 def exponential_states(
     poles: Poles, loads: Sequence[ExponentialLoads]
 ) -> Iterator[tuple[ExponentialLoads, np.ndarray, np.ndarray]]:
-    """Yield loads with the states z under unit inputs at the start of their intervals.
-
-    Yields:
-        A load, the states (poles, actuators, terms) a/(σ − s) that follow it as exp(σ(t − start)), and the free ones
-        (poles, actuators) that decay as exp(s(t − start)).
+    """Yield loads with the states z under unit inputs at the start of their intervals: (poles, actuators, terms)
+    a/(σ − s) that follow a load as exp(σ(t − start)), and free ones (poles, actuators) that decay as exp(s(t − start)).
     """
     state: np.ndarray | float = 0.0
     for load in loads:

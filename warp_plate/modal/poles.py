@@ -32,6 +32,8 @@ import scipy
 # Poles of one mode, and poles and exponents of a load, are kept apart by this part of one over the longest time: where
 # they meet, exponentials cancel, and the error is about as large as this.
 APART = 1e-5
+# Part of the energies that free motions which are left out may change.
+NEGLIGIBLE = 1e-6
 # Modes that damping couples in responses from rest; that of higher ones is taken as proportional.
 COUPLED = 700
 # Modes that damping couples in steady responses, before refinement: those up to REACH times the highest frequency,
@@ -57,19 +59,13 @@ SHARPEST, UNDAMPED = 1e-12, 5e-6
 
 @dataclass(frozen=True)
 class Poles:
-    """Poles and their free motions.
+    """Poles and their free motions."""
 
-    Attributes:
-        values: (poles,) s [1/s].
-        vectors: (modes, poles) free motions ψ.
-        inputs: (poles, modes) χ, by which forces excite them.
-        modes: (poles,) index of the only mode of each free motion; None if damping couples modes.
-    """
-
-    values: np.ndarray
-    vectors: np.ndarray
-    inputs: np.ndarray
-    modes: np.ndarray | None
+    values: np.ndarray  # (poles,) s [1/s]
+    vectors: np.ndarray  # (modes, poles) free motions ψ
+    inputs: np.ndarray  # (poles, modes) χ, by which forces excite them
+    modes: np.ndarray | None  # (poles,) index of the only mode of each free motion; None if damping couples modes
+    negligible: float = NEGLIGIBLE  # Free motions that change energies by less than about this part are left out
 
     @property
     def sizes(self) -> np.ndarray:
@@ -88,7 +84,8 @@ class Poles:
     def part(self, indices: np.ndarray) -> Poles:
         """Return some of the poles."""
         modes = None if self.modes is None else self.modes[indices]
-        return Poles(self.values[indices], self.vectors[:, indices], self.inputs[indices], modes)
+        values, vectors, inputs = self.values[indices], self.vectors[:, indices], self.inputs[indices]
+        return replace(self, values=values, vectors=vectors, inputs=inputs, modes=modes)
 
     def restrict(self, modes: np.ndarray) -> tuple[Poles, np.ndarray]:
         """Return the motion of some modes alone, and the indices of the poles that move them."""
@@ -158,14 +155,8 @@ class Poles:
 
 
 def make_poles(omega: np.ndarray, damping: np.ndarray, proportional: bool, longest: float) -> Poles:
-    """Return the poles of viscously damped modes, for times up to ``longest`` [s].
-
-    Args:
-        omega: (modes,) angular frequencies of the undamped modes [rad/s], rising.
-        damping: (modes, modes) C [1/s].
-        proportional: True if damping does not couple the modes.
-        longest: Longest time [s].
-    """
+    """Return the poles of modes of rising frequencies [rad/s] and viscous damping C (modes, modes) [1/s], which
+    does not couple them if ``proportional``, for times up to ``longest`` [s]."""
     least = APART / longest
     square, loss = np.maximum(omega, least) ** 2, np.diag(damping) / 2
     coupled = 0 if proportional else min(COUPLED, square.size)
@@ -190,21 +181,13 @@ def make_poles(omega: np.ndarray, damping: np.ndarray, proportional: bool, longe
 
 @dataclass(frozen=True)
 class CoupledModes:
-    """Modes that damping couples.
+    """Modes that damping couples."""
 
-    Attributes:
-        squares: (modes,) ω² of the undamped modes, rising [1/s²].
-        damping: (modes, modes) C [1/s].
-        hysteretic: (modes, modes) H [1/s²].
-        highest: Highest frequency of the responses [Hz].
-        fewest: Number of modes, from the lowest, that are coupled beforehand at least.
-    """
-
-    squares: np.ndarray
-    damping: np.ndarray
-    hysteretic: np.ndarray
-    highest: float
-    fewest: int = FEWEST
+    squares: np.ndarray  # (modes,) ω² of the undamped modes, rising [1/s²]
+    damping: np.ndarray  # (modes, modes) C [1/s]
+    hysteretic: np.ndarray  # (modes, modes) H [1/s²]
+    highest: float  # Highest frequency of the responses [Hz]
+    fewest: int = FEWEST  # Number of modes, from the lowest, that are coupled beforehand at least
 
     @property
     def resonances(self) -> tuple[np.ndarray, np.ndarray]:
@@ -260,13 +243,8 @@ class CoupledModes:
 def coupled_poles(
     stiffness: np.ndarray, damping: np.ndarray, unit: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return all poles (2 modes,), their motions (modes, 2 modes) and inputs of modes that damping couples.
-
-    Args:
-        stiffness: (modes, modes) Λ + iH [1/s²].
-        damping: (modes, modes) C [1/s].
-        unit: (modes,) sizes of the modes' frequencies, above zero [rad/s].
-    """
+    """Return all poles (2 modes,), their motions (modes, 2 modes) and inputs of modes that damping couples, from
+    Λ + iH [1/s²], C [1/s] and the sizes of the modes' frequencies (modes,), above zero [rad/s]."""
     count = unit.size
     # Unknowns ω q and q̇, which are of one size.
     system = np.block([[np.zeros_like(stiffness), np.diag(unit)], [-stiffness / unit, -damping]])
@@ -319,10 +297,8 @@ def adaptive_frequencies(centres: np.ndarray, widths: np.ndarray, low: float, hi
 
 
 def _thin_out(frequencies: np.ndarray, spacing: float, centres: np.ndarray, widths: np.ndarray) -> np.ndarray:
-    """Drop frequencies, but for the last, that are too close to the one before.
-
-    Too close is measured by the distance from the nearest pole and by the plain grid's relative ``spacing``.
-    """
+    """Drop frequencies, but for the last, that are too close to the one before, as measured by the distance from the
+    nearest pole and by the plain grid's relative ``spacing``."""
     near = 0.5 * spacing * frequencies
     for centre, width in zip(centres, widths, strict=True):
         near = np.minimum(near, CLOSE * np.hypot(frequencies - centre, width))

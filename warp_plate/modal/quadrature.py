@@ -98,13 +98,8 @@ def time_rule(excitation: Excitation, window: Window) -> tuple[np.ndarray, np.nd
 
 
 class WaveformEnergies:
-    """Energies of the regions of a plate from rest under bursts, sweeps and files, with shared work for all plates.
-
-    Args:
-        plate: Modes.
-        regions: Mass matrices (modes, modes) of the regions.
-        quantity: "velocity" or "displacement".
-    """
+    """Energies of regions, by their mass matrices, from rest under bursts, sweeps and files, with work that all plates
+    share."""
 
     def __init__(self, plate: ModalPlate, regions: Sequence[np.ndarray], quantity: str = "velocity") -> None:
         self._velocity, self._window = quantity == "velocity", plate.scene.window
@@ -113,13 +108,8 @@ class WaveformEnergies:
         self._factors = [_factor(region[np.ix_(modes, modes)]) for region in regions]
 
     def matrices(self, frequency: np.ndarray, forces: np.ndarray, delay: np.ndarray) -> np.ndarray:
-        """Return (plates, regions, 2M, 2M) matrices of mean energies [J per (N/m²)²].
-
-        Args:
-            frequency: (plates, M) [Hz].
-            forces: (plates or 1, modes, M) modal forces of the actuators' unit pressures.
-            delay: (plates, M) starts of the bursts [s].
-        """
+        """Return (plates, regions, 2M, 2M) matrices for frequencies (plates, M) [Hz], modal forces of unit pressures
+        (plates or 1, modes, M) and starts of bursts (plates, M) [s]."""
         one = np.eye(frequency.shape[1])
         drives = np.concatenate([one, -1j * one])
         return self._products(np.broadcast_to(drives, (len(frequency), *drives.shape)), frequency, forces, delay)

@@ -37,21 +37,13 @@ BLOCK_NUMBERS = 2**22
 
 @dataclass(frozen=True)
 class EnergySlopes:
-    """Energies of designs and their slopes.
+    """Energies of designs and their slopes."""
 
-    Attributes:
-        energy: (designs, regions) E [J].
-        drives: (designs, regions, 2M) ∂E/∂z, z = (Re Z, −Im Z) of the phasors Z.
-        frequency: (designs, regions, M) ∂E by the frequency of each actuator [J/Hz].
-        centre: (designs, regions, M, 2) ∂E by x and y of its centre [J/m].
-        delay: (designs, regions, M) ∂E by the start of its burst [J/s]; 0 without bursts.
-    """
-
-    energy: np.ndarray
-    drives: np.ndarray
-    frequency: np.ndarray
-    centre: np.ndarray
-    delay: np.ndarray
+    energy: np.ndarray  # (designs, regions) E [J]
+    drives: np.ndarray  # (designs, regions, 2M) ∂E/∂z, z = (Re Z, −Im Z) of the phasors Z
+    frequency: np.ndarray  # (designs, regions, M) ∂E by the frequency of each actuator [J/Hz]
+    centre: np.ndarray  # (designs, regions, M, 2) ∂E by x and y of its centre [J/m]
+    delay: np.ndarray  # (designs, regions, M) ∂E by the start of its burst [J/s]; 0 without bursts
 
 
 def energy_slopes(
@@ -206,13 +198,8 @@ class _Motion:
     ) -> np.ndarray:
         """Return (3, designs, regions, poles, K) ⟨Re vᵀ G ∂v⟩ of unit inputs, by the drive, frequency and delay.
 
-        Args:
-            poles: Poles.
-            lasting: Indices of those whose free motion matters.
-            regions: Matrices G (modes, modes).
-            pushed: (designs, modes, K) modal forces times phasors.
-            inputs: (designs, poles, K) the same, as inputs of the poles.
-            part: Window of the mean, counted from the start of the interval.
+        ``lasting`` are the poles whose free motion matters, ``pushed`` (designs, modes, K) modal forces times phasors,
+        ``inputs`` (designs, poles, K) the same for the poles; the window counts from the start of the interval.
         """
         designs, count, _, terms = self.forced.shape[1:]
         rates, states = self.rates.reshape(designs, -1), self.forced[0].reshape(designs, count, -1)

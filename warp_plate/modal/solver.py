@@ -143,7 +143,7 @@ class ModalSolver:
     @property
     def effects(self) -> tuple[str, ...]:
         """Names of the scene's effects."""
-        return tuple(name.replace("_", " ") for name, table in self.scene.effects if table)
+        return tuple(name.replace("_", " ") for name in self.scene.effects.names)
 
     def describe_path(self, traced: bool = False) -> str:
         """Return the name and the number of the modes."""

@@ -32,39 +32,25 @@ DENSE = 400
 
 @dataclass(frozen=True)
 class Bending:
-    """Fields of the plate on its grid.
+    """Fields of the plate on its grid."""
 
-    Attributes:
-        spacing: (hx, hy) [m].
-        bend_xx, bend_xy, bend_yy: (ny, nx) Cxx, Cxy and Cyy above [N·m].
-        twist: (ny − 1, nx − 1) 4Dxy of the cells [N·m].
-        mass: (ny, nx) mass per area [kg/m²].
-        weight: (ny, nx) share of each node's cell on the plate: 1, ½ or ¼.
-        moves: (ny, nx) true for nodes that move.
-        stretch: Membrane stiffness of the whole plate along x and y [N/m], see ``section``.
-        springs: (ny, nx) springs per area [N/m³], by what they belong to.
-        membrane: In-plane force along x and y [N/m], positive where it pulls.
-        retardation: Retardation time of the bending moments [s].
-        attachments: Masses, springs and dampers on patches.
-        shares: (attachments, ny, nx) shares of the nodes in the mean displacement of each patch.
-        labels: Names of ``membrane`` and ``retardation`` in texts.
-    """
-
-    spacing: tuple[float, float]
-    bend_xx: np.ndarray
-    bend_xy: np.ndarray
-    bend_yy: np.ndarray
-    twist: np.ndarray
-    mass: np.ndarray
-    weight: np.ndarray
-    moves: np.ndarray
-    stretch: tuple[float, float]
+    spacing: tuple[float, float]  # (hx, hy) [m]
+    bend_xx: np.ndarray  # (ny, nx) Cxx above [N·m]
+    bend_xy: np.ndarray  # (ny, nx) Cxy above [N·m]
+    bend_yy: np.ndarray  # (ny, nx) Cyy above [N·m]
+    twist: np.ndarray  # (ny − 1, nx − 1) 4Dxy of the cells [N·m]
+    mass: np.ndarray  # (ny, nx) mass per area [kg/m²]
+    weight: np.ndarray  # (ny, nx) share of each node's cell on the plate: 1, ½ or ¼
+    moves: np.ndarray  # (ny, nx) true for nodes that move
+    stretch: tuple[float, float]  # Membrane stiffness of the whole plate along x and y [N/m], see ``section``
+    # (ny, nx) springs per area [N/m³], by what they belong to
     springs: Mapping[str, np.ndarray] = field(default_factory=dict)
-    membrane: tuple[float, float] = (0.0, 0.0)
-    retardation: float = 0.0
-    attachments: Sequence[Attachment] = ()
+    membrane: tuple[float, float] = (0.0, 0.0)  # In-plane force along x and y [N/m], positive where it pulls
+    retardation: float = 0.0  # Retardation time of the bending moments [s]
+    attachments: Sequence[Attachment] = ()  # Masses, springs and dampers on patches
+    # (attachments, ny, nx) shares of the nodes in the mean displacement of each patch
     shares: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 0)))
-    labels: Mapping[str, str] = field(default_factory=dict)
+    labels: Mapping[str, str] = field(default_factory=dict)  # Names of ``membrane`` and ``retardation`` in texts
 
     @property
     def spring(self) -> np.ndarray:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.plate.signals import actuator_delays, actuator_frequencies, waves_apart
+from warp_plate.plate.signals import actuator_delays, actuator_frequencies, plate_harmonic, waves_apart
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import SMALLEST, Area
 from warp_plate.scene.model import Scene
@@ -132,7 +132,7 @@ def check_designs(designs: Designs, scene: Scene, per_plate: PerPlate, time_step
         if scene.drive.burst is not None:
             given.setdefault("delay", np.broadcast_to(actuator_delays(scene), shape))
         carriers, end = carriers_of(scene, per_plate), scene.window.end
-        most = 0.5 / time_step / (1 if scene.drive.electrostatic is None else 2)
+        most = 0.5 / time_step / plate_harmonic(scene)
         for name, above, limit, right in (
             ("frequency", np.greater, most, f"0 ... {most:.6g} Hz"),
             ("delay", np.greater_equal, end, f"0 ... {end:g} s"),

@@ -39,21 +39,14 @@ PRODUCT, ABOVE = 0.8, 0.03
 
 @dataclass(frozen=True, eq=False)
 class NaturalModes:
-    """The lowest modes of a scene's plate or of its grid, by rising frequency.
+    """The lowest modes of a scene's plate or of its grid, by rising frequency."""
 
-    Attributes:
-        frequencies: (count,) [Hz], 0 for rigid motions.
-        shapes: (count, ny, nx) displacements, edges included, the largest being 1.
-        oscillators: (count, oscillators) motion of the oscillators' masses in the same unit; NaN without a mass.
-        time_step: Time step of the scene [s]; NaN without a grid.
-        loss_factors: (count,) loss factors, twice the damping ratios; None for those of a grid.
-    """
-
-    frequencies: np.ndarray
-    shapes: np.ndarray
+    frequencies: np.ndarray  # (count,) [Hz], 0 for rigid motions
+    shapes: np.ndarray  # (count, ny, nx) displacements, edges included, the largest being 1
+    # (count, oscillators) motion of the oscillators' masses in the same unit; NaN without a mass
     oscillators: np.ndarray
-    time_step: float = math.nan
-    loss_factors: np.ndarray | None = None
+    time_step: float = math.nan  # Time step of the scene [s]; NaN without a grid
+    loss_factors: np.ndarray | None = None  # (count,) loss factors, twice the damping ratios; None for those of a grid
 
     @property
     def stepped(self) -> np.ndarray:
@@ -127,15 +120,25 @@ def _lowest(operator: scipy.sparse.csc_array, count: int, scale: float) -> tuple
     if unknowns <= max(DENSE, 3 * (count + SPARE)):
         values, vectors = scipy.linalg.eigh(operator.toarray())
         return values[: count + SPARE], vectors[:, : count + SPARE]
-    # A negative shift makes the singular matrix of a free plate solvable.
-    shifted = scipy.sparse.csc_array(operator + scale * scipy.sparse.eye_array(unknowns))
+    return lowest_by_lanczos(operator, None, count + SPARE, scale)
+
+
+def lowest_by_lanczos(
+    stiffness: scipy.sparse.sparray, mass: scipy.sparse.sparray | None, count: int, scale: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lowest (count,) eigenvalues, rising, and vectors (unknowns, count) of Kφ = λMφ; no M is the identity.
+
+    The negative shift, of the size of the lowest, makes the singular matrix of a free plate solvable.
+    """
+    identity = scipy.sparse.eye_array(stiffness.shape[0])
+    shifted = scipy.sparse.csc_array(stiffness + scale * (identity if mass is None else mass))
     solve = scipy.sparse.linalg.splu(
         shifted, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
     ).solve
-    inverse = scipy.sparse.linalg.LinearOperator(operator.shape, matvec=solve, dtype=float)
+    inverse = scipy.sparse.linalg.LinearOperator(shifted.shape, matvec=solve, dtype=float)
     # Started from a vector without symmetry, which finds modes of every symmetry.
-    start = np.random.default_rng(0).normal(size=unknowns)
-    values, vectors = scipy.sparse.linalg.eigsh(operator, count + SPARE, sigma=-scale, OPinv=inverse, v0=start)
+    start = np.random.default_rng(0).normal(size=shifted.shape[0])
+    values, vectors = scipy.sparse.linalg.eigsh(stiffness, count, mass, sigma=-scale, OPinv=inverse, v0=start)
     order = np.argsort(values, kind="stable")
     return values[order], vectors[:, order]
 

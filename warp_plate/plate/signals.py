@@ -182,15 +182,15 @@ def running_sums(wave: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return sums / size[..., None, :], size
 
 
-def _square(scene: Scene) -> int:
-    """Return the factor by which the drive multiplies the frequencies of a voltage."""
+def plate_harmonic(scene: Scene) -> int:
+    """Return the plate's highest frequency as a multiple of the voltage's: its square has twice the frequency."""
     return 1 if scene.drive.electrostatic is None else 2
 
 
 def _named_frequencies(scene: Scene) -> Iterator[tuple[str, float, int]]:
     """Yield key, frequency [Hz] and the drive's factor of every tone, end of a sweep and moving load."""
     frequencies = [actuator.frequency for actuator in scene.actuators]
-    load, square = scene.effects.travelling, _square(scene)
+    load, square = scene.effects.travelling, plate_harmonic(scene)
     if None in frequencies:
         yield "drive.frequency", scene.drive.frequency, square
     for index, frequency in enumerate(frequencies):
@@ -215,7 +215,7 @@ def _shared_carriers(scene: Scene, time_step: float, steps: int, folder: Path | 
     frequencies, starts, file = actuator_frequencies(scene), actuator_delays(scene), None
     if (signal := scene.drive.signal) is not None:
         # Squaring doubles the band of a file, so only half of it may be filled.
-        file = resample(read_samples(signal, folder, starts.size), time_step, steps, 1 / _square(scene))
+        file = resample(read_samples(signal, folder, starts.size), time_step, steps, 1 / plate_harmonic(scene))
         if signal.per_actuator:
             shaped = [_envelope(scene, time_step, steps, start) for start in starts.tolist()]
             channels = enumerate(zip(file, np.eye(starts.size), shaped, strict=True), 1)

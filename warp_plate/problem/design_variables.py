@@ -18,9 +18,9 @@ import numpy as np
 from warp_plate.modal.solver import trace_step
 from warp_plate.plate.designs import per_plate_of
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.plate.signals import actuator_delays, actuator_frequencies
+from warp_plate.plate.signals import actuator_delays, actuator_frequencies, plate_harmonic
 from warp_plate.quantities.region_quantities import REGION_QUANTITIES
-from warp_plate.resolve import at_highest_frequency, plate_harmonic
+from warp_plate.resolve import at_highest_frequency
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import FreeDelay, FreeFrequency, FreeMagnitude, FreePhase, FreePosition, Search

@@ -57,24 +57,9 @@ class Quantity:
         return self.grows_with != "energy"
 
 
-def energy_of_plate(energy: np.ndarray, sizes: RegionSizes) -> np.ndarray:
-    """Return the energy (plates,) of the plate."""
-    return energy[:, PLATE]
-
-
-def energy_of_target(energy: np.ndarray, sizes: RegionSizes) -> np.ndarray:
-    """Return the energy (plates,) of the target."""
-    return energy[:, TARGET]
-
-
 def mean_square(energy: np.ndarray, mass: np.ndarray | float) -> np.ndarray:
     """Return the mean square velocity or displacement of regions of these energies and masses."""
     return np.asarray(2 * energy / mass)
-
-
-def mean_square_of_plate(energy: np.ndarray, sizes: RegionSizes) -> np.ndarray:
-    """Return the mean square (plates,) of the velocity or displacement of the plate."""
-    return mean_square(energy[:, PLATE], sizes.masses.sum())
 
 
 def contrast(energy: np.ndarray, sizes: RegionSizes) -> np.ndarray:
@@ -123,8 +108,18 @@ _LIST = (
     Quantity("velocity", "m/s", "velocity of the target", rms_of_target, "velocity", "energy", rms_of_rest),
     Quantity("displacement", "m", "displacement of the target", rms_of_target, "displacement", "energy", rms_of_rest),
     Quantity("uniformity", "1", "uniformity of the target", uniformity, grows_with=None),
-    Quantity("energy_plate", "J", "kinetic energy of the plate", energy_of_plate, grows_with="energy"),
-    Quantity("energy_target", "J", "kinetic energy of the target", energy_of_target, grows_with="energy"),
-    Quantity("mean_square_velocity", "m^2/s^2", "mean square velocity", mean_square_of_plate, grows_with="energy"),
+    Quantity(
+        "energy_plate", "J", "kinetic energy of the plate", lambda energy, _: energy[:, PLATE], grows_with="energy"
+    ),
+    Quantity(
+        "energy_target", "J", "kinetic energy of the target", lambda energy, _: energy[:, TARGET], grows_with="energy"
+    ),
+    Quantity(
+        "mean_square_velocity",
+        "m^2/s^2",
+        "mean square velocity",
+        lambda energy, sizes: mean_square(energy[:, PLATE], sizes.masses.sum()),
+        grows_with="energy",
+    ),
 )
 REGION_QUANTITIES = {quantity.name: quantity for quantity in _LIST}

@@ -91,14 +91,8 @@ def _over_chords(scene: Scene, along: tuple[Splines, Splines], target: Target, w
 def _disc_chords(
     disc: tuple[float, float, float], places: np.ndarray, breaks: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray, list[tuple[float, float]]]:
-    """Return ordinates [m], weights and ends [m] of the chords of a disc.
-
-    Args:
-        disc: Centre x, y and radius [m].
-        places: Positions along x where the integrals over chords are not smooth in the chords' ends [m].
-        breaks: Positions along y where they are not smooth in the ordinate [m].
-        count: Number of Gauss's points between two breaks.
-    """
+    """Return ordinates [m], weights and ends [m] of the chords of a disc x, y, radius [m], by ``count`` Gauss points
+    between places along x at which integrals are not smooth in the chords' ends, and breaks along y [m]."""
     x, y, radius = disc
     half = np.abs(places - x) / radius
     ends = np.arccos(half[half < 1])

@@ -29,17 +29,11 @@ Pairs: TypeAlias = "tuple[np.ndarray, np.ndarray]"
 
 @dataclass(frozen=True, eq=False)
 class Splines:
-    """The splines of one direction; :func:`make_splines` returns the same object for the same arguments.
+    """The splines of one direction; :func:`make_splines` returns the same object for the same arguments."""
 
-    Attributes:
-        knots: (knots,) positions with repetitions [m], those of the ends ``degree + 1`` times.
-        degree: Degree of the polynomials between knots.
-        left_out: Number of splines left out at the low and the high end.
-    """
-
-    knots: np.ndarray
-    degree: int
-    left_out: tuple[int, int]
+    knots: np.ndarray  # (knots,) positions with repetitions [m], those of the ends ``degree + 1`` times
+    degree: int  # Degree of the polynomials between knots
+    left_out: tuple[int, int]  # Number of splines left out at the low and the high end
 
     @property
     def functions(self) -> int:

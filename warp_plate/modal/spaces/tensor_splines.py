@@ -164,15 +164,7 @@ class TensorSplines:
         return np.asarray(products.reshape(len(areas), -1))
 
     def region_matrix(self, region: Area | Target, within: Area | None = None) -> Matrix:
-        """Return the mass matrix [kg] of a region of the plate.
-
-        Args:
-            region: Rectangle x0, x1, y0, y1 [m], or target.
-            within: Rectangle outside which the region does not count (default: none).
-
-        Raises:
-            SceneError: The file of a mask cannot be read.
-        """
+        """Return the mass matrix [kg] of a rectangle or target, or of its part in the rectangle ``within``."""
         return self.scatter(region_values(self.scene, self.along, region, within))
 
     def parity_bases(self) -> list[Matrix]:
