@@ -71,19 +71,12 @@ def fit(scene: SceneSource, data: str | Path | Sequence[str | Path]) -> ModeFit 
 
 @dataclass(frozen=True, eq=False)
 class ModeFit(FittedPanel):
-    """A scene fitted to measured modes.
+    """A scene fitted to measured modes."""
 
-    Attributes:
-        measured: What was measured.
-        numbers: (n,) number of the mode that each frequency was paired with, from 1.
-        frequencies: (n,) fitted natural frequencies [Hz].
-        damping: (n,) fitted damping ratios ζ.
-    """
-
-    measured: MeasuredModes
-    numbers: np.ndarray
-    frequencies: np.ndarray
-    damping: np.ndarray
+    measured: MeasuredModes  # what was measured
+    numbers: np.ndarray  # (n,) number of the mode that each frequency was paired with, from 1
+    frequencies: np.ndarray  # (n,) fitted natural frequencies [Hz]
+    damping: np.ndarray  # (n,) fitted damping ratios ζ
 
     @property
     def errors(self) -> np.ndarray:
@@ -208,15 +201,10 @@ def _paired_modes(scene: Scene, measured: MeasuredModes, pairing: str) -> np.nda
 
 @dataclass(frozen=True, eq=False)
 class ResponseFit(FittedPanel):
-    """A scene fitted to measured frequency responses.
+    """A scene fitted to measured frequency responses."""
 
-    Attributes:
-        measured: What was measured.
-        responses: (measurements, n) fitted responses.
-    """
-
-    measured: MeasuredResponses
-    responses: np.ndarray
+    measured: MeasuredResponses  # what was measured
+    responses: np.ndarray  # (measurements, n) fitted responses
 
     @property
     def errors(self) -> np.ndarray:

@@ -114,33 +114,21 @@ def free_numbers(scene: Scene) -> FreeNumbers:
 
 @dataclass(frozen=True, eq=False)
 class FittedPanel:
-    """A scene with fitted numbers.
+    """A scene with fitted numbers."""
 
-    Attributes:
-        scene: The scene with the fitted numbers.
-        keys: (p,) keys of the free numbers.
-        values: (p,) fitted values.
-        low: (p,) lower ends of the 95 % intervals, NaN if not identifiable.
-        high: (p,) upper ends.
-        at_limit: (p,) True where a value is an end of its range.
-        correlations: (p, p) correlations of values, or of their logarithms where ranges are above 0; else NaN.
-        inseparable: Groups of keys that these data cannot distinguish; a group of one key has no influence on the data.
-        mirrored: Groups of keys of opposite edges whose numbers may change places without a change of the data.
-        evaluations: Number of plates that were computed.
-        bootstrap: (2, p) ends of the 95 % intervals by the bootstrap; None if it was not asked for.
-    """
-
-    scene: Scene
-    keys: tuple[str, ...]
-    values: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    at_limit: np.ndarray
-    correlations: np.ndarray
+    scene: Scene  # the scene with the fitted numbers
+    keys: tuple[str, ...]  # (p,) keys of the free numbers
+    values: np.ndarray  # (p,) fitted values
+    low: np.ndarray  # (p,) lower ends of the 95 % intervals, NaN if not identifiable
+    high: np.ndarray  # (p,) upper ends
+    at_limit: np.ndarray  # (p,) True where a value is an end of its range
+    correlations: np.ndarray  # (p, p) correlations of values, or of their logarithms where ranges are above 0; else NaN
+    # groups of keys that these data cannot distinguish; a group of one key has no influence on the data
     inseparable: tuple[tuple[str, ...], ...]
+    # groups of keys of opposite edges whose numbers may change places without a change of the data
     mirrored: tuple[tuple[str, ...], ...]
-    evaluations: int
-    bootstrap: np.ndarray | None
+    evaluations: int  # number of plates that were computed
+    bootstrap: np.ndarray | None  # (2, p) ends of the 95 % intervals by the bootstrap; None if it was not asked for
 
 
 F = TypeVar("F", bound=FittedPanel)

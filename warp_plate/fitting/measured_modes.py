@@ -36,23 +36,16 @@ Cells = list[tuple[int, str]]
 
 @dataclass(frozen=True, eq=False)
 class MeasuredModes:
-    """Natural frequencies of a panel.
+    """Natural frequencies of a panel."""
 
-    Attributes:
-        source: File that they come from.
-        frequencies: (n,) [Hz]; rising, unless there are numbers.
-        damping: (n,) damping ratios ζ, NaN where none was measured.
-        numbers: (n,) numbers of the modes, from 1 for the lowest that is no rigid motion; None if not known.
-        shapes: (n, points) displacements normal to the panel, of any size and phase; None if not known.
-        points: (points, 2) x, y of the points of the shapes [m]; None if not known.
-    """
-
-    source: str
-    frequencies: np.ndarray
-    damping: np.ndarray
+    source: str  # file that they come from
+    frequencies: np.ndarray  # (n,) [Hz]; rising, unless there are numbers
+    damping: np.ndarray  # (n,) damping ratios ζ, NaN where none was measured
+    # (n,) numbers of the modes, from 1 for the lowest that is no rigid motion; None if not known
     numbers: np.ndarray | None = None
+    # (n, points) displacements normal to the panel, of any size and phase; None if not known
     shapes: np.ndarray | None = None
-    points: np.ndarray | None = None
+    points: np.ndarray | None = None  # (points, 2) x, y of the points of the shapes [m]; None if not known
 
 
 def read_modes(path: Path) -> MeasuredModes:

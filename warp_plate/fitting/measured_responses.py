@@ -35,34 +35,23 @@ Columns = tuple[np.ndarray, np.ndarray | None]
 
 @dataclass(frozen=True, eq=False)
 class MeasuredResponses:
-    """Frequency responses of a panel, in the order of ``[[measurement]]``.
+    """Frequency responses of a panel, in the order of ``[[measurement]]``."""
 
-    Attributes:
-        source: Files that they come from.
-        frequencies: (n,) [Hz], rising, above 0.
-        responses: (measurements, n) complex responses, for motion that varies as exp(iωt).
-        coherence: (measurements, n) coherence γ², NaN for responses without; None if there is none at all.
-    """
-
-    source: str
-    frequencies: np.ndarray
-    responses: np.ndarray
+    source: str  # files that they come from
+    frequencies: np.ndarray  # (n,) [Hz], rising, above 0
+    responses: np.ndarray  # (measurements, n) complex responses, for motion that varies as exp(iωt)
+    # (measurements, n) coherence γ², NaN for responses without; None if there is none at all
     coherence: np.ndarray | None = None
 
 
 def read_responses(paths: Path | Sequence[Path], count: int, fit: Fit | None = None) -> MeasuredResponses:
-    """Return ``count`` responses of a file, or of several files with as many each; a line at 0 Hz is left out.
+    """Return ``count`` responses of files with as many each, in the range of ``fit``; a line at 0 Hz is left out.
 
     A CSV file has the columns frequency [Hz], real and imaginary part of the first response, those of the second and so
     on; further columns are skipped, and names in the first line do not matter. A universal file (.uff, .unv) has a
     dataset 58 for each response, all at the same frequencies. MAT files (.mat) and HDF5 files (.h5, .hdf5, .nc) have
     the arrays ``frequency`` and ``response``, or ``real`` and ``imaginary``, and maybe ``coherence``. WAV files have
     time signals, and so have CSV files where there is ``fit.signals``.
-
-    Args:
-        paths: Files.
-        count: Number of responses.
-        fit: Range of frequencies that count, and how signals are read (default: all frequencies).
 
     Raises:
         SceneError: A file cannot be read, or holds no such responses.
@@ -181,16 +170,8 @@ def read_signals(path: Path) -> tuple[np.ndarray, float]:
     return values, rate
 
 
-def estimate_responses(values: np.ndarray, rate: float, table: TimeSignals) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return (1 + sensors, n) frequencies [Hz] and responses, and their (sensors, n) coherence.
-
-    Args:
-        values: (channels, samples) signals.
-        rate: Samples per second.
-        table: Which channel is the force, and how its responses are estimated.
-
-    Returns:
-        Frequencies and responses; the coherence, or None if there is a single segment.
+def estimate_responses(values: np.ndarray, rate: float, table: TimeSignals) -> Columns:
+    """Return responses estimated from signals (channels, samples); their coherence is None of a single segment.
 
     Raises:
         ValueError: A segment is longer than the signals or shorter than two samples, or there is no such channel.

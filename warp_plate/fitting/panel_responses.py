@@ -38,11 +38,7 @@ BLOCK, MOST_MODES = 256, 200
 
 
 class PanelResponses:
-    """Responses of a panel in the order of its tables ``[[measurement]]``.
-
-    Attributes:
-        values: (measurements, n) responses.
-    """
+    """Responses of a panel in the order of its tables ``[[measurement]]``: ``values`` (measurements, n)."""
 
     def __init__(self, scene: Scene, measured: MeasuredResponses, coarse: bool = False) -> None:
         """Compute the responses at the frequencies of measured ones; ``coarse`` plates have few functions and modes.
@@ -50,27 +46,17 @@ class PanelResponses:
         Raises:
             SceneError: The panel has no damping or too many modes, or an edge holds it where it is driven or sensed.
         """
-        frequencies = measured.frequencies
+        frequencies, density = measured.frequencies, DENSITY if coarse else 1.0
         key = f"{measured.source}: highest frequency {frequencies[-1]:g} Hz, which fit.range can lower"
         plate = solve_modes(
-            linear_part(scene),
-            frequencies[-1],
-            density=DENSITY if coarse else 1.0,
-            improve=not coarse,
-            most=MOST_MODES,
-            key=key,
+            linear_part(scene), frequencies[-1], density=density, improve=not coarse, most=MOST_MODES, key=key
         )
         if not plate.loss_factors.any():
             raise undamped_error()
         self._plate, self._omega, self._measured, self._coarse = plate, 2 * np.pi * frequencies, measured, coarse
-        reached = int((plate.frequencies <= REACH * frequencies[-1]).sum())
-        self._modes = CoupledModes(
-            plate.angular_frequencies**2,
-            plate.damping,
-            plate.hysteretic,
-            frequencies[-1],
-            reached + (FURTHER if coarse else FURTHER_OF_FULL),
-        )
+        coupled = int((plate.frequencies <= REACH * frequencies[-1]).sum()) + (FURTHER if coarse else FURTHER_OF_FULL)
+        squares = plate.angular_frequencies**2
+        self._modes = CoupledModes(squares, plate.damping, plate.hysteretic, frequencies[-1], coupled)
         self._loads = _Loads(plate.galerkin, self._omega)
         self.values = np.concatenate([self._respond(part) for part in self._parts], axis=1)
         for row in np.flatnonzero(~self.values.any(axis=1))[:1].tolist():
@@ -79,12 +65,7 @@ class PanelResponses:
             )
 
     def slopes(self, changes: Sequence[tuple[Scene, Scene | None, float]]) -> np.ndarray:
-        """Return (changes, measurements, n) derivatives of the responses.
-
-        Args:
-            changes: Scenes with a larger and a smaller value of a number, None for that of this panel, and the factor
-                of the difference.
-        """
+        """Return (changes, measurements, n) derivatives of the responses, see ``FreeNumbers.neighbours``."""
         derivatives = [self._difference(*change) for change in changes]
         blocks = []
         for part in self._parts:
@@ -163,13 +144,8 @@ class PanelResponses:
 
 
 class _Loads:
-    """Forces and sensors of the tables ``[[measurement]]`` in splines.
-
-    Attributes:
-        forces: (unknowns, forces) of 1 N each, evenly over an actuator or at a point; without repetitions.
-        sensors: (unknowns, measurements) displacements at the sensors.
-        gains: (measurements, n) factors of displacements.
-    """
+    """Forces (unknowns, forces) of 1 N each, without repetitions, and sensors (unknowns, measurements) of the tables
+    ``[[measurement]]`` in splines, and gains (measurements, n) of displacements."""
 
     def __init__(self, galerkin: Galerkin, omega: np.ndarray) -> None:
         rows, scene = galerkin.scene.measurement, galerkin.scene

@@ -37,32 +37,20 @@ NORMAL, RANDOM = 1.96, 100
 
 @dataclass(frozen=True, eq=False)
 class MeasurementPlan:
-    """Places of sensors, and the expected intervals of a fit to their measurements.
+    """Places of sensors, and the expected intervals of a fit to their measurements."""
 
-    Attributes:
-        scene: The scene with a table ``[[measurement]]`` for each sensor.
-        actuator: Name of the actuator to drive.
-        points: (sensors, 2) x, y of the sensors [m], the most informative first.
-        frequencies: (n,) frequencies [Hz] of the plan.
-        keys: (p,) keys of the free numbers.
-        values: (p,) their values in the scene.
-        low: (p,) lower ends of the 95 % intervals that are expected; those of the range if nothing is learnt.
-        high: (p,) upper ends.
-        random: How many times as wide the intervals would be with sensors at random places and the same actuator: the
-            geometric mean over the free numbers, the median over sets of places.
-        actuators: Factor on the widths with each other actuator and its best places, by name.
-    """
-
-    scene: Scene
-    actuator: str
-    points: np.ndarray
-    frequencies: np.ndarray
-    keys: tuple[str, ...]
-    values: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
+    scene: Scene  # the scene with a table ``[[measurement]]`` for each sensor
+    actuator: str  # name of the actuator to drive
+    points: np.ndarray  # (sensors, 2) x, y of the sensors [m], the most informative first
+    frequencies: np.ndarray  # (n,) frequencies [Hz] of the plan
+    keys: tuple[str, ...]  # (p,) keys of the free numbers
+    values: np.ndarray  # (p,) their values in the scene
+    low: np.ndarray  # (p,) lower ends of the 95 % intervals that are expected; those of the range if nothing is learnt
+    high: np.ndarray  # (p,) upper ends
+    # how many times as wide the intervals would be with sensors at random places and the same actuator: the geometric
+    # mean over the free numbers, the median over sets of places
     random: float
-    actuators: dict[str, float]
+    actuators: dict[str, float]  # factor on the widths with each other actuator and its best places, by name
 
 
 def plan_measurement(

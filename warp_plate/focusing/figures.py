@@ -26,17 +26,12 @@ ATTAINED = 1e-9
 
 @dataclass(frozen=True)
 class Figures:
-    """Figures of merit of the motion of the foci.
+    """Figures of merit of the motion of the foci."""
 
-    Attributes:
-        peak: (foci,) motion of each focus at its moment.
-        crosstalk_db: (foci,) largest motion of the other foci over a focus's peak [dB]; −∞ if there is one focus.
-        misfit: (foci,) relative differences of motion from the nearest multiple of what is wished.
-    """
-
-    peak: np.ndarray
+    peak: np.ndarray  # (foci,) motion of each focus at its moment
+    # (foci,) largest motion of the other foci over a focus's peak [dB]; −∞ if there is one focus
     crosstalk_db: np.ndarray
-    misfit: np.ndarray
+    misfit: np.ndarray  # (foci,) relative differences of motion from the nearest multiple of what is wished
 
     @staticmethod
     def measure(motion: np.ndarray, wish: Wish) -> Figures:
@@ -92,16 +87,10 @@ def _field(plate: ModalPlate, amplitudes: np.ndarray) -> np.ndarray:
 def measure_focus(
     field: np.ndarray, size: tuple[float, float], point: tuple[float, float], peak: float
 ) -> tuple[float, float]:
-    """Return the area of the focus [m²], and its contrast [dB].
+    """Return the area of the focus [m²], and its contrast [dB], of a field (ny, nx) in the middles of equal cells.
 
     The focus is the part of the plate around the point that moves at least half as far as the point does; its contrast
     is that of the point's motion to the root mean square over the rest of the plate.
-
-    Args:
-        field: (ny, nx) field in the middles of equal cells.
-        size: Sides of the plate [m].
-        point: The focus x, y [m].
-        peak: Motion of the point.
     """
     i, j = (
         min(int(at / side * count), count - 1) for at, side, count in zip(point, size, field.shape[::-1], strict=True)

@@ -29,12 +29,8 @@ RESIDUAL, STEPS = 1e-3, 1000
 
 
 class Convolution:
-    """The map u = A w from waveforms (sets, actuators, played) to motion (sets, foci, samples).
-
-    Args:
-        h: (actuators, foci, samples) responses, h[..., l] that at sample l + 1 to a sample at 0.
-        played: Number of samples of the waveforms, which may end before the motion.
-    """
+    """The map u = A w from waveforms (sets, actuators, played) to motion (sets, foci, samples) by responses h
+    (actuators, foci, samples), h[..., l] that at sample l + 1 to a sample at 0; waveforms may end before the motion."""
 
     def __init__(self, h: np.ndarray, played: int) -> None:
         self.actuators, _, self.samples = h.shape
@@ -51,11 +47,7 @@ class Convolution:
         return self.invert(self.transform(motion) @ self._spectra.conj().mT)[..., : self.played]
 
     def gram(self, by_actuators: bool = False) -> np.ndarray:
-        """Return (frequencies, foci, foci) products of the responses' spectra, A Aᵀ without its ends.
-
-        Args:
-            by_actuators: Return those of Aᵀ A, (frequencies, actuators, actuators).
-        """
+        """Return products of the responses' spectra, A Aᵀ (frequencies, foci, foci) without its ends, or Aᵀ A."""
         if by_actuators:
             return self._spectra @ self._spectra.conj().mT
         return self._spectra.conj().mT @ self._spectra
@@ -71,17 +63,11 @@ class Convolution:
 
 @dataclass(frozen=True)
 class Gains:
-    """Correlation of the motion of each focus with its wish.
+    """Correlation of the motion of each focus with its wish."""
 
-    Attributes:
-        values: (foci, actuators, samples) g, whose products with the waveforms are those of motion and wish.
-        optimum: (foci, actuators, samples) waveforms of largest g·w within the limits.
-        bound: (foci,) upper bounds of g·w of all waveforms within the limits.
-    """
-
-    values: np.ndarray
-    optimum: np.ndarray
-    bound: np.ndarray
+    values: np.ndarray  # (foci, actuators, samples) g, whose products with the waveforms are those of motion and wish
+    optimum: np.ndarray  # (foci, actuators, samples) waveforms of largest g·w within the limits
+    bound: np.ndarray  # (foci,) upper bounds of g·w of all waveforms within the limits
 
     def gap(self, waveforms: np.ndarray) -> np.ndarray:
         """Return the parts (foci,) of the bounds that waveforms lack; 0 at a focus that nothing moves."""
@@ -110,9 +96,7 @@ def make_waveforms(h: np.ndarray, table: Focus, wish: Wish, gains: Gains) -> dic
 def least_squares(h: np.ndarray, wish: Wish) -> tuple[Convolution, np.ndarray]:
     """Return A and d of the least squares |A w − d|² that inverse filters minimise, the mean of several panels.
 
-    Args:
-        h: (actuators, panels · foci, recorded) responses, the foci of each panel after those of the one before.
-        wish: Wished motion.
+    Responses h (actuators, panels · foci, recorded) have the foci of each panel after those of the one before.
     """
     panels = h.shape[1] // len(wish.followed)
     wished = np.tile(wish.apart(wish.followed), (1, panels, 1))
@@ -149,12 +133,7 @@ def optimum(gains: np.ndarray, energy: float | None, peak: float | None) -> tupl
     """Return the waveforms w of largest g·w under Σ w² ≤ energy and |w| ≤ peak, and an upper bound of g·w.
 
     With a multiplier λ ≥ 0 of the energy, w = clip(g / 2λ, ±peak), and for every λ no g·w exceeds
-    λ energy + Σ max_w (g w − λ w²), the maximum over |w| ≤ peak.
-
-    Args:
-        gains: (actuators, samples) g.
-        energy: Largest Σ w²; None for no limit.
-        peak: Largest |w|; None for no limit, if the energy has one.
+    λ energy + Σ max_w (g w − λ w²), the maximum over |w| ≤ peak. One of both limits may be None.
     """
     size = float(np.linalg.norm(gains))
     if energy is None or (peak is not None and peak**2 * np.count_nonzero(gains) <= energy):
@@ -180,13 +159,7 @@ def inverse_filter(responses: Convolution, wished: np.ndarray, condition: float,
     μ is the largest squared singular value of the responses at any frequency, over condition². With w = Aᵀ y that is
     (A Aᵀ + μ) y = d, or with more foci than actuators (Aᵀ A + μ) w = Aᵀ d, solved by conjugate gradients: unlike a
     division of spectra this knows that waveforms neither begin before the first sample nor go on after the last. The
-    division is the preconditioner.
-
-    Args:
-        responses: A.
-        wished: (sets, foci, samples) d.
-        condition: Ratio of the largest singular value to those that are damped to a half.
-        most_steps: Steps after which the iteration ends with a warning.
+    division is the preconditioner. After ``most_steps`` the iteration ends with a warning.
     """
     by_actuators = wished.shape[1] > responses.actuators
     gram = responses.gram(by_actuators)

@@ -19,14 +19,11 @@ POINTS, PERIODS, FRAMES, MOST_BYTES = 2, 10, 60, 2**30
 def focus_motions(
     result: FocusResult, methods: Sequence[str] = (), span: tuple[float, float] | None = None, frames: int = FRAMES
 ) -> list[Motion]:
-    """Return the motion of the plate under the waveforms for the first point, over its largest displacement, which is
-    in the name.
+    """Return the motion of the plate under the waveforms of methods (default: all) for the first point, over its
+    largest displacement, which is in the name.
 
-    Args:
-        result: Result of ``focus``.
-        methods: Names of methods (default: all).
-        span: Start and end [s] (default: ten periods of ``focus.highest`` around the moment, or the burst).
-        frames: Frames in the span, at the samples nearest to even times, one of them at the moment.
+    Frames are at the samples nearest to even times, one of them at the moment, in a span from start to end [s]
+    (default: ten periods of ``focus.highest`` around the moment, or the burst).
 
     Raises:
         SceneError: A method is unknown, or the span holds fewer than two samples or lies outside the responses.

@@ -42,14 +42,7 @@ RANGE, HALVINGS = 1e10, 100
 
 
 class HeldResponses:
-    """Responses of a plate to samples of its actuators' pressures.
-
-    Args:
-        plate: Modes.
-        rate: Samples a second.
-        samples: Number of samples after which motion is wanted.
-        velocity: Whether motion is velocity, not displacement.
-    """
+    """Responses of a plate to samples of its actuators' pressures, so many of them; of velocity or displacement."""
 
     def __init__(self, plate: ModalPlate, rate: int, samples: int, velocity: bool) -> None:
         poles = plate.poles(samples / rate)

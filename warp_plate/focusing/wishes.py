@@ -19,19 +19,12 @@ WISH = "focus.wish"
 
 @dataclass(frozen=True)
 class Wish:
-    """Wished motion of each focus, at the ends of the samples.
+    """Wished motion of each focus, at the ends of the samples."""
 
-    Attributes:
-        motion: (foci, recorded) motion with which that of a focus is to correlate; one sample for a pulse.
-        followed: (foci, recorded) motion that the inverse filter follows.
-        samples: Number of samples of the waveforms.
-        shaped: True if the foci are to follow a waveform, not to move at one moment.
-    """
-
-    motion: np.ndarray
-    followed: np.ndarray
-    samples: int
-    shaped: bool
+    motion: np.ndarray  # (foci, recorded) motion with which that of a focus is to correlate; one sample for a pulse
+    followed: np.ndarray  # (foci, recorded) motion that the inverse filter follows
+    samples: int  # number of samples of the waveforms
+    shaped: bool  # true if the foci are to follow a waveform, not to move at one moment
 
     @property
     def recorded(self) -> int:
@@ -49,10 +42,8 @@ class Wish:
 
 
 def make_wish(scene: Scene, given: np.ndarray | None) -> Wish:
-    """Return the wish of ``[focus]``: motion that is given, that of its file, its burst, or a pulse at its moment.
-
-    Args:
-        given: (samples,) or (foci, samples) motion at the ends of the samples, which waveforms last for.
+    """Return the wish of ``[focus]``: motion (samples,) or (foci, samples) that is given, that of its file, its burst,
+    or a pulse at its moment.
 
     Raises:
         SceneError: The file cannot be read, or the given motion has another shape, is no number or too long.

@@ -220,9 +220,6 @@ class Clearance:
 
     Two patches keep it if there is at least so much room between them along x or along y. Pairs of which neither moves
     do not count.
-
-    Args:
-        scene: Scene.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -276,11 +273,8 @@ class Clearance:
             )
 
     def constraints(self, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return matrix (pairs, 2 actuators) and least values (pairs,) [m] of matrix @ centres, x and y interleaved.
-
-        They keep each pair apart along the axis, and on the side, on which it has most room at centres (actuators, 2)
-        [m].
-        """
+        """Return matrix (pairs, 2 actuators) and least values (pairs,) [m] of matrix @ centres, x and y interleaved,
+        that keep each pair apart along the axis, and on the side, on which it has most room at centres [m]."""
         between = self._between(centre[None])[0]
         axis = np.argmax(np.abs(between) - self._distances, axis=1)
         pairs = np.arange(axis.size)
