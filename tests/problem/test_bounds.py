@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from warp_plate.plate.weights import localization_factor
-from warp_plate.problem.bounds import bound_energy, bound_localization
-from warp_plate.problem.drives import AllowedDrives, allowed_drives
+from warp_plate.problem.bounds import AllowedDrives, allowed_drives, bound_energy, bound_localization
 from warp_plate.problem.problem import make_problem
 from warp_plate.problem.semidefinite import least_majorant
 from warp_plate.quantities.region_quantities import PLATE, TARGET

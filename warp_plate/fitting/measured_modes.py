@@ -92,7 +92,7 @@ def _universal(path: Path) -> MeasuredModes:
 
     Shapes and points are None if the places of the nodes (dataset 15) are missing.
     """
-    _check_file(path)
+    check_file(path)
     try:
         sets = _sets(path)
         modes = [item for item in sets if item.get("type") == 55 and item.get("analysis_type") in (NORMAL, *COMPLEX)]
@@ -105,17 +105,15 @@ def _universal(path: Path) -> MeasuredModes:
     order = np.argsort(frequencies, kind="stable")
     order = order[frequencies[order] > 0]
     frequencies, damping = frequencies[order], damping[order]
-    if not 1 <= len(order) <= MOST_MODES or not np.all((frequencies > SMALLEST) & (frequencies < LARGEST)):
-        rule = LIMITS["frequency"][2]
-        raise SceneError(f"{path}: needs 1 to {MOST_MODES} modes (dataset 55); a frequency must be {rule}")
-    for value in damping[np.isfinite(damping)]:
-        if not SMALLEST < value < 1:
-            raise SceneError(f"{path}: a damping ratio is {value:g}; must be above {SMALLEST:g} and below 1")
-    if shapes is None:
-        return MeasuredModes(str(path), frequencies, damping)
-    if not np.all(np.abs(shapes) < LARGEST):
-        raise SceneError(f"{path}: a shape is not made of numbers below {LARGEST:g}")
-    return MeasuredModes(str(path), frequencies, damping, None, shapes[order], points)
+    if not 1 <= len(order) <= MOST_MODES:
+        raise SceneError(f"{path}: needs 1 to {MOST_MODES} modes (dataset 55)")
+    columns = {"frequency": frequencies, "damping": damping[np.isfinite(damping)]}
+    columns |= {} if shapes is None else {SHAPE: np.abs(shapes[order])}
+    for name, values in columns.items():
+        low, high, rule = LIMITS.get(name, NUMBER)
+        if not np.all((values > low) & (values < high)):
+            raise SceneError(f"{path}: {name} in a mode (dataset 55): must be {rule}")
+    return MeasuredModes(str(path), frequencies, damping, None, None if shapes is None else shapes[order], points)
 
 
 def _shapes_and_points(
@@ -140,18 +138,18 @@ def _shapes_and_points(
     return np.array([item["r3"] for item in modes]), np.array([places[int(number)] for number in numbers])
 
 
-def _check_file(path: Path) -> None:
+def check_file(path: Path, most: int = MOST_BYTES) -> None:
     """Raise a SceneError unless a file is there that is small enough."""
     if not path.is_file():
         raise SceneError(f"{path}: no such file")
-    if path.stat().st_size > MOST_BYTES:
-        raise SceneError(f"{path}: {path.stat().st_size} bytes; at most {MOST_BYTES} are read")
+    if path.stat().st_size > most:
+        raise SceneError(f"{path}: {path.stat().st_size} bytes; at most {most} are read")
 
 
 def read_columns(path: Path) -> dict[str, Cells]:
     """Return the cells of each column of a CSV file, by the names in its first line without their units."""
     try:
-        _check_file(path)
+        check_file(path)
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(f"{path}: cannot be read as UTF-8 text: {error}") from None
@@ -177,11 +175,11 @@ def _numbers(path: Path, name: str, cells: Cells) -> np.ndarray:
     low, high, rule = LIMITS.get(name, NUMBER)
     values: list[float] = []
     for line, cell in cells:
+        missing = name == "damping" and not cell
         try:
-            value = math.nan if name == "damping" and not cell else float(cell)
+            value = math.nan if missing else float(cell)
         except ValueError:
             value = high
-        missing = name == "damping" and not cell
         if not (missing or low < value < high) or (name == "mode" and (value % 1 or value in values)):
             raise SceneError(f"{path}: line {line}, {name} = {cell[:40]!r}: must be {rule}")
         values.append(value)

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from warp_plate.fitting.measured_modes import UNIVERSAL, universal_responses
+from warp_plate.fitting.measured_modes import UNIVERSAL, check_file, universal_responses
 from warp_plate.plate.files import read_numbers
 from warp_plate.plate.waveforms import LOUDEST, MOST_SAMPLES, even_step, wav_channels
 from warp_plate.result.arrays import HDF5, MAT, read_arrays
@@ -77,10 +77,7 @@ def _read(path: Path, count: int, signals: TimeSignals | None) -> Columns:
     """Return the first ``count`` responses of a file."""
     ending = path.suffix.lower()
     try:
-        if not path.is_file():
-            raise SceneError(f"{path}: no such file")
-        if path.stat().st_size > MOST_BYTES:
-            raise SceneError(f"{path}: {path.stat().st_size} bytes; at most {MOST_BYTES} are read")
+        check_file(path, MOST_BYTES)
         if ending in UNIVERSAL:
             columns, coherence = universal_responses(path)
         elif ending in (*MAT, *HDF5):

@@ -107,13 +107,7 @@ class GradientSearch(Optimizer):
         change = slope - self.slope[rows]
         curved, length = (steps * change).sum(axis=1), (change * change).sum(axis=1)
         good = curved > 1e-12 * np.sqrt(length * (steps * steps).sum(axis=1))
-        rows, steps, change, curved, length = (
-            rows[good],
-            steps[good],
-            change[good],
-            curved[good],
-            length[good],
-        )
+        rows, steps, change, curved, length = (values[good] for values in (rows, steps, change, curved, length))
         inverse = self.inverse[rows]
         unknown = ~inverse.any(axis=(1, 2))
         inverse[unknown] = np.eye(self.space.dimension) * (curved / length)[unknown, None, None]

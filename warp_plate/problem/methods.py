@@ -11,7 +11,7 @@ from warp_plate.optimize.optimizer import MethodError, Optimizer, SearchSettings
 from warp_plate.optimize.pso import Swarm, SwarmSettings
 from warp_plate.optimize.quadratic import ExactSearch, Quadratic
 from warp_plate.plate.memory import refuse_beyond_memory
-from warp_plate.problem.drives import allowed_drives
+from warp_plate.problem.bounds import allowed_drives
 from warp_plate.problem.objectives import loss_scale
 from warp_plate.problem.parametrization import parametrization_of
 from warp_plate.scene.errors import SceneError

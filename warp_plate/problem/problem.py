@@ -25,9 +25,8 @@ from warp_plate.optimize.optimizer import SearchSpace
 from warp_plate.optimize.quadratic import Quadratic, slopes_by_drive, slopes_by_energy
 from warp_plate.plate.designs import Designs
 from warp_plate.plate.memory import refuse_beyond_memory
-from warp_plate.problem.bounds import Bound, bound_loss
+from warp_plate.problem.bounds import Bound, best_drives, bound_loss, has_free_drives
 from warp_plate.problem.design_variables import LossSlopes, has_design_tables, with_common_step
-from warp_plate.problem.drives import best_drives, has_free_drives
 from warp_plate.problem.objectives import Objectives, keeps_limit, make_objectives
 from warp_plate.problem.parametrization import Clearance, Parametrization, parametrization_of
 from warp_plate.problem.plates import SearchPlates, make_plates
@@ -65,7 +64,7 @@ class Problem:
     pool: WorkerPool | None  # workers that run batches; None if this process does
     # losses over the scenarios of a robust search; None for other searches
     scenario_losses: ScenarioLosses | None = None
-    # True if each design has its best drive, so that positions hold no magnitudes and phases, see :mod:`drives`
+    # True if each design has its best drive, so that positions hold no magnitudes and phases, see :mod:`bounds`
     projected: bool = False
 
     @property
