@@ -77,18 +77,11 @@ def test_errors_within_that_of_the_reference_are_bounds():
     assert found == ["~", "2", "≤2", "≤1.4"]
 
 
-def test_ctrl_c_keeps_the_measurements(accuracy, monkeypatch):
-    measure, calls = report.measure, []
-
-    def stopped(*arguments):
-        calls.append(1)
-        if len(calls) == 3:
+def test_ctrl_c_keeps_the_measurements(panel):
+    def stop(done, total, name):
+        if done == 7:
             raise KeyboardInterrupt
-        return measure(*arguments)
 
-    monkeypatch.setattr(report, "measure", stopped)
-    record = json.loads(output_of(accuracy("--json", "--no-pictures")))
-    stepped = [row for row in record["rows"] if row["load"] != "modal"]
-    assert (record["interrupted"], len(stepped)) == (True, 2)
-    assert record.pop("files") == ["panel-accuracy.json"]
-    assert json.loads(Path("panel-accuracy.json").read_text(encoding="utf-8")) == record
+    found = report.measure_accuracy(panel, device="cpu", budget=4, on_progress=stop)
+    assert (found.interrupted, len(found.rows)) == (True, 7)
+    assert found.as_json()["interrupted"]

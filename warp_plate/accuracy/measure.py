@@ -8,17 +8,15 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 from statistics import median
 
 import numpy as np
 
 from warp_plate.accuracy.configurations import (
-    NODE_STEP_SECONDS,
-    RELATIVE_COST,
     Configuration,
     configuration_of,
+    nominal_seconds,
     regrid,
     seconds_text,
     spacing_of,
@@ -26,11 +24,9 @@ from warp_plate.accuracy.configurations import (
 from warp_plate.accuracy.reference_solution import ReferenceSolution, grid_lines, solve_response
 from warp_plate.modal.motion import fields
 from warp_plate.plate.discretization import discretize
-from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.weights import localization_factor
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.solve.devices import cpu_threads, find_device
 from warp_plate.solve.response import measure_response, unit_drives
 from warp_plate.solve.solver import PlateSolver
 
@@ -38,14 +34,10 @@ from warp_plate.solve.solver import PlateSolver
 MODAL, MODAL_DENSITIES = "modal", (0.4, 0.5, 0.6, 0.7, 0.85, 1.0)
 # Times within the window at which displacements are compared.
 SNAPSHOTS = 6
-# Nodes of the largest grid for which natural frequencies are computed, by a sparse factorisation.
-SPECTRUM_NODES = 25_000
 # Nominal time of the creation of a solver [s], counted in a budget.
 START_SECONDS = 1.5
 # Runs that are timed, and the time after which no further run begins [s].
 RUNS, TIMING_SECONDS = 5, 0.5
-# Plates that are timed if the whole swarm would take too long; on a CPU one for each thread if these are more.
-FEW_PLATES = {"cpu": 2, "cuda": 16}
 
 
 @dataclass(frozen=True)
@@ -64,16 +56,13 @@ class AccuracyRow:
     steps: int | None = None  # number of steps
     localization_factor: float | None = None  # localization factor of the best single actuator
     bound: float | None = None  # largest localization factor of any drive
-    error: float | None = None  # largest of the three relative errors below
-    error_single: float | None = None  # relative error for the best single actuator
-    error_best: float | None = None  # relative error for the best drive
-    error_bound: float | None = None  # relative error of the bound
+    error: float | None = None  # largest relative error of the best single actuator, the best drive and the bound
     error_displacement: float | None = None  # relative L2 error over plate and window, best drive
-    error_frequencies: float | None = None  # largest relative error of the first natural frequencies
     seconds_per_plate: float | None = None  # time that a plate takes among ``plates``, its share included [s]
     seconds_once: float = 0.0  # time that all plates of a search share [s]
     plates: int | None = None  # plates of the timed run
     path: str | None = None  # path of the solver
+    budgeted: float = 0.0  # nominal time of the measurement [s]
 
     @property
     def measured(self) -> bool:
@@ -83,9 +72,7 @@ class AccuracyRow:
     @property
     def family(self) -> str:
         """Order, load and precision."""
-        if self.load == MODAL:
-            return MODAL
-        return f"order {self.order}, {self.load}, {self.precision}"
+        return MODAL if self.load == MODAL else f"order {self.order}, {self.load}, {self.precision}"
 
     def search_seconds(self, plates: int) -> float:
         """Return the time of a search with a number of plates [s]."""
@@ -93,74 +80,76 @@ class AccuracyRow:
         return self.seconds_once + plates * alone
 
 
-@dataclass
-class MeasurementContext:
-    """The state that measurements of a scene share."""
-
-    scene: Scene  # scene as written
-    reference: ReferenceSolution  # its reference solution
-    device: str = "auto"  # device of all runs
-    path: str = "auto"  # path of all runs
-    speeds: dict[tuple[int, str], float] = field(default_factory=dict)  # latest node-step by (order, precision) [s]
-    spent: float = 0.0  # nominal time of the rows so far [s]
-    # Errors of natural frequencies by order and nodes
-    frequency_errors: dict[tuple[int, tuple[int, int]], float] = field(default_factory=dict)
-
-    @cached_property
-    def device_kind(self) -> str:
-        """ "cuda" or "cpu"."""
-        return "cuda" if find_device(self.device).is_cuda else "cpu"
-
-
 def measure(
-    context: MeasurementContext, configuration: Configuration | None, seconds_left: float = math.inf
+    scene: Scene,
+    reference: ReferenceSolution,
+    configuration: Configuration | None,
+    device: str = "auto",
+    path: str = "auto",
+    seconds_left: float = math.inf,
 ) -> AccuracyRow:
     """Return the row of a configuration; None for the scene as written.
 
-    If the whole measurement would take longer than the nominal time ``seconds_left``, the bound is left out and few
-    plates are timed; if that takes longer too, the row is skipped. Nominal times are counted in node-steps, so that the
-    same rows are measured on every machine.
+    A row that would take longer than the nominal time ``seconds_left`` is skipped. Nominal times are counted in
+    node-steps, so that the same rows are measured on every machine.
     """
-    scene = context.scene if configuration is None else regrid(context.scene, configuration)
-    settings, damping = configuration_of(scene), scene.effects.damping
+    gridded = scene if configuration is None else regrid(scene, configuration)
+    settings, damping = configuration_of(gridded), gridded.effects.damping
     row = AccuracyRow(
         **vars(settings),
         damping=damping.scheme if damping else None,
-        spacing=spacing_of(context.scene, settings.nodes),
+        spacing=spacing_of(scene, settings.nodes),
         as_written=configuration is None,
     )
     try:
-        discretization = discretize(scene)
+        discretization = discretize(gridded)
         scheme = discretization.scheme
-        row = replace(row, time_step=scheme.time_step, steps=scheme.steps)
-        node_steps = math.prod(count - 2 for count in scheme.nodes) * scheme.steps
-        once = node_steps * NODE_STEP_SECONDS[context.device_kind] * RELATIVE_COST[row.order, row.precision]
         plates = len(unit_drives(len(scene.actuators))) + 2 + 2 * scene.search.particles
-        whole, shortest = (START_SECONDS + count * once for count in (plates, 2 + FEW_PLATES[context.device_kind]))
-        if shortest > seconds_left:
-            return replace(row, status=f"skipped: would take {seconds_text(shortest)}")
-        solver = PlateSolver(discretization, context.device, context.path)
+        plate = nominal_seconds(scene, replace(settings, time_step=scheme.time_step), device)
+        row = replace(row, time_step=scheme.time_step, steps=scheme.steps, budgeted=START_SECONDS + plates * plate)
+        if row.budgeted > seconds_left:
+            return replace(row, status=f"skipped: would take {seconds_text(row.budgeted)}", budgeted=0.0)
+        solver = PlateSolver(discretization, device, path)
     except SceneError as error:
         return replace(row, status=f"refused: {error}")
-    complete = whole <= seconds_left
-    context.spent += whole if complete else shortest
-    return _measured(context, solver, row, complete)
+    return _measured(solver, reference, row)
 
 
-def measure_modal(context: MeasurementContext, density: float) -> AccuracyRow:
+def _measured(solver: PlateSolver, reference: ReferenceSolution, row: AccuracyRow) -> AccuracyRow:
+    """Return the row with errors and cost."""
+    scene, times = solver.scene, _snapshots(solver.scene)
+    run = solver.run(np.array(list(reference.drives.values())), times.tolist())
+    response = measure_response(solver)
+    if not all(np.isfinite(values).all() for values in (run.energy, run.displacement, response.matrices)):
+        return replace(row, status="unstable")
+    plates = scene.search.particles
+    phasors = _random_phasors(plates, len(scene.actuators))
+    solver.run(phasors)
+    row = replace(
+        row,
+        error_displacement=reference.displacement_error(
+            reference.drives["best"], run.times, scene, run.displacement[1]
+        ),
+        seconds_per_plate=median(seconds_of(lambda: solver.run(phasors))) / plates,
+        plates=plates,
+        path=solver.path,
+    )
+    return _with_errors(row, reference, localization_factor(run.energy), response.bound())
+
+
+def measure_modal(scene: Scene, reference: ReferenceSolution, density: float) -> AccuracyRow:
     """Return the row of the modal engine with this density of functions.
 
     Everything from the scene to the energies of the swarm's plates is timed.
     """
-    scene, reference, window = context.scene, context.reference, context.scene.window
     plate, response = solve_response(scene, density)
-    nodes = plate.space.shape[::-1]
-    times = np.linspace(window.start, window.end, SNAPSHOTS + 1)[1:]
+    nodes, times = plate.space.shape[::-1], _snapshots(scene)
     factors = response.localization_factors(np.array(list(reference.drives.values())))
     drive, plates = reference.drives["best"], scene.search.particles
     phasors = _random_phasors(plates, len(scene.actuators))
-    once = median(seconds_of(lambda: solve_response(scene, density), RUNS, TIMING_SECONDS))
-    alone = median(seconds_of(lambda: response.energy(phasors), RUNS, TIMING_SECONDS)) / plates
+    once = median(seconds_of(lambda: solve_response(scene, density)))
+    alone = median(seconds_of(lambda: response.energy(phasors))) / plates
+    motion = fields(plate, drive[None], times, *grid_lines(scene))[0]
     row = AccuracyRow(
         order=plate.space.degree,
         load=MODAL,
@@ -170,10 +159,7 @@ def measure_modal(context: MeasurementContext, density: float) -> AccuracyRow:
         damping=None,
         spacing=spacing_of(scene, nodes),
         as_written=False,
-        error_displacement=reference.displacement_error(
-            drive, times, scene, fields(plate, drive[None], times, *grid_lines(scene))[0]
-        ),
-        error_frequencies=largest_frequency_error(plate.frequencies, reference.frequencies),
+        error_displacement=reference.displacement_error(drive, times, scene, motion),
         seconds_per_plate=once / plates + alone,
         seconds_once=once,
         plates=plates,
@@ -182,22 +168,16 @@ def measure_modal(context: MeasurementContext, density: float) -> AccuracyRow:
     return _with_errors(row, reference, factors, response.bound())
 
 
-def _with_errors(
-    row: AccuracyRow, reference: ReferenceSolution, factors: np.ndarray, bound: float | None
-) -> AccuracyRow:
-    """Return the row with the localization factors of "single" and "best", the bound, and their errors."""
-    expected = np.array(list(reference.localization_factors.values()))
-    error_single, error_best = np.abs(factors / expected - 1).tolist()
-    error_bound = None if bound is None else abs(bound / reference.bound - 1)
-    return replace(
-        row,
-        localization_factor=float(factors[0]),
-        bound=bound,
-        error=max(error_single, error_best, error_bound or 0.0),
-        error_single=error_single,
-        error_best=error_best,
-        error_bound=error_bound,
-    )
+def _with_errors(row: AccuracyRow, reference: ReferenceSolution, factors: np.ndarray, bound: float) -> AccuracyRow:
+    """Return the row with the localization factors of "single" and "best", the bound, and their largest error."""
+    expected = [*reference.localization_factors.values(), reference.bound]
+    error = float(np.abs(np.append(factors, bound) / expected - 1).max())
+    return replace(row, localization_factor=float(factors[0]), bound=bound, error=error)
+
+
+def _snapshots(scene: Scene) -> np.ndarray:
+    """Return the times (SNAPSHOTS,) at which displacements are compared [s]."""
+    return np.linspace(scene.window.start, scene.window.end, SNAPSHOTS + 1)[1:]
 
 
 def _random_phasors(plates: int, actuators: int) -> np.ndarray:
@@ -206,59 +186,11 @@ def _random_phasors(plates: int, actuators: int) -> np.ndarray:
     return np.asarray(random[0] + 1j * random[1])
 
 
-def _measured(context: MeasurementContext, solver: PlateSolver, row: AccuracyRow, complete: bool) -> AccuracyRow:
-    """Return the row with errors and cost."""
-    scene, reference, window = solver.scene, context.reference, solver.scene.window
-    times = np.linspace(window.start, window.end, SNAPSHOTS + 1)[1:]
-    run = solver.run(np.array(list(reference.drives.values())), times.tolist())
-    response = measure_response(solver) if complete else None
-    matrices = [] if response is None else [response.matrices]
-    if not all(np.isfinite(values).all() for values in (run.energy, run.displacement, *matrices)):
-        return replace(row, status="unstable")
-    few = max(FEW_PLATES[context.device_kind], 0 if context.device_kind == "cuda" else cpu_threads())
-    plates = scene.search.particles if complete else few
-    phasors = _random_phasors(plates, len(scene.actuators))
-    if complete:
-        solver.run(phasors)
-    seconds = median(seconds_of(lambda: solver.run(phasors), RUNS if complete else 1, TIMING_SECONDS)) / plates
-    context.speeds[row.order, row.precision] = seconds / solver.node_steps_per_plate
-    row = replace(
-        row,
-        error_displacement=reference.displacement_error(
-            reference.drives["best"], run.times, scene, run.displacement[1]
-        ),
-        error_frequencies=_frequency_error(context, scene),
-        seconds_per_plate=seconds,
-        plates=plates,
-        path=solver.path,
-    )
-    return _with_errors(row, reference, localization_factor(run.energy), None if response is None else response.bound())
-
-
-def seconds_of(run: Callable[[], object], most_runs: int, most_seconds: float) -> list[float]:
-    """Return the times of runs [s]; after ``most_seconds`` no further one begins."""
+def seconds_of(run: Callable[[], object]) -> list[float]:
+    """Return the times of up to RUNS runs [s]; after TIMING_SECONDS no further one begins."""
     times: list[float] = []
-    while len(times) < most_runs and sum(times) < most_seconds:
+    while len(times) < RUNS and sum(times) < TIMING_SECONDS:
         started = time.perf_counter()
         run()
         times.append(time.perf_counter() - started)
     return times
-
-
-def _frequency_error(context: MeasurementContext, scene: Scene) -> float | None:
-    """Return the largest relative error of the first natural frequencies; None for large grids."""
-    key = (scene.grid.order, scene.grid.nodes)
-    if math.prod(scene.grid.nodes) > SPECTRUM_NODES:
-        return None
-    if key not in context.frequency_errors:
-        expected = context.reference.frequencies
-        computed = natural_modes(scene, len(expected)).frequencies
-        context.frequency_errors[key] = largest_frequency_error(computed, expected)
-    return context.frequency_errors[key]
-
-
-def largest_frequency_error(computed: np.ndarray, expected: np.ndarray) -> float:
-    """Return the largest relative error of natural frequencies (modes,) [Hz], rigid motions aside."""
-    count = min(len(computed), len(expected))
-    moving = np.flatnonzero(expected[:count])
-    return float(np.abs(computed[moving] / expected[moving] - 1).max(initial=0.0))

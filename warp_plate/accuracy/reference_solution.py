@@ -18,11 +18,10 @@ from typing import Literal, TypeVar
 import numpy as np
 
 from warp_plate.accuracy.configurations import refuse_many_modes
-from warp_plate.accuracy.richardson import Extrapolation, extrapolate, weights_of_grids
+from warp_plate.accuracy.richardson import Extrapolation, extrapolate
 from warp_plate.modal.gram import gram_matrices
 from warp_plate.modal.modes import ModalPlate, solve_modes
 from warp_plate.modal.motion import fields
-from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.signals import actuator_frequencies, highest_frequency
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -33,8 +32,6 @@ from warp_plate.solve.solver import PlateSolver
 DENSITIES = (0.5, 0.7, 1.0, 1.4)
 # Nominal time per unknown and per square of a mode [s], as on two cores.
 MODAL_SECONDS = 1e-9
-# Natural frequencies that are returned.
-FREQUENCIES = 6
 # Error of a reference by modes in last changes: a safety factor, since undamped high modes do not decay.
 MODAL_FACTOR = 4.0
 # At least this many times the change before it, since two refinements may agree by chance.
@@ -58,8 +55,6 @@ class ReferenceSolution:
         uncertainty: Largest relative error of the observed quantities; inf while unknown.
         seconds: Nominal time of this refinement [s].
         next_seconds: Nominal time of the next one [s].
-        scenes: The scene on the grids of Richardson's method; the scene alone for modes.
-        device: Device of Richardson's method.
         plate: Modes; None for Richardson's method.
         density: Density of their functions.
     """
@@ -69,8 +64,6 @@ class ReferenceSolution:
     uncertainty: float
     seconds: float
     next_seconds: float
-    scenes: Sequence[Scene]
-    device: str = "auto"
     plate: ModalPlate | None = None
     density: float = 0.0
 
@@ -90,31 +83,14 @@ class ReferenceSolution:
         factors = self.response.localization_factors(np.array(list(self.drives.values())))
         return dict(zip(self.drives, factors.tolist(), strict=True))
 
-    @cached_property
-    def frequencies(self) -> np.ndarray:
-        """First natural frequencies [Hz]."""
-        if self.plate is not None:
-            return self.plate.frequencies[:FREQUENCIES]
-        last = self.scenes[-2:]
-        on_grids = [natural_modes(scene, FREQUENCIES).frequencies for scene in last]
-        return np.asarray(weights_of_grids(last) @ on_grids)
-
-    def displacement(self, phasors: np.ndarray, times: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return the (times, points along y, points along x) displacement [m] under a drive (actuators,) [N/m²]."""
-        scene = self.scenes[-1]
-        if self.plate is None:
-            from scipy.interpolate import RectBivariateSpline
-
-            run = PlateSolver(scene, self.device).run(phasors[None], times.tolist())
-            grid_x, grid_y = grid_lines(scene)
-            return np.array([RectBivariateSpline(grid_y, grid_x, frame)(y, x) for frame in run.displacement[0]])
-        return fields(self.plate, phasors[None], times, x, y)[0]
-
     def displacement_error(
         self, phasors: np.ndarray, times: Sequence[float] | np.ndarray, scene: Scene, computed: np.ndarray
-    ) -> float:
-        """Return ‖u − u_ref‖ / ‖u_ref‖ over the times and the nodes of the scene; NaN for a plate at rest."""
-        expected = self.displacement(phasors, np.asarray(times, dtype=float), *grid_lines(scene))
+    ) -> float | None:
+        """Return ‖u − u_ref‖ / ‖u_ref‖ over the times and the nodes of the scene; NaN for a plate at rest, and None
+        without modes."""
+        if self.plate is None:
+            return None
+        expected = fields(self.plate, phasors[None], np.asarray(times, dtype=float), *grid_lines(scene))[0]
         size = float(np.linalg.norm(expected))
         return float(np.linalg.norm(computed - expected)) / size if size > 0 else math.nan
 
@@ -257,9 +233,7 @@ def _by_modes(scene: Scene, change: Change) -> Iterator[ReferenceSolution]:
         responses.append(response)
         seconds = seconds_of_modes(plate)
         next_seconds = seconds * (following / density) ** 6  # unknowns and modes grow as the square
-        yield ReferenceSolution(
-            "modal", response, uncertainty, seconds, next_seconds, [scene], plate=plate, density=density
-        )
+        yield ReferenceSolution("modal", response, uncertainty, seconds, next_seconds, plate=plate, density=density)
 
 
 def _by_richardson(scene: Scene, device: str, change: Change) -> Iterator[ReferenceSolution]:
@@ -273,8 +247,8 @@ def _by_richardson(scene: Scene, device: str, change: Change) -> Iterator[Refere
         allowed=lambda matrices: np.linalg.eigvalsh(matrices[0]).min() > 0,  # energies are positive
         change=differ,
     ):
-        response, seconds = Response(limit.values), (limit.seconds, limit.next_seconds)
-        yield ReferenceSolution("richardson", response, limit.uncertainty, *seconds, limit.scenes, device)
+        response = Response(limit.values)
+        yield ReferenceSolution("richardson", response, limit.uncertainty, limit.seconds, limit.next_seconds)
 
 
 def grid_lines(scene: Scene) -> tuple[np.ndarray, np.ndarray]:

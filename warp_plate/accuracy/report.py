@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from warp_plate.accuracy.configurations import Configuration, make_configurations
-from warp_plate.accuracy.measure import MODAL_DENSITIES, AccuracyRow, MeasurementContext, measure, measure_modal
+from warp_plate.accuracy.measure import MODAL_DENSITIES, AccuracyRow, measure, measure_modal
 from warp_plate.accuracy.reference_solution import LEAST_ERROR, ReferenceSolution, find_reference_solution
 from warp_plate.scene.grid import Grid
 from warp_plate.scene.model import Scene, SceneSource
@@ -22,9 +22,9 @@ ROW_SHARE, FIRST_ROWS = 0.5, 6
 # Relative errors for which a row is recommended.
 TOLERANCES = (0.1, 0.03, 0.01, 0.003, 0.001)
 # Errors that a fit takes: below the first number (coarser grids do not yet converge regularly), this many times above
-# the uncertainty of the reference, and well above the rounding of energies and of natural frequencies.
+# the uncertainty of the reference, and well above the rounding of energies.
 LARGEST_ERROR, ABOVE_UNCERTAINTY = 0.3, 3.0
-ROUNDING, ROUNDING_OF_FREQUENCIES = {"float32": 1e-5, "float64": 1e-10}, 1e-7
+ROUNDING = {"float32": 1e-5, "float64": 1e-10}
 # Rows that a fit takes, the finest ones: on coarse grids the start of a run costs time too.
 FEWEST_ROWS, MOST_ROWS = 3, 4
 # Relative reduction of the error for which a more expensive row is on the Pareto front.
@@ -39,7 +39,6 @@ class ConvergenceLaw:
     rows: int  # number of grids
     order: float | None  # exponent p of error ∝ spacing^p, of localization factors
     order_displacement: float | None  # likewise, of displacements
-    order_frequencies: float | None  # likewise, of natural frequencies
     cost_exponent: float | None  # exponent p of seconds ∝ (nodes a side)^p
 
 
@@ -67,7 +66,6 @@ class AccuracyReport:
     laws: Sequence[ConvergenceLaw]  # convergence and cost
     front: Sequence[int]  # indices of the rows on the Pareto front
     recommended: Sequence[Recommendation]  # cheapest row for each tolerance
-    nanoseconds_per_node_step: dict[str, float]  # time of a node-step by order and precision [ns]
     seconds: float  # time that the report took [s]
     interrupted: bool  # True if Ctrl-C ended it
 
@@ -82,7 +80,6 @@ class AccuracyReport:
             "localization_factor": reference.localization_factors["single"],
             "bound": reference.bound,
             "uncertainty": reference.uncertainty,
-            "frequencies": reference.frequencies.tolist(),
         }
         return record
 
@@ -120,8 +117,8 @@ def measure_accuracy(
     configurations += make_configurations(scene)
     if scene.modal_only_key is not None:
         configurations = []
-    context = MeasurementContext(scene, reference, device, path)
-    rows, interrupted = _measure_rows(context, configurations, (1 - REFERENCE_SHARE) * budget, on_progress)
+    seconds = (1 - REFERENCE_SHARE) * budget
+    rows, interrupted = _measure_rows(scene, reference, configurations, device, path, seconds, on_progress)
     particles, iterations = scene.search.particles, scene.search.iterations
     return AccuracyReport(
         scene=source,
@@ -134,21 +131,23 @@ def measure_accuracy(
         laws=fit_laws(rows, reference.uncertainty),
         front=pareto_front(rows),
         recommended=recommend(rows, reference.uncertainty, particles * iterations),
-        nanoseconds_per_node_step={f"order {k[0]}, {k[1]}": 1e9 * context.speeds[k] for k in sorted(context.speeds)},
         seconds=time.perf_counter() - started,
         interrupted=interrupted,
     )
 
 
 def _measure_rows(
-    context: MeasurementContext,
+    scene: Scene,
+    reference: ReferenceSolution,
     configurations: Sequence[Configuration | None],
+    device: str,
+    path: str,
     seconds: float,
     on_progress: Callable[[int, int, str], object] | None,
 ) -> tuple[list[AccuracyRow], bool]:
     """Return the rows that are measured within a nominal time [s], or skipped, and whether Ctrl-C ended it."""
     rows: list[AccuracyRow] = []
-    reference, densities = context.reference, []
+    densities: list[float] = []
     if reference.plate is not None:  # coarser ones than the reference itself
         densities = [density for density in MODAL_DENSITIES if density < reference.density]
     total = len(densities) + len(configurations)
@@ -156,13 +155,13 @@ def _measure_rows(
         for density in densities:
             if on_progress is not None:
                 on_progress(len(rows), total, "modes")
-            rows.append(measure_modal(context, density))
+            rows.append(measure_modal(scene, reference, density))
         for configuration in configurations:
             if on_progress is not None:
                 on_progress(len(rows), total, str(configuration or "the scene as written"))
             first = sum(row.measured for row in rows[len(densities) :]) < FIRST_ROWS
-            seconds_left = math.inf if first else ROW_SHARE * (seconds - context.spent)
-            rows.append(measure(context, configuration, seconds_left))
+            seconds_left = math.inf if first else ROW_SHARE * (seconds - sum(row.budgeted for row in rows))
+            rows.append(measure(scene, reference, configuration, device, path, seconds_left))
     except KeyboardInterrupt:
         if not rows:
             raise
@@ -190,7 +189,6 @@ def fit_laws(rows: Sequence[AccuracyRow], uncertainty: float) -> list[Convergenc
                 rows=len(members),
                 order=_slope(members, "error", floor),
                 order_displacement=_slope(members, "error_displacement", field_floor),
-                order_frequencies=_slope(members, "error_frequencies", ROUNDING_OF_FREQUENCIES),
                 cost_exponent=None if cost is None else -cost,
             )
         )

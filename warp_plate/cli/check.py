@@ -18,15 +18,14 @@ if TYPE_CHECKING:
     from warp_plate.accuracy.report import AccuracyReport
     from warp_plate.analysis.influence import Influence
 
-ACCURACY_HEADINGS = ("single", "bound", "error %", "u %", "modes %", "a plate", "")
+ACCURACY_HEADINGS = ("single", "bound", "error %", "u %", "a plate", "")
 BY_MODES = "modes, without a grid"
 ACCURACY_LEGEND = (
     "single, bound: localization factor of the best single actuator, and the largest that any drive can have. error: "
     "largest relative error of single, best drive and bound; u: error of the displacement under the best drive (L2 "
-    "norm over plate and window); modes: error of the first natural frequencies. a plate: seconds per plate in a "
-    "swarm, of modes its share of all that the swarm takes, from the scene on. "
-    "≤ no larger than the reference's own error: a bound. * no other row is both more accurate and faster; ~ not "
-    "measured because it would take too long."
+    "norm over plate and window). a plate: seconds per plate in a swarm, of modes its share of all that the swarm "
+    "takes, from the scene on. ≤ no larger than the reference's own error: a bound. * no other row is both more "
+    "accurate and faster; ~ not known."
 )
 
 
@@ -194,9 +193,9 @@ def _print_accuracy(report: AccuracyReport, device: str, console: Console) -> No
         f"Reference ({reference.kind}): best single actuator {reference.localization_factors['single']:.5f}, bound "
         f"{reference.bound:.5f}, known to {reference.uncertainty:.1g}.\n"
     )
-    laws = output.table("measured laws", "error ∝ h^", "u ∝ h^", "modes ∝ h^", "s ∝ n^")
+    laws = output.table("measured laws", "error ∝ h^", "u ∝ h^", "s ∝ n^")
     for law in (law for law in report.laws if law.family != "modal"):  # modes converge faster than any power
-        powers = (law.order, law.order_displacement, law.order_frequencies, law.cost_exponent)
+        powers = (law.order, law.order_displacement, law.cost_exponent)
         laws.add_row(law.family, *("–" if power is None else f"{power:.2f}" for power in powers))
     if laws.row_count:
         console.print(laws, "")
@@ -267,9 +266,9 @@ def _cells(row: AccuracyRow, on_front: bool, uncertainty: float) -> list[str]:
     if _kind(row) != BY_MODES:
         head += ["" if row.time_step is None else f"{row.time_step:.2g}", row.precision.removeprefix("float")]
     if not row.measured:
-        return [*head, *[""] * 5, row.status.partition(":")[0], ""]
-    head += [f"{row.localization_factor:.4f}", "~" if row.bound is None else f"{row.bound:.4f}"]
-    errors = (row.error, row.error_displacement, row.error_frequencies)
-    floors = (uncertainty, displacement_floor(uncertainty), 0.0)
+        return [*head, *[""] * 4, row.status.partition(":")[0], ""]
+    head += [f"{row.localization_factor:.4f}", f"{row.bound:.4f}"]
+    errors = (row.error, row.error_displacement)
+    floors = (uncertainty, displacement_floor(uncertainty))
     shown = list(map(error_text, errors, floors))
     return [*head, *shown, seconds_text(row.seconds_per_plate or 0.0), "*" if on_front else ""]
