@@ -21,7 +21,6 @@ from warp_plate.reference import series
 from warp_plate.resolve import resolve, resolve_for_sweep
 from warp_plate.scene.grid import Grid, Window
 from warp_plate.scene.vary import make_plan, parse_vary
-from warp_plate.studies.simulate import simulate
 
 OVERLAP = Configuration(2, "overlap", (27, 27), None, "float32")
 MOMENTS = Configuration(4, "moments", (21, 21), None, "float32")
@@ -223,18 +222,6 @@ def test_recommendations_keep_the_displacement_where_a_row_does():
     ]  # fmt: skip
 
 
-@pytest.mark.slow
-def test_smaller_errors_need_finer_grids_and_a_drive_asked_for_keeps_them(panel):
-    """The drive avoids the target; and the same call chooses the same grid."""
-    phasors = np.array([[0.2, 1.0, -0.7j]])
-    fine, choice, again = (choose(panel, accuracy, "cpu", phasors) for accuracy in (0.003, 0.02, 0.02))
-    assert fine.error <= 0.003
-    assert np.prod(fine.scene.grid.nodes) > np.prod(choice.scene.grid.nodes)
-    known = find_reference_solution(panel, "auto", "cpu", 1e-4, 20.0, phasors)
-    assert factors_of(choice.scene, phasors) == pytest.approx(known.response.localization_factors(phasors), rel=0.02)
-    assert (choice.scene, choice.error) == (again.scene, again.error)
-
-
 def test_accuracies_out_of_reach_are_refused(panel):
     long = panel.model_copy(update={"window": Window(start=0.0, end=1e6)})
     with pytest.raises(SceneError, match=r"^accuracy = 0\.1: out of reach"):
@@ -334,15 +321,6 @@ def test_error_bars_of_modes_cover_what_more_functions_change(panel, name, rando
     expected = fields(plate, phasors, run.times, *grid_lines(scene))
     moved = np.linalg.norm((run.displacement - expected).reshape(3, -1), axis=1)
     assert (moved <= found.displacement_errors * np.linalg.norm(expected.reshape(3, -1), axis=1)).all()
-
-
-def test_simulations_by_modes_have_an_error_bar(panel):
-    result = simulate(panel.with_accuracy(0.05), device="cpu")
-    assert (result.evaluator, result.node_steps) == ("modal", 0)
-    assert "±" in result.accuracy["estimate"]["line"]
-    error, expected = result.accuracy["estimate"]["error"], result.accuracy["expected"]
-    assert 0 < error <= expected + 1e-6  # of free motion that is left out
-    assert expected < 0.05
 
 
 def test_a_sweep_chooses_once_where_waves_are_shortest(panel):

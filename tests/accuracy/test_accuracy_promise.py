@@ -33,7 +33,7 @@ SCENES = {
         [(0.0, 0.3, 0.0, 0.2), (0.5, 1.0, 0.6, 1.0)],
     ),
 }  # fmt: skip
-QUICK = "rectangular, supported"
+QUICK = "undamped, strip target"
 ASKED = 0.01
 
 

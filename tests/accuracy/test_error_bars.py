@@ -20,6 +20,7 @@ QUICK, SLOW, TRUTH = 6, (1, 4, 6, 7, 13, 25), 0.2965810757
 NONLINEAR = (9, 7, 2)
 
 
+@pytest.mark.slow
 def test_the_judge_is_the_exact_series():
     scene, drive = Scene.load("paper-supported"), np.array([1, 0.3 - 0.4j, 0, 0.2j])
     exact = localization_factor(series.kinetic_energies(scene, drive, terms=40)[None])[0]

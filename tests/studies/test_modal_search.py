@@ -113,7 +113,7 @@ def test_hysteretic_scene_is_searched_by_modes_without_asking():
 
 
 def test_robust_search_by_modes_is_the_limit_of_its_simulated_matrices():
-    robust = {"scenarios": 3, "thickness": 0.05, "place": 0.002, "gain": 0.1}
+    robust = {"scenarios": 2, "thickness": 0.05, "place": 0.002, "gain": 0.1}
     grid = {"nodes": (41, 41), "order": 4, "load": "moments"}
     scene = paper(search={"robust": robust}, grid=grid)
     drives = np.array([[1, 0.2, 0.1j, 0.4]])
@@ -179,7 +179,8 @@ def test_gram_matrices_of_bursts_are_the_limit_of_fine_grids():
 def test_a_spectrum_follows_every_resonance(scene):
     """Within its half-width ηf/2, and the drive found is as good as the best there."""
     drives = {"magnitude": {"range": [0.0, 1.0]}, "phase": {}, "frequency": {"range": [30.0, 250.0]}}
-    made = scene(effects={"loss_factor": {"eta": 0.002}}, search={"particles": 8, "iterations": 4, **drives})
+    search = {"particles": 8, "iterations": 4, **drives}
+    made = scene(effects={"loss_factor": {"eta": 0.002}}, search=search, modal_density=0.5)
     found = localize(made, device="cpu", estimate=False)
     frequencies, resonances = found.spectrum["frequency"], found.spectrum["resonances"]
     assert len(resonances) > 3
@@ -191,7 +192,7 @@ def test_a_spectrum_follows_every_resonance(scene):
 def test_all_cases_are_recorded_at_the_times_of_the_result():
     """The best case has a frequency of its own, of which a quarter period would be another time."""
     search = {"frequency": {"range": (150, 350)}, "magnitude": {}, "phase": {}, "particles": 4, "iterations": 3}
-    made = scene_of(damping=88.5, search=search)
+    made = scene_of(damping=88.5, search=search, modal_density=0.5)
     result = localize(made, device="cpu", estimate=False, spectrum=False)
     assert result.cases["best"].frequency is not None
     for name in ("equal", "best"):

@@ -27,7 +27,7 @@ def robust(effects=None, seed=0, precision="float64", search=None, **tolerances)
     table = {**TOLERANCES, "seed": seed, **tolerances}
     return scene_of(
         (9, 9), effects=effects or {"damping": {"viscous": 20.0}}, precision=precision,
-        search={"particles": 8, "iterations": 12, "seed": seed, **(search or {}), "robust": table},
+        search={"particles": 8, "iterations": 12, "seed": seed, **(search or {}), "robust": table}, modal_density=0.5,
     )  # fmt: skip
 
 
@@ -116,7 +116,7 @@ def test_the_command_shows_both_drives(write_scene, command):
 
 def test_no_robust_drive_is_worse_than_the_best_of_the_nominal_plate():
     """The result is no worse by the searched measure; a swarm of three steps by itself would be."""
-    scene = robust(search={"method": "pso", "iterations": 3})
+    scene = robust(search={"method": "pso", "iterations": 3}, fresh=2)
     problem = make_problem(resolve(scene, "cpu"))
     exact = best_position(problem.space, problem.nominal.quadratic)
     found = localize(scene, device="cpu", estimate=False)

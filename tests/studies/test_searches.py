@@ -36,12 +36,13 @@ SEARCHES = {
 TITLES = {"frequency": "frequency (Hz)", "position": "x (m)", "delay": "burst from (s)"}
 
 
-def small_search(name, particles=6, iterations=5, precision="float32", **tables):
+def small_search(name, particles=6, iterations=5, precision="float32", modal_density=0.5, **tables):
     search = {**SEARCHES[name], "particles": particles, "iterations": iterations, "seed": 2}
     drive = {"drive": BURST} if "delay" in search else {}
     return scene_of(
-        nodes=(11, 11), damping=60.0, window=(0.004, 0.008), precision=precision, search=search, **drive, **tables
-    )
+        nodes=(11, 11), damping=60.0, window=(0.004, 0.008), precision=precision, search=search,
+        modal_density=modal_density, **drive, **tables,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("name", SEARCHES)
@@ -186,7 +187,7 @@ def test_the_spectrum_equals_scenes_of_one_frequency_each():
 
 def test_resonances_are_the_natural_frequencies_in_the_range():
     """Those of a supported plate are (π/2)√(D/ρH)(m²/a² + n²/b²)."""
-    scene = small_search("frequency", size=(0.26, 0.2), edges=("supported",) * 4)
+    scene = small_search("frequency", size=(0.26, 0.2), edges=("supported",) * 4, modal_density=1.0)
     plate, waves = scene.plate, np.arange(1, 12)
     squares = (waves / plate.size[0]) ** 2 + (waves[:, None] / plate.size[1]) ** 2
     frequencies = np.sort(math.pi / 2 * math.sqrt(plate.rigidity / plate.density / plate.thickness) * squares.ravel())

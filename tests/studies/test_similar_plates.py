@@ -95,9 +95,10 @@ def turned(tables):
     return tables
 
 
+HALL, CHIP = "mirrored, as large as a hall", "turned, as small as a chip"
 SIMILAR = {
-    "mirrored, as large as a hall": lambda tables: scaled(mirrored(tables), 37.0),
-    "turned, as small as a chip": lambda tables: scaled(turned(tables), 0.02),
+    HALL: lambda tables: scaled(mirrored(tables), 37.0),
+    CHIP: lambda tables: scaled(turned(tables), 0.02),
 }
 
 
@@ -111,7 +112,7 @@ def factor_of(tables, path):
     return result.cases["drive"].localization_factor
 
 
-@pytest.mark.parametrize("name", SIMILAR)
+@pytest.mark.parametrize("name", [pytest.param(HALL, marks=pytest.mark.slow), CHIP])
 def test_similar_plates_have_the_same_localization_factor(name, path_and_factor):
     path, factor = path_and_factor
     assert 0.05 < factor < 0.95

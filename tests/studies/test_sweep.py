@@ -33,7 +33,7 @@ from warp_plate.studies.unfinished import CheckpointFile
 @pytest.fixture
 def swept_plate():
     """A small scene whose thickness may be too large for its time step."""
-    return scene_of(damping=88.5, time_step=2e-4, search={"particles": 8, "iterations": 10})
+    return scene_of(damping=88.5, time_step=2e-4, search={"particles": 8, "iterations": 10}, modal_density=0.5)
 
 
 def plan_of(scene, *vary, samples=None):
