@@ -1,8 +1,8 @@
 """Measure how much faster a swarm is on more workers, and what it costs to send them a block of plates.
 
-    python benchmarks/scaling.py                                    # one and two Dask workers, 4096 plates
-    python benchmarks/scaling.py --devices cuda:0,cuda:1 --nodes 53 --plates 32768   # a process each, and one alone
-    python benchmarks/scaling.py --cluster local:1 local:4 --plates 16384 --out FILE
+    python benchmarks/scaling.py                                    # one and two workers on the CPU, 4096 plates
+    python benchmarks/scaling.py --devices cuda:0,cuda:1 --nodes 53 --plates 32768   # a worker each, and one alone
+    python benchmarks/scaling.py --cluster tcp://HOST1:8786 tcp://HOST2:8786 --plates 16384 --out FILE
 
 Searches the paper's scene with a swarm of so many plates in this process and on each pool, a few generations of each in
 turn, so that disturbances of the machine affect all alike. Prints medians. The first turns, in which workers start, do
@@ -26,7 +26,7 @@ from warp_plate import Scene, SceneError
 from warp_plate.accuracy.machine import busy, describe_machine, describe_versions
 from warp_plate.cluster.evaluator import block_size
 from warp_plate.cluster.opening import open_pool
-from warp_plate.cluster.pool import Task, WorkerPool, run_tasks
+from warp_plate.cluster.pool import BLOCK_NODE_STEPS, Task, WorkerPool, run_tasks
 from warp_plate.problem.methods import make_optimizer
 from warp_plate.problem.problem import Problem, make_problem
 from warp_plate.resolve import resolve
@@ -112,11 +112,12 @@ def measure(
             if search.losses != searches[HERE].losses:
                 raise RuntimeError(f"{name}: other losses than {HERE}")
     rows = {name: search.row() for name, search in searches.items()}
-    kind = "cuda" if problems[HERE].drive_solver.device.is_cuda else "cpu"
+    solver = problems[HERE].drive_solver
+    kind = "cuda" if solver.device.is_cuda else "cpu"
     first = next(iter(pools))
     return {
         "plates": plates,
-        "plates_of_block": block_size(plates, 1, problems[HERE].drive_solver.node_steps_per_plate, kind),
+        "plates_of_block": block_size(plates, 1, solver.node_steps_per_plate, BLOCK_NODE_STEPS[kind]),
         "rows": rows,
         "speed_over_first": {name: float(rows[first]["seconds"]) / float(rows[name]["seconds"]) for name in pools},
         "shipping": {name: shipping(pool, problems[name]) for name, pool in pools.items()},
@@ -134,8 +135,8 @@ def paper_scene(nodes: int) -> Scene:
 def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--devices", help="such as cuda:0,cuda:1: the first alone against all")
-    parser.add_argument("--cluster", nargs="+", default=["local:1", "local:2"], help="the first against the others")
+    parser.add_argument("--devices", default="cpu,cpu", help="such as cuda:0,cuda:1: the first alone against all")
+    parser.add_argument("--cluster", nargs="+", help="in their place, schedulers: the first against the others")
     parser.add_argument("--device", default="cpu", help="of this process and of the cluster's workers")
     parser.add_argument("--nodes", type=int, default=27, help="nodes along each side; 27 as in the paper")
     parser.add_argument("--plates", type=int, default=PLATES)
@@ -144,13 +145,13 @@ def main() -> None:
     given = parser.parse_args()
     if (warning := busy()) is not None:
         print(warning)
-    device = given.devices.split(",")[0] if given.devices else given.device
+    device = given.device if given.cluster else given.devices.split(",")[0]
     try:
         with ExitStack() as opened:
-            if given.devices:
-                asked = {"one": (device, None), "all": (given.devices, None)}
-            else:
+            if given.cluster:
                 asked = {where: (None, where) for where in given.cluster}
+            else:
+                asked = {"one": (device, None), "all": (given.devices, None)}
             pools = {
                 name: opened.enter_context(open_pool(devices, cluster, given.device))
                 for name, (devices, cluster) in asked.items()

@@ -1,43 +1,56 @@
-"""Plates on processes of this machine: the same bits as in one process, whatever happens to the workers."""
+"""Plates on workers: the same bits as in one process, whatever happens to the workers or their scheduler."""
 
-import multiprocessing
+import gc
 import os
 import signal
+import socket
+import ssl
+import subprocess
 import sys
 import threading
 import time
-from concurrent.futures.process import BrokenProcessPool
-from pathlib import Path
+from contextlib import suppress
 
 import numpy as np
 import pytest
 
 from support.commands import start_program
-from support.inline_pool import InlinePool
-from support.worker_tasks import doubled, poisoned
+from support.inline_pool import InlinePool, KilledWorker
+from support.worker_tasks import doubled, end_worker, process_number
 from support.workers import PLATES, assert_same_history, assert_same_run, random_phasors, small_search
 from warp_plate import CheckpointFile, PlateSolver, SceneError, load_checkpoint, load_result, localize, resume
 from warp_plate.cli.tables import failure_lines
-from warp_plate.cluster import evaluator as evaluators
-from warp_plate.cluster import pool as pools
-from warp_plate.cluster import tasks
+from warp_plate.cluster import opening, tasks
 from warp_plate.cluster.evaluator import block_size, make_evaluator
 from warp_plate.cluster.opening import open_pool
-from warp_plate.cluster.pool import ATTEMPTS, Task, WorkersGone, run_tasks
+from warp_plate.cluster.pool import BLOCK_NODE_STEPS, Task, WorkersGone, run_tasks
 from warp_plate.plate.designs import Designs, per_plate_of
 from warp_plate.problem.uncertainty import draw_scenarios, simulate_scenarios
 from warp_plate.resolve import resolve
 from warp_plate.result.model import save_result
 from warp_plate.studies.compare import compare
 
+distributed = pytest.importorskip("distributed")
+dask = pytest.importorskip("dask")
+psutil = pytest.importorskip("psutil")  # which Dask needs as well
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
+LINES = []  # logged as the pool was opened
 
 
 @pytest.fixture(scope="module")
 def pool():
-    """Two processes, started once for all tests here."""
-    with open_pool("cpu,cpu", None) as made:
-        yield made
+    """Two workers, started once for all tests here, that get blocks of the fewest plates."""
+    with open_pool("cpu,cpu", None, log=LINES.append) as opened:
+        opened.block_node_steps = {"cpu": (1.0, 1.0)}
+        yield opened
+
+
+def worker_processes(pool):
+    """The numbers of both workers' processes."""
+    numbers = set()
+    while len(numbers) < 2:
+        numbers |= {outcome.value for _, outcome in run_tasks(pool, [Task(process_number, 0.05) for _ in range(4)])}
+    return sorted(numbers)
 
 
 def random_designs(scene, random):
@@ -66,15 +79,15 @@ SCENES = {
 def test_workers_give_the_bits_of_one_process(name, pool, scene, random, tmp_path):
     """Also of a plate that fails, by its number in the batch, and of a signal in a file that workers cannot read."""
     (tmp_path / "pulse.csv").write_text("time,value\n0,0\n0.002,1\n0.004,0\n", encoding="utf-8")
-    made = scene((9, 9), window=(0.002, 0.004), **SCENES[name]).in_folder(tmp_path)
-    options = {"per_plate": per_plate_of(made), "areas": {"left": (0, 0.1, 0, 0.2)}}
+    panel = scene((9, 9), window=(0.002, 0.004), **SCENES[name]).in_folder(tmp_path)
+    options = {"per_plate": per_plate_of(panel), "areas": {"left": (0, 0.1, 0, 0.2)}}
     if name == "signal":
         options["quantity"] = "displacement"
-    designs = random_designs(made, random)
+    designs = random_designs(panel, random)
     designs.drives[70] = np.nan
-    solver = PlateSolver(made, "cpu", **options)
+    solver = PlateSolver(panel, "cpu", **options)
     expected, none = solver.run(designs), solver.run(designs[:0])
-    evaluator = make_evaluator(made, "cpu", pool=pool, **options)
+    evaluator = make_evaluator(panel, "cpu", pool=pool, **options)
     (tmp_path / "pulse.csv").unlink()
     assert expected.faults.keys() == {70}
     assert_same_run(evaluator.run(designs), expected)
@@ -94,20 +107,19 @@ def test_workers_give_the_bits_of_one_process(name, pool, scene, random, tmp_pat
         (300, 4, 781250, "cpu", 128),  # not less than is worth sending
         (131072, 2, 781250, "cuda", 32768),
         (4224, 2, 781250, "cuda", 2112),  # fills an H200 once
-        (1, 3, 1, "cpu", 10**8),
     ],
 )
-def test_how_many_plates_a_block_has(plates, workers, node_steps, kind, size, monkeypatch):
-    monkeypatch.undo()
-    assert block_size(plates, workers, node_steps, kind) == size
+def test_how_many_plates_a_block_has(plates, workers, node_steps, kind, size):
+    assert block_size(plates, workers, node_steps, BLOCK_NODE_STEPS[kind]) == size
 
 
 def test_searches_give_the_same_on_workers(pool, scene, random):
     objectives = [{"kind": "localization"}, {"kind": "displacement", "weight": 1e3}]
-    made = small_search(scene, objectives=objectives, magnitude={"range": [0.0, 1.0]})
-    result = localize(made, device="cpu", estimate=False, pool=pool)
-    assert_same_history(result, localize(made, device="cpu", estimate=False))
-    assert pool.description in result.device
+    panel = small_search(scene, iterations=2, objectives=objectives, magnitude={"range": [0.0, 1.0]})
+    result = localize(panel, device="cpu", estimate=False, pool=pool)
+    assert_same_history(result, localize(panel, device="cpu", estimate=False))
+    assert result.device.endswith("plates of the search on up to 2 Dask workers (cpu,cpu)")
+    assert LINES[0].startswith("dashboard of the workers: http://127.0.0.1:")
     robust = small_search(scene, robust={"young_modulus": 0.1, "scenarios": 3})
     scenarios, phasors = draw_scenarios(robust, 3, 0), random_phasors(random)
     here, there = (simulate_scenarios(scenarios, resolve(scenarios[0].scene, "cpu"), run_by) for run_by in (None, pool))
@@ -123,9 +135,9 @@ def test_tasks_of_any_function(pool):
     """Whoever leaves early can come again; a task that is refused ends them all."""
     progress = []
     pool.on_progress = lambda done, total: progress.append((done, total))
-    found = {task.key: outcome.value for task, outcome in run_tasks(pool, [Task(doubled, at, at) for at in range(9)])}
+    values = {task.key: outcome.value for task, outcome in run_tasks(pool, [Task(doubled, at, at) for at in range(9)])}
     pool.on_progress = None
-    assert found == {at: 2 * at for at in range(9)}
+    assert values == {at: 2 * at for at in range(9)}
     assert progress == [(done, 9) for done in range(1, 10)]
     for _ in run_tasks(pool, [Task(doubled, 1) for _ in range(50)]):
         break
@@ -142,80 +154,96 @@ def test_tasks_of_any_function(pool):
     [
         ("cpu,", None, "--devices cpu,: must be devices with commas between"),
         ("cpu,cuda:99", None, "--devices cpu,cuda:99: device = 'cuda:99': not on this machine"),
-        ("cpu", "local:2", "--devices, --cluster: give one of them"),
-        (None, "local:0", "--cluster local:0: must be local:COUNT"),
+        ("cpu", "tcp://far:8786", "--devices, --cluster: give one of them"),
         (None, "missing.json", "--cluster missing.json: no such file"),
-        (None, "local:2", r"pip install 'warp-plate\[cluster\]'"),
+        (None, "tcp://far:8786", r"--cluster tcp://far:8786: .* pip install 'warp-plate\[cluster\]'"),
+        ("cpu,cpu", None, r"--devices cpu,cpu: .* pip install 'warp-plate\[cluster\]'"),
     ],
 )
 def test_pools_that_cannot_be(devices, cluster, line, monkeypatch):
     if "pip" in line:
         monkeypatch.setitem(sys.modules, "distributed", None)
-    elif devices is None:
-        pytest.importorskip("distributed")
     with pytest.raises(SceneError, match=line), open_pool(devices, cluster):
         pass
 
 
+def test_workers_that_cannot_start_are_one_line(monkeypatch):
+    monkeypatch.setenv("DASK_DISTRIBUTED__WORKER__PRELOAD", "absent_module")
+    dask.config.refresh()
+    try:
+        with pytest.raises(SceneError, match="--devices cpu: workers cannot start: "), open_pool("cpu", None):
+            pass
+    finally:
+        monkeypatch.undo()
+        dask.config.refresh()
+
+
+def listening(pool):
+    """The addresses at which this process and the workers' listen."""
+    processes = [psutil.Process(number) for number in (os.getpid(), *worker_processes(pool))]
+    return [
+        connection.laddr
+        for process in processes
+        for connection in process.net_connections("inet")
+        if connection.status == psutil.CONN_LISTEN
+    ]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells who listens where")
+def test_nobody_else_can_use_the_workers(pool):
+    """Scheduler, workers, nannies and dashboards listen only to this machine; whoever lacks the certificate is refused.
+
+    The dashboards, which run nothing, speak HTTP.
+    """
+    addresses = listening(pool)
+    assert {address.ip for address in addresses} == {"127.0.0.1"}
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    refused = 0
+    for address in addresses:
+        with socket.create_connection(address, 60) as plain:
+            plain.sendall(b"GET / HTTP/1.0\r\n\r\n")
+            with suppress(ConnectionError):
+                if plain.recv(4) == b"HTTP":
+                    continue
+        opened = context.wrap_socket(socket.create_connection(address, 60))
+        with opened, pytest.raises(ssl.SSLError, match="CERTIFICATE_REQUIRED"):
+            opened.recv(1)
+        refused += 1
+    assert refused >= 3  # scheduler and workers
+
+
 @POSIX
-def test_workers_that_are_killed_cost_no_plate(pool, scene, random):
-    """Workers are killed at random moments of their work, and while idle."""
-    made, phasors = scene((9, 9), window=(0.002, 0.02), damping=20.0), random_phasors(random, 1000)
-    expected = PlateSolver(made, "cpu").run(phasors)
-
-    def kill_some_worker():
-        if children := multiprocessing.active_children():
-            os.kill(children[random.integers(len(children))].pid, signal.SIGKILL)
-
-    evaluator = make_evaluator(made, "cpu", pool=pool)
+def test_workers_killed_at_random_moments_change_nothing(pool, scene, random):
+    panel, phasors = scene((9, 9), window=(0.002, 0.02), damping=20.0), random_phasors(random, 1000)
+    expected = PlateSolver(panel, "cpu").run(phasors)
+    evaluator = make_evaluator(panel, "cpu", pool=pool)
     evaluator.run(phasors[:1])
-    killer = threading.Timer(random.uniform(0, 0.1), kill_some_worker)
+    victim = int(random.choice(worker_processes(pool)))
+    killer = threading.Timer(random.uniform(0, 0.3), os.kill, (victim, signal.SIGKILL))
     killer.start()
     assert_same_run(evaluator.run(phasors), expected)
     killer.join()
-    kill_some_worker()
-    time.sleep(0.2)
-    assert_same_run(evaluator.run(phasors), expected)
     assert not evaluator.lost
 
 
-@POSIX
-def test_a_pool_ends_workers_that_hang():
-    others = set(multiprocessing.active_children())
-    with open_pool("cpu", None) as made:
-        assert made.submit(doubled, 4).result() == 8
-        (worker,) = set(multiprocessing.active_children()) - others
-        os.kill(worker.pid, signal.SIGSTOP)
-    assert not worker.is_alive()
+@pytest.mark.slow
+def test_a_task_that_no_worker_survives(pool):
+    """The tasks that wait with it are not to blame."""
+    queue = [Task(end_worker, 0, "end"), *(Task(doubled, value, value) for value in range(9))]
+    outcomes = {task.key: outcome for task, outcome in run_tasks(pool, queue)}
+    assert outcomes.pop("end").failure == "given up after 3 attempts: its worker ended"
+    assert {value: outcome.value for value, outcome in outcomes.items()} == {value: 2 * value for value in range(9)}
 
 
-def test_a_block_that_no_worker_survives_is_named(pool, scene, random, monkeypatch):
-    monkeypatch.setattr(evaluators, "run_block", poisoned)
-    monkeypatch.setattr(pools, "ATTEMPTS", 2)
-    made, phasors, first = scene((9, 9), damping=20.0), random_phasors(random), 64
-    phasors[first] = 7
-    evaluator, expected = make_evaluator(made, "cpu", pool=pool), PlateSolver(made, "cpu").run(phasors)
-    found = evaluator.run(phasors)
-    fault = "block given up after 2 attempts: its worker ended"
-    assert evaluator.lost == {fault: 64}
-    assert found.faults.keys() == set(range(first, first + 64))
-    assert {word for word, _ in found.faults.values()} == {fault}
-    assert np.isnan(found.energy[first : first + 64]).all()
-    rest = np.r_[0:first, first + 64 : PLATES]
-    assert found.energy[rest].tobytes() == expected.energy[rest].tobytes()
-    assert found.node_steps == len(rest) * evaluator.solver.node_steps_per_plate
-
-
-def test_an_error_of_the_program_is_tried_again_and_named(pool, monkeypatch):
-    """The process is replaced, since after an error of CUDA nothing works in one any more."""
-    monkeypatch.setattr(pools, "ATTEMPTS", 2)
-    list(run_tasks(pool, [Task(doubled, at) for at in range(4)]))
-    before = {process.pid for process in multiprocessing.active_children()}
-    found = {task.key: outcome for task, outcome in run_tasks(pool, [Task(doubled, at, at) for at in (12, 17)])}
+@pytest.mark.slow
+def test_an_error_of_the_program_is_tried_again_and_named(pool):
+    """The worker starts anew, since after an error of CUDA nothing works in a process any more."""
+    before = worker_processes(pool)
+    outcomes = {task.key: outcome for task, outcome in run_tasks(pool, [Task(doubled, at, at) for at in (12, 17)])}
     line = "RuntimeError: CUDA error 700: an illegal memory access"
-    assert (found[12].value, found[17].failure) == (24, f"given up after 2 attempts: {line}")
-    list(run_tasks(pool, [Task(doubled, at) for at in range(4)]))
-    assert {process.pid for process in multiprocessing.active_children()} - before
+    assert (outcomes[12].value, outcomes[17].failure) == (24, f"given up after 3 attempts: {line}")
+    assert worker_processes(pool) != before
 
 
 class Failing(InlinePool):
@@ -234,7 +262,7 @@ class Failing(InlinePool):
         self.tasks_left -= 1
         plates = len(argument[1])
         if plates == self.under:
-            raise BrokenProcessPool
+            raise KilledWorker
         return super().run(too_large if plates > self.room else function, argument)
 
 
@@ -245,24 +273,31 @@ def too_large(block):
 @pytest.mark.parametrize("room", [20, 0])
 def test_a_block_is_halved_until_memory_holds_it(room, scene, random):
     """Plates are given up by name if not even one has room."""
-    made, phasors = scene((9, 9), damping=20.0), random_phasors(random)
-    evaluator = make_evaluator(made, "cpu", pool=Failing(room=room))
-    found = evaluator.run(phasors)
+    panel, phasors = scene((9, 9), damping=20.0), random_phasors(random)
+    evaluator = make_evaluator(panel, "cpu", pool=Failing(room=room))
+    evaluation = evaluator.run(phasors)
     if room:
-        assert_same_run(found, PlateSolver(made, "cpu").run(phasors))
+        assert_same_run(evaluation, PlateSolver(panel, "cpu").run(phasors))
     else:
         why = "out of memory (Failed to allocate 999 bytes on device 'cuda:0')"
-        assert evaluator.lost == {f"block given up after {ATTEMPTS} attempts: {why}": PLATES}
-        assert found.node_steps == 0
+        assert evaluator.lost == {f"block given up after 3 attempts: {why}": PLATES}
+        assert evaluation.node_steps == 0
 
 
-def test_lost_plates_are_in_the_result(tmp_path, scene):
-    """They count as worst, and the file says how many and why, also after a checkpoint."""
+def test_lost_plates_are_in_the_result(tmp_path, scene, random):
+    """A block that no worker survives is named by its plates; they count as worst, and the file says how many and why,
+    also after a checkpoint."""
+    panel = small_search(scene, iterations=2)
+    evaluator, phasors = make_evaluator(panel, "cpu", pool=Failing(under=22)), random_phasors(random)
+    evaluation, expected = evaluator.run(phasors), PlateSolver(panel, "cpu").run(phasors)
+    why = "block given up after 3 attempts: its worker ended"
+    assert {plate: word for plate, (word, _) in evaluation.faults.items()} == dict.fromkeys(range(128, PLATES), why)
+    assert np.isnan(evaluation.energy[128:]).all()
+    assert evaluation.energy[:128].tobytes() == expected.energy[:128].tobytes()
+    assert evaluation.node_steps == 128 * evaluator.solver.node_steps_per_plate
     file = CheckpointFile(tmp_path / "panel.checkpoint.h5", 0.0)
-    made = small_search(scene, iterations=2)
-    result = localize(made, device="cpu", estimate=False, pool=Failing(under=22), checkpoints=file)
-    (why,) = result.lost_plates
-    assert result.lost_plates[why] == 2 * 22
+    result = localize(panel, device="cpu", estimate=False, pool=Failing(under=22), checkpoints=file)
+    assert result.lost_plates == {why: 2 * 22}
     assert load_checkpoint(tmp_path / "panel.checkpoint.h5").lost_plates[why] >= 22
     assert result.evaluations == 2 * PLATES
     assert result.cases["best"].localization_factor > 0
@@ -273,49 +308,44 @@ def test_lost_plates_are_in_the_result(tmp_path, scene):
 
 
 def test_a_search_whose_workers_are_gone_can_go_on(tmp_path, scene):
-    made, path = small_search(scene), tmp_path / "panel.checkpoint.h5"
-    expected = localize(made, device="cpu", estimate=False)
+    panel, path = small_search(scene), tmp_path / "panel.checkpoint.h5"
+    expected = localize(panel, device="cpu", estimate=False)
     with pytest.raises(WorkersGone, match="of a test"):
-        localize(made, device="cpu", estimate=False, pool=Failing(10), checkpoints=CheckpointFile(path, np.inf))
+        localize(panel, device="cpu", estimate=False, pool=Failing(10), checkpoints=CheckpointFile(path, np.inf))
     begun = load_checkpoint(path)
     assert 0 < begun.iterations < 4
     assert_same_history(resume(begun, "cpu", estimate=False, pool=InlinePool()), expected)
 
 
 SLEEPING = """
-import multiprocessing, time
+import sys, time
+from support.worker_tasks import process_number
 from warp_plate.cluster.opening import open_pool
 from warp_plate.cluster.pool import Task, run_tasks
 
 if __name__ == "__main__":
     with open_pool("cpu,cpu", None) as pool:
-        print(*(child.pid for child in multiprocessing.active_children()), flush=True)
+        print(*(outcome.value for _, outcome in run_tasks(pool, [Task(process_number, 1.0)] * 2)), flush=True)
         list(run_tasks(pool, [Task(time.sleep, 1000), Task(time.sleep, 1000)]))
 """
 
 
-def alive(process):
-    """True while a process runs; one that has ended may still stand in the system's table."""
-    try:
-        return "Z" not in Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
-    except OSError:
-        return False
-
-
-@pytest.mark.skipif(not Path("/proc").exists(), reason="needs /proc")
-def test_workers_end_with_the_program(tmp_path):
-    """Though they are at work, and in a moment, even if it is killed."""
+@pytest.mark.slow
+@POSIX
+@pytest.mark.parametrize("end", ["killed", "interrupted while a worker hangs"])
+def test_workers_end_with_the_program(end, tmp_path, monkeypatch):
     (tmp_path / "sleeping.py").write_text(SLEEPING, encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
     process = start_program("sleeping.py", cwd=tmp_path)
-    workers = [int(number) for number in process.stdout.readline().split()]
-    assert len(workers) == 2
-    time.sleep(0.5)
-    process.kill()
+    workers = [psutil.Process(int(number)) for number in process.stdout.readline().split()]
+    assert len(set(workers)) == 2
+    if end == "killed":
+        process.kill()
+    else:
+        workers[0].suspend()
+        process.send_signal(signal.SIGINT)
     process.communicate(timeout=60)
-    ends = time.monotonic() + 10
-    while any(map(alive, workers)) and time.monotonic() < ends:
-        time.sleep(0.1)
-    assert not any(map(alive, workers))
+    assert psutil.wait_procs(workers, timeout=10)[1] == []
 
 
 @POSIX
@@ -332,12 +362,12 @@ def test_ctrl_c_ends_a_command_with_workers_by_its_best(tmp_path, scene, command
         time.sleep(0.05)
     os.killpg(process.pid, signal.SIGINT)
     _, errors = process.communicate(timeout=60)
-    assert process.returncode == 0
-    assert errors.startswith("warp-plate: interrupted after ")
-    assert errors.count("\n") == 1
-    result = load_result(tmp_path / "panel-localize.h5")
-    assert result.interrupted
-    assert result.device.endswith("plates of the search on 2 processes (cpu, cpu)")
+    assert process.returncode == 0, errors
+    assert errors.count("\n") == 2
+    dashboard, interrupted = errors.splitlines()
+    assert dashboard.startswith("warp-plate: dashboard of the workers: ")
+    assert interrupted.startswith("warp-plate: interrupted after ")
+    assert load_result(tmp_path / "panel-localize.h5").interrupted
 
 
 def test_workers_must_be_alike_and_have_their_device(scene, monkeypatch):
@@ -351,14 +381,61 @@ def test_workers_must_be_alike_and_have_their_device(scene, monkeypatch):
     evaluator.run([[1, 1, 1]])
     for name in ("warp", "warp_plate"):
         monkeypatch.setattr(tasks, "worker_identity", lambda device, name=name: {**real(device), name: "0.0"})
-        for made in (evaluator, make_evaluator(scene((9, 9)), "cpu", pool=InlinePool())):
+        for other in (evaluator, make_evaluator(scene((9, 9)), "cpu", pool=InlinePool())):
             with pytest.raises(SceneError, match=f"workers: {name} is 0.0 on one"):
-                made.run([[1, 1, 1]])
+                other.run([[1, 1, 1]])
 
 
-def test_workers_that_cannot_start_are_one_line(scene, monkeypatch):
-    monkeypatch.setattr("warp_plate.cluster.opening._start_worker", os._exit)
-    monkeypatch.setattr(pools, "ATTEMPTS", 2)
-    line = "a worker: given up after 2 attempts: its worker ended"
-    with open_pool("cpu", None) as pool, pytest.raises(SceneError, match=line):
-        make_evaluator(scene((9, 9)), "cpu", pool=pool).run([[1, 1, 1]])
+def test_no_scheduler_is_one_line(tmp_path, monkeypatch):
+    """Each client is closed at once: if the garbage collector did it, two of them could wait for each other."""
+    monkeypatch.setattr(opening, "ANSWER_SECONDS", 0.5)
+    open_clients = []
+    monkeypatch.setattr(distributed.Client, "__del__", lambda client: open_clients.append(client.status))
+    file = tmp_path / "scheduler.json"
+    for text in ("x", '{"address": 7}', "[1]", "[" * 10**5):
+        file.write_text(text, encoding="utf-8")
+        line = r"scheduler.json: (has no address|no scheduler answers there)"
+        with pytest.raises(SceneError, match=line), open_pool(None, str(file)):
+            pass
+    for where in ("tcp://127.0.0.1:1", "tls://127.0.0.1:1", "ucx://127.0.0.1:1"):  # a reserved port
+        with pytest.raises(SceneError, match=f"--cluster {where}: no scheduler answers there"), open_pool(None, where):
+            pass
+    gc.collect()
+    assert set(open_clients) <= {"closed"}
+    assert dask.config.get("scheduler", None) is None  # Dask's other users in this process keep theirs
+
+
+def start(*words):
+    """Start a program of Dask's, as ``dask scheduler`` and ``dask worker`` are."""
+    return subprocess.Popen([sys.executable, "-m", *words, "--host", "127.0.0.1"], stderr=subprocess.DEVNULL)
+
+
+@pytest.mark.slow
+@POSIX
+def test_a_scheduler_that_goes_away_leaves_a_checkpoint(tmp_path, scene):
+    """A search with the scheduler's file continues in this process, to the same result."""
+    panel, file = small_search(scene, iterations=400), tmp_path / "scheduler.json"
+    scheduler = start("distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", str(file))
+    while not file.exists():
+        time.sleep(0.1)
+    worker = start("distributed.cli.dask_worker", "--nthreads", "1", "--no-dashboard", "--scheduler-file", str(file))
+    path = tmp_path / "panel.checkpoint.h5"
+
+    def after(done, total, best):
+        if done == 5:
+            scheduler.kill()
+
+    try:
+        checkpoints = CheckpointFile(path, np.inf)
+        with open_pool(None, str(file)) as there:
+            there.join_seconds = 5.0
+            with pytest.raises(WorkersGone, match="the scheduler is gone"):
+                localize(panel, device="cpu", estimate=False, pool=there, on_progress=after, checkpoints=checkpoints)
+    finally:
+        for process in (scheduler, worker):
+            process.kill()
+            process.wait()
+    begun = load_checkpoint(path)
+    assert 5 <= begun.iterations < 400
+    result = resume(begun, "cpu", estimate=False, pool=InlinePool())
+    assert_same_history(result, localize(panel, device="cpu", estimate=False))

@@ -1,17 +1,15 @@
 """Sweeps: quantities as the commands find them, refused points, files, workers, and resuming."""
 
 import math
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from support.inline_pool import InlinePool
+from support.inline_pool import InlinePool, KilledWorker
 from support.scenes import scene_of
 from support.searches import stop_after
 from warp_plate import SceneError, load_sweep, sweep
-from warp_plate.cluster.pool import ATTEMPTS
 from warp_plate.modal.continuous_modes import continuous_modes
 from warp_plate.result.sweep import REFUSED, RUN, save_sweep
 from warp_plate.scene.vary import make_plan, parse_vary
@@ -194,7 +192,7 @@ class Killing(InlinePool):
         self.met.add(id(argument))
         if argument.values["drive.frequency"] == self.frequency or (first and self.random.random() < 0.5):
             self.killed += 1
-            raise BrokenProcessPool
+            raise KilledWorker
         return super().run(function, argument)
 
 
@@ -208,12 +206,12 @@ def test_points_whose_workers_end_are_tried_again_and_then_given_up(swept_plate,
     here, there = run_sweep(start), run_sweep(start, pool=pool)
     lost = plan.points[:, 0] == 220.0
     assert lost.sum() == 2
-    assert pool.killed >= 2 * ATTEMPTS
+    assert pool.killed >= 2 * 3
     assert there.devices_used == here.devices_used
     np.testing.assert_array_equal(there.values["frequency"][~lost], here.values["frequency"][~lost])
     np.testing.assert_array_equal(there.status[~lost], here.status[~lost])
     for point, reason in there.reasons.items():
-        given_up = f"given up after {ATTEMPTS} attempts: its worker ended"
+        given_up = "given up after 3 attempts: its worker ended"
         assert reason == (given_up if lost[point] else here.reasons[point])
 
 
@@ -262,7 +260,7 @@ def test_a_point_without_memory_is_given_up_and_others_run(swept_plate, monkeypa
         return real.compute(scene, *options)
 
     monkeypatch.setitem(QUANTITIES, "check", replace(real, compute=compute))
-    for pool, attempts in ((None, ""), (InlinePool(), f" after {ATTEMPTS} attempts")):
+    for pool, attempts in ((None, ""), (InlinePool(), " after 3 attempts")):
         found = sweep(swept_plate, ["drive.frequency=200:300:3"], "check", device="cpu", pool=pool)
         assert found.status.tolist() == [RUN, REFUSED, RUN]
         assert found.reasons == {1: f"given up{attempts}: out of memory ({' '.join(str(error).split())})"}

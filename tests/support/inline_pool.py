@@ -6,6 +6,10 @@ from warp_plate.cluster.pool import WorkerPool
 from warp_plate.cluster.tasks import run_task
 
 
+class KilledWorker(Exception):
+    """What Dask raises if a worker ended."""
+
+
 class InlinePool(WorkerPool):
     """Runs each task when it is submitted."""
 
@@ -13,6 +17,7 @@ class InlinePool(WorkerPool):
 
     def __init__(self, device="cpu"):
         super().__init__(device)
+        self.block_node_steps = {"cpu": (1.0, 1.0)}  # blocks of the fewest plates
 
     def worker_count(self):
         return 1

@@ -4,7 +4,6 @@ import os
 import time
 
 from warp_plate import SceneError
-from warp_plate.cluster import tasks
 
 
 def doubled(value):
@@ -16,13 +15,6 @@ def doubled(value):
     if value == 17:
         raise RuntimeError("CUDA error 700: an illegal memory access\nmore of it")
     return 2 * value
-
-
-def poisoned(block):
-    """``run_block`` on a worker that ends under every block whose first drive is 7."""
-    if len(block[1]) and block[1].drives[0, 0] == 7:
-        os._exit(3)
-    return tasks.run_block(block)
 
 
 def process_number(seconds):

@@ -134,9 +134,10 @@ class WorkerOptions:
             device of its workers. A run that is resumed continues on the kind of device that it began on unless a
             device is named; another kind rounds differently, so that the result may differ.
         devices: Several devices of this machine that share the work, one process each, such as cuda:0,cuda:1, or
-            cpu,cpu for two single-threaded processes. Results are bit-identical. See docs/scaling.md.
-        cluster: Dask workers that share the work (needs the extra cluster): local:4 starts four on this machine;
-            tcp://HOST:PORT or a scheduler's JSON file names a running scheduler.
+            cpu,cpu for two single-threaded processes (needs the extra cluster). Results are bit-identical. See
+            docs/scaling.md.
+        cluster: A running Dask scheduler whose workers share the work: tcp://HOST:PORT or its JSON file (needs the
+            extra cluster).
     """
 
     device: str | None = None

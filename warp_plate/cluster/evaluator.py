@@ -19,9 +19,6 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.solver import PlateSolver
 
-# The least and the most work in a block. On a CPU 0.01 and 0.1 s of a core; on a GPU what fills an H200 once (2112
-# plates of the paper's scene), and 16 times that.
-BLOCK_NODE_STEPS = {"cpu": (1e8, 8e8), "cuda": (1.65e9, 2.64e10)}
 # The plates of a block are a multiple of this: whole groups of the CPU's lanes and of a GPU's warps.
 BLOCK_MULTIPLE = 64
 
@@ -85,7 +82,8 @@ class Evaluator:
         energy = np.full((plates, len(self.solver.regions)), np.nan)
         faults: dict[int, tuple[str, float]] = {}
         node_steps = 0
-        size = block_size(plates, pool.worker_count(), self.solver.node_steps_per_plate, self._worker["kind"])
+        work = pool.block_node_steps[self._worker["kind"]]
+        size = block_size(plates, pool.worker_count(), self.solver.node_steps_per_plate, work)
         slices = [slice(first, min(first + size, plates)) for first in range(0, plates, size)]
         tasks = [Task(run_block, (self._spec, designs[some]), some) for some in slices]
         for task, outcome in run_tasks(pool, tasks, halves_of_block):
@@ -139,16 +137,16 @@ def make_evaluator(
     return Evaluator(solver, pool, SolverSpec.of(solver.scene, pool.device, path, **options))
 
 
-def block_size(plates: int, workers: int, node_steps_per_plate: int, kind: str) -> int:
+def block_size(plates: int, workers: int, node_steps_per_plate: int, work: tuple[float, float]) -> int:
     """Return how many plates a block has: two blocks for each worker, or more where these were too large.
 
     Args:
         plates: Number of plates of the batch.
         workers: Number of workers.
         node_steps_per_plate: Nodes updated × steps.
-        kind: "cpu" or "cuda".
+        work: The least and the most node-steps of a block.
     """
-    least, most = (max(1, int(work / node_steps_per_plate)) for work in BLOCK_NODE_STEPS[kind])
+    least, most = (max(1, int(node_steps / node_steps_per_plate)) for node_steps in work)
     blocks_per_worker = max(2, math.ceil(plates / (workers * most)))
     size = max(least, math.ceil(plates / (workers * blocks_per_worker)))
     return BLOCK_MULTIPLE * math.ceil(size / BLOCK_MULTIPLE)
