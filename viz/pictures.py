@@ -74,7 +74,7 @@ def draw_all(
         if problem is None:
             try:
                 with atomic_path(path) as temporary:
-                    draw(result, temporary, **({"colours": colours} if draw in (draw_crosstalk, draw_surfaces) else {}))
+                    draw(result, temporary, **({"colours": colours} if draw is draw_surfaces else {}))
                 written.append(path)
             except OSError as error:
                 problem = f"{path}: cannot be written: {error}"

@@ -14,7 +14,7 @@ from __future__ import annotations
 import base64
 import io
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from warp_plate.result.focus import FocusResult
     from warp_plate.result.frequency_response import FrequencyResponse
     from warp_plate.result.model import Result
-    from warp_plate.result.motion import Motion
     from warp_plate.result.sweep import Sweep
     from warp_plate.scene.model import Scene
 
@@ -167,47 +166,20 @@ def plot(
     return [file]
 
 
-def view(
-    result: Result,
-    *cases: str,
-    quantity: str = "displacement",
-    span: tuple[float, float] | None = None,
-    frames: int | None = None,
-    rate: float = 30.0,
-    height: int = 680,
-    device: str = "auto",
-    colormap: str | None = None,
-    limits: str | float | None = None,
-) -> NotebookPlayer:
+def view(result: Result, *cases: str, height: int = 680, **options: Any) -> NotebookPlayer:
     """Run cases of a result again and return a player of their plates, side by side.
 
     Args:
         cases: names of cases of the result (default: the best drive, or the only case).
-        quantity: field shown in colour: displacement, velocity, energy, rms-velocity or phase.
-        span: beginning and end of the frames [s] (default: the last period of the drive, or the first burst or the
-            window if the drive does not repeat).
-        frames: number of frames (default: 60 a period).
-        rate: initial frame rate [1/s].
         height: height of the frame in the notebook [pixels].
-        device: cpu, cuda, cuda:1, …; auto takes a CUDA device if there is one.
-        colormap: colour map of Matplotlib (default: depends on the field).
-        limits: ends of the colours, see :func:`plot` (default: "common").
+        options: ``quantity``, ``span``, ``frames``, ``rate``, ``heights``, ``device``, ``colormap`` and ``limits`` of
+            :func:`render`.
 
     Raises:
-        SceneError: an unknown case, quantity, colour map or limits, or a span outside the run.
-        DrawingUnavailable: PyVista is not installed.
+        SceneError, DrawingUnavailable: see :func:`render`.
     """
-    from warp_plate.viz.availability import DrawingUnavailable, missing_meshes
-    from warp_plate.viz.fields import colour_options
-    from warp_plate.viz.page import write_page
-
-    colours = colour_options(colormap, limits)
-    if (problem := missing_meshes()) is not None:
-        raise DrawingUnavailable(problem)
-    moving = _run_again(result, cases, quantity, span, frames, device)
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "page.html"
-        write_page(result.scene, moving, path, quantity, rate, None, colours)
+        path = render(result, Path(folder, "page.html"), *cases, **options)
         return NotebookPlayer(path.read_text(encoding="utf-8"), height)
 
 
@@ -230,48 +202,43 @@ def render(
     """Run cases of a result again, draw their plates side by side, and return the path.
 
     Args:
-        path: File to write: .png (a picture), .gif, .mp4 (movies), .html (a page that plays and turns the plates), .svg
+        path: file to write: .png (a picture), .gif, .mp4 (movies), .html (a page that plays and turns the plates), .svg
             or .pdf (seen from above).
-        cases, quantity, span, frames, device, colormap, limits: see :func:`view`.
-        time: Time of a picture [s] (default: when the quantity in colour is largest).
-        rate: Frames per second of a movie or page.
-        width: Width of one plate's picture [pixels].
-        heights: Factor by which displacements are exaggerated (default: one that suits the picture).
-        plan: Draw a .png seen from above too.
+        cases: names of cases of the result (default: the best drive, or the only case).
+        quantity: field shown in colour: displacement, velocity, energy, rms-velocity or phase.
+        span: beginning and end of the frames [s] (default: the last period of the drive, or the first burst or the
+            window if the drive does not repeat).
+        frames: number of frames (default: 60 a period).
+        time: time of a picture [s] (default: when the quantity in colour is largest).
+        rate: frames per second of a movie or page.
+        width: width of one plate's picture [pixels].
+        heights: factor by which displacements are exaggerated (default: one that suits the picture).
+        plan: draw a .png seen from above too.
+        device: cpu, cuda, cuda:1, …; auto takes a CUDA device if there is one.
+        colormap: colour map of Matplotlib (default: depends on the field).
+        limits: ends of the colours, see :func:`plot` (default: "common").
 
     Raises:
-        SceneError: See :func:`view`; another ending, or a time outside the run.
-        DrawingUnavailable: A library that the file needs is not installed.
+        SceneError: an unknown case, quantity, colour map, limits or ending, or a span or time outside the run.
+        DrawingUnavailable: a library that the file needs is not installed.
     """
-    from warp_plate.analysis.motion import frame_at, period_around
+    from warp_plate.analysis.motion import frame_at, motions, period_around
     from warp_plate.scene.errors import SceneError
     from warp_plate.viz.availability import DrawingUnavailable
-    from warp_plate.viz.fields import colour_options
+    from warp_plate.viz.fields import FIELDS, colour_options
     from warp_plate.viz.pictures import ENDINGS, PictureStyle, draw_motions, largest_frame, missing_library
 
     path, colours = Path(path), colour_options(colormap, limits)
     style = PictureStyle(quantity, width, heights, colours, plan, rate)
     if path.suffix.lower() not in ENDINGS:
         raise SceneError(f"path = {str(path)!r}: must end in {', '.join(ENDINGS)}")
+    if quantity not in FIELDS:
+        raise SceneError(f"quantity = {quantity!r}: must be one of {', '.join(FIELDS)}")
     if (problem := missing_library(path, plan)) is not None:
         raise DrawingUnavailable(problem)
     if time is not None and span is None:
         span = period_around(result, time)
-    moving = _run_again(result, cases, quantity, span, frames, device)
+    moving = motions(result.scene, result.select_cases(cases or (result.main_name,)), span, frames, device)
     frame = largest_frame(moving, quantity) if time is None else frame_at(moving[0], time)
     draw_motions(result.scene, moving, path, style, frame)
     return path
-
-
-def _run_again(
-    result: Result, cases: Sequence[str], quantity: str, span: tuple[float, float] | None, frames: int | None,
-    device: str,
-) -> list[Motion]:  # fmt: skip
-    """Return the motions of cases, by default of the main one; check their names and that of the quantity."""
-    from warp_plate.analysis.motion import motions
-    from warp_plate.scene.errors import SceneError
-    from warp_plate.viz.fields import FIELDS
-
-    if quantity not in FIELDS:
-        raise SceneError(f"quantity = {quantity!r}: must be one of {', '.join(FIELDS)}")
-    return motions(result.scene, result.select_cases(cases or (result.main_name,)), span, frames, device)

@@ -16,7 +16,7 @@ from warp_plate.result.sweep import REFUSED
 from warp_plate.scene.vary import make_plan, parse_vary
 from warp_plate.studies.frequency_response import frf
 from warp_plate.studies.sweep import SweepRequest, start_sweep
-from warp_plate.viz.annotations import GRID, INK
+from warp_plate.viz.annotations import GRID
 from warp_plate.viz.plots.frame import figure, number_log_axis
 from warp_plate.viz.plots.frequency_response import draw_frequency_response
 from warp_plate.viz.plots.plan import draw_crosstalk
@@ -81,7 +81,7 @@ def test_the_largest_responses_are_coloured_and_natural_frequencies_explained(dr
 
 
 def search_result(names=(), **search):
-    """A result of a search; with several targets, the second drive has actuators elsewhere."""
+    """A result of a search for targets of these names."""
     made = scene_of(nodes=(11, 11), search=search).model_dump()
     if names:
         made |= {"targets": [one | {"name": name} for one, name in zip(TARGETS, names, strict=True)]}
@@ -89,24 +89,18 @@ def search_result(names=(), **search):
     scene = Scene.model_validate(made)
     energy = {"plate": 1.0, "target": 0.5, **{f"target {name}": 0.4 for name in names}}
     field = np.ones((1, 11, 11)) * np.linspace(-1, 1, 11) * 1e-7
-    middles = np.array([(0.05, 0.05), (0.1, 0.1), (0.15, 0.12)])
     best = Case(np.ones(3, complex), energy, field, np.zeros((0, 3)), frequency=np.full(3, 250.0))
-    cases = {"best": best} | {f"best {name}": replace(best, centre=middles) for name in names[1:]}
+    cases = {"best": best} | {f"best {name}": best for name in names[1:]}
     factors = {name: np.full(7, value) for name, value in (("equal", 0.2), ("single", 0.4), ("best", 0.5))}
     spectrum = {"frequency": np.linspace(100, 400, 7), **factors, "resonances": np.array([210.0])}
     history = {"evaluations": np.arange(1, 9), "best": np.linspace(0.1, 0.5, 8), "mean": np.linspace(0, 0.3, 8)}
     return result_of(scene, cases, times=np.array([0.01]), history=history, spectrum=spectrum)
 
 
-def test_crosstalk_names_fit_and_actuators_move(drawn):
-    result = search_result(LONG, position={})
-    figure, words = drawn(draw_crosstalk, result)
-    assert {f"drive for {name}" for name in LONG} <= {text.replace("\n", " ") for text in words}
-    panels = [axes for axes in figure.get_axes() if axes.get_title()]
-    for axes, case in zip(panels, result.cases.values(), strict=True):
-        shown = [line.get_xdata()[0] for line in axes.lines if line.get_color() == INK and line.get_zorder() == 2]
-        np.testing.assert_allclose(shown, [actuator.area[0] for actuator in result.case_scene(case).actuators])
-    assert not np.allclose(shown, [actuator.area[0] for actuator in result.scene.actuators])
+def test_crosstalk_names_fit(drawn):
+    _, words = drawn(draw_crosstalk, search_result(LONG))
+    assert {words.count("40.0 %"), words.count("40.0 %\n+0.0 dB")} == {2}
+    assert [text.replace("\n", " ") for text in words].count(LONG[0]) == 2
 
 
 @pytest.mark.parametrize("draw", [draw_history, draw_spectrum])

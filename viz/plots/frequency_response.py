@@ -44,7 +44,7 @@ def draw_frequency_response(response: FrequencyResponse, path: str | Path) -> No
         unit = length_unit([extent])[0]
         labels = [f"{name} → {place} {unit}" for name in names for place in places]
         for index, look in _plot(magnitude, x, np.abs(response.responses), labels).items():
-            phase.plot(x, _unbroken(np.degrees(np.angle(response.responses[index]))), **look)
+            phase.plot(x, _unbroken(response.responses[index]), **look)
         _plot(velocity, x, response.mean_square_velocity, names)
         localization.plot(x, response.bound, color=BOUND, linewidth=1.0, linestyle="--", label="bound")
         localization.plot(x, response.localization_factor, color=FACTOR, linewidth=1.2, label="drive of the scene")
@@ -88,10 +88,10 @@ def _limits(values: np.ndarray, decades: float) -> tuple[float, float]:
     return max(positive.min(), high / 10**decades) / 1.5, high * 1.5
 
 
-def _unbroken(degrees: np.ndarray) -> np.ndarray:
-    """Return a phase with gaps where it jumps from one end of the axis to the other."""
-    jumps = np.abs(np.diff(degrees, prepend=degrees[0])) > 270
-    return np.where(jumps, np.nan, degrees)
+def _unbroken(values: np.ndarray) -> np.ndarray:
+    """Return the phase of a response [°], with gaps where it jumps from one end of the axis to the other."""
+    degrees = np.degrees(np.angle(values))
+    return np.where(np.abs(np.diff(degrees, prepend=degrees[0])) > JUMP, np.nan, degrees)
 
 
 def _plot(axes: Axes, x: np.ndarray, curves: np.ndarray, labels: list[str]) -> dict[int, dict[str, Any]]:
@@ -163,9 +163,7 @@ def _draw_response(fitted: ResponseFit, index: int, column: np.ndarray) -> None:
     curves = (fitted.measured.responses[index], fitted.responses[index])
     for values, look, label in zip(curves, looks, ("measured", "fitted"), strict=True):
         column[0].plot(frequencies, np.abs(values), label=label, **look)
-        degrees = np.degrees(np.angle(values))
-        jumps = (np.abs(np.diff(degrees, prepend=degrees[0])) > JUMP) & (label == "fitted")
-        column[1].plot(frequencies, np.where(jumps, np.nan, degrees), **look)
+        column[1].plot(frequencies, _unbroken(values) if label == "fitted" else np.degrees(np.angle(values)), **look)
     column[1].set(ylim=(-190, 190), yticks=(-180, -90, 0, 90, 180))
     for axes in column:
         axes.grid(True, color=GRID, linewidth=0.4, alpha=0.4)

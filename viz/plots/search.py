@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_plate.result.case import only_actuator
-from warp_plate.result.model import BOUND_DESCRIPTIONS, DRIVES, TAIL, Result, RobustComparison, mean_of_worst
+from warp_plate.result.model import BOUND_DESCRIPTIONS, DRIVES, TAIL, Result, mean_of_worst
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Search
 from warp_plate.scene.vary import counted
@@ -21,9 +21,6 @@ if TYPE_CHECKING:
 
     from warp_plate.result.comparison import MethodComparison, Trial
 
-# Label of the mean loss of an iteration by method; "exact" tries one drive only.
-MEAN_LABELS = dict.fromkeys(("pso", "constriction", "ring"), "swarm mean")
-MEAN_LABELS |= {"cma": "mean of the generation", "gradient": "mean of the descents"}
 PUBLISHED = 0.72  # final localization factor of the swarm in the source paper
 # Line styles of drives that need no search.
 CASE_LINES = {
@@ -35,7 +32,6 @@ CASE_LINES = {
 # Colour and line width of the curves of a spectrum by name in the result.
 CURVES = {"best": ("#08519c", 1.6), "single": ("#6baed6", 1.1), "equal": ("#8a8a8a", 1.1)}
 DRIVE_COLOURS = {"robust": "#08519c", "nominal": "#d94801"}
-BINS = 24
 METHOD_COLOURS = {"pso": "#4d4d4d", "constriction": "#d95f02", "ring": "#1b7837"}
 METHOD_COLOURS |= {"cma": "#762a83", "gradient": "#08519c", "exact": "#b2182b"}
 BOUND_LABELS = {"attained": "bound of these searches", "bound only": "upper bound (may be out of reach)"}
@@ -43,11 +39,10 @@ SMALLEST_DISTANCE = 1e-12  # from the bound; smaller ones are rounding errors
 
 
 def draw_history(result: Result, path: str | Path, loss: bool = False) -> None:
-    """Plot localization factor or weighted sum of the objectives against the iteration, as the tables print them.
+    """Plot localization factor or weighted sum of the objectives against the iteration, for the first of several
+    targets; ``loss`` plots 1 − localization factor, as the source paper does, or the negative sum.
 
-    With several targets the history is that of the first. Horizontal lines show the bound, drives that need no search
-    and, for the preset "paper", the published factor. ``loss`` plots 1 − localization factor, as the source paper does,
-    or the negative sum.
+    Horizontal lines show the bound, drives that need no search and, for the preset "paper", the published factor.
     """
     if not result.history:
         raise ValueError("the result holds no history: only a search leaves one")
@@ -67,10 +62,11 @@ def plot_history(axes: Axes, result: Result, loss: bool = False) -> None:
     best = offset + sign * np.fmax.accumulate(values["best"])
     iteration = np.arange(1, best.size + 1)
     marker = "." if best.size < 10 else None
-    label = MEAN_LABELS.get(result.scene.search.method)
-    # Overlapping places have huge losses, which would dominate the mean.
-    if "mean" in values and label is not None and result.scene.search.position is None:
-        axes.plot(iteration, offset + sign * values["mean"], color="#9ecae1", linewidth=1.0, marker=marker, label=label)
+    # Overlapping places have huge losses, which would dominate the mean; "exact" tries one drive only.
+    if "mean" in values and result.scene.search.method != "exact" and result.scene.search.position is None:
+        axes.plot(
+            iteration, offset + sign * values["mean"], color="#9ecae1", linewidth=1.0, marker=marker, label="mean"
+        )
     axes.plot(iteration, best, color="#08519c", linewidth=1.8, marker=marker, label=f"best so far: {_number(best[-1])}")
     levels = {name: (offset + sign * level, look) for name, (level, look) in _levels(result).items()}
     for name, (level, look) in levels.items():
@@ -156,48 +152,30 @@ def curve_labels(search: Search) -> dict[str, str]:
 
 
 def draw_robust(result: Result, path: str | Path) -> None:
-    """Plot histograms and cumulative distributions of the robust and the nominal drive over the validation panels."""
-    with figure(path, (5.4, 4.6), dpi=320) as fig:
-        above, below = fig.subplots(2, 1, sharex=True, height_ratios=[1, 1.5])
-        _plot_histograms(above, result.robust)
-        _plot_cumulative(below, result.robust)
-        fig.suptitle(result.scene.title or result.source, fontsize=9)
-
-
-def _plot_histograms(axes: Axes, compared: RobustComparison) -> None:
-    finite = compared.validation[np.isfinite(compared.validation)]
-    edges = np.histogram_bin_edges(finite, BINS)
-    for name, values in zip(DRIVES, compared.validation, strict=True):
-        shown, colour = values[np.isfinite(values)], DRIVE_COLOURS[name]
-        axes.hist(shown, edges, color=colour, alpha=0.35)
-        axes.hist(shown, edges, color=colour, histtype="step", linewidth=1.2, label=f"{name} drive")
-        if shown.size:
-            axes.axvline(shown.mean(), color=colour, linewidth=1.0, linestyle="--")
-    axes.set_ylabel(f"of {compared.validation.shape[1]} validation panels")
-    axes.legend(title="dashed: mean", title_fontsize=8)
-
-
-def _plot_cumulative(axes: Axes, compared: RobustComparison) -> None:
-    count, look = compared.validation.shape[1], {"fontsize": 7, "color": "#808080", "ha": "right"}
+    """Plot cumulative distributions of the robust and the nominal drive over the validation panels."""
+    compared = result.robust
+    count = compared.validation.shape[1]
     fraction = np.arange(1, count + 1) / count
-    for name, values, tail in zip(DRIVES, compared.validation, mean_of_worst(compared.validation), strict=True):
-        colour = DRIVE_COLOURS[name]
-        # Failed plates count as worst, so the curve starts at their share.
-        ordered = np.sort(np.where(np.isfinite(values), values, -np.inf))
-        finite = np.isfinite(ordered)
-        axes.step(ordered[finite], fraction[finite], where="post", color=colour, linewidth=1.4)
-        for level in (TAIL, 0.5):
-            value = ordered[int(np.ceil(level * count)) - 1]
-            if np.isfinite(value):
-                axes.plot(value, level, marker="o", markersize=4, color=colour)
-        if np.isfinite(tail):
-            axes.axvline(tail, 0, 0.12, color=colour, linewidth=2.2, label=f"{name}, mean of worst 5 %: {tail:.4f}")
-    for level, label in ((TAIL, "worst 5 %"), (0.5, "half")):
-        axes.axhline(level, color="#b0b0b0", linewidth=0.6, zorder=0)
-        axes.text(0.99, level + 0.01, label, transform=axes.get_yaxis_transform(), **look)
-    quantity = "localization factor" if compared.localization else "weighted sum of the objectives"
-    axes.set(ylim=(0, 1.02), ylabel="fraction of panels below", xlabel=quantity)
-    axes.legend(fontsize=8, loc="upper left")
+    with figure(path, (5.4, 3.6), dpi=320) as fig:
+        axes = fig.add_subplot()
+        for name, values, tail in zip(DRIVES, compared.validation, mean_of_worst(compared.validation), strict=True):
+            colour = DRIVE_COLOURS[name]
+            # Failed plates count as worst, so the curve starts at their share.
+            ordered = np.sort(np.where(np.isfinite(values), values, -np.inf))
+            finite = np.isfinite(ordered)
+            curve = {"where": "post", "color": colour, "linewidth": 1.4}
+            axes.step(ordered[finite], fraction[finite], label=f"{name} drive", **curve)
+            if np.isfinite(tail):
+                label = f"{name}, mean of worst 5 %: {tail:.4f}"
+                axes.axvline(tail, 0, 0.12, color=colour, linewidth=2.2, label=label)
+        for level, label in ((TAIL, "worst 5 %"), (0.5, "half")):
+            axes.axhline(level, color="#b0b0b0", linewidth=0.6, zorder=0)
+            place = {"transform": axes.get_yaxis_transform(), "ha": "right", "color": "#808080"}
+            axes.text(0.99, level + 0.01, label, fontsize=7, **place)
+        quantity = "localization factor" if compared.localization else "weighted sum of the objectives"
+        axes.set(ylim=(0, 1.02), ylabel=f"fraction of {count} panels below", xlabel=quantity)
+        axes.legend(fontsize=8, loc="upper left")
+        axes.set_title(result.scene.title or result.source, fontsize=9, wrap=True)
 
 
 def _write_target(axes: Axes, scene: Scene) -> None:
@@ -227,8 +205,7 @@ def draw_comparison(comparison: MethodComparison, path: str | Path) -> None:
 
 def loss_statistics(trials: Sequence[Trial], clock: str, budget: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the (iterations,) median of a clock, "evaluations" or "seconds", over trials, and their (3, iterations)
-    smallest, median and largest loss so far, with the last loss of trials that have ended.
-    """
+    smallest, median and largest loss so far, with the last loss of trials that have ended."""
     count = max(len(trial.loss) for trial in trials)
     times, losses = (
         np.array([np.pad(getattr(trial, name), (0, count - len(trial.loss)), mode="edge") for trial in trials], float)

@@ -9,14 +9,14 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from warp_plate.accuracy.configurations import percent
 from warp_plate.analysis.superposition import SimulatedResponses, UnitResponses, unit_responses
-from warp_plate.explore.settings import LiveSettings, changed_scene, polar, scene_damping, slider_ranges
+from warp_plate.effects.damping import Damping
 from warp_plate.modal.solver import MODAL
 from warp_plate.optimize.optimizer import minimize
 from warp_plate.optimize.pso import Swarm
@@ -32,18 +32,75 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.run import Progress
 
-CHOICES = ("scene", "equal", "single", "found", "exact", "random")
+# Ends of the sliders as multiples of the scene's values; if it has no damping, as a loss factor at its frequency.
+FREQUENCY_RANGE, MAGNITUDE_RANGE, DAMPING_RANGE, LOSS_FACTOR_RANGE = (0.2, 2.0), 2.0, 5.0, 0.5
+MIN_STEPS_PER_PERIOD = 4  # if the scene fixes the time step
+# Drives that can be chosen, and what their buttons say.
+CHOICES = {"scene": "scene's own", "equal": "equal", "single": "best single"}
+CHOICES |= {"found": "best found", "exact": "exact best", "random": "random"}
 # Share of the motion from which start-up motion is mentioned.
 RESIDUAL_WARNING = 0.02
 
 
-class LiveModel:
-    """A scene under settings that change while it is shown.
+@dataclass(frozen=True)
+class SliderRanges:
+    """Ends of the sliders."""
 
-    Args:
-        scene: A scene with a grid, whose drive is the first one.
-        device, path: See :class:`PlateSolver`; "auto" takes the modes of a linear scene, and so does "modal".
-        progress: Called during the first simulation, which is done when the constructor returns.
+    magnitude: float  # largest magnitude of an actuator [N/m²]; the least is 0
+    damping: float  # largest viscous damping [N·s/m³]; the least is 0
+    frequency: tuple[float, float]  # least and largest frequency of the drive [Hz]
+
+
+@dataclass(frozen=True)
+class LiveSettings:
+    """Positions of the sliders."""
+
+    frequency: float  # frequency of the drive [Hz]
+    damping: float  # viscous damping [N·s/m³]
+    magnitude: tuple[float, ...]  # magnitude of each actuator [N/m²]
+    phase: tuple[float, ...]  # phase lag of each actuator [rad]
+
+    @property
+    def phasors(self) -> np.ndarray:
+        """(actuators,) complex amplitudes of the drive [N/m²]."""
+        return np.array(self.magnitude) * np.exp(-1j * np.array(self.phase))
+
+
+def slider_ranges(scene: Scene) -> SliderRanges:
+    """Return the ends of the sliders for a scene, within the limits of its run."""
+    frequency, surface_density = scene.drive.frequency, scene.plate.density * scene.plate.thickness
+    stiff = scene.drive_angular_frequency * surface_density  # damping of a loss factor of 1
+    damping = DAMPING_RANGE * scene_damping(scene) or LOSS_FACTOR_RANGE * stiff
+    highest = FREQUENCY_RANGE[1] * frequency
+    if scene.grid.time_step is not None:
+        highest = max(frequency, min(highest, 1 / (MIN_STEPS_PER_PERIOD * scene.grid.time_step)))
+    lowest = min(frequency, max(FREQUENCY_RANGE[0] * frequency, 1 / scene.window.end))
+    return SliderRanges(MAGNITUDE_RANGE * magnitude_unit(scene), damping, (lowest, highest))
+
+
+def scene_damping(scene: Scene) -> float:
+    """Return the viscous damping of the scene [N·s/m³]; 0 if it has none."""
+    return scene.effects.damping.viscous if scene.effects.damping else 0.0
+
+
+def changed_scene(scene: Scene, frequency: float, damping: float) -> Scene:
+    """Return the scene at another frequency [Hz] and with other viscous damping [N·s/m³], if any."""
+    table = scene.effects.damping or (Damping(viscous=damping) if damping > 0 else None)
+    table = table and table.model_copy(update={"viscous": damping})
+    drive = scene.drive.model_copy(update={"frequency": frequency})
+    return scene.model_copy(update={"drive": drive, "effects": scene.effects.model_copy(update={"damping": table})})
+
+
+def polar(phasors: np.ndarray) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the magnitudes and the phase lags 0 ≤ φ < 2π of phasors."""
+    phase = np.where(phasors == 0, 0.0, np.mod(-np.angle(phasors), 2 * math.pi))
+    return tuple(np.abs(phasors).tolist()), tuple(phase.tolist())
+
+
+class LiveModel:
+    """A scene under settings that change while it is shown; the first simulation is done by the constructor.
+
+    For ``device`` and ``path`` see :class:`PlateSolver`; "auto" takes the modes of a linear scene, and so does "modal".
 
     Attributes:
         ranges, settings: Ends and positions of the sliders.
@@ -264,15 +321,8 @@ class LiveModel:
 class WatchedSearch(threading.Thread):
     """A particle swarm in a thread, over all drives whatever the scene's ``[search]``; the constructor starts it.
 
-    Args:
-        scene: The scene, at the current frequency and damping.
-        energies: Function from phasors (plates, actuators) to energies (plates, regions) [J].
-        scale: Magnitude of the first actuator [N/m²]; only ratios count where the plate is linear.
-        seconds: Least duration of an iteration [s], so that it can be seen.
-
-    Attributes:
-        snapshot: The last iteration; None before the end of the first.
-        ended: Event that ends the search after the current iteration; the last snapshot stays.
+    An iteration takes at least so many seconds, so that it can be seen. ``snapshot`` is the last one, None before the
+    end of the first; it stays once the event ``ended`` has ended the search.
     """
 
     def __init__(
