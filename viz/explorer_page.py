@@ -1,9 +1,8 @@
 """The explorer as a web page: pictures are drawn here and sent, sliders and buttons run in the browser.
 
-All that the page loads comes from this server. It listens at one address of this machine; requests must name this
-machine, and sockets bring the secret of this run, which is in the printed address. The browser sends that address as
-the referrer of the page's first request, which asks where the socket is. This avoids a cookie, which would be sent to
-other servers at this address as well.
+All that the page loads comes from this server. Requests must name this machine, and sockets bring the secret of this
+run, which is in the printed address. The browser sends that address as the referrer of the page's first request, which
+asks where the socket is. This avoids a cookie, which would be sent to other servers at this address as well.
 """
 
 from __future__ import annotations
@@ -37,9 +36,6 @@ if TYPE_CHECKING:
 
 WEB_EXTRA = "pip install 'warp-plate[web]'"
 TITLE = "warp-plate explore"
-# Labels of the buttons by the choice of a drive.
-CHOICE_LABELS = {"scene": "scene's own", "equal": "equal", "single": "best single"}
-CHOICE_LABELS |= {"found": "best found", "exact": "exact best", "random": "random"}
 ITERATION_SECONDS = 0.1  # least duration of an iteration of the swarm, so that it can be watched
 # Initial size of the picture, and its font size for this size [pixels].
 SIZE, FONT_SIZE = (900, 800), 16
@@ -89,7 +85,7 @@ def serve_page(
     set_up_renderer()
     # JPEG cannot be compressed further; trying takes longer than drawing. Read when the server starts.
     os.environ.setdefault("WSLINK_WS_COMPRESS", "0")
-    logging.getLogger("asyncio").addFilter(_is_not_of_a_connection)
+    logging.getLogger("asyncio").addFilter(is_no_connection_error)
     for name in SILENT:
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     with suppress(KeyboardInterrupt):
@@ -209,7 +205,7 @@ class ExplorerPage:
         model, ranges = self.model, self.model.ranges
         with html.Div(style="display: grid; grid-template-columns: 1fr 1fr 1fr; gap: 6px; margin-bottom: 8px"):
             style = {"size": "small", "style": "text-transform: none; letter-spacing: 0"}
-            for choice, label in CHOICE_LABELS.items():
+            for choice, label in model.choices.items():
                 colour, click = (f"choice === '{choice}' ? 'primary' : undefined",), (self._choose, f"['{choice}']")
                 vuetify3.VBtn(label, id=f"choose-{choice}", color=colour, click=click, **style)
             vuetify3.VBtn("{{ playing ? 'pause' : 'play' }}", id="pause", click="playing = !playing", **style)
@@ -228,10 +224,9 @@ class ExplorerPage:
         self.model.set_actuator(index, **{key: value})
 
     def _choose(self, choice: str) -> None:
-        if choice not in CHOICE_LABELS:
-            return
-        self.server.state.choice = choice
-        self.model.choose(choice, ITERATION_SECONDS)
+        if choice in self.model.choices:
+            self.server.state.choice = choice
+            self.model.choose(choice, ITERATION_SECONDS)
 
     def _take(self, picture: int) -> None:
         if isinstance(picture, int):
@@ -240,25 +235,23 @@ class ExplorerPage:
 
 
 def _add_slider(label: str, key: str, ends: tuple[float, float], on_change: Callable[[float], object]) -> None:
-    """Add a slider of the state's ``key``, with its label and value above."""
+    """Add a slider of the state's ``key``, with its label and value above; it takes numbers only, within its ends."""
     from trame.widgets import html, vuetify3
+
+    def take(value: object) -> None:
+        if isinstance(value, int | float) and math.isfinite(value):
+            on_change(min(max(float(value), ends[0]), ends[1]))
 
     with html.Div(id=f"slide-{key}"):
         with html.Div(style="display: flex; justify-content: space-between; margin-top: 2px"):
             html.Span(label)
             html.Span(f"{{{{ Number({key}).toPrecision(4) }}}}", id=f"value-{key}")
         look = {"hide_details": True, "density": "compact", "color": "primary", "raw_attrs": [f'aria-label="{label}"']}
-        change = (partial(_within, on_change, ends), "[$event]")
+        change = (take, "[$event]")
         vuetify3.VSlider(v_model=(key,), min=ends[0], max=ends[1], step=0, update_modelValue=change, **look)
 
 
-def _within(on_change: Callable[[float], object], ends: tuple[float, float], value: object) -> None:
-    """Take a value from a browser, if it is a number, within the ends of its slider."""
-    if isinstance(value, int | float) and math.isfinite(value):
-        on_change(min(max(float(value), ends[0]), ends[1]))
-
-
-def _is_not_of_a_connection(record: logging.LogRecord) -> bool:
+def is_no_connection_error(record: logging.LogRecord) -> bool:
     """Filter out log records of disconnected browsers and of too many connections."""
     error = record.exc_info[1] if record.exc_info else sys.exc_info()[1]
     too_many = isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE)
@@ -287,7 +280,10 @@ def guard(server: Any, host: str, secret: str) -> None:
         if request.path == "/ws":
             if not is_secret(request.query.get("secret", "")) or not web.WebSocketResponse().can_prepare(request).ok:
                 raise web.HTTPForbidden
-            _drop_if_idle(request)
+            # Drop a connection that accepts no data, so that others need not wait for it (Linux only).
+            connection = request.get_extra_info("socket")
+            if connection is not None and hasattr(socket, "TCP_USER_TIMEOUT"):
+                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, PATIENCE)
         response: web.StreamResponse = await handler(request)
         # The page's script would take any server's address, of a socket too, from a link to the page.
         response.headers["Content-Security-Policy"] = f"default-src 'self' ws://{request.host} {PAGE_NEEDS}"
@@ -299,23 +295,13 @@ def guard(server: Any, host: str, secret: str) -> None:
 
 def _key_in(address: str) -> str:
     """Return the secret that a page's address holds, or nothing."""
-    try:
+    with suppress(ValueError):
         return parse_qs(urlsplit(address).query).get("key", [""])[0]
-    except ValueError:
-        return ""
+    return ""
 
 
 def _is_address(name: str) -> bool:
     """Return whether a host is an IP address, which no other site's name can stand for."""
-    try:
-        ipaddress.ip_address(name)
-    except ValueError:
-        return False
-    return True
-
-
-def _drop_if_idle(request: web.Request) -> None:
-    """Drop a connection that accepts no data, so that others need not wait for it (Linux only)."""
-    connection = request.get_extra_info("socket")
-    if connection is not None and hasattr(socket, "TCP_USER_TIMEOUT"):
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, PATIENCE)
+    with suppress(ValueError):
+        return bool(ipaddress.ip_address(name))
+    return False

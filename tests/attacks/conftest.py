@@ -41,16 +41,17 @@ def filled(tmp_path_factory):
     return folder
 
 
-@pytest.fixture
-def served(write_scene):
+@pytest.fixture(scope="module")
+def served(tmp_path_factory):
     """Host and port, and query, of ``explore --web``; Ctrl-C ends it quietly whatever its clients have sent."""
     if (problem := missing_page() or viz.missing_renderer()) is not None:
         pytest.skip(problem)
-    write_scene(damping=120.0, window=(0.08, 0.1))
-    process = start_program("-m", "warp_plate", "explore", "panel.toml", "--web", "--port", 0, "--device", "cpu")
+    scene = tmp_path_factory.mktemp("served") / "panel.toml"
+    scene.write_text(scene_of(damping=120.0, window=(0.08, 0.1)).to_toml(), encoding="utf-8")
+    process = start_program("-m", "warp_plate", "explore", scene, "--web", "--port", 0, "--device", "cpu")
     line = process.stdout.readline()
     try:
-        yield re.search(r"http://(127\.0\.0\.1:\d+)/(\?key=\w+) ", line).groups()
+        yield re.search(r"http://(127\.0\.0\.1:\d+)/(\?key=\w+) ", line).groups() + (process.pid,)
     finally:
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=60)

@@ -10,10 +10,8 @@ import pytest
 
 from support.commands import error_of, until
 from warp_plate import PlateSolver, SceneError, localize
-from warp_plate.analysis.superposition import ORDERS, last_period, live_solver
-from warp_plate.explore import live_model
-from warp_plate.explore.live_model import CHOICES, LiveModel
-from warp_plate.explore.settings import changed_scene, slider_ranges
+from warp_plate.analysis.superposition import ORDERS, last_period, live_solver, unit_responses
+from warp_plate.explore.live_model import CHOICES, LiveModel, changed_scene, slider_ranges
 from warp_plate.plate.weights import localization_factor
 from warp_plate.result.motion import QUADRANTS, DriveResponse, SteadyMotion, SwarmSnapshot
 from warp_plate.viz import explorer_page
@@ -36,7 +34,7 @@ def explored_panel(scene):
 def live():
     """A factory of live models on the CPU, which are closed at the end."""
     with ExitStack() as models:
-        yield lambda scene, path="auto": models.enter_context(closing(LiveModel(scene, "cpu", path)))
+        yield lambda scene, path="auto", **how: models.enter_context(closing(LiveModel(scene, "cpu", path, **how)))
 
 
 @pytest.fixture
@@ -72,15 +70,17 @@ def test_frequency_and_damping_are_simulated_again(explored_panel, live, path):
         assert (reading.scene.drive.frequency, reading.scene.effects.damping.viscous) == (frequency, damping)
 
 
-def test_a_reading_does_not_wait_for_a_simulation(model, monkeypatch):
+def test_a_reading_does_not_wait_for_a_simulation(explored_panel, live):
     """While the worker simulates, the old responses stay and drives still move; then the latest frequency is shown."""
-    real, go_on = live_model.unit_responses, threading.Event()
+    go_on = threading.Event()
+    go_on.set()
 
     def slow(*arguments):
         assert go_on.wait(60)
-        return real(*arguments)
+        return unit_responses(*arguments)
 
-    monkeypatch.setattr(live_model, "unit_responses", slow)
+    model = live(explored_panel, respond=slow)
+    go_on.clear()
     for frequency in np.linspace(150, 200, 20):
         model.set_frequency(frequency)
     assert model.status() == "simulating ..."
@@ -96,21 +96,22 @@ def test_a_reading_does_not_wait_for_a_simulation(model, monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_what_cannot_be_simulated_is_reported_and_the_rest_goes_on(scene, live, monkeypatch):
+def test_what_cannot_be_simulated_is_reported_and_the_rest_goes_on(scene, live):
     """A damping that makes the given step, taken backward, unstable; an error, as of a device out of memory."""
 
-    def fail(*_):
-        raise RuntimeError("out of memory")
+    def respond(changed, *arguments):
+        if changed.drive.frequency == 200.0:
+            raise RuntimeError("out of memory")
+        return unit_responses(changed, *arguments)
 
     with pytest.raises(SceneError, match="above the stability limit"):
         live(scene(time_step=1e-3), "resident")
-    model = live(scene(damping=10.0, scheme="backward", time_step=1.2e-4), "resident")
+    model = live(scene(damping=10.0, scheme="backward", time_step=1.2e-4), "resident", respond=respond)
     before = model.read()
     assert after(model, damping=1e5).scene is before.scene
     assert "above the stability limit" in model.status()
     assert after(model, damping=20.0).scene.effects.damping.viscous == 20.0
     assert "limit" not in model.status()
-    monkeypatch.setattr(live_model, "unit_responses", fail)
     assert after(model, frequency=200.0).scene.drive.frequency == 290.0
     assert model.status().startswith("the simulation has failed")
 
@@ -141,7 +142,6 @@ def test_choices_are_what_localize_means_by_them(explored_panel, model):
         assert all(0 <= phase < 2 * math.pi for phase in model.settings.phase)
     with pytest.raises(ValueError, match="'best': there are: scene, equal"):
         model.choose("best")
-    assert tuple(explorer_page.CHOICE_LABELS) == CHOICES
 
 
 def test_one_actuator_and_damping_where_the_scene_has_none(scene, live):
@@ -308,5 +308,5 @@ def test_refusals_name_the_library_the_port_or_the_device(write_scene, monkeypat
         pytest.skip("the page cannot be served here")
     for option, value in (("--device", "cuda:99"), ("--port", -1), ("--port", 70000)):
         assert str(value) in error_of(command("explore", "panel.toml", "--web", option, value))
-    monkeypatch.setattr(explorer_page.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     assert "pip install 'warp-plate[web]'" in error_of(command("explore", "panel.toml"))

@@ -35,7 +35,6 @@ from warp_plate.solve.run import Progress
 # Ends of the sliders as multiples of the scene's values; if it has no damping, as a loss factor at its frequency.
 FREQUENCY_RANGE, MAGNITUDE_RANGE, DAMPING_RANGE, LOSS_FACTOR_RANGE = (0.2, 2.0), 2.0, 5.0, 0.5
 MIN_STEPS_PER_PERIOD = 4  # if the scene fixes the time step
-# Drives that can be chosen, and what their buttons say.
 CHOICES = {"scene": "scene's own", "equal": "equal", "single": "best single"}
 CHOICES |= {"found": "best found", "exact": "exact best", "random": "random"}
 # Share of the motion from which start-up motion is mentioned.
@@ -105,15 +104,19 @@ class LiveModel:
     Attributes:
         ranges, settings: Ends and positions of the sliders.
         by_modes: Whether responses come from modes, without time steps.
+        choices: Drives that can be chosen, and what their buttons say.
 
     Raises:
         SceneError: The load does not repeat with the drive, or see :class:`PlateSolver`. ``status`` reports later
             errors, which leave the last reading unchanged.
     """
 
+    choices = CHOICES
+
     def __init__(
-        self, scene: Scene, device: str = "auto", path: str = "auto", progress: Progress | None = None
-    ) -> None:
+        self, scene: Scene, device: str = "auto", path: str = "auto", progress: Progress | None = None,
+        respond: Callable[..., UnitResponses] = unit_responses,
+    ) -> None:  # fmt: skip
         if scene.nonperiodic_key is not None:
             raise SceneError(
                 f"{scene.nonperiodic_key}: what is explored repeats with the period of drive.frequency; leave it out"
@@ -121,7 +124,7 @@ class LiveModel:
         self.scene = scene
         self.ranges = slider_ranges(scene)
         self.by_modes = choose_engine(scene, "survey", path) == "modes"
-        self._device, self._path = device, MODAL if self.by_modes else path
+        self._device, self._path, self._respond = device, MODAL if self.by_modes else path, respond
         self._scale = magnitude_unit(scene)
         phasors = scene_phasors(scene)
         self.settings = LiveSettings(scene.drive.frequency, scene_damping(scene), *polar(phasors))
@@ -186,13 +189,10 @@ class LiveModel:
                 self._request(**{key: tuple(values)})
 
     def choose(self, choice: str, seconds: float = 0.0) -> None:
-        """Take one of the CHOICES as the drive; a ValueError is raised for another.
+        """Take one of the CHOICES as the drive; ValueError for another.
 
-        Args:
-            choice: "scene": the scene's own; "equal": all actuators alike; "single": the best single actuator;
-                "found": the best so far of a search by the scene's swarm, which begins now; "exact": the drive that
-                attains the bound; "random": any.
-            seconds: Least duration of an iteration of that search [s].
+        "found" is the best so far of a search by the scene's swarm, which begins now; an iteration takes at least so
+        many seconds.
         """
         if choice not in CHOICES:
             raise ValueError(f"choice = {choice!r}: there are: {', '.join(CHOICES)}")
@@ -287,7 +287,7 @@ class LiveModel:
 
     def _simulate(self, scene: Scene, progress: Progress | None = None) -> UnitResponses | SimulatedResponses:
         if scene.linear:
-            return unit_responses(scene, self._device, self._path, progress)
+            return self._respond(scene, self._device, self._path, progress)
         return SimulatedResponses(scene, self._device, self._path)
 
     def _take(self, choice: str, seconds: float) -> None:
