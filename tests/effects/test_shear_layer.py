@@ -5,10 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from warp_plate.analysis.influence import is_on, toggle
 from warp_plate.modal.continuous_modes import continuous_modes
 from warp_plate.plate.modes import natural_modes
-from warp_plate.problem.uncertainty import draw_scenarios
 from warp_plate.reference.numpy_moment_form import run_moment_form
 from warp_plate.scene.model import Scene
 from warp_plate.solve.solver import PlateSolver
@@ -58,16 +56,3 @@ def test_time_steps_are_those_of_the_plain_matrices():
     np.testing.assert_allclose(
         PlateSolver(scene, "cpu").run(drives).energy, run_moment_form(scene, drives).energy, rtol=1e-10
     )
-
-
-def test_it_is_switched_and_kept_within_tolerances():
-    bare = panel(effects={"damping": {"viscous": 20.0}})
-    named, text = toggle(bare, "shear_layer")
-    assert (is_on(bare, "shear_layer"), is_on(named, "shear_layer")) == (False, True)
-    assert named.effects.names == ["damping", "shear_layer"]
-    assert "N/m" in text
-    tables = {"effects": {"shear_layer": {"stiffness": STIFFNESS}, "damping": {"viscous": 20.0}}}
-    robust = panel(**tables, search={"robust": {"young_modulus": 0.1}})
-    for scenario in draw_scenarios(robust, 3, seed=0):
-        assert scenario.scene.effects.shear_layer.stiffness == STIFFNESS
-    assert panel().replace("effects.shear_layer.stiffness", 7.0).effects.shear_layer.stiffness == 7.0

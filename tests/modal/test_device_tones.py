@@ -73,7 +73,7 @@ def both(plate, quantity, device, frequency, areas, **options):
 def test_kernels_have_the_matrices_of_numpy(random, device, name):
     """Every second case has a frequency for each actuator, the others one for each plate."""
     (tables, quantity), many = CASES[name], list(CASES).index(name) % 2 == 0
-    plate = solve_modes(scene_of(size=SIZE, **tables), highest=400.0)
+    plate = solve_modes(scene_of(size=SIZE, **tables), highest=400.0, density=0.6)
     found, exact = both(plate, quantity, device, *batch(random, many))
     assert found.shape == exact.shape
     assert np.allclose(found, exact, rtol=0, atol=1e-10)
@@ -90,7 +90,7 @@ def test_places_that_all_plates_share(random, device, damped_plate):
 @pytest.mark.parametrize("window", [True, False], ids=["from rest", "steady"])
 def test_piezo_patches_bend_by_their_moments(random, device, window):
     effects = {"damping": {"viscous": 20.0}} if window else {"loss_factor": {"eta": 0.02}}
-    plate = solve_modes(patched(scene_of(size=SIZE, effects=effects)), highest=400.0)
+    plate = solve_modes(patched(scene_of(size=SIZE, effects=effects)), highest=400.0, density=0.6)
     frequency, regions = batch(random)[0], [plate.kinetic_matrix()]
     areas, forces = np.array([[each.area for each in plate.scene.actuators]]), plate.actuator_forces()[None]
     if window:
@@ -105,7 +105,7 @@ def test_piezo_patches_bend_by_their_moments(random, device, window):
 
 def test_undamped_plate_at_resonance(random, device):
     """Exponentials that nearly cancel leave five digits."""
-    plate = solve_modes(scene_of(size=SIZE), highest=400.0)
+    plate = solve_modes(scene_of(size=SIZE), highest=400.0, density=0.6)
     frequency, areas = batch(random)
     frequency[1:3] = plate.frequencies[1]
     found, exact = both(plate, "velocity", device, frequency, areas)

@@ -98,9 +98,9 @@ def test_rectangle_is_a_polygon(layered_plate):
 
 
 def test_polygon_across_a_layer(layered_plate):
-    """Its outline crosses all sides of the layer: the parts that the layer's lines cut off add up to it."""
-    polygon = REGIONS["concave polygon"]
-    x, y = (0.0, *LAYER["area"][:2], SIZE[0]), (0.0, *LAYER["area"][2:], SIZE[1])
+    """Its outline crosses all sides of the layer: parts that a layer's line cuts off along each axis add up to it."""
+    polygon, (left, _, bottom, _) = REGIONS["concave polygon"], LAYER["area"]
+    x, y = (0.0, left, SIZE[0]), (0.0, bottom, SIZE[1])
     parts = sum(layered_plate.kinetic_matrix(polygon, (*across, *up)) for across in pairwise(x) for up in pairwise(y))
     assert np.allclose(parts[:MODES, :MODES], layered_plate.kinetic_matrix(polygon)[:MODES, :MODES], rtol=0, atol=1e-9)
 
@@ -126,6 +126,7 @@ def test_disc_across_a_layer(layered_plate, disc):
     assert error < 1e-8 * np.abs(expected).max()
 
 
+@pytest.mark.slow
 def test_disc_within_a_rectangle_around_it(layered_plate):
     """The polygon of 512 corners that stands for part of a disc."""
     disc = REGIONS["disc"]

@@ -78,7 +78,11 @@ def navier(numbers, size=SIZE, tension=(0.0, 0.0), bed=0.0, orthotropic=None):
     return np.sqrt(stiffness / MASS) / (2 * math.pi)
 
 
-@pytest.mark.parametrize("mix", mixes(), ids=edges_id)
+@pytest.mark.parametrize(
+    "mix",
+    [pytest.param(mix, marks=pytest.mark.slow if index % 3 else ()) for index, mix in enumerate(mixes())],
+    ids=edges_id,
+)
 def test_edges(mix):
     """Ritz's method in polynomials; the errors of both lie above the true values."""
     plate = SIZE, mix, RIGIDITY, MATERIAL["poisson_ratio"], MASS
@@ -170,7 +174,7 @@ def test_layer_that_ends_inside_the_plate():
     "columns",
     [
         pytest.param((1.0, 1.6), marks=pytest.mark.slow),
-        (0.8, 1.3, 0.9, 1.2),
+        (0.8, 1.3, 0.9),
         pytest.param((1.1, 0.9, 1.3, 1.0, 0.8, 1.2, 1.1, 0.9), marks=pytest.mark.slow),
     ],
 )
@@ -277,7 +281,7 @@ def random_scene(random):
     return scene_of(size=size, edges=tuple(edge() for _ in range(4)), effects=chosen)
 
 
-@pytest.mark.parametrize("seed", [2, 5, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (0, 1, 3, 4, 6, 7))])
+@pytest.mark.parametrize("seed", [5, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (0, 1, 2, 3, 4, 6, 7))])
 def test_random_plates(seed):
     scene = random_scene(np.random.default_rng(seed))
     frequencies, expected = lowest(scene), element_frequencies(scene, COUNT)
@@ -334,7 +338,7 @@ def test_lanczos_finds_what_dense_matrices_find(mix):
     np.testing.assert_allclose(few, every[: len(few)], rtol=2e-7, atol=1e-7 * scale)
 
 
-@pytest.mark.parametrize(("size", "edge", "highest"), [(SIZE, "supported", 400.0), ((0.3, 0.02), "free", 1000.0)])
+@pytest.mark.parametrize(("size", "edge", "highest"), [(SIZE, "supported", 250.0), ((0.3, 0.02), "free", 700.0)])
 def test_modes_below_a_frequency_are_all_there(size, edge, highest):
     """Against twice as many modes, which reach beyond; a slender free plate has many more than Weyl's law counts."""
     scene = scene_of(size=size, edges=(edge,) * 4)

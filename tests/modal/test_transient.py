@@ -147,25 +147,6 @@ def test_undamped_mode_at_resonance_grows():
     assert np.allclose(motion, exact, rtol=0, atol=1e-4 * np.abs(exact).max())
 
 
-@pytest.mark.slow
-def test_coupled_modes_obey_their_equation():
-    """q̈ + C q̇ + Λ q = f, with second differences in time, of a plate with a damper on a patch."""
-    held = [{"area": (0.02, 0.06, 0.1, 0.15), "mass": 0.004, "stiffness": 500.0, "damping": 3.0}]
-    plate = solve_modes(bursts(edges=("clamped", "free", "supported", "free"), effects={"oscillators": held}))
-    assert not plate.proportional
-    step, at = 2e-6, 0.0034  # in a rise, on a plateau, in a rise
-    rest = unit_motion(plate, at + step * np.array([-1.0, 0.0, 1.0]))
-    motion = rest[:40]
-    acceleration = (motion[..., 2] - 2 * motion[..., 1] + motion[..., 0]) / step**2
-    left = acceleration + plate.damping[:40] @ ((rest[..., 2] - rest[..., 0]) / (2 * step))
-    left += plate.angular_frequencies[:40, None] ** 2 * motion[..., 1]
-    since = at - actuator_delays(plate.scene)
-    ramp, turns = BURST["ramp"], 2j * math.pi * actuator_frequencies(plate.scene) * at
-    shape = np.where(since < ramp, 0.5 - 0.5 * np.cos(math.pi * since / ramp), 1.0)
-    right = plate.actuator_forces()[:40] * shape * np.exp(turns)
-    assert np.allclose(left[:8], right[:8], rtol=0, atol=1e-3 * np.abs(right[:8]).max())
-
-
 def test_fields_hold_traces():
     plate = solve_modes(bursts(), highest=100.0)
     x, y, times, drives = np.array([0.05, 0.12]), np.array([0.03, 0.1, 0.15]), [0.011, 0.004], np.array([[1, 1j, -2]])
@@ -222,28 +203,23 @@ def test_resting_load_on_a_point_is_static_in_the_end():
     assert np.allclose(motion, forces / edge.angular_frequencies**2, rtol=0, atol=1e-9 * abs(motion).max())
 
 
-def with_channels(scene, folder):
-    """Return the scene with tones under a window for each of three actuators, sampled at 4 kHz."""
-    times = np.arange(48) / 4000
-    waves = np.hanning(48)[:, None] * np.sin(2 * math.pi * times[:, None] * [150.0, 220.0, 350.0])
-    np.savetxt(folder / "channels.csv", waves, delimiter=",")
-    signal = {"file": "channels.csv", "rate": 4000.0, "per_actuator": True}
+def with_file(scene, folder, channels=False):
+    """Return the scene with a signal of 220 and 350 Hz under a window, or one of a tone for each actuator, at 4 kHz."""
+    times, window = np.arange(48) / 4000, np.hanning(48)
+    values = window * (np.sin(440 * math.pi * times) - 0.5 * np.cos(700 * math.pi * times))
+    if channels:
+        values = window[:, None] * np.sin(2 * math.pi * times[:, None] * [150.0, 220.0, 350.0])
+    np.savetxt(folder / "signal.csv", values, delimiter=",")
+    signal = {"file": "signal.csv", "rate": 4000.0, "per_actuator": channels}
     return scene.with_tables(drive={"frequency": 400.0, "signal": signal}).in_folder(folder)
 
 
-def with_file(scene, folder):
-    """Return the scene with a signal of 220 and 350 Hz, sampled at 4 kHz."""
-    times = np.arange(48) / 4000
-    values = np.hanning(48) * (np.sin(440 * math.pi * times) - 0.5 * np.cos(700 * math.pi * times))
-    (folder / "signal.csv").write_text("".join(f"{value:.12g}\n" for value in values))
-    drive = {"frequency": 400.0, "signal": {"file": "signal.csv", "rate": 4000.0}}
-    return scene.with_tables(drive=drive).in_folder(folder)
+def with_channels(scene, folder):
+    return with_file(scene, folder, channels=True)
 
 
 TONE = {"drive": {"frequency": 290.0}}
 SMOOTH = {"drive": {"frequency": 290.0, "burst": {"start": 0.001, "duration": 0.008, "ramp": 0.002}}}
-
-
 CHIRP = {"drive": {"frequency": 150.0, "chirp": {"end_frequency": 400.0, "duration": 0.01, "law": "logarithmic"}}}
 LOAD = {"force": 0.3, "start": (-0.02, 0.05), "velocity": (25.0, 2.0), "size": 0.03, "frequency": 80.0}
 MOVING = {"drive": {"frequency": 290.0}, "effects": {"damping": {"viscous": 88.0}, "moving_load": LOAD}}
@@ -256,6 +232,7 @@ STEPPED = {
     "file, a channel each": (with_channels, 2, 0.06),
     "moving load": (MOVING, 2, 0.06),
 }
+FAST = ("burst", "sweep", "moving load")
 
 
 def test_each_actuator_has_a_channel(tmp_path):
@@ -271,7 +248,7 @@ def test_each_actuator_has_a_channel(tmp_path):
     found = energies.values(phasors, np.full((1, 3), 400.0), areas, np.zeros((1, 3)))
     assert np.allclose(found, energies.scene_values(phasors), rtol=1e-5)
     motion = trace(plate, phasors, [(0.05, 0.1)], times)
-    for actuator, wave in enumerate(np.loadtxt(tmp_path / "channels.csv", delimiter=",").T):
+    for actuator, wave in enumerate(np.loadtxt(tmp_path / "signal.csv", delimiter=",").T):
         np.savetxt(tmp_path / f"{actuator}.csv", wave)
         drive = {"frequency": 400.0, "signal": {"file": f"{actuator}.csv", "rate": 4000.0}}
         alone = solve_modes(scene.with_tables(drive=drive), density=0.4)
@@ -280,7 +257,11 @@ def test_each_actuator_has_a_channel(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) if name.startswith("file") else name for name in STEPPED]
+    "name",
+    [
+        pytest.param(name, marks=() if name in ("burst", "sweep", "moving load") else pytest.mark.slow)
+        for name in STEPPED
+    ],
 )
 @pytest.mark.parametrize("nodes", [(21, 41), pytest.param((41, 81), marks=pytest.mark.slow)])
 def test_stepping_converges_to_the_motion(name, nodes, tmp_path):
@@ -304,6 +285,7 @@ def test_stepping_converges_to_the_motion(name, nodes, tmp_path):
     assert errors[1][1] < 3 * errors[0][1] / 2**order
 
 
+@pytest.mark.slow
 def test_gram_matrices_of_several_frequencies_are_those_of_stepping():
     """Second order, for stepping knows several frequencies with it alone."""
     scene = bursts(edges=("clamped",) * 4, burst={"start": 0.001, "duration": 0.009, "ramp": 0.003})

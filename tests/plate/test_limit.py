@@ -145,24 +145,6 @@ def test_formulas(name, edge, order, scene):
     assert check_limit(scene(nodes, (0.2, 0.16), EDGES[edge], effects=EFFECTS[name], order=order)).formula
 
 
-@pytest.mark.parametrize("loss", [0.0, 177.0, 1e9])
-def test_formula_of_backward_damping(loss, scene):
-    """z² − (2 − a − λ)z + 1 − a = 0 for a mode with λ = κ²ΛΔt² and a = cΔt/ρH: no root leaves the unit circle up to the
-    limit, one does beyond it."""
-    plain = make_scheme(scene((26, 33), (0.2, 0.16)))
-    damping = {"viscous": loss * plain.surface_density, "scheme": "backward"}
-    limit = find_limit(scene((26, 33), (0.2, 0.16), effects={"damping": damping}))[0].time_step
-    largest = plain.kappa**2 * (4 / 0.008**2 + 4 / 0.005**2) ** 2
-
-    def fastest(time_step, eigenvalue):
-        a, reach = loss * time_step, eigenvalue * time_step**2
-        return np.abs(np.roots([1, -(2 - a - reach), 1 - a])).max()
-
-    # Double roots, as at λ = 0 without damping, are found to √ε.
-    assert max(fastest(limit * (1 - 1e-6), largest * share) for share in np.linspace(0, 1, 101)) <= 1 + 1e-7
-    assert fastest(limit * 1.001, largest) > 1 + 1e-4
-
-
 def test_shares_and_place_of_the_fastest_motion(scene):
     """A stiff spring on a patch moves fastest itself; a bare plate by bending."""
     spring = {"oscillators": [{"area": (0.14, 0.16, 0.04, 0.06), "stiffness": 1e8}]}

@@ -41,13 +41,12 @@ def dimitriadis(x, y, omega, terms=4000):
     return float(4 / math.prod(SIZE) * along @ (moment * squares / stiffness) @ across)
 
 
-@pytest.mark.parametrize("frequency", [1e-3, TONE, 1200.0])
-def test_modes_move_as_the_series_says(frequency):
-    plate = solve_modes(piezo_scene(), 3000.0)
-    amplitudes = plate.respond(np.array([frequency]), plate.actuator_forces())[0, :, 0]
+def test_modes_move_as_the_series_says():
+    plate, frequencies = solve_modes(piezo_scene(), 3000.0), np.array([1e-3, TONE, 1200.0])
+    amplitudes = plate.respond(frequencies, plate.actuator_forces())[:, :, 0].real
     for point in ((0.055, 0.07), (0.12, 0.1)):
-        expected = dimitriadis(*point, 2 * math.pi * frequency)
-        assert (amplitudes.real @ plate.at_points([point]))[0] == pytest.approx(expected, rel=3e-3)
+        expected = [dimitriadis(*point, 2 * math.pi * frequency) for frequency in frequencies]
+        assert (amplitudes @ plate.at_points([point]))[:, 0] == pytest.approx(expected, rel=3e-3)
 
 
 @pytest.mark.slow
@@ -75,7 +74,7 @@ def test_a_covered_plate_bends_as_a_bimetal(body):
     side, voltage = 0.2, 100.0
     patch = {"density": 7800.0} if body else {}
     scene = piezo_scene(area=(0.0, side, 0.0, side), plate={**PLATE, "size": (side, side)}, patch=patch)
-    plate = solve_modes(scene, 5000.0)
+    plate = solve_modes(scene, 2000.0)
     moved = plate.respond(np.array([1e-3]), plate.actuator_forces())[0, :, 0].real @ plate.at_points([(0.1, 0.1)])
     m, n, whole = 1e-4 / 5e-4, 6e10 / 7e10, 6e-4
     strain = -190e-12 / 1e-4  # per volt

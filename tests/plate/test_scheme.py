@@ -24,22 +24,22 @@ SUPPORTED = ("supported",) * 4
     ids=["undamped", "centred", "backward"],
 )
 def test_just_below_the_limit_stays_bounded(device, path, damping, held, precision, scene, phasors):
-    """20000 steps at 0.999 of the limit, undamped or nearly so.
+    """6000 steps at 0.999 of the limit, undamped or nearly so.
 
     A mode with κ²ΛΔt² = 4 sin²(θ/2) under a force f a step reaches at most f·n/sin θ after n steps; here θ goes from
-    0.034 (the lowest mode of a supported plate) to π − 0.089, so n/sin θ ≤ 6e5. A mode that grows would reach
+    0.034 (the lowest mode of a supported plate) to π − 0.089, so n/sin θ ≤ 2e5. A mode that grows would reach
     e^(0.1·n). The force on a mode is at most the load's norm, √(inner nodes) times its largest value.
     """
     step = 0.999 * make_scheme(scene(edges=held, damping=damping[0], scheme=damping[1])).limit
     made = scene(
-        (13, 13), (0.2, 0.2), held, *damping, precision, (0.0, 20000 * step), time_step=step, frequency=0.37 / step
+        (13, 13), (0.2, 0.2), held, *damping, precision, (0.0, 6000 * step), time_step=step, frequency=0.37 / step
     )
     drives, scheme = phasors(2, 3), make_scheme(made)
-    run = PlateSolver(made, device, path).run(drives, (10000 * step, 20000 * step))
-    assert scheme.steps == 20000
+    run = PlateSolver(made, device, path).run(drives, (3000 * step, 6000 * step))
+    assert scheme.steps == 6000
     assert run.finite.all()
     force = scheme.load_scale * math.sqrt(11 * 11) * np.abs(drives).sum(axis=1).max()
-    assert np.abs(run.displacement).max() < 6e5 * force
+    assert np.abs(run.displacement).max() < 2e5 * force
 
 
 def test_above_the_limit_grows(device, path, scene, phasors):

@@ -191,23 +191,6 @@ def mean_square_over_square_mean(duration, start=0.0, ramp=0.0, period=np.inf):
     return np.divide((envelope**2).mean(axis=1), mean**2, out=np.ones(STEPS), where=mean > 0)
 
 
-@pytest.mark.parametrize(
-    ("drive", "tolerance"),
-    [
-        ({"burst": {"duration": 0.3}}, 1e-12),
-        ({"chirp": {"end_frequency": 900.0, "duration": 0.2}}, 1e-12),
-        ({"electrostatic": {"bias": 0.5, "gain": 4 / 9}}, 1e-12),
-        ({"signal": {"file": "a.csv", "repeat": True}}, 1e-3),
-    ],
-)
-def test_first_step_is_halved(driven_scene, tmp_path, drive, tolerance):
-    """A load that sets in at t = 0 gives half its impulse by the first half-step."""
-    write_signal(tmp_path, np.cos(2 * np.pi * 100 * np.arange(4000) / RATE))
-    signals = make_signals(driven_scene(**drive), TIME_STEP, STEPS, tmp_path)
-    load = np.einsum("t,tk->k", signals.wave[0], signals.coefficients(np.ones((1, 3), complex))[0])
-    np.testing.assert_allclose(load, 0.5, rtol=tolerance)
-
-
 def test_a_tone_in_a_file(driven_scene, phasors, tmp_path):
     """A file that repeats a tone drives as the tone itself, phase lags included."""
     write_signal(tmp_path, np.cos(2 * np.pi * 290 * np.arange(8000) / RATE))

@@ -64,7 +64,7 @@ def test_weights_sum_to_the_exact_area(load, nodes, scene):
         assert max(disc.max(), star.max(), bent.max()) <= 1 + 1e-12
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(st.integers(0, 2**32), st.sampled_from([cells, lambda nodes: lagrange(nodes, 4)]))
 def test_parts_of_any_polygon_sum_to_it(seed, axis):
     """A star-shaped polygon, cut in four anywhere."""
