@@ -68,23 +68,22 @@ def _check_python() -> Iterator[Diagnosis]:
 
 
 def _check_devices() -> Iterator[Diagnosis]:
-    from warp_plate.solve import devices, nvidia
+    from warp_plate.solve import devices
 
     try:
         cpu = devices.find_device("cpu")
     except SceneError as error:  # Warp makes the folder when it starts
         yield Diagnosis("kernels", "error", str(error))
         return
-    version, toolkit = nvidia.warp_version(), nvidia.toolkit_version()
-    yield Diagnosis("Warp", "ok", f"{version}, {f'for CUDA {nvidia.dotted(toolkit)}' if toolkit else 'without CUDA'}")
+    yield Diagnosis("Warp", "ok", devices.describe_warp())
     if devices.can_compile_for_cpu():
         yield Diagnosis("CPU", "ok", f"{devices.processor_of(cpu)}, {devices.cpu_threads()} threads")
     else:
         yield Diagnosis("CPU", "error", "Warp cannot load its compiler: pip install --force-reinstall warp-lang")
-    if reason := nvidia.missing_cuda():
-        gpus = nvidia.visible_gpus()
+    if reason := devices.missing_cuda():
+        gpus = devices.visible_gpus()
         yield Diagnosis("GPU", "missing", f"{'; '.join(gpus) or 'none visible'}: {reason}", {"gpus": gpus})
-    for device in nvidia.cuda_devices():
+    for device in devices.cuda_devices():
         yield _diagnose_gpu(device)
     yield _diagnose_folder("kernels", devices.kernel_folder(), "error", OTHER_CACHE)
 
@@ -92,15 +91,14 @@ def _check_devices() -> Iterator[Diagnosis]:
 def _diagnose_gpu(device: wp.Device) -> Diagnosis:
     from warp_plate.accuracy import machine
     from warp_plate.scene.model import Scene
-    from warp_plate.solve import nvidia
+    from warp_plate.solve import devices
 
-    if device not in nvidia.usable_devices():
-        return Diagnosis(device.alias, "missing", nvidia.too_old(device))
+    if device not in devices.usable_devices():
+        return Diagnosis(device.alias, "missing", devices.too_old(device))
     sides, plates = machine.largest_resident_sides(device), machine.plates_in_memory(Scene.load("paper"), device)
     on_chip = ", ".join(f"{side}² ({kind})" for kind, side in sides.items())
-    driver = nvidia.driver_version()
     text = (
-        f"{device.name}, sm_{device.arch}, driver for CUDA {nvidia.dotted(driver) if driver else 'unknown'}, "
+        f"{device.name}, sm_{device.arch}, {devices.describe_driver()}, "
         f"{device.free_memory / 2**30:.3g} of {device.total_memory / 2**30:.3g} GiB free; on the chip plates of up to "
         f"{on_chip} nodes, in memory {plates} like the paper's"
     )

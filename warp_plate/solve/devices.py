@@ -1,30 +1,24 @@
-"""Choice of the device, the cores of the CPU, and Warp's cache of compiled kernels.
-
-The cache has a checksum beside each file: a damaged one would give wrong numbers or crash. The checksums are against
-accidents. Whoever may write to the folder may run code as its user.
-"""
+"""Choice of the device, GPUs that Warp cannot use, the cores of the CPU, and the folder of compiled kernels."""
 
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import logging
 import os
 import platform
 import sys
 from collections.abc import Iterator
-from glob import escape
+from functools import cache
 from pathlib import Path
 
 import warp as wp
 
-from warp_plate.result.atomic_io import write_atomically
 from warp_plate.scene.errors import SceneError
-from warp_plate.solve import nvidia
 
 MOST_THREADS = 1024  # each takes memory
-ENDING, LOADED = ".sha256", (".o", ".ptx", ".cubin", ".meta")
-_loaded: set[tuple[str, str, int | None]] = set()
+WARP_GUIDE = "https://nvidia.github.io/warp/stable/user_guide/installation.html"
+# Where the kernel driver of Linux lists the NVIDIA GPUs.
+GPU_LISTINGS = Path("/proc/driver/nvidia/gpus")
 
 
 def find_device(name: str) -> wp.Device:
@@ -45,17 +39,80 @@ def find_device(name: str) -> wp.Device:
         raise ImportError(str(error)) from None
     try:
         with _quiet_standard_error():
-            usable = nvidia.usable_devices()
+            usable = usable_devices()
             device = (usable or [wp.get_device("cpu")])[0] if name == "auto" else wp.get_device(name)
     except (ValueError, RuntimeError):
         known = ", ".join(["auto", *(device.alias for device in wp.get_devices())])
-        reason = f" ({nvidia.missing_cuda()})" if name.startswith("cuda") and not wp.is_cuda_available() else ""
+        reason = f" ({missing_cuda()})" if name.startswith("cuda") and not wp.is_cuda_available() else ""
         raise SceneError(f"device = {name!r}: not on this machine; there are: {known}{reason}") from None
     if device.is_cuda and device not in usable:
-        raise SceneError(f"device = {name!r}: {nvidia.too_old(device)}")
+        raise SceneError(f"device = {name!r}: {too_old(device)}")
     if name == "auto" and device.is_cpu:
-        nvidia.warn_of_unused_gpu()
+        _warn_of_unused_gpu()
     return device
+
+
+def cuda_devices() -> list[wp.Device]:
+    """Return the CUDA devices that Warp finds, also those that it cannot compile for."""
+    return list(wp.get_cuda_devices())
+
+
+def usable_devices() -> list[wp.Device]:
+    """Return the CUDA devices that the installed Warp compiles for."""
+    return [device for device in wp.get_cuda_devices() if device.arch >= _oldest_architecture()]
+
+
+def _oldest_architecture() -> int:
+    """Return the lowest compute capability that the installed Warp compiles for, such as 75 for 7.5; 0 without CUDA."""
+    return min(wp.get_cuda_supported_archs(), default=0)
+
+
+def describe_warp() -> str:
+    """Return the version of Warp, and of the CUDA that it is built with."""
+    toolkit = wp.get_cuda_toolkit_version()
+    return f"{wp.config.version}, {'for CUDA {}.{}'.format(*toolkit) if toolkit else 'without CUDA'}"
+
+
+def describe_driver() -> str:
+    """Return the newest version of CUDA that the driver of a GPU runs."""
+    return "driver for CUDA {}.{}".format(*wp.get_cuda_driver_version())
+
+
+def missing_cuda() -> str | None:
+    """Return a sentence on why Warp can use no GPU here, with a remedy, or None if it can use one."""
+    if usable_devices():
+        return None
+    if devices := wp.get_cuda_devices():
+        return too_old(devices[0])
+    toolkit = wp.get_cuda_toolkit_version()
+    if toolkit is None:
+        return f"the installed Warp is built without CUDA; other builds: {WARP_GUIDE}"
+    return (
+        f"Warp finds no GPU with a driver for CUDA {toolkit[0]} or later; see 'nvidia-smi', CUDA_VISIBLE_DEVICES, and "
+        f"in a container '--gpus all'; builds of Warp for older drivers: {WARP_GUIDE}"
+    )
+
+
+def too_old(device: wp.Device) -> str:
+    """Return a sentence on a device whose compute capability is too low for the installed Warp."""
+    capability, least = (f"{arch // 10}.{arch % 10}" for arch in (device.arch, _oldest_architecture()))
+    return (
+        f"{device.name} has compute capability {capability}, and the installed Warp needs {least}; install a Warp for "
+        f"an older CUDA: {WARP_GUIDE}"
+    )
+
+
+def visible_gpus() -> list[str]:
+    """Return the models of the NVIDIA GPUs that the system lists, whether or not Warp can use them."""
+    listings = sorted(GPU_LISTINGS.glob("*/information"))
+    return [file.read_text(encoding="utf-8").split("\n", 1)[0].partition(":")[2].strip() for file in listings]
+
+
+@cache
+def _warn_of_unused_gpu() -> None:
+    """Log, once in a process, that there is a GPU which Warp cannot use."""
+    if (reason := missing_cuda()) and (gpus := visible_gpus()):
+        logging.getLogger("warp_plate").warning("%s: not used: %s", "; ".join(gpus), reason)
 
 
 def device_aliases() -> list[str]:
@@ -128,29 +185,6 @@ def cache_errors() -> Iterator[None]:
 
 
 def load_kernel(kernel: wp.Kernel, device: wp.Device, block_dim: int | None = None) -> None:
-    """Compile a kernel for a device, or load it from the cache if its files there are unchanged."""
-    key = str(kernel.module.name), str(device.alias), block_dim
-    if key in _loaded:
-        return
+    """Compile a kernel for a device, or load it from Warp's cache."""
     with cache_errors():
-        for file, seal in _files(kernel):
-            if seal.exists() and seal.read_bytes() != _digest(file):
-                logging.getLogger("warp_plate").warning("%s: damaged; compiled again", file)
-                file.unlink()
-                seal.unlink()
         wp.load_module(module=kernel.module, device=device, block_dim=block_dim)
-    for file, seal in _files(kernel):
-        if not seal.exists():
-            with contextlib.suppress(OSError, SceneError):  # another user's folder
-                write_atomically(_digest(file), seal)
-    _loaded.add(key)
-
-
-def _files(kernel: wp.Kernel) -> list[tuple[Path, Path]]:
-    """Return the files of a kernel's module that Warp loads, in all variants, and the files of their checksums."""
-    files = Path(str(wp.config.kernel_cache_dir)).glob(f"wp_{escape(kernel.module.name)}_*/*")
-    return [(file, file.with_name(file.name + ENDING)) for file in sorted(files) if file.suffix in LOADED]
-
-
-def _digest(file: Path) -> bytes:
-    return hashlib.sha256(file.read_bytes()).hexdigest().encode()
