@@ -139,17 +139,9 @@ def test_modes_of_universal_files(random, tmp_path):
     nodes = {"type": 15, "node_nums": [7, 9], "x": [0.1, 0.02], "y": [0.05, 0.06], "z": [0.0, 0.0]}
     shared = {"type": 55, "data_ch": 2, "spec_data_type": 8, "load_case": 0, "node_nums": [9, 7]}
     zero = np.zeros(2)
+    normal = {**shared, "analysis_type": 2, "mode_n": 1, "r1": zero, "r2": zero}
     modes = [
-        {
-            **shared,
-            "analysis_type": 2,
-            "mode_n": 1,
-            "freq": freq,
-            "modal_damp_vis": zeta,
-            "r1": zero,
-            "r2": zero,
-            "r3": r,
-        }
+        {**normal, "freq": freq, "modal_damp_vis": zeta, "r3": r}
         for freq, zeta, r in ((0.0, 0.0, [1, 1]), (80.0, 0.02, [0.5, -1.0]))
     ]
     pole = 2 * np.pi * 30 * (-0.01 + 1j * np.sqrt(1 - 0.01**2))
@@ -234,14 +226,12 @@ def test_command(command, write_scene):
     exact = frf(scene, [(0.05, 0.06)], [row["point"] for row in rows], (10, 40), "accelerance")
     for index, values in enumerate(exact.responses):
         scipy.io.savemat(f"{index}.mat", {"frequency": exact.frequencies, "response": values})
-    record = json.loads(
-        output_of(command("fit", "panel.toml", "--data", "0.mat", "--data", "1.mat", "--no-pictures", "--json"))
-    )
+    words = ("--data", "0.mat", "--data", "1.mat", "--no-pictures", "--json")
+    record = json.loads(output_of(command("fit", "panel.toml", *words)))
     assert min(record["frequencies"]) > 11
     assert max(record["rms_decibels"]) < 0.1
-    assert (
-        Path("panel.fitted.toml").read_text(encoding="utf-8").startswith("# Fitted by warp-plate to '0.mat', '1.mat'")
-    )
+    written = Path("panel.fitted.toml").read_text(encoding="utf-8")
+    assert written.startswith("# Fitted by warp-plate to '0.mat', '1.mat'")
     write_scene(scene.with_tables(measurement=()))
     message = "data b.csv: must be one file, for the scene has no tables [[measurement]]"
     assert message in error_of(command("fit", "panel.toml", "--data", "a.csv", "--data", "b.csv", "--force"))

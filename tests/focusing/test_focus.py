@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from support.scenes import scene_of
-from warp_plate import PlateSolver, Scene, SceneError, focus
+from warp_plate import PlateSolver, SceneError, focus
 from warp_plate.focusing.figures import measure_focus
 from warp_plate.focusing.motion import focus_motions
 from warp_plate.focusing.responses import HeldResponses
@@ -35,9 +35,8 @@ def test_the_optimum_is_best_and_says_what_limits_it(focused):
     for name, method in focused.methods.items():
         assert (method.energy <= 0.02 * (1 + 1e-9)).all()
         assert np.abs(method.waveforms).max() <= 0.8 * (1 + 1e-9)
-        assert (
-            name == "inverse_filter" or (np.diag(method.crosstalk_db) < 0.1).all()
-        )  # where waveforms focus, little moves more at other times
+        if name != "inverse_filter":  # where waveforms focus, little moves more at other times
+            assert (np.diag(method.crosstalk_db) < 0.1).all()
 
 
 def test_field_and_responses_agree_at_the_focus(focused):
@@ -120,28 +119,6 @@ def test_four_fingers_feel_bursts_of_their_own():
     assert found.half_wave == pytest.approx(half_wave)
     area = found.methods["optimum"].focus_area
     np.testing.assert_allclose(found.resolution("optimum"), np.sqrt(4 * area / np.pi) / half_wave)
-
-
-@pytest.mark.slow
-def test_four_fingers_feel_them_in_time_steps_too(tmp_path):
-    """The inverse filter's waveforms, held, on a grid of 2.5 mm: apart by 20 dB, and within 5 % of the burst."""
-    scene = Scene.load("four-fingers")
-    found, rate = focus(scene), float(scene.focus.rate * OVERSAMPLED)
-    held = np.repeat(found.methods["inverse_filter"].waveforms[0], OVERSAMPLED, axis=1)
-    np.savetxt(tmp_path / "held.csv", held.T, delimiter=",")
-    signal = {"file": "held.csv", "rate": rate, "per_actuator": True, "start": 0.5 / rate}
-    stepped = scene.with_tables(
-        grid={"nodes": (85, 61), "load": "moments", "precision": "float64"},
-        window={"start": 0.0, "end": float(found.times[-1])},
-        drive={"frequency": 2000.0, "signal": signal},
-    ).in_folder(tmp_path)
-    run = PlateSolver(stepped, "cpu").run(np.ones((1, 8)), points=scene.focus.points)
-    motion = np.array([np.interp(found.times, run.trace_times, each) for each in run.trace[0]])
-    since = found.times - 0.05
-    burst = np.cos(600 * math.pi * since) * np.cos(60 * math.pi * since) ** 2 * (np.abs(since) < 5 / 600)
-    nearest = (motion[0] @ burst) / (burst @ burst) * burst
-    assert np.linalg.norm(motion[0] - nearest) < 0.05 * np.linalg.norm(nearest)
-    assert np.abs(motion[1:]).max() < 0.1 * np.abs(motion[0]).max()
 
 
 def test_quiet_waveforms_keep_the_rest_within_its_bound():
@@ -252,16 +229,12 @@ def test_only_motion_above_the_lowest_frequency_is_focused():
         ({"focus": {**TABLE, "highest": 1e6, "rate": 10**7}}, "focus.highest 1e.06: about 1.31e.05 modes are needed"),
         ({"focus": {**TABLE, "lowest": 560.0}}, "time: 0.02 s is shorter than a pulse from lowest to highest, 0.025 s"),
         ({"focus": {**TABLE, "points": [(0.07, 0.3)]}}, r"focus.points\[0\]: \[0.07, 0.3\] is off the plate"),
-        ({"focus": {**TABLE, "points": []}}, "focus.points"),
         ({"focus": {**TABLE, "points": [(0.07, 0.05), (0.0, 0.1)]}}, r"focus.points\[1\]: nothing moves at 0, 0.1"),
         ({"focus": {**TABLE, "rate": 1000}}, "rate: 1000 samples a second; highest = 600 Hz takes at least twice"),
         ({"focus": {**TABLE, "lowest": 600.0}}, "lowest: 600 Hz must be below highest"),
         ({"focus": {**TABLE, "time": 1e-5}}, "time: 1e-05 s is shorter than a pulse"),
         ({"focus": {**TABLE, "time": 200.0}}, "focus.time: 3200000 samples for 3 actuators and 2 points"),
-        ({"focus": {**TABLE, "peak": 0.0}}, "focus.peak"),
-        ({"focus": {**TABLE, "highest": math.nan}}, "focus.highest"),
         ({"focus": {**TABLE, "quantity": "acceleration"}}, "focus.quantity"),
-        ({"focus": {**TABLE, "energie": 1.0}}, "focus.energie"),
         ({"focus": {**TABLE, "condition": 0.5}}, "focus.condition"),
         ({"focus": {**TABLE, "burst": {"frequency": 900.0}}}, "burst: 5 cycles of 900 Hz: must be at most highest"),
         ({"focus": {**TABLE, "burst": {"frequency": 50.0}}}, "half of the burst within time = 0.02 s"),

@@ -1,6 +1,5 @@
 """Waveforms are not played or written as what they are not."""
 
-import numpy as np
 import pytest
 
 from support.scenes import scene_of
@@ -44,9 +43,3 @@ def test_exports_refuse_what_they_cannot_do(piezo_focus, tmp_path, arguments, me
     with pytest.raises(SceneError, match=message):
         export(piezo_focus, tmp_path / "a.wav", **{"to": "drive-wav", **arguments})
     assert not list(tmp_path.iterdir())
-
-
-def test_wishes_are_real_numbers(piezo_focus):
-    for wished in (np.ones(9) * 1j, ["a", "b"]):
-        with pytest.raises(SceneError, match="must be real numbers"):
-            focus(piezo_focus.scene, wished=wished)

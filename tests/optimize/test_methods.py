@@ -11,14 +11,13 @@ import scipy.linalg
 
 from support.scenes import scene_of
 from warp_plate import SceneError
-from warp_plate.optimize.optimizer import SearchSpace, minimize, tolerance_scale
+from warp_plate.optimize.optimizer import SearchSpace, minimize
 from warp_plate.problem.methods import READ_BY, make_optimizer, unread_keys
-from warp_plate.problem.objectives import loss_scale
 from warp_plate.problem.problem import make_problem
 from warp_plate.quantities.region_quantities import PLATE, TARGET
 from warp_plate.resolve import resolve
 from warp_plate.result.layouts import SearchState
-from warp_plate.scene.search import Objective, Search
+from warp_plate.scene.search import Search
 
 TWO_PI = 2 * math.pi
 SAMPLING = ("pso", "constriction", "ring", "cma")
@@ -32,11 +31,8 @@ def make_space(lower, upper, initial, period):
 
 @cache
 def made_problem(search):
-    return make_problem(
-        resolve(
-            scene_of((9, 9), damping=88.5, search=json.loads(search)), "cpu", evaluator="response", purpose="search"
-        )
-    )
+    scene = scene_of((9, 9), damping=88.5, search=json.loads(search))
+    return make_problem(resolve(scene, "cpu", evaluator="response", purpose="search"))
 
 
 def space_and_problem(**search):
@@ -311,12 +307,3 @@ def test_a_weight_changes_no_position(rest_limit, keys):
     within = losses < 0  # beyond a rest_limit losses are parts of that limit, without a weight
     np.testing.assert_array_equal(weighted[within], 2.0**30 * losses[within])
     assert last.keys() == reasons.keys()
-
-
-def test_scales_of_losses():
-    """1 − LF has the scale 1; numbers of order one have one, for sums that pass zero; velocities have none."""
-    assert loss_scale([Objective()]) == tolerance_scale(0.3, 1.0) == 1.0
-    assert loss_scale([Objective(kind="velocity", weight=1e9), Objective(kind="displacement")]) == 0.0
-    assert loss_scale([Objective(kind="contrast", weight=0.5), Objective(kind="uniformity", weight=2.0)]) == 2.5
-    assert tolerance_scale(-7e-8, 0.0) == 7e-8
-    assert tolerance_scale(-7e-8, 2.5) == 2.5

@@ -146,6 +146,7 @@ def finish_search(
     if position is None:
         return None, evaluations, history
     best, further = optimizer.result.fbest, 0
+    problem.complete(position)  # refuse places without clearance before the descent
     by_modes = problem.evaluator_name == MODAL and problem.scenario_losses is None
     if by_modes and not problem.parametrization.only_drives and not interrupted:
         position, best, further = polish(problem, position, best)
