@@ -37,6 +37,7 @@ from warp_plate.accuracy.richardson import STEPPED_SECONDS, Extrapolation, extra
 from warp_plate.modal.motion import fields
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.scene.model import Scene
+from warp_plate.solve.response import Response
 
 # Nominal time of the reference [s]. It does not depend on the run's time, so the same run has the same error bar.
 REFERENCE_SECONDS = 1.0
@@ -136,22 +137,16 @@ def estimate(
     device: str = "auto",
     times: Sequence[float] | np.ndarray = (),
     displacement: np.ndarray | None = None,
-    reference: ReferenceSolution | None = None,
     time_step: float | None = None,
 ) -> Estimate:
-    """Estimate the errors of localization factors.
+    """Estimate the errors of (drives,) localization factors under (drives, actuators) phasors.
 
     The reference is refined until its own error is a tenth of the one that it shows, or its nominal time is used up;
     its remaining error is added.
 
     Args:
-        scene: Scene as it was run.
-        phasors: (drives, actuators) phasors.
-        localization_factors: (drives,) computed localization factors.
         device: Device of a reference by grids.
-        times: Times of ``displacement`` [s].
-        displacement: (drives, times, ny, nx) displacement of the run [m].
-        reference: Reference solution, if there is one already.
+        times, displacement: Times [s], and (drives, times, ny, nx) displacement of the run [m].
         time_step: Time step of the run [s] (default: the one that the scheme of the scene has).
     """
     started = time.perf_counter()
@@ -163,7 +158,7 @@ def estimate(
         return _no_estimate(configuration_of(scene).grid_text, computed)
 
     references, displacement_errors = unknown.copy(), unknown.copy()
-    accurate, references[moving] = _reference(scene, phasors[moving], computed[moving], device, reference)
+    accurate, references[moving] = _reference(scene, phasors[moving], computed[moving], device)
     differences = np.abs(computed / references - 1)
     largest = float(np.nanmax(differences))
     # A difference within the uncertainty does not allow to extrapolate to smaller errors.
@@ -229,7 +224,7 @@ def estimate_modal(
 
 
 def _reference(
-    scene: Scene, phasors: np.ndarray, computed: np.ndarray, device: str, reference: ReferenceSolution | None
+    scene: Scene, phasors: np.ndarray, computed: np.ndarray, device: str
 ) -> tuple[ReferenceSolution | Extrapolation, np.ndarray]:
     """Return a reference and its localization factors; for a nonlinear scene, only for these drives."""
 
@@ -243,9 +238,11 @@ def _reference(
         refinements = extrapolate_drives(scene, phasors, device)
         extrapolation = refine_until(refinements, lambda last: wanted(last.values), seconds)
         return extrapolation, extrapolation.values
-    if reference is None:
-        until = lambda response: wanted(response.localization_factors(phasors))  # noqa: E731
-        reference = find_reference_solution(scene, "auto", device, until, REFERENCE_SECONDS, phasors, only=True)
+
+    def wanted_of(response: Response) -> float:
+        return wanted(response.localization_factors(phasors))
+
+    reference = find_reference_solution(scene, "auto", device, wanted_of, REFERENCE_SECONDS, phasors, only=True)
     return reference, reference.response.localization_factors(phasors)
 
 

@@ -47,25 +47,15 @@ Change = Callable[[Response, Sequence[Response]], float]
 
 @dataclass(frozen=True)
 class ReferenceSolution:
-    """The accurate response of a scene, by one refinement of a method.
+    """The accurate response of a scene, by one refinement of a method."""
 
-    Attributes:
-        kind: Method.
-        response: Gram matrices of plate and target.
-        uncertainty: Largest relative error of the observed quantities; inf while unknown.
-        seconds: Nominal time of this refinement [s].
-        next_seconds: Nominal time of the next one [s].
-        plate: Modes; None for Richardson's method.
-        density: Density of their functions.
-    """
-
-    kind: Literal["modal", "richardson"]
-    response: Response
-    uncertainty: float
-    seconds: float
-    next_seconds: float
-    plate: ModalPlate | None = None
-    density: float = 0.0
+    kind: Literal["modal", "richardson"]  # method
+    response: Response  # Gram matrices of plate and target
+    uncertainty: float  # largest relative error of the observed quantities; inf while unknown
+    seconds: float  # nominal time of this refinement [s]
+    next_seconds: float  # nominal time of the next one [s]
+    plate: ModalPlate | None = None  # modes; None for Richardson's method
+    density: float = 0.0  # density of their functions
 
     @cached_property
     def bound(self) -> float:

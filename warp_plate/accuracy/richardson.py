@@ -48,21 +48,12 @@ FEWEST_CELLS_A_WAVE, MOST_SECONDS = 4.0, 30.0
 
 @dataclass(frozen=True)
 class Extrapolation:
-    """Values in the limit of vanishing cells.
+    """Values in the limit of vanishing cells."""
 
-    Attributes:
-        scenes: The scene on each of the grids so far.
-        values: Extrapolated values.
-        uncertainty: Largest relative error of what is observed; inf for fewer than four grids.
-        seconds: Nominal time of the last grid [s].
-        next_seconds: Nominal time of the next one [s].
-    """
-
-    scenes: tuple[Scene, ...]
-    values: np.ndarray
-    uncertainty: float
-    seconds: float
-    next_seconds: float
+    values: np.ndarray  # extrapolated values
+    uncertainty: float  # largest relative error of what is observed; inf for fewer than four grids
+    seconds: float  # nominal time of the last grid [s]
+    next_seconds: float  # nominal time of the next one [s]
     kind = "richardson"
 
 
@@ -89,6 +80,13 @@ def extrapolate(
     scenes: list[Scene] = []
     values: list[np.ndarray] = []
     refusal, uncertainty = None, math.inf
+
+    def limit_of(last: int, terms: int) -> np.ndarray:
+        """Return the extrapolation from the ``terms`` grids before the ``last`` ones."""
+        selected = slice(len(values) - last - terms, len(values) - last)
+        limit: np.ndarray = np.tensordot(weights_of_grids(scenes[selected]), np.array(values[selected]), 1)
+        return limit if allowed(limit) else values[selected][-1]
+
     for gridded in _scenes(scene):
         try:
             measured = measure(gridded)
@@ -100,13 +98,13 @@ def extrapolate(
         scenes.append(gridded)
         values.append(measured)
         possible = [(last, terms) for last, terms in EXTRAPOLATIONS if last + terms <= len(values)]
-        limits = [_limit(scenes, values, last, terms, allowed) for last, terms in possible]
+        limits = [limit_of(last, terms) for last, terms in possible]
         limit, *others = limits or values
         if len(limits) == len(EXTRAPOLATIONS):
             uncertainty = max(CHANGE_FACTOR * change(limit, others), GAIN_FACTOR * change(limit, values[-1:]))
         seconds = STEPPED_SECONDS * plates * node_steps(scene, configuration_of(gridded))
         # The next grid has twice the nodes and twice the steps.
-        yield Extrapolation(tuple(scenes), limit, uncertainty, seconds, FINER**4 * seconds)
+        yield Extrapolation(limit, uncertainty, seconds, FINER**4 * seconds)
     if refusal is not None and uncertainty == math.inf:
         raise refusal
 
@@ -165,16 +163,3 @@ def _refuse_short_waves(scene: Scene, plates: int) -> None:
             return
     wave = f"bending waves of {length:.2g} m on a plate of {list(scene.plate.size)} m until {scene.window.end:g} s"
     raise SceneError(f"drive.frequency: {wave} take too long on {plates} plates for a known accuracy; write a [grid]")
-
-
-def _limit(
-    scenes: Sequence[Scene],
-    values: Sequence[np.ndarray],
-    last: int,
-    terms: int,
-    allowed: Callable[[np.ndarray], bool],
-) -> np.ndarray:
-    """Return the extrapolation from the ``terms`` grids before the ``last`` ones."""
-    selected = slice(len(values) - last - terms, len(values) - last)
-    limit: np.ndarray = np.tensordot(weights_of_grids(scenes[selected]), np.array(values[selected]), 1)
-    return limit if allowed(limit) else values[selected][-1]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -42,17 +42,6 @@ from warp_plate.studies.unfinished import (
     same_device,
     versions,
 )
-
-
-@dataclass(frozen=True)
-class _Options:
-    """Options for reports, checkpoints and further results of a search; see :func:`localize`."""
-
-    on_progress: OnProgress | None
-    checkpoints: CheckpointFile | None
-    estimate: bool
-    spectrum: bool
-    baselines: bool
 
 
 def localize(
@@ -93,11 +82,35 @@ def localize(
     Raises:
         SceneError: see :class:`PlateSolver`; or the scene has no baselines.
     """
-    scene = Scene.load(scene)
+    written = Scene.load(scene)
     if baselines:
-        check_baselines(scene)
-    start, problem = _new_search(scene, source, device, seed, evaluator, path, pool)
-    return _run(start, problem, _Options(on_progress, checkpoints, estimate, spectrum, baselines))
+        check_baselines(written)
+    seed = written.search.seed if seed is None else seed
+    if not 0 <= seed < 2**63:
+        raise SceneError(f"seed = {seed}: must be an integer from 0 to 2^63 - 1")
+    files, scene = digests(written), with_method(written)
+    purpose: Purpose = "exact" if written.search.method is None and scene.search.method == "exact" else "search"
+    resolved = resolve(scene, device, purpose=purpose, path=path, evaluator=evaluator)
+    started = time.perf_counter()
+    problem = make_problem(resolved, pool=pool)
+    initial, compiling = initial_state(problem, seed), problem.compile_seconds
+    start = Checkpoint(
+        scene_as_written=written,
+        source=source,
+        files=files,
+        device=problem.drive_solver.device.alias,
+        processor=processor_of(problem.drive_solver.device),
+        earlier_devices="",
+        path=path,
+        evaluator=problem.evaluator_name,
+        seed=seed,
+        accuracy=resolved.accuracy,
+        seconds={**resolved.seconds, "compile": compiling, "solve": time.perf_counter() - started - compiling},
+        versions=versions(),
+        node_steps=problem.node_steps,
+        **initial,
+    )
+    return _run(start, problem, on_progress, checkpoints, estimate=estimate, spectrum=spectrum, baselines=baselines)
 
 
 def resume(
@@ -149,7 +162,7 @@ def resume(
         seconds={**checkpoint.seconds, "compile": compiling},
         versions=merged_versions(checkpoint.versions),
     )
-    return _run(start, problem, _Options(on_progress, checkpoints, estimate, spectrum, baselines))
+    return _run(start, problem, on_progress, checkpoints, estimate=estimate, spectrum=spectrum, baselines=baselines)
 
 
 def load_to_resume(
@@ -195,54 +208,21 @@ def save_best_scenes(result: Result, path: Path) -> list[Path]:
     return files
 
 
-def _new_search(
-    scene: Scene,
-    source: str,
-    device: str,
-    seed: int | None,
-    evaluator: EvaluatorName | None,
-    path: str,
-    pool: WorkerPool | None,
-) -> tuple[Checkpoint, Problem]:
-    """Return the checkpoint of iteration 0 and its problem."""
-    seed = scene.search.seed if seed is None else seed
-    if not 0 <= seed < 2**63:
-        raise SceneError(f"seed = {seed}: must be an integer from 0 to 2^63 - 1")
-    files, written = digests(scene), scene
-    scene = with_method(scene)
-    purpose: Purpose = "exact" if written.search.method is None and scene.search.method == "exact" else "search"
-    resolved = resolve(scene, device, purpose=purpose, path=path, evaluator=evaluator)
-    started = time.perf_counter()
-    problem = make_problem(resolved, pool=pool)
-    initial, compiling = initial_state(problem, seed), problem.compile_seconds
-    start = Checkpoint(
-        scene_as_written=written,
-        source=source,
-        files=files,
-        device=problem.drive_solver.device.alias,
-        processor=processor_of(problem.drive_solver.device),
-        earlier_devices="",
-        path=path,
-        evaluator=problem.evaluator_name,
-        seed=seed,
-        accuracy=resolved.accuracy,
-        seconds={**resolved.seconds, "compile": compiling, "solve": time.perf_counter() - started - compiling},
-        versions=versions(),
-        node_steps=problem.node_steps,
-        **initial,
-    )
-    return start, problem
-
-
-def _run(start: Checkpoint, problem: Problem, options: _Options) -> Result:
+def _run(
+    start: Checkpoint,
+    problem: Problem,
+    on_progress: OnProgress | None,
+    checkpoints: CheckpointFile | None,
+    **parts_asked: bool,
+) -> Result:
     """Run a search from a checkpoint, which may be that of iteration 0, and make its result."""
-    outcome = search_targets(start, problem, options.on_progress, options.checkpoints)
+    outcome = search_targets(start, problem, on_progress, checkpoints)
     end, problem = outcome.checkpoint, outcome.problem
     first, seconds, before = end.finished_searches[0], dict(end.seconds), problem.node_steps
     started = time.perf_counter()
     evaluated = evaluate_targets(problem, end.finished_searches)
     seconds["solve"] += time.perf_counter() - started
-    parts = _optional_parts(end, outcome, evaluated, options, seconds)
+    parts = _optional_parts(outcome, evaluated, seconds, **parts_asked)
     node_steps = end.node_steps + problem.node_steps - before + evaluated.node_steps + parts.pop("node_steps")
     return Result(
         command="localize",
@@ -269,29 +249,34 @@ def _run(start: Checkpoint, problem: Problem, options: _Options) -> Result:
 
 
 def _optional_parts(
-    end: Checkpoint, outcome: SearchOutcome, evaluated: EvaluatedCases, options: _Options, seconds: dict[str, float]
+    outcome: SearchOutcome,
+    evaluated: EvaluatedCases,
+    seconds: dict[str, float],
+    estimate: bool,
+    spectrum: bool,
+    baselines: bool,
 ) -> dict[str, Any]:
     """Compute the optional fields of a result and their node-steps, and add their seconds."""
-    problem, cases, node_steps = outcome.problem, evaluated.cases, 0
+    end, problem, cases, node_steps = outcome.checkpoint, outcome.problem, evaluated.cases, 0
     fields: dict[str, Any] = {"robust": None, "spectrum": {}, "accuracy": end.accuracy}
     nominal: dict[str, Case] = {}
-    baselines: dict[str, Case] = {}
+    unsearched: dict[str, Case] = {}
     position = end.finished_searches[0].position
     if outcome.nominal_position is not None and position is not None:
         with optional_part(seconds, "robust"):
             compared = compare_with_nominal(problem, end.single_actuator, position, outcome.nominal_position)
             fields["robust"], nominal, node_steps = compared
-    if options.estimate:
+    if estimate:
         with optional_part(seconds, "estimate"):
             simulated = problem.resolved.with_scene(evaluated.scene)
             fields["accuracy"] = {**end.accuracy} | estimate_error(simulated, evaluated.phasors, evaluated.run)
-    if options.baselines:
+    if baselines:
         with optional_part(seconds, "baselines"):
-            baselines, steps = baseline_cases(problem)
+            unsearched, steps = baseline_cases(problem)
             node_steps += steps
-    references = {name: cases[name] for name in ("equal", "single")} | baselines
+    references = {name: cases[name] for name in ("equal", "single")} | unsearched
     fields["objective_values_by_case"], steps = evaluate_objectives(problem, references)
-    if options.spectrum and not outcome.interrupted and has_spectrum(problem.scene):
+    if spectrum and not outcome.interrupted and has_spectrum(problem.scene):
         with optional_part(seconds, "spectrum"):
             fields["spectrum"] = make_spectrum(problem, cases["best"])
-    return {**fields, "cases": {**cases, **nominal, **baselines}, "node_steps": node_steps + steps}
+    return {**fields, "cases": {**cases, **nominal, **unsearched}, "node_steps": node_steps + steps}

@@ -176,19 +176,12 @@ def initial_state(problem: Problem, seed: int) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class SearchOutcome:
-    """The end of the searches for all targets of a scene.
+    """The end of the searches for all targets of a scene."""
 
-    Attributes:
-        checkpoint: Last checkpoint.
-        problem: Problem of the first target.
-        nominal_position: Best position of a robust problem's nominal plate, or None.
-        interrupted: True if Ctrl-C ended the last search.
-    """
-
-    checkpoint: Checkpoint
-    problem: Problem
-    nominal_position: np.ndarray | None
-    interrupted: bool
+    checkpoint: Checkpoint  # last one
+    problem: Problem  # of the first target
+    nominal_position: np.ndarray | None  # best position of a robust problem's nominal plate
+    interrupted: bool  # True if Ctrl-C ended the last search
 
 
 def search_targets(

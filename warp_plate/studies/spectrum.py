@@ -62,14 +62,10 @@ def spectrum_frequencies(problem: Problem) -> np.ndarray:
 def factors_over(
     resolved: Resolved, frequencies: np.ndarray, centre: np.ndarray | None = None, delay: np.ndarray | None = None
 ) -> dict[str, np.ndarray]:
-    """Compute localization factors at (n,) frequencies [Hz] from Gram matrices; all plates run in one batch.
+    """Return localization factors (n,) at frequencies (n,) [Hz]: "equal"; "single", the best single actuator; "best",
+    a bound over the drives that the search may choose.
 
-    Args:
-        centre, delay: (actuators, 2) positions [m] and (actuators,) delays [s] (default: the scene's).
-
-    Returns:
-        Arrays (n,) "equal"; "single", of the best single actuator at each frequency; and "best", an upper bound over
-        the drives that the search may choose there.
+    ``centre`` and ``delay`` are (actuators, 2) positions [m] and (actuators,) delays [s] (default: the scene's).
     """
     scene = resolved.scene
     exact, singles = resolved.with_scene(in_float64(scene)), np.eye(len(scene.actuators), dtype=complex)
@@ -101,8 +97,7 @@ def _responses(
 
 
 def _best_factor(response: Response, parametrization: Parametrization) -> float:
-    """Return the bound over the drives that the search may choose, or the factor of the scene's drive if it chooses
-    none."""
+    """Return the bound over the drives that the search may choose; if it chooses none, the factor of the scene's."""
     if not any(number.kind in ("magnitude", "phase") for number in parametrization.variables):
         drive = parametrization.designs(np.zeros((1, len(parametrization.variables)))).drives
         return float(localization_factor(response.energy(drive))[0])

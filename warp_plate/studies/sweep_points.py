@@ -43,50 +43,29 @@ Values = dict[str, float | np.ndarray]
 
 @dataclass(frozen=True)
 class Point:
-    """A point of a sweep, with all that is needed to run it; the scene is plain data for another process.
+    """A point of a sweep, with all that is needed to run it."""
 
-    Attributes:
-        scene: Scene before anything is varied.
-        values: Values of the varied keys.
-        what: A key of ``QUANTITIES``.
-        device, path: See :class:`PlateSolver`.
-        evaluator: "modal" for the modes of the plate, "direct" for time steps.
-        count: Number of modes.
-        frequencies: (frequencies,) frequencies of responses [Hz].
-    """
-
-    scene: Scene | SceneSpec
-    values: Mapping[str, float | str]
-    what: str
+    scene: Scene | SceneSpec  # before anything is varied; plain data for another process
+    values: Mapping[str, float | str]  # values of the varied keys
+    what: str  # a key of QUANTITIES
     device: str
     path: str
-    evaluator: str
-    count: int
-    frequencies: tuple[float, ...]
+    evaluator: str  # "modal" or "direct"
+    count: int  # number of modes
+    frequencies: tuple[float, ...]  # frequencies of responses [Hz]
 
 
 @dataclass(frozen=True)
 class Quantities:
-    """The quantities of one command.
+    """The quantities of one command."""
 
-    Attributes:
-        outputs: Quantities by name, the most important first.
-        compute: Function that computes them for a scene or raises SceneError.
-        evaluators: Evaluators that can compute them, the default first.
-    """
-
-    outputs: Mapping[str, SweepOutput]
+    outputs: Mapping[str, SweepOutput]  # by name, the most important first
     compute: Callable[[Scene, Point], Values]
-    evaluators: tuple[str, ...] = (MODAL, "direct")
+    evaluators: tuple[str, ...] = (MODAL, "direct")  # those that can compute them, the default first
 
 
 def _localization_quantities(scene: Scene, point: Point) -> Values:
-    """Return the localization factors of the equal drive, the best single actuator and the best drive, and the bound
-    (NaN if none is claimed); for the first of several targets.
-
-    Gram matrices are used where they apply. The best drive is then an eigenvector if the search may choose it;
-    otherwise it is searched as the scene says.
-    """
+    """Return localization factors and bound, for the first of several targets, from Gram matrices where they apply."""
     scene = with_method(scene.model_copy(update={"targets": ()}))
     resolved = resolve(scene, point.device, purpose="search", path=point.path, evaluator=point.evaluator)
     if not resolved.by_modes:  # the default evaluator uses Gram matrices for robust searches
@@ -210,20 +189,13 @@ TASK_BLOCK = 1000
 
 
 class PointResult(NamedTuple):
-    """The result at a point.
-
-    Attributes:
-        values: quantities by name; None if the point was refused.
-        reason: why it was refused; "" if it was not.
-        device: device on which it ran; "" if it was given up.
-        worker: versions and processor that it ran with; empty if it was given up.
-    """
+    """The result at a point."""
 
     point: int
-    values: Values | None
-    reason: str
-    device: str = ""
-    worker: Mapping[str, str] = {}
+    values: Values | None  # quantities by name; None if the point was refused
+    reason: str  # why it was refused
+    device: str = ""  # "" if the point was given up
+    worker: Mapping[str, str] = {}  # versions and processor; empty if the point was given up
 
     @property
     def processor(self) -> str:
