@@ -48,7 +48,6 @@ LIKELY = {
     "--frequencies": "50:300:4 1:1e9:3 50:300:1000000000",
     "--at": "0.05,0.05 0,0 9,9",
     "--from": "0 0.05,0.05 0,0",
-    "--impulse": "0.01 1e-9 1e9",
     "--drive": "equal 1,0,0 1@90,1,0 0,0,0 1e300,1,1 run.h5:best",
     "--waveforms": "focus.h5 run.h5",
     "--resume": "run.h5 none",

@@ -82,15 +82,3 @@ def test_wrong_options_are_refused_in_one_line(command, damped, words):
 def test_scenes_that_are_not_linear_are_refused(command, write_scene):
     write_scene(effects={"stretching": {}})
     assert "effects.stretching" in error_of(command("frf", "panel.toml"))
-
-
-def test_impulse_responses_are_written_as_csv(command, damped):
-    answer = command("frf", "panel.toml", "--impulse", "0.01", "--rate", "4000", "--range", "1:200", "--json")
-    record = json.loads(output_of(answer))
-    assert record["files"] == ["panel-impulse.csv"]
-    heading, *rows = Path("panel-impulse.csv").read_text(encoding="utf-8").splitlines()
-    assert heading == ",".join(["time [s]", *(f'"{x} [(m/s)/(N·s)]"' for x in record["labels"])])
-    assert len(rows) == 40
-    assert float(rows[7].split(",")[1]) == pytest.approx(record["responses"][0][0][7], rel=1e-6)
-    assert "modes up to 200 Hz" in output_of(command("frf", "panel.toml", "--impulse", "0.01", "--range", "1:200"))
-    assert "--to uff" in error_of(command("frf", "panel.toml", "--impulse", "0.01", "--to", "uff"))

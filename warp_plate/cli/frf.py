@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
     from warp_plate.result.frequency_response import FrequencyResponse
     from warp_plate.scene.model import Scene
-    from warp_plate.studies.frequency_response import ImpulseResponse
 
 PICTURES = (".png", ".svg", ".pdf")
 ResponseFormat = Literal["csv", "uff", "hdf5"]
@@ -43,17 +42,12 @@ class ResponseOptions:
         range: Lowest and highest frequency in hertz, LOW:HIGH (default: from half the lowest natural frequency, or half
             the drive's frequency if that is lower, to twice the drive's frequency, and at least to the sixth mode).
         quantity: Displacement (receptance), velocity (mobility) or acceleration (accelerance) per force.
-        impulse: Write responses to an impulse of 1 N·s over so many seconds instead, as CSV (default: SCENE-impulse.csv
-            in this folder), from the modes up to HIGH of --range; there is no picture.
-        rate: Samples a second of --impulse.
     """
 
     inputs: Annotated[list[str] | None, Parameter(name="--from", negative="", allow_leading_hyphen=True)] = None
     at: Annotated[list[str] | None, Parameter(negative="", allow_leading_hyphen=True)] = None
     range: str | None = None
     quantity: Quantity = "mobility"
-    impulse: float | None = None
-    rate: int = 48000
 
 
 def frf(
@@ -82,12 +76,9 @@ def frf(
     """
     from warp_plate.result.export.frequency_response import WRITERS, missing_uff
 
-    impulse, wanted = responses.impulse, responses.range
-    if impulse is not None and to:
-        raise SceneError(f"--to {to[0]}: --impulse writes CSV alone; leave it out")
+    wanted = responses.range
     by_ending = {ending: name for name, (ending, _) in WRITERS.items()}
-    default, endings = ("frf.png", (*PICTURES, *by_ending)) if impulse is None else ("impulse.csv", (".csv",))
-    target = output.output_file(out, f"{Path(scene).stem}-{default}", endings)
+    target = output.output_file(out, f"{Path(scene).stem}-frf.png", (*PICTURES, *by_ending))
     formats = [*(to or ()), *([by_ending[target.suffix.lower()]] if target.suffix.lower() in by_ending else ())]
     if "uff" in formats and (problem := missing_uff()) is not None:
         raise SceneError(f"--to uff: {problem}")
@@ -103,20 +94,9 @@ def frf(
     check_on_plate(loaded, points, "--at")
     check_on_plate(loaded, sources, "--from")
     with output.scene_errors(scene), _errors_of_range(wanted):
-        if impulse is not None:
-            from warp_plate.studies.frequency_response import compute_impulse_response
-
-            highest = None if limits is None else limits[1]
-            span = (impulse, responses.rate, highest)
-            impulses = compute_impulse_response(loaded, sources, points, *span, responses.quantity)
-        else:
-            response = compute(loaded, sources, points, limits, responses.quantity)
-    if impulse is not None:
-        tables = _write_impulses(impulses, target), None
-        output.report(files.json, _impulses_as_json, _print_impulses, impulses, written=tables)
-    else:
-        written = _write(response, target, formats, files.pictures)
-        output.report(files.json, _as_json, _print, scene, loaded, response, written=written)
+        response = compute(loaded, sources, points, limits, responses.quantity)
+    written = _write(response, target, formats, files.pictures)
+    output.report(files.json, _as_json, _print, scene, loaded, response, written=written)
 
 
 def _point(option: str, text: str) -> tuple[float, float]:
@@ -171,28 +151,6 @@ def _write(response: FrequencyResponse, target: Path, formats: list[ResponseForm
     picture = target if target.suffix.lower() in PICTURES else target.with_suffix(".png")
     drawn, missing = output.draw_plot(partial(draw_frequency_response, response), picture, pictures)
     return [*written, *drawn], missing
-
-
-def _write_impulses(impulses: ImpulseResponse, path: Path) -> list[Path]:
-    from warp_plate.result.atomic_io import write_table
-
-    heading = ["time [s]", *(f"{label} [{impulses.unit}]" for label in impulses.labels)]
-    rows = impulses.responses.reshape(len(impulses.labels), -1)
-    return write_table(path, heading, [np.column_stack([impulses.times, *rows])])
-
-
-def _impulses_as_json(impulses: ImpulseResponse) -> dict[str, object]:
-    return output.attributes(impulses, "unit", "labels", "times", "responses", "highest", "modes")
-
-
-def _print_impulses(impulses: ImpulseResponse, console: Console) -> None:
-    console.print(f"Responses to 1 N·s by {impulses.modes} modes up to {impulses.highest:g} Hz\n")
-    table = output.table("response", f"largest ({impulses.unit})", "at (ms)")
-    rows = impulses.responses.reshape(len(impulses.labels), -1)
-    for label, values in list(zip(impulses.labels, rows, strict=True))[:MOST_ROWS]:
-        peak = int(np.abs(values).argmax())
-        table.add_row(label, f"{values[peak]:.4g}", f"{1e3 * impulses.times[peak]:.4g}")
-    console.print(table)
 
 
 def _as_json(name: str, scene: Scene, response: FrequencyResponse) -> dict[str, object]:
