@@ -49,7 +49,6 @@ class Recommendation:
     tolerance: float  # relative error
     row: int | None  # index of the row; None if no row keeps the tolerance
     seconds: float | None  # time of the whole search [s]
-    keeps_displacement: bool = False  # True if the displacement is within the tolerance too, not only the factors
 
 
 @dataclass(frozen=True)
@@ -225,26 +224,21 @@ def displacement_floor(uncertainty: float) -> float:
 def recommend(rows: Sequence[AccuracyRow], uncertainty: float, plates: int) -> list[Recommendation]:
     """Return the cheapest row for each of ``TOLERANCES``, in a search of ``plates`` plates.
 
-    The row is within the tolerance in localization factors and displacement, or, if there is none, only in localization
-    factors. The tolerance includes the error of the reference, and the finer grids of the row's order, load and
-    precision must keep it too: a coarse grid may be right by chance.
+    The tolerance includes the error of the reference, and the finer grids of the row's order, load and precision must
+    keep it too: a coarse grid may be right by chance.
     """
     measured = {index: row for index, row in enumerate(rows) if row.measured}
     cost = {index: row.search_seconds(plates) for index, row in measured.items()}
-    factors = {index: _worst(row, measured.values(), "error") + uncertainty for index, row in measured.items()}
-    floor = displacement_floor(uncertainty)
-    fields = {index: _worst(row, measured.values(), "error_displacement") + floor for index, row in measured.items()}
+    worst = {index: _worst(row, measured.values()) + uncertainty for index, row in measured.items()}
     recommendations = []
     for tolerance in TOLERANCES:
-        accepted = [index for index in measured if factors[index] <= tolerance]
-        both = [index for index in accepted if fields[index] <= tolerance]
-        row = min(both or accepted, key=lambda index: cost[index], default=None)
-        recommendations.append(Recommendation(tolerance, row, None if row is None else cost[row], bool(both)))
+        accepted = [index for index in measured if worst[index] <= tolerance]
+        row = min(accepted, key=lambda index: cost[index], default=None)
+        recommendations.append(Recommendation(tolerance, row, None if row is None else cost[row]))
     return recommendations
 
 
-def _worst(row: AccuracyRow, rows: Iterable[AccuracyRow], name: str) -> float:
-    """Return the largest error of the row and of finer ones of its family; infinity if one is not known."""
+def _worst(row: AccuracyRow, rows: Iterable[AccuracyRow]) -> float:
+    """Return the largest error of the row and of finer ones of its family."""
     finer = (other for other in rows if other.family == row.family and other.spacing <= row.spacing * (1 + 1e-9))
-    errors = [getattr(other, name) for other in finer]
-    return max(math.inf if error is None or math.isnan(error) else error for error in errors)
+    return max(math.inf if other.error is None else other.error for other in finer)

@@ -217,7 +217,7 @@ def _recommendations(report: AccuracyReport) -> Table:
     from warp_plate.accuracy.configurations import percent, seconds_text
 
     swarm = f"{report.particles} × {report.iterations} plates"
-    table = output.table("for", "use", "error", "kept in", "a plate", swarm)
+    table = output.table("for", "use", "error", "a plate", swarm)
     table.columns[1].justify = "left"
     tolerances: dict[tuple[str, ...], list[str]] = {}  # by the other cells
     for recommended in report.recommended:
@@ -228,9 +228,8 @@ def _recommendations(report: AccuracyReport) -> Table:
             if row.time_step is not None:
                 use = f"{_size(row)}, order {row.order}, {row.load}, {row.time_step:.2g} s, {row.precision}"
             seconds = (row.seconds_per_plate or 0.0, recommended.seconds or 0.0)
-            keeps = "factors and u" if recommended.keeps_displacement else "factors alone"
             error = error_text(row.error, report.reference.uncertainty)
-            cells = [use, f"{error} %", keeps, *map(seconds_text, seconds)]
+            cells = [use, f"{error} %", *map(seconds_text, seconds)]
         tolerances.setdefault(tuple(cells), []).append(percent(recommended.tolerance))
     for cells_of, asked in tolerances.items():
         table.add_row(", ".join(text.removesuffix(" %") for text in asked) + " %", *cells_of)
