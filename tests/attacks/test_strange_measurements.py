@@ -1,6 +1,5 @@
 """Measurements from strangers: bombs, complex frequencies, loud signals and headings of any length end in a line."""
 
-import struct
 from pathlib import Path
 
 import h5py
@@ -11,7 +10,6 @@ import scipy
 from support.commands import error_of
 from warp_plate import SceneError
 from warp_plate.fitting.measured_responses import read_responses
-from warp_plate.result import arrays
 
 FIT = {"fit": {"free": {"plate.young_modulus": (6e8, 2e9)}}}
 
@@ -20,15 +18,6 @@ def refusal_of_responses(path):
     with pytest.raises(SceneError) as caught:
         read_responses(path, 1)
     return str(caught.value)
-
-
-@pytest.mark.parametrize("numbers", ["f8", np.clongdouble, (float, 4), [("r", np.longdouble), ("i", np.longdouble)]])
-def test_the_arrays_of_a_file_are_bounded_together(numbers, tmp_path, monkeypatch):
-    monkeypatch.setattr(arrays, "MOST_EXPANDED", 2**20)
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        for name in ("frequency", "response", "real", "imaginary", "coherence"):
-            file.create_dataset(name, (2**15,), numbers, chunks=(2**10,), compression="gzip")
-    assert "more than 1048576 bytes when unpacked" in refusal_of_responses(tmp_path / "a.h5")
 
 
 @pytest.mark.parametrize(
@@ -51,13 +40,6 @@ def test_half_precision_is_read_without_warnings(tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["frequency"], file["response"] = np.array([[10, 20, 30], [1, 2, 3]], np.float16)
     np.testing.assert_array_equal(read_responses(tmp_path / "a.h5", 1).responses, [[1, 2, 3]])
-
-
-def test_a_mat_file_of_empty_variables(tmp_path, monkeypatch):
-    monkeypatch.setattr(arrays, "MOST_VARIABLES", 100)
-    header = b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM"
-    (tmp_path / "a.mat").write_bytes(header + struct.pack("<II", arrays.COMPRESSED, 0) * 101)
-    assert "holds more than 100 variables" in refusal_of_responses(tmp_path / "a.mat")
 
 
 def test_a_signal_too_loud_for_its_squares(tmp_path):

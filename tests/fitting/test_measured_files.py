@@ -1,7 +1,6 @@
 """Measurements in files of other programs: arrays, universal files, time signals whose filter is known."""
 
 import json
-from contextlib import suppress
 from pathlib import Path
 
 import h5py
@@ -190,15 +189,11 @@ def test_bad_files(name, content, message, tmp_path):
     assert len(str(caught.value).splitlines()) == 1
 
 
-def test_compressed_files_are_bounded(tmp_path, monkeypatch):
-    """Small files that unpack to more than is read."""
-    monkeypatch.setattr("warp_plate.result.arrays.MOST_EXPANDED", 2**20)
-    scipy.io.savemat(tmp_path / "a.mat", {"frequency": np.zeros(2**18)}, do_compression=True)
+def test_compressed_files_are_bounded(tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file.create_dataset("frequency", (2**40,), "f8", chunks=(2**20,), compression="gzip")
-    for name, message in (("a.mat", "bytes when unpacked"), ("a.h5", "frequency has 1099511627776 numbers; at most")):
-        with pytest.raises(SceneError, match=message):
-            read_responses(tmp_path / name, 1)
+    with pytest.raises(SceneError, match="holds more than 268435456 bytes when unpacked"):
+        read_responses(tmp_path / "a.h5", 1)
 
 
 @pytest.mark.parametrize(
@@ -238,19 +233,14 @@ def test_command(command, write_scene):
 
 
 @pytest.mark.parametrize("compressed", [True, False])
-def test_damaged_mat_files(compressed, random, tmp_path):
-    """Flipped bits end in a line or in numbers, never in a crash."""
+def test_mat_files_that_are_cut_short(compressed, random, tmp_path):
     path, values = tmp_path / "a.mat", random.normal(size=(1, 4)) + 2j
     scipy.io.savemat(path, {"frequency": np.arange(1.0, 5), "response": values}, do_compression=compressed)
     good = path.read_bytes()
-    for place in range(0, 8 * len(good), 23):
-        data = bytearray(good)
-        data[place // 8] ^= 1 << place % 8
-        path.write_bytes(data)
-        with suppress(SceneError):
-            assert read_responses(path, 1).responses.shape[0] == 1
-    path.write_bytes(good)
-    np.testing.assert_array_equal(read_responses(path, 1).responses, values)
+    for length in range(0, len(good), 7):
+        path.write_bytes(good[:length])
+        with pytest.raises(SceneError):
+            read_responses(path, 1)
 
 
 @pytest.mark.parametrize("kind", [np.dtype((np.float64, (2**24,))), h5py.string_dtype(), h5py.vlen_dtype(float)])

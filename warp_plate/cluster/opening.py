@@ -130,6 +130,7 @@ class DaskPool(WorkerPool):
         self.dashboard: str = client.dashboard_link
         self._client, self._cluster, self._name = client, cluster, name
         self._executor = client.get_executor(pure=False, retries=0)
+        assert client.scheduler_comm is not None
         client.scheduler_comm.interval = 0.001  # Dask waits 10 ms between messages, such as the blocks of two workers
         self._count = self._most = 0
         self._next_count, self._seen = 0.0, time.monotonic()
@@ -246,7 +247,7 @@ def _run_on_worker(function: Callable[[Any], Any], argument: Any) -> Any:
         return run_task(function, argument)
     except Exception as error:
         if get_worker().nanny:
-            error.worker = get_worker().address  # type: ignore[attr-defined]
+            error.worker = get_worker().address
         raise
 
 

@@ -1,7 +1,6 @@
 """HDF5 files with a checksum, and safe reading of their groups, attributes and datasets.
 
 Files are written atomically. On reading, links, data in other files and datasets larger than their file are refused.
-So is a file whose parts take far more memory than itself because they refer to the same data again and again.
 """
 
 from __future__ import annotations
@@ -9,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,12 +17,6 @@ import numpy as np
 
 from warp_plate.result.atomic_io import check_seal, make_seal, write_atomically
 from warp_plate.scene.errors import SceneError
-
-# Bytes of the longest text of an attribute, and of texts that are read at once.
-MOST_TEXT, MOST_BLOCK = 2**24, 2**28
-# Bytes that an object costs at least, and the cost of all objects read, relative to the size of the file.
-LEAST, TIMES = 100, 4
-_budget: ContextVar[float] = ContextVar("bytes that may still be read", default=math.inf)
 
 
 @dataclass(frozen=True)
@@ -49,11 +41,9 @@ class FileFormat:
     def open(self, path: str | Path) -> Iterator[h5py.File]:
         """Yield a file opened for reading; raise a SceneError if it is missing, damaged or of another kind."""
         path = Path(path)
-        token = _budget.set(math.inf)
         try:
             check_seal(path)
             with h5py.File(path, "r") as file:
-                _budget.set(TIMES * file.id.get_filesize())
                 if read_attribute(file, "format") != (expected := f"warp-plate {self.kind} {self.version}"):
                     actual = f"this is {description}, " if (description := _description(file)) else ""
                     raise SceneError(
@@ -67,8 +57,6 @@ class FileFormat:
             raise SceneError(line if line.startswith(str(path)) else f"{path}: damaged: {line}") from None
         except (OSError, LookupError, ValueError, RuntimeError, TypeError, ArithmeticError) as error:
             raise SceneError(f"{path}: damaged or not an HDF5 file of this program: {error}") from None
-        finally:
-            _budget.reset(token)
 
 
 def describe_file(path: Path) -> str:
@@ -126,25 +114,13 @@ def member(group: h5py.Group, name: str, kind: type = h5py.Group) -> Any:
     return item
 
 
-def names_in(group: h5py.Group) -> list[str]:
-    """Return the sorted names in a group."""
-    names = sorted(group)
-    _spend(group.name, sum(max(len(name), LEAST) for name in names))
-    return names
-
-
 def read_attribute(item: h5py.HLObject, name: str) -> Any:
     """Return the single value of an attribute, or None if it is missing."""
     if name not in item.attrs:
         return None
-    stored, path = item.attrs.get_id(name), full_path(item, name)
-    if stored.shape != () or stored.dtype.itemsize > MOST_TEXT:
-        raise SceneError(f"attribute {path} is more than a single value")
-    value = item.attrs[name]
-    _spend(path, len(value) if isinstance(value, str | bytes) else stored.dtype.itemsize)
-    if isinstance(value, str | bytes) and len(value) > MOST_TEXT:
-        raise SceneError(f"attribute {path} is longer than {MOST_TEXT} bytes")
-    return value
+    if item.attrs.get_id(name).shape != ():
+        raise SceneError(f"attribute {full_path(item, name)} is more than a single value")
+    return item.attrs[name]
 
 
 def read_array(
@@ -166,26 +142,4 @@ def read_array(
     expected = dataset.shape if shape is None else shape
     if len(expected) != dataset.ndim or any(a not in (None, b) for a, b in zip(expected, dataset.shape, strict=True)):
         raise SceneError(f"{path} has shape {dataset.shape} instead of {expected} (None: any length)")
-    if text:
-        return np.array(_read_texts(dataset, path), dtype=object).reshape(dataset.shape)
-    _spend(path, dataset.nbytes)
-    return np.asarray(dataset[()])
-
-
-def _read_texts(dataset: h5py.Dataset, path: str) -> list[str]:
-    """Return the texts of a dataset, read in blocks that even in a file made for it do not fill the memory."""
-    texts: list[str] = []
-    columns, step = dataset.shape[-1], max(1, MOST_BLOCK // dataset.file.id.get_filesize())
-    for row in np.ndindex(dataset.shape[:-1]):
-        for start in range(0, columns, step):
-            block = dataset.asstr()[row + (slice(start, start + step),)].tolist()
-            _spend(path, sum(map(len, block)))
-            texts += block
-    return texts
-
-
-def _spend(name: str, size: int) -> None:
-    """Count an object of so many bytes, or raise a SceneError if the file cannot hold so much."""
-    _budget.set(_budget.get() - max(size, LEAST))
-    if _budget.get() < 0:
-        raise SceneError(f"{name} and what was read before take {TIMES} times as much memory as the file")
+    return np.asarray(dataset.asstr()[()] if text else dataset[()])

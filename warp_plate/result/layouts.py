@@ -25,7 +25,7 @@ from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 import h5py
 import numpy as np
 
-from warp_plate.result.hdf5 import full_path, member, names_in, read_array, read_attribute, write_along, write_array
+from warp_plate.result.hdf5 import full_path, member, read_array, read_attribute, write_along, write_array
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import LARGEST, Count, as_kind
 from warp_plate.scene.model import Scene
@@ -194,7 +194,7 @@ class Datasets(Layout):
     def read(self, group: h5py.Group, name: str, sizes: Sizes) -> dict[str, Any]:
         values, sizes = {}, dict(sizes)
         inner = member(group, name) if name in group else {}
-        for key in (self.names or names_in(inner)) if inner else ():
+        for key in (self.names or sorted(inner)) if inner else ():
             nested = not self.names and isinstance(member(inner, key, h5py.HLObject), h5py.Group)
             values[key] = (self if nested else self.layout(key)).read(inner, key, sizes)
         return values
@@ -216,7 +216,7 @@ class Groups(Layout):
     def read(self, group: h5py.Group, name: str, sizes: Sizes) -> Any:
         if self.container is None:
             return read_fields(self.cls, member(group, name), sizes)
-        names = names_in(member(group, name)) if name in group else []
+        names = sorted(member(group, name)) if name in group else []
         keys = names if self.container is Mapping else [str(index) for index in range(len(names))]
         instances: dict[str, Any] = {key: read_fields(self.cls, member(group, f"{name}/{key}"), sizes) for key in keys}
         return instances if self.container is Mapping else tuple(instances.values())
@@ -235,4 +235,4 @@ class SearchState(Layout):
     def read(self, group: h5py.Group, name: str, sizes: Sizes) -> dict[str, Any]:
         state = member(group, name)
         numbers = Attribute(Mapping[str, Any]).read(state, "numbers", sizes)
-        return {**numbers, **{key: read_array(state, key) for key in names_in(state)}}
+        return {**numbers, **{key: read_array(state, key) for key in sorted(state)}}
