@@ -110,7 +110,10 @@ def choose_engine(
         path: Path of the kernels, or "modal".
         evaluator: Evaluator of a search or a sweep that is asked for.
     """
-    search, fast = scene.search, costs_less_by_modes(scene)
+    search = scene.search
+    searched = search.frequency is not None or search.position is not None or search.delay is not None
+    # Waveforms whose frequencies, places or delays are searched cost more by modes than on an ordinary grid.
+    fast = scene.linear and not (searched and scene.drive.waveform_key is not None)
     # 1. What is asked for.
     if MODAL in (path, evaluator):
         return "modes"
@@ -127,19 +130,8 @@ def choose_engine(
     # 4. Time steps are the judge of a single run. Searches of places, frequencies or delays would take a plate of
     # their own for each, and modes give exact searches and surveys without any.
     if purpose == "search":
-        searched = search.frequency is not None or search.position is not None or search.delay is not None
         fast = fast and searched and search.robust is None
     return "modes" if fast and purpose in ("search", "exact", "survey") else "steps"
-
-
-def costs_less_by_modes(scene: Scene) -> bool:
-    """Return whether a search of a scene costs less by modes than by time steps on an ordinary grid.
-
-    Waveforms whose frequencies, places or delays are searched do not.
-    """
-    search = scene.search
-    searched = search.frequency is not None or search.position is not None or search.delay is not None
-    return scene.linear and not (searched and scene.drive.waveform_key is not None)
 
 
 def refuse_nonlinear_modes(scene: Scene) -> None:

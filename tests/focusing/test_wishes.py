@@ -75,9 +75,9 @@ def test_a_wish_of_all_points_is_one_channel(tmp_path):
     ("wish", "words"),
     [
         ({"file": "none.csv"}, r"focus.wish.file = 'none.csv': no such file beside the scene file"),
-        ({"file": "three.csv"}, "3 columns instead of time and value, one value, or per_point = true"),
+        ({"file": "three.csv"}, "3 columns instead of 1, or time first; per_point = true"),
         ({"file": "two.csv", "per_point": True}, "no column of times; write focus.wish.rate"),
-        ({"file": "one.csv", "rate": 4000.0, "per_point": True}, "1 columns instead of 2, one for each point"),
+        ({"file": "one.csv", "rate": 4000.0, "per_point": True}, "1 columns instead of 2, or time first"),
         ({"file": "two.csv", "rate": 0.01, "per_point": True}, "focus.wish: 3200000 samples for 4 actuators"),
         ({"file": "two.txt"}, "focus.wish.file"),
     ],

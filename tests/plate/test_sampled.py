@@ -138,7 +138,7 @@ def test_a_channel_for_each_actuator(tmp_path, bits):
         samples = read_samples(table, tmp_path, 2)
         np.testing.assert_array_equal(samples.values, values)
         assert samples.start == pytest.approx(start)
-    with pytest.raises(SceneError, match="2 columns instead of 4, one for each actuator"):
+    with pytest.raises(SceneError, match="2 columns instead of 4, or time first"):
         read_samples(SampledSignal(file="b.csv", per_actuator=True, rate=10.0), tmp_path, 4)
 
 
@@ -148,8 +148,8 @@ def test_a_channel_for_each_actuator(tmp_path, bits):
         ("a.csv", "1,2", {}, "1 samples"),
         ("a.csv", "1\n2\n", {}, "drive.signal.rate"),
         ("a.csv", "0,1\n1,2\n", {"rate": 10.0}, "delete drive.signal.rate"),
-        ("a.csv", "0,1,2\n1,2,3\n", {}, "3 columns instead of time and value"),
-        ("a.csv", "0,1,2\n1,2,3\n", {"per_actuator": True}, "3 columns instead of time"),
+        ("a.csv", "0,1,2\n1,2,3\n", {}, "3 columns instead of 1, or time first; per_actuator = true"),
+        ("a.csv", "0,1,2\n1,2,3\n", {"per_actuator": True}, "3 columns instead of 1"),
         ("a.wav", wav(bytes(8), channels=2), {"per_actuator": True}, "write 1, one for each actuator"),
         ("a.csv", "0,1\n1,two\n", {}, "could not convert string 'two' to float64 at row 1, column 2"),
         ("a.csv", "0,1_0\n1,2\n2,3\n", {}, "1_0"),
@@ -163,7 +163,7 @@ def test_a_channel_for_each_actuator(tmp_path, bits):
         ("a.csv", b"\xff\xfe1\x00", {}, "not UTF-8"),
         ("a.wav", b"RIFF\0\0\0\0WAVE", {}, "without samples"),
         ("a.wav", wav(bytes(8), channels=2), {}, "2 channels"),
-        ("a.wav", wav(bytes(8), bits=65), {}, "cannot be read"),
+        ("a.wav", wav(bytes(8), bits=65), {}, "damaged"),
         ("a.wav", wav(bytes(8), code=85), {}, "Unknown wave file format"),
         ("a.wav", wav(b"\1\2\3\4" * 9)[:-5], {}, "ends too early"),
         ("a.wav", wav(b"\1\2" * 9, rate=0), {}, "0 samples a second"),

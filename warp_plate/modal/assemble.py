@@ -34,6 +34,7 @@ from warp_plate.effects.effect import (
 )
 from warp_plate.modal.spaces.space import FunctionSpace, Matrix
 from warp_plate.modal.spaces.tensor_splines import TensorSplines
+from warp_plate.plate.bending import join_masses
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
@@ -128,12 +129,8 @@ def _forms(scene: Scene, space: FunctionSpace, role: Role) -> np.ndarray:
 
 
 def load_integrals(galerkin: Galerkin, areas: np.ndarray) -> np.ndarray:
-    """Return (rectangles, unknowns of the plate) loads of unit drives of the scene's actuators.
-
-    Args:
-        galerkin: Plate.
-        areas: (..., actuators, 4) rectangles x0, x1, y0, y1 [m] of the actuators.
-    """
+    """Return (rectangles, unknowns of the plate) loads of unit drives of the scene's actuators in rectangles
+    (..., actuators, 4) x0, x1, y0, y1 [m]."""
     if not galerkin.scene.piezo:
         return galerkin.space.patch_integrals(areas)
     rectangles = np.asarray(areas, dtype=float).reshape(-1, 4)
@@ -149,24 +146,9 @@ def _patch_means(space: FunctionSpace, attached: Sequence[Attachment]) -> np.nda
 
 
 def _with_links(space: FunctionSpace, attached: Sequence[Attachment], values: np.ndarray, key: str) -> Matrix:
-    """Return the matrix of a form of the plate and Σ value (ū − z)², for the attached springs or dampers.
-
-    Those without a mass have z = 0.
-    """
-    matrix = space.scatter(values)
-    if not attached:
-        return matrix
-    means = _patch_means(space, attached)
-    masses = sum(attachment.mass > 0 for attachment in attached)
-    rows, index = np.zeros((len(attached), means.shape[1] + masses)), 0
-    rows[:, : means.shape[1]] = means
-    for row, attachment in zip(rows, attached, strict=True):
-        if attachment.mass > 0:
-            row[means.shape[1] + index] = -1
-            index += 1
-    sparse, factors = Matrix(rows), np.array([getattr(attachment, key) for attachment in attached])
-    padded = _with_masses(matrix, np.zeros(masses))
-    return Matrix(padded + sparse.T @ (scipy.sparse.diags_array(factors) @ sparse))
+    """Return the matrix of a form of the plate with the attached springs or dampers."""
+    factors = [getattr(attachment, key) for attachment in attached]
+    return join_masses(space.scatter(values), _patch_means(space, attached), attached, factors)
 
 
 def _check_springs(space: FunctionSpace, attached: Sequence[Attachment], largest: float) -> None:

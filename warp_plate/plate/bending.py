@@ -209,22 +209,24 @@ def moving_masses(bending: Bending) -> np.ndarray:
 def with_attachments(
     bending: Bending, matrix: scipy.sparse.csr_array, values: Sequence[float]
 ) -> scipy.sparse.csr_array:
-    """Return a matrix over the moving nodes extended by the attached masses.
+    """Return a matrix over the moving nodes with springs or dampers ``values``, see :func:`join_masses`."""
+    means = bending.shares.reshape(len(bending.shares), bending.mass.size)[:, np.flatnonzero(bending.moves)]
+    return join_masses(matrix, means, bending.attachments, values)
 
-    The springs (or dampers) ``values`` join the patches to their masses, or to the ground without one.
+
+def join_masses(
+    matrix: scipy.sparse.csr_array, means: np.ndarray, attached: Sequence[Attachment], values: Sequence[float]
+) -> scipy.sparse.csr_array:
+    """Return a matrix extended by the attached masses: the sum of its form and of Σ value (ū − z)².
+
+    The means ū (attachments, unknowns) of the patches are joined to the motions z of the masses, or to the ground.
     """
-    if not values:
-        return matrix
-    shares = bending.shares
-    attached = [index for index, attachment in enumerate(bending.attachments) if attachment.mass > 0]
-    springs = np.array(values)
-    on_plate = scipy.sparse.csr_array(shares.reshape(len(shares), -1)[:, np.flatnonzero(bending.moves)])
-    plate = matrix + on_plate.T @ scipy.sparse.diags_array(springs) @ on_plate
     if not attached:
-        return scipy.sparse.csr_array(plate)
-    between = (-scipy.sparse.diags_array(springs) @ on_plate)[attached]
-    diagonal = scipy.sparse.diags_array(springs[attached])
-    return scipy.sparse.csr_array(scipy.sparse.block_array([[plate, between.T], [between, diagonal]]))
+        return matrix
+    masses = [index for index, attachment in enumerate(attached) if attachment.mass > 0]
+    rows = scipy.sparse.csr_array(np.hstack([means, -np.eye(len(attached))[:, masses]]))
+    padded = scipy.sparse.block_diag([matrix, scipy.sparse.csr_array((len(masses), len(masses)))])
+    return scipy.sparse.csr_array(padded + rows.T @ (scipy.sparse.diags_array(np.array(values)) @ rows))
 
 
 def buckling_factor(bending: Bending) -> float:

@@ -230,10 +230,9 @@ def wav_channels(data: bytes) -> tuple[np.ndarray, float]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of chunks that SciPy does not know
             rate, samples = scipy.io.wavfile.read(io.BytesIO(data))
-    except ValueError as error:
-        raise ValueError(f"a WAV file that cannot be read: {error}") from None
-    except Exception:  # of many kinds, for files of any content
-        raise ValueError("a WAV file without samples, or damaged") from None
+    except Exception as error:  # of many kinds, for files of any content
+        reason = " ".join(str(error).split())
+        raise ValueError(f"a WAV file without samples, or damaged: {reason}") from None
     values = np.atleast_2d(samples.T).astype(float)
     if samples.dtype.kind != "f":
         values = (values - 128 * (samples.dtype == np.uint8)) / 2.0 ** (8 * samples.dtype.itemsize - 1)
@@ -249,9 +248,7 @@ def _csv(
         raise ValueError(f"{len(table)} samples; at least 2 are needed")
     columns = table.shape[1]
     if columns - (channels or 1) not in (0, 1):
-        wanted = f"time and value, one value, or per_{owner} = true"
-        if channels and channels > 1:
-            wanted = f"{channels}, one for each {owner}, or time first"
+        wanted = f"{channels or 1}, or time first; per_{owner} = true takes one for each {owner}"
         raise ValueError(f"{columns} columns instead of {wanted}")
     if columns == (channels or 1):
         if rate is None:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -68,16 +69,6 @@ def contrast(energy: np.ndarray, sizes: RegionSizes) -> np.ndarray:
     return np.clip(decibels(target, rest), -MOST_DECIBELS, MOST_DECIBELS)
 
 
-def rms_of_target(energy: np.ndarray, sizes: RegionSizes) -> np.ndarray:
-    """Return the root mean square (plates,) of the velocity or displacement of the target."""
-    return _root_mean_squares(energy, sizes)[:, 0]
-
-
-def rms_of_rest(energy: np.ndarray, sizes: RegionSizes) -> np.ndarray:
-    """Return the root mean square (plates,) of the velocity or displacement of the rest of the plate."""
-    return _root_mean_squares(energy, sizes)[:, 1]
-
-
 def uniformity(energy: np.ndarray, sizes: RegionSizes) -> np.ndarray:
     """Return how evenly (plates,) the target's cells move, at most 1; NaN for a plate at rest."""
     cells = energy[:, len(REGIONS) : len(REGIONS) + sizes.cells.size]
@@ -97,16 +88,18 @@ def _target_and_rest(energy: np.ndarray) -> np.ndarray:
     return np.stack([energy[:, TARGET], energy[:, PLATE] - energy[:, TARGET]], axis=1)
 
 
-def _root_mean_squares(energy: np.ndarray, sizes: RegionSizes) -> np.ndarray:
+def _rms_of(part: int, energy: np.ndarray, sizes: RegionSizes) -> np.ndarray:
+    """Return the root mean square (plates,) of the velocity or displacement of the target, 0, or of the rest, 1."""
     with np.errstate(invalid="ignore", divide="ignore"):  # a target that is all of the plate has no rest
-        return np.asarray(np.sqrt(mean_square(np.maximum(_target_and_rest(energy), 0), sizes.masses)))
+        return np.asarray(np.sqrt(mean_square(np.maximum(_target_and_rest(energy), 0), sizes.masses)))[:, part]
 
 
+RMS = partial(_rms_of, 0), partial(_rms_of, 1)
 _LIST = (
     Quantity("localization", "1", "localization factor", lambda energy, _: localization_factor(energy)),
     Quantity("contrast", "dB", "contrast of target and rest", contrast),
-    Quantity("velocity", "m/s", "velocity of the target", rms_of_target, "velocity", "energy", rms_of_rest),
-    Quantity("displacement", "m", "displacement of the target", rms_of_target, "displacement", "energy", rms_of_rest),
+    Quantity("velocity", "m/s", "velocity of the target", RMS[0], "velocity", "energy", RMS[1]),
+    Quantity("displacement", "m", "displacement of the target", RMS[0], "displacement", "energy", RMS[1]),
     Quantity("uniformity", "1", "uniformity of the target", uniformity, grows_with=None),
     Quantity(
         "energy_plate", "J", "kinetic energy of the plate", lambda energy, _: energy[:, PLATE], grows_with="energy"

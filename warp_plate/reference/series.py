@@ -96,17 +96,10 @@ def damped_motion(
 
 def _decays(time: np.ndarray, squared: np.ndarray, gamma: float) -> tuple[np.ndarray, np.ndarray]:
     """Return exp(−γt) cos νt and exp(−γt) sin(νt)/ν [s] for ν² [1/s²]."""
-    rate = np.sqrt(np.abs(squared))
-    turn, decay = rate * time, np.exp(-gamma * time)
-    cosine, sine = decay * np.cos(turn), decay * time * np.sinc(turn / math.pi)
-    strong = squared < 0
-    if np.any(strong):
-        rate = np.where(strong, rate, 1)
-        grown = np.exp(np.where(strong, rate - gamma, 0) * time)
-        lost = -np.expm1(-2 * rate * time)
-        cosine = np.where(strong, (1 - lost / 2) * grown, cosine)
-        sine = np.where(strong, lost / (2 * rate) * grown, sine)
-    return cosine, sine
+    rate = np.sqrt(-squared + 0j)
+    slow, turn = np.exp((rate - gamma) * time), -2 * rate * time
+    ratio = np.where(turn == 0, 1, np.expm1(turn) / np.where(turn == 0, 1, turn))
+    return (slow * (1 + np.exp(turn)) / 2).real, (slow * time * ratio).real
 
 
 def patch_pressures(scene: Scene, drive: np.ndarray, terms: int) -> np.ndarray:
