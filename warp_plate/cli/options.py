@@ -131,8 +131,8 @@ class WorkerOptions:
 
     Attributes:
         device: cpu, cuda, cuda:1, ...; auto (the default) takes a CUDA device if there is one. With --cluster, the
-            device of its workers. A run that is resumed continues on the kind of device that it began on unless a
-            device is named; another kind rounds differently, so that the result may differ.
+            device of its workers. A run that is resumed continues on the kind of device that it began on, if there
+            is one; another kind rounds differently, so that the result may differ.
         devices: Several devices of this machine that share the work, one process each, such as cuda:0,cuda:1, or
             cpu,cpu for two single-threaded processes (needs the extra cluster). Results are bit-identical. See
             docs/scaling.md.

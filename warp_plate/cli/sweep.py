@@ -107,13 +107,11 @@ def sweep(
         start = open_sweep(request, target, resume, workers.device, on_workers, output.log, files.force)
     unfinished = target.with_suffix(".checkpoint.h5")
     file = CheckpointFile(unfinished, checkpoint_every, unfinished.exists(), output.log)
-    # Devices that are named are used, also where another kind began.
-    on_device_change = None if workers.devices is None and workers.device is None else output.log
     with output.resumable(file, "sweep"):
         with workers.open_pool() as pool, output.progress_bar("sweeping", not files.json, start.scene) as show:
             show(len(start.plan) - len(start.pending), len(start.plan), start.progress)
             note = "{} of {}: {}".format
-            result = run_sweep(start, lambda *done: show(*done[:2], note(*done)), file, pool, on_device_change)
+            result = run_sweep(start, lambda *done: show(*done[:2], note(*done)), file, pool)
         draw = partial(save_plots, partial(draw_sweep, colormap=colormap), result)
         save = partial(save_finished, result, file=file)
         written = output.write_files(target, save, draw, files.pictures)

@@ -36,10 +36,10 @@ from warp_plate.studies.spectrum import has_spectrum, make_spectrum
 from warp_plate.studies.unfinished import (
     CheckpointFile,
     changes,
+    device_like,
     devices_text,
     merged_versions,
     run_fields,
-    same_device,
     versions,
 )
 
@@ -129,7 +129,7 @@ def resume(
     estimate, which depends on them.
 
     Args:
-        device: another device than the search began on, which may round differently (default: one of the same kind).
+        device: device, which may round differently than the one before (default: one of the same kind, if any).
         on_progress, estimate, checkpoints, spectrum, pool, baselines: see :func:`localize`.
 
     Raises:
@@ -142,7 +142,7 @@ def resume(
     for key, digest in digests(checkpoint.scene).items():
         if checkpoint.files.get(key) != digest:
             raise SceneError(f"{key}: the file has changed since the search began")
-    device = device or same_device(checkpoint.device, checkpoint.processor, "search")
+    device = device or device_like(checkpoint)
     resolved = resolve(checkpoint.scene, device, purpose="search", path=checkpoint.path, evaluator=checkpoint.evaluator)
     problem = make_problem(resolved, matrices, pool)
     if problem.parametrization.quadratic and matrices is None:
@@ -188,7 +188,7 @@ def load_to_resume(
             raise SceneError(f"the scene is not that of the search in {file}; start again without --resume")
         gridded = checkpoint.scene.in_folder(scene.folder)
         checkpoint = replace(checkpoint, scene_as_written=written.in_folder(scene.folder), scene=gridded)
-    for line in changes(checkpoint, device):
+    for line in changes(checkpoint, device or device_like(checkpoint)):
         log(f"{file}: {line}")
     return checkpoint
 

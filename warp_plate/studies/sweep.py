@@ -26,7 +26,7 @@ from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.scene.vary import Plan, counted, make_plan, parse_vary, value_text
 from warp_plate.solve.devices import find_device, processor_of
 from warp_plate.studies.sweep_points import QUANTITIES, PointResult, run_here, run_on_pool, varied_files
-from warp_plate.studies.unfinished import CheckpointFile, changes, merged_versions, same_device, versions
+from warp_plate.studies.unfinished import CheckpointFile, changes, device_like, merged_versions, versions
 
 # Called after each point with the points done, their total, and the values of the point.
 OnPointProgress = Callable[[int, int, str], object]
@@ -180,7 +180,6 @@ def run_sweep(
     on_progress: OnPointProgress | None = None,
     file: CheckpointFile | None = None,
     pool: WorkerPool | None = None,
-    on_device_change: Callable[[str], object] | None = None,
 ) -> Sweep:
     """Run the points that are pending, with one grid for all if the scene asks for an accuracy.
 
@@ -190,8 +189,6 @@ def run_sweep(
     Args:
         file: written at intervals, and when Ctrl-C or an error ends the sweep.
         on_progress, pool: see :func:`sweep`.
-        on_device_change: called with one line if workers have another kind of processor than earlier points were run on
-            (default: that is refused).
     """
     started, total, pending = time.perf_counter(), len(start.plan), start.pending.tolist()
     values = {name: array.copy() for name, array in start.values.items()}
@@ -209,7 +206,7 @@ def run_sweep(
         with deferred_interrupts():
             points = run_here(chosen, pending) if pool is None else run_on_pool(chosen, pending, pool)
             for done, result in enumerate(points, total - len(pending) + 1):
-                current = _with_result(current, result, on_device_change)
+                current = _with_result(current, result)
                 if on_progress is not None:
                     on_progress(done, total, _describe(result, start))
                 if file is not None and file.due():
@@ -225,18 +222,9 @@ def run_sweep(
     return now()
 
 
-def _with_result(sweep: Sweep, result: PointResult, on_device_change: Callable[[str], object] | None) -> Sweep:
+def _with_result(sweep: Sweep, result: PointResult) -> Sweep:
     """Return a sweep with the result at a point, which is written into its arrays, and with the device of the point."""
     if result.processor:
-        if sweep.processor not in ("", result.processor):
-            before, now = f"{sweep.device} ({sweep.processor})", f"{result.device} ({result.processor})"
-            change = f"the sweep began on {before} and continues on {now}, which rounds differently"
-            if on_device_change is None:
-                raise SceneError(
-                    f"{change}, so the result would not be bit-identical: take workers of the first kind, or name "
-                    f"theirs to continue anyway, --device {result.device.partition(':')[0]}"
-                )
-            on_device_change(f"{change}: the result may differ")
         sweep = sweep.moved_to(result.device, result.processor)
     sweep.status[result.point] = REFUSED if result.values is None else RUN
     for name, value in (result.values or {}).items():
@@ -302,7 +290,7 @@ def open_sweep(
     if not file.exists():
         return sweep
     log(f"{file}: {sweep.progress} done; {'nothing is left' if sweep.finished else 'continuing'}")
-    for line in changes(sweep, None if on_workers or not sweep.processor else device):
+    for line in changes(sweep, None if on_workers or not sweep.processor else device or device_like(sweep)):
         log(f"{file}: {line}")
     return resume_sweep(sweep, device, on_workers)
 
@@ -329,16 +317,14 @@ def check_same_sweep(path: Path, existing: Sweep, sweep: Sweep, advice: str) -> 
 
 
 def resume_sweep(sweep: Sweep, device: str | None = None, on_workers: bool = False) -> Sweep:
-    """Return an unfinished sweep as it continues on workers of a pool, on another device, which may round differently,
-    or by default on one of the kind that it began on."""
+    """Return an unfinished sweep as it continues on workers of a pool, or on a device: by default one of the kind that
+    it began on, if there is one."""
     if sweep.finished:
         return sweep
     sweep = replace(sweep, versions=merged_versions(sweep.versions))
     if on_workers:
         return sweep
-    if device is None:
-        device = same_device(sweep.device, sweep.processor, "sweep") if sweep.processor else "auto"
-    used = find_device(device)
+    used = find_device(device or device_like(sweep))
     return sweep.moved_to(used.alias, processor_of(used))
 
 

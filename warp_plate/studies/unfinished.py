@@ -123,21 +123,15 @@ def merged_versions(earlier: Mapping[str, str]) -> dict[str, str]:
     }
 
 
-def same_device(device: str, processor: str, study: str) -> str:
-    """Return the alias of a device on this machine with the same kind of processor; ``study``: "search" or "sweep"."""
-    for alias in (device, *(alias for alias in device_aliases() if alias != device)):
-        if alias in device_aliases() and processor_of(find_device(alias)) == processor:
-            return alias
-    raise SceneError(
-        f"the {study} began on {device} ({processor}), which this machine does not have; another device rounds "
-        f"differently, so the result would not be bit-identical: to continue anyway, name one, such as "
-        f"--device {find_device('auto').alias}"
-    )
+def device_like(study: Checkpoint | Sweep) -> str:
+    """Return the alias of a device with the kind of processor that a study ran on, or "auto" if there is none."""
+    aliases = sorted(device_aliases(), key=lambda alias: alias != study.device)
+    return next((alias for alias in aliases if processor_of(find_device(alias)) == study.processor), "auto")
 
 
 def changes(study: Checkpoint | Sweep, device: str | None) -> list[str]:
-    """Return a line for each change since a study began, also of the device (None: unknown or the same), that may
-    change the last digits of its result."""
+    """Return a line for each change since a study began, also of the device (None: unknown), that may change the last
+    digits of its result."""
     lines = []
     if device is not None and (processor := processor_of(find_device(device))) != study.processor:
         lines.append(
