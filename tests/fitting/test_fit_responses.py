@@ -119,28 +119,6 @@ def test_files_of_frf(ending, write, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "message"),
-    [
-        ("a.csv", "f,re\n1,2\n", "needs the columns frequency, real and imaginary part of each response"),
-        ("a.csv", "1,1,1\n1,1,1\n", "frequencies must rise, from 0 hertz or above"),
-        ("a.csv", "0,0,0\n1,1,1\n", "1 frequencies; 2 to 4000 can be fitted"),
-        ("a.csv", "1,1,1\n2,0,0\n", "response 1 at 2 Hz is 0+0j; must be a complex number other than 0"),
-        ("a.csv", "1,1,1\n2,1e300,0\n", "response 1 at 2 Hz is 1e+300+0j; must be a complex number other than 0"),
-        ("a.csv", "1e-300,1,1\n2,1,1\n", "frequencies must rise"),
-        ("a.csv", "1,1,x\n", "could not convert string 'x'"),
-        ("a.uff", "nothing", "a.uff: "),
-    ],
-)
-def test_bad_files(name, text, message, tmp_path):
-    if name.endswith("uff"):
-        pytest.importorskip("pyuff")
-    (tmp_path / name).write_text(text, encoding="utf-8")
-    with pytest.raises(SceneError) as caught:
-        read_responses(tmp_path / name, 1)
-    assert message in str(caught.value)
-
-
-@pytest.mark.parametrize(
     ("row", "message"),
     [
         (

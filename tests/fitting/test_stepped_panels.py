@@ -1,26 +1,10 @@
 """Fits of responses by time stepping, from random panels; ``benchmarks/fits`` has many more."""
 
-import math
-
-import numpy as np
 import pytest
 from fits.campaign import ALLOWED, INSEPARABLE, measured, summary
-from fits.stepping import extrapolated
 
 # A panel with a loss factor, and one with springs and viscous damping.
 PANELS = 16, 17
-
-
-def test_resonances_that_move_are_extrapolated():
-    frequencies, squares = np.linspace(0.5, 3, 40), lambda cells: np.array([1, 4]) * (1 - 3 / cells**2)
-    shares = np.array([[1, 0.3], [-0.7, 1], [0.2, 0.5]])
-
-    def responses(cells):
-        return shares @ (1 / (squares(cells)[:, None] * (1 + 0.05j) - frequencies**2))
-
-    cells = (4, 5, 6, 7)
-    found = extrapolated(cells, [responses(each) for each in cells])
-    assert found == pytest.approx(responses(math.inf), rel=1e-3)
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from support.scenes import scene_of
-from warp_plate import PlateSolver, SceneError, focus
+from warp_plate import PlateSolver, SceneError, export, focus
 from warp_plate.focusing.figures import measure_focus
 from warp_plate.focusing.motion import focus_motions
 from warp_plate.focusing.responses import HeldResponses
@@ -106,6 +106,19 @@ def test_waveforms_of_another_panel_are_played(focused):
         focus(focused.scene.replace("focus.rate", 32000), focused)
     with pytest.raises(SceneError, match="actuators: the waveforms were made for others, 0, 1, 2"):
         focus(focused.scene.with_tables(actuators=focused.scene.actuators[:2]), focused)
+
+
+def test_volts_are_written_as_volts_and_not_played_as_pressures(tmp_path):
+    piezo = {"kind": "piezo", "d31": -1.8e-10, "young_modulus": 6e10, "thickness": 2e-4}
+    places = [{"name": "a", "area": (0.02, 0.05, 0.02, 0.05)}, {"name": "b", "area": (0.12, 0.15, 0.1, 0.13)}]
+    table = {"points": [(0.05, 0.04)], "highest": 300.0, "rate": 2000, "time": 0.02}
+    found = focus(scene_of(damping=88.5, focus=table).with_tables(actuators=[{**place, **piezo} for place in places]))
+    assert export(found, tmp_path / "a.csv", to="drive-csv").contents["unit"] == "V"
+    assert " V]" in (tmp_path / "a.csv").read_text(encoding="utf-8").splitlines()[0]
+    with pytest.raises(SceneError, match="made for actuators driven by V, not N/m²"):
+        focus(found.scene.with_tables(actuators=places), load_focus(save_focus(found, tmp_path / "volts.h5")))
+    with pytest.raises(SceneError, match="encoding = 'pcm8': must be one of float32"):
+        export(found, tmp_path / "a.wav", to="drive-wav", encoding="pcm8")
 
 
 def test_four_fingers_feel_bursts_of_their_own():
