@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
@@ -42,18 +41,11 @@ ROUND_LIMITS = (1, 1.2, 1.6, 2, 2.4, 2.8, 3.2, 4, 4.8, 6, 8, 10)
 
 @dataclass(frozen=True)
 class ColourOptions:
-    """Colour map and limits of fields.
+    """Colour map and limits of fields; SceneError if there are no such."""
 
-    Attributes:
-        colormap: name of a colour map, see :func:`colour_map` (default: that of the field).
-        limits: "common" to all plates, "each" plate its own, or the largest value shown, in the SI unit of the field
-            (default: that of the picture).
-
-    Raises:
-        SceneError: there is no such colour map, or no such limits.
-    """
-
-    colormap: str | None = None
+    colormap: str | None = None  # name of a colour map, see :func:`colour_map` (default: that of the field)
+    # "common" to all plates, "each" plate its own, or the largest value shown [SI unit of the field] (default: that of
+    # the picture)
     limits: str | float | None = None
 
     def __post_init__(self) -> None:
@@ -111,9 +103,7 @@ def _check_name(name: str) -> None:
     except ImportError:
         return  # what draws says what is missing
     if name not in colormaps:
-        near = difflib.get_close_matches(name, colormaps, 1)
-        meant = f"; {near[0]} is one" if near else ""
-        raise SceneError(f"colormap = {name!r}: must be a colour map of Matplotlib, such as viridis{meant}")
+        raise SceneError(f"colormap = {name!r}: must be a colour map of Matplotlib, such as viridis")
 
 
 @dataclass(frozen=True)
@@ -190,17 +180,12 @@ def drawing_scale(
 ) -> DrawingScale:  # fmt: skip
     """Return a scale whose limit is that of the options, or the largest finite value rounded up; 1e-6 if nothing moves.
 
-    Args:
-        displacements: arrays of any shape [m], drawn as heights.
-        size: lengths of the plate along x and y [m].
-        values: arrays of the field in its SI unit (default: the displacements).
-
-    Raises:
-        SceneError: the options have a limit, but the field is an angle or a mode.
+    Displacements [m] are drawn as heights on a plate of this size [m]; values are those of the field in its SI unit
+    (default: the displacements). SceneError if the options have a limit, but the field is an angle or a mode.
     """
     heights = list(displacements)
     tallest = _largest(heights)
-    warp_factor = float(f"{TALLEST * min(size) / rounded_up(tallest):.2g}") if tallest > 0 else 1.0
+    warp_factor = float(f"{TALLEST * min(size) / tallest:.2g}") if tallest > 0 else 1.0
     if field.kind == "cyclic" or not field.unit:
         colours.refuse_limit(field.label.replace("\n", " "))
         unit, factor = ("°", 180.0) if field.kind == "cyclic" else ("", 1.0)
@@ -238,12 +223,6 @@ def motion_scales(
         scale = drawing_scale(heights, scene.plate.size, field, [values[index] for index in group], colours)
         scales += [scale] * len(group)
     return scales, values
-
-
-def rounded_up(value: float) -> float:
-    """Round up to two significant digits; never below the value."""
-    digit = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return max(value, float(f"{math.ceil(value / digit * (1 - 1e-12)) * digit:.2g}"))
 
 
 def round_limit(value: float) -> float:

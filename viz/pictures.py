@@ -8,11 +8,9 @@ from __future__ import annotations
 import importlib.util
 import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from subprocess import PIPE, Popen
-from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -198,25 +196,19 @@ def _write_gif(path: Path, pictures: Iterator[Image.Image], sample: Image.Image,
 
 def _write_mp4(path: Path, pictures: Iterator[Image.Image], sample: Image.Image, frames: int, rate: float) -> None:
     """Write an MP4 (H.264), which repeats its frames until it has at least six seconds."""
-    import imageio_ffmpeg
+    from imageio_ffmpeg import write_frames
 
-    width, height = (side // 2 * 2 for side in sample.size)  # H.264 requires even sides
-    raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{rate:g}", "-i", "-"]
-    encoded = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-movflags", "+faststart", str(path)]
-    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-v", "error", *raw, *encoded]
-    drawn: list[bytes] = []
-    with TemporaryFile() as errors:
-        encoder = Popen(command, stdin=PIPE, stderr=errors)
-        with suppress(BrokenPipeError), encoder:
-            assert encoder.stdin is not None
-            for picture in pictures:
-                drawn.append(picture.crop((0, 0, width, height)).tobytes())
-                encoder.stdin.write(drawn[-1])
-            for _ in range(math.ceil(LEAST_DURATION * rate / frames) - 1):
-                encoder.stdin.writelines(drawn)
-        if encoder.returncode != 0:
-            errors.seek(0)
-            raise OSError(errors.read().decode(errors="replace").strip())
+    size = (sample.width // 2 * 2, sample.height // 2 * 2)  # H.264 requires even sides
+    quality = ["-crf", "18", "-movflags", "+faststart"]
+    encoder = write_frames(path, size, fps=rate, quality=None, macro_block_size=2, output_params=quality)
+    encoder.send(None)
+    with closing(encoder):
+        drawn = []
+        for picture in pictures:
+            drawn.append(picture.crop((0, 0, *size)).tobytes())
+            encoder.send(drawn[-1])
+        for pixels in drawn * (math.ceil(LEAST_DURATION * rate / frames) - 1):
+            encoder.send(pixels)
 
 
 def largest_frame(motions: Sequence[Motion], quantity: str = "displacement") -> int:

@@ -17,17 +17,7 @@ from warp_plate.result.motion import Motion
 from warp_plate.result.targets import outlines
 from warp_plate.scene.model import Scene
 from warp_plate.viz import annotations
-from warp_plate.viz.annotations import (
-    EDGE_STYLES,
-    GRID,
-    INK,
-    LEGEND_WIDTH,
-    TARGET,
-    edges_by_kind,
-    frame_caption,
-    lookup_table,
-    rectangle,
-)
+from warp_plate.viz.annotations import EDGE_STYLES, GRID, INK, LEGEND_WIDTH, TARGET, edges_by_kind, rectangle
 from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions, DrawingScale, motion_scales
 
 if TYPE_CHECKING:
@@ -51,10 +41,8 @@ class SurfaceLines:
 class PlateMeshes:
     """Meshes of one plate; for the arguments see :meth:`update`.
 
-    Attributes:
-        surface: a point per node, x fastest, with point data SCALARS in the unit of the colour bar.
-        lines: "grid" (lines inside the plate), edges by their support (a key of EDGE_STYLES), outlines of the "target"
-            or targets and of the "actuators", in drawing order; those that are there.
+    ``surface`` has a point per node, x fastest, with point data SCALARS in the unit of the colour bar. ``lines`` are in
+    drawing order: those inside the plate, edges by their support, outlines of targets and of actuators.
     """
 
     def __init__(
@@ -75,12 +63,8 @@ class PlateMeshes:
         self.update(displacement, scale, values)
 
     def update(self, displacement: np.ndarray, scale: DrawingScale, values: np.ndarray | None = None) -> None:
-        """Move to another field in place.
-
-        Args:
-            displacement: (ny, nx) [m]; nodes without a finite one are drawn at rest.
-            values: (ny, nx) of the scale's field in its SI unit (default: the displacement).
-        """
+        """Move in place to another displacement (ny, nx) [m], at rest where it is not finite, and other values of the
+        scale's field in its SI unit (default: the displacement)."""
         heights = (np.where(np.isfinite(displacement), displacement, 0) * scale.warp_factor).ravel()
         self.surface.points[:, 2] = heights
         scalars = displacement if values is None else values
@@ -165,15 +149,8 @@ class LineLayer:
 class PlateActors:
     """A plate in the active subplot of a plotter, whose camera points at it; updated in place without rendering.
 
-    Args:
-        displacement: (ny, nx) [m], see :meth:`PlateMeshes.update` also for ``values``.
-        scale: colours and heights; pictures that are to be compared share one.
-        text: caption; the height factor is added to its last line.
-        font_size: height of the text [pixels]; line widths are relative to it.
-        bar: True to draw colour bar and legend in this subplot.
-
-    Attributes:
-        surface, caption: actors of the surface and of the text above the plate.
+    Line widths are relative to the font size [pixels]; the height factor is added to the last line of the caption.
+    ``bar`` adds colour bar and legend. ``surface`` and ``caption`` are the actors of the surface and of the text above.
     """
 
     def __init__(
@@ -209,7 +186,7 @@ class PlateActors:
     def rescale(self, scale: DrawingScale) -> None:
         """Take another scale; a call of :meth:`update` must follow."""
         self.scale = scale
-        self.surface.mapper.lookup_table = lookup_table(scale)
+        self.surface.mapper.lookup_table = annotations.lookup_table(scale)
         self.surface.mapper.scalar_range = scale.clim
         # Between 179° and −179° lies 180°, not 0°: interpolate colours of angles, not angles.
         self.surface.mapper.interpolate_before_map = scale.field.kind != "cyclic"
@@ -232,14 +209,8 @@ def line_layers(meshes: PlateMeshes) -> list[LineLayer]:
 
 
 class SideBySide:
-    """Plates of one scene in the subplots of a plotter, row by row; not rendered.
-
-    Args:
-        plotter: with the subplots of :func:`plate_subplots`.
-        motions: with the same number of frames each.
-        quantity: field in colour, a key of FIELDS; natural modes show their displacement.
-        font_size: height of the text [pixels].
-        colours: colour map and limits; plates with limits of their own have a legend each, others share one.
+    """Plates of one scene, with the same number of frames each, in the subplots of :func:`plate_subplots`, row by row;
+    not rendered. Plates with limits of their own have a legend each, others share one.
 
     Attributes:
         plates: one for each motion.
@@ -258,7 +229,7 @@ class SideBySide:
         _, columns = rows_and_columns(len(motions))
         for index, (motion, scale, values) in enumerate(zip(motions, self.scales, self._values, strict=True)):
             plotter.subplot(*divmod(index, columns))
-            text, placed = frame_caption(motion, 0, scene), motion.scene or scene
+            text, placed = annotations.frame_caption(motion, 0, scene), motion.scene or scene
             field = motion.displacement[0]
             self.plates.append(PlateActors(plotter, placed, field, scale, text, font_size, separate, values[0]))
         if not separate:
@@ -269,7 +240,7 @@ class SideBySide:
         """Move all plates to a frame, counted modulo the number of frames."""
         self.frame = frame % self.frames
         for motion, values, plate in zip(self.motions, self._values, self.plates, strict=True):
-            text = frame_caption(motion, self.frame, self.scene)
+            text = annotations.frame_caption(motion, self.frame, self.scene)
             # Some fields are constant in time, with a single frame.
             plate.update(motion.displacement[self.frame], values[self.frame % len(values)], text)
 

@@ -117,7 +117,7 @@ def test_invalid_options_are_named(render, tmp_path):
         ("--width 10", "Must be >= 120."),
         ("--rate 1000", "--rate 1000: must be from 1 to 120"),
         ("--heights 0", "--heights 0: must be above 0"),
-        ("--colormap jett", "colormap = 'jett': must be a colour map of Matplotlib, such as viridis; jet is one"),
+        ("--colormap jett", "colormap = 'jett': must be a colour map of Matplotlib, such as viridis"),
         ("--limits own", "limits = 'own': must be common, each, or a number above 0"),
         ("--limits 0", "limits = 0: must be common, each, or a number above 0"),
         ("--limits 3 --field phase", "limits = 3: phase lag has limits of its own; leave them out"),

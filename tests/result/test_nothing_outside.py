@@ -21,7 +21,7 @@ FORBIDDEN_MODULES = {
 ALLOWED = {
     "viz/explorer_page.py": {"asyncio", "socket", "urllib"},
     "warp_plate/cli/explore.py": {"webbrowser"},
-    "viz/availability.py": {"subprocess"}, "viz/pictures.py": {"subprocess"},
+    "viz/availability.py": {"subprocess"},
 }  # fmt: skip
 
 

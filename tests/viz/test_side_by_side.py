@@ -197,8 +197,8 @@ def test_plates_move_in_place_with_captions_and_heights(plates, plotter):
     assert colours == ["#1b7837", "#1a1a1a"]
     plates.show(3)
     plate = plates.plates[1]
-    assert plates.scales[0].warp_factor == 83000
-    heights = "heights × 8.3·10⁴"
+    assert plates.scales[0].warp_factor == 84000
+    heights = "heights × 8.4·10⁴"
     assert plate.caption.GetInput() == f"best drive found, t = 0.0919 s\nlocalization factor 25.00 %, {heights}"
     plates.exaggerate(12345.0)
     assert plate.caption.GetInput().endswith("heights × 1.23·10⁴")
@@ -228,7 +228,7 @@ def test_plates_may_have_limits_of_their_own(scene, drawing):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"colormap": "viridi"}, "colormap = 'viridi': must be a colour map of Matplotlib, such as viridis; viridis"),
+        ({"colormap": "viridi"}, "colormap = 'viridi': must be a colour map of Matplotlib, such as viridis"),
         ({"limits": "own"}, "limits = 'own': must be common, each, or a number above 0"),
         ({"limits": -1.0}, "limits = -1: must be"),
         ({"limits": math.nan}, "limits = nan: must be"),
