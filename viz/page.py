@@ -51,7 +51,7 @@ def write_page(
 
 def page_data(
     scene: Scene, motions: Sequence[Motion], quantity: str, rate: float, heights_factor: float | None,
-    options: ColourOptions = DEFAULT_COLOURS,
+    options: ColourOptions = DEFAULT_COLOURS, most_bytes: float = MOST_BYTES,
 ) -> dict[str, Any]:  # fmt: skip
     """Return all data of the page's script as JSON types; arrays are base64 of little-endian numbers."""
     scales, colours = motion_scales(scene, motions, quantity, options)
@@ -62,7 +62,7 @@ def page_data(
         peak, colours = scale.limit, []
     all_nodes = heights[0].shape[1:]
     values = sum(len(array) for array in [*heights, *colours]) * math.prod(all_nodes)
-    ny, nx = (thinned_nodes(nodes, values) for nodes in all_nodes)
+    ny, nx = (thinned_nodes(nodes, values, most_bytes) for nodes in all_nodes)
     heights = [_resampled(array, (ny, nx), DISPLACEMENT) for array in heights]
     colours = [_resampled(array, (ny, nx), field) for array in colours]
     meshes, (low, high) = PlateMeshes(scene, heights[0][0], scale), scale.clim
@@ -110,12 +110,12 @@ def _legend(scale: DrawingScale) -> dict[str, Any]:
     return {"title": scale.title, "ticks": ticks}
 
 
-def thinned_nodes(nodes: int, values: int) -> int:
+def thinned_nodes(nodes: int, values: int, most_bytes: float = MOST_BYTES) -> int:
     """Return how many nodes along one axis are shown, for a total number of values.
 
-    The step between them is the least that MOST_BYTES allows, or up to twice that if only then the last node is shown.
+    The step between them is the least for these bytes, or up to twice that if only then the last node is shown.
     """
-    least = math.ceil(math.sqrt(BYTES_PER_VALUE * values / MOST_BYTES))
+    least = math.ceil(math.sqrt(BYTES_PER_VALUE * values / most_bytes))
     step = next((step for step in range(least, 2 * least + 1) if (nodes - 1) % step == 0), least)
     return max(2, round((nodes - 1) / step) + 1)
 

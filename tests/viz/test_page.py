@@ -10,9 +10,8 @@ from scipy.interpolate import interp1d
 from support.commands import until
 from support.pictures import drag, pixels
 from support.results import motion_of
-from warp_plate.viz import page as page_module
 from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions, motion_scales
-from warp_plate.viz.page import NAN, PEAK, page_data, write_page
+from warp_plate.viz.page import NAN, PEAK, page_data, thinned_nodes, write_page
 from warp_plate.viz.scene3d import PlateMeshes
 
 pytest.importorskip("pyvista", reason="PyVista is not installed: pip install 'warp-plate[viz]'")
@@ -55,16 +54,15 @@ def test_frames_meshes_and_scale(scene):
 
 
 @pytest.mark.parametrize("quantity", ["displacement", "velocity", "phase"])
-def test_fine_grids_are_thinned(scene, monkeypatch, quantity):
+def test_fine_grids_are_thinned(scene, quantity):
     """Every second row is shown, and 5 of 8 columns, at which heights are interpolated; phases are the nearest node's.
 
     Limits and heights stay those of all nodes.
     """
-    assert [page_module.thinned_nodes(nodes, 67_500_000) for nodes in (27, 28, 102, 513, 4)] == [10, 10, 35, 129, 2]
-    assert page_module.thinned_nodes(102, 7_500_000) == 102
+    assert [thinned_nodes(nodes, 67_500_000) for nodes in (27, 28, 102, 513, 4)] == [10, 10, 35, 129, 2]
+    assert thinned_nodes(102, 7_500_000) == 102
     fine = page_data(scene(), [bump(3e-7)], quantity, 25.0, 5.0)
-    monkeypatch.setattr(page_module, "MOST_BYTES", 1200.0)
-    data = page_data(scene(), [bump(3e-7)], quantity, 25.0, 5.0)
+    data = page_data(scene(), [bump(3e-7)], quantity, 25.0, 5.0, most_bytes=1200.0)
     assert (fine["thinned"], data["grid"]) == ("", [5, 5])
     assert data["thinned"] == "5 × 5 of 8 × 9 nodes are shown."
     assert all(data[key] == fine[key] for key in ("peak", "factor", "limits"))

@@ -2,6 +2,8 @@
 
 import itertools
 from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +12,8 @@ from support.pictures import pixels
 from support.results import result_of
 from support.scenes import scene_of
 from warp_plate import Scene
+from warp_plate.fitting.fit import modal_assurance
+from warp_plate.fitting.measured_responses import MeasuredResponses
 from warp_plate.result.case import Case
 from warp_plate.result.comparison import MethodComparison, Trial
 from warp_plate.result.sweep import REFUSED
@@ -18,7 +22,12 @@ from warp_plate.studies.frequency_response import frf
 from warp_plate.studies.sweep import SweepRequest, start_sweep
 from warp_plate.viz.annotations import GRID
 from warp_plate.viz.plots.frame import figure, number_log_axis
-from warp_plate.viz.plots.frequency_response import draw_frequency_response
+from warp_plate.viz.plots.frequency_response import (
+    MOST_RESPONSES,
+    draw_frequency_response,
+    draw_mode_fit,
+    draw_response_fit,
+)
 from warp_plate.viz.plots.plan import draw_crosstalk
 from warp_plate.viz.plots.search import curve_labels, draw_comparison, draw_history, draw_spectrum
 from warp_plate.viz.plots.sweep import LINE_COLOURS, REFUSED_GREY, REFUSED_TICK, cell_edges, draw_sweep
@@ -114,7 +123,9 @@ def test_small_localization_factors_fill_a_spectrum(drawn):
     result = search_result(**FREE)
     small = {name: 0.1 * result.spectrum[name] for name in ("equal", "single", "best")}
     cases = {"best": replace(result.cases["best"], energy={"plate": 1.0, "target": 0.05})}
-    axes = drawn(draw_spectrum, replace(result, cases=cases, spectrum=result.spectrum | small))[0].axes[0]
+    figure, texts = drawn(draw_spectrum, replace(result, cases=cases, spectrum=result.spectrum | small))
+    assert set(curve_labels(result.scene.search).values()) <= set(texts)
+    axes = figure.axes[0]
     assert axes.get_ylim()[0] == 0
     assert 0.05 < axes.get_ylim()[1] < 0.06
 
@@ -130,11 +141,9 @@ def test_small_localization_factors_fill_a_spectrum(drawn):
         ({"magnitude": None, "phase": None}, "the scene's drive", False),
     ],
 )
-def test_curves_that_are_only_bounds_say_so(drawn, changes, best, any_size):
-    result = search_result(**{**FREE, **changes})
-    words = curve_labels(result.scene.search)
+def test_curves_that_are_only_bounds_say_so(changes, best, any_size):
+    words = curve_labels(search_result(**{**FREE, **changes}).scene.search)
     assert (words["best"], "cannot" not in words["single"]) == (best, any_size)
-    assert set(words.values()) <= set(drawn(draw_spectrum, result)[1])
 
 
 @pytest.mark.parametrize(
@@ -164,6 +173,47 @@ def test_a_comparison_over_less_than_two_decades(drawn):
     comparison = MethodComparison("panel", scene, "cpu", "direct", 800, {"prepare": 0.5}, True, (trial,))
     _, words = drawn(draw_comparison, comparison)
     assert "panel: median, best and worst of 1 seed" in words
+
+
+# Fits ---------------------------------------------------------------------------------------------------------
+
+
+def response_fit(random, count=5):
+    frequencies = np.linspace(10, 100, 60)
+    poles = 30 + 10 * np.arange(count)[:, None]
+    exact = 1 / (poles**2 - frequencies**2 + 0.05j * poles**2)
+    noisy = exact * (1 + 0.1 * random.normal(size=exact.shape))
+    measured = MeasuredResponses("a.csv", frequencies, noisy, random.uniform(0.8, 1, exact.shape))
+    row = SimpleNamespace(actuator=None, force_at=(0.1, 0.05), point=(0.02, 0.03), quantity="accelerance")
+    scene = SimpleNamespace(title="", measurement=[row] * count, plate=SimpleNamespace(size=(0.2, 0.1)))
+    return SimpleNamespace(scene=scene, measured=measured, responses=exact)
+
+
+def test_fitted_responses(drawn, random):
+    found = response_fit(random)
+    axes = drawn(draw_response_fit, found)[0].axes
+    assert len(axes) == 3 * MOST_RESPONSES
+    for index in range(MOST_RESPONSES):
+        measured, fitted = (line.get_ydata() for line in axes[index].lines)
+        np.testing.assert_allclose(measured, np.abs(found.measured.responses[index]))
+        np.testing.assert_allclose(fitted, np.abs(found.responses[index]))
+        np.testing.assert_array_equal(axes[8 + index].lines[0].get_ydata(), found.measured.coherence[index])
+    assert axes[0].get_ylabel() == "accelerance [(m/s²)/N]"
+    assert axes[0].get_title() == "(100, 50) → (20, 30) mm"
+
+
+def test_fitted_modes(drawn, random):
+    shapes = random.normal(size=(5, 9)) + 1j * random.normal(size=(5, 9))
+    mac = modal_assurance(shapes, 2j * shapes)
+    np.testing.assert_allclose(np.diag(mac), 1)
+    assert np.all(mac - np.eye(5) < 0.9)
+    measured = SimpleNamespace(frequencies=np.linspace(20, 90, 5))
+    errors = np.array([0.01, -0.02, 0.0, 0.005, 0.001])
+    found = SimpleNamespace(scene=SimpleNamespace(title=""), numbers=np.arange(1, 6), errors=errors, measured=measured)
+    bars, matrix, _ = drawn(partial(draw_mode_fit, mac=mac), found)[0].axes
+    np.testing.assert_allclose([bar.get_height() for bar in bars.patches], 100 * errors)
+    np.testing.assert_array_equal(matrix.images[0].get_array(), mac)
+    assert len(drawn(draw_mode_fit, found)[0].axes) == 1
 
 
 # Sweeps -----------------------------------------------------------------------------------------------------

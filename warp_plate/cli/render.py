@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 # As in viz.render, which is imported later.
 PLOTS = (".svg", ".pdf")
 ENDINGS = (".png", *PLOTS, ".gif", ".mp4", ".html")
-# Size [bytes] from which a GIF is remarked on: many mail servers and web pages take no more.
-LARGE_GIF = 10_000_000
 # Limits of the frames a second, and the shortest time in which a period is played [s].
 RATES, PERIOD_SECONDS = (1, 120), 1.4
 
@@ -193,10 +191,6 @@ def render(
         raise SceneError(str(problem)) from None
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"; wrote only {', '.join(map(str, files))}" if files else "") from None
-    for file in files:
-        size = file.stat().st_size
-        if file.suffix.lower() == ".gif" and size > LARGE_GIF:
-            output.log(f"{file} has {size / 1e6:.0f} MB: fewer --frames, a smaller --width or an .mp4 are smaller")
     output.report(json, lambda: {"result": result}, lambda _: None, written=(files, None))
 
 
