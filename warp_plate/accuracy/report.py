@@ -95,10 +95,8 @@ def measure_accuracy(
     """Measure the scene as written and all configurations for it; Ctrl-C ends the report with the rows so far.
 
     Args:
-        scene: Scene to measure.
         source: Name of the scene in the report.
-        device: Device.
-        path: Path of the solver.
+        device, path: See :class:`PlateSolver`.
         budget: Nominal time for the report [s], counted in node-steps; rows beyond it are skipped, except the first
             ones.
         on_progress: Called before each row with the number of rows so far, of all rows, and the name of the next.

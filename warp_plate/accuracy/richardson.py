@@ -67,7 +67,6 @@ def extrapolate(
     """Yield extrapolations from ever more grids.
 
     Args:
-        scene: The scene.
         plates: Plates that a measurement runs.
         measure: Returns the values on a grid. Grids where it raises a SceneError or is not finite are left out.
         allowed: Returns whether extrapolated values are possible; those of the finest grid are taken if not.

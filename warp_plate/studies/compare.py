@@ -59,7 +59,21 @@ def compare(
         KeyboardInterrupt: Ctrl-C came before the first trial was finished.
     """
     scene = Scene.load(scene)
-    problem, prepared = _prepare(scene, device, path, evaluator, evaluations, pool)
+    if evaluations is not None:
+        particles = scene.search.particles
+        if evaluations < particles:
+            at_once = f"search.particles = {particles}, which are evaluated at once"
+            raise SceneError(f"--evaluations {evaluations}: must be at least {at_once}")
+        search = scene.search.model_copy(update={"iterations": evaluations // particles})
+        scene = scene.model_copy(update={"search": search})
+    resolved = resolve(with_method(scene), device, purpose="search", path=path, evaluator=evaluator)
+    started = time.perf_counter()
+    problem = make_problem(resolved, pool=pool)
+    prepared = time.perf_counter() - started - problem.compile_seconds
+    if evaluator is None and problem.evaluator_name == "direct" and problem.response is not None:
+        problem = problem.by_matrices
+    if not problem.space.dimension:
+        raise SceneError("actuators: a single one leaves nothing to search, so there is nothing to compare")
     fitting, skipped = _fitting_methods(methods, problem)
     fields = _run_trials(fitting, seeds, problem, on_progress)
     if (bound := problem.loss_bound) is not None:
@@ -76,33 +90,6 @@ def compare(
         versions=versions(),
         **fields,
     )
-
-
-def _prepare(
-    scene: Scene,
-    device: str,
-    path: str,
-    evaluator: EvaluatorName | None,
-    evaluations: int | None,
-    pool: WorkerPool | None,
-) -> tuple[Problem, float]:
-    """Return the problem that all trials have in common, and the seconds that its Gram matrices took."""
-    particles = scene.search.particles
-    if evaluations is not None:
-        if evaluations < particles:
-            at_once = f"search.particles = {particles}, which are evaluated at once"
-            raise SceneError(f"--evaluations {evaluations}: must be at least {at_once}")
-        search = scene.search.model_copy(update={"iterations": evaluations // particles})
-        scene = scene.model_copy(update={"search": search})
-    resolved = resolve(with_method(scene), device, purpose="search", path=path, evaluator=evaluator)
-    started = time.perf_counter()
-    problem = make_problem(resolved, pool=pool)
-    prepared = time.perf_counter() - started - problem.compile_seconds
-    if evaluator is None and problem.evaluator_name == "direct" and problem.response is not None:
-        problem = problem.by_matrices
-    if not problem.space.dimension:
-        raise SceneError("actuators: a single one leaves nothing to search, so there is nothing to compare")
-    return problem, prepared
 
 
 def _of_common_phase(problem: Problem, bound: Bound) -> str:

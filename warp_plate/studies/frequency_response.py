@@ -155,13 +155,8 @@ def input_forces(plate: ModalPlate, inputs: Sequence[str | Point]) -> tuple[np.n
 def _responses(
     plate: ModalPlate, frequencies: np.ndarray, forces: np.ndarray, shapes: np.ndarray
 ) -> tuple[np.ndarray, ...]:
-    """Return receptances (inputs · points, n), and the last attributes of :class:`FrequencyResponse`, block by block.
-
-    Args:
-        frequencies: (n,) [Hz].
-        forces: (modes, inputs) [1/√kg].
-        shapes: (modes, points) [1/√kg].
-    """
+    """Return receptances (inputs · points, n) under forces (modes, inputs) at shapes (modes, points) [1/√kg], and the
+    last attributes of :class:`FrequencyResponse`, block by block."""
     scene, inputs = plate.scene, forces.shape[1]
     loads = np.column_stack([forces, plate.actuator_forces()])
     # Without masses on springs, all of the kinetic energy is the plate's.
@@ -195,14 +190,8 @@ def _localization(
     of_target: tuple[np.ndarray, np.ndarray | Matrix],
     of_plate: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return (n,) localization factors of a drive, and (n,) their bounds over all drives.
-
-    Args:
-        driven: (n, modes, actuators) amplitudes under a unit pressure on each actuator.
-        drive: (actuators,) phasors.
-        of_target: Unknowns that move the target, see :func:`_moved_by`.
-        of_plate: (modes, modes) kinetic matrix of the plate; None for the identity.
-    """
+    """Return (n,) localization factors of a drive and (n,) bounds of all drives, from amplitudes (n, modes, actuators)
+    under a unit pressure on each actuator and the kinetic matrices (None: the identity)."""
     size = np.sqrt(np.einsum("fmi,fmi->fi", driven.conj(), driven).real)
     size = np.where(size > 0, size, 1)
     basis, values, drives = np.linalg.svd(driven / size[:, None], full_matrices=False)

@@ -139,11 +139,7 @@ def start_sweep(request: SweepRequest, device: str = "auto") -> Sweep:
 
 
 def file_digests(scene: Scene, plan: Plan) -> dict[str, str]:
-    """Return the SHA-256 of each file that a sweep reads by key; of varied names, that of all files one after another.
-
-    Raises:
-        SceneError: A file cannot be read.
-    """
+    """Return the SHA-256 of each file that a sweep reads by key; of varied names, that of all one after another."""
     files = digests(scene)
     for key, names in varied_files(scene, plan).items():
         whole = hashlib.sha256()
@@ -252,9 +248,8 @@ def open_sweep(
 
     Args:
         target: file of the result; unfinished sweeps are beside it.
-        resume: unfinished sweep to continue, or the result that it will become, for which the request may leave out
-            anything; None: one left by the same request, if any.
-        device: device of the points, or None for the default.
+        resume: unfinished sweep to continue, or the result that it will become; the request may then leave out
+            anything.
         on_workers: whether workers of a pool run the points, which then report their devices.
         log: called with one line for each thing to know about a sweep that is continued.
         force: whether the result may replace any file.

@@ -31,46 +31,27 @@ COLUMNS = "x", "y", "velocity", "uncertainty"
 
 @dataclass(frozen=True, eq=False)
 class MeasuredField:
-    """Velocities of a panel under a drive.
+    """Velocities of a panel under a drive."""
 
-    Attributes:
-        source: File that they come from.
-        points: (n, 2) x, y [m].
-        velocity: (n,) root mean square velocities [m/s], or anything in proportion to them.
-        uncertainty: (n,) their standard deviations; None if not known.
-    """
-
-    source: str
-    points: np.ndarray
-    velocity: np.ndarray
-    uncertainty: np.ndarray | None
+    source: str  # file that they come from
+    points: np.ndarray  # (n, 2) x, y [m]
+    velocity: np.ndarray  # (n,) root mean square velocities [m/s], or anything in proportion to them
+    uncertainty: np.ndarray | None  # (n,) their standard deviations; None if not known
 
 
 @dataclass(frozen=True, eq=False)
 class Verification:
-    """Comparison of measured and predicted velocities.
+    """Comparison of measured and predicted velocities."""
 
-    Attributes:
-        case: Name of the drive.
-        measured: Measured field, with repeated readings averaged.
-        promised: (n,) predicted root mean square velocities at the points [m/s].
-        promised_factor: Localization factor of the result.
-        localization_factor: Measured localization factor.
-        deviation: Its standard deviation from the noise; NaN if that is not known.
-        sampling: Localization factor of the predicted field sampled at these points, less its true one.
-        scale: Measured over predicted velocity, by least squares.
-        correlation: Cosine between the measured and the predicted velocities.
-    """
-
-    case: str
-    measured: MeasuredField
-    promised: np.ndarray
-    promised_factor: float
-    localization_factor: float
-    deviation: float
-    sampling: float
-    scale: float
-    correlation: float
+    case: str  # name of the drive
+    measured: MeasuredField  # with repeated readings averaged
+    promised: np.ndarray  # (n,) predicted root mean square velocities at the points [m/s]
+    promised_factor: float  # localization factor of the result
+    localization_factor: float  # measured localization factor
+    deviation: float  # its standard deviation from the noise; NaN if that is not known
+    sampling: float  # localization factor of the predicted field sampled at these points, less its true one
+    scale: float  # measured over predicted velocity, by least squares
+    correlation: float  # cosine between the measured and the predicted velocities
 
     @property
     def interval(self) -> tuple[float, float]:
