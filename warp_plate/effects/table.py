@@ -15,8 +15,7 @@ from warp_plate.effects.layers import Layer
 from warp_plate.effects.moving_load import MovingLoad
 from warp_plate.effects.orthotropic import Orthotropic
 from warp_plate.effects.oscillators import Oscillator
-from warp_plate.effects.stretching import Stretching
-from warp_plate.effects.tension import ShearLayer, Tension
+from warp_plate.effects.tension import ShearLayer, Stretching, Tension
 from warp_plate.effects.variation import LEAST_FACTOR, MOST_FACTOR, Variation
 from warp_plate.scene.fields import Area, Table
 
@@ -173,12 +172,8 @@ class Effects(Table):
 
 
 def check_modal_tables(effects: Effects, drives: Mapping[str, Any]) -> None:
-    """Raise ValueError, naming both keys, if the damping of modes cannot go with another effect or the drive.
-
-    Args:
-        effects: Effects of the scene.
-        drives: Tables of the drive, by key, that are no steady tones of a linear plate; None where the scene has none.
-    """
+    """Raise ValueError, naming both keys, if the damping of modes cannot go with another effect, or with a table of the
+    drive, by key and None where there is none, that is no steady tone of a linear plate."""
     nonlinear = {"effects.stretching": effects.stretching, "drive.electrostatic": drives["drive.electrostatic"]}
     transient = {key: table for key, table in drives.items() if key != "drive.electrostatic"}
     transient["effects.moving_load"] = effects.moving_load

@@ -1,4 +1,7 @@
-"""In-plane forces, and a layer under the plate that resists shear, which acts like them."""
+"""In-plane forces, given or by stretching, and a layer under the plate that resists shear, which acts like them.
+
+The kernels and NumPy functions of stretching take Berger's tension from ``plate/bending.py``.
+"""
 
 from __future__ import annotations
 
@@ -48,3 +51,14 @@ class ShearLayer(Effect):
     @classmethod
     def typical(cls, setting: Setting) -> tuple[Any, str]:
         return cls(stiffness=100.0), "100 N/m (10 mm of foam of 0.03 MPa in shear)"
+
+
+class Stretching(Effect):
+    """Stretching at large amplitude, after Berger, for an isotropic plate with in-plane fixed edges: the tension
+    N = 6D/(H² area) ∫ |∇u|² dA, −N∇²u on the left of the equation of motion."""
+
+    linear = False
+
+    @classmethod
+    def typical(cls, setting: Setting) -> tuple[Any, str]:
+        return cls(), "named"

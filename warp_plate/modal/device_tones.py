@@ -72,12 +72,8 @@ class DeviceToneMatrices:
         self._shapes, self._modes = self._put_tiles(plate.vectors[: self._unknowns].T), len(place)
 
     def matrices(self, frequency: np.ndarray, areas: np.ndarray) -> np.ndarray:
-        """Return (plates, regions, 2M, 2M) matrices of mean energies [J per (N/m²)²].
-
-        Args:
-            frequency: (plates, M) [Hz].
-            areas: (plates or 1, M, 4) actuators' rectangles x0, x1, y0, y1 [m]; those of the scene for piezo patches.
-        """
+        """Return (plates, regions, 2M, 2M) matrices of mean energies [J per (N/m²)²], for frequencies (plates, M) [Hz]
+        and rectangles (plates or 1, M, 4) x0, x1, y0, y1 [m], which are the scene's for piezo patches."""
         frequency, areas = np.asarray(frequency, dtype=float), np.asarray(areas, dtype=float)
         plates, actuators = frequency.shape
         matrices = wp.empty((plates, len(self._regions), 2 * actuators, 2 * actuators), wp.float64, self._device)

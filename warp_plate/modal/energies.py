@@ -33,11 +33,8 @@ class ModalEnergies:
     Designs differ in what their actuators have: frequency (designs, M) [Hz], areas (designs or 1, M, 4) x0, x1, y0, y1
     [m], and delay (designs, M), the starts of their bursts [s].
 
-    Args:
-        plate: Modes.
-        regions: Mass matrices (modes, modes) of the regions, see :meth:`ModalPlate.kinetic_matrix`.
-        quantity: "velocity", or "displacement" for ½ ∫ ρH u² dA.
-        device: Device of batches of designs under tones; everything else is computed on the CPU.
+    Regions are given by their mass matrices, see :meth:`ModalPlate.kinetic_matrix`. A quantity of "displacement" is
+    ½ ∫ ρH u² dA. The device is for batches of designs under tones; everything else is computed on the CPU.
     """
 
     def __init__(

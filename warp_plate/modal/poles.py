@@ -113,13 +113,8 @@ class Poles:
         return multiply_modes(self.inputs, forces) if self.modes is None else self.project(forces)
 
     def forced(self, states: np.ndarray, forces: np.ndarray, gains: np.ndarray) -> np.ndarray:
-        """Return the steady motion (..., modes, loads) Σ_p ψ_p χ_p f / (σ − s_p) of all poles.
-
-        Args:
-            states: (..., poles, loads or 1) 1 / (σ − s).
-            forces: (..., modes, loads) modal forces f.
-            gains: (..., poles, loads) χ f.
-        """
+        """Return the steady motion (..., modes, loads) Σ_p ψ_p χ_p f / (σ − s_p) of all poles, from 1 / (σ − s)
+        (..., poles, loads or 1), f (..., modes, loads) and χ f (..., poles, loads)."""
         if self.modes is None:
             return multiply_modes(self.vectors, gains * states)
         both = self.sizes[:, None] ** 2 * states

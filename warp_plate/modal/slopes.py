@@ -56,18 +56,10 @@ def energy_slopes(
     quantity: str = "velocity",
     delay: np.ndarray | None = None,
 ) -> EnergySlopes:
-    """Return energies of tones or bursts, and their slopes.
+    """Return energies of tones or bursts under phasors (designs, M) [N/m²], and their slopes.
 
-    Args:
-        plate: Modes.
-        regions: Mass matrices (modes, modes) of the regions.
-        phasors: (designs, M) drives Z [N/m²].
-        frequency: (designs, M) frequencies of the actuators [Hz].
-        areas: (designs or 1, M, 4) rectangles x0, x1, y0, y1 of the actuators [m].
-        window: Window of a plate that starts from rest; None for the steady state, in which actuators of different
-            frequencies do not interfere.
-        quantity: "velocity" or "displacement", see :func:`warp_plate.modal.gram.gram_matrices`.
-        delay: (designs, M) starts of the bursts [s] (default: the scene's).
+    The actuators have rectangles (designs or 1, M, 4) x0, x1, y0, y1 [m]; for all else see
+    :func:`warp_plate.modal.gram.gram_matrices`.
     """
     block = max(1, BLOCK_NUMBERS // (8 * len(plate.frequencies) * phasors.shape[1]))
     if plate.scene.drive.burst is None:

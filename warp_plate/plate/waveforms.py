@@ -88,13 +88,8 @@ def burst_means(burst: Burst, start: np.ndarray | float, time_step: float, steps
 
 
 def step_means(integral: Callable[[np.ndarray], np.ndarray], time_step: float, steps: int) -> np.ndarray:
-    """Return (steps,) means of a function over the step around each t_n, for n = 0 only over the later half.
-
-    A jump between two steps is then right to second order, as the scheme is.
-
-    Args:
-        integral: Integral of the function from a fixed time on.
-    """
+    """Return (steps,) means over the step around each t_n, for n = 0 over its later half, of the function with an
+    integral. A jump between two steps is then right to second order, as the scheme is."""
     edges = time_step * np.concatenate([[0.0], np.arange(steps) + 0.5])
     means: np.ndarray = np.diff(integral(edges)) / np.diff(edges)
     return means

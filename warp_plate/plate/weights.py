@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.plate.shapes import shape_weights
+from warp_plate.plate.shapes import lagrange, shape_weights
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene, Target
@@ -47,30 +47,22 @@ def moments(positions: np.ndarray, low: float, high: float) -> np.ndarray:
     Between two nodes the polynomials are the cubics through these and the next on each side; in the first and last
     interval through the four outermost. So Σ weights · g(node) · spacing is the integral of g, exactly for cubics.
     """
-    spacing = positions[1] - positions[0]
-    ends = np.clip((np.array([low, high]) - positions[0]) / spacing, 0, positions.size - 1)
-    weights = np.zeros(positions.size)
-    for interval in range(int(ends[0]), min(int(np.ceil(ends[1])), positions.size - 1)):
-        first = min(max(interval - 1, 0), positions.size - 4)
-        # In the middle of the four nodes' span the polynomials are best conditioned.
-        start, stop = np.clip(ends, interval, interval + 1) - first - 1.5
-        powers = np.arange(1, 5)
-        weights[first : first + 4] += np.linalg.solve(CUBICS, (stop**powers - start**powers) / powers)
+    spacing, axis = positions[1] - positions[0], lagrange(positions.size, 4)
+    start, stop = np.clip((np.array([low, high]) - positions[0]) / spacing, 0, positions.size - 1)
+    every = np.arange(int(start), min(int(np.ceil(stop)), positions.size - 1))
+    integrals = axis.integrals(every, np.minimum(every + 1, stop)) - axis.integrals(every, np.maximum(every, start))
+    weights: np.ndarray = axis.spread(every, integrals).sum(axis=0)
     return weights
-
-
-# Row k holds x^k at the four nodes: weights w keep moments m when CUBICS @ w = m.
-CUBICS = np.vander([-1.5, -0.5, 0.5, 1.5], 4, increasing=True).T
 
 
 def slopes(positions: np.ndarray, at: float) -> np.ndarray:
     """Return (nodes,) weights of the derivative at a place [m] of the cubic through the four nodes around it [1/m]."""
-    spacing = positions[1] - positions[0]
-    place = (at - positions[0]) / spacing
-    first = min(max(int(place) - 1, 0), positions.size - 4)
-    weights, since = np.zeros(positions.size), place - first - 1.5
-    weights[first : first + 4] = np.linalg.solve(CUBICS, [0.0, 1.0, 2 * since, 3 * since**2]) / spacing
-    return weights
+    spacing, axis = positions[1] - positions[0], lagrange(positions.size, 4)
+    place = np.array([(at - positions[0]) / spacing])
+    interval = axis.interval(place)
+    since = place[0] - axis.middle[interval[0]]
+    slopes = axis.powers @ [0.0, 1.0, 2 * since, 3 * since**2] / spacing
+    return np.asarray(axis.spread(interval, slopes[None])[0])
 
 
 def curvatures(x: np.ndarray, y: np.ndarray, area: Area) -> np.ndarray:

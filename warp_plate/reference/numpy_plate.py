@@ -89,16 +89,8 @@ def run_plate(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Step plates by (ρH/Δt²)(u⁺ − 2u + u⁻) + c·rate + D∇⁴u = f, the rate from u⁺ − u⁻ (centred) or u − u⁻.
 
-    Args:
-        edges: Left, bottom, right and top edge.
-        viscous: c [N·s/m³].
-        backward: Take damping backward in time.
-        patches: (actuators, ny, nx) weights of the actuators.
-        drives: (plates, actuators) complex phasors [N/m²].
-        carrier: (steps,) complex (default: exp(iωt)).
-
-    Returns:
-        Displacements (plates, steps + 1, ny, nx) [m] and mean squared velocity (plates, ny, nx) [m²/s²].
+    Patches are weights (actuators, ny, nx), drives phasors (plates, actuators) [N/m²], the carrier (steps,) is exp(iωt)
+    by default. Returns displacements (plates, steps + 1, ny, nx) [m] and mean squared velocity (plates, ny, nx).
     """
     (nx, ny), dt = scheme.nodes, scheme.time_step
     history = np.zeros((drives.shape[0], scheme.steps + 1, ny, nx))

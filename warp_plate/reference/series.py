@@ -72,17 +72,8 @@ def damped_motion(
     frequency: float,
     derivative: int = 0,
 ) -> np.ndarray:
-    """Return q [m] of the equations above at ``time`` [s]; times, stiffnesses and pressures are broadcast.
-
-    Args:
-        time: t [s].
-        stiffness: D k⁴ [N/m³].
-        surface_density: ρH [kg/m²].
-        viscous: c [N·s/m³].
-        pressure: Z [N/m²].
-        frequency: ω/2π [Hz].
-        derivative: 0 for q [m], 1 for q̇ [m/s].
-    """
+    """Return q [m], or its ``derivative`` q̇ [m/s], of the equations above at t [s], for D k⁴ [N/m³], ρH [kg/m²],
+    c [N·s/m³], Z [N/m²] and ω/2π [Hz]; times, stiffnesses and pressures are broadcast."""
     omega = 2 * math.pi * frequency
     gamma = viscous / (2 * surface_density)
     squared = np.asarray(stiffness) / surface_density - gamma**2
@@ -128,19 +119,11 @@ def displacement(
     terms: int = 100,
     derivative: int = 0,
 ) -> np.ndarray:
-    """Return (times, points of y, points of x) displacement [m], or velocity [m/s], from rest at t = 0.
-
-    Args:
-        scene: A scene with supported edges and no effect other than viscous damping.
-        drive: (actuators,) phasors Z [N/m²], the load being Re(Z exp(iωt)) on each patch.
-        times: Times [s].
-        x: (points of x,) [m].
-        y: (points of y,) [m].
-        terms: Number of modes along each side.
-        derivative: 0 for displacement, 1 for velocity.
+    """Return (times, y, x) displacement [m], or its ``derivative`` [m/s], from rest at t = 0 under phasors (actuators,)
+    [N/m²], by ``terms`` modes along each side.
 
     Raises:
-        SceneError: The scene has another edge or effect.
+        SceneError: The scene has an edge that is not supported, or an effect other than viscous damping.
     """
     (width, height), orders = scene.plate.size, np.arange(1, terms + 1) * math.pi
     along, across = np.sin(np.outer(orders / width, x)), np.sin(np.outer(orders / height, y))

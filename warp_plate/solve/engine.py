@@ -21,8 +21,9 @@ from warp_plate.kernels.loads import (
     make_write_tones,
 )
 from warp_plate.plate.designs import PerPlateValues
+from warp_plate.plate.shapes import lagrange
 from warp_plate.plate.signals import waves_per_plate
-from warp_plate.plate.weights import CUBICS, node_positions
+from warp_plate.plate.weights import node_positions
 from warp_plate.scene.errors import SceneError
 from warp_plate.solve import cpu, cuda, moment_form, streaming
 from warp_plate.solve.specialize import Specialized
@@ -189,7 +190,7 @@ class Engine:
     def _weigh_patches(self, state: State, edges: np.ndarray) -> None:
         """Compute the weights of patches with ``edges`` (plates, actuators, 4) [m] along both axes."""
         device, rectangles = self.specialized.device, self._doubles(edges)
-        to_weights = wp.mat44d(*np.linalg.inv(CUBICS).ravel().tolist())
+        to_weights = wp.mat44d(*lagrange(4, 4).powers.ravel().tolist())
         for first, positions, along in zip((0, 2), self._positions, (state.along_x, state.along_y), strict=True):
             inputs = [rectangles, first, positions, to_weights]
             wp.launch(self._weigh_spans, edges.shape[:2], inputs=inputs, outputs=[along], device=device)

@@ -35,13 +35,8 @@ Field: TypeAlias = "np.ndarray | float"
 
 
 class Integrals:
-    """Integrals of a scene's fields times products of two functions, by Gauss's rule between all lines of the plate.
-
-    Attributes:
-        breaks: (2,) positions along x and along y [m] between which fields and functions are smooth.
-        rule: Number of Gauss's points between two breaks.
-        points: (2,) positions of Gauss's points along x and along y [m].
-    """
+    """Integrals of a scene's fields times products of two functions, by Gauss's rule, with ``rule`` points between two
+    ``breaks`` along x and y [m], between which fields and functions are smooth."""
 
     def __init__(
         self,
@@ -95,13 +90,8 @@ class Integrals:
         return np.outer(self._weights[1], self._weights[0])
 
     def values(self, field: Field, x: tuple[int, int] = (0, 0), y: tuple[int, int] = (0, 0)) -> np.ndarray:
-        """Return (pairs of y, pairs of x) ∫ field · u^(x₀, y₀) u^(x₁, y₁) dA, the first factor of the rows' functions.
-
-        Args:
-            field: Values at Gauss's points (y, x), or a number.
-            x: Derivatives along x of the first and of the second factor.
-            y: Derivatives along y.
-        """
+        """Return (pairs of y, pairs of x) ∫ field · u^(x₀, y₀) u^(x₁, y₁) dA of a number or of values at Gauss's points
+        (y, x), with derivatives along x and y of the first factor, of the rows' functions, and of the second."""
         if isinstance(field, float):
             return np.outer(side_products(self.along[1], *y), field * side_products(self.along[0], *x))
         (along_x, of_x), (along_y, of_y) = (

@@ -86,14 +86,9 @@ class Splines:
 def make_splines(
     length: float, ends: tuple[str, str], intervals: int, degree: int, corners: tuple[tuple[float, int], ...] = ()
 ) -> Splines:
-    """Return splines over 0 ... ``length`` [m], with at least ``intervals`` intervals of about the same size.
+    """Return splines over 0 ... ``length`` [m] with at least ``intervals`` intervals between knots, of about one size.
 
-    Args:
-        length: Length of the side [m].
-        ends: "clamped", "supported" or "free" for the low and the high end.
-        intervals: Least number of intervals between knots.
-        degree: Degree of the splines.
-        corners: Positions [m] where fewer derivatives are continuous.
+    The low and the high end are "clamped", "supported" or "free"; at ``corners`` [m] fewer derivatives are continuous.
     """
     continuous: dict[float, int] = {}
     for position, derivatives in sorted(corners, key=lambda corner: corner[1]):

@@ -27,14 +27,7 @@ POINTS = 1 << 18
 
 
 class TensorSplines:
-    """Function space of a rectangular plate; see :class:`warp_plate.modal.spaces.space.FunctionSpace`.
-
-    Attributes:
-        scene: Scene.
-        intervals: Intervals between knots along x and along y that were asked for.
-        along: (2,) splines along x and along y.
-        integrals: Gauss's rule for the fields of the scene.
-    """
+    """Function space of a rectangular plate; see :class:`warp_plate.modal.spaces.space.FunctionSpace`."""
 
     def __init__(self, scene: Scene, intervals: tuple[int, int]) -> None:
         self.scene, self.intervals = scene, intervals
