@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -90,48 +91,47 @@ def _draw(fitted: ModeFit | ResponseFit, target: Path) -> output.Drawn:
 
 
 def _fit_as_json(name: str, fitted: ModeFit | ResponseFit) -> dict[str, object]:
+    from warp_plate.fitting.fit import ResponseFit
+
     columns = {"value": fitted.values, "low": fitted.low, "high": fitted.high, "at_limit": fitted.at_limit}
     if fitted.bootstrap is not None:
         columns["bootstrap"] = fitted.bootstrap.T
-    return {
+    record: dict[str, object] = {
         "scene": name,
         "parameters": {key: {name: of[row] for name, of in columns.items()} for row, key in enumerate(fitted.keys)},
         **output.attributes(fitted, "correlations", "inseparable", "mirrored", "evaluations"),
-        **_compared(fitted),
     }
-
-
-def _compared(fitted: ModeFit | ResponseFit) -> dict[str, object]:
-    """Return measured and fitted values, for ``--json``."""
-    from warp_plate.fitting.fit import ResponseFit
-
+    measured = fitted.measured.frequencies
     if isinstance(fitted, ResponseFit):
-        record = {"frequencies": fitted.measured.frequencies, "real": fitted.responses.real}
-        record |= {"imaginary": fitted.responses.imag}
+        record |= {"frequencies": measured, "real": fitted.responses.real, "imaginary": fitted.responses.imag}
         return record | output.attributes(fitted, "rms_decibels", "rms_degrees")
-    return {
-        "modes": fitted.numbers,
-        "frequencies_measured": fitted.measured.frequencies,
-        **output.attributes(fitted, "frequencies", "errors"),
-        "damping_ratios_measured": fitted.measured.damping,
-        "damping_ratios": fitted.damping,
-    }
+    record |= {"modes": fitted.numbers, "frequencies_measured": measured}
+    record |= output.attributes(fitted, "frequencies", "errors")
+    return record | {"damping_ratios_measured": fitted.measured.damping, "damping_ratios": fitted.damping}
 
 
 def _print_fit(name: str, fitted: ModeFit | ResponseFit, console: Console) -> None:
     from warp_plate.fitting.fit import ResponseFit
-    from warp_plate.scene.keys import unit_of
 
     console.print(f"{fitted.scene.title or name}\n")
     resampled = () if fitted.bootstrap is None else ("bootstrap from", "to")
-    table = output.table("number", "unit", "value", "95 % from", "to", *resampled)
     ends = () if fitted.bootstrap is None else fitted.bootstrap
-    for key, *numbers in zip(fitted.keys, fitted.values, fitted.low, fitted.high, *ends, strict=True):
-        table.add_row(key, unit_of(fitted.scene, key), *(output.number_text(value, ".5g") for value in numbers))
-    output.print_uncropped(console, table, "")
+    output.print_uncropped(console, _intervals(fitted, ends, resampled), "")
     output.print_uncropped(console, _responses(fitted) if isinstance(fitted, ResponseFit) else _modes(fitted))
     for line in _remarks(fitted):
         console.print(f"! {line}")
+
+
+def _intervals(
+    made: ModeFit | ResponseFit | MeasurementPlan, further: Iterable[np.ndarray] = (), headings: Sequence[str] = ()
+) -> Table:
+    """Return the table of values and their intervals."""
+    from warp_plate.scene.keys import unit_of
+
+    table = output.table("number", "unit", "value", "95 % from", "to", *headings)
+    for key, *numbers in zip(made.keys, made.values, made.low, made.high, *further, strict=True):
+        table.add_row(key, unit_of(made.scene, key), *(output.number_text(value, ".5g") for value in numbers))
+    return table
 
 
 def _responses(fitted: ResponseFit) -> Table:
@@ -223,18 +223,13 @@ def _plan_as_json(name: str, plan: MeasurementPlan) -> dict[str, object]:
 
 
 def _print_plan(name: str, plan: MeasurementPlan, console: Console) -> None:
-    from warp_plate.scene.keys import unit_of
-
     low, high = plan.frequencies[[0, -1]]
     console.print(f"{plan.scene.title or name}: drive {plan.actuator!r} from {low:.4g} to {high:.4g} Hz\n")
     places = output.table("sensor", "x (m)", "y (m)")
     for number, (x, y) in enumerate(plan.points, 1):
         places.add_row(str(number), f"{x:.4g}", f"{y:.4g}")
     output.print_uncropped(console, places, "")
-    table = output.table("number", "unit", "value", "95 % from", "to")
-    for key, *numbers in zip(plan.keys, plan.values, plan.low, plan.high, strict=True):
-        table.add_row(key, unit_of(plan.scene, key), *(output.number_text(value, ".5g") for value in numbers))
-    output.print_uncropped(console, table)
+    output.print_uncropped(console, _intervals(plan))
     console.print(f"\nRandom places: intervals {plan.random:.3g} times as wide.")
     for other, times in plan.actuators.items():
         console.print(f"Driving {other!r}: {times:.3g} times as wide.")

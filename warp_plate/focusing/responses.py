@@ -24,7 +24,7 @@ whose ratio falls as μ grows.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 import scipy
@@ -69,23 +69,18 @@ class HeldResponses:
         return table
 
     def at_foci(self) -> np.ndarray:
-        """Return h (actuators, foci, samples) at the points of ``[focus]``, see :meth:`at_points`."""
-        return self.at_points(self.table.points)
-
-    def at_points(self, points: Sequence[tuple[float, float]]) -> np.ndarray:
-        """Return h (actuators, points, samples) [m or m/s per N/m²] at points (x, y) [m]."""
-        shapes = self._poles.observe(self.plate.at_points(points).T)
+        """Return h (actuators, foci, samples) [m or m/s per N/m²] at the points of ``[focus]``."""
+        shapes = self._poles.observe(self.plate.at_points(self.table.points).T)
         pairs = (self._gains.T[:, None] * shapes).reshape(-1, self._poles.values.size)
-        blocks = [pairs.real @ decays.real - pairs.imag @ decays.imag for decays in self._decays(self._samples)]
-        return np.hstack(blocks).reshape(self._gains.shape[1], len(points), -1)
+        blocks = [pairs.real @ decays.real - pairs.imag @ decays.imag for _, decays in self._decays(self._samples)]
+        return np.hstack(blocks).reshape(self._gains.shape[1], len(shapes), -1)
 
     def states(self, waveforms: np.ndarray) -> np.ndarray:
         """Return the states of the poles (poles, sets) at the end of waveforms (sets, actuators, samples) [N/m²]."""
         sets, actuators, samples = waveforms.shape
-        rows, first, states = waveforms[..., ::-1].reshape(-1, samples).T, 0, np.zeros((self._gains.shape[0], sets))
-        for decays in self._decays(samples):
-            part = rows[first : first + decays.shape[1]]
-            first += decays.shape[1]
+        rows, states = waveforms[..., ::-1].reshape(-1, samples).T, np.zeros((self._gains.shape[0], sets))
+        for block, decays in self._decays(samples):
+            part = rows[block[0] : block[-1] + 1]
             sums = (decays.real @ part + 1j * (decays.imag @ part)).reshape(-1, sets, actuators)
             states = states + np.einsum("psa,pa->ps", sums, self._gains)
         return states
@@ -120,10 +115,7 @@ class HeldResponses:
 
     def _end_blocks(self, samples: int) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
         """Yield actuators, samples before the last (block,) and the columns of B (modes, block)."""
-        first = 0
-        for decays in self._decays(samples):
-            since_end = np.arange(first, first + decays.shape[1])
-            first += decays.shape[1]
+        for since_end, decays in self._decays(samples):
             for actuator, gains in enumerate(self._gains.T):
                 yield actuator, since_end, np.asarray((self._poles.vectors @ (gains[:, None] * decays)).real)
 
@@ -136,11 +128,11 @@ class HeldResponses:
         states = self._poles.values[:, None] * states if rates else states
         return np.asarray((self._poles.vectors @ states).real.T)
 
-    def _decays(self, samples: int) -> Iterator[np.ndarray]:
-        """Yield exp(s l Δ) (poles, block) of l = 0 ... samples − 1, block by block."""
+    def _decays(self, samples: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yield l (block,) of 0 ... samples − 1, block by block, and exp(s l Δ) (poles, block)."""
         values = self._poles.values[:, None] * self._step
         for block in np.array_split(np.arange(samples), -(-samples * len(values) // BLOCK)):
-            yield np.exp(values * block)
+            yield block, np.exp(values * block)
 
 
 def quiet_optimum(responses: HeldResponses, gains: np.ndarray) -> tuple[np.ndarray, list[bool]]:

@@ -91,15 +91,12 @@ def with_method(scene: Scene) -> Scene:
     if search.method is not None:
         return scene
     plain = all(getattr(search, key) == Search.model_fields[key].default for key in (*READ_BY, "objectives", "robust"))
-    exact = plain and scene.linear and len(scene.actuators) > 1
-    method = "exact" if exact and _searches_all_drives(scene) else "pso"
+    method = "pso"
+    if plain and scene.linear and len(scene.actuators) > 1:
+        parametrization = parametrization_of(scene)
+        if parametrization.only_drives and allowed_drives(parametrization).free:
+            method = "exact"
     return scene.model_copy(update={"search": search.model_copy(update={"method": method})})
-
-
-def _searches_all_drives(scene: Scene) -> bool:
-    """Return whether magnitudes and phases alone are searched, and every drive has a multiple that is allowed."""
-    parametrization = parametrization_of(scene)
-    return parametrization.only_drives and allowed_drives(parametrization).free
 
 
 def swarm_settings(search: Search, seed: int) -> SwarmSettings:
