@@ -20,7 +20,7 @@ from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.accuracy.machine import busy, describe_machine, describe_versions
 from warp_plate.analysis.influence import bare_scene, names, seconds_a_step, toggle
 
-EFFECTS = [name for name in names() if name != "signal"]  # a signal is a file
+EFFECTS = names()
 
 
 def bare_plate(nodes: int) -> Scene:

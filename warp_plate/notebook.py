@@ -54,18 +54,17 @@ def result_html(result: Result) -> str:
     from warp_plate.viz.pictures import draw_history, draw_surfaces
 
     scene, cases, main = result.scene, ordered_cases(result), result.main_case
-    factors = output.table("drive", "localization factor")
-    for name, case in cases.items():
-        factors.add_row(case_label(name, scene), in_percent(case.localization_factor))
-    if result.bound is not None:
-        factors.add_row(BOUND_DESCRIPTIONS[result.bound_kind], in_percent(result.bound))
-    drive = tables.drive_table(main, scene) if result.command == "localize" else None
     text = io.StringIO()
     console = output.console(file=text, width=160, force_jupyter=False)
     if result.interrupted:
         console.print("Interrupted by Ctrl-C: the best so far is shown.")
-    for shown in filter(None, (factors, tables.motion_table(cases, scene), drive)):
-        console.print(shown, "")
+    factors = [(case_label(name, scene), in_percent(case.localization_factor)) for name, case in cases.items()]
+    if result.bound is not None:
+        factors.append((BOUND_DESCRIPTIONS[result.bound_kind], in_percent(result.bound)))
+    output.print_rows(console, ("drive", "localization factor"), factors, "")
+    tables.print_motion(cases, scene, console)
+    if result.command == "localize":
+        tables.print_drive(main, scene, console)
     tables.print_cost(result, console)
     single = replace(result, cases={result.main_name: main})
     draw, problem = draw_surfaces, missing_renderer() if result.times.size else "The result holds nothing to draw."

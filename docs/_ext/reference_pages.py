@@ -10,7 +10,7 @@ from functools import reduce
 from pathlib import Path
 
 import warp_plate
-from warp_plate.cli.commands import app as commands
+from warp_plate.cli.commands import COMMANDS, app, load
 from warp_plate.scene.fields import Table
 from warp_plate.scene.key_reference import table_references
 
@@ -115,7 +115,9 @@ def field_comments(kind):
 
 def command_line():
     """Return the help of all commands."""
-    text = commands.generate_docs(output_format="markdown", recursive=True)
+    for name in COMMANDS:
+        load(name)
+    text = app.generate_docs(output_format="markdown", recursive=True)
     return re.sub(r"## Table of Contents\n\n(- .*\n)+", "", text).replace("# warp-plate\n", "# Command line\n", 1)
 
 

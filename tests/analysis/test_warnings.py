@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from warp_plate import PlateSolver, Scene, SceneError
-from warp_plate.analysis.influence import toggle
+from warp_plate import PlateSolver, Scene
 from warp_plate.analysis.warnings import (
     find_warnings,
     search_warnings,
@@ -73,9 +72,7 @@ def test_files_with_higher_frequencies_are_reported(tmp_path, scene, frequency, 
     assert "drive.signal" in left(loaded).sentence
 
 
-def test_effects_are_toggled_and_named_as_in_the_kernel(scene):
-    with pytest.raises(SceneError, match="one actuator"):
-        toggle(scene(actuators=[(0.05, 0.09, 0.05, 0.09)]), "own_frequencies")
+def test_effects_are_named_as_in_the_kernel(scene):
     voltage = scene(drive={"frequency": 290.0, "electrostatic": {"gain": 1.0}})
     loaded = scene(effects={"moving_load": {"force": 1.0, "start": (0.1, 0.1)}})
     for made, waves in ((voltage, True), (loaded, False), (scene(), False)):

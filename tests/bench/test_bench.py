@@ -3,6 +3,7 @@
 import json
 import os
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 
 import bench as program
@@ -250,8 +251,8 @@ def test_plots(tmp_path):
     for label in ("cpu, float32", "cuda:0, float32", "cuda:0, 16 B at copy bandwidth", "plates of 27 × 27 nodes"):
         assert f"<!-- {label} -->" in text
     assert "float64" not in text
-    assert save_plots(draw_bench, record(skipped), path) == ([], "no plot: nothing was measured")
-    files, missing = save_plots(draw_bench, record(row()), tmp_path / "absent" / "bench.json")
+    assert save_plots(partial(draw_bench, record(skipped)), path) == ([], "no plot: nothing was measured")
+    files, missing = save_plots(partial(draw_bench, record(row())), tmp_path / "absent" / "bench.json")
     assert files == []
     assert "absent" in missing
     rows = record(row(plates=1), row(plates=20), row(nodes=53), row(nodes=53, nanoseconds_per_node_step=0.01))["rows"]

@@ -1,7 +1,6 @@
 """``warp-plate doctor`` and the line about a GPU that is not used, on machines with every fault."""
 
 import json
-import os
 import sys
 import tomllib
 from email.message import Message
@@ -12,7 +11,7 @@ from types import SimpleNamespace
 import pytest
 import warp as wp
 
-from support.commands import output_of, start_program
+from support.commands import output_of
 from warp_plate.accuracy import machine as machines
 from warp_plate.solve import devices
 
@@ -43,7 +42,7 @@ def machine(monkeypatch, tmp_path):
 
 @pytest.fixture
 def installed(monkeypatch):
-    """A function that installs this checkout and all that it requires, in versions far ahead but for those given."""
+    """A function that installs this checkout and all that it requires but for packages whose version is None."""
     project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     stated = Message()
     for extra, requirements in {None: project["dependencies"], **project["optional-dependencies"]}.items():
@@ -131,7 +130,7 @@ def test_versions_of_installed_packages(command, installed):
     installed(numpy="2.4.6")
     found = checks(command)
     assert found["packages"]["versions"].items() >= {"numpy": "2.4.6", "warp-lang": "9999.0"}.items()
-    assert found["extra test"]["versions"].keys() >= {"pytest", "pyuff", "trame", "vtk"}  # those of its extras too
+    assert found["extra test"]["versions"].keys() >= {"pytest", "hypothesis"}
 
 
 def test_a_checkout_that_is_not_installed(command, monkeypatch):
@@ -143,29 +142,19 @@ def test_a_checkout_that_is_not_installed(command, monkeypatch):
 
 
 def test_what_lacks_has_its_remedy(command, installed, monkeypatch, tmp_path):
-    """Folders that cannot be written, and packages that are old or missing; kernels and requirements are needed."""
-    installed(pyuff=None, cma="3.9.9", h5py="1.0")
+    """Folders that cannot be written, and packages that are missing; kernels and requirements are needed."""
+    installed(pyuff=None, h5py=None)
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path / "gone"))
     found = checks(command)
     assert "WARP_CACHE_PATH" in found["kernels"]["text"]
-    assert found["packages"]["text"] == "h5py 1.0 is older than 3.8: pip install --upgrade 'warp-plate'"
-    assert found["extra uff"]["text"] == "pyuff is not installed: pip install --upgrade 'warp-plate[uff]'"
-    assert found["extra cma"]["text"].startswith("cma 3.9.9 is older than 4")
+    assert found["packages"]["text"] == "h5py not installed: pip install 'warp-plate'"
+    assert found["extra uff"]["text"] == "pyuff not installed: pip install 'warp-plate[uff]'"
     assert {name for name, line in found.items() if line["state"] == "error"} == {"kernels", "packages"}
-
-
-def test_warp_cannot_make_its_folder(tmp_path):
-    (tmp_path / "file").touch()
-    environment = {**os.environ, "WARP_CACHE_PATH": str(tmp_path / "file" / "cache")}
-    out, err = (program := start_program("-m", "warp_plate", "doctor", "--json", env=environment)).communicate()
-    kernels = next(check for check in json.loads(out)["checks"] if check["name"] == "kernels")
-    assert (program.returncode, err, kernels["state"]) == (1, "", "error")
-    assert kernels["text"].endswith("WARP_CACHE_PATH can name another folder")
 
 
 def test_a_check_that_fails_is_a_finding(command, monkeypatch):
     monkeypatch.setenv("WARP_PLATE_THREADS", "many")
-    line = checks(command)["Warp"]
+    line = checks(command)["devices"]
     assert line["state"] == "error"
     assert "WARP_PLATE_THREADS" in line["text"]
 

@@ -57,18 +57,6 @@ def test_waveforms_are_exported_for_the_amplifier(command, write_scene):
         assert words[-1] in error_of(command("export", "panel-focus.h5", *words))
 
 
-def test_channels_are_drawn(command, write_scene):
-    pytest.importorskip("matplotlib")
-    write_scene(damping=10.0, focus=TABLE)
-    output_of(command("focus", "panel.toml", "--no-pictures"))
-    out = output_of(command("export", "panel-focus.h5", "--to", "drive-wav", "--preview", "channels.svg"))
-    assert out.splitlines()[-1] == "wrote channels.svg"
-    drawn = Path("channels.svg").read_text(encoding="utf-8")
-    assert "1 stands for 1 N/m²" in drawn
-    for words in (("--to", "drive-csv", "--preview", "a.png"), ("--to", "drive-wav", "--preview", "a.txt")):
-        assert f"--preview {words[-1]}: must end with" in error_of(command("export", "panel-focus.h5", *words))
-
-
 def test_waveforms_of_a_file_are_played_on_another_panel(command, write_scene):
     write_scene(damping=10.0, focus=TABLE)
     output_of(command("focus", "panel.toml", "--no-pictures"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -60,15 +60,17 @@ def add_panels(figure: FigureBase, count: int, columns: int, **options: Any) -> 
     return list(grid[:count])
 
 
-def save_plots(draw: Callable[[Any, Path], object], data: object, path: Path) -> tuple[list[Path], str | None]:
-    """Draw ``data`` as PNG and SVG beside ``path``; return the files, and why some are missing or None."""
+def save_plots(
+    draw: Callable[[Path], object], path: Path, endings: Sequence[str] = (".png", ".svg")
+) -> tuple[list[Path], str | None]:
+    """Draw a plot beside ``path`` with each ending; return the files, and why some are missing or None."""
     if (problem := missing_plots()) is not None:
         return [], problem
     written = []
     try:
-        for target in (path.with_suffix(".png"), path.with_suffix(".svg")):
+        for target in map(path.with_suffix, endings):
             with atomic_path(target) as temporary:
-                draw(data, temporary)
+                draw(temporary)
             written.append(target)
     except (ValueError, OSError) as error:
         return written, f"no plot: {error}"

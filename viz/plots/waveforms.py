@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -106,24 +105,3 @@ def _draw_foci(axes: Axes, result: FocusResult, method: FocusedWaveforms) -> Non
         axes.plot(1e3 * result.times[: wish.size], nearest, "--", color=INK, linewidth=0.5, label="wish", zorder=4)
     axes.set(xlim=(0, 1e3 * result.times[-1]), ylabel=f"{table.quantity} [{unit}]")
     axes.grid(True, color=GRID, linewidth=0.4, alpha=0.4)
-
-
-def draw_channels(values: np.ndarray, rate: float, names: Sequence[str], unit: str, path: str | Path) -> None:
-    """Draw each channel in a strip that reaches from −1 to 1, full scale.
-
-    Args:
-        values: (channels, samples) from −1 to 1.
-        rate: Samples per second [1/s].
-        names: (channels,) names of the channels.
-        unit: What 1 stands for, such as "1 V".
-        path: File to write.
-    """
-    times, count = 1e3 * np.arange(values.shape[1]) / rate, len(values)
-    with figure(path, (7.0, MARGIN + min(STRIP * count, TALLEST)), font_size=8) as fig:
-        axes = fig.subplots()
-        for row, channel in enumerate(values):
-            axes.plot(times, row - 0.45 * channel, color=INK, linewidth=0.5, drawstyle="steps-post", rasterized=True)
-        axes.set_yticks(range(count), [shortened(name) for name in names], fontsize=min(8.0, 140 / count))
-        axes.set(xlim=(0, times[-1]), ylim=(count - 0.4, -0.6), xlabel="time [ms]", ylabel="actuator")
-        axes.set_title(f"channels, strips from −1 to 1; 1 stands for {unit}", fontsize=8)
-        axes.grid(True, axis="x", color=GRID, linewidth=0.4, alpha=0.4)

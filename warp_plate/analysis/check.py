@@ -73,18 +73,19 @@ class Check:
         """Time step, its limit, and memory as texts by name; empty for a run by modes."""
         if self.path == MODAL:
             return {}
-        limit, growth, count = self.limit, "", self.plates
+        limit, count = self.limit, self.plates
         shares = sorted(limit.shares.items(), key=lambda share: -share[1])
         causes = ", ".join(f"{name} {100 * share:.3g} %" for name, share in shares if share >= 0.005)
         origin = "shortest wave on the grid, by formula"
         if limit.place is not None:
             x, y = limit.place
             origin = f"fastest motion of this scene's matrices, largest at x = {x:.3g} m, y = {y:.3g} m"
-        if not self.stable:
-            growth = f"; too long, the fastest motion grows {self.growth_a_step:.3g} times in every step"
+        grows = f"; too long, the fastest motion grows {self.growth_a_step:.3g} times in every step"
         texts = {
             "time step": f"{self.time_step:.6g} s, {self.time_step / limit.time_step:.3g} of the limit of "
-            f"{limit.time_step:.6g} s; {self.steps} steps, {self.steps_a_period:.4g} a period{growth}",
+            f"{limit.time_step:.6g} s; {self.steps} steps, {self.steps_a_period:.4g} a period"
+            + grows
+            * (not self.stable),
             "set by": f"{origin}: {causes}",
             "rounding": f"errors up to {self.rounding:.0e} of the motion; natural frequencies up to "
             f"{self.fastest_frequency:.0f} Hz, condition number {self.condition:.2g}",
@@ -92,10 +93,10 @@ class Check:
             f"{count} plates of a search",
             "path": f"{self.path}: {self.plan}",
         }
-        if self.stretching_amplitude is not None:
+        if (amplitude := self.stretching_amplitude) is not None:
             texts["stretching"] = (
-                "not in the limit: this time step is too long from an amplitude of about "
-                f"{self.stretching_amplitude:.3g} thicknesses on (of the lowest bending shape)"
+                f"not in the limit: this time step is too long from an amplitude of about {amplitude:.3g} thicknesses "
+                "on (of the lowest bending shape)"
             )
         return texts
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,22 +14,19 @@ from warp_plate.effects.effect import Setting
 from warp_plate.effects.table import Effects, effect_type
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.plate.designs import scene_phasors
-from warp_plate.plate.signals import carrier_frequencies
 from warp_plate.plate.weights import REGIONS, localization_factor, region_weights
 from warp_plate.resolve import Resolved, resolve
-from warp_plate.scene.drive import Burst, Chirp, Drive, Electrostatic
+from warp_plate.scene.drive import Drive
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.solve.run import sample_times
 from warp_plate.solve.solver import PlateSolver
 
-# Tables of the drive, and a second frequency relative to the drive's.
-DRIVES, OTHER_FREQUENCY = ("burst", "chirp", "signal", "electrostatic"), 0.9
 # Rounds of timing all scenes in turn, so that a disturbance affects all of them.
 ROUNDS = 7
-# Plates of a timed run on CUDA, on CPU one for each thread; node-steps of a timed run.
-CUDA_PLATES, TIMED_NODE_STEPS = 256, {"cpu": 3e7, "cuda": 2e9}
+# Plates of a timed run on CUDA; on CPU one for each thread.
+CUDA_PLATES = 256
 
 
 @dataclass(frozen=True)
@@ -58,7 +55,12 @@ class Influence:
 
 
 def measure_effects(
-    scene: SceneSource, device: str = "auto", on_progress: Callable[[int, int, str], object] | None = None
+    scene: SceneSource,
+    device: str = "auto",
+    on_progress: Callable[[int, int, str], object] | None = None,
+    effects: Sequence[str] = (),
+    rounds: int = ROUNDS,
+    node_steps: float | None = None,
 ) -> Influence:
     """Switch each effect off or on, and measure its cost and the results under the scene's own drive.
 
@@ -70,11 +72,16 @@ def measure_effects(
         scene: A scene with a grid.
         device: Device of all runs.
         on_progress: Called with the number of finished effects, of all effects, and the name of the next.
+        effects: Names of the effects (default: all, see :func:`names`).
+        rounds: Rounds of timing all scenes in turn.
+        node_steps: Node-steps of a timed run (default: 3e7 on CPU, 2e9 on CUDA).
 
     Raises:
-        SceneError: see :class:`PlateSolver`.
+        SceneError: see :class:`PlateSolver`; or there is no such effect.
     """
-    effects, scene = names(), Scene.load(scene)
+    effects, scene = effects or names(), Scene.load(scene)
+    if unknown := set(effects) - set(names()):
+        raise SceneError(f"{min(unknown)}: no such effect; there are {', '.join(names())}")
     resolved = resolve(scene, device, purpose="replay")
     others: dict[str, tuple[PlateSolver | ModalSolver | None, str]] = {}
     for index, name in enumerate(effects):
@@ -87,41 +94,27 @@ def measure_effects(
         run = solver.run(scene_phasors(solver.scene)[None], peak_times=sample_times(solver.scene))
         results[name] = float(localization_factor(run.energy)[0]), float(run.peak.max())
     stepped = {name: solver for name, solver in solvers.items() if isinstance(solver, PlateSolver)}
-    bare_step, costs = _measure_costs(scene, stepped, device) if not resolved.by_modes else (None, {})
-    toggles = []
+    bare_step, toggles = None, []
+    if "" in stepped:
+        timed = {**stepped, "bare": PlateSolver(bare_scene(scene), device)}
+        seconds = seconds_a_step(timed, device, rounds, node_steps)
+        bare_step = float(np.median(seconds["bare"]))
     for name, (_, text) in others.items():
-        price, deviation, steps = costs.get(name, (None, None, None))
+        on, price, deviation, steps = is_on(scene, name), None, None, None
+        if bare_step is not None and name in stepped:
+            sign = 1 if on else -1
+            prices = 100 * sign * (seconds[""] - seconds[name]) / bare_step
+            price = float(np.median(prices))
+            deviation = float(np.median(np.abs(prices - price)))
+            steps = (stepped[""].specialized.scheme.steps / stepped[name].specialized.scheme.steps) ** sign
         factor, peak = results.get(name, (None, None))
-        toggles.append(EffectToggle(name, is_on(scene, name), price, deviation, steps, factor, peak, text))
-    if on_progress is not None:
-        on_progress(len(effects), len(effects), "")
+        toggles.append(EffectToggle(name, on, price, deviation, steps, factor, peak, text))
     return Influence(*results[""], bare_step, tuple(toggles))
-
-
-def _measure_costs(
-    scene: Scene, solvers: Mapping[str, PlateSolver], device: str
-) -> tuple[float, dict[str, tuple[float, float, float]]]:
-    """Return the time of a step of the bare plate [s], and ``price``, ``deviation`` and ``steps`` of each effect.
-
-    ``solvers`` are those of the alternatives, and of the scene under "".
-    """
-    seconds = seconds_a_step({**solvers, "bare": PlateSolver(bare_scene(scene), device)}, device, ROUNDS)
-    bare_step, costs = float(np.median(seconds["bare"])), {}
-    steps = {name: solver.specialized.scheme.steps for name, solver in solvers.items()}
-    for name in solvers.keys() - {""}:
-        sign = 1 if is_on(scene, name) else -1
-        prices = 100 * sign * (seconds[""] - seconds[name]) / bare_step
-        price = float(np.median(prices))
-        costs[name] = price, float(np.median(np.abs(prices - price))), (steps[""] / steps[name]) ** sign
-    return bare_step, costs
 
 
 def _alternative(resolved: Resolved, name: str) -> tuple[PlateSolver | ModalSolver | None, str]:
     """Return the scene with one effect switched, and its description; or None and why it is refused."""
-    try:
-        other, text = toggle(resolved.scene, name)
-    except SceneError as error:
-        return None, str(error)
+    other, text = toggle(resolved.scene, name)
     refusal = ""
     for grid in (other.grid, other.grid.model_copy(update={"time_step": None})):
         try:
@@ -134,18 +127,19 @@ def _alternative(resolved: Resolved, name: str) -> tuple[PlateSolver | ModalSolv
     return None, refusal
 
 
-def seconds_a_step(solvers: Mapping[str, PlateSolver], device: str, rounds: int = ROUNDS) -> dict[str, np.ndarray]:
+def seconds_a_step(
+    solvers: Mapping[str, PlateSolver], device: str, rounds: int = ROUNDS, node_steps: float | None = None
+) -> dict[str, np.ndarray]:
     """Return (rounds,) times of a step of one plate [s] for each solver; all solvers have the same grid.
 
     Runs are shortened, warmed up and timed in turn, until their energies have come back from the device.
     """
     first = next(iter(solvers.values()))
-    kind = "cuda" if first.device.is_cuda else "cpu"
-    nodes = math.prod(first.scene.grid.nodes)
-    plates = CUDA_PLATES if kind == "cuda" else first.specialized.threads
-    plates = max(1, min(plates, int(TIMED_NODE_STEPS[kind] / nodes / 20)))
-    steps = max(20, TIMED_NODE_STEPS[kind] / nodes / plates)
-    timed = {name: PlateSolver(_shortened(solver, int(steps)), device) for name, solver in solvers.items()}
+    cuda, nodes = first.device.is_cuda, math.prod(first.scene.grid.nodes)
+    plate_steps = (node_steps or (2e9 if cuda else 3e7)) / nodes
+    plates = max(1, min(CUDA_PLATES if cuda else first.specialized.threads, int(plate_steps / 20)))
+    steps = int(max(20, plate_steps / plates))
+    timed = {name: PlateSolver(_shortened(solver, steps), device) for name, solver in solvers.items()}
     phasors = np.ones((plates, len(first.scene.actuators)), dtype=complex)
     seconds: dict[str, list[float]] = {name: [] for name in timed}
     for number in range(rounds + 1):  # the first round warms up
@@ -160,7 +154,8 @@ def seconds_a_step(solvers: Mapping[str, PlateSolver], device: str, rounds: int 
 
 def _shortened(solver: PlateSolver, most_steps: int) -> Scene:
     """Return the solver's scene cut to at most this number of steps, with all loads acting from the start."""
-    scene, scheme = with_value(solver.scene, "burst", None), solver.specialized.scheme
+    scene, scheme = solver.scene, solver.specialized.scheme
+    scene = scene.model_copy(update={"drive": scene.drive.model_copy(update={"burst": None})})
     if (force := scene.effects.travelling) is not None:
         middle = (scene.plate.size[0] / 2, scene.plate.size[1] / 2)
         resting = type(force)(force=1.0, start=middle)
@@ -172,17 +167,14 @@ def _shortened(solver: PlateSolver, most_steps: int) -> Scene:
 
 def names() -> list[str]:
     """Return the names of all effects."""
-    return ["edges", *Effects.model_fields, "own_frequencies", *DRIVES]
+    return ["edges", *Effects.model_fields]
 
 
 def is_on(scene: Scene, name: str) -> bool:
-    """Return whether a scene names an effect or a table of its drive; "edges" if a side is free or on springs."""
+    """Return whether a scene names an effect; "edges" if a side is free or on springs."""
     if name == "edges":
         return any(edge not in ("clamped", "supported") for _, edge in scene.edges)
-    if name == "own_frequencies":
-        return len(carrier_frequencies(scene)) > 1
-    value = getattr(scene.drive if name in DRIVES else scene.effects, name)
-    return value is not None and value != ()
+    return getattr(scene.effects, name) not in (None, ())
 
 
 def bare_scene(scene: Scene) -> Scene:
@@ -193,26 +185,14 @@ def bare_scene(scene: Scene) -> Scene:
 
 
 def toggle(scene: Scene, name: str) -> tuple[Scene, str]:
-    """Return the scene without an effect that is on, or with a typical value of one that is off, and a description.
-
-    Raises:
-        SceneError: there is no typical value for this scene.
-    """
+    """Return the scene without an effect that is on, or with a typical value of one that is off, and a description."""
     on = is_on(scene, name)
     if name == "edges":
         return (_clamped(scene), "free and elastic edges clamped") if on else _springs(scene)
-    if name == "own_frequencies":
-        return (with_one_frequency(scene), "all at the drive's frequency") if on else _two_frequencies(scene)
-    if on:
-        empty = None if name in DRIVES else Effects.model_fields[name].default
-        return with_value(scene, name, empty), "left out"
-    if name not in DRIVES:
+    value, text = Effects.model_fields[name].default, "left out"
+    if not on:
         value, text = effect_type(name).typical(setting_of(scene))
-        return with_value(scene, name, value), text
-    if name not in (values := _typical_drives(scene)):
-        raise SceneError("no typical value is known")
-    value, text = values[name]
-    return with_value(scene, name, value), text
+    return scene.model_copy(update={"effects": scene.effects.model_copy(update={name: value})}), text
 
 
 def setting_of(scene: Scene) -> Setting:
@@ -220,12 +200,6 @@ def setting_of(scene: Scene) -> Setting:
     areas = tuple(actuator.area for actuator in scene.actuators)
     spot = scene.target.area or _middle_of_target(scene)
     return Setting(scene.plate, scene.drive_angular_frequency, scene.window.end, areas, spot)
-
-
-def with_value(scene: Scene, name: str, value: object) -> Scene:
-    """Return the scene with another value, which is not checked, of an effect or of a table of the drive."""
-    table = "drive" if name in DRIVES else "effects"
-    return scene.model_copy(update={table: getattr(scene, table).model_copy(update={name: value})})
 
 
 def with_one_frequency(scene: Scene) -> Scene:
@@ -247,14 +221,6 @@ def _springs(scene: Scene) -> tuple[Scene, str]:
     return scene.model_copy(update={"edges": edges}), text + " (1000 D/L³ and 10 D/L)"
 
 
-def _two_frequencies(scene: Scene) -> tuple[Scene, str]:
-    if len(scene.actuators) == 1:
-        raise SceneError("one actuator has one frequency")
-    other, (*rest, last) = OTHER_FREQUENCY * scene.drive.frequency, scene.actuators
-    actuators = (*rest, last.model_copy(update={"frequency": other}))
-    return scene.model_copy(update={"actuators": actuators}), f"the last actuator at {other:.3g} Hz"
-
-
 def _middle_of_target(scene: Scene) -> Area:
     """Return a square of at most a quarter of the target's area around its centroid, on the plate."""
     weights = region_weights(scene)[REGIONS.index("target")]
@@ -263,18 +229,3 @@ def _middle_of_target(scene: Scene) -> Area:
     y = float(weights.sum(axis=1) @ np.linspace(0, height, ny) / weights.sum())
     half = min(math.sqrt(weights.sum() * width * height / (nx - 1) / (ny - 1)) / 4, x, width - x, y, height - y)
     return x - half, x + half, y - half, y + half
-
-
-def _typical_drives(scene: Scene) -> dict[str, tuple[object, str]]:
-    """Return typical values of the tables under [drive], with descriptions."""
-    frequency, end = scene.drive.frequency, scene.window.end
-    other, ramp = OTHER_FREQUENCY * frequency, end / 10
-    bias = max(abs(actuator.magnitude) for actuator in scene.actuators) or 1.0
-    return {
-        "burst": (Burst(duration=end, ramp=ramp), f"over the whole run, with ramps of {ramp:.2g} s"),
-        "chirp": (Chirp(end_frequency=other, duration=end), f"from {frequency:g} to {other:.3g} Hz over the run"),
-        "electrostatic": (
-            Electrostatic(bias=bias, gain=1 / (2 * bias)),
-            f"bias of {bias:.3g}, as large as the voltage, with the same tone",
-        ),
-    }

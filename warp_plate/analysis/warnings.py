@@ -74,12 +74,12 @@ def find_warnings(scene: Scene, peak_displacement: float | None, gridded: bool =
     Raises:
         SceneError: the file of ``[drive.signal]`` cannot be read.
     """
-    findings = [_thinness(scene), _added_mass(scene), _left_at_start(scene)]
-    findings += [_slenderness(scene), _above_first_mode(scene), _turns(scene), _overlap(scene)]
+    findings = [] if peak_displacement is None else [_amplitude(scene, peak_displacement)]
+    findings.append(_thinness(scene))
     if gridded and scene.modal_only_key is None:
-        findings.insert(1, _points(scene))
-    if peak_displacement is not None:
-        findings.insert(0, _amplitude(scene, peak_displacement))
+        findings.append(_points(scene))
+    judges = (_added_mass, _left_at_start, _slenderness, _above_first_mode, _turns, _overlap)
+    findings += [judge(scene) for judge in judges]
     return findings if scene.drive.signal is None else [*findings, _signal(scene, scene.drive.signal)]
 
 
@@ -156,39 +156,40 @@ def explain_missing_energies(scene: Scene, status: str = "its numbers grew beyon
 
 
 def _finding(
-    name: str, value: float, threshold: float, exceeded: bool, fact: str, bad: str, at_least: bool = False
+    name: str, value: float, threshold: float, fact: str, advice: str = "", at_least: bool = False, named: bool = False
 ) -> Finding:
-    return Finding(name, value, threshold, f"{fact}: {bad}" if exceeded else f"{fact}.", exceeded, at_least)
+    """Return a number with its threshold; where the scene has ``named`` the effect, it is not exceeded."""
+    exceeded = not named and (value < threshold if at_least else value > threshold)
+    return Finding(name, value, threshold, f"{fact}: {advice}" if exceeded else f"{fact}.", exceeded, at_least)
 
 
 def _amplitude(scene: Scene, peak: float) -> Finding:
-    name, value, included = "displacement / thickness", peak / scene.plate.thickness, scene.effects.stretches
+    name, value, most = "displacement / thickness", peak / scene.plate.thickness, MOST_AMPLITUDE
     if not math.isfinite(value):
-        return Finding(name, value, MOST_AMPLITUDE, explain_missing_energies(scene), True)
-    exceeded = value > MOST_AMPLITUDE and not included
-    fact = f"The largest displacement over the run is {value:.2g} of the thickness (threshold {MOST_AMPLITUDE:g})"
-    bad = "stretching matters; name [effects.stretching]."
-    return _finding(name, value, MOST_AMPLITUDE, exceeded, fact, bad)
+        return Finding(name, value, most, explain_missing_energies(scene), True)
+    fact = f"The largest displacement over the run is {value:.2g} of the thickness (threshold {most:g})"
+    advice = "stretching matters; name [effects.stretching]."
+    return _finding(name, value, most, fact, advice, named=scene.effects.stretches)
 
 
 def _thinness(scene: Scene) -> Finding:
-    name, value, fewest = "wavelength / thickness", min(wavelengths(scene)) / scene.plate.thickness, FEWEST_THICKNESSES
+    value, fewest = min(wavelengths(scene)) / scene.plate.thickness, FEWEST_THICKNESSES
     fact = f"A bending wave of the drive's highest frequency is {value:.3g} thicknesses long (threshold {fewest:g})"
-    bad = "rotary inertia and shear, which this program neglects, matter."
-    return _finding(name, value, fewest, value < fewest, fact, bad, at_least=True)
+    advice = "rotary inertia and shear, which this program neglects, matter."
+    return _finding("wavelength / thickness", value, fewest, fact, advice, at_least=True)
 
 
 def _points(scene: Scene) -> Finding:
     pairs = zip(wavelengths(scene), scene.plate.size, scene.grid.nodes, strict=True)
     value, fewest = min(wave * (nodes - 1) / side for wave, side, nodes in pairs), FEWEST_POINTS[scene.grid.order]
     fact = f"The grid has {value:.3g} points a bending wave of the drive's highest frequency (threshold {fewest:g})"
-    bad = "take more nodes, or ask for an accuracy."
+    advice = "take more nodes, or ask for an accuracy."
     if value < NYQUIST:
-        bad = (
+        advice = (
             "no grid holds a wave of fewer than 2 points. plate.size, plate.thickness and areas are in metres, "
             "plate.density in kg/m³, frequencies in Hz; if they are right, take more nodes, or ask for an accuracy."
         )
-    return _finding("points a wavelength", value, fewest, value < fewest, fact, bad, at_least=True)
+    return _finding("points a wavelength", value, fewest, fact, advice, at_least=True)
 
 
 def _added_mass(scene: Scene) -> Finding:
@@ -199,13 +200,12 @@ def _added_mass(scene: Scene) -> Finding:
     value = added / (plate.size[0] * plate.size[1] * plate.thickness * plate.density)
     subject = "Layers add" if named else "The scene names no layers; a film of 110 µm on each actuator would add"
     fact = f"{subject} {percent(value)} to the plate's mass (threshold {percent(MOST_ADDED_MASS)})"
-    bad = "name the bodies of the actuators under [[effects.layers]]."
+    advice = "name the bodies of the actuators under [[effects.layers]]."
     if named:
-        bad = f"frequencies change by about {percent(value / 2)}, so the layers' thickness and density must be right."
+        advice = f"frequencies change by about {percent(value / 2)}, so their thickness and density must be right."
     if value > 1:
-        bad = f"the plate itself weighs less; is plate.density = {plate.density:g} kg/m³ meant?"
-    name, exceeded = "added mass / plate's mass", value > MOST_ADDED_MASS
-    return _finding(name, value, MOST_ADDED_MASS, exceeded, fact, bad)
+        advice = f"the plate itself weighs less; is plate.density = {plate.density:g} kg/m³ meant?"
+    return _finding("added mass / plate's mass", value, MOST_ADDED_MASS, fact, advice)
 
 
 def _left_at_start(scene: Scene) -> Finding:
@@ -216,11 +216,11 @@ def _left_at_start(scene: Scene) -> Finding:
     """
     name, key, lost = "start-up motion left", with_one_frequency(scene).nonperiodic_key, losses(scene.terms)
     if scene.steady:
-        sentence = f"The motion is the steady one ({scene.modal_only_key}), without start-up motion."
-        return Finding(name, 0.0, MOST_LEFT, sentence, False)
+        fact = f"The motion is the steady one ({scene.modal_only_key}), without start-up motion"
+        return _finding(name, 0.0, MOST_LEFT, fact)
     if key is not None:
-        sentence = f"The motion does not become steady ({key}), so its start-up motion is not judged."
-        return Finding(name, math.nan, MOST_LEFT, sentence, False)
+        fact = f"The motion does not become steady ({key}), so its start-up motion is not judged"
+        return _finding(name, math.nan, MOST_LEFT, fact)
     rate = lost.viscous / (2 * scene.plate.density * scene.plate.thickness)
     if lost.retardation or lost.ratios is not None:
         lowest = min(carrier_frequencies(scene))
@@ -230,13 +230,13 @@ def _left_at_start(scene: Scene) -> Finding:
         rate += float(np.min(lost.ratios)) * 2 * math.pi * lowest if lost.ratios is not None else 0.0
     value = math.exp(-rate * scene.window.start)
     fact = f"When the window opens, {percent(value)} of the start-up motion is left (threshold {percent(MOST_LEFT)})"
-    bad = "it never decays; name [effects.damping]."
+    advice = "it never decays; name [effects.damping]."
     if rate > 0:
         start = _rounded_up(-math.log(MOST_LEFT) / rate)
         end = _rounded_up(start + scene.window.end - scene.window.start)
         later = f" and window.end = {end:.3g} s" if start >= scene.window.end else ""
-        bad = f"the motion is not steady; start the window later, at window.start = {start:.3g} s{later}."
-    return _finding(name, value, MOST_LEFT, value > MOST_LEFT, fact, bad)
+        advice = f"the motion is not steady; start the window later, at window.start = {start:.3g} s{later}."
+    return _finding(name, value, MOST_LEFT, fact, advice)
 
 
 def _rounded_up(value: float) -> float:
@@ -246,10 +246,10 @@ def _rounded_up(value: float) -> float:
 
 
 def _slenderness(scene: Scene) -> Finding:
-    name, value, most = "side / thickness", min(scene.plate.size) / scene.plate.thickness, MOST_SLENDER
+    value, most = min(scene.plate.size) / scene.plate.thickness, MOST_SLENDER
     fact = f"The plate's shorter side is {value:.3g} times its thickness (threshold {most:g})"
-    bad = f"are plate.size and plate.thickness = {scene.plate.thickness:g} both in metres?"
-    return _finding(name, value, most, value > most, fact, bad)
+    advice = f"are plate.size and plate.thickness = {scene.plate.thickness:g} both in metres?"
+    return _finding("side / thickness", value, most, fact, advice)
 
 
 def _above_first_mode(scene: Scene) -> Finding:
@@ -258,23 +258,22 @@ def _above_first_mode(scene: Scene) -> Finding:
     The first mode of a clamped plate has waves no longer than 1.33 times its shorter side (4.73 for a strip), and no
     other edges shorten them: only stiffness beside that of bending raises its frequency.
     """
-    name, driven = "drive's frequency / first natural frequency", highest_frequency(scene)
-    if scene.effects.travelling is not None:
-        sentence = "A moving load has no single frequency, so it is not compared with the first natural frequency."
-        return Finding(name, math.nan, 1.0, sentence, False, at_least=True)
+    driven, first, value = highest_frequency(scene), math.nan, math.nan
     springs = any(term.role == "stiffness" and not isinstance(term.place, Edge) for term in scene.terms)
     stiffened = springs or scene.effects.layers or scene.effects.factor_maps
-    if not stiffened and max(wavelengths(scene)) < min(scene.plate.size):
-        sentence = "The drive's bending waves are shorter than the plate, so it lies above the first natural frequency."
-        return Finding(name, math.nan, 1.0, sentence, False, at_least=True)
-    try:
-        first = slowest_frequency(scene)
-    except SceneError as error:  # a plate that buckles has none, and may be run with stretching
-        return Finding(name, math.nan, 1.0, f"The first natural frequency is not known: {error}", False, at_least=True)
-    value = driven / first if first else math.nan
-    fact = f"The drive's highest frequency is {driven:.4g} Hz, the first natural frequency {first:.4g} Hz"
-    bad = "the plate moves quasi-statically, so that hardly any drive can move one part alone; raise the frequency."
-    return _finding(name, value, 1.0, value < 1, fact, bad, at_least=True)
+    if scene.effects.travelling is not None:
+        fact = "A moving load has no single frequency, so it is not compared with the first natural frequency"
+    elif not stiffened and max(wavelengths(scene)) < min(scene.plate.size):
+        fact = "The drive's bending waves are shorter than the plate, so it lies above the first natural frequency"
+    else:
+        try:
+            first = slowest_frequency(scene)
+            value = driven / first if first else math.nan
+            fact = f"The drive's highest frequency is {driven:.4g} Hz, the first natural frequency {first:.4g} Hz"
+        except SceneError as error:  # a plate that buckles has none, and may be run with stretching
+            fact = f"The first natural frequency is not known: {error}"
+    advice = "the plate moves quasi-statically, so that hardly any drive can move one part alone; raise the frequency."
+    return _finding("drive's frequency / first natural frequency", value, 1.0, fact, advice, at_least=True)
 
 
 def _turns(scene: Scene) -> Finding:
@@ -282,8 +281,8 @@ def _turns(scene: Scene) -> Finding:
     phase = scene.actuators[index].phase
     value = abs(phase) / (2 * math.pi)
     fact = f"The largest phase, actuators[{index}].phase = {phase:g} rad, is {value:.3g} turns (threshold 1)"
-    bad = f"phases are in radians; {phase:g}° are {math.radians(phase):.4g} rad."
-    return _finding("phase / turn", value, MOST_TURNS, value > MOST_TURNS, fact, bad)
+    advice = f"phases are in radians; {phase:g}° are {math.radians(phase):.4g} rad."
+    return _finding("phase / turn", value, MOST_TURNS, fact, advice)
 
 
 def _overlap(scene: Scene) -> Finding:
@@ -296,20 +295,16 @@ def _overlap(scene: Scene) -> Finding:
     if value > ROUNDED:
         first, second = (scene.actuators[at].name for at in np.unravel_index(shares.argmax(), shares.shape))
         fact = f'Actuators "{first}" and "{second}" overlap by {percent(value)}'
-    exceeded = value > ROUNDED
-    bad = "their pressures add there, but two bodies cannot be in one place; move one."
-    return _finding("overlap of actuators", value, ROUNDED, exceeded, fact, bad)
+    advice = "their pressures add there, but two bodies cannot be in one place; move one."
+    return _finding("overlap of actuators", value, ROUNDED, fact, advice)
 
 
 def _signal(scene: Scene, signal: SampledSignal) -> Finding:
-    highest, stated = (
-        read_samples(signal, scene.folder, len(scene.actuators)).highest_frequency(),
-        scene.drive.frequency,
-    )
+    stated = scene.drive.frequency
+    highest = read_samples(signal, scene.folder, len(scene.actuators)).highest_frequency()
     fact = (
         f"99 % of the energy in {signal.file!r} lies below {highest:.4g} Hz, and drive.frequency is {stated:g} Hz "
         f"(threshold {MOST_BEYOND:g} times that)"
     )
-    bad = "the time step and grid may be too coarse; raise drive.frequency."
-    value = highest / stated
-    return _finding("file's frequency / drive.frequency", value, MOST_BEYOND, value > MOST_BEYOND, fact, bad)
+    advice = "the time step and grid may be too coarse; raise drive.frequency."
+    return _finding("file's frequency / drive.frequency", highest / stated, MOST_BEYOND, fact, advice)

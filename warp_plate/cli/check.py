@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+import math
+from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING
 
-from warp_plate.cli import options, output, tables
+from rich.console import Console
+
+from warp_plate.accuracy.measure import AccuracyRow
+from warp_plate.accuracy.report import AccuracyReport
+from warp_plate.analysis.check import check as check_scene
+from warp_plate.analysis.influence import Influence, measure_effects
+from warp_plate.analysis.warnings import Finding, find_warnings
+from warp_plate.cli import options, output
+from warp_plate.resolve import resolve
 from warp_plate.scene.errors import SceneError
+from warp_plate.solve.devices import find_device
 
-if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.table import Table
-
-    from warp_plate.accuracy.measure import AccuracyRow
-    from warp_plate.accuracy.report import AccuracyReport
-    from warp_plate.analysis.influence import Influence
-
-ACCURACY_HEADINGS = ("single", "bound", "error %", "u %", "a plate", "")
+HEADINGS = "single | bound | error % | u % | a plate | "
+CELLS = "{localization_factor:.4f} | {bound:.4f} | {error} | {error_displacement} | {seconds} | {front}"
 BY_MODES = "modes, without a grid"
 ACCURACY_LEGEND = (
     "single, bound: localization factor of the best single actuator, and the largest that any drive can have. error: "
@@ -41,19 +42,17 @@ def check(
     """Show what a scene is, warnings about it, and the numerics of its run: time step and its limit, points per
     wavelength, condition, memory and stepping path."""
     loaded, scene = changes.load(scene)
-    from warp_plate.analysis.check import check as check_scene
-    from warp_plate.resolve import resolve
-
     with output.scene_errors(scene):
         resolved = resolve(loaded, device, purpose="check")
         report = check_scene(resolved.scene, device, allow_unstable, resolved.by_modes)
 
     def show(console: Console) -> None:
         console.print(f"{loaded.title or scene}\n")
-        console.print(output.lines_table(report.summary.items()), "")
-        tables.print_findings(report.findings, console)
+        output.print_lines(console, report.summary.items(), "")
+        _print_findings(report.findings, console)
         if report.numerics:
-            console.print("", output.lines_table(report.numerics.items()))
+            console.print()
+            output.print_lines(console, report.numerics.items())
 
     output.report(json, lambda: {"scene": scene, **report.as_json()}, show)
 
@@ -61,53 +60,72 @@ def check(
 def effects(
     scene: options.SceneName,
     /,
-    *,
+    *names: str,
     changes: options.SceneOptions = options.SceneOptions(),
     device: options.Device = "auto",
     json: options.Json = False,
 ) -> None:
-    """Show the cost and influence of every effect, on or off, and suggest effects that the scene lacks."""
-    loaded, scene = changes.load(scene)
-    from warp_plate.analysis.influence import measure_effects
-    from warp_plate.analysis.warnings import find_warnings
-    from warp_plate.resolve import resolve
+    """Show the cost and influence of every effect, on or off, and suggest effects that the scene lacks.
 
+    Parameters
+    ----------
+    names
+        Effects to switch, such as damping edges (default: all).
+    """
+    loaded, scene = changes.load(scene)
     with output.scene_errors(scene):
         loaded = resolve(loaded, device, purpose="replay").scene
         with output.progress_bar("switching effects", shown=not json) as progress:
-            influence = measure_effects(loaded, device, progress)
+            influence = measure_effects(loaded, device, progress, names)
     findings = find_warnings(loaded, influence.peak)
     record = {
         "scene": scene,
         "localization_factor": influence.localization_factor,
         "peak_displacement": influence.peak,
         "bare_step_seconds": influence.bare_step,
-        "effects": [asdict(switch) for switch in influence.toggles],
-        "numbers": [asdict(finding) for finding in findings],
+        "effects": list(map(vars, influence.toggles)),
+        "numbers": list(map(vars, findings)),
         "warnings": [finding.sentence for finding in findings if finding.exceeded],
     }
 
     def show(console: Console) -> None:
         console.print(f"{loaded.title or scene}\n")
-        _print_influence(influence, console)
-        tables.print_findings(findings, console)
+        print_influence(influence, console)
+        _print_findings(findings, console)
 
     output.report(json, lambda: record, show)
 
 
-def _print_influence(influence: Influence, console: Console) -> None:
-    costs = () if influence.bare_step is None else ("price of a step", "steps")
-    table = output.table("effect", "now", *costs, "factor", "largest displacement (m)")
-    blank = [""] * len(costs)
-    table.add_row("the scene as it is", "", *blank, *_motion_cells(influence.localization_factor, influence.peak))
+def _print_findings(findings: Sequence[Finding], console: Console) -> None:
+    """Print warnings, then a table of the numbers within their thresholds; what is not judged is left out."""
+    warnings = [finding.sentence for finding in findings if finding.exceeded]
+    rows = []
+    for finding in findings:
+        if not finding.exceeded and not math.isnan(finding.value):
+            inside = finding.value >= finding.threshold if finding.at_least else finding.value <= finding.threshold
+            threshold = f"{'≥' if finding.at_least else '≤'} {finding.threshold:g}"
+            rows.append((finding.name, f"{finding.value:.3g}", threshold + "; its effect is included" * (not inside)))
+    for sentence in warnings:
+        console.print(f"! {sentence}")
+    if warnings:
+        console.print()
+    output.print_rows(console, ("within thresholds", "value", "threshold"), rows)
+
+
+def print_influence(influence: Influence, console: Console) -> None:
+    """Print the table of the effects that were switched, and how."""
+    timed = influence.bare_step is not None
+    rows = [["the scene as it is", "", *[""] * 2 * timed, *_results(influence.localization_factor, influence.peak)]]
     for switch in influence.toggles:
-        cells = ["refused"]
+        cells = ["refused", ""]
         if switch.localization_factor is not None:
-            cells = _motion_cells(switch.localization_factor, switch.peak)
+            cells = _results(switch.localization_factor, switch.peak)
+        costs = ["", ""] * timed
         if switch.price is not None:
-            cells = [f"{switch.price:+.0f} ± {switch.deviation:.0f} %", f"× {switch.steps:.3g}", *cells]
-        table.add_row(_words(switch.name), "on" if switch.on else "off", *cells)
-    console.print(table)
+            costs = [f"{switch.price:+.0f} ± {switch.deviation:.0f} %", f"× {switch.steps:.3g}"]
+        rows.append([_words(switch.name), "on" if switch.on else "off", *costs, *cells])
+    headings = ["effect", "now", *["price of a step", "steps"] * timed, "factor", "largest displacement (m)"]
+    output.print_rows(console, headings, rows)
     price = "\nThe scene is solved by modes, without steps, so no cost is measured. "
     if influence.bare_step is not None:
         price = (
@@ -123,7 +141,7 @@ def _print_influence(influence: Influence, console: Console) -> None:
     console.print()
 
 
-def _motion_cells(localization_factor: float, peak: float | None) -> list[str]:
+def _results(localization_factor: float, peak: float | None) -> list[str]:
     return [output.number_text(localization_factor, ".4f"), output.number_text(peak, ".3g")]
 
 
@@ -135,17 +153,16 @@ def accuracy(
     scene: options.SceneName,
     /,
     *,
-    assignments: options.Assignments = None,
+    changes: options.SceneChanges = options.SceneChanges(),
     device: options.Device = "auto",
     budget: float = 120.0,
     path: options.Stepping = "auto",
-    out: Path | None = None,
     files: options.FileOptions = options.FileOptions(),
 ) -> None:
     """Measure error against run time for a scene, and recommend grids for errors from 10 % to 0.1 %.
 
     Grids, spatial orders, time steps and precisions are run from the cheapest to the most expensive and compared with
-    a reference solution. The rest of the scene is unchanged.
+    a reference solution. The rest of the scene is unchanged. The measurements are written to a .json file.
 
     Parameters
     ----------
@@ -153,25 +170,21 @@ def accuracy(
         Nominal seconds for the grids. They are counted in node-steps, so a busy machine measures the same grids. Grids
         beyond the budget are listed as skipped. The reference solution, modes and the first six grids come on top: up
         to a minute or two where damping couples the modes.
-    out
-        The file of measurements (.json; default: SCENE-accuracy.json in this folder).
     """
-    target = output.output_file(
-        out, f"{Path(scene).stem}-accuracy.json", holds="measurements with reference", force=files.force
-    )
+    target = files.target(scene, "-accuracy.json", holds="measurements with reference")
     if not 0 < budget < float("inf"):
         raise SceneError(f"--budget {budget:g}: must be a positive number of seconds")
-    loaded, scene = output.load_scene(scene, assignments)
+    loaded, scene = changes.load(scene)
     from warp_plate.accuracy.machine import describe_machine, describe_versions
     from warp_plate.accuracy.report import measure_accuracy
-    from warp_plate.solve.devices import find_device
-    from warp_plate.viz.plots.accuracy import draw_accuracy
 
     name = find_device(device).alias
     machine = describe_machine([name])
     with output.scene_errors(scene), output.progress_bar("measuring", shown=not files.json) as show:
         report = measure_accuracy(loaded, source=scene, device=name, path=path, budget=budget, on_progress=show)
     record = {**report.as_json(), "machine": vars(machine), "versions": describe_versions()}
+    from warp_plate.viz.plots.accuracy import draw_accuracy
+
     written = output.write_measurements(target, record, draw_accuracy, files.pictures)
     show_report = partial(_print_accuracy, report, machine.devices[name])
     output.report(files.json, lambda: record, show_report, written=written)
@@ -180,60 +193,50 @@ def accuracy(
 def _print_accuracy(report: AccuracyReport, device: str, console: Console) -> None:
     reference = report.reference
     console.print(f"{report.scene} on {device}\n")
-    for kind in dict.fromkeys(map(_kind, report.rows)):
-        head = ("functions",) if kind == BY_MODES else ("nodes", "Δt (s)", "bits")
-        table = output.table(*head, *ACCURACY_HEADINGS, title=kind)
-        for index, row in enumerate(report.rows):
-            if _kind(row) == kind and not row.status.startswith("skipped"):
-                table.add_row(*_cells(row, index in report.front, reference.uncertainty))
-        if table.row_count:
-            console.print(table, "")
+    measured = [(index, row) for index, row in enumerate(report.rows) if row.measured]
+    for kind in dict.fromkeys(_kind(row) for _, row in measured):
+        headings, cells = "nodes | Δt (s) | precision | ", "{size} | {time_step:.2g} | {precision} | "
+        if kind == BY_MODES:
+            headings, cells = "functions | ", "{size} | "
+        records = [_record(report, index) for index, row in measured if _kind(row) == kind]
+        output.print_table(console, headings + HEADINGS, cells + CELLS, records, "", title=kind)
     console.print(ACCURACY_LEGEND + "\n")
     console.print(
         f"Reference ({reference.kind}): best single actuator {reference.localization_factors['single']:.5f}, bound "
         f"{reference.bound:.5f}, known to {reference.uncertainty:.1g}.\n"
     )
-    laws = output.table("measured laws", "error ∝ h^", "u ∝ h^", "s ∝ n^")
-    for law in (law for law in report.laws if law.family != "modal"):  # modes converge faster than any power
-        powers = (law.order, law.order_displacement, law.cost_exponent)
-        laws.add_row(law.family, *("–" if power is None else f"{power:.2f}" for power in powers))
-    if laws.row_count:
-        console.print(laws, "")
-    console.print(_recommendations(report), "")
-    missing: dict[str, list[str]] = {}
-    for row in report.rows:
-        if not row.measured:
-            status = row.status.replace("skipped: would take", "skipped because of the time limit:")
-            status, _, reason = status.partition(": ")
-            grid = f"{_size(row)} ({reason})" if reason else _size(row)
-            missing.setdefault(f"{_kind(row)}, {row.precision}: {status}", []).append(grid)
-    for kind, grids in missing.items():
-        console.print(f"{kind}: {', '.join(grids)}")
+    laws = [law for law in report.laws if law.family != "modal"]  # modes converge faster than any power
+    if laws:
+        headings = "measured laws | error ∝ h^ | u ∝ h^ | s ∝ n^"
+        powers = "{order:.2f} | {order_displacement:.2f} | {cost_exponent:.2f}"
+        output.print_table(console, headings, "{family} | " + powers, map(vars, laws), "")
+    _print_recommendations(report, console)
+    left_out = [row for row in report.rows if not row.measured]
+    for row in (row for row in left_out if not row.status.startswith("skipped")):
+        console.print(f"{_kind(row)}, {row.precision}, {_size(row)}: {row.status}")
+    if skipped := sum(row.status.startswith("skipped") for row in left_out):
+        console.print(f"{skipped} grids are skipped because they exceed --budget; --json lists them.")
     if report.interrupted:
         console.print("Interrupted by Ctrl-C; measurements up to then are shown.")
 
 
-def _recommendations(report: AccuracyReport) -> Table:
+def _print_recommendations(report: AccuracyReport, console: Console) -> None:
     from warp_plate.accuracy.configurations import percent, seconds_text
 
-    swarm = f"{report.particles} × {report.iterations} plates"
-    table = output.table("for", "use", "error", "a plate", swarm)
-    table.columns[1].justify = "left"
     tolerances: dict[tuple[str, ...], list[str]] = {}  # by the other cells
     for recommended in report.recommended:
-        cells = ["none within the budget"]
+        cells = ["none within the budget", "", "", ""]
         if recommended.row is not None:
             row = report.rows[recommended.row]
             use = f"modes, {_size(row)}"
             if row.time_step is not None:
                 use = f"{_size(row)}, order {row.order}, {row.load}, {row.time_step:.2g} s, {row.precision}"
-            seconds = (row.seconds_per_plate or 0.0, recommended.seconds or 0.0)
-            error = error_text(row.error, report.reference.uncertainty)
-            cells = [use, f"{error} %", *map(seconds_text, seconds)]
-        tolerances.setdefault(tuple(cells), []).append(percent(recommended.tolerance))
-    for cells_of, asked in tolerances.items():
-        table.add_row(", ".join(text.removesuffix(" %") for text in asked) + " %", *cells_of)
-    return table
+            seconds = map(seconds_text, (row.seconds_per_plate or 0.0, recommended.seconds or 0.0))
+            cells = [use, f"{error_text(row.error, report.reference.uncertainty)} %", *seconds]
+        tolerances.setdefault(tuple(cells), []).append(percent(recommended.tolerance).removesuffix(" %"))
+    headings = ("for", "use", "error", "a plate", f"{report.particles} × {report.iterations} plates")
+    rows = [(f"{', '.join(asked)} %", *cells) for cells, asked in tolerances.items()]
+    output.print_rows(console, headings, rows, "")
 
 
 def _kind(row: AccuracyRow) -> str:
@@ -257,17 +260,17 @@ def error_text(error: float | None, floor: float) -> str:
     return text.removesuffix(" %")
 
 
-def _cells(row: AccuracyRow, on_front: bool, uncertainty: float) -> list[str]:
+def _record(report: AccuracyReport, index: int) -> dict[str, object]:
+    """Return a measured row with the texts of its cells."""
     from warp_plate.accuracy.configurations import seconds_text
     from warp_plate.accuracy.report import displacement_floor
 
-    head = [_size(row)]
-    if _kind(row) != BY_MODES:
-        head += ["" if row.time_step is None else f"{row.time_step:.2g}", row.precision.removeprefix("float")]
-    if not row.measured:
-        return [*head, *[""] * 4, row.status.partition(":")[0], ""]
-    head += [f"{row.localization_factor:.4f}", f"{row.bound:.4f}"]
-    errors = (row.error, row.error_displacement)
-    floors = (uncertainty, displacement_floor(uncertainty))
-    shown = list(map(error_text, errors, floors))
-    return [*head, *shown, seconds_text(row.seconds_per_plate or 0.0), "*" if on_front else ""]
+    row, uncertainty = report.rows[index], report.reference.uncertainty
+    return {
+        **vars(row),
+        "size": _size(row),
+        "error": error_text(row.error, uncertainty),
+        "error_displacement": error_text(row.error_displacement, displacement_floor(uncertainty)),
+        "seconds": seconds_text(row.seconds_per_plate or 0.0),
+        "front": "*" if index in report.front else "",
+    }

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import logging
 import sys
-from importlib import import_module
 
 import cyclopts
 
 from warp_plate._version import __version__
-from warp_plate.cli.output import log
+from warp_plate.cli import log
 from warp_plate.scene.errors import SceneError
 
 app = cyclopts.App(
@@ -19,27 +18,38 @@ app = cyclopts.App(
     help_format="markdown",
     suppress_keyboard_interrupt=False,
 )
-# Commands by module.
-MODULES = {
-    "localize": ("localize",),
-    "compare": ("compare",),
-    "sweep": ("sweep",),
-    "simulate": ("simulate",),
-    "check": ("check", "effects", "accuracy"),
-    "modes": ("modes",),
-    "measurement": ("fit", "plan_measurement", "verify"),
-    "frf": ("frf",),
-    "focus": ("focus",),
-    "render": ("view", "render"),
-    "explore": ("explore",),
-    "export": ("export",),
-    "scene_files": ("init", "keys"),
-    "doctor": ("doctor",),
+# The module of each command, which is imported when the command runs, and the command's line in ``warp-plate --help``.
+COMMANDS = {
+    "localize": ("localize", "Search for the drive that puts most of the plate's kinetic energy into the target."),
+    "compare": ("compare", "Compare search methods on a scene, each from several seeds with equal budgets."),
+    "sweep": ("sweep", "Compute the results of one command over many scenes that differ in some keys."),
+    "simulate": ("simulate", "Run one plate under one drive."),
+    "check": ("check", "Show what a scene is, warnings about it, and the numerics of its run."),
+    "effects": ("check", "Show the cost and influence of every effect, and suggest effects that the scene lacks."),
+    "accuracy": ("check", "Measure error against run time, and recommend grids for errors from 10 % to 0.1 %."),
+    "modes": ("modes", "Show natural frequencies, damping and shapes of a plate with its linear effects."),
+    "fit": ("measurement", "Fit properties of a panel to measured natural frequencies or frequency responses."),
+    "plan-measurement": ("measurement", "Choose the actuator and the sensor places that best determine [fit.free]."),
+    "verify": ("measurement", "Compare velocities measured under a drive with those that its result predicts."),
+    "frf": ("frf", "Show frequency responses of a linear plate, and the best localization at each frequency."),
+    "focus": ("focus", "Compute a waveform for each actuator that moves the plate at a point and a moment."),
+    "view": ("render", "Show the plates of a result in motion, in a window."),
+    "render": ("render", "Draw pictures, movies and pages of a result; needs no display."),
+    "explore": ("explore", "Explore a scene in the browser: sliders for every actuator, frequency and damping."),
+    "export": ("export", "Write a result for ParaView, a spreadsheet or the amplifier."),
+    "init": ("scene_files", "Write a preset as a TOML file to edit."),
+    "keys": ("scene_files", "Show every key of a scene file with unit, default, range, example and meaning."),
+    "doctor": ("doctor", "Check the GPUs, folders, drawing and extras of this installation."),
 }
-for module, names in MODULES.items():
-    for name in names:
-        app.command(getattr(import_module(f"warp_plate.cli.{module}"), name))
-COMMANDS = [name.replace("_", "-") for names in MODULES.values() for name in names]
+for name, (module, summary) in COMMANDS.items():
+    app.command(f"warp_plate.cli.{module}:{name.replace('-', '_')}", name=name, help=summary)
+
+
+def load(command: str) -> cyclopts.App:
+    """Import a command, and return it with the whole help of its function."""
+    loaded = app[command]
+    loaded.help = None
+    return loaded
 
 
 class _OneLine(logging.Handler):
@@ -54,8 +64,11 @@ logging.getLogger("warp_plate").addHandler(_OneLine())
 
 def run(arguments: list[str] | None = None) -> None:
     """Run a command; exit with status 2 after one line about bad input."""
+    words = sys.argv[1:] if arguments is None else arguments
     try:
-        app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+        if words and words[0] in COMMANDS:
+            load(words[0])
+        app(words, exit_on_error=False, print_error=False, result_action="return_value")
         sys.stdout.flush()
     except (SceneError, cyclopts.CycloptsError) as error:
         log(str(error))

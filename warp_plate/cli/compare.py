@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any
 
+import numpy as np
 from cyclopts import Parameter
+from rich.console import Console
 
 from warp_plate.cli import options, output, tables
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from warp_plate.result.comparison import MethodComparison
+from warp_plate.optimize.optimizer import tolerance_scale
+from warp_plate.problem.objectives import loss_scale
+from warp_plate.result.comparison import MethodComparison, save_comparison
+from warp_plate.studies.compare import compare as run
+from warp_plate.viz.plots.frame import save_plots
+from warp_plate.viz.plots.search import draw_comparison
 
 # A trial has reached the bound if its loss is this close, relative to the bound.
 NEAR = 1e-6
@@ -22,6 +24,7 @@ LEGEND = (
     "best, median, worst: over the seeds. gap: between median and bound. near: seeds that came within 1e-6 of {of}. "
     "tried, s: median evaluations and seconds of a trial."
 )
+BOUNDS = {"attained": "bound of these searches", "bound only": "upper bound (may be out of reach)"}
 
 
 @Parameter(name="*")
@@ -35,45 +38,31 @@ class TrialOptions:
         seeds: Number of seeds, from the scene's own on.
         evaluations: Evaluations of each trial, rounded down to whole iterations (default: the scene's particles times
             iterations).
-        evaluator: direct simulates a plate for each evaluation; response uses Gram matrices of simulated unit
-            responses; modal computes energies from the modes of the plate, for tones and linear scenes (default:
-            response where it applies).
     """
 
     methods: str | None = None
     seeds: options.PositiveInteger = 10
     evaluations: options.PositiveInteger | None = None
-    evaluator: Literal["direct", "response", "modal"] | None = None
+    evaluator: options.Evaluator = None
 
 
 def compare(
     scene: options.SceneName,
     /,
     *,
-    assignments: options.Assignments = None,
+    changes: options.SceneChanges = options.SceneChanges(),
     trials: TrialOptions = TrialOptions(),
     workers: options.WorkerOptions = options.WorkerOptions(),
-    out: Path | None = None,
     files: options.FileOptions = options.FileOptions(),
 ) -> None:
     """Compare search methods on a scene: each from several seeds, with the same number of evaluations.
 
-    Results are compared with the upper bound, if one is known. Ctrl-C keeps the finished trials.
-
-    Parameters
-    ----------
-    out
-        The file of results (.h5; default: SCENE-compare.h5 in this folder).
+    Results are compared with the upper bound, if one is known. Ctrl-C keeps the finished trials. The results are
+    written to an .h5 file.
     """
-    target = output.output_file(out, f"{Path(scene).stem}-compare.h5", holds="a comparison", force=files.force)
+    target = files.target(scene, "-compare.h5", holds="a comparison")
     names = None if trials.methods is None else [name.strip() for name in trials.methods.split(",")]
-    loaded, scene = output.load_scene(scene, assignments)
-    from warp_plate.result.comparison import save_comparison
-    from warp_plate.studies.compare import compare as run
-    from warp_plate.viz.plots.frame import save_plots
-    from warp_plate.viz.plots.search import draw_comparison
-
-    on, path = "auto" if workers.local_device is None else workers.local_device, workers.path or "auto"
+    loaded, scene = changes.load(scene)
     with (
         output.scene_errors(scene),
         workers.open_pool() as pool,
@@ -84,32 +73,26 @@ def compare(
             source=scene,
             methods=names,
             seeds=trials.seeds,
-            device=on,
-            path=path,
+            device="auto" if workers.local_device is None else workers.local_device,
+            path=workers.path or "auto",
             evaluator=trials.evaluator,
             evaluations=trials.evaluations,
             on_progress=show,
             pool=pool,
         )
-    draw = partial(save_plots, draw_comparison, result)
+    draw = partial(save_plots, partial(draw_comparison, result))
     written = output.write_files(target, partial(save_comparison, result), draw, files.pictures)
     output.report(files.json, _as_json, _print, result, written=written)
 
 
 def rows(result: MethodComparison) -> list[dict[str, Any]]:
     """Return a record for each method: losses, gap, number of seeds near the bound, and cost."""
-    import numpy as np
-
-    from warp_plate.optimize.optimizer import tolerance_scale
-    from warp_plate.problem.objectives import loss_scale
-
     bound = result.bound
     near = NEAR * tolerance_scale(bound or 0.0, loss_scale(result.scene.search.objectives))
     records = []
     for method in result.methods:
         trials = result.trials_of(method)
         losses = np.array([trial.best_loss for trial in trials])
-        cost = {name: np.median([getattr(trial, name)[-1] for trial in trials]) for name in ("evaluations", "seconds")}
         records.append(
             {
                 "method": method,
@@ -119,7 +102,8 @@ def rows(result: MethodComparison) -> list[dict[str, Any]]:
                 "worst": losses.max(),
                 "gap": None if bound is None else np.median(losses) - bound,
                 "at_bound": None if bound is None else int((losses - bound <= near).sum()),
-                **cost,
+                "evaluations": np.median([trial.evaluations[-1] for trial in trials]),
+                "seconds": np.median([trial.seconds[-1] for trial in trials]),
             }
         )
     return records
@@ -151,23 +135,18 @@ def _as_json(result: MethodComparison) -> dict[str, object]:
 def _print(result: MethodComparison, console: Console) -> None:
     title = "localization factor" if result.localization else "loss"
     console.print(f"{result.scene.title or result.source} on {result.device}, evaluator {result.evaluator}\n")
-    table = output.table("method", "best", "median", "worst", "gap", "near", "tried", "s", title=title)
-    table.collapse_padding = True  # eight columns of losses with exponents just fit in 80 characters
-    for row in rows(result):
-        losses = (row[name] for name in ("best", "median", "worst"))
-        shown = [f"{1 - loss if result.localization else loss:.6g}" for loss in losses]
-        near = ["–", "–"] if row["gap"] is None else [f"{row['gap']:.1e}", f"{row['at_bound']}/{row['seeds']}"]
-        table.add_row(row["method"], *shown, *near, f"{row['evaluations']:.0f}", f"{row['seconds']:.2g}")
-    output.print_uncropped(console, table)
+    records, bounded = rows(result), result.bound is not None
+    if result.localization:
+        records = [{**row, **{name: 1 - row[name] for name in ("best", "median", "worst")}} for row in records]
+    headings = f"method | best | median | worst | {'gap | near | ' * bounded}tried | s"
+    gap = "{gap:.1e} | {at_bound}/{seeds} | " * bounded
+    cells = "{method} | {best:.6g} | {median:.6g} | {worst:.6g} | " + gap + "{evaluations:.0f} | {seconds:.2g}"
+    output.print_table(console, headings, cells, records, title=title)
     if result.bound is None:
         console.print("\nbound: none")
     else:
         value = 1 - result.bound if result.localization else result.bound
-        words = {
-            "attained": "bound of these searches",
-            "bound only": "upper bound (may be out of reach)",
-        }
-        console.print(f"\n{words[result.bound_kind]}: {value:.6g}, {result.bound_sentence}")
+        console.print(f"\n{BOUNDS[result.bound_kind]}: {value:.6g}, {result.bound_sentence}")
     console.print(LEGEND.format(of="it" if result.localization else "its size"))
     if result.seconds["prepare"] > 0:
         console.print(f"not timed: {result.seconds['prepare']:.2g} s for the plates that all methods share.")

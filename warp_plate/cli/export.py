@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from cyclopts import Parameter
 
+from warp_plate.analysis.export import DRIVES
+from warp_plate.analysis.export import export as export_result
 from warp_plate.cli import options, output
 from warp_plate.cli.render import FrameOptions, select_cases, span_of
 from warp_plate.result.export import Format
+from warp_plate.result.focus import FocusResult, load_focus
+from warp_plate.result.hdf5 import describe_file
+from warp_plate.result.model import Result, load_result
 from warp_plate.scene.errors import SceneError, printable
-
-if TYPE_CHECKING:
-    from warp_plate.result.focus import FocusResult
-    from warp_plate.result.model import Result
 
 # Ending that is added to the result's name, and options beside --case.
 SERIES, SIGNAL = ("start", "end", "frames", "device"), ("rate", "duration", "full-scale")
@@ -31,8 +30,6 @@ FORMATS: dict[Format, tuple[str, tuple[str, ...]]] = {
 }
 # With fewer times than this ParaView shows pictures rather than a motion.
 FEW_TIMES = 10
-# Endings of a preview, and the periods of a tone in it.
-PICTURES, PERIODS = (".png", ".svg", ".pdf"), 10
 
 
 @Parameter(name="*")
@@ -62,7 +59,6 @@ def export(
     shown: FrameOptions = FrameOptions(),
     signal: SignalOptions = SignalOptions(),
     out: Path | None = None,
-    preview: Path | None = None,
     json: options.Json = False,
 ) -> None:
     """Write a result for ParaView, a spreadsheet or the amplifier. (MATLAB can read the result file directly.)
@@ -80,52 +76,31 @@ def export(
         whole number of periods, of the best drive unless --case names another.
     out
         The file to write (default: RESULT with another ending, in this folder).
-    preview
-        drive-wav: a picture (.png, .svg or .pdf) of the channels of the first file, of ten periods or of a waveform.
     """
     target = output.output_file(out, f"{result.stem}{FORMATS[to][0]}")
-    _check_options(to, shown, signal, preview)
-    from warp_plate.analysis.export import export
-
-    loaded, span = _load(result, to, shown, signal)
-    given = {**vars(signal), "frames": shown.frames, "device": shown.device}
-    arguments: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-    with output.progress_bar("simulating", shown=not json) as show:
-        try:
-            exported = export(loaded, target, to, cases=shown.case or (), span=span, progress=show, **arguments)
-        except SceneError as error:
-            named = str(error).startswith(("--", f"{target}:", f"{result}:"))
-            raise error if named else SceneError(f"{result}: {error}") from None
-    drawn, missing = ([], None) if preview is None else _draw(exported.files[0], exported.contents, preview)
-    answer = {"result": result, "to": to, **exported.contents, "files": [*exported.files, *drawn]}
-    output.report(json, lambda: answer, lambda _: _print(exported.files, to, exported.contents))
-    for line in [f"wrote {preview}"] * bool(drawn) + [missing] * bool(missing):
-        print(line, file=sys.stderr if json else sys.stdout)
-
-
-def _check_options(to: Format, shown: FrameOptions, signal: SignalOptions, preview: Path | None) -> None:
-    """Refuse options that have no effect, and a preview that cannot be written."""
-    for name, value in {**output.attributes(shown, *SERIES), **vars(signal)}.items():
+    given = {name: value for name, value in vars(signal).items() if value is not None}
+    for name, value in {**output.attributes(shown, *SERIES), **given}.items():
         name = name.replace("_", "-")
         if value is not None and name not in FORMATS[to][1]:
             raise SceneError(f"--{name} {value}: has no effect with --to {to}; leave it out")
     if shown.device is not None and shown.start is shown.end is shown.frames is None:
         raise SceneError(f"--device {shown.device}: nothing is run without --frames, --start or --end; leave it out")
-    if preview is not None and (to != "drive-wav" or preview.suffix.lower() not in PICTURES):
-        raise SceneError(f"--preview {preview}: must end with {', '.join(PICTURES)}, and is for --to drive-wav")
-    if preview is not None and (problem := output.writing_problem(preview)):
-        raise SceneError(f"--preview {preview}: {problem}")
+    loaded, span = _load(result, to, shown, signal)
+    given |= {name: value for name in ("frames", "device") if (value := getattr(shown, name)) is not None}
+    with output.progress_bar("simulating", shown=not json) as show:
+        try:
+            exported = export_result(loaded, target, to, cases=shown.case or (), span=span, progress=show, **given)
+        except SceneError as error:
+            named = str(error).startswith(("--", f"{target}:", f"{result}:"))
+            raise error if named else SceneError(f"{result}: {error}") from None
+    answer = {"result": result, "to": to, **exported.contents, "files": exported.files}
+    output.report(json, lambda: answer, lambda _: _print(exported.files, to, exported.contents))
 
 
 def _load(
     file: Path, to: Format, shown: FrameOptions, signal: SignalOptions
 ) -> tuple[Result | FocusResult, tuple[float, float] | None]:
     """Return a result, or that of ``focus``, and the span of times to export."""
-    from warp_plate.analysis.export import DRIVES
-    from warp_plate.result.focus import load_focus
-    from warp_plate.result.hdf5 import describe_file
-    from warp_plate.result.model import load_result
-
     signals = vars(signal)
     if describe_file(file) == "a focus":
         if to not in DRIVES or (name := next((key for key in SIGNAL[:2] if signals[key]), "")):
@@ -137,18 +112,6 @@ def _load(
     if to in DRIVES and len(shown.case or ()) > 1:
         raise SceneError(f"--case {' '.join(shown.case or ())}: a file holds one drive; name one case")
     return loaded, span_of(shown, loaded.scene.window.end)
-
-
-def _draw(file: Path, contents: Mapping[str, Any], picture: Path) -> output.Drawn:
-    """Draw the channels of a WAV file, of a tone ten periods."""
-    from warp_plate.plate.waveforms import wav_channels
-    from warp_plate.viz.plots.waveforms import draw_channels
-
-    values, rate = wav_channels(file.read_bytes())
-    if "frequency" in contents:
-        values = values[:, : round(PERIODS * rate / contents["frequency"]) + 1]
-    unit = f"{contents['full_scale']:.4g} {contents['unit']}"
-    return output.draw_plot(partial(draw_channels, values, rate, contents["channels"], unit), picture)
 
 
 def _print(files: list[Path], to: Format, record: Mapping[str, Any]) -> None:

@@ -4,38 +4,29 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from rich.console import Console
 
+from warp_plate.accuracy.configurations import percent
 from warp_plate.cli import options, output
+from warp_plate.focusing.focus import focus as compute
+from warp_plate.result.focus import FocusResult, load_focus, save_focus
+from warp_plate.viz.plots.frame import save_plots
+from warp_plate.viz.plots.waveforms import draw_focus
 
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from warp_plate.result.focus import FocusResult
-
-FIGURES = (
-    "peak",
-    "focus_area",
-    "contrast_db",
-    "energy",
-    "gap",
-    "limits",
-    "crosstalk_db",
-    "misfit",
-    "electrical_energy",
-)
-HOLDS = "a focus"
+FIGURES: tuple[str, ...] = ("peak", "focus_area", "contrast_db", "energy", "gap", "limits")
+FIGURES += ("crosstalk_db", "misfit", "electrical_energy")
+HEADINGS = "peak ({unit}) | area (mm²) | contrast (dB) | energy | gap | limited by"
+CELLS = "{name} | {peak:.4g} | {area:.4g} | {contrast_db:.1f} | {energy:.4g} | {gap:.2g} | {limits}"
 
 
 def focus(
     scene: options.SceneName,
     /,
     *,
-    assignments: options.Assignments = None,
+    changes: options.SceneChanges = options.SceneChanges(),
     waveforms: Path | None = None,
-    out: Path | None = None,
     files: options.FileOptions = options.FileOptions(),
     colours: options.ColourChoice = options.ColourChoice(),
 ) -> None:
@@ -51,23 +42,16 @@ def focus(
     waveforms
         File of focus with waveforms made for another panel, which are played on this one: shows how a finger or another
         damping changes the focus.
-    out
-        The .h5 file with waveforms, responses and fields (default: SCENE-focus.h5 in this folder).
     """
     chosen = colours.chosen()
-    target = output.output_file(out, f"{Path(scene).stem}-focus.h5", holds=HOLDS, force=files.force)
-    loaded, scene = output.load_scene(scene, assignments)
-    from warp_plate.focusing.focus import focus as compute
-    from warp_plate.result.focus import load_focus, save_focus
-
+    target = files.target(scene, "-focus.h5", holds="a focus")
+    loaded, scene = changes.load(scene)
     played = None if waveforms is None else load_focus(waveforms)
     with output.scene_errors(scene):
         result = compute(loaded, played)
-    from warp_plate.viz.plots.waveforms import draw_focus
-
     written = [save_focus(result, target)]
     draw = partial(draw_focus, result, colours=chosen)
-    drawn, missing = output.draw_plot(draw, target.with_suffix(".png"), files.pictures)
+    drawn, missing = save_plots(draw, target, [".png"]) if files.pictures else ([], None)
     output.report(files.json, _as_json, _print, scene, result, written=([*written, *drawn], missing))
 
 
@@ -98,20 +82,12 @@ def _print(name: str, result: FocusResult, console: Console) -> None:
         f"waveforms of {samples} samples, {result.modes} modes up to {wish.highest:g} Hz\n"
     )
     for index, (x, y) in enumerate(wish.points):
-        table = output.table(
-            f"at {x:g},{y:g}", f"peak ({result.unit})", "area (mm²)", "contrast (dB)", "energy", "gap", "limited by"
-        )
+        records = []
         for method, reached in result.methods.items():
-            table.add_row(
-                method.replace("_", " "),
-                f"{reached.peak[index]:.4g}",
-                f"{1e6 * reached.focus_area[index]:.4g}",
-                f"{reached.contrast_db[index]:.1f}",
-                f"{reached.energy[index]:.4g}",
-                f"{max(reached.gap[index], 0):.2g}",
-                reached.limits[index],
-            )
-        output.print_uncropped(console, table, "")
+            record = {key: getattr(reached, key)[index] for key in ("peak", "contrast_db", "energy", "limits")}
+            record |= {"name": method.replace("_", " "), "area": 1e6 * reached.focus_area[index]}
+            records.append(record | {"gap": max(reached.gap[index], 0)})
+        output.print_table(console, f"at {x:g},{y:g} | {HEADINGS.format(unit=result.unit)}", CELLS, records, "")
     console.print(
         f"Energy in ({result.scene.drive_unit})²·s. Gap: relative distance of the peak from the bound of all waveforms."
     )
@@ -122,8 +98,6 @@ def _print(name: str, result: FocusResult, console: Console) -> None:
 
 def _remarks(result: FocusResult, name: str) -> list[str]:
     """Return what a line says of a method, for all foci together."""
-    from warp_plate.accuracy.configurations import percent
-
     method, others, remarks = result.methods[name], ~np.eye(len(result.bound), dtype=bool), []
     wish = "burst" if result.wished is None else "wish"
     if others.any():

@@ -8,20 +8,21 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from cyclopts import Parameter
+from rich.console import Console
 
 from warp_plate.cli import options, output
-from warp_plate.result.frequency_response import Quantity
+from warp_plate.result.export.frequency_response import WRITERS, missing_uff
+from warp_plate.result.frequency_response import FrequencyResponse, Quantity
 from warp_plate.scene.errors import SceneError
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from warp_plate.result.frequency_response import FrequencyResponse
-    from warp_plate.scene.model import Scene
+from warp_plate.scene.model import Scene
+from warp_plate.studies.frequency_response import check_on_plate
+from warp_plate.studies.frequency_response import frf as compute
+from warp_plate.viz.plots.frame import save_plots
+from warp_plate.viz.plots.frequency_response import draw_frequency_response
 
 PICTURES = (".png", ".svg", ".pdf")
 ResponseFormat = Literal["csv", "uff", "hdf5"]
@@ -54,46 +55,36 @@ def frf(
     scene: options.SceneName,
     /,
     *,
-    assignments: options.Assignments = None,
+    changes: options.SceneChanges = options.SceneChanges(),
     responses: ResponseOptions = ResponseOptions(),
     to: Annotated[list[ResponseFormat] | None, Parameter(negative="")] = None,
-    out: Path | None = None,
     files: options.FileOptions = options.FileOptions(),
 ) -> None:
     """Show frequency responses of a linear plate, its localization factor and its mean square velocity.
 
     Responses are steady, for a force of 1 N; an actuator spreads it evenly over its patch. Frequencies are spaced so
-    that every resonance is resolved, however sharp.
+    that every resonance is resolved, however sharp. They are drawn as a picture (.png, .svg or .pdf).
 
     Parameters
     ----------
     to
-        File with the numbers; may be repeated: csv; uff, dataset 58 of the universal file format (needs the extra uff);
-        hdf5, which xarray opens.
-    out
-        The picture (.png, .svg or .pdf; default: SCENE-frf.png in this folder). Files of --to are written beside it
-        under the same name; the ending of such a file (.csv, .uff, .h5) acts as --to.
+        File with the numbers beside the picture; may be repeated: csv; uff, dataset 58 of the universal file format
+        (needs the extra uff); hdf5, which xarray opens. The ending of --out (.csv, .uff, .h5) acts as --to.
     """
-    from warp_plate.result.export.frequency_response import WRITERS, missing_uff
-
-    wanted = responses.range
     by_ending = {ending: name for name, (ending, _) in WRITERS.items()}
-    target = output.output_file(out, f"{Path(scene).stem}-frf.png", (*PICTURES, *by_ending))
+    target = files.target(scene, "-frf.png", endings=(*PICTURES, *by_ending))
     formats = [*(to or ()), *([by_ending[target.suffix.lower()]] if target.suffix.lower() in by_ending else ())]
     if "uff" in formats and (problem := missing_uff()) is not None:
         raise SceneError(f"--to uff: {problem}")
     points = [_point("--at", text) for text in responses.at or ()]
-    limits = None if wanted is None else _range(wanted)
+    limits = None if responses.range is None else _range(responses.range)
     if "hdf5" in formats:
         output.check_overwriting(target.with_suffix(".h5"), "a frequency response", files.force)
-    loaded, scene = output.load_scene(scene, assignments)
-    from warp_plate.studies.frequency_response import check_on_plate
-    from warp_plate.studies.frequency_response import frf as compute
-
+    loaded, scene = changes.load(scene)
     sources = [_source(loaded, text) for text in responses.inputs or ()]
     check_on_plate(loaded, points, "--at")
     check_on_plate(loaded, sources, "--from")
-    with output.scene_errors(scene), _errors_of_range(wanted):
+    with output.scene_errors(scene), _errors_of_range(responses.range):
         response = compute(loaded, sources, points, limits, responses.quantity)
     written = _write(response, target, formats, files.pictures)
     output.report(files.json, _as_json, _print, scene, loaded, response, written=written)
@@ -139,17 +130,16 @@ def _errors_of_range(text: str | None) -> Iterator[None]:
 
 def _write(response: FrequencyResponse, target: Path, formats: list[ResponseFormat], pictures: bool) -> output.Drawn:
     """Write the files of the formats and the picture; return them, and why there is no picture."""
-    from warp_plate.result.export.frequency_response import WRITERS
-    from warp_plate.viz.plots.frequency_response import draw_frequency_response
-
     written = []
     for name in dict.fromkeys(formats):
         ending, write = WRITERS[name]
         file = target if target.suffix.lower() == ending else target.with_suffix(ending)
         write(response, file)
         written.append(file)
-    picture = target if target.suffix.lower() in PICTURES else target.with_suffix(".png")
-    drawn, missing = output.draw_plot(partial(draw_frequency_response, response), picture, pictures)
+    if not pictures:
+        return written, None
+    ending = target.suffix if target.suffix.lower() in PICTURES else ".png"
+    drawn, missing = save_plots(partial(draw_frequency_response, response), target, [ending])
     return [*written, *drawn], missing
 
 
@@ -171,12 +161,13 @@ def _print(name: str, scene: Scene, response: FrequencyResponse, console: Consol
         f"{scene.title or name}: {response.quantity} at {len(response.frequencies)} frequencies from {low:g} to "
         f"{high:g} Hz, {count} modes\n"
     )
-    table = output.table("response", f"largest ({response.unit})", "at (Hz)", "phase (°)")
+    peaks = []
     for label, values in list(zip(response.labels, response.responses, strict=True))[:MOST_ROWS]:
-        peak = int(np.abs(values).argmax())
-        phase = np.degrees(np.angle(values[peak]))
-        table.add_row(label, f"{abs(values[peak]):.4g}", f"{response.frequencies[peak]:.6g}", f"{phase:.1f}")
-    console.print(table)
+        at = int(np.abs(values).argmax())
+        phase = np.degrees(np.angle(values[at]))
+        peaks.append({"label": label, "size": abs(values[at]), "frequency": response.frequencies[at], "phase": phase})
+    headings = f"response | largest ({response.unit}) | at (Hz) | phase (°)"
+    output.print_table(console, headings, "{label} | {size:.4g} | {frequency:.6g} | {phase:.1f}", peaks)
     if len(response.labels) > MOST_ROWS:
         console.print(f"and {len(response.labels) - MOST_ROWS} more, in the files of --to and in --json")
     best = int(np.nanargmax(response.bound))

@@ -5,21 +5,25 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any
 
 from cyclopts import Parameter
+from rich.console import Console
 
+from warp_plate import viz
 from warp_plate.cli import main, options, output, tables
+from warp_plate.result.case import only_actuator
+from warp_plate.result.checkpoint import ENDING, Checkpoint, load_newest
+from warp_plate.result.model import BOUND_DESCRIPTIONS, Result
+from warp_plate.result.targets import target_cases
 from warp_plate.scene.errors import SceneError
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from warp_plate.result.checkpoint import Checkpoint
-    from warp_plate.result.model import Result
-    from warp_plate.scene.model import Scene
-    from warp_plate.studies.unfinished import CheckpointFile
-    from warp_plate.viz.fields import ColourOptions
+from warp_plate.scene.model import Scene
+from warp_plate.scene.vary import counted
+from warp_plate.studies.localize import load_to_resume, save_best_scenes
+from warp_plate.studies.localize import localize as run_localize
+from warp_plate.studies.localize import resume as run_resume
+from warp_plate.studies.unfinished import CheckpointFile
+from warp_plate.viz.fields import ColourOptions
 
 CASE_DESCRIPTIONS = {
     "equal": "all actuators alike",
@@ -32,7 +36,7 @@ CASE_DESCRIPTIONS = {
 # A drive that falls short of an attained bound by more calls for a remark.
 MISSED = 1e-4
 # Localization factors that Jo, Yang and Shin (2024) published in section III for the scene ``paper``.
-PUBLISHED = {"equal": 0.25, "single": 0.6367, "best": 0.72}
+PUBLISHED = {"equal": "0.2500", "single": "0.6367", "best": "0.7200"}
 NOT_REPRODUCED = (
     "The published 0.72 can't be reproduced: with this reading of the paper, no drive at 290 Hz from these four places "
     "exceeds the bound. "
@@ -48,9 +52,6 @@ class SearchOptions:
 
     Attributes:
         seed: Random seed of the search (default: the scene's).
-        evaluator: direct simulates a plate for each evaluation; response uses Gram matrices of simulated unit
-            responses; modal computes energies from the modes of the plate, for tones and linear scenes (default:
-            direct; for a robust search response where it applies).
         baselines: Compare with drives that need no search: time reversal and inverse filter at one frequency.
         spectrum: After a search for a common frequency, compute the localization factors over its range: of the equal
             drive, of the best single actuator, and the bound at each frequency, with the plate's resonances.
@@ -59,7 +60,7 @@ class SearchOptions:
     """
 
     seed: options.Integer | None = None
-    evaluator: Literal["direct", "response", "modal"] | None = None
+    evaluator: options.Evaluator = None
     estimate: options.EstimateSwitch = True
     baselines: options.Switch = False
     spectrum: bool = True
@@ -74,7 +75,6 @@ def localize(
     search: SearchOptions = SearchOptions(),
     workers: options.WorkerOptions = options.WorkerOptions(),
     checkpoint_every: options.CheckpointEvery = 30.0,
-    out: Path | None = None,
     files: options.FileOptions = options.FileOptions(),
     colours: options.ColourChoice = options.ColourChoice(),
 ) -> None:
@@ -100,35 +100,26 @@ def localize(
     Ctrl-C ends the search with the best drive so far and leaves a checkpoint beside the result, from which --resume
     continues to a bit-identical result. A search that runs longer than --checkpoint-every leaves one too, in case the
     machine stops. A finished search deletes its checkpoints.
-
-    Parameters
-    ----------
-    out
-        The result file (.h5; default: SCENE-localize.h5 in this folder; with --resume beside the checkpoint).
     """
     resume, chosen = search.resume, colours.chosen()
-    default = f"{Path(scene or '').stem}-localize.h5"
-    beside = None if resume is None else _result_beside(resume)
-    target = output.output_file(out or beside, default, holds="a result of localize", force=files.force)
+    if resume is not None and files.out is None:
+        files = replace(files, out=_result_beside(resume))
+    target = files.target(scene, "-localize.h5", holds="a result of localize")
     output.check_overwriting(target.with_suffix(".best.toml"), "# Found by: warp-plate localize", files.force)
     needs = "localize needs a SCENE (a preset's name or a TOML file)"
     loaded, scene = changes.load_unless_resumed(scene, resume, needs, "search")
-    from warp_plate.result.checkpoint import ENDING
-    from warp_plate.studies.localize import localize as run_localize
-    from warp_plate.studies.localize import resume as run_resume
-    from warp_plate.studies.unfinished import CheckpointFile
-
     # A search that is resumed runs on the device that it began on unless --device names another.
     local = workers.local_device if resume is None else replace(workers, devices=None).local_device
     checkpoint = None
     if resume is not None:
         with output.scene_errors(scene or "--accuracy"):
-            loaded, checkpoint = _load_checkpoint(resume, search, loaded, changes.accuracy, local, workers.path)
+            loaded, checkpoint = _load_checkpoint(resume, search, loaded, changes, local, workers.path)
     output.check_overwriting(target.with_suffix(ENDING), "a checkpoint", files.force or resume is not None)
     file = CheckpointFile(target.with_suffix(ENDING), checkpoint_every, resume is not None, output.log)
     if checkpoint is None and file.path.exists():
         output.log(f"{file.path} holds an unfinished search; a checkpoint of this one will replace it")
-    output.prepare_pictures(files.pictures)
+    if files.pictures:
+        viz.prepare()  # while the search runs
     with (
         workers.open_pool() as pool,
         output.progress_bar("searching", not files.json, loaded, "running the drives found") as show,
@@ -150,8 +141,7 @@ def localize(
         else:
             assert loaded is not None
             common |= {"seed": search.seed, "evaluator": search.evaluator, "path": workers.path or "auto"}
-            on = "auto" if local is None else local
-            result = run_localize(loaded, source=scene or "", device=on, **common)
+            result = run_localize(loaded, source=scene or "", device="auto" if local is None else local, **common)
     written = _write(result, target, files.pictures, file, chosen)
     left = file.path if result.interrupted and file.saved else None
     elapsed = None if resume is not None else main.elapsed()
@@ -159,14 +149,16 @@ def localize(
 
 
 def _load_checkpoint(
-    file: Path, search: SearchOptions, scene: Scene | None, accuracy: str | None, device: str | None, path: str | None
+    file: Path,
+    search: SearchOptions,
+    scene: Scene | None,
+    changes: options.SceneOptions,
+    device: str | None,
+    path: str | None,
 ) -> tuple[Scene | None, Checkpoint]:
     """Return the scene with its accuracy, if one of them is given, and the checkpoint of a search to continue."""
-    from warp_plate.result.checkpoint import load_newest
-    from warp_plate.studies.localize import load_to_resume
-
-    if scene is None and accuracy is not None:
-        scene = output.with_accuracy_option(load_newest(file)[0].scene_as_written, accuracy)
+    if scene is None and changes.accuracy is not None:
+        scene = changes.with_accuracy(load_newest(file)[0].scene_as_written)
     given: dict[str, Any] = {"seed": search.seed, "evaluator": search.evaluator, "path": path}
     return scene, load_to_resume(file, scene, device, output.log, **given)
 
@@ -180,8 +172,6 @@ def _result_beside(checkpoint: Path) -> Path:
 
 def _write(result: Result, target: Path, pictures: bool, file: CheckpointFile, colours: ColourOptions) -> output.Drawn:
     """Write the result, its pictures and the scenes found; delete the checkpoints of a finished search."""
-    from warp_plate.studies.localize import save_best_scenes
-
     path = target.with_suffix(".best.toml")
     with output.resumable(file, "localize"):
         files, missing = output.write_result(result, target, pictures, colours)
@@ -198,8 +188,6 @@ def _write(result: Result, target: Path, pictures: bool, file: CheckpointFile, c
 
 def _as_json(checkpoint: Path | None, result: Result) -> dict[str, object]:
     """Return the record for ``--json``; ``checkpoint`` is the file that an interrupted search resumes from."""
-    from warp_plate.result.case import only_actuator
-
     factors = {name: case.localization_factor for name, case in result.cases.items()}
     names = ("device", "path", "seed", "bound_kind", "evaluations", "node_steps", "seconds", "effects", "spectrum")
     return {
@@ -221,21 +209,16 @@ def _as_json(checkpoint: Path | None, result: Result) -> dict[str, object]:
 
 
 def _print(elapsed: float | None, result: Result, console: Console) -> None:
-    from warp_plate.result.targets import target_cases
-    from warp_plate.scene.vary import counted
-
     console.print(result.scene.title or result.source)
     _print_factors(result, console)
-    motion = tables.motion_table({name.replace("_", " "): case for name, case in result.cases.items()}, result.scene)
-    if motion is not None:
-        output.print_uncropped(console, motion, "")
+    tables.print_motion({name.replace("_", " "): case for name, case in result.cases.items()}, result.scene, console)
     tables.print_objectives(result, console)
     tables.print_robust(result, console)
     for target, case in (target_cases(result.scene) or {"": "best"}).items():
         if case in result.cases:
-            console.print(tables.drive_table(result.cases[case], result.scene, target), "")
+            tables.print_drive(result.cases[case], result.scene, console, target)
     if result.target_searches:
-        console.print(tables.crosstalk_table(result), "")
+        tables.print_crosstalk(result, console)
     tables.print_failures(result, console, "the best drive so far is shown")
     if result.source == "paper":
         console.print(NOT_REPRODUCED)
@@ -245,31 +228,24 @@ def _print(elapsed: float | None, result: Result, console: Console) -> None:
     tables.print_cost(result, console, searched, elapsed)
 
 
-def _labels(result: Result) -> dict[str, str]:
-    """Return the labels of the result's cases, with the name of the best single actuator."""
-    from warp_plate.result.case import only_actuator
-
-    labels = {name: label for name, label in CASE_DESCRIPTIONS.items() if name in result.cases}
-    name = only_actuator(result.cases["single"], result.scene)
-    return {**labels, "single": f"{labels['single']}{f', {name}' if name else ''}"}
-
-
 def _print_factors(result: Result, console: Console) -> None:
     """Print the localization factors, with the published ones of the paper's scene."""
-    from warp_plate.result.model import BOUND_DESCRIPTIONS
-
     published = PUBLISHED if result.source == "paper" else {}
     target = f", target {result.scene.targets[0].name}" if result.target_searches else ""
-    table = output.table(f"localization factor{target}", "this run", *(["published"] if published else []))
-    for name, label in _labels(result).items():
-        factor = output.number_text(result.cases[name].localization_factor, ".4f")
-        table.add_row(label, factor, *([f"{published[name]:.4f}"] if name in published else []))
+    rows = []
+    for name, label in CASE_DESCRIPTIONS.items():
+        if name in result.cases:
+            case = result.cases[name]
+            single = only_actuator(case, result.scene) if name == "single" else None
+            factor = output.number_text(case.localization_factor, ".4f")
+            rows.append([f"{label}, {single}" if single else label, factor, published.get(name, "")])
     search = result.scene.search
     searched = [name for name in ("frequency", "position", "delay") if getattr(search, name) is not None]
     none = f"none: {' and '.join(searched)} searched" if searched else "none"
-    bound = none if result.bound is None else output.number_text(result.bound, ".4f")
-    table.add_row(BOUND_DESCRIPTIONS["" if result.bound is None else result.bound_kind], bound)
-    console.print(table, "")
+    bound = none if result.bound is None else f"{result.bound:.4f}"
+    rows.append([BOUND_DESCRIPTIONS["" if result.bound is None else result.bound_kind], bound, ""])
+    headings = [f"localization factor{target}", "this run", "published" if published else ""]
+    output.print_rows(console, headings, rows, "")
     reached = result.cases["best"].localization_factor
     if result.bound is not None and result.bound_kind == "attained" and result.bound - reached > MISSED:
         console.print('The bound can be reached: method = "exact" in [search] finds that drive.\n')

@@ -7,6 +7,7 @@ import os
 import sys
 import time
 
+from warp_plate.cli import log
 from warp_plate.interrupts import interrupt_on_termination, remember_lost_interrupts
 
 _began = time.perf_counter()
@@ -35,15 +36,12 @@ def main(arguments: list[str] | None = None) -> None:
         print(f"warp-plate: interrupted{interrupt}", file=sys.stderr)
         sys.exit(130)
     except ImportError as error:
-        line = " ".join(str(error).split())
-        print(f"warp-plate: a library cannot be loaded: {line}; is it damaged, or memory limited?", file=sys.stderr)
+        log(f"a library cannot be loaded: {error.__cause__ or error}; is it damaged, or memory limited?")
         sys.exit(2)
     except BrokenPipeError:
         _discard_output()
         sys.exit(0)
     except OSError as error:
-        from warp_plate.cli.output import log
-
         _discard_output()
         log(f"{error.strerror or error}{f': {error.filename}' if error.filename else ''}")
         sys.exit(2)

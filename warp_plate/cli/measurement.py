@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 from cyclopts import Parameter
+from rich.console import Console
 
 from warp_plate.cli import options, output
+from warp_plate.fitting.fit import ModeFit, ResponseFit, assurance
+from warp_plate.fitting.fit import fit as fit_files
+from warp_plate.fitting.plan_measurement import MeasurementPlan
+from warp_plate.fitting.plan_measurement import plan_measurement as make_plan
+from warp_plate.result.atomic_io import atomic_paths
+from warp_plate.result.model import load_result
 from warp_plate.scene.errors import SceneError
-
-if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.table import Table
-
-    from warp_plate.fitting.fit import ModeFit, ResponseFit
-    from warp_plate.fitting.plan_measurement import MeasurementPlan
-    from warp_plate.scene.model import Scene
-    from warp_plate.studies.verify import Verification
+from warp_plate.scene.keys import unit_of
+from warp_plate.scene.model import Scene
+from warp_plate.studies.verify import Verification
+from warp_plate.studies.verify import verify as compare_velocities
+from warp_plate.viz.plots.frame import save_plots
+from warp_plate.viz.plots.frequency_response import draw_mode_fit, draw_response_fit
 
 # First words of the files; correlations that are reported.
 FITTED, PLANNED, STRONG = "# Fitted by warp-plate", "# Planned by warp-plate", 0.9
@@ -31,15 +34,15 @@ def fit(
     /,
     *,
     data: Annotated[list[Path], Parameter(negative="")],
-    assignments: options.Assignments = None,
-    out: Path | None = None,
+    changes: options.SceneChanges = options.SceneChanges(),
     files: options.FileOptions = options.FileOptions(),
 ) -> None:
     """Fit properties of a panel to its measured natural frequencies or frequency responses, with 95 % intervals.
 
     The table [fit.free] of the scene lists the free properties and their ranges, such as
-    "plate.young_modulus" = [6e10, 8e10]. The fitted scene is written as a scene file. Properties that the data cannot
-    distinguish are reported and have no interval. fit.bootstrap = 200 adds intervals by the bootstrap.
+    "plate.young_modulus" = [6e10, 8e10]. The fitted scene is written as a scene file, SCENE.fitted.toml. Properties
+    that the data cannot distinguish are reported and have no interval. fit.bootstrap = 200 adds intervals by the
+    bootstrap.
 
     Parameters
     ----------
@@ -50,14 +53,9 @@ def fit(
         frequency responses: CSV with the columns frequency, real and imaginary part of each; a universal file with a
         dataset 58 for each; .mat, .h5 or .nc with the arrays frequency and response; or time signals, as .wav, or as
         .csv with the table [fit.signals]. May be repeated, for files with as many responses each.
-    out
-        The fitted scene (.toml; default: SCENE.fitted.toml in this folder). Pictures of measured and fitted values
-        (.png and .svg) are written beside it under the same name.
     """
-    target = output.output_file(out, f"{Path(scene).stem}.fitted.toml", (), FITTED, files.force)
-    loaded, scene = output.load_scene(scene, assignments)
-    from warp_plate.fitting.fit import fit as fit_files
-
+    target = files.target(scene, ".fitted.toml", holds=FITTED)
+    loaded, scene = changes.load(scene)
     _check_folder(loaded, target)
     with output.scene_errors(scene):
         fitted = fit_files(loaded, data)
@@ -73,26 +71,18 @@ def _check_folder(scene: Scene, target: Path) -> None:
 
 
 def _write_scene(scene: Scene, target: Path, heading: str) -> None:
-    from warp_plate.result.atomic_io import atomic_paths
-
     with atomic_paths(target) as (temporary,):
         temporary.write_text(f"{heading}\n{scene.to_toml()}", encoding="utf-8")
 
 
 def _draw(fitted: ModeFit | ResponseFit, target: Path) -> output.Drawn:
-    from warp_plate.fitting.fit import ResponseFit, assurance
-    from warp_plate.viz.plots.frame import save_plots
-    from warp_plate.viz.plots.frequency_response import draw_mode_fit, draw_response_fit
-
     if isinstance(fitted, ResponseFit):
-        return save_plots(draw_response_fit, fitted, target)
+        return save_plots(partial(draw_response_fit, fitted), target)
     mac = assurance(fitted.scene, fitted.measured, fitted.numbers)
-    return save_plots(partial(draw_mode_fit, mac=mac), fitted, target)
+    return save_plots(partial(draw_mode_fit, fitted, mac=mac), target)
 
 
 def _fit_as_json(name: str, fitted: ModeFit | ResponseFit) -> dict[str, object]:
-    from warp_plate.fitting.fit import ResponseFit
-
     columns = {"value": fitted.values, "low": fitted.low, "high": fitted.high, "at_limit": fitted.at_limit}
     if fitted.bootstrap is not None:
         columns["bootstrap"] = fitted.bootstrap.T
@@ -111,50 +101,37 @@ def _fit_as_json(name: str, fitted: ModeFit | ResponseFit) -> dict[str, object]:
 
 
 def _print_fit(name: str, fitted: ModeFit | ResponseFit, console: Console) -> None:
-    from warp_plate.fitting.fit import ResponseFit
-
     console.print(f"{fitted.scene.title or name}\n")
-    resampled = () if fitted.bootstrap is None else ("bootstrap from", "to")
-    ends = () if fitted.bootstrap is None else fitted.bootstrap
-    output.print_uncropped(console, _intervals(fitted, ends, resampled), "")
-    output.print_uncropped(console, _responses(fitted) if isinstance(fitted, ResponseFit) else _modes(fitted))
+    _print_properties(fitted, fitted.bootstrap, console)
+    if isinstance(fitted, ResponseFit):
+        headings, cells = "response | rms error (dB) | rms error (°)", "{0} → {1:g},{2:g} | {3:.2g} | {4:.2g}"
+        rows = [
+            (at.actuator or "{:g},{:g}".format(*at.force_at or ()), *at.point, *errors)
+            for at, *errors in zip(fitted.scene.measurement, fitted.rms_decibels, fitted.rms_degrees, strict=True)
+        ]
+    else:
+        headings, cells = "mode | measured (Hz) | fitted (Hz) | error (%)", "{0} | {1:.6g} | {2:.6g} | {3:.2g}"
+        if np.isfinite(fitted.measured.damping).any():
+            headings, cells = f"{headings} | damping measured | fitted", cells + " | {4:.3g} | {5:.3g}"
+        columns = (fitted.numbers, fitted.measured.frequencies, fitted.frequencies, 100 * fitted.errors)
+        rows = list(zip(*columns, fitted.measured.damping, fitted.damping, strict=True))
+    output.print_table(console, headings, cells, rows)
     for line in _remarks(fitted):
         console.print(f"! {line}")
 
 
-def _intervals(
-    made: ModeFit | ResponseFit | MeasurementPlan, further: Iterable[np.ndarray] = (), headings: Sequence[str] = ()
-) -> Table:
-    """Return the table of values and their intervals."""
-    from warp_plate.scene.keys import unit_of
-
-    table = output.table("number", "unit", "value", "95 % from", "to", *headings)
-    for key, *numbers in zip(made.keys, made.values, made.low, made.high, *further, strict=True):
-        table.add_row(key, unit_of(made.scene, key), *(output.number_text(value, ".5g") for value in numbers))
-    return table
-
-
-def _responses(fitted: ResponseFit) -> Table:
-    """Return the table of the errors of each response."""
-    table = output.table("response", "rms error (dB)", "rms error (°)")
-    rows = zip(fitted.scene.measurement, fitted.rms_decibels, fitted.rms_degrees, strict=True)
-    for measured, decibels, degrees in rows:
-        driven, (x, y) = measured.actuator or "{:g},{:g}".format(*measured.force_at or ()), measured.point
-        table.add_row(f"{driven} → {x:g},{y:g}", f"{decibels:.2g}", f"{degrees:.2g}")
-    return table
-
-
-def _modes(fitted: ModeFit) -> Table:
-    """Return the table of modes, measured and fitted."""
-    damped = bool(np.isfinite(fitted.measured.damping).any())
-    ratios = ("damping measured", "fitted") if damped else ()
-    table = output.table("mode", "measured (Hz)", "fitted (Hz)", "error (%)", *ratios)
-    measured = fitted.measured
-    columns = (fitted.numbers, measured.frequencies, fitted.frequencies, 100 * fitted.errors, measured.damping)
-    for number, before, after, error, *pair in zip(*columns, fitted.damping, strict=True):
-        cells = [output.number_text(value, ".3g") for value in pair] if damped else []
-        table.add_row(str(number), f"{before:.6g}", f"{after:.6g}", f"{error:.2g}", *cells)
-    return table
+def _print_properties(
+    estimated: ModeFit | ResponseFit | MeasurementPlan, bootstrap: np.ndarray | None, console: Console
+) -> None:
+    """Print the values of the free properties with their intervals, and those of the bootstrap."""
+    headings = ["number", "unit", "value", "95 % from", "to"]
+    columns = [estimated.values, estimated.low, estimated.high]
+    if bootstrap is not None:
+        headings, columns = [*headings, "bootstrap from", "to"], [*columns, *bootstrap]
+    rows = []
+    for key, *values in zip(estimated.keys, *columns, strict=True):
+        rows.append([key, unit_of(estimated.scene, key), *(output.number_text(value, ".5g") for value in values)])
+    output.print_rows(console, headings, rows, "")
 
 
 def _remarks(fitted: ModeFit | ResponseFit) -> list[str]:
@@ -180,15 +157,14 @@ def plan_measurement(
     *,
     sensors: options.PositiveInteger = 4,
     noise: float = 0.02,
-    assignments: options.Assignments = None,
-    out: Path | None = None,
-    force: options.Force = False,
-    json: options.Json = False,
+    changes: options.SceneChanges = options.SceneChanges(),
+    files: options.FileOptions = options.FileOptions(),
 ) -> None:
     """Plan a measurement: choose the actuator and the sensor places that best determine the keys of [fit.free].
 
     The plan is D-optimal: it minimises the product of the widths of all intervals. The scene is written with a table
-    [[measurement]] for each sensor, ready for warp-plate fit.
+    [[measurement]] for each sensor, ready for warp-plate
+    fit, as SCENE.plan.toml.
 
     Parameters
     ----------
@@ -196,20 +172,16 @@ def plan_measurement(
         Number of accelerometers.
     noise
         Standard deviation of measured responses relative to each, such as 0.02.
-    out
-        The scene with the plan (.toml; default: SCENE.plan.toml in this folder).
     """
     if not 1e-9 <= noise <= 1:
         raise SceneError(f"--noise {noise:g}: must be from 1e-9 to 1, such as 0.02")
-    target = output.output_file(out, f"{Path(scene).stem}.plan.toml", (), PLANNED, force)
-    loaded, scene = output.load_scene(scene, assignments)
-    from warp_plate.fitting.plan_measurement import plan_measurement as make_plan
-
+    target = files.target(scene, ".plan.toml", holds=PLANNED)
+    loaded, scene = changes.load(scene)
     _check_folder(loaded, target)
     with output.scene_errors(scene):
         plan = make_plan(loaded, sensors, noise)
     _write_scene(plan.scene, target, PLANNED)
-    output.report(json, _plan_as_json, _print_plan, scene, plan, written=([target], None))
+    output.report(files.json, _plan_as_json, _print_plan, scene, plan, written=([target], None))
 
 
 def _plan_as_json(name: str, plan: MeasurementPlan) -> dict[str, object]:
@@ -225,12 +197,10 @@ def _plan_as_json(name: str, plan: MeasurementPlan) -> dict[str, object]:
 def _print_plan(name: str, plan: MeasurementPlan, console: Console) -> None:
     low, high = plan.frequencies[[0, -1]]
     console.print(f"{plan.scene.title or name}: drive {plan.actuator!r} from {low:.4g} to {high:.4g} Hz\n")
-    places = output.table("sensor", "x (m)", "y (m)")
-    for number, (x, y) in enumerate(plan.points, 1):
-        places.add_row(str(number), f"{x:.4g}", f"{y:.4g}")
-    output.print_uncropped(console, places, "")
-    output.print_uncropped(console, _intervals(plan))
-    console.print(f"\nRandom places: intervals {plan.random:.3g} times as wide.")
+    places = ((number, *point) for number, point in enumerate(plan.points, 1))
+    output.print_table(console, "sensor | x (m) | y (m)", "{0} | {1:.4g} | {2:.4g}", places, "")
+    _print_properties(plan, None, console)
+    console.print(f"Random places: intervals {plan.random:.3g} times as wide.")
     for other, times in plan.actuators.items():
         console.print(f"Driving {other!r}: {times:.3g} times as wide.")
 
@@ -257,9 +227,6 @@ def verify(
     case
         Name of the drive in the result (default: best, or the one that was simulated).
     """
-    from warp_plate.result.model import load_result
-    from warp_plate.studies.verify import verify as compare_velocities
-
     verified = compare_velocities(load_result(result), data, case)
     output.report(json, _verified_as_json, _print_verified, verified)
 
@@ -275,15 +242,16 @@ def _verified_as_json(verified: Verification) -> dict[str, object]:
 
 
 def _print_verified(verified: Verification, console: Console) -> None:
-    low, high = verified.interval
-    table = output.table("localization factor", "")
-    table.add_row("promised", f"{100 * verified.promised_factor:.2f} %")
-    table.add_row("measured", f"{100 * verified.localization_factor:.2f} %")
-    table.add_row("standard deviation by noise", output.number_text(100 * verified.deviation, ".2g", " %"))
-    table.add_row("error of sampling", f"{100 * verified.sampling:.2g} %")
-    table.add_row("measured, from", f"{100 * low:.2f} %")
-    table.add_row("to", f"{100 * high:.2f} %")
-    output.print_uncropped(console, table)
+    rows = (
+        ("promised", verified.promised_factor, ".2f"),
+        ("measured", verified.localization_factor, ".2f"),
+        ("standard deviation by noise", verified.deviation, ".2g"),
+        ("error of sampling", verified.sampling, ".2g"),
+        ("measured, from", verified.interval[0], ".2f"),
+        ("to", verified.interval[1], ".2f"),
+    )
+    percents = [(name, output.number_text(100 * value, digits, " %")) for name, value, digits in rows]
+    output.print_rows(console, ("localization factor", ""), percents)
     console.print(
         f"\n{len(verified.promised)} points: measured velocities are {verified.scale:.4g} times the promised ones, and "
         f"their cosine is {verified.correlation:.4f}."

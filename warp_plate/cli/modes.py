@@ -5,22 +5,20 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from cyclopts import Parameter
+from rich.console import Console
 
 from warp_plate.cli import options, output
+from warp_plate.effects.effect import attachments
+from warp_plate.modal.continuous_modes import continuous_modes
+from warp_plate.plate.modes import NaturalModes
+from warp_plate.plate.signals import highest_frequency
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
 
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from warp_plate.plate.modes import NaturalModes
-    from warp_plate.scene.model import Scene
-
-ENDINGS = (".png", ".svg", ".pdf")
+ENDINGS, RIGID, GRID_HEADINGS = (".png", ".svg", ".pdf"), "0 (rigid)", ("error (%)", "in a run (Hz)")
 # Significant digits of frequencies without a grid; motions of masses below STILL are zero.
 DIGITS, STILL = 6, 1e-9
 
@@ -33,38 +31,29 @@ class ModeOptions:
     Attributes:
         count: Number of modes, from the lowest.
         grid: Show the modes of the scene's grid, at which time-stepped runs ring, and their errors.
-        accuracy: With --grid: largest relative error of localization factors; the program chooses the cheapest grid.
     """
 
     count: options.PositiveInteger = 6
-    grid: bool = False
-    accuracy: str | None = None
+    grid: options.Switch = False
 
 
 def modes(
     scene: options.SceneName,
     /,
     *,
-    assignments: options.Assignments = None,
+    changes: options.SceneOptions = options.SceneOptions(),
     shown: ModeOptions = ModeOptions(),
-    out: Path | None = None,
-    pictures: options.Pictures = True,
+    files: options.FileOptions = options.FileOptions(),
     colormap: options.Colormap = None,
-    json: options.Json = False,
 ) -> None:
     """Show the natural frequencies, damping and shapes of a plate, with its edges and its linear effects.
 
-    Parameters
-    ----------
-    out
-        The picture of the shapes with their nodal lines (.png, .svg or .pdf; default: SCENE-modes.png in this folder).
+    A picture (.png, .svg or .pdf) shows the shapes with their nodal lines.
     """
-    target = output.output_file(out, f"{Path(scene).stem}-modes.png", ENDINGS)
-    if shown.accuracy is not None and not shown.grid:
+    target = files.target(scene, "-modes.png", endings=ENDINGS)
+    if changes.accuracy is not None and not shown.grid:
         raise SceneError("--accuracy: chooses a grid; add --grid")
-    loaded, scene = output.load_scene(scene, assignments, shown.accuracy)
-    from warp_plate.modal.continuous_modes import continuous_modes
-
+    loaded, scene = changes.load(scene)
     errors, left_out = None, _left_out(loaded, shown.grid)
     with output.scene_errors(scene):
         natural = exact = continuous_modes(loaded, shown.count)
@@ -73,8 +62,15 @@ def modes(
             exact_frequencies = exact.frequencies[: len(natural.frequencies)]
             moving = np.where(exact_frequencies > 0, exact_frequencies, math.nan)
             errors = natural.frequencies / moving - 1
-    written = _draw(loaded, natural, target, options.ColourChoice(colormap)) if pictures else ([], None)
-    output.report(json, _as_json, _print, scene, loaded, natural, errors, left_out, written=written)
+    written: output.Drawn = [], None
+    if files.pictures:
+        from warp_plate.viz.plots.frame import save_plots
+        from warp_plate.viz.plots.modes import draw_modes
+
+        colours = options.ColourChoice(colormap).chosen()
+        draw = partial(draw_modes, loaded, natural.frequencies, natural.shapes, colours=colours)
+        written = save_plots(draw, target, [target.suffix])
+    output.report(files.json, _as_json, _print, scene, loaded, natural, errors, left_out, written=written)
 
 
 def _grid_modes(scene: Scene, count: int) -> tuple[Scene, NaturalModes]:
@@ -86,13 +82,6 @@ def _grid_modes(scene: Scene, count: int) -> tuple[Scene, NaturalModes]:
     gridded = resolve(scene.model_copy(update={"effects": effects}), purpose="simulate", evaluator="direct").scene
     refuse_many_nodes(gridded)
     return gridded, natural_modes(gridded, count)
-
-
-def _draw(scene: Scene, natural: NaturalModes, path: Path, colours: options.ColourChoice) -> output.Drawn:
-    from warp_plate.viz.plots.modes import draw_modes
-
-    draw = partial(draw_modes, scene, natural.frequencies, natural.shapes, colours=colours.chosen())
-    return output.draw_plot(draw, path)
 
 
 def _left_out(scene: Scene, grid: bool) -> list[str]:
@@ -117,24 +106,23 @@ def _as_json(
 def _print(
     name: str, scene: Scene, natural: NaturalModes, errors: np.ndarray | None, left_out: list[str], console: Console
 ) -> None:
-    from warp_plate.effects.effect import attachments
-    from warp_plate.plate.signals import highest_frequency
-
     nx, ny = scene.grid.nodes
     grid = "" if errors is None else f": {nx} × {ny} nodes, order {scene.grid.order}"
     console.print(f"{scene.title or name}{grid}\n")
     masses = [index for index, attached in enumerate(attachments(scene.terms)) if attached.mass > 0]
-    columns = _columns(natural, errors)
-    table = output.table("mode", *columns, "lobes x × y", *(f"mass {index}" for index in masses))
-    rows = zip(zip(*columns.values(), strict=True), natural.half_waves(), natural.oscillators, strict=True)
-    for number, (cells, waves, motion) in enumerate(rows, start=1):
-        table.add_row(
-            str(number),
-            *cells,
-            "mixed" if waves is None else f"{waves[0]} × {waves[1]}",
-            *(f"{motion[index] if abs(motion[index]) > STILL else 0:.3g}" for index in masses),
+    rows = []
+    for index, waves in enumerate(natural.half_waves()):
+        motion = natural.oscillators[index]
+        rows.append(
+            [
+                str(index + 1),
+                *_numbers(natural, errors, index),
+                "mixed" if waves is None else f"{waves[0]} × {waves[1]}",
+                *(f"{motion[mass] if abs(motion[mass]) > STILL else 0:.3g}" for mass in masses),
+            ]
         )
-    console.print(table)
+    headings = ["mode", "frequency (Hz)", *(("damping ratio", "loss factor") if errors is None else GRID_HEADINGS)]
+    output.print_rows(console, [*headings, "lobes x × y", *(f"mass {index}" for index in masses)], rows)
     console.print(
         ("" if errors is None else f"\nIn a run: frequencies of time steps of {natural.time_step:.3g} s.")
         + "\nLobes: half-waves along x and y."
@@ -147,22 +135,15 @@ def _print(
         console.print(f"Not included in natural modes: {', '.join(left_out)}.")
 
 
-def _columns(natural: NaturalModes, errors: np.ndarray | None) -> dict[str, list[str]]:
-    """Return the texts of the columns of numbers by their headings."""
-    moving = natural.frequencies > 0
+def _numbers(natural: NaturalModes, errors: np.ndarray | None, index: int) -> list[str]:
+    """Return the frequency of a mode, with its error and that in a run on a grid, else its damping."""
+    frequency = natural.frequencies[index]
     if errors is not None:
-        return {
-            "frequency (Hz)": [f"{value:.2f}" if value else "0 (rigid)" for value in natural.frequencies],
-            "error (%)": [f"{100 * error:.2g}" if moves else "" for error, moves in zip(errors, moving, strict=True)],
-            "in a run (Hz)": [f"{value:.2f}" for value in natural.stepped],
-        }
+        error = f"{100 * errors[index]:.2g}" if frequency else ""
+        return [f"{frequency:.2f}" if frequency else RIGID, error, f"{natural.stepped[index]:.2f}"]
     assert natural.loss_factors is not None
-    damping = list(zip(natural.loss_factors, moving, strict=True))
-    return {
-        "frequency (Hz)": [_digits(value) if value else "0 (rigid)" for value in natural.frequencies],
-        "damping ratio": [f"{factor / 2:.4g}" if moves else "" for factor, moves in damping],
-        "loss factor": [f"{factor:.4g}" if moves else "" for factor, moves in damping],
-    }
+    factor = natural.loss_factors[index]
+    return [_digits(frequency), f"{factor / 2:.4g}", f"{factor:.4g}"] if frequency else [RIGID, "", ""]
 
 
 def _digits(value: float) -> str:

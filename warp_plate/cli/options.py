@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -13,11 +14,11 @@ import cyclopts
 from cyclopts import Parameter, validators
 
 from warp_plate.cli import output
+from warp_plate.cluster.pool import WorkerPool
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
 
 if TYPE_CHECKING:
-    from warp_plate.cluster.pool import WorkerPool
-    from warp_plate.scene.model import Scene
     from warp_plate.viz.fields import ColourOptions
 
 
@@ -35,16 +36,6 @@ Switch = Annotated[bool, Parameter(negative="")]
 
 _PRESETS = "paper, touch-panel, ...; warp-plate init --help lists them"
 SceneName = Annotated[str, Parameter(help=f"A preset ({_PRESETS}) or a TOML file.")]
-Assignments = Annotated[
-    list[str] | None,
-    Parameter(
-        name="--set",
-        negative="",
-        help="KEY=VALUE: a value in place of the scene file's; may be repeated. KEY is any key of a scene, such as "
-        "drive.frequency, plate.size[0], effects.damping.viscous or 'actuators.lower left.phase'; VALUE is TOML, or a "
-        "text without quotes.",
-    ),
-]
 ResultFile = Annotated[Path, Parameter(help="An .h5 file written by localize or simulate.")]
 Device = Annotated[str, Parameter(help="cpu, cuda, cuda:1, ...; auto takes a CUDA device if there is one.")]
 _STEPPING = (
@@ -57,6 +48,14 @@ SteppingOrModes = Annotated[
     Parameter(
         help=f"{_STEPPING}; or modal, without time steps or a grid's error, for linear scenes. auto takes modal for "
         "scenes whose damping cannot be stepped."
+    ),
+]
+Evaluator = Annotated[
+    Literal["direct", "response", "modal"] | None,
+    Parameter(
+        help="direct simulates a plate for each evaluation; response uses Gram matrices of simulated unit responses; "
+        "modal computes energies from the modes of the plate, for tones and linear scenes (default: direct, but in "
+        "compare and robust searches response where it applies)."
     ),
 ]
 EstimateSwitch = Annotated[bool, Parameter(help="Estimate the error of the result at the end.")]
@@ -73,27 +72,31 @@ CheckpointEvery = Annotated[
 Force = Annotated[
     bool, Parameter(negative="", help="Overwrite files that another command, or another program, has written.")
 ]
-Pictures = Annotated[bool, Parameter(help="Draw pictures beside the file that is written (needs the extra viz).")]
 Colormap = Annotated[str | None, Parameter(help="Colour map of Matplotlib, such as viridis or PuOr.")]
 Json = Annotated[bool, Parameter(negative="", help="Print one JSON object instead of text and tables.")]
 
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class SceneOptions:
-    """Options that change a scene.
+class SceneChanges:
+    """Options that change keys of a scene."""
 
-    Attributes:
-        accuracy: Relative error allowed in localization factors, such as 1% or 0.01: a grid that keeps it replaces the
-            scene's own.
-    """
-
-    assignments: Assignments = None
-    accuracy: str | None = None
+    assignments: Annotated[
+        list[str] | None,
+        Parameter(
+            name="--set",
+            negative="",
+            help="KEY=VALUE: a value in place of the scene file's; may be repeated. KEY is any key of a scene, such as "
+            "drive.frequency, plate.size[0], effects.damping.viscous or 'actuators.lower left.phase'; VALUE is TOML, "
+            "or a text without quotes.",
+        ),
+    ] = None
 
     def load(self, source: str) -> tuple[Scene, str]:
-        """Return the scene and its name, see :func:`output.load_scene`."""
-        return output.load_scene(source, self.assignments, self.accuracy)
+        """Return the scene, and its name with the options that changed it, for use in output."""
+        changed = self.assignments or []
+        name = " ".join([source, *(f"--set {shlex.quote(assignment)}" for assignment in changed)])
+        return Scene.load(source, changed), name
 
     def load_unless_resumed(
         self, source: str | None, resume: Path | None, needs: str, unfinished: str
@@ -116,12 +119,58 @@ class SceneOptions:
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class FileOptions:
-    """Options of commands that write a file and print what it holds."""
+class SceneOptions(SceneChanges):
+    """Options that change keys of a scene or choose its grid.
 
+    Attributes:
+        accuracy: Relative error allowed in localization factors, such as 1% or 0.01: a grid that keeps it replaces the
+            scene's own.
+    """
+
+    accuracy: str | None = None
+
+    def load(self, source: str) -> tuple[Scene, str]:
+        """Return the scene with its grid, and its name as of :meth:`SceneChanges.load`."""
+        scene, name = super().load(source)
+        return self.with_accuracy(scene), name
+
+    def with_accuracy(self, scene: Scene) -> Scene:
+        """Return the scene with ``--accuracy`` in place of its grid, if it is given."""
+        if self.accuracy is None:
+            return scene
+        text = self.accuracy.strip()
+        try:
+            return scene.with_accuracy(float(text.removesuffix("%")) / (100 if text.endswith("%") else 1))
+        except ValueError:
+            raise SceneError(f"--accuracy {self.accuracy}: must be from 0.01% to 50%, such as 1% or 0.01") from None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class FileOptions:
+    """Options of commands that write a file and print what it holds.
+
+    Attributes:
+        out: File to write; others are written beside it under the same name. Default: SCENE-COMMAND in this folder
+            (beside the file of --resume), with the ending that the command writes.
+    """
+
+    out: Path | None = None
     force: Force = False
-    pictures: Pictures = True
+    pictures: Annotated[
+        bool, Parameter(help="Draw pictures beside the file that is written (needs the extra viz).")
+    ] = True
     json: Json = False
+
+    def target(self, scene: str | None, ending: str, holds: str = "", endings: Sequence[str] = ()) -> Path:
+        """Return the path to write to, by default the scene's name with an ending.
+
+        See :func:`output.output_file`, and for ``holds`` :func:`output.check_overwriting`.
+        """
+        path = output.output_file(self.out, f"{Path(scene or '').stem}{ending}", endings)
+        if holds:
+            output.check_overwriting(path, holds, self.force)
+        return path
 
 
 @Parameter(name="*")
@@ -155,11 +204,11 @@ class WorkerOptions:
 
     def open_pool(self) -> AbstractContextManager[WorkerPool | None]:
         """Open the pool of workers; see :func:`warp_plate.cluster.opening.open_pool`."""
-        from warp_plate.cluster.opening import open_pool
-
         if self.devices is not None and self.device not in (None, "auto"):
             asked = f"--device {self.device}: --devices {self.devices}"
             raise SceneError(f"{asked} already says where plates run; give only one of them")
+        from warp_plate.cluster.opening import open_pool
+
         return open_pool(self.devices, self.cluster, self.device, output.log)
 
 

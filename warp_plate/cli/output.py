@@ -13,12 +13,14 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from json import dumps
 from pathlib import Path
+from string import Formatter
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from warp_plate.cli import log as log
 from warp_plate.scene.errors import SceneError, printable
 
 # The longest ending of the files that are written beside a result.
@@ -83,12 +85,6 @@ def how_to_resume(file: CheckpointFile, command: str) -> str:
     return "" if file.saved is None else f" after {file.saved.progress}; {resume}"
 
 
-def log(line: str) -> None:
-    """Print one line on standard error."""
-    with suppress(OSError):  # a closed standard error does not end a run
-        print(f"warp-plate: {printable(' '.join(line.split()))}", file=sys.stderr)
-
-
 def report(
     json: bool,
     as_json: Callable[..., Mapping[str, object]],
@@ -130,38 +126,62 @@ def attributes(data: object, *names: str) -> dict[str, Any]:
     return {name: getattr(data, name) for name in names}
 
 
-def table(*headings: str, title: str | None = None) -> Table:
-    """Return an empty table whose first column is text and whose other columns are numbers."""
+def print_table(
+    console: Console, headings: str, cells: str, records: Iterable[Any], *after: str, title: str | None = None
+) -> None:
+    """Print a table of records, such as those of the JSON output; see :func:`print_rows`.
+
+    Args:
+        headings: Such as "actuator | peak (m)".
+        cells: Templates such as "{name} | {peak:.4g}" for mappings, "{0} | {1:.4g}" for tuples.
+    """
+    rows = []
+    for record in records:
+        named = record if isinstance(record, Mapping) else {}
+        numbered = record if isinstance(record, tuple) else ()
+        rows.append([_CELLS.vformat(cell, numbered, named) for cell in cells.split(" | ")])
+    print_rows(console, headings.split(" | "), rows, *after, title=title)
+
+
+def print_rows(
+    console: Console, headings: Sequence[str], rows: Sequence[Sequence[str]], *after: str, title: str | None = None
+) -> None:
+    """Print a table without cropping numbers, however narrow the terminal; lines may follow.
+
+    The first column is text, which wraps like the headings; the others are numbers.
+    """
     table = Table(title=title, title_justify="left", box=None, header_style="bold", pad_edge=False)
     for index, heading in enumerate(headings):
-        table.add_column(heading, justify="left" if index == 0 else "right")
-    return table
+        cells = [row[index] for row in rows]
+        unbroken = heading.split() + (cells if index else " ".join(cells).split())
+        table.add_column(heading, justify="right" if index else "left", min_width=max(map(len, unbroken), default=0))
+    for row in rows:
+        table.add_row(*row)
+    console.print(table, *after, crop=False)
 
 
-def lines_table(rows: Iterable[Iterable[str]]) -> Table:
-    """Return a table of texts without headings."""
+def print_lines(console: Console, rows: Iterable[Iterable[str]], *after: str) -> None:
+    """Print a table of texts without headings; lines may follow."""
     table = Table.grid(padding=(0, 2, 0, 0))
     for row in rows:
         table.add_row(*row)
-    return table
+    console.print(table, *after)
 
 
-def print_uncropped(console: Console, table: Table, *after: str) -> None:
-    """Print a table without cropping numbers, however narrow the terminal; headings and the first column may wrap.
-    Lines may follow."""
-    for index, column in enumerate(table.columns):
-        cells = [str(cell) for cell in column.cells]
-        wrapped, fixed = ([column.header, *cells], []) if index == 0 else ([column.header], cells)
-        words = [word for text in wrapped for word in str(text).split()]
-        column.min_width = max(map(len, [*words, *fixed]), default=0)
-    console.print(table, crop=False)
-    for line in after:
-        console.print(line)
-
-
-def number_text(value: float | None, digits: str, unit: str = "") -> str:
+def number_text(value: object, digits: str, unit: str = "") -> str:
     """Format a number; "none" if it is missing or not finite."""
-    return "none" if value is None or not math.isfinite(value) else f"{value:{digits}}{unit}"
+    missing = value is None or (isinstance(value, float) and not math.isfinite(value))
+    return "none" if missing else f"{value:{digits}}{unit}"
+
+
+class _Cells(Formatter):
+    """Fills the templates of cells."""
+
+    def format_field(self, value: object, format_spec: str) -> str:
+        return number_text(value, format_spec)
+
+
+_CELLS = _Cells()
 
 
 @contextmanager
@@ -190,28 +210,6 @@ def progress_bar(label: str, shown: bool, scene: Scene | None = None, last: str 
         yield show
 
 
-def load_scene(source: str, assignments: Sequence[str] | None = None, accuracy: str | None = None) -> tuple[Scene, str]:
-    """Load a scene with the values of ``--set``, and ``--accuracy`` in place of its grid if that is given.
-
-    Returns:
-        The scene, and its name with the options that changed it, for use in output.
-    """
-    from warp_plate.scene.model import Scene
-
-    scene = Scene.load(source, assignments or ())
-    name = " ".join([source, *(f"--set {shlex.quote(assignment)}" for assignment in assignments or ())])
-    return (scene if accuracy is None else with_accuracy_option(scene, accuracy)), name
-
-
-def with_accuracy_option(scene: Scene, accuracy: str) -> Scene:
-    """Return the scene with ``--accuracy``, such as 1% or 0.01, in place of its grid."""
-    text = accuracy.strip()
-    try:
-        return scene.with_accuracy(float(text.removesuffix("%")) / (100 if text.endswith("%") else 1))
-    except ValueError:
-        raise SceneError(f"--accuracy {accuracy}: must be from 0.01% to 50%, such as 1% or 0.01") from None
-
-
 @contextmanager
 def scene_errors(source: str | None) -> Iterator[None]:
     """Prefix errors that begin with a key of the scene with the scene's file."""
@@ -226,15 +224,11 @@ def scene_errors(source: str | None) -> Iterator[None]:
         raise SceneError(f"{source}: {error}") from None
 
 
-def output_file(
-    out: Path | None, default: str, endings: Sequence[str] = (), holds: str = "", force: bool = True
-) -> Path:
-    """Return the path to write to, ``--out`` or ``default``, or raise a SceneError if that cannot be done.
+def output_file(out: Path | None, default: str, endings: Sequence[str] = ()) -> Path:
+    """Return the path to write to, ``--out`` or ``default``, whose ending is allowed unless ``endings`` has others.
 
-    Args:
-        endings: the endings that are allowed (default: that of ``default``).
-        holds: what the file will hold, see :func:`check_overwriting`.
-        force: whether it may replace anything.
+    Raises:
+        SceneError: it cannot be written.
     """
     path = Path(default) if out is None else out
     endings = endings or (Path(default).suffix,)
@@ -243,7 +237,6 @@ def output_file(
         problem = f"must end in {' or '.join(', '.join(endings).rsplit(', ', 1))}"
     if problem:
         raise SceneError(f"--out {path}: {problem}")
-    check_overwriting(path, holds, force)
     return path
 
 
@@ -290,29 +283,6 @@ def writing_problem(path: Path) -> str:
     return ""
 
 
-def prepare_pictures(pictures: bool) -> None:
-    """Start loading the drawing libraries while the command runs."""
-    if pictures:
-        from warp_plate.viz import prepare
-
-        prepare()
-
-
-def draw_plot(draw: Callable[[Path], object], path: Path, wanted: bool = True) -> Drawn:
-    """Draw a plot of Matplotlib; return the file written, or why there is none."""
-    from warp_plate.result.atomic_io import atomic_paths
-    from warp_plate.viz.availability import missing_plots
-
-    if not wanted or (problem := missing_plots()) is not None:
-        return [], problem if wanted else None
-    try:
-        with atomic_paths(path) as (temporary,):
-            draw(temporary)
-    except SceneError as error:
-        return [], str(error)
-    return [path], None
-
-
 def write_files(
     path: Path, save: Callable[[Path], object], draw: Callable[[Path], Drawn], pictures: bool = True
 ) -> Drawn:
@@ -337,8 +307,8 @@ def write_measurements(path: Path, record: Mapping[str, object], draw: Callable[
     from warp_plate.result.atomic_io import write_atomically
     from warp_plate.viz.plots.frame import save_plots
 
-    text = f"{dumps(record, indent=1)}\n"
-    return write_files(path, partial(write_atomically, text.encode()), partial(save_plots, draw, record), pictures)
+    save = partial(write_atomically, f"{dumps(record, indent=1)}\n".encode())
+    return write_files(path, save, partial(save_plots, partial(draw, record)), pictures)
 
 
 def write_result(result: Result, path: Path, pictures: bool, colours: ColourOptions) -> Drawn:

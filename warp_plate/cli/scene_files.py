@@ -7,6 +7,8 @@ from pathlib import Path
 
 from warp_plate.cli import options, output
 from warp_plate.scene.errors import SceneError, printable
+from warp_plate.scene.key_reference import table_references
+from warp_plate.scene.load import preset_text
 
 
 def init(name: str, /, *, out: Path | None = None) -> None:
@@ -20,21 +22,14 @@ def init(name: str, /, *, out: Path | None = None) -> None:
     out
         The file to write (default: NAME.toml in this folder). An existing file is never overwritten.
     """
-    from warp_plate.scene.load import preset_text
-
     text = preset_text(name)
     path = out or Path(f"{name}.toml")
     try:
-        file = path.open("x", encoding="utf-8")
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
     except FileExistsError:
         raise SceneError(f"{path}: exists already; choose another name with --out") from None
     except (OSError, ValueError) as error:
-        raise SceneError(f"{path}: cannot be written: {error}") from None
-    try:
-        with file:
-            file.write(text)
-    except OSError as error:
-        path.unlink()
         raise SceneError(f"{path}: cannot be written: {error}") from None
     print(printable(f"wrote {path}; run it with: warp-plate localize {path}"))
 
@@ -49,8 +44,6 @@ def keys(*tables: str, json: options.Json = False) -> None:
     """
     from rich.console import Console
 
-    from warp_plate.scene.key_reference import table_references
-
     references = {heading.strip("[]"): table for table in table_references() for heading in table.headings}
     for name in tables:
         if name not in references and name != "all":
@@ -59,19 +52,14 @@ def keys(*tables: str, json: options.Json = False) -> None:
 
     def show(console: Console) -> None:
         if not selected:
-            grid = output.table("table", "")
-            for name, table in references.items():
-                grid.add_row(name, table.description.split("\n\n")[0].replace("\n", " ").replace("`", ""))
-            grid.columns[-1].justify = "left"
-            return console.print(grid)
+            tables = {name: table.description.split("\n\n")[0].replace("\n", " ") for name, table in references.items()}
+            output.print_lines(console, ((name, text.replace("`", "")) for name, text in tables.items()))
         for name, table in selected.items():
             console.print(f"{name}: {table.description.replace('`', '')}\n", highlight=False)
-            grid = output.table("key", "unit", "default", "range", "example", "meaning")
+            rows = [("key", "unit", "default", "range", "example", "meaning")]
             for key in table.keys:
-                cells = key.unit, key.default, key.range, key.example, f"{key.meaning} ({key.type})"
-                grid.add_row(key.name, *(cell.replace("`", "") for cell in cells))
-            grid.columns[-1].justify = "left"
-            console.print(grid, "")
+                rows.append((key.name, key.unit, key.default, key.range, key.example, f"{key.meaning} ({key.type})"))
+            output.print_lines(console, ([cell.replace("`", "") for cell in row] for row in rows), "")
 
     record = {name: [asdict(key) for key in table.keys] for name, table in (selected or references).items()}
     output.report(json, lambda: record, show)

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 from cyclopts import Parameter
+from rich.console import Console
 
+from warp_plate import viz
 from warp_plate.cli import main, options, output, tables
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from warp_plate.result.model import Result
+from warp_plate.result.case import only_actuator
+from warp_plate.result.model import Result
+from warp_plate.studies.simulate import simulate as simulate_scene
 
 
 @Parameter(name="*")
@@ -34,26 +32,22 @@ def simulate(
     changes: options.SceneOptions = options.SceneOptions(),
     drive: str = "scene",
     run: RunOptions = RunOptions(),
-    out: Path | None = None,
     files: options.FileOptions = options.FileOptions(),
     colours: options.ColourChoice = options.ColourChoice(),
 ) -> None:
-    """Run one plate under one drive.
+    """Run one plate under one drive, and write the result as an .h5 file.
 
     Parameters
     ----------
     drive
         scene (the magnitudes and phases of the scene's actuators), equal, single (the best single actuator), or a
         result file (.h5) whose best drive is taken.
-    out
-        The result file (.h5; default: SCENE-simulate.h5 in this folder).
     """
     chosen = colours.chosen()
-    target = output.output_file(out, f"{Path(scene).stem}-simulate.h5", holds="a result of simulate", force=files.force)
+    target = files.target(scene, "-simulate.h5", holds="a result of simulate")
     loaded, scene = changes.load(scene)
-    output.prepare_pictures(files.pictures)
-    from warp_plate.studies.simulate import simulate as simulate_scene
-
+    if files.pictures:
+        viz.prepare()  # while the plate is simulated
     last = "estimating the error" if run.estimate else ""
     with output.scene_errors(scene), output.progress_bar("simulating", not files.json, loaded, last) as show:
 
@@ -78,22 +72,16 @@ def _as_json(result: Result) -> dict[str, object]:
 
 
 def _print(result: Result, console: Console) -> None:
-    from warp_plate.result.case import only_actuator
-
     case = result.cases["drive"]
     console.print(result.scene.title or result.source)
-    table = output.table("quantity", "value")
-    if case.status != "ok":
-        table.add_row("status", case.status)
+    rows = [] if case.status == "ok" else [("status", case.status)]
     if name := only_actuator(case, result.scene):
-        table.add_row("only actuator driven", name)
-    table.add_row("localization factor", output.number_text(case.localization_factor, ".4f"))
+        rows.append(("only actuator driven", name))
+    rows.append(("localization factor", output.number_text(case.localization_factor, ".4f")))
     for region, energy in case.energy.items():
         label = f"kinetic energy of the {region}, averaged over the window"
-        table.add_row(label, output.number_text(energy, ".4g", " J"))
-    table.add_row("largest displacement during the run", output.number_text(result.peak_displacement, ".4g", " m"))
-    console.print(table)
-    if (motion := tables.motion_table(result.cases, result.scene)) is not None:
-        console.print()
-        output.print_uncropped(console, motion)
+        rows.append((label, output.number_text(energy, ".4g", " J")))
+    rows.append(("largest displacement during the run", output.number_text(result.peak_displacement, ".4g", " m")))
+    output.print_rows(console, ("quantity", "value"), rows, "")
+    tables.print_motion(result.cases, result.scene, console)
     tables.print_cost(result, console, elapsed=main.elapsed())

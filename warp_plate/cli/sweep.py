@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
+from rich.console import Console
 
 from warp_plate.cli import options, output
+from warp_plate.result.sweep import Sweep
 from warp_plate.scene.errors import SceneError
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from warp_plate.result.sweep import Sweep
+from warp_plate.scene.keys import label_of, unit_of
+from warp_plate.scene.vary import counted, value_text
+from warp_plate.studies.sweep import SweepRequest, open_sweep, run_sweep, save_finished
+from warp_plate.studies.unfinished import CheckpointFile
+from warp_plate.viz.plots.frame import save_plots
+from warp_plate.viz.plots.sweep import draw_sweep
 
 # Larger sweeps are summarised by the smallest and largest values.
 MOST_ROWS, MOST_COLUMNS = 40, 7
@@ -61,11 +64,10 @@ def sweep(
     scene: options.SceneName | None = None,
     /,
     *,
-    assignments: options.Assignments = None,
+    changes: options.SceneChanges = options.SceneChanges(),
     points: SweepOptions = SweepOptions(),
     workers: options.WorkerOptions = options.WorkerOptions(),
     checkpoint_every: options.CheckpointEvery = 30.0,
-    out: Path | None = None,
     files: options.FileOptions = options.FileOptions(),
     colormap: options.Colormap = None,
 ) -> None:
@@ -77,12 +79,6 @@ def sweep(
     Ctrl-C leaves the finished points in a file beside the result, and so does a stop of the machine up to
     --checkpoint-every: the same command again, or --resume, runs the pending points to bit-identical results. The
     result replaces only an earlier result of the same sweep.
-
-    Parameters
-    ----------
-    out
-        The result file (.h5), which xarray opens (default: SCENE-sweep.h5 in this folder; with --resume beside the
-        unfinished one).
     """
     resume, seed, samples = points.resume, points.seed, points.samples
     if seed is not None and samples is None:
@@ -91,15 +87,11 @@ def sweep(
         options.ColourChoice(colormap).chosen()
     if samples is not None and not points.vary:
         raise SceneError(f"--samples {samples}: are drawn from the ranges of --vary; give those too, or leave it out")
-    beside = None if resume is None else resume.parent / resume.name.replace(".checkpoint.h5", ".h5")
-    target = output.output_file(out or beside, f"{Path(scene or '').stem}-sweep.h5")
+    if resume is not None and files.out is None:
+        files = replace(files, out=resume.parent / resume.name.replace(".checkpoint.h5", ".h5"))
+    target = files.target(scene, "-sweep.h5")
     needs = "sweep needs a SCENE (a preset's name or a TOML file) and --vary KEY=RANGE"
-    loaded, scene = options.SceneOptions(assignments).load_unless_resumed(scene, resume, needs, "sweep")
-    from warp_plate.studies.sweep import SweepRequest, open_sweep, run_sweep, save_finished
-    from warp_plate.studies.unfinished import CheckpointFile
-    from warp_plate.viz.plots.frame import save_plots
-    from warp_plate.viz.plots.sweep import draw_sweep
-
+    loaded, scene = changes.load_unless_resumed(scene, resume, needs, "sweep")
     ways = (points.what, samples, seed, points.count, workers.path, points.evaluator, points.frequencies)
     request = SweepRequest(loaded, scene or "", points.vary, *ways)
     on_workers = workers.devices is not None or workers.cluster is not None
@@ -112,7 +104,7 @@ def sweep(
             show(len(start.plan) - len(start.pending), len(start.plan), start.progress)
             note = "{} of {}: {}".format
             result = run_sweep(start, lambda *done: show(*done[:2], note(*done)), file, pool)
-        draw = partial(save_plots, partial(draw_sweep, colormap=colormap), result)
+        draw = partial(save_plots, partial(draw_sweep, result, colormap=colormap))
         save = partial(save_finished, result, file=file)
         written = output.write_files(target, save, draw, files.pictures)
     output.report(files.json, _as_json, _print, result, written=written)
@@ -149,28 +141,26 @@ def _columns(result: Sweep) -> dict[str, tuple[str, list[float]]]:
 
 
 def _print(result: Sweep, console: Console) -> None:
-    from warp_plate.scene.keys import label_of, unit_of
-    from warp_plate.scene.vary import counted, value_text
-
     plan, scene, columns = result.plan, result.scene, _columns(result)
     way = "by modes" if result.evaluator == "modal" else "by time steps"
     head = f"{scene.title or result.source}: {result.what} {way}, {plan.description}, on {result.devices_used}\n"
     console.print(head, highlight=False)
     keys = [_with_unit(label_of(scene, key), unit_of(scene, key)) for key in plan.keys]
     if len(plan) <= MOST_ROWS and len(keys) + len(columns) <= MOST_COLUMNS:
-        table = output.table(*keys, *(_with_unit(name, unit) for name, (unit, _) in columns.items()))
-        for point, values_here in enumerate(plan.points.tolist()):
-            results = (output.number_text(values[point], ".4g") for _, values in columns.values())
-            table.add_row(*map(value_text, values_here), *results)
+        rows = [
+            [*map(value_text, point), *(output.number_text(values[at], ".4g") for _, values in columns.values())]
+            for at, point in enumerate(plan.points.tolist())
+        ]
+        output.print_rows(console, [*keys, *(_with_unit(name, unit) for name, (unit, _) in columns.items())], rows)
     else:
-        table = output.table("quantity", "value", *(f"at {key}" for key in keys))
+        rows = []
         for name, (unit, values) in columns.items():
             finite = [point for point, value in enumerate(values) if math.isfinite(value)]
             for word, choose in (("smallest", min), ("largest", max)) if finite else ():
                 point = choose(finite, key=values.__getitem__)
                 at = (value_text(value, 5) for value in plan.values(point).values())
-                table.add_row(f"{name}, {word}", f"{values[point]:.5g} {unit if unit != '1' else ''}".strip(), *at)
-    console.print(table)
+                rows.append([f"{name}, {word}", f"{values[point]:.5g} {unit.removeprefix('1')}".strip(), *at])
+        output.print_rows(console, ["quantity", "value", *(f"at {key}" for key in keys)], rows)
     if result.reasons:
         console.print(f"\n{len(result.reasons)} of {counted(len(plan), 'point')} refused:")
         for point in sorted(result.reasons)[:MOST_REASONS]:

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
-from rich.table import Table
+from rich.console import Console
 
+from warp_plate.analysis.warnings import explain_missing_energies, search_warnings, target_warnings, warning_texts
 from warp_plate.cli import output
+from warp_plate.problem.methods import unread_keys
+from warp_plate.problem.objectives import keeps_limit
+from warp_plate.quantities.region_quantities import REGION_QUANTITIES
+from warp_plate.result.case import Case, amplitude_column, amplitudes_as_given
+from warp_plate.result.comparison import MethodComparison
+from warp_plate.result.model import Result, RobustComparison, crosstalk
+from warp_plate.result.targets import relative_to_own, target_cases
 from warp_plate.scene.errors import printable
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from warp_plate.analysis.warnings import Finding
-    from warp_plate.result.case import Case
-    from warp_plate.result.comparison import MethodComparison
-    from warp_plate.result.model import Result, RobustComparison
-    from warp_plate.scene.model import Scene
+from warp_plate.scene.model import Scene
+from warp_plate.scene.vary import counted
 
 # Standard acceleration of gravity [m/s²].
 GRAVITY = 9.80665
@@ -42,26 +42,27 @@ STAGES = {
 }
 
 
-def motion_table(cases: Mapping[str, Case], scene: Scene) -> Table | None:
-    """Return the table of the motion of target and rest by case labels, with the largest drive; None if unknown."""
-    from warp_plate.result.case import amplitude_column
-
+def print_motion(cases: Mapping[str, Case], scene: Scene, console: Console) -> None:
+    """Print the motion of target and rest by case labels, with the largest drive; nothing if it is unknown."""
     moving = {label: (case, case.motion) for label, case in cases.items() if case.motion is not None}
+    if not moving:
+        return
     tones = any(motion.acceleration is not None for _, motion in moving.values())
-    headings = ["share", "contrast dB", "velocity mm/s rms", "displacement µm peak", *["acceleration g rms"] * tones]
     searched = any(case.frequency is not None for case in cases.values())
-    drives = ["frequency Hz"] * searched + [f"largest {amplitude_column(scene, [0.0] * len(scene.actuators), '')[0]}"]
-    table = output.table("drive", *drives, *headings, title="Motion in the target / outside")
+    rows = []
     for label, (case, motion) in moving.items():
         frequencies = sorted({scene.drive.frequency} if case.frequency is None else set(case.frequency.tolist()))
-        largest = amplitude_column(scene, case.magnitude, ".3g")[1][int(case.magnitude.argmax())]
-        cells = [", ".join(f"{value:.6g}" for value in frequencies)] * searched + [largest]
-        cells += [output.number_text(case.localization_factor, ".4f"), output.number_text(motion.contrast, ".1f")]
-        cells += [_pair(motion.velocity, 1e3), _pair(motion.displacement, 1e6)]
+        amplitude, amplitudes = amplitude_column(scene, case.magnitude, ".3g")
+        cells = [", ".join(f"{value:.6g}" for value in frequencies)] * searched
+        cells += [amplitudes[int(case.magnitude.argmax())], output.number_text(case.localization_factor, ".4f")]
+        cells += [output.number_text(motion.contrast, ".1f"), _pair(motion.velocity, 1e3)]
+        cells.append(_pair(motion.displacement, 1e6))
         if tones:
             cells.append("none" if motion.acceleration is None else _pair(motion.acceleration, 1 / GRAVITY))
-        table.add_row(label, *cells)
-    return table if moving else None
+        rows.append([label, *cells])
+    headings = ["drive", *["frequency Hz"] * searched, f"largest {amplitude}", "share", "contrast dB"]
+    headings += ["velocity mm/s rms", "displacement µm peak", *["acceleration g rms"] * tones]
+    output.print_rows(console, headings, rows, "", title="Motion in the target / outside")
 
 
 def _pair(values: tuple[float, float], factor: float) -> str:
@@ -80,25 +81,22 @@ def motion_json(case: Case) -> dict[str, object] | None:
     return {"contrast_db": motion.contrast, **named}
 
 
-def drive_table(case: Case, scene: Scene, target: str = "") -> Table:
-    """Return the table of a drive, as Table 1 of the source paper. ``target``: its name if there are several."""
-    from warp_plate.result.case import amplitude_column
-
+def print_drive(case: Case, scene: Scene, console: Console, target: str = "") -> None:
+    """Print a drive as in Table 1 of the source paper. ``target``: its name if there are several."""
     heading, amplitudes = amplitude_column(scene, case.magnitude, ".4f")
-    headings = ("actuator", heading, "phase (rad)", "phase / π", *case.per_actuator)
-    table = output.table(*headings, title=f"Drive found{f' for {printable(target)}' if target else ''}")
+    rows = []
     for index, actuator in enumerate(scene.actuators):
         phase = case.phase[index]
         others = (f"{values[index]:.5g}" for values in case.per_actuator.values())
-        table.add_row(actuator.name, amplitudes[index], f"{phase:.4f}", f"{phase / math.pi:.4f}", *others)
-    return table
+        rows.append([actuator.name, amplitudes[index], f"{phase:.4f}", f"{phase / math.pi:.4f}", *others])
+    headings = ["actuator", heading, "phase (rad)", "phase / π", *case.per_actuator]
+    title = f"Drive found{f' for {printable(target)}' if target else ''}"
+    output.print_rows(console, headings, rows, "", title=title)
 
 
 def drive_json(case: Case, scene: Scene) -> list[dict[str, object]]:
     """Return a drive as one record for each actuator, including searched frequencies, positions and delays; ``force``
     [N] in place of ``magnitude`` where the scene has it."""
-    from warp_plate.result.case import amplitudes_as_given
-
     per_actuator = output.attributes(case, "phase", "frequency", "centre", "delay")
     return [
         {
@@ -115,9 +113,6 @@ def drive_json(case: Case, scene: Scene) -> list[dict[str, object]]:
 def print_objectives(result: Result, console: Console) -> None:
     """Print a row for each objective with a column for each target's drive or case; nothing if the localization
     factor is the only objective."""
-    from warp_plate.problem.objectives import keeps_limit
-    from warp_plate.quantities.region_quantities import REGION_QUANTITIES
-
     if result.only_localization or not result.objective_values:
         return
     searches = result.target_searches or [result]
@@ -125,24 +120,24 @@ def print_objectives(result: Result, console: Console) -> None:
     columns = [target.name for target in result.scene.targets][: len(values_of)] or ["found"]
     by_case = result.objective_values_by_case
     others = {name.replace("_", "\n"): by_case[name] for name in COMPARED_CASES if name in by_case}
-    rows: list[tuple[str, str, str, float | None]] = []  # key, label, weight, limit
+    lines: list[tuple[str, str, str, float | None]] = []  # key, label, weight, limit
     for objective in result.scene.search.objectives:
         kind, unit = objective.kind, REGION_QUANTITIES[objective.kind].unit.removeprefix("1")
-        rows.append((kind, f"{kind} ({unit})" if unit else kind, f"{objective.weight:g}", None))
+        lines.append((kind, f"{kind} ({unit})" if unit else kind, f"{objective.weight:g}", None))
         if objective.rest_limit is not None:
-            rows.append((f"{kind} of the rest", f"{kind} of the rest ({unit})", "", objective.rest_limit))
-    rows.append(("sum", "weighted sum", "", None))
+            lines.append((f"{kind} of the rest", f"{kind} of the rest ({unit})", "", objective.rest_limit))
+    lines.append(("sum", "weighted sum", "", None))
     if any("bound" in values for values in values_of):
         kinds = [search.bound_kind for search in searches]
-        rows.append(("bound", f"{'bound only' if 'bound only' in kinds else 'bound'} of the sum", "", None))
-    table, exceeded = output.table("objective", "weight", "limit", *columns, *others), []
-    for key, label, weight, limit in rows:
+        lines.append(("bound", f"{'bound only' if 'bound only' in kinds else 'bound'} of the sum", "", None))
+    rows, exceeded = [], []
+    for key, label, weight, limit in lines:
         cells = [output.number_text(values.get(key), ".4g") for values in values_of]
         cells += [output.number_text(values[key], ".4g") if key in values else "" for values in others.values()]
-        table.add_row(label, weight, "" if limit is None else f"{limit:g}", *cells)
+        rows.append([label, weight, "" if limit is None else f"{limit:g}", *cells])
         if limit is not None and not all(keeps_limit(values.get(key, 0.0), limit) for values in values_of):
             exceeded.append(label)
-    output.print_uncropped(console, table)
+    output.print_rows(console, ["objective", "weight", "limit", *columns, *others], rows)
     if others and not exceeded:
         ignoring = ", ".join(others).replace("\n", " ")
         console.print(f"{ignoring}: these drives ignore the limits of the search.", style="dim")
@@ -152,33 +147,24 @@ def print_objectives(result: Result, console: Console) -> None:
     console.print()
 
 
-def crosstalk_table(result: Result) -> Table:
-    """Return the crosstalk table: a row for each drive, a column for each target."""
-    from warp_plate.result.model import crosstalk
-    from warp_plate.result.targets import relative_to_own, target_cases
-
+def print_crosstalk(result: Result, console: Console) -> None:
+    """Print the crosstalk: a row for each drive, a column for each target."""
     names, shares = list(target_cases(result.scene)), crosstalk(result)
-    relative = relative_to_own(shares)
-
-    def cell(row: int, column: int) -> str:
-        if math.isnan(shares[row, column]):
-            return "not searched"
-        return f"{shares[row, column]:.4f}" + (f" ({relative[row, column]:+.1f} dB)" if row != column else "")
-
-    table = output.table("drive for", *names, "bound", title="Crosstalk: share of the plate's kinetic energy in")
+    relative, rows = relative_to_own(shares), []
     for row, name in enumerate(names):
+        cells = [f"{share:.4f} ({level:+.1f} dB)" for share, level in zip(shares[row], relative[row], strict=True)]
+        cells[row] = f"{shares[row, row]:.4f}"
+        if math.isnan(shares[row, row]):
+            cells = ["not searched"] * len(names)
         bound = result.target_searches[row].bound if row < len(result.target_searches) else None
-        cells = [cell(row, column) for column in range(len(names))]
-        table.add_row(name, *cells, "none" if bound is None else f"{bound:.4f}")
-    return table
+        rows.append([name, *cells, output.number_text(bound, ".4f")])
+    title = "Crosstalk: share of the plate's kinetic energy in"
+    output.print_rows(console, ["drive for", *names, "bound"], rows, "", title=title)
 
 
 def crosstalk_json(result: Result) -> dict[str, object] | None:
     """Return shares of the plate's kinetic energy, also in decibels relative to each drive's own target; None for a
     single target."""
-    from warp_plate.result.model import crosstalk
-    from warp_plate.result.targets import relative_to_own, target_cases
-
     cases = target_cases(result.scene)
     if not cases:
         return None
@@ -205,16 +191,16 @@ def print_robust(result: Result, console: Console) -> None:
         why = "no drive was found, Ctrl-C came first, or a validation scenario is not a valid plate"
         console.print(f"Not compared with a nominal drive: {why}.\n")
         return
-    table = output.table(_robust_quantity(compared), "robust drive", "nominal drive")
+    rows = []
     for key, values in compared.rows().items():
         measure = f" ({compared.measure} of {compared.scenarios})" if key == "searched" else ""
-        table.add_row(ROBUST_ROWS[key] + measure, *(f"{value:.4f}" for value in values))
+        rows.append([ROBUST_ROWS[key] + measure, *(f"{value:.4f}" for value in values)])
     if compared.bound is not None:
-        table.add_row("bound for the search's scenarios", f"{compared.bound:.4f}", "")
+        rows.append(["bound for the search's scenarios", f"{compared.bound:.4f}", ""])
     if compared.failed.any():
-        table.add_row("plates that failed", *map(str, compared.failed.tolist()))
+        rows.append(["plates that failed", *map(str, compared.failed.tolist())])
     console.print(f"Over {compared.validation.shape[1]} fresh scenarios, which neither search has used:")
-    console.print(table, "")
+    output.print_rows(console, [_robust_quantity(compared), "robust drive", "nominal drive"], rows, "")
 
 
 def robust_json(compared: RobustComparison | None) -> dict[str, object] | None:
@@ -234,21 +220,6 @@ def _robust_quantity(compared: RobustComparison) -> str:
     return "localization factor" if compared.localization else "weighted sum of objectives"
 
 
-def print_findings(findings: Sequence[Finding], console: Console) -> None:
-    """Print warnings, then a table of the numbers within their thresholds; what is not judged is left out."""
-    warnings = [finding for finding in findings if finding.exceeded]
-    for finding in warnings:
-        console.print(f"! {finding.sentence}")
-    table = output.table("within thresholds", "value", "threshold")
-    for finding in findings:
-        if not finding.exceeded and not math.isnan(finding.value):
-            inside = finding.value >= finding.threshold if finding.at_least else finding.value <= finding.threshold
-            threshold = f"{'≥' if finding.at_least else '≤'} {finding.threshold:g}"
-            included = "" if inside else "; its effect is included"
-            table.add_row(finding.name, f"{finding.value:.3g}", threshold + included)
-    console.print(*[""] * bool(warnings), table)
-
-
 def print_failures(result: Result | MethodComparison, console: Console, shown: str) -> None:
     """Print why workers failed to simulate plates, and which part of an interrupted study is shown."""
     for line in failure_lines(result.lost_plates):
@@ -259,8 +230,6 @@ def print_failures(result: Result | MethodComparison, console: Console, shown: s
 
 def failure_lines(failures: Mapping[str, int]) -> list[str]:
     """Return a line for each reason for which workers failed to simulate plates of a search."""
-    from warp_plate.scene.vary import counted
-
     failed = "of the search failed on the workers and counted as worst"
     return [f"{counted(count, 'plate')} {failed}: {reason}" for reason, count in failures.items()]
 
@@ -300,14 +269,6 @@ def _seconds_text(seconds: Mapping[str, float], elapsed: float) -> str:
 def warnings_of(result: Result) -> list[str]:
     """Return warnings about effects that the result calls for but its scene lacks, and about search settings that have
     no effect."""
-    from warp_plate.analysis.warnings import (
-        explain_missing_energies,
-        search_warnings,
-        target_warnings,
-        warning_texts,
-    )
-    from warp_plate.problem.methods import unread_keys
-
     failed = next((case.status for case in result.cases.values() if case.status != "ok"), None)
     if failed is not None:
         return [explain_missing_energies(result.scene, failed)]
