@@ -30,6 +30,18 @@ def test_a_cache_that_cannot_be_made(variable, write_scene):
     assert str(Path("panel.toml").resolve()) in line
 
 
+@pytest.mark.slow
+def test_a_kernel_cut_short(write_scene, tmp_path):
+    write_scene(damping=88.5)
+    cache = {"WARP_CACHE_PATH": str(tmp_path / "cache")}
+    output_of(simulate(**cache))
+    for file in tmp_path.glob("cache/*/*/*.o"):
+        file.write_bytes(file.read_bytes()[:-1000])
+    status, _, err = simulate(**cache)
+    assert status == 2
+    assert "delete this folder of compiled kernels" in err.splitlines()[-1]  # LLVM has a line before
+
+
 @pytest.mark.parametrize("threads", ["1025", "1000000", "9" * 5000, "-1", "²"])
 def test_too_many_threads(threads, write_scene):
     write_scene(damping=88.5)

@@ -185,6 +185,15 @@ def cache_errors() -> Iterator[None]:
 
 
 def load_kernel(kernel: wp.Kernel, device: wp.Device, block_dim: int | None = None) -> None:
-    """Compile a kernel for a device, or load it from Warp's cache."""
+    """Compile a kernel for a device, or load it from Warp's cache.
+
+    Raises:
+        SceneError: The cache cannot be written, or holds a damaged file.
+    """
     with cache_errors():
-        wp.load_module(module=kernel.module, device=device, block_dim=block_dim)
+        try:
+            wp.load_module(module=kernel.module, device=device, block_dim=block_dim)
+        except Exception as error:
+            if not str(error).startswith("Failed to load"):  # Warp has no class for this
+                raise
+            raise SceneError(f"{wp.config.kernel_cache_dir}: {error}; delete this folder of compiled kernels") from None
