@@ -1,10 +1,36 @@
-"""Effects that are more than a term of the equation of motion: what acts by way of sums over the plate, or travels."""
+"""Moment form: scenes that need more than the plain plate, and what acts by way of sums over the plate, or travels.
+
+Bending goes by moments: Mx and My from the curvatures at each node, Mxy from the twist of each cell, and the force from
+the moments:
+
+    Mx = Cxx u_xx + Cxy u_yy,   My = Cxy u_xx + Cyy u_yy,   Mxy = Ct u_xy,   force = Mx_xx + My_yy + Mxy_xy
+
+C varies from node to node and contains the edges (a free edge carries no moment) and stiffeners. Beyond an edge u, Mx
+and My continue as mirror images and Mxy as the negative one: a node on an edge has half a cell, and the mirror image is
+the other half.
+"""
 
 from functools import cache
 
 import warp as wp
 
+from warp_plate.kernels.arithmetic import make_fused
 from warp_plate.kernels.update import make_material, make_state
+
+
+@cache
+def make_moment(effects, real):
+    """Make ``moment``: from the curvatures along and across it, less constant tension, as (Mx − Tx u)_xx."""
+    fused = make_fused(real)
+
+    @wp.func
+    def moment(rigidity: real, along: real, rigidity_across: real, across: real, tension: real, u: real):
+        if wp.static(effects.in_plane):
+            return fused(rigidity, along, rigidity_across * across) - tension * u
+        else:
+            return fused(rigidity, along, rigidity_across * across)
+
+    return moment
 
 
 @cache

@@ -1,4 +1,4 @@
-"""Moment form, streaming path on CUDA: temporal blocking, see ``temporal_blocking``, of the equations ``moment_form``.
+"""Moment form, streaming path on CUDA: temporal blocking, see ``temporal_blocking``, of the equations in ``effects``.
 
 A row of displacement that a warp reads completes Mx and My of the row below it and Mxy of the cells below that row,
 which moves the row two below by one step. Edges take part like other nodes: weights of the west and east neighbours
@@ -16,8 +16,7 @@ import warp as wp
 from warp_plate.kernels import temporal_blocking
 from warp_plate.kernels.arithmetic import make_fused
 from warp_plate.kernels.cuda import LANES, any_lane, cuda_kernel, make_from_lane, make_pairs, most_registers, opaque
-from warp_plate.kernels.effects import make_add_local_forces, make_membrane_tension
-from warp_plate.kernels.moment_form import make_moment
+from warp_plate.kernels.effects import make_add_local_forces, make_membrane_tension, make_moment
 from warp_plate.kernels.temporal_blocking import COLUMNS, make_row_access, strips
 from warp_plate.kernels.update import make_material, make_parameters, make_state, make_update
 

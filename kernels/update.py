@@ -27,7 +27,7 @@ class KernelEffects:
     damping: bool = False  # The rate decays at each step
     square_cells: bool = True  # Spacings along x and y are equal, which saves an operation in each Laplacian of order 2
     order: int = 2  # Order of the differences in space, 2 or 4
-    # The moment form alone has these, see ``moment_form``
+    # The moment form alone has these, see ``effects``
     terms: int = 2  # Terms of the load in time, see ``loads``
     moments: bool = False  # Bending stiffness varies over the plate, or an edge is free or elastic
     retarded: bool = False  # Stress follows the strain rate too (Kelvin–Voigt)

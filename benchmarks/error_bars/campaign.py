@@ -38,7 +38,7 @@ def measured(number: int, promises: Sequence[float] = ()) -> list[dict]:
     for asked in promises:
         engines |= {f"{asked:.4g}": (scene.with_accuracy(asked), "auto")}
         engines |= (
-            {f"{asked:.4g} by steps": (scene.with_accuracy(asked), "streaming")} if asked >= LEAST_BY_STEPS else {}
+            {f"{asked:.4g} by steps": (scene.with_accuracy(asked), "resident")} if asked >= LEAST_BY_STEPS else {}
         )
     return [row_of(number, engine, names, truth, judge, *run) for engine, run in engines.items() if run[0] is not None]
 

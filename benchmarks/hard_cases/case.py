@@ -27,14 +27,14 @@ class Where:
     long: bool = False
 
     def solver(self, scene: Scene, allow_unstable: bool = False) -> PlateSolver:
-        """Return the solver of a scene in this precision; streaming if a plate does not fit on the chip."""
+        """Return the solver of a scene in this precision, by the other path if it cannot take this one."""
         scene = scene.model_copy(update={"grid": scene.grid.model_copy(update={"precision": self.precision})})
         try:
             return PlateSolver(scene, self.device, self.path, allow_unstable=allow_unstable)
         except SceneError as error:
-            if "do not fit on one multiprocessor" not in str(error):
+            if "do not fit on one multiprocessor" not in str(error) and "no such path" not in str(error):
                 raise
-            return PlateSolver(scene, self.device, "streaming", allow_unstable=allow_unstable)
+            return PlateSolver(scene, self.device, allow_unstable=allow_unstable)
 
     def steps(self, asked: int, fewer: int) -> int:
         """Return the number of steps, or fewer in the short form."""

@@ -12,7 +12,6 @@ import warp as wp
 from warp_plate.kernels import (
     energy,
     loads,
-    moment_form,
     moment_form_blocking,
     moment_form_cuda,
     plans,
@@ -61,8 +60,6 @@ def cuda_kernels(effects, real):
         yield f"tones.{kernel.key}", kernel
     yield "streaming.make_record_trace", streaming.make_record_trace(real)
     if not effects.plain:
-        for kernel in moment_form.make_passes(effects, real):
-            yield "moment_form.make_passes", kernel
         oscillators = 2 if effects.attached else 0
         for nx, ny, stride in (SMALL, HUGE):
             plan = plans.plan_block(nx, ny, real, effects, oscillators, few=False, shared_bytes=SHARED_BYTES)

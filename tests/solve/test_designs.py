@@ -186,7 +186,7 @@ def test_waves_are_those_of_the_scene(name, per_actuator, scene, draw, pairs):
     per_plate = PerPlate(frequency=True, delay=drive["burst"] is not None, per_actuator=per_actuator)
     designs = draw(made, per_plate, 2)
     for device in {device for device, _ in pairs}:
-        check_each(PlateSolver(made, device, "streaming", per_plate=per_plate).run(designs), made, designs)
+        check_each(PlateSolver(made, device, per_plate=per_plate).run(designs), made, designs)
 
 
 @pytest.mark.parametrize(("kind", "precision"), REPEATED)

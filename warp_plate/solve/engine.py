@@ -40,9 +40,11 @@ MOMENT_FORM: dict[str, MakePath] = {"resident": moment_form.resident_path, "stre
 HOST_NUMBERS = 2**24
 
 
-def paths_of(device: wp.Device, plain: bool = True) -> dict[str, MakePath]:
-    """Return the paths of a device by name, for a plain plate or for the moment form."""
-    return MOMENT_FORM if not plain else CUDA if device.is_cuda else CPU
+def paths_of(specialized: Specialized) -> dict[str, MakePath]:
+    """Return the paths of a scene on its device by name."""
+    if specialized.effects.plain:
+        return CUDA if specialized.device.is_cuda else CPU
+    return MOMENT_FORM if moment_form.takes_blocks(specialized) else {"resident": MOMENT_FORM["resident"]}
 
 
 def why_streaming(specialized: Specialized, traced: bool = False) -> str | None:
@@ -94,12 +96,12 @@ class Engine:
     """
 
     def __init__(self, specialized: Specialized, path: str = "auto") -> None:
-        scene, device, real = specialized.scene, specialized.device, specialized.real
+        scene, real = specialized.scene, specialized.real
         self.specialized = specialized
         self.path = choose_path(specialized) if path == "auto" else path
-        paths = paths_of(device, specialized.effects.plain)
+        paths = paths_of(specialized)
         if self.path not in paths:
-            raise SceneError(f"path = {path!r}: no such path; there are: auto, {', '.join(paths)}")
+            raise SceneError(f"path = {path!r}: no such path for this scene; there are: auto, {', '.join(paths)}")
         self._write_loads, self._sum_over_rows = make_write_loads(real), make_sum_over_rows(real)
         specialized.load(self._write_loads, self._sum_over_rows, sum_over_columns)
         self._write_tones = make_write_tones(real, scene.drive.burst is not None)

@@ -1,4 +1,4 @@
-"""Paths of scenes that need more than the plain plate, see ``kernels.moment_form``."""
+"""Paths of scenes that need more than the plain plate, see ``kernels.effects``."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import numpy as np
 import warp as wp
 
 from warp_plate.kernels import (
-    moment_form,
     moment_form_blocking,
     moment_form_cpu,
     moment_form_cuda,
@@ -21,7 +20,7 @@ from warp_plate.solve import cuda
 from warp_plate.solve.cpu import distribute
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import Advance, State, attached_masses
-from warp_plate.solve.streaming import Launcher, loaded_ahead, several_steps_a_launch, step_by_step
+from warp_plate.solve.streaming import Launcher, loaded_ahead, several_steps_a_launch
 
 # Temporal blocking: rows of a tile that adds up sums.
 SUMMED_ROWS = 64
@@ -74,56 +73,13 @@ def make_material(specialized: Specialized) -> Any:
     return material
 
 
-def streaming_path(specialized: Specialized) -> Advance:
-    """Return the path of several steps per launch on CUDA, where the effects allow it, else with one for each pass."""
-    if specialized.device.is_cuda and takes_blocks(specialized):
-        return _blocking_path(specialized)
-    device, (nx, ny), window = specialized.device, specialized.scheme.nodes, wp.vec2i(*specialized.scheme.window)
-    kernels = moment_form.make_passes(specialized.effects, specialized.real)
-    specialized.load(*kernels)
-    compute_moments, sum_rows, finish_sums, update_nodes = kernels
-    material, sums = make_material(specialized), attached_masses(specialized) + int(specialized.effects.membrane)
-
-    def structs_of(state: State) -> list[Any]:
-        """Return a state's drive and fields as views of the plate, and what the passes leave each other."""
-        Forcing, Fields = structs.make_state(specialized.real)
-        drive, fields, work = Forcing(), Fields(), moment_form.make_work(specialized.real)()
-        drive.wave, drive.units, drive.travelling = state.drive.wave, state.units, state.travelling
-        drive.loads = state.loads[:, :, 1 : ny + 1, :nx]
-        for name in ("u", "rate", "squares"):
-            setattr(fields, name, getattr(state, name)[:, 1 : ny + 1, :nx])
-        fields.attached = state.attached
-        for name in ("mx", "my", "mxy", "membrane_curvature"):
-            setattr(work, name, state.scratch(name, state.capacity, ny, nx))
-        work.row_sums = state.scratch("row_sums", state.capacity, sums, 2, ny)
-        work.membrane_force = state.scratch("membrane_force", state.capacity)
-        work.attached_force = state.scratch("attached_force", state.capacity, attached_masses(specialized))
-        return [drive, fields, work]
-
-    def step(launch: Launcher, state: State, plates: int, clock: wp.array, offset: int) -> None:
-        inputs = [*structs_of(state), material]
-        launch(compute_moments, dim=(plates, ny, nx), inputs=inputs, device=device)
-        if sums:
-            launch(sum_rows, dim=(plates, sums, ny), inputs=inputs, device=device)
-            launch(finish_sums, dim=(plates, sums), inputs=inputs, device=device)
-        launch(update_nodes, dim=(plates, ny, nx), inputs=[*inputs, window, clock, offset], device=device)
-
-    steps = step_by_step(specialized, step)
-
-    def advance(state: State, plates: int, start: int, stop: int) -> None:
-        structs_of(state)  # allocates, which must not happen while launches are recorded
-        steps(state, plates, start, stop)
-
-    return advance
-
-
 def takes_blocks(specialized: Specialized) -> bool:
     """Return whether temporal blocking has the effects: not those that act on patches at every step."""
-    return not (specialized.effects.attached or specialized.effects.travelling)
+    return specialized.device.is_cuda and not (specialized.effects.attached or specialized.effects.travelling)
 
 
-def _blocking_path(specialized: Specialized) -> Advance:
-    """Return the path of temporal blocking on CUDA."""
+def streaming_path(specialized: Specialized) -> Advance:
+    """Return the path of temporal blocking on CUDA, for effects that it takes."""
     effects, real, (nx, ny) = specialized.effects, specialized.real, specialized.scheme.nodes
     # More steps per launch than this cost registers that there are not; a membrane needs a sum before each step.
     most_levels = 1 if effects.membrane or real is wp.float64 else 2 if effects.retarded else 3

@@ -24,7 +24,7 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.batching import Batch, import_drives
 from warp_plate.solve.devices import find_device
-from warp_plate.solve.engine import Engine, why_streaming
+from warp_plate.solve.engine import Engine, paths_of, why_streaming
 from warp_plate.solve.parts import Records, run_parts, run_parts_on_device, states_for
 from warp_plate.solve.run import Progress, Run
 from warp_plate.solve.specialize import Quantity, Specialized, effect_names
@@ -163,7 +163,8 @@ class PlateSolver:
         phasors, values = self._check_drives(drives)
         self._check_records(times, points)
         self._check_records(peak_times)
-        if points and self.device.is_cuda and self.path == "resident":  # where plates show nothing between launches
+        # On CUDA resident plates show nothing between launches.
+        if points and self.device.is_cuda and self.path == "resident" and "streaming" in paths_of(self.specialized):
             streaming = PlateSolver(self.discretization, self.device.alias, "streaming", self._chunk, areas=self._areas)
             self.compile_seconds += streaming.compile_seconds
             run = streaming.run(drives, times, points, progress, peak_times)

@@ -16,8 +16,6 @@ from warp_plate.solve.state import Advance, State
 Launcher = Callable[..., Any]
 # Launches that are recorded together; even, so that alternating buffers end where they began.
 STEPS = 16
-# (launch, state, plates, clock, offset): make the launches of step clock[0] + offset.
-Step = Callable[[Launcher, State, int, wp.array, int], None]
 # (launch, state, plates, clock, offset, levels, summed): make the launch of ``levels`` steps from clock[0] + offset on.
 LaunchTiles = Callable[[Launcher, State, int, wp.array, int, int, bool], None]
 
@@ -58,28 +56,6 @@ def record_nodes(
     if state.nodes.shape[0]:
         inputs = [clock, offset, state.fields]
         launch(record_trace, dim=(plates, state.nodes.shape[0]), inputs=inputs, device=clock.device)
-
-
-def step_by_step(specialized: Specialized, step: Step) -> Advance:
-    """Return a path of a few launches per step, after which traced nodes are recorded."""
-    device, record_trace = specialized.device, streaming.make_record_trace(specialized.real)
-    specialized.load(record_trace, streaming.advance_clock)
-    clock = wp.zeros(1, dtype=int, device=device)
-
-    def launches(launch: Launcher, state: State, plates: int, count: int) -> None:
-        for offset in range(count):
-            step(launch, state, plates, clock, offset)
-            record_nodes(launch, record_trace, state, plates, clock, offset)
-        launch(streaming.advance_clock, dim=1, inputs=[clock, count], device=device)
-
-    def advance(state: State, plates: int, start: int, stop: int) -> None:
-        clock.fill_(start)
-        runs, rest = divmod(stop - start, STEPS)
-        for _ in range(runs):
-            repeat(device, launches, state, plates, STEPS)
-        launches(wp.launch, state, plates, rest)
-
-    return advance
 
 
 def several_steps_a_launch(specialized: Specialized, most_levels: int, launch_tiles: LaunchTiles) -> Advance:
@@ -134,21 +110,32 @@ def streaming_path(specialized: Specialized) -> Advance:
     device, real, effects = specialized.device, specialized.real, specialized.effects
     compute_curvature = streaming.make_compute_curvature(effects, real)
     update_nodes = streaming.make_update_nodes(effects, real)
-    specialized.load(compute_curvature, update_nodes)
+    record_trace = streaming.make_record_trace(real)
+    specialized.load(compute_curvature, update_nodes, record_trace, streaming.advance_clock)
     nx, ny = specialized.scheme.nodes
     bend_x, bend_y, move_x, move_y = specialized.taps
-    window = wp.vec2i(*specialized.scheme.window)
+    window, clock = wp.vec2i(*specialized.scheme.window), wp.zeros(1, dtype=int, device=device)
 
-    def step(launch: Launcher, state: State, plates: int, clock: wp.array, offset: int) -> None:
+    def launches(launch: Launcher, state: State, plates: int, count: int) -> None:
         curvature = state.u_next
-        inputs = [bend_x, bend_y, state.u]
-        launch(compute_curvature, dim=(plates, ny, nx), inputs=inputs, outputs=[curvature], device=device)
-        launch(
-            update_nodes,
-            dim=(plates, ny - 2, nx - 2),
-            inputs=[specialized.parameters, move_x, move_y, window, clock, offset, state.drive, curvature],
-            outputs=[state.fields],
-            device=device,
-        )
+        for offset in range(count):
+            inputs = [bend_x, bend_y, state.u]
+            launch(compute_curvature, dim=(plates, ny, nx), inputs=inputs, outputs=[curvature], device=device)
+            launch(
+                update_nodes,
+                dim=(plates, ny - 2, nx - 2),
+                inputs=[specialized.parameters, move_x, move_y, window, clock, offset, state.drive, curvature],
+                outputs=[state.fields],
+                device=device,
+            )
+            record_nodes(launch, record_trace, state, plates, clock, offset)
+        launch(streaming.advance_clock, dim=1, inputs=[clock, count], device=device)
 
-    return step_by_step(specialized, step)
+    def advance(state: State, plates: int, start: int, stop: int) -> None:
+        clock.fill_(start)
+        runs, rest = divmod(stop - start, STEPS)
+        for _ in range(runs):
+            repeat(device, launches, state, plates, STEPS)
+        launches(wp.launch, state, plates, rest)
+
+    return advance
