@@ -41,7 +41,6 @@ FITS = (
     "fitted_panel.FittedPanel",
 )
 EXPORTS = (
-    "paraview.write_pvd",
     "paraview.write_vtkhdf",
     "time_series.make_drive_signal",
     "time_series.write_wav",

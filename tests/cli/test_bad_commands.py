@@ -110,7 +110,7 @@ def test_the_longest_file_names(folder_of_files, command):
         for name in ("simulate", "localize"):
             assert f"{len(LONGEST_ENDING) - 2} bytes longer" in refused(command(name, "panel.toml", "--out", out))
     for words in (["render", longest, "--out", "y" * (most + 1) + ".png"],
-                  ["export", longest, "--to", "pvd", "--out", "y" * (most + 1) + ".pvd"]):  # fmt: skip
+                  ["export", longest, "--to", "vtkhdf", "--out", "y" * (most + 1) + ".vtkhdf"]):  # fmt: skip
         assert "bytes longer" in refused(command(*words))
     assert files() == before
 

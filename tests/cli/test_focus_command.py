@@ -52,7 +52,7 @@ def test_waveforms_are_exported_for_the_amplifier(command, write_scene):
         ("--to", "drive-wav", "--case", "best"),
         ("--to", "drive-wav", "--rate", "8000"),
         ("--to", "drive-wav", "--full-scale", "0.5"),
-        ("--to", "pvd"),
+        ("--to", "vtkhdf"),
     ):
         assert words[-1] in error_of(command("export", "panel-focus.h5", *words))
 

@@ -11,7 +11,7 @@ from scipy.io import wavfile
 from support.results import result_of
 from warp_plate.plate.waveforms import read_samples
 from warp_plate.result.case import Case
-from warp_plate.result.export.paraview import write_pvd, write_vtkhdf
+from warp_plate.result.export.paraview import write_vtkhdf
 from warp_plate.result.export.time_series import (
     BLOCK,
     make_drive_signal,
@@ -68,21 +68,6 @@ def check_field(mesh, oblong, index):
     cell = SIZE[0] / (NODES[0] - 1) * SIZE[1] / (NODES[1] - 1)
     areas = [(x1 - x0) * (y1 - y0) for x0, x1, y0, y1 in (actuator.area for actuator in oblong.scene.actuators)]
     assert mesh.point_data["actuators"].sum() * cell == pytest.approx(sum(areas), rel=1e-5)
-
-
-def test_a_pvd_series_reads_back_in_vtk(oblong, tmp_path):
-    pyvista = pytest.importorskip("pyvista", reason=NEEDS_VTK)
-    files = write_pvd(oblong.scene, oblong.times, displacements(oblong), tmp_path / "run & more.pvd")
-    assert sorted(tmp_path.iterdir()) == sorted(files)
-    reader = pyvista.get_reader(files[-1])
-    assert reader.time_values == list(TIMES)
-    for index, time in enumerate(TIMES):
-        reader.set_active_time_value(time)
-        (mesh,) = reader.read()
-        check_field(mesh, oblong, index)
-        array = mesh.GetPointData().GetArray("displacement_best")
-        assert array.GetInformation().Get(array.UNITS_LABEL()) == "m"
-        assert mesh.field_data["TimeValue"] == [time]
 
 
 def test_a_vtkhdf_series_reads_back_in_vtk(oblong, tmp_path):
@@ -206,7 +191,6 @@ def test_what_no_file_can_hold_or_the_result_lacks_is_refused(oblong, tmp_path):
         write_wav(many, tmp_path / "drive.wav")
     with pytest.raises(SceneError, match="--rate 2000000000"):
         write_wav(replace(signal, rate=2_000_000_000), tmp_path / "drive.wav")
-    for write in (write_pvd, write_vtkhdf):
-        with pytest.raises(SceneError, match=r"record\.times"):
-            write(oblong.scene, np.zeros(0), displacements(oblong), tmp_path / "run")
+    with pytest.raises(SceneError, match=r"record\.times"):
+        write_vtkhdf(oblong.scene, np.zeros(0), displacements(oblong), tmp_path / "run")
     assert not list(tmp_path.iterdir())

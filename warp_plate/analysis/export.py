@@ -10,7 +10,7 @@ from typing import Any, get_args
 from warp_plate.analysis.motion import motions
 from warp_plate.result.case import Case
 from warp_plate.result.export import Format
-from warp_plate.result.export.paraview import write_pvd, write_vtkhdf
+from warp_plate.result.export.paraview import write_vtkhdf
 from warp_plate.result.export.time_series import (
     Encoding,
     WaveformSignal,
@@ -61,7 +61,7 @@ def export(
     Args:
         result: Result of ``localize`` or ``simulate``; or of ``focus``, whose waveforms are written, a file per point.
         path: File to write.
-        to: "pvd" or "vtkhdf": fields for ParaView; "traces-csv": displacement at the recorded points; "drive-wav" or
+        to: "vtkhdf": fields for ParaView; "traces-csv": displacement at the recorded points; "drive-wav" or
             "drive-csv": the drive signals, a channel for each actuator.
         cases: Names of cases, or of a method of ``focus`` (default: all for fields and traces, the best drive).
         span: Start and end [s] of fields from another run (default: the recorded displacements; with ``frames`` the
@@ -124,7 +124,7 @@ def _export_fields(
         fields |= {f"rms_velocity_{motion.name}": motion.rms_velocity[None] for motion in moving}
     # Actuators are drawn at their positions in the first case.
     scene = result.case_scene(next(iter(cases.values())))
-    files = (write_pvd if to == "pvd" else write_vtkhdf)(scene, times, fields, path)
+    files = write_vtkhdf(scene, times, fields, path)
     return Exported(files, {"times": len(times), "recorded": recorded, "fields": list(fields)})
 
 

@@ -22,7 +22,6 @@ from warp_plate.scene.errors import SceneError, printable
 # Ending that is added to the result's name, and options beside --case.
 SERIES, SIGNAL = ("start", "end", "frames", "device"), ("rate", "duration", "full-scale")
 FORMATS: dict[Format, tuple[str, tuple[str, ...]]] = {
-    "pvd": (".pvd", SERIES),
     "vtkhdf": (".vtkhdf", SERIES),
     "traces-csv": ("-traces.csv", ()),
     "drive-wav": ("-drive.wav", (*SIGNAL, "encoding")),
@@ -65,13 +64,13 @@ def export(
 
     For a file written by focus, drive-wav and drive-csv write the waveforms of --case METHOD, one file per point.
 
-    --start, --end, --frames and --device are for pvd and vtkhdf: they run the scene again and write displacements and
+    --start, --end, --frames and --device are for vtkhdf: they run the scene again and write displacements and
     velocities at evenly spaced times instead of the recorded displacements.
 
     Parameters
     ----------
     to
-        pvd: a time series for ParaView, a .pvd index with a .vti file for each time; vtkhdf: the same as one file;
+        vtkhdf: a time series for ParaView 5.12 and later;
         traces-csv: displacement at the scene's record.points; drive-wav, drive-csv: a channel for each actuator over a
         whole number of periods, of the best drive unless --case names another.
     out
@@ -115,10 +114,9 @@ def _load(
 
 
 def _print(files: list[Path], to: Format, record: Mapping[str, Any]) -> None:
-    beside = f" and {len(files) - 1} .vti files beside it" if to == "pvd" else ""
     case = printable(str(record.get("case")))
-    print("\n".join(f"wrote {file}" for file in files[-1 if beside else 0 :]) + beside)
-    if to in ("pvd", "vtkhdf") and record["recorded"] and record["times"] < FEW_TIMES:
+    print("\n".join(f"wrote {file}" for file in files))
+    if to == "vtkhdf" and record["recorded"] and record["times"] < FEW_TIMES:
         print(f"It holds the {record['times']} recorded times; --frames 60 writes a motion of 60 frames a period.")
     if "periods" in record:
         jump = f"with a phase jump of {record['seam_degrees']:.2g} degrees" if record["seam_degrees"] else "seamlessly"

@@ -2,4 +2,4 @@
 
 from typing import Literal
 
-Format = Literal["pvd", "vtkhdf", "traces-csv", "drive-wav", "drive-csv"]
+Format = Literal["vtkhdf", "traces-csv", "drive-wav", "drive-csv"]
