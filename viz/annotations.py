@@ -176,27 +176,22 @@ def look_at_plate(plotter: pyvista.Plotter, size: tuple[float, float], font_size
     up = np.cross(towards, right)
     tall = TALLEST * min(size)
     corners = np.array([(x, y, z) for x in (0, size[0]) for y in (0, size[1]) for z in (-tall, tall)])
-    horizontal, vertical = corners @ right, corners @ up
-    # Extents to the left and to the right: position [m], and pixels that are needed beyond it.
-    (text_x, at_x), (text_y, at_y) = axis_labels(size)
-    lefts = [(horizontal.min(), 0.0), (at_y @ right, 0.62 * font_size * len(text_y))]
-    rights = [(horizontal.max(), 0.0), (at_x @ right, 0.62 * font_size * len(text_x))]
+    across, vertical = np.sort(corners @ right), corners @ up
+    # What reaches farthest to the left or right: position [m], and pixels that are needed beyond it.
     margin = 0.02 * pixels_wide
-    height = max(pixels_high * 0.96 - 3.4 * font_size, pixels_high / 4)
-    width = share * pixels_wide - 2 * margin
-    scale = max(  # metres per pixel
-        np.ptp(vertical) / height,
-        *((b - a) / (width - pixels_a - pixels_b) for a, pixels_a in lefts for b, pixels_b in rights),
-    )
-    first = max(margin + pixels - position / scale for position, pixels in lefts)
-    last = min(share * pixels_wide - margin - pixels - position / scale for position, pixels in rights)
+    (text_x, at_x), (text_y, at_y) = axis_labels(size)
+    lefts = [(across[0], margin), (at_y @ right, margin + 0.62 * font_size * len(text_y))]
+    rights = [(across[-1], margin), (at_x @ right, margin + 0.62 * font_size * len(text_x))]
+    width, height = share * pixels_wide, max(pixels_high * 0.96 - 3.4 * font_size, pixels_high / 4)
+    wide = max((b - a) / (width - beyond_a - beyond_b) for a, beyond_a in lefts for b, beyond_b in rights)
+    scale = max(np.ptp(vertical) / height, wide)  # metres per pixel
+    first = max(beyond - position / scale for position, beyond in lefts)
+    last = min(width - beyond - position / scale for position, beyond in rights)
     centre_right = scale * (pixels_wide - first - last) / 2
     centre_up = (vertical.max() + vertical.min()) / 2 + scale * 3.4 * font_size / 2
-    focus = centre_right * right + centre_up * up
-    camera = plotter.camera
+    focus, camera = centre_right * right + centre_up * up, plotter.camera
     camera.focal_point, camera.position, camera.up = tuple(focus), tuple(focus + 8 * max(size) * towards), (0, 0, 1)
-    camera.parallel_projection = True
-    camera.parallel_scale = float(scale * pixels_high / 2)
+    camera.parallel_projection, camera.parallel_scale = True, float(scale * pixels_high / 2)
     # The clipping range must hold for all heights to come, not only for the present ones.
     far = 2 * tall
     plotter.renderer.ResetCameraClippingRange(-far, size[0] + far, -far, size[1] + far, -far, far)

@@ -17,7 +17,7 @@ from contextlib import suppress
 
 WINDOW_VARIABLE = "VTK_DEFAULT_OPENGL_WINDOW"
 X_WINDOW, OSMESA_WINDOW = "vtkXOpenGLRenderWindow", "vtkOSOpenGLRenderWindow"
-EXTRA = "pip install 'warp-plate[viz]'"
+EXTRA, LIBRARIES = "pip install 'warp-plate[viz]'", ("matplotlib", "pyvista", "PIL", "imageio_ffmpeg")
 NO_DRIVER = (
     "there is no driver for off-screen drawing; 'apt-get install libegl1 libgl1-mesa-dri' (Debian, Ubuntu) or "
     "'dnf install mesa-libEGL mesa-dri-drivers' (Fedora) installs it"
@@ -46,25 +46,21 @@ class DrawingUnavailable(RuntimeError):
     """A library for drawing is missing; the message is one sentence that says what to install."""
 
 
+def missing_plots() -> str | None:
+    """Return a sentence on what is missing for plots and pages, which need no renderer, or None."""
+    missing = [name for name in LIBRARIES if importlib.util.find_spec(name) is None]
+    return f"drawing needs {', '.join(missing)}: {EXTRA}" if missing else None
+
+
 def missing_renderer() -> str | None:
     """Return a sentence on why VTK cannot draw off screen and what to install, or None; takes 0.5 s at first."""
     with _LOCK:  # a trial at a time, whose result is cached
-        return missing_meshes() or working_window()[1]
-
-
-def missing_plots() -> str | None:
-    """Return a sentence on what is missing for Matplotlib plots, or None."""
-    return None if importlib.util.find_spec("matplotlib") else f"plots need Matplotlib: {EXTRA}"
-
-
-def missing_meshes() -> str | None:
-    """Return a sentence on what is missing for pages, which need meshes but no renderer, or None."""
-    return missing_plots() if importlib.util.find_spec("pyvista") else f"drawing the plate needs PyVista: {EXTRA}"
+        return missing_plots() or working_window()[1]
 
 
 def missing_window() -> str | None:
     """Return a few words on why no window can be shown, or None if one can."""
-    problem = missing_meshes()
+    problem = missing_plots()
     if problem is not None or not sys.platform.startswith("linux"):
         return problem
     display = os.environ.get("DISPLAY")
@@ -80,8 +76,7 @@ def prepare() -> None:
         with suppress(Exception):  # drawing raises it again
             if missing_renderer() is None:
                 importlib.import_module("pyvista")
-            if missing_plots() is None:
-                importlib.import_module("matplotlib.figure")
+            importlib.import_module("matplotlib.figure")
 
     threading.Thread(target=import_libraries, name="trial drawing", daemon=True).start()
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -92,12 +91,11 @@ class SearchCharts:
         self._bound = self.history.line([0, 1], [0, 0], color="#b2182b", width=1.5, style="--", label="bound")
         self._best = self.history.line([0], [0], color="#08519c", width=2.5, label="best so far")
         self._factors = self.history.scatter([0], [0], color="#6baed6", size=5, style="o", label="particles now")
-        others = list(zip(actuators[1:], PARTICLE_COLOURS * len(actuators), strict=False))
-        scatter = partial(self.plane.scatter, [0], [0])
-        self._particles = [scatter(color=colour, size=5, style="o", label=name) for name, colour in others]
-        self._marks = [scatter(color=colour, size=14, style="x") for _, colour in others]
-        for mark, (_, colour) in zip(self._marks, others, strict=True):
-            mark.pen.color = colour  # PyVista leaves outlines black, and a cross is all outline
+        self._particles, self._marks = [], []
+        for name, colour in zip(actuators[1:], PARTICLE_COLOURS * len(actuators), strict=False):
+            self._particles.append(self.plane.scatter([0], [0], color=colour, size=5, style="o", label=name))
+            self._marks.append(self.plane.scatter([0], [0], color=colour, size=14, style="x"))
+            self._marks[-1].pen.color = colour  # PyVista leaves outlines black, and a cross is all outline
         for chart, vertical in ((self.history, vtkChartLegend.BOTTOM), (self.plane, vtkChartLegend.TOP)):
             chart.border_style, chart.legend_visible = None, True
             chart.GetLegend().SetVerticalAlignment(vertical)

@@ -5,7 +5,6 @@ They raise DrawingUnavailable if VTK cannot draw here, and OSError if the file c
 
 from __future__ import annotations
 
-import importlib.util
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
@@ -21,7 +20,7 @@ from warp_plate.result.model import Result
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
 from warp_plate.viz.annotations import add_legend, at_frequency, caption, case_label, name_actuators, ordered_cases
-from warp_plate.viz.availability import EXTRA, missing_meshes, missing_plots, missing_renderer, prepare, set_up_renderer
+from warp_plate.viz.availability import missing_plots, missing_renderer, prepare, set_up_renderer
 from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions, drawing_scale, field_of
 from warp_plate.viz.page import write_page
 from warp_plate.viz.plots.plan import draw_crosstalk, draw_plan
@@ -132,19 +131,11 @@ class PictureStyle:
         return max(8, round(self.width / 29))
 
 
-def missing_movies() -> str | None:
-    """Return a sentence on what is missing for MP4 files, or None."""
-    return None if importlib.util.find_spec("imageio_ffmpeg") else f"MP4 files need imageio-ffmpeg: {EXTRA}"
-
-
 def missing_library(path: Path, plan: bool = False) -> str | None:
     """Return a sentence on what is missing to draw this file, or None; ``plan``: a .png seen from above."""
     ending = path.suffix.lower()
-    if ending in PLOTS or (plan and ending == ".png"):
-        return missing_plots()
-    if ending == ".html":
-        return missing_meshes()
-    return missing_renderer() or (missing_movies() if ending == ".mp4" else None)
+    off_screen = ending in (".gif", ".mp4") or (ending == ".png" and not plan)
+    return missing_renderer() if off_screen else missing_plots()
 
 
 def draw_motions(

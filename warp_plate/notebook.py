@@ -120,15 +120,13 @@ def plot(
         shown: result of ``localize`` or ``simulate``, of ``sweep``, of ``frf``, ``compare`` or ``focus``.
         stem: path of the pictures without an ending: a result makes STEM-history.png, STEM-surfaces.png and so on, all
             others STEM.png.
-        colormap: colour map of Matplotlib for fields over the plate and maps of sweeps (default: depends on the
-            field).
+        colormap: colour map of Matplotlib for fields over the plate and maps (default: depends on the field).
         limits: ends of their colours: "common" for all plates, "each" for separate ones, or the largest value shown in
             the field's SI unit (default: "each").
 
     Raises:
-        SceneError: no such colour map or limits.
-        DrawingUnavailable: a library that a picture needs is not installed.
-        TypeError: there are no pictures of such an object.
+        SceneError, DrawingUnavailable, TypeError: no such colour map or limits, a library is not installed, or there
+            are no pictures of such an object.
     """
     from warp_plate.result.comparison import MethodComparison
     from warp_plate.result.focus import FocusResult

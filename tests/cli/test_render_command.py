@@ -12,7 +12,7 @@ from warp_plate.analysis.motion import frame_at, motions
 from warp_plate.cli.render import FrameOptions, frames_around
 from warp_plate.result.model import load_result, save_result
 from warp_plate.studies.localize import localize
-from warp_plate.viz import availability, pictures
+from warp_plate.viz import availability
 
 pytest.importorskip("pyvista", reason="PyVista is not installed: pip install 'warp-plate[viz]'")
 
@@ -62,9 +62,7 @@ def test_pictures(render, drawing, tmp_path):
 
 def test_movies_play_all_frames(render, drawing, tmp_path):
     """Frames of GIF and MP4 files differ, and the background stays white."""
-    if (problem := pictures.missing_movies()) is not None:
-        pytest.skip(problem)
-    import imageio_ffmpeg
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
 
     options = "--out a.gif --out a.mp4 --frames 6 --rate 12 --case best --json"
     assert files_of(render(*options.split())) == ["a.gif", "a.mp4"]

@@ -280,7 +280,7 @@ def test_the_swarm_is_drawn(view, model):
     np.testing.assert_allclose(best, np.column_stack([np.arange(1, 16), swarm.best]))
     np.testing.assert_allclose(factors, np.column_stack([np.full(12, 15), swarm.factors]))
     np.testing.assert_allclose(bound[:, 1], model.read().bound)
-    for index, (drawn, mark) in enumerate(zip(rest[:2], rest[2:], strict=True), start=1):
+    for index, (drawn, mark) in enumerate(zip(rest[::2], rest[1::2], strict=True), start=1):
         phasors, found = swarm.phasors[:, index], swarm.best_phasors[index]
         np.testing.assert_allclose(drawn, np.column_stack([phasors.real, phasors.imag]))
         np.testing.assert_allclose(mark, [[found.real, found.imag]])
@@ -292,7 +292,7 @@ def test_the_swarm_is_drawn(view, model):
         np.ones((4, 3), complex), np.full(4, np.nan), np.array([np.nan]), best_phasors=None, iterations=5, running=True
     )
     view.search.show(swarm, None)
-    assert [plot.visible for plot in view.search.plane.plots("scatter")] == [True, True, False, False]
+    assert [plot.visible for plot in view.search.plane.plots("scatter")] == [True, False, True, False]
     assert not next(iter(view.search.history.plots("line"))).visible
 
 

@@ -150,8 +150,8 @@ def test_missing_packages_are_named(paper_run, monkeypatch, new_trial, tmp_path)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     written, problem = viz.draw_all(paper_run, tmp_path / "paper")
     assert written == []
-    assert all(words in problem for words in ("PyVista", "Matplotlib", "pip install 'warp-plate[viz]'"))
-    assert "plots need Matplotlib" in scene_html(paper_run.scene)
+    assert all(words in problem for words in ("pyvista", "matplotlib", "pip install 'warp-plate[viz]'"))
+    assert "drawing needs matplotlib" in scene_html(paper_run.scene)
 
 
 def test_off_screen_drawing_is_quiet_and_loads_libraries_when_needed(drawing):

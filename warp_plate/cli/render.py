@@ -216,12 +216,12 @@ def frames_around(result: Result, time: float | None, shown: FrameOptions) -> Fr
 def _paper_figures(result: Result, name: Path) -> list[Path]:
     """Draw figures 2 and 3 of the source paper."""
     from warp_plate.result.atomic_io import atomic_paths
-    from warp_plate.viz.availability import missing_plots, missing_renderer
+    from warp_plate.viz.availability import missing_renderer
     from warp_plate.viz.pictures import draw_history, draw_surfaces
 
     if not result.history or not result.times.size:
         raise SceneError(f"--figures paper: {name} holds no search; make it with localize")
-    if (problem := missing_plots() or missing_renderer()) is not None:
+    if (problem := missing_renderer()) is not None:
         raise SceneError(problem)
     drawn = [Path(f"{name.stem}-figure-2.png"), *(Path(f"{name.stem}-figure-3{form}") for form in (".png", *PLOTS))]
     with atomic_paths(*drawn) as (surfaces, *histories):
