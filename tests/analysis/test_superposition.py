@@ -84,7 +84,7 @@ def test_any_drive_equals_its_run(steady, path, scene, phasors):
 def test_simulations_do_not_overlap(scene, monkeypatch):
     """Two settings in several threads: the last swarm of an ended search, and the current picture."""
     made = scene(nodes=(9, 9), window=(0.002, 0.004), effects={"stretching": {}})
-    both = [SimulatedResponses(made, "cpu") for _ in range(2)]
+    both = [SimulatedResponses(made, "cpu", "resident") for _ in range(2)]
     real, running, most = PlateSolver.run, [], []
 
     def run(self, *given):
