@@ -169,7 +169,7 @@ COARSE = {"nodes": (9, 9), "time_step": 1e-4}
         ({"delay": {"range": [0, 0.5]}}, {"drive": BURST}, ["search.delay.range = [0.0, 0.5]", "window.end = 0.012"]),
         ({"position": {}}, {"load": "nodes"}, ["search.position", '"overlap"', '"moments"']),
         ({"position": {"area": [0, 0.02, 0, 0.2]}}, {}, ["search.position.area", "0.02 m long along x", "0.03 m"]),
-        ({"position": {"area": [0, 0.03, 0, 0.2], "actuators": ["1"]}}, {"actuators": NARROW}, ["no longer along x"]),
+        ({"position": {"area": [0, 0.03, 0, 0.2], "actuators": ["1"]}}, {"actuators": NARROW}, ["move it there"]),
         (TO_400, {"drive": CHIRP}, ["search.frequency", "drive.chirp"]),
         (TO_400, {"drive": SIGNAL}, ["search.frequency", "drive.signal"]),
         ({"phase": {}}, {"actuators": NARROW[:1]}, ["search: ", "[search.frequency]"]),

@@ -32,7 +32,7 @@ def test_the_loss_of_a_position_is_that_of_its_best_drive(name, random):
     problem = make_problem(resolve(projected_search(SEARCHES[name]), "cpu"))
     assert problem.evaluator_name == "modal"
     assert not any("magnitude" in each or "phase" in each for each in problem.space.names)
-    positions = problem.space.from_unit(random.random((60, problem.space.dimension)))
+    positions = problem.space.from_unit(random.random((30, problem.space.dimension)))
     losses = problem.losses(positions)
     apart = np.flatnonzero(losses == problem.losses_without_clearance(positions))[:3]
     assert apart.size == 3
@@ -60,8 +60,8 @@ def response_at(problem, position):
 
 
 def test_no_drive_that_is_known_is_better_than_the_one_returned():
-    """Neither one of the result's spectrum nor, at the same places and frequency, the exact one."""
-    search = {**DRIVES, **FREQUENCY, "position": {"actuators": ["1"]}}
+    """Neither one of the result's spectrum nor, at the same frequency, the exact one."""
+    search = {**DRIVES, **FREQUENCY}
     result = localize(projected_search(search), device="cpu", estimate=False)
     best = result.cases["best"].localization_factor
     assert best == pytest.approx(result.history["best"][-1], abs=1e-6)
@@ -94,7 +94,7 @@ def test_patches_keep_their_clearance(clearance, evaluator, random):
         actuators=[(0.0, 0.04, 0.0, 0.04), (0.06, 0.1, 0.06, 0.1), (0.07, 0.1, 0.01, 0.05)],
     )
     problem = make_problem(resolve(scene, "cpu", evaluator=evaluator))
-    positions = problem.space.from_unit(random.random((40, problem.space.dimension)))
+    positions = problem.space.from_unit(random.random((20, problem.space.dimension)))
     near = problem.losses(positions) > 2
     scenes = [problem.parametrization.scene_of(position) for position in positions]
     assert near.tolist() == [overlapping(areas_of(found), clearance) for found in scenes]
@@ -122,7 +122,7 @@ GRADIENTS = {
 def test_slopes_are_those_of_differences(name, random):
     problem = make_problem(resolve(projected_search(GRADIENTS[name]), "cpu", evaluator="modal"))
     space, steps = problem.space, 1e-4 * np.diag(problem.space.span)
-    positions = space.from_unit(random.uniform(0.05, 0.95, (40, space.dimension)))
+    positions = space.from_unit(random.uniform(0.05, 0.95, (12, space.dimension)))
     position = positions[np.argmin(problem.losses(positions))]
     losses, slopes = problem.slopes(position[None], space)
     assert losses[0] == pytest.approx(problem.losses(position[None])[0], abs=1e-6)

@@ -80,22 +80,16 @@ class DesignVariable(ABC):
         values[self.kind][list(self.actuators)] = numbers
 
     def derivative(self, slopes: LossSlopes) -> np.ndarray:
-        """Return the slopes (n,) of the loss by this number."""
+        """Return the slopes (n,) of the loss by this number, by way of all drives if it is of one."""
+        if self.is_drive:
+            return slopes.by_drive(self)
         return np.asarray(slopes.by_value[self.kind][:, list(self.actuators)].sum(axis=1))
 
 
-class DriveVariable(DesignVariable):
-    """A magnitude or phase: the loss depends on it by way of the drives."""
+class Magnitude(DesignVariable):
+    """A magnitude, in ``Parametrization.unit``."""
 
     is_drive = True
-
-    def derivative(self, slopes: LossSlopes) -> np.ndarray:
-        """Return the slopes (n,) by way of all drives."""
-        return slopes.by_drive(self)
-
-
-class Magnitude(DriveVariable):
-    """A magnitude, in ``Parametrization.unit``."""
 
     @classmethod
     def of_table(cls, scene: Scene, table: FreeMagnitude) -> list[Self]:
@@ -111,8 +105,10 @@ class Magnitude(DriveVariable):
         return cls.ranged(scene, "magnitude", not equal, [actuator.magnitude for actuator in scene.actuators], ends)
 
 
-class Phase(DriveVariable):
+class Phase(DesignVariable):
     """A phase lag [rad]."""
+
+    is_drive = True
 
     @classmethod
     def of_table(cls, scene: Scene, table: FreePhase) -> Iterator[Self]:
@@ -160,17 +156,12 @@ class Place(DesignVariable):
                 low, high, start, stop = *patch[first : first + 2], *area[first : first + 2]
                 centre, half = (low + high) / 2, (high - low) / 2
                 lower, upper = start + half, stop - half
-                if stop - start < 2 * half - 1e-9 * side:
-                    raise SceneError(
-                        f"search.position.area = {list(area)}: is {stop - start:.6g} m long along {axis}, actuator "
-                        f"{name!r} {2 * half:.6g} m; make room for all of it"
-                    )
                 if upper - lower > 1e-9 * side:
                     yield cls.of_group(scene, axis, (actuator,), centre, (lower, upper), lower=lower, upper=upper)
-                elif abs(centre - lower) > 1e-9 * side:
+                elif upper - lower < -1e-9 * side or abs(centre - lower) > 1e-9 * side:
                     raise SceneError(
-                        f"search.position.area = {list(area)}: is no longer along {axis} than actuator {name!r}, which "
-                        "lies elsewhere; move it there, or enlarge the area"
+                        f"search.position.area = {list(area)}: is {stop - start:.6g} m long along {axis}, actuator "
+                        f"{name!r} {2 * half:.6g} m; make room for it, or move it there"
                     )
 
 
