@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -112,9 +113,7 @@ def sampled_loads(scene: Scene, frequency: np.ndarray, delay: np.ndarray, end: f
     if scene.drive.signal is not None:
         samples = read_samples(scene.drive.signal, scene.folder, delay.size)
         highest, longest = max(highest, samples.highest_frequency()), 1 / samples.rate
-
-        def carrier(times: np.ndarray) -> np.ndarray:
-            return sample_at(samples, times)
+        carrier = partial(sample_at, samples)
     else:
         assert chirp is not None
         cuts = [chirp.duration]

@@ -45,14 +45,8 @@ SIDE = 101
 def trace(
     plate: ModalPlate, drives: np.ndarray, points: Sequence[tuple[float, float]] | np.ndarray, times: np.ndarray
 ) -> np.ndarray:
-    """Return (drives, points, times) displacement [m] at points (x, y) [m] and times from 0 on [s].
-
-    Args:
-        plate: Modes.
-        drives: (drives, actuators) phasors Z [N/m²].
-        points: Points (x, y) [m].
-        times: Times [s].
-    """
+    """Return (drives, points, times) displacement [m] under phasors (drives, actuators) at points (x, y) [m] and times
+    from 0 on [s]."""
     return modal_motion(plate, drives, times, outputs=plate.at_points(points).T).swapaxes(0, 1)
 
 

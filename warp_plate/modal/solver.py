@@ -127,7 +127,9 @@ class ModalSolver:
         self.device, self.quantity = find_device(device), quantity
         self.discretization = ModalGrid(scene, per_plate) if isinstance(scene, Scene) else scene
         self._areas = areas
-        self.plate: ModalPlate = solve_modes(self.scene, highest=_highest_frequency(self.scene))
+        searched = self.scene.search.frequency
+        highest = max(highest_frequency(self.scene), searched.range[1] if searched is not None else 0.0)
+        self.plate: ModalPlate = solve_modes(self.scene, highest)
         self.compile_seconds = time.perf_counter() - started
 
     @property
@@ -267,9 +269,3 @@ class ModalSolver:
         if len(points):
             trace[:] = displacement_at(self.plate, phasors, points, trace_times)
         return displacement, trace, trace_times
-
-
-def _highest_frequency(scene: Scene) -> float:
-    """Return the highest frequency of the scene and of its search [Hz]."""
-    searched = scene.search.frequency
-    return max(highest_frequency(scene), searched.range[1] if searched is not None else 0.0)

@@ -124,8 +124,12 @@ def _with_terms(bare: Bending, terms: Sequence[Term]) -> Bending:
                 membrane[IN_PLANE.index(term.factors)] += term.coefficient
                 labels["membrane"].append(term.label)
             elif term.factors == DISPLACEMENT:
-                field = springs.setdefault(term.label, np.zeros_like(bare.mass))
-                _add_spring(field, bare, term)
+                field, edge = springs.setdefault(term.label, np.zeros_like(bare.mass)), term.place
+                if isinstance(edge, Edge):
+                    across = bare.spacing[0 if edge.side in ("left", "right") else 1]
+                    field[EDGE_LINES[edge.side]] += 2 * term.coefficient / across
+                else:
+                    field += term.coefficient
             elif term.factors != SLOPE:
                 raise _refused(term)
         elif term.of == "bending" and term.role == "damping":
@@ -140,15 +144,6 @@ def _with_terms(bare: Bending, terms: Sequence[Term]) -> Bending:
         retardation=retardation,
         labels={key: " and ".join(dict.fromkeys(names)) for key, names in labels.items() if names},
     )
-
-
-def _add_spring(field: np.ndarray, bare: Bending, term: Term) -> None:
-    """Add a spring of the whole plate [N/m³], or along an edge [N/m²], to a field of springs per area, in place."""
-    if isinstance(term.place, Edge):
-        across = bare.spacing[0 if term.place.side in ("left", "right") else 1]
-        field[EDGE_LINES[term.place.side]] += 2 * term.coefficient / across
-    else:
-        field += term.coefficient
 
 
 def _refused(term: Term) -> SceneError:

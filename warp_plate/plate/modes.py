@@ -153,13 +153,8 @@ def separated(squares: np.ndarray, vectors: np.ndarray, weight: np.ndarray) -> n
 
 
 def normalised_shapes(scene: Scene, vectors: np.ndarray, moving: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return shapes (modes, ny, nx) and motions of attached masses (modes, attachments), the largest displacement 1.
-
-    Args:
-        scene: Scene.
-        vectors: (unknowns, modes) displacements of the moving nodes, then of the masses on springs.
-        moving: (ny, nx) true for nodes that move.
-    """
+    """Return shapes (modes, ny, nx) and motions of attached masses (modes, attachments), the largest displacement 1, of
+    vectors (unknowns, modes) over the moving nodes (ny, nx), then over the masses on springs."""
     nodes, count = np.count_nonzero(moving), vectors.shape[1]
     shapes = np.zeros((count, *moving.shape))
     shapes[:, moving] = vectors[:nodes].T

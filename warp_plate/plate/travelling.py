@@ -44,11 +44,10 @@ def moving_weights(scene: Scene, time_step: float, steps: int) -> MovingWeights:
     off the plate, the part on it counts.
 
     Raises:
-        SceneError: The scene has no such load, or it never touches the plate during the run.
+        SceneError: The load never touches the plate during the run.
     """
     load = scene.effects.travelling
-    if load is None:
-        raise SceneError(f"{TRAVELLING}: this scene has none")
+    assert load is not None
     times, presence = time_step * np.arange(steps), _presence(load, scene, 2 * time_step * steps)
     present = step_means(lambda time: np.clip(time, *presence), time_step, steps)
     wave = load.force * present * np.cos(2 * math.pi * (load.frequency or 0.0) * times)

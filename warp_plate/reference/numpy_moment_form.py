@@ -54,14 +54,9 @@ class History:
 
 
 def make_matrices(scene: Scene, scheme: Scheme) -> Matrices:
-    """Return the matrices of a scene that needs the moment form.
-
-    Raises:
-        ValueError: The scene is a plain plate; see :func:`warp_plate.reference.numpy_plate.run_plate`.
-    """
+    """Return the matrices of a scene that needs the moment form, and is no plain plate."""
     fields = scheme.bending
-    if fields is None:
-        raise ValueError("scene: a plain plate has no matrices; take reference.numpy_plate")
+    assert fields is not None
     bending, *others = stiffness_parts(fields).values()
     slopes = replace(fields, springs={}, membrane=(1.0, fields.stretch_ratio))
     cell = scheme.spacing[0] * scheme.spacing[1]
@@ -83,12 +78,7 @@ def make_matrices(scene: Scene, scheme: Scheme) -> Matrices:
 
 
 def run_moment_form(scene: Scene, drives: np.ndarray) -> History:
-    """Step one plate for each row of phasors (plates, actuators) [N/m²], from rest.
-
-    Raises:
-        SceneError: ``make_scheme`` refuses the scene.
-        ValueError: The scene is a plain plate.
-    """
+    """Step one plate of a scene that needs the moment form for each row of phasors (plates, actuators), from rest."""
     scheme = make_scheme(scene)
     m, step, (nx, ny) = make_matrices(scene, scheme), scheme.time_step, scheme.nodes
     cell, plates = scheme.spacing[0] * scheme.spacing[1], len(drives)

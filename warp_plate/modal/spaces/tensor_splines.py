@@ -124,8 +124,7 @@ class TensorSplines:
     def at_points(self, points: Sequence[tuple[float, float]] | np.ndarray) -> np.ndarray:
         """Return (points, unknowns) values of the functions at points (x, y) [m]."""
         x, y = np.asarray(points, dtype=float).reshape(-1, 2).T
-        products = self.along[1].values(y).T[:, :, None] * self.along[0].values(x).T[:, None, :]
-        return np.asarray(products.reshape(len(x), -1))
+        return _products(self.along[1].values(y), self.along[0].values(x))
 
     def on_grid(self, coefficients: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return (..., ny, nx) values of sums of functions (..., unknowns) on the grid of x and y [m]."""
@@ -135,26 +134,21 @@ class TensorSplines:
     def patch_integrals(self, areas: np.ndarray) -> np.ndarray:
         """Return (areas, unknowns) ∫ X_i Y_j dA over rectangles (areas, 4) x0, x1, y0, y1 [m]."""
         x0, x1, y0, y1 = np.asarray(areas, dtype=float).reshape(-1, 4).T
-        products = self.along[1].integrals(y0, y1).T[:, :, None] * self.along[0].integrals(x0, x1).T[:, None, :]
-        return np.asarray(products.reshape(len(x0), products.shape[1] * products.shape[2]))
+        return _products(self.along[1].integrals(y0, y1), self.along[0].integrals(x0, x1))
 
     def patch_slopes(self, areas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return (areas, unknowns) derivatives of :meth:`patch_integrals` by the rectangles' places."""
         along_x, along_y = self.along
         x0, x1, y0, y1 = areas.reshape(-1, 4).T
-        across = (along_x.values(x1) - along_x.values(x0)).T, (along_y.values(y1) - along_y.values(y0)).T
-        by_x = along_y.integrals(y0, y1).T[:, :, None] * across[0][:, None, :]
-        by_y = across[1][:, :, None] * along_x.integrals(x0, x1).T[:, None, :]
-        return by_x.reshape(len(x0), -1), by_y.reshape(len(x0), -1)
+        across, up = along_x.values(x1) - along_x.values(x0), along_y.values(y1) - along_y.values(y0)
+        return _products(along_y.integrals(y0, y1), across), _products(up, along_x.integrals(x0, x1))
 
     def curvature_integrals(self, areas: np.ndarray) -> np.ndarray:
         """Return (areas, unknowns) ∫ ∇²(X_i Y_j) dA over rectangles (areas, 4) x0, x1, y0, y1 [m]."""
         along_x, along_y = self.along
         x0, x1, y0, y1 = areas.T
         bent_x, bent_y = along_x.values(x1, 1) - along_x.values(x0, 1), along_y.values(y1, 1) - along_y.values(y0, 1)
-        products = along_y.integrals(y0, y1).T[:, :, None] * bent_x.T[:, None, :]
-        products = products + bent_y.T[:, :, None] * along_x.integrals(x0, x1).T[:, None, :]
-        return np.asarray(products.reshape(len(areas), -1))
+        return _products(along_y.integrals(y0, y1), bent_x) + _products(bent_y, along_x.integrals(x0, x1))
 
     def region_matrix(self, region: Area | Target, within: Area | None = None) -> Matrix:
         """Return the mass matrix [kg] of a rectangle or target, or of its part in the rectangle ``within``."""
@@ -184,6 +178,12 @@ class TensorSplines:
             if np.abs(splines.knots - others.knots).max() > share * np.diff(others.breaks).min():
                 return False
         return True
+
+
+def _products(along_y: np.ndarray, along_x: np.ndarray) -> np.ndarray:
+    """Return (places, unknowns) products of functions of y (rows, places) and of functions of x (columns, places)."""
+    products = along_y.T[:, :, None] * along_x.T[:, None, :]
+    return products.reshape(len(products), len(along_y) * len(along_x))
 
 
 def _values(along_y: Matrix, along_x: Matrix, coefficients: np.ndarray) -> np.ndarray:
