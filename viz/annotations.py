@@ -69,18 +69,14 @@ EDGE_STYLES = {
 }
 
 
-def edges_by_kind(scene: Scene) -> dict[str, dict[str, Path]]:
-    """Return name and ends of the edges of every kind in the scene, in the order of EDGE_STYLES."""
-    width, height = scene.plate.size
-    ends: dict[str, Path] = {
-        "left": [(0, 0), (0, height)],
-        "bottom": [(0, 0), (width, 0)],
-        "right": [(width, 0), (width, height)],
-        "top": [(0, height), (width, height)],
-    }
-    kinds: dict[str, dict[str, Path]] = {kind: {} for kind in EDGE_STYLES}
+def edges_by_kind(scene: Scene) -> dict[str, list[Path]]:
+    """Return the ends of the edges of every kind in the scene, in the order of EDGE_STYLES."""
+    (x0, y0), (x1, y1) = (0.0, 0.0), scene.plate.size
+    ends = {"left": [(x0, y0), (x0, y1)], "bottom": [(x0, y0), (x1, y0)]}
+    ends |= {"right": [(x1, y0), (x1, y1)], "top": [(x0, y1), (x1, y1)]}
+    kinds: dict[str, list[Path]] = {kind: [] for kind in EDGE_STYLES}
     for name, edge in scene.edges:
-        kinds[edge if isinstance(edge, str) else "springs"][name] = ends[name]
+        kinds[edge if isinstance(edge, str) else "springs"].append(ends[name])
     return {kind: edges for kind, edges in kinds.items() if edges}
 
 

@@ -18,19 +18,10 @@ from warp_plate.scene.model import Scene
 if TYPE_CHECKING:
     from matplotlib.colors import Colormap
 
-# The cyclic map of angles in the colour space Oklab: one lightness and chroma, all hues, red at zero.
-PHASE, LIGHTNESS, CHROMA, FIRST_HUE = "phase", 0.73, 0.125, math.radians(25)
-# From Oklab to the cube roots of cone responses, and from these responses to linear sRGB (Ottosson, 2020).
-TO_CONES = np.array(
-    [[1, 0.3963377774, 0.2158037573], [1, -0.1055613458, -0.0638541728], [1, -0.0894841775, -1.291485548]]
-)
-TO_RGB = np.array(
-    [
-        [4.0767416621, -3.3077115913, 0.2309699292],
-        [-1.2684380046, 2.6097574011, -0.3413193965],
-        [-0.0041960863, -0.7034186147, 1.707614701],
-    ]
-)
+# The cyclic map of angles, from −π: all hues of the colour space Oklab at one lightness and chroma, red at zero.
+PHASE = "phase"
+PHASE_COLOURS = ("#00becd", "#49b4ea", "#81a6f6", "#ae97ee", "#cf8bd3", "#e585ac", "#ec877f")
+PHASE_COLOURS += ("#e49156", "#cba13e", "#a5b14e", "#72bc76", "#33c1a4", "#00becd")
 # Height at which the largest displacement is drawn, as a share of the plate's shorter side.
 TALLEST = 0.12
 PREFIXES = (("p", 1e12), ("n", 1e9), ("µ", 1e6), ("m", 1e3), ("", 1.0))
@@ -86,15 +77,9 @@ def colour_map(name: str) -> Colormap:
     """Return a colour map of Matplotlib, or "phase", the cyclic one of angles: all its colours are equally light, and
     equal steps of the angle look equally far apart."""
     from matplotlib import colormaps
-    from matplotlib.colors import ListedColormap
+    from matplotlib.colors import LinearSegmentedColormap
 
-    if name != PHASE:
-        return colormaps[name]
-    hue = FIRST_HUE + np.linspace(-math.pi, math.pi, 512)
-    oklab = np.stack([np.full_like(hue, LIGHTNESS), CHROMA * np.cos(hue), CHROMA * np.sin(hue)])
-    linear = np.clip(TO_RGB @ (TO_CONES @ oklab) ** 3, 0, 1)
-    encoded = np.where(linear < 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return ListedColormap(encoded.T.tolist(), PHASE)
+    return LinearSegmentedColormap.from_list(PHASE, PHASE_COLOURS, 512) if name == PHASE else colormaps[name]
 
 
 def _check_name(name: str) -> None:

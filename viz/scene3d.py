@@ -55,7 +55,7 @@ class PlateMeshes:
         self.surface.point_data[SCALARS] = np.zeros(displacement.size)
         paths = {
             "grid": grid.inner_lines(),
-            **{kind: list(ends.values()) for kind, ends in edges_by_kind(scene).items()},
+            **edges_by_kind(scene),
             "target": outlines(scene),
             "actuators": [rectangle(actuator.area) for actuator in scene.actuators],
         }

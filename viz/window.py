@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -61,7 +61,17 @@ class ViewerWindow:
         bar.ShowSliderLabelOff()  # captions hold the time
         bar.SetSliderLength(0.006)
         bar.SetEndCapLength(0.0)
-        for name, callback in self._keys().items():
+        keys = {
+            "space": self.play,
+            "Left": partial(self.step, -1),
+            "Right": partial(self.step, 1),
+            "comma": partial(self.speed_up, 1 / STEP),
+            "period": partial(self.speed_up, STEP),
+            "Up": partial(self.exaggerate, STEP),
+            "Down": partial(self.exaggerate, 1 / STEP),
+            "c": self.next_field,
+        }
+        for name, callback in keys.items():
             plotter.add_key_event(name, callback)
         self.playing = True
 
@@ -83,14 +93,9 @@ class ViewerWindow:
 
     def go_to(self, moment: float) -> None:
         """Stop at the frame nearest to a time [s], or to a part of the period of modes."""
-        self.playing = False
-        self._position = int(np.abs(self._moments - moment).argmin())
+        self.playing, self._position = False, int(np.abs(self._moments - moment).argmin())
         self.plates.show(self._position)
         self.plotter.render()
-
-    def play(self) -> None:
-        """Start or stop."""
-        self.playing = not self.playing
 
     def step(self, frames: int) -> None:
         """Stop, and move by a number of frames."""
@@ -112,18 +117,9 @@ class ViewerWindow:
         self.plates.colour_by(self.quantity)
         self.plotter.render()
 
-    def _keys(self) -> dict[str, Callable[[], object]]:
-        """Return callbacks by VTK's names of the keys."""
-        return {
-            "space": self.play,
-            "Left": partial(self.step, -1),
-            "Right": partial(self.step, 1),
-            "comma": partial(self.speed_up, 1 / STEP),
-            "period": partial(self.speed_up, STEP),
-            "Up": partial(self.exaggerate, STEP),
-            "Down": partial(self.exaggerate, 1 / STEP),
-            "c": self.next_field,
-        }
+    def play(self) -> None:
+        """Start or stop."""
+        self.playing = not self.playing
 
 
 def window_plotter(plates: int, separate: bool = False, **options: object) -> pyvista.Plotter:

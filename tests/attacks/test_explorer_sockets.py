@@ -39,6 +39,9 @@ def test_the_secret_is_given_to_those_who_have_it(served):
         with pytest.raises(urllib.error.HTTPError, match="403"):
             ask(served, Referer=referer)
     assert session(served)[1] in served[1]
+    request = urllib.request.Request(f"{page}paraview/", b"{}", {"Referer": page + served[1]})
+    with urllib.request.urlopen(request, timeout=PATIENCE) as answer:
+        assert "Access-Control-Allow-Origin" not in answer.headers
 
 
 async def flood(socket):

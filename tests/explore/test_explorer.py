@@ -13,9 +13,9 @@ from warp_plate import PlateSolver, SceneError, localize
 from warp_plate.analysis.superposition import ORDERS, last_period, live_solver, unit_responses
 from warp_plate.explore.live_model import CHOICES, LiveModel, changed_scene, slider_ranges
 from warp_plate.plate.weights import localization_factor
-from warp_plate.result.motion import QUADRANTS, DriveResponse, SteadyMotion, SwarmSnapshot
+from warp_plate.result.motion import SwarmSnapshot
 from warp_plate.viz import explorer_page
-from warp_plate.viz.explorer_view import LEAST_SHARE, PERIOD, ExplorerView, share_texts
+from warp_plate.viz.explorer_view import LEAST_SHARE, PERIOD, ExplorerView
 from warp_plate.viz.pictures import make_plotter
 
 # Damped so strongly that the motion is steady when the run ends, and not so strongly that low modes creep.
@@ -288,18 +288,10 @@ def test_the_swarm_is_drawn(view, model):
     view.advance(0)
     assert not charts.history.visible
     # Without a finite loss and without a bound.
-    swarm = SwarmSnapshot(
-        np.ones((4, 3), complex), np.full(4, np.nan), np.array([np.nan]), best_phasors=None, iterations=5, running=True
-    )
-    view.search.show(swarm, None)
-    assert [plot.visible for plot in view.search.plane.plots("scatter")] == [True, False, True, False]
-    assert not next(iter(view.search.history.plots("line"))).visible
-
-
-def test_texts_of_a_plate_at_rest(scene):
-    motion = SteadyMotion(np.array([1]), np.zeros((1, 13, 13), complex))
-    reading = DriveResponse(scene(), np.zeros(3, complex), motion, dict.fromkeys(("plate", *QUADRANTS), 0.0), None)
-    assert set(share_texts(reading).values()) == {"—"}
+    nothing = np.full(4, np.nan)
+    charts.show(SwarmSnapshot(np.ones((4, 3), complex), nothing, nothing[:1], None, iterations=5, running=True), None)
+    assert [plot.visible for plot in charts.plane.plots("scatter")] == [True, False, True, False]
+    assert not next(iter(charts.history.plots("line"))).visible
 
 
 def test_refusals_name_the_library_the_port_or_the_device(write_scene, monkeypatch, command, drawing):

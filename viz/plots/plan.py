@@ -120,7 +120,7 @@ def place_names(names: Sequence[str], patches: np.ndarray, plate: np.ndarray, le
 def draw_edges(axes: Axes, scene: Scene) -> None:
     """Draw the edges by their support, and fit the axes to the plate without ticks."""
     for kind, edges in edges_by_kind(scene).items():
-        for ends in edges.values():
+        for ends in edges:
             axes.plot(*zip(*ends, strict=True), clip_on=False, zorder=3, **EDGE_STYLES[kind].matplotlib)
     width, height = scene.plate.size
     axes.set(aspect="equal", xlim=(0, width), ylim=(0, height), xticks=[], yticks=[])
