@@ -188,7 +188,8 @@ def run_sweep(
     """
     started, total, pending = time.perf_counter(), len(start.plan), start.pending.tolist()
     values = {name: array.copy() for name, array in start.values.items()}
-    current = replace(start, values=values, status=start.status.copy())
+    status, reasons = start.status.copy(), dict(start.reasons)
+    current = replace(start, values=values, status=status, reasons=reasons)
     if pool is not None and len(pending) == total:
         current = replace(current, device="", processor="")  # the workers report theirs
 
@@ -202,7 +203,13 @@ def run_sweep(
         with deferred_interrupts():
             points = run_here(chosen, pending) if pool is None else run_on_pool(chosen, pending, pool)
             for done, result in enumerate(points, total - len(pending) + 1):
-                current = _with_result(current, result)
+                if result.processor:
+                    current = current.moved_to(result.device, result.processor)
+                status[result.point] = REFUSED if result.values is None else RUN
+                if result.values is None:
+                    reasons[result.point] = result.reason
+                for name, value in (result.values or {}).items():
+                    values[name][result.point] = value
                 if on_progress is not None:
                     on_progress(done, total, _describe(result, start))
                 if file is not None and file.due():
@@ -216,16 +223,6 @@ def run_sweep(
         more = f" (and {counted(total - 1, 'point')} more)" if total > 1 else ""
         raise SceneError(f"all points are refused; {current.refusal(0)}{more}")
     return now()
-
-
-def _with_result(sweep: Sweep, result: PointResult) -> Sweep:
-    """Return a sweep with the result at a point, which is written into its arrays, and with the device of the point."""
-    if result.processor:
-        sweep = sweep.moved_to(result.device, result.processor)
-    sweep.status[result.point] = REFUSED if result.values is None else RUN
-    for name, value in (result.values or {}).items():
-        sweep.values[name][result.point] = value
-    return replace(sweep, reasons={**sweep.reasons, result.point: result.reason}) if result.values is None else sweep
 
 
 def _describe(result: PointResult, sweep: Sweep) -> str:
