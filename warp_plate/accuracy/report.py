@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from warp_plate.accuracy.configurations import Configuration, make_configurations
-from warp_plate.accuracy.measure import MODAL_DENSITIES, AccuracyRow, measure, measure_modal
+from warp_plate.accuracy.measure import MODAL, MODAL_DENSITIES, AccuracyRow, measure, measure_modal
 from warp_plate.accuracy.reference_solution import LEAST_ERROR, ReferenceSolution, find_reference_solution
 from warp_plate.scene.grid import Grid
 from warp_plate.scene.model import Scene, SceneSource
@@ -108,14 +108,31 @@ def measure_accuracy(
     scene = Scene.load(scene)
     started = time.perf_counter()
     reference = find_reference_solution(scene, "auto", device, LEAST_ERROR, REFERENCE_SHARE * budget)
-    configurations: list[Configuration | None] = [None]
-    if scene.grid.accuracy is not None:  # the scene as written has no grid
-        scene, configurations = scene.model_copy(update={"grid": Grid()}), []
-    configurations += make_configurations(scene)
+    points: list[float | Configuration | None] = [None]  # densities of functions, and grids; None for that of the scene
+    if scene.grid.accuracy is not None:
+        scene, points = scene.model_copy(update={"grid": Grid()}), []
+    points += make_configurations(scene)
     if scene.modal_only_key is not None:
-        configurations = []
-    seconds = (1 - REFERENCE_SHARE) * budget
-    rows, interrupted = _measure_rows(scene, reference, configurations, device, path, seconds, on_progress)
+        points = []
+    if reference.plate is not None:  # coarser ones than the reference itself
+        points = [*(density for density in MODAL_DENSITIES if density < reference.density), *points]
+    rows: list[AccuracyRow] = []
+    interrupted, seconds = False, (1 - REFERENCE_SHARE) * budget
+    try:
+        for point in points:
+            if on_progress is not None:
+                name = "modes" if isinstance(point, float) else str(point or "the scene as written")
+                on_progress(len(rows), len(points), name)
+            if isinstance(point, float):
+                rows.append(measure_modal(scene, reference, point))
+                continue
+            first = sum(row.measured and row.load != MODAL for row in rows) < FIRST_ROWS
+            seconds_left = math.inf if first else ROW_SHARE * (seconds - sum(row.budgeted for row in rows))
+            rows.append(measure(scene, reference, point, device, path, seconds_left))
+    except KeyboardInterrupt:
+        if not rows:
+            raise
+        interrupted = True
     particles, iterations = scene.search.particles, scene.search.iterations
     return AccuracyReport(
         scene=source,
@@ -131,39 +148,6 @@ def measure_accuracy(
         seconds=time.perf_counter() - started,
         interrupted=interrupted,
     )
-
-
-def _measure_rows(
-    scene: Scene,
-    reference: ReferenceSolution,
-    configurations: Sequence[Configuration | None],
-    device: str,
-    path: str,
-    seconds: float,
-    on_progress: Callable[[int, int, str], object] | None,
-) -> tuple[list[AccuracyRow], bool]:
-    """Return the rows that are measured within a nominal time [s], or skipped, and whether Ctrl-C ended it."""
-    rows: list[AccuracyRow] = []
-    densities: list[float] = []
-    if reference.plate is not None:  # coarser ones than the reference itself
-        densities = [density for density in MODAL_DENSITIES if density < reference.density]
-    total = len(densities) + len(configurations)
-    try:
-        for density in densities:
-            if on_progress is not None:
-                on_progress(len(rows), total, "modes")
-            rows.append(measure_modal(scene, reference, density))
-        for configuration in configurations:
-            if on_progress is not None:
-                on_progress(len(rows), total, str(configuration or "the scene as written"))
-            first = sum(row.measured for row in rows[len(densities) :]) < FIRST_ROWS
-            seconds_left = math.inf if first else ROW_SHARE * (seconds - sum(row.budgeted for row in rows))
-            rows.append(measure(scene, reference, configuration, device, path, seconds_left))
-    except KeyboardInterrupt:
-        if not rows:
-            raise
-        return rows, True
-    return rows, False
 
 
 def fit_laws(rows: Sequence[AccuracyRow], uncertainty: float) -> list[ConvergenceLaw]:
