@@ -1,7 +1,7 @@
 """Rows of the campaign: printed error bars of a random scene beside the truth."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -19,15 +19,15 @@ LEAST_BY_STEPS = 0.01
 INHOMOGENEOUS_DEGREE = 7
 
 
-def measured(number: int, promises: Sequence[float] = ()) -> list[dict]:
+def measured(number: int, promises: Sequence[float] = (), judge_by: Callable = true_factors) -> list[dict]:
     """Return a row for each engine, and for each accuracy that is asked for, with time steps and without."""
     try:
         scene, names = random_scene(number)
         phasors = np.array([[a.magnitude * np.exp(-1j * a.phase) for a in scene.actuators]])
-        truth, judge = float(true_factors(scene, phasors)[0]), JUDGE
+        truth, judge = float(judge_by(scene, phasors)[0]), JUDGE
         if set(names) & set(INHOMOGENEOUS):  # of more elements, and corners at which moments are singular
             truth, coarse = (
-                float(true_factors(scene, phasors, each)[0])
+                float(judge_by(scene, phasors, each)[0])
                 for each in (INHOMOGENEOUS_DEGREE, INHOMOGENEOUS_DEGREE - 1)
             )
             judge += abs(coarse / truth - 1)

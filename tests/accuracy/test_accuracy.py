@@ -161,13 +161,6 @@ def test_rows_of_modes(paper_exact):
     assert fine.seconds_per_plate == pytest.approx(fine.search_seconds(fine.plates) / fine.plates)
 
 
-def test_a_scene_without_time_steps_has_rows_of_modes(panel):
-    steady = panel.with_tables(effects={"loss_factor": {"eta": 0.01}})
-    found = report.measure_accuracy(steady, device="cpu")
-    assert {row.load for row in found.rows} == {"modal"}
-    assert found.recommended[-1].row is not None
-
-
 def test_failures_are_rows(paper_exact):
     scene = Scene.load("paper")
     assert measure(scene, paper_exact, replace(OVERLAP, time_step=1e-4)).status.startswith("refused: grid.time_step")

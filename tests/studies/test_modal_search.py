@@ -82,21 +82,6 @@ def test_modes_need_no_stable_time_step(random, search):
     assert np.array_equal(losses[0], losses[2])
 
 
-def test_modes_are_the_limit_of_fine_grids():
-    """Fields, traces and energies of fourth-order stepping converge to those of the modes."""
-    errors = []
-    for nodes in (27, 53):
-        grid = {"nodes": (nodes, nodes), "order": 4, "load": "moments", "precision": "float64"}
-        scene = paper(grid=grid, effects={"damping": {"viscous": 80.0}})
-        drives, points, times = [[1, 0.5j, 0, 0]], [(0.05, 0.06)], [0.004, 0.1]
-        stepped, modal = (make(scene, "cpu").run(drives, times, points) for make in (PlateSolver, ModalSolver))
-        pairs = [(stepped.energy, modal.energy), (stepped.trace, modal.trace)]
-        pairs += [(stepped.displacement, modal.displacement)]
-        errors.append([np.abs(first - second).max() / np.abs(second).max() for first, second in pairs])
-    assert max(errors[1]) < 0.02
-    assert np.all(np.array(errors[1]) < 0.5 * np.array(errors[0]))
-
-
 def test_robust_search_by_modes_is_the_limit_of_its_simulated_matrices():
     robust = {"scenarios": 2, "thickness": 0.05, "place": 0.002, "gain": 0.1}
     grid = {"nodes": (41, 41), "order": 4, "load": "moments"}

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from support.inline_pool import InlinePool
 from support.scenes import scene_of
 from support.searches import assert_same_results, interrupted_search
-from warp_plate import PlateSolver, localize, resume
+from warp_plate import localize, resume
 from warp_plate.result.checkpoint import load_checkpoint, previous_path, save_checkpoint
 from warp_plate.scene.grid import Grid
 from warp_plate.studies.unfinished import CheckpointFile
@@ -28,23 +29,27 @@ def test_bit_identical_from_any_iteration(evaluator, iterations, device, path, t
     assert_same_results(resume(checkpoint, estimate=False), full)
 
 
-def test_interrupted_between_ask_and_tell(tmp_path, monkeypatch):
+class Interrupted(InlinePool):
+    """A pool that Ctrl-C interrupts after so many tasks."""
+
+    def __init__(self, tasks):
+        super().__init__()
+        self.left = tasks
+
+    def run(self, function, argument):
+        self.left -= 1
+        if self.left == 0:
+            raise KeyboardInterrupt
+        return super().run(function, argument)
+
+
+def test_interrupted_between_ask_and_tell(tmp_path):
     """Positions are new and their losses unknown; nothing is lost or counted twice."""
     scene = scene_of(damping=88.5, **SEARCH)
-    full = localize(scene, source="mine", device="cpu", estimate=False)
-    run, calls = PlateSolver.run, []
-
-    def interrupted(self, *arguments, **options):
-        answer = run(self, *arguments, **options)
-        calls.append(1)
-        if len(calls) == 10:
-            raise KeyboardInterrupt
-        return answer
-
-    monkeypatch.setattr(PlateSolver, "run", interrupted)
-    _, checkpoint = interrupted_search(tmp_path, scene, device="cpu")
-    assert checkpoint.iterations == 7  # after the response and the single actuators
-    assert_same_results(resume(checkpoint, estimate=False), full)
+    full = localize(scene, source="mine", device="cpu", estimate=False, pool=InlinePool())
+    _, checkpoint = interrupted_search(tmp_path, scene, device="cpu", pool=Interrupted(6))
+    assert 0 < checkpoint.iterations < 9
+    assert_same_results(resume(checkpoint, estimate=False, pool=InlinePool()), full)
 
 
 def test_the_chosen_grid_is_kept(tmp_path):

@@ -1,7 +1,6 @@
 """Sweeps: quantities as the commands find them, refused points, files, workers, and resuming."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +9,7 @@ from support.inline_pool import InlinePool, KilledWorker
 from support.scenes import scene_of
 from support.searches import stop_after
 from warp_plate import SceneError, load_sweep, sweep
+from warp_plate.cluster.tasks import run_task
 from warp_plate.modal.continuous_modes import continuous_modes
 from warp_plate.result.sweep import REFUSED, RUN, save_sweep
 from warp_plate.scene.vary import make_plan, parse_vary
@@ -24,7 +24,7 @@ from warp_plate.studies.sweep import (
     save_finished,
     start_sweep,
 )
-from warp_plate.studies.sweep_points import QUANTITIES
+from warp_plate.studies.sweep_points import QUANTITIES, run_here, run_on_pool, run_point
 from warp_plate.studies.unfinished import CheckpointFile
 
 
@@ -243,22 +243,27 @@ def test_processors_of_workers_are_kept(swept_plate, tmp_path):
 
 
 @pytest.mark.parametrize("error", [RuntimeError("Failed to allocate 9 bytes\non device 'cuda:0'"), MemoryError("9")])
-def test_a_point_without_memory_is_given_up_and_others_run(swept_plate, monkeypatch, error):
-    real = QUANTITIES["check"]
-
-    def compute(scene, *options):
-        if scene.drive.frequency == 250:
+def test_a_point_without_memory_is_given_up_and_others_run(swept_plate, error):
+    def run(point):
+        if point.values["drive.frequency"] == 250:
             raise error
-        return real.compute(scene, *options)
+        return run_point(point)
 
-    monkeypatch.setitem(QUANTITIES, "check", replace(real, compute=compute))
-    for pool, attempts in ((None, ""), (InlinePool(), " after 3 attempts")):
-        found = sweep(swept_plate, ["drive.frequency=200:300:3"], "check", device="cpu", pool=pool)
-        assert found.status.tolist() == [RUN, REFUSED, RUN]
-        assert found.reasons == {1: f"given up{attempts}: out of memory ({' '.join(str(error).split())})"}
+    class Full(InlinePool):
+        def run(self, function, argument):
+            return run_task(run, argument)
+
+    start = start_sweep(SweepRequest(swept_plate, vary=["drive.frequency=200:300:3"], what="check"), "cpu")
+    points = [0, 1, 2]
+    for results, attempts in (
+        (run_here(start, points, run), ""),
+        (run_on_pool(start, points, Full()), " after 3 attempts"),
+    ):
+        reason = f"given up{attempts}: out of memory ({' '.join(str(error).split())})"
+        assert {result.point: result.reason for result in results} == {0: "", 1: reason, 2: ""}
     error = RuntimeError("a fault of the program")
     with pytest.raises(RuntimeError, match="a fault of the program"):
-        sweep(swept_plate, ["drive.frequency=200:300:3"], "check", device="cpu")
+        list(run_here(start, [1], run))
 
 
 def test_a_result_that_cannot_be_written_leaves_all_points(swept_plate, tmp_path):

@@ -225,11 +225,13 @@ def run_point(point: Point) -> PointResult:
         return PointResult(-1, values, reason, device.alias, worker_identity(device))
 
 
-def run_here(start: Sweep, points: Sequence[int]) -> Iterator[PointResult]:
+def run_here(
+    start: Sweep, points: Sequence[int], run: Callable[[Point], PointResult] = run_point
+) -> Iterator[PointResult]:
     """Yield one point after the other, run in this process; a point that runs out of memory is given up."""
     for number, point in zip(points, _points(start, points, start.scene, start.device), strict=True):
         try:
-            yield run_task(run_point, point)._replace(point=number)
+            yield run_task(run, point)._replace(point=number)
         except MemoryError as error:
             yield PointResult(number, None, f"given up: {error}")
 
