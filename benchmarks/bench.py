@@ -15,7 +15,7 @@ from step_rates.cases import Kind, all_devices, make_cases
 from step_rates.measure import FULL, QUICK, BenchReport, BenchRow, measure_all
 from step_rates.plots import draw_bench
 
-from warp_plate.accuracy.machine import busy
+from warp_plate.accuracy.measure import busy
 from warp_plate.cli import output
 from warp_plate.scene.errors import SceneError
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from warp_plate import PlateSolver, Scene, SceneError
-from warp_plate.accuracy.machine import busy, describe_machine, describe_versions
+from warp_plate.accuracy.measure import busy, describe_machine, describe_versions
 from warp_plate.analysis.influence import bare_scene, names, seconds_a_step, toggle
 
 EFFECTS = names()

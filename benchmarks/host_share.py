@@ -21,7 +21,7 @@ import numpy as np
 import warp as wp
 
 from warp_plate import Scene, SceneError
-from warp_plate.accuracy.machine import busy, describe_machine, describe_versions
+from warp_plate.accuracy.measure import busy, describe_machine, describe_versions
 from warp_plate.problem.methods import make_optimizer
 from warp_plate.problem.problem import Problem, make_problem
 from warp_plate.resolve import resolve

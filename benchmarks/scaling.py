@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from warp_plate import Scene, SceneError
-from warp_plate.accuracy.machine import busy, describe_machine, describe_versions
+from warp_plate.accuracy.measure import busy, describe_machine, describe_versions
 from warp_plate.cluster.evaluator import block_size
 from warp_plate.cluster.opening import open_pool
 from warp_plate.cluster.pool import BLOCK_NODE_STEPS, Task, WorkerPool, run_tasks

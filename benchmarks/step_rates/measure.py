@@ -12,7 +12,7 @@ import warp as wp
 
 from step_rates.cases import BenchCase, Kind
 from step_rates.limits import DeviceLimits, measure_limits, seconds_of, share_of_limit
-from warp_plate.accuracy.machine import Machine, describe_machine, describe_versions
+from warp_plate.accuracy.measure import Machine, describe_machine, describe_versions
 from warp_plate.plate.discretization import discretize
 from warp_plate.plate.memory import machine_memory
 from warp_plate.scene.errors import SceneError

@@ -16,7 +16,7 @@ from step_rates.measure import BenchRow, TimingBudget, measure_all, paper_like, 
 from step_rates.multiply_adds import make_multiply_adds
 from step_rates.plots import commonest_size, draw_bench, fastest_of_each_size
 
-from warp_plate.accuracy.machine import busy, describe_machine
+from warp_plate.accuracy.measure import busy, describe_machine
 from warp_plate.kernels.cuda import THREAD_REGISTERS
 from warp_plate.plate.discretization import discretize
 from warp_plate.plate.scheme import make_scheme

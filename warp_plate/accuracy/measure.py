@@ -1,4 +1,4 @@
-"""Measurement of a configuration on a device: errors against the reference solution, and the time that a plate takes.
+"""Measurement of a configuration: errors against the reference solution, the time that a plate takes, and the machine.
 
 All numbers of a row, the bound too, are computed in the precision of the row, so they include its rounding.
 """
@@ -6,13 +6,18 @@ All numbers of a row, the bound too, are computed in the precision of the row, s
 from __future__ import annotations
 
 import math
+import os
+import platform
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib import metadata
 from statistics import median
 
 import numpy as np
+import warp as wp
 
+from warp_plate._version import __version__
 from warp_plate.accuracy.configurations import (
     Configuration,
     configuration_of,
@@ -27,6 +32,7 @@ from warp_plate.plate.discretization import discretize
 from warp_plate.plate.weights import localization_factor
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
+from warp_plate.solve.devices import cpu_threads, find_device, processor_of
 from warp_plate.solve.response import measure_response, unit_drives
 from warp_plate.solve.solver import PlateSolver
 
@@ -36,6 +42,8 @@ MODAL, MODAL_DENSITIES = "modal", (0.4, 0.5, 0.6, 0.7, 0.85, 1.0)
 SNAPSHOTS = 6
 # Nominal time of the creation of a solver [s], counted in a budget.
 START_SECONDS = 1.5
+# Load average of a minute for each core above which timings are unreliable.
+QUIET = 0.3
 # Runs that are timed, and the time after which no further run begins [s].
 RUNS, TIMING_SECONDS = 5, 0.5
 
@@ -194,3 +202,48 @@ def seconds_of(run: Callable[[], object]) -> list[float]:
         run()
         times.append(time.perf_counter() - started)
     return times
+
+
+@dataclass(frozen=True)
+class Machine:
+    """The machine of a measurement."""
+
+    system: str
+    cores: int
+    threads: int  # that the simulation uses
+    load: float | None  # load average of the minute before; None on systems without it
+    devices: Mapping[str, str]  # models by Warp's name of the device
+
+
+def describe_machine(devices: Sequence[str]) -> Machine:
+    """Return the machine with its current load.
+
+    Raises:
+        SceneError: there is no such device, or WARP_PLATE_THREADS is not a number of threads.
+    """
+    threads, models = cpu_threads(), {name: processor_of(find_device(name)) for name in devices}
+    models |= {name: f"{model}, {threads} threads" for name, model in models.items() if find_device(name).is_cpu}
+    system = f"{platform.system()} {platform.release()} {platform.machine()}"
+    return Machine(system, os.cpu_count() or 1, threads, _load_average(), models)
+
+
+def describe_versions() -> dict[str, str]:
+    """Return the versions of Python, this program, Warp, NumPy and CUDA."""
+    versions = {"python": platform.python_version(), "warp-plate": __version__}
+    versions |= {package: metadata.version(package) for package in ("warp-lang", "numpy")}
+    for name, version in (("toolkit", wp.get_cuda_toolkit_version()), ("driver", wp.get_cuda_driver_version())):
+        if wp.is_cuda_available() and version:
+            versions[f"cuda {name}"] = ".".join(map(str, version))
+    return versions
+
+
+def busy() -> str | None:
+    """Return a warning if the load average shows that other programs are running, otherwise None."""
+    load, cores = _load_average(), os.cpu_count() or 1
+    if load is None or load <= QUIET * cores:
+        return None
+    return f"this machine is busy (load average {load:g} on {cores} cores): times will be too long"
+
+
+def _load_average() -> float | None:
+    return round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None

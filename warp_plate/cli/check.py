@@ -175,7 +175,7 @@ def accuracy(
     if not 0 < budget < float("inf"):
         raise SceneError(f"--budget {budget:g}: must be a positive number of seconds")
     loaded, scene = changes.load(scene)
-    from warp_plate.accuracy.machine import describe_machine, describe_versions
+    from warp_plate.accuracy.measure import describe_machine, describe_versions
     from warp_plate.accuracy.report import measure_accuracy
 
     name = find_device(device).alias

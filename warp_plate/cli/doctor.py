@@ -14,10 +14,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from warp_plate._version import __version__
-from warp_plate.accuracy import machine
 from warp_plate.cli import options, output
 from warp_plate.cli.explore import has_desktop
-from warp_plate.scene.model import Scene
 from warp_plate.solve import devices
 from warp_plate.viz.availability import missing_renderer, missing_window
 
@@ -78,15 +76,11 @@ def _check_devices() -> Iterator[Diagnosis]:
 def _diagnose_gpu(device: Any) -> Diagnosis:
     if device not in devices.usable_devices():
         return Diagnosis(device.alias, "missing", devices.too_old(device))
-    sides, plates = machine.largest_resident_sides(device), machine.plates_in_memory(Scene.load("paper"), device)
-    on_chip = ", ".join(f"{side}² ({kind})" for kind, side in sides.items())
     text = (
         f"{device.name}, sm_{device.arch}, {devices.describe_driver()}, "
-        f"{device.free_memory / 2**30:.3g} of {device.total_memory / 2**30:.3g} GiB free; on the chip plates of up to "
-        f"{on_chip} nodes, in memory {plates} like the paper's"
+        f"{device.free_memory / 2**30:.3g} of {device.total_memory / 2**30:.3g} GiB free"
     )
-    memory = output.attributes(device, "arch", "free_memory", "total_memory")
-    return Diagnosis(device.alias, "ok", text, {**memory, "resident_sides": sides, "plates": plates})
+    return Diagnosis(device.alias, "ok", text, output.attributes(device, "arch", "free_memory", "total_memory"))
 
 
 def _diagnose_folder(name: str, folder: Path, state: Literal["missing", "error"], remedy: str) -> Diagnosis:
