@@ -41,11 +41,11 @@ FITS = (
     "fitted_panel.FittedPanel",
 )
 EXPORTS = (
-    "paraview.write_vtkhdf",
-    "time_series.make_drive_signal",
-    "time_series.write_wav",
-    "time_series.write_drive_csv",
-    "time_series.write_traces",
+    "export.paraview.write_vtkhdf",
+    "export.time_series.make_drive_signal",
+    "export.time_series.write_wav",
+    "export.time_series.write_drive_csv",
+    "export.time_series.write_traces",
     "frequency_response.write_csv",
     "frequency_response.write_uff",
     "frequency_response.write_hdf5",
@@ -130,7 +130,7 @@ def python_api():
         "Classes": [f"warp_plate.{name}" for name in classes],
         "What functions return": [f"warp_plate.{name}" for name in RETURNED],
         "Fits": [f"warp_plate.fitting.{name}" for name in FITS],
-        "Files for other programs": [f"warp_plate.result.export.{name}" for name in EXPORTS],
+        "Files for other programs": [f"warp_plate.result.{name}" for name in EXPORTS],
     }
     for heading, names in sections.items():
         rows = "\n".join(f"   {name}" for name in names)

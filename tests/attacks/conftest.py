@@ -8,7 +8,7 @@ import pytest
 from support.commands import start_program
 from support.scenes import scene_of
 from warp_plate import focus, localize, save_focus, save_result, save_sweep, sweep, viz
-from warp_plate.result.export.frequency_response import write_hdf5
+from warp_plate.result.frequency_response import write_hdf5
 from warp_plate.studies.frequency_response import frf
 from warp_plate.viz.explorer_page import missing_page
 

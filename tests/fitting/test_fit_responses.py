@@ -15,7 +15,7 @@ from warp_plate import SceneError
 from warp_plate.fitting.fit import fit_responses
 from warp_plate.fitting.measured_modes import read_modes
 from warp_plate.fitting.measured_responses import MeasuredResponses, read_responses
-from warp_plate.result.export.frequency_response import write_csv, write_uff
+from warp_plate.result.frequency_response import write_csv, write_uff
 from warp_plate.studies.frequency_response import frf
 
 SIZE, ETA, HIT = (0.23, 0.17), 0.02, (0.05, 0.06)

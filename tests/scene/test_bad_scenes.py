@@ -109,10 +109,8 @@ def test_values_of_other_kinds_and_extreme_numbers():
     paths = {path[:length] for path in leaf_paths(ALL_KEYS) for length in range(1, len(path) + 1)}
     for index, path in enumerate(sorted(paths, key=str)):
         without = [table for table in OPTIONAL if table != path[: len(table)]]
-        for shift in (0, 4, 8):  # covers all kinds, not all pairs of path and kind
-            read(changed(path, KINDS[(index + shift) % len(KINDS)], without))
-        for shift in (0, 5, 10):
-            check_arrays(read(changed(path, NUMBERS[(index + shift) % len(NUMBERS)], without)))
+        read(changed(path, KINDS[index % len(KINDS)], without))  # all kinds, not all pairs of path and kind
+        check_arrays(read(changed(path, NUMBERS[index % len(NUMBERS)], without)))
         tables = changed(path, 0.0, without)
         del item(tables, path[:-1])[path[-1]]
         read(tables)
@@ -135,7 +133,7 @@ def scenes(draw):
     return tables
 
 
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(scenes())
 def test_any_scene_gives_finite_arrays_or_is_refused(tables):
     check_arrays(read(tables))
@@ -177,7 +175,7 @@ def scaled(draw, effects):
     return tables
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(scaled(["damping"]))
 def test_any_plain_scene_runs_correctly_or_is_refused(tables):
     check_run(tables)
@@ -217,10 +215,10 @@ def test_dots_in_texts_and_comments_are_no_deep_keys():
 
 
 def test_truncated_and_corrupted_files():
-    """Cut at every tenth length, and with every fifth byte changed: a valid scene, or one line."""
+    """Cut at every thirtieth length, and with every fifteenth byte changed: a valid scene, or one line."""
     content = PAPER.encode()
-    texts = [content[:length] for length in range(0, len(content), 10)]
-    for place in range(0, len(content), 5):
+    texts = [content[:length] for length in range(0, len(content), 30)]
+    for place in range(0, len(content), 15):
         texts.append(content[:place] + bytes([content[place] ^ 1 << place % 7]) + content[place + 1 :])
     for text in texts:
         try:

@@ -2,11 +2,14 @@
 
 import json
 import tomllib
+from typing import get_args
 
 import pytest
 
 from support.commands import error_of, output_of
+from warp_plate.cli.localize import localize
 from warp_plate.scene.key_reference import table_references
+from warp_plate.scene.search import Limits, Objective
 
 
 def test_every_key_has_a_meaning_and_a_valid_example():
@@ -16,6 +19,11 @@ def test_every_key_has_a_meaning_and_a_valid_example():
         for key in table.keys:
             assert key.meaning, (table.headings, key.name)
             tomllib.loads(f"value = {key.example.strip('`')}")
+
+
+def test_help_of_localize_lists_limits_and_objectives():
+    keys = (*Limits.model_fields, *Objective.model_fields, *get_args(Objective.model_fields["kind"].annotation))
+    assert not [key for key in keys if key not in localize.__doc__]
 
 
 def test_command(command):

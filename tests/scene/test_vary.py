@@ -55,8 +55,7 @@ def test_names_stand_for_indices(scene):
         ("plate.size", "is not a single value; write plate.size[0], plate.size[1]"),
         ("actuators.nobody.phase", "similar keys: actuators[0].phase"),
         ("actuators[7].phase", "similar keys: actuators[0].phase"),
-        ("record.points[0][1]", "the scene has no record.points; write it in the scene file"),
-        ("targets[0].area[1]", "the scene has no targets; write it in the scene file"),
+        ("targets[0].area[1]", "similar keys: target.area[0], target.area[1]"),
         ("", "is not a key of this scene that holds a number"),
     ],
 )

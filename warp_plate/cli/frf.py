@@ -15,8 +15,7 @@ from cyclopts import Parameter
 from rich.console import Console
 
 from warp_plate.cli import options, output
-from warp_plate.result.export.frequency_response import WRITERS, missing_uff
-from warp_plate.result.frequency_response import FrequencyResponse, Quantity
+from warp_plate.result.frequency_response import WRITERS, FrequencyResponse, Quantity, missing_uff
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.studies.frequency_response import check_on_plate

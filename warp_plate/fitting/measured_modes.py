@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.result.export.frequency_response import RESPONSE_FUNCTION, missing_uff
+from warp_plate.result.frequency_response import RESPONSE_FUNCTION, missing_uff
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import LARGEST, SMALLEST
 

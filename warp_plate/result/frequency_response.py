@@ -1,14 +1,19 @@
-"""Frequency responses of a plate, between forces and points."""
+"""Frequency responses of a plate, between forces and points, and their files: CSV, universal file format and HDF5."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import importlib.util
+import warnings
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, get_args
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from warp_plate.result import import_xarray
+from warp_plate.result import hdf5, import_xarray
+from warp_plate.result.atomic_io import atomic_paths, write_table
+from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
     import xarray
@@ -17,6 +22,14 @@ Quantity = Literal["receptance", "mobility", "accelerance"]
 # Power of iω by which the displacement is multiplied.
 DERIVATIVES: Mapping[str, int] = {name: power for power, name in enumerate(get_args(Quantity))}
 UNITS: Mapping[str, str] = {"receptance": "m/N", "mobility": "(m/s)/N", "accelerance": "(m/s²)/N"}
+FORMAT = hdf5.FileFormat("frequency response", 1)
+EXTRA = "pip install 'warp-plate[uff]'"
+# Codes of dataset 58: the quantity that responds, frequency, excitation force; a frequency response; along z.
+RESPONDING = {"receptance": 8, "mobility": 11, "accelerance": 12}
+FREQUENCY, FORCE, RESPONSE_FUNCTION, ALONG_Z = 18, 13, 4, 3
+NAME_LENGTH = 10  # characters of names in dataset 58
+# Doubles of a value in a binary dataset 58: frequency, real and imaginary part.
+DOUBLES = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,3 +110,123 @@ class FrequencyResponse:
             },
             {"title": self.title, "quantity": self.quantity},
         )
+
+
+def write_csv(response: FrequencyResponse, path: Path) -> None:
+    """Write a row for each frequency [Hz]: real and imaginary part of each response, and what goes with it."""
+    heading = ["frequency [Hz]"]
+    for label in response.labels:
+        heading += [f"Re {label} [{response.unit}]", f"Im {label} [{response.unit}]"]
+    heading += ["localization factor [1]", "bound [1]"]
+    heading += [f"mean square velocity, {name} [(m/s)²/N²]" for name in response.inputs]
+    parts = np.stack([response.responses.real, response.responses.imag], axis=1).reshape(-1, len(response.frequencies))
+    columns = [response.frequencies, *parts, response.localization_factor, response.bound]
+    write_table(path, heading, [np.column_stack([*columns, *response.mean_square_velocity])])
+
+
+def missing_uff() -> str | None:
+    """Return a sentence on what is missing for files in universal file format, or None."""
+    return None if importlib.util.find_spec("pyuff") else f"universal files need pyuff: {EXTRA}"
+
+
+def write_uff(response: FrequencyResponse, path: Path) -> None:
+    """Write units (dataset 164), nodes (15), and each response as a binary dataset 58, in double precision.
+
+    The nodes are numbered from 1: first the inputs, then the points. Text would keep six digits of a frequency, too few
+    for a sharp resonance.
+
+    Raises:
+        SceneError: pyuff is missing, or the file cannot be written.
+    """
+    if (problem := missing_uff()) is not None:
+        raise SceneError(f"{path}: {problem}")
+    import pyuff
+
+    places = np.vstack([response.input_places, response.points])
+    numbers = np.arange(1, len(places) + 1)
+    units = {"type": 164, "units_code": 1, "units_description": "SI", "temp_mode": 1, "temp_offset": 0.0}
+    units |= dict.fromkeys(("length", "force", "temp"), 1.0)
+    nodes = {"type": 15, "node_nums": numbers, "x": places[:, 0], "y": places[:, 1], "z": np.zeros(len(places))}
+    functions = [_dataset_58(response, index) for index in range(len(response.responses))]
+    with atomic_paths(path) as (temporary,):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ResourceWarning)  # pyuff leaves files for Python to close
+            pyuff.UFF(str(temporary)).write_sets([units, nodes, *functions], mode="overwrite")
+        # pyuff states the bytes of real data at even spacing.
+        count = 8 * len(response.frequencies)
+        stated, true = (f"{11:12d}{size:12d}{0:6d}".encode() for size in (count, DOUBLES * count))
+        temporary.write_bytes(temporary.read_bytes().replace(stated, true))
+
+
+def _dataset_58(response: FrequencyResponse, index: int) -> dict[str, Any]:
+    """Return the dataset 58 of a response."""
+    which, point = divmod(index, len(response.points))
+    numerator, denominator = response.unit.rsplit("/", 1)
+    return {
+        "type": 58,
+        "binary": 1,
+        "func_type": RESPONSE_FUNCTION,
+        "id1": _ascii(f"{response.quantity} {response.labels[index]}")[:80],
+        "id2": _ascii(response.title)[:80] or "NONE",
+        "ver_num": 0,
+        "rsp_ent_name": "NONE",
+        "rsp_node": len(response.inputs) + point + 1,
+        "rsp_dir": ALONG_Z,
+        "ref_ent_name": _ascii(response.inputs[which]).replace(" ", "_")[:NAME_LENGTH],
+        "ref_node": which + 1,
+        "ref_dir": ALONG_Z,
+        "abscissa_spacing": 0,
+        "abscissa_spec_data_type": FREQUENCY,
+        "abscissa_axis_lab": "Frequency",
+        "abscissa_axis_units_lab": "Hz",
+        "ordinate_spec_data_type": RESPONDING[response.quantity],
+        "ordinate_axis_lab": response.quantity.capitalize(),
+        "ordinate_axis_units_lab": numerator.strip("()").replace("²", "^2"),
+        "orddenom_spec_data_type": FORCE,
+        "orddenom_axis_lab": "Force",
+        "orddenom_axis_units_lab": denominator,
+        "x": response.frequencies,
+        "data": response.responses[index],
+    }
+
+
+def _ascii(text: str) -> str:
+    """Return text for a file in universal format, which knows ASCII alone."""
+    return text.replace("→", "->").replace("×", "x").encode("ascii", "replace").decode()
+
+
+def write_hdf5(response: FrequencyResponse, path: Path) -> None:
+    """Write a file laid out as netCDF-4 lays out its own, with the dimensions frequency, pair, input and mode."""
+    unit, quantity, names = response.unit.replace("²", "^2"), response.quantity, list(response.inputs)
+    places = np.array([point for _, point in response.pairs])
+    modes = np.arange(1, len(response.natural_frequencies) + 1)
+    with FORMAT.create(path) as file:
+
+        def write(values: Any, units: str, meaning: str, *axes: str, name: str = "") -> None:
+            """Write a variable with the name, or else that of its meaning up to a comma."""
+            hdf5.write_along(file, name or meaning.partition(",")[0].replace(" ", "_"), values, units, meaning, axes)
+
+        file.attrs.update({"title": response.title, "quantity": quantity})
+        write(response.frequencies, "Hz", "frequency")
+        write(response.labels, "1", "input and point of a response", name="pair")
+        write(names, "1", "actuator or point on which 1 N acts", name="input")
+        write(modes, "1", "number of the mode in the range", name="mode")
+        write([name for name, _ in response.pairs], "1", "input", "pair", name="pair_input")
+        write(places[:, 0], "m", "x of the point", "pair", name="pair_x")
+        write(places[:, 1], "m", "y of the point", "pair", name="pair_y")
+        write(response.responses.real, unit, f"real part of the {quantity}", "pair", "frequency", name="real")
+        write(response.responses.imag, unit, f"imaginary part of the {quantity}", "pair", "frequency", name="imaginary")
+        factor, meaning = response.localization_factor, "localization factor of the drive"
+        write(factor, "1", meaning, "frequency", name="localization_factor")
+        write(response.bound, "1", "bound on the localization factor", "frequency", name="bound")
+        write(response.mean_square_velocity, "(m/s)^2/N^2", "mean square velocity", "input", "frequency")
+        write(response.natural_frequencies, "Hz", "natural frequency, undamped", "mode")
+        write(response.loss_factors, "1", "loss factor", "mode")
+
+
+# Writers of the formats, and the endings of their files.
+WRITERS: Mapping[str, tuple[str, Callable[[FrequencyResponse, Path], None]]] = {
+    "csv": (".csv", write_csv),
+    "uff": (".uff", write_uff),
+    "hdf5": (".h5", write_hdf5),
+}

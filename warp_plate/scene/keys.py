@@ -53,16 +53,15 @@ def resolved_key(scene: SceneTables, key: str, kinds: Mapping[str, type] | None 
     Raises:
         SceneError: the scene has no such key, or it holds no number or text; the message suggests similar keys.
     """
-    kinds, resolved = scalar_keys(scene) if kinds is None else kinds, key.strip()
-    for table in NAMED:
-        names = [(row.name, index) for index, row in enumerate(getattr(scene, table))]
-        for name, index in sorted(names, key=lambda item: -len(item[0])):  # a name may begin with another
-            if resolved.startswith(f"{table}.{name}."):
-                resolved = f"{table}[{index}].{resolved[len(table) + len(name) + 2 :]}"
-                break
+    kinds = scalar_keys(scene) if kinds is None else kinds
+    resolved = _without_names({table: [row.name for row in getattr(scene, table)] for table in NAMED}, key.strip())
     if resolved in kinds:
         return resolved
-    raise SceneError(f"{key}: {_why_unknown(scene, resolved, list(kinds))}")
+    if inside := [other for other in kinds if other.startswith((f"{resolved}.", f"{resolved}["))]:
+        raise SceneError(f"{key}: is not a single value; write {_listed(inside)}")
+    similar = sorted(difflib.get_close_matches(resolved, kinds, n=4), key=list(kinds).index) or list(kinds)
+    what = "is not a key of this scene that holds a number or a text"
+    raise SceneError(f"{key}: {what}; similar keys: {_listed(similar)}")
 
 
 def value_of(scene: SceneTables, key: str) -> Any:
@@ -121,37 +120,6 @@ def key_parts(key: str) -> list[str | int]:
     return [name or int(index) for name, index in _PART.findall(key)]
 
 
-def _why_unknown(scene: SceneTables, key: str, keys: list[str]) -> str:
-    inside = [other for other in keys if other.startswith((f"{key}.", f"{key}["))]
-    if inside:
-        return f"is not a single value; write {_listed(inside)}"
-    optional = _optional_table(scene, key)
-    if optional:
-        return f"the scene has no {optional}; write it in the scene file to vary what is in it"
-    close = difflib.get_close_matches(key, keys, n=4)
-    head, tail = re.split(r"[.\[]", key)[0], re.split(r"[.\]]", key)[-1]
-    similar = (
-        sorted(close, key=keys.index)
-        or [other for other in keys if tail and other.endswith(f".{tail}")]
-        or [other for other in keys if other.startswith((f"{head}.", f"{head}["))]
-        or keys
-    )
-    return f"is not a key of this scene that holds a number or a text; similar keys: {_listed(similar)}"
-
-
-def _optional_table(scene: SceneTables, key: str) -> str | None:
-    """Return the optional table or list that a key lies in and the scene lacks; None if there is none."""
-    value: Any = scene
-    names = [str(part) for part in key_parts(key)[:-1]]
-    for depth, name in enumerate(names, 1):
-        if not isinstance(value, BaseModel) or name not in type(value).model_fields:
-            return None
-        value = getattr(value, name)
-        if value in (None, ()):
-            return ".".join(names[:depth])
-    return None
-
-
 def _listed(keys: list[str]) -> str:
     return ", ".join(keys[:6]) + (", ..." if len(keys) > 6 else "")
 
@@ -167,7 +135,11 @@ def assign(tables: dict[str, Any], assignments: Iterable[str]) -> None:
     """
     for assignment in assignments:
         name, equals, text = assignment.partition("=")
-        key = _without_names(tables, name.strip())
+        rows = {table: tables[table] for table in NAMED if isinstance(tables.get(table), list)}
+        names = {
+            table: [str(row.get("name")) if isinstance(row, dict) else "" for row in rows[table]] for table in rows
+        }
+        key = _without_names(names, name.strip())
         if not equals or not _KEY.fullmatch(key):
             raise SceneError(f"--set {assignment}: must be KEY=VALUE, such as drive.frequency=300")
         *path, last = key_parts(key)
@@ -181,13 +153,11 @@ def assign(tables: dict[str, Any], assignments: Iterable[str]) -> None:
             holder.pop(other, None)
 
 
-def _without_names(tables: dict[str, Any], key: str) -> str:
-    """Return the key with the indices of named rows: ``actuators[0].phase`` for ``actuators.lower left.phase``."""
-    for table in NAMED:
-        rows = tables.get(table)
-        for index, row in enumerate(rows if isinstance(rows, list) else []):
-            head = f"{table}.{row.get('name') if isinstance(row, dict) else ''}."
-            if key.startswith(head):
+def _without_names(names: Mapping[str, list[str]], key: str) -> str:
+    """Return the key with indices in place of names: ``actuators[0].phase`` for ``actuators.lower left.phase``."""
+    for table, rows in names.items():
+        for index, name in sorted(enumerate(rows), key=lambda row: -len(row[1])):  # a name may begin with another
+            if key.startswith(head := f"{table}.{name}."):
                 return f"{table}[{index}].{key[len(head) :]}"
     return key
 
