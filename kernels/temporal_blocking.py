@@ -8,7 +8,7 @@ price of a margin around each strip that neighbouring warps compute as well.
 
 Rows are walked in rounds of three (four), in which row y of each level has slot y modulo 3 (4) of its window, so that
 no register is moved. Most rounds touch neither a loaded row nor an edge: their body is compiled without either. In
-fourth order edges take part like other nodes, with taps of their own, see ``resident_wide``.
+fourth order edges take part like other nodes, with taps of their own, see ``resident_strips``.
 
 Displacement and rate are in two buffers that take turns, because neighbours still read the old ones. ``clock`` counts
 steps on the device, so that a captured CUDA graph can be replayed: a launch adds its own offset to it.
@@ -20,7 +20,7 @@ import warp as wp
 
 from warp_plate.kernels.arithmetic import make_fused
 from warp_plate.kernels.cuda import LANES, any_lane, cuda_kernel, make_from_lane, make_pairs, most_registers, opaque
-from warp_plate.kernels.resident_wide import SPECIAL, make_apply_taps
+from warp_plate.kernels.resident_strips import SPECIAL, make_apply_taps
 from warp_plate.kernels.update import make_laplacian, make_parameters, make_state, make_update
 
 # Columns per lane, which it reads and writes in one access.

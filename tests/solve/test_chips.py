@@ -16,7 +16,6 @@ from warp_plate.kernels import (
     plans,
     resident_lanes,
     resident_strips,
-    resident_wide,
     temporal_blocking,
 )
 from warp_plate.kernels.cuda import RESERVED_BYTES
@@ -51,10 +50,10 @@ def planned(effects, nodes, shared_bytes):
         return moment_form_cuda.make_run_steps(effects, real, nodes, nodes, stride, 0, plan), plan.threads
     if effects.order == 2 and resident_lanes.fits(nodes, nodes):
         return resident_lanes.make_run_steps(effects, real, nodes, 0b11 << 5, True), 32
-    kind = resident_wide if effects.order == 4 else resident_strips
     plan = next(plans.strip_plans(effects.order, nodes, nodes, real, shared_bytes), None)
     if plan is not None:
-        return kind.make_run_steps(effects, real, whole(nodes), whole(nodes), stride, plan, True), 32 * plan.warps
+        axes = whole(nodes), whole(nodes)
+        return resident_strips.make_run_steps(effects, real, *axes, stride, plan, True), 32 * plan.warps
     levels = 2 if effects.order == 4 else 5
     return temporal_blocking.make_advance_tiles(effects, real, nodes, nodes, stride, levels, True), 128
 
@@ -107,8 +106,7 @@ def test_compiled_tiles_fit_the_chip(arch, order, real):
     scheme, device = SimpleNamespace(order=order, nodes=nodes), SimpleNamespace(sm_count=40)
     plate = SimpleNamespace(scheme=scheme, real=real, shared_bytes=limit - RESERVED_BYTES, device=device)
     axes, plan = plan_tiles(plate, 1)
-    kind = resident_wide if order == 4 else resident_strips
-    kernel = kind.make_run_steps(KernelEffects(True, True, order), real, *axes, 176, plan, True)
+    kernel = resident_strips.make_run_steps(KernelEffects(True, True, order), real, *axes, 176, plan, True)
     registers, shared = compiled_needs(kernel, arch)
     assert -(-plan.warps // 4) * 32 * registers <= QUARTER_REGISTERS
     assert shared <= limit

@@ -17,7 +17,6 @@ from warp_plate.kernels import (
     plans,
     resident_lanes,
     resident_strips,
-    resident_wide,
     streaming,
     temporal_blocking,
     tones,
@@ -73,31 +72,23 @@ def cuda_kernels(effects, real):
         return
     yield "streaming.make_compute_curvature", streaming.make_compute_curvature(effects, real)
     yield "streaming.make_update_nodes", streaming.make_update_nodes(effects, real)
-    if effects.order == 4:
-        for (nx, ny, stride), summed in ((LARGE, True), (SMALL, False)):
-            plan = next(strip_plans(4, nx, ny, real, SHARED_BYTES))
-            kernel = resident_wide.make_run_steps(effects, real, whole(nx), whole(ny), stride, plan, summed)
-            yield "resident_wide.make_run_steps", kernel
-        axes = cut(HUGE[0], 7, 12), cut(HUGE[1], 3, 12)
-        plan = next(strip_plans(4, axes[0].length, axes[1].length, real, SHARED_BYTES))
-        yield "resident_wide.make_run_steps", resident_wide.make_run_steps(effects, real, *axes, HUGE[2], plan, True)
-        for levels, summed in ((1, False), (2, True)):
-            kernel = temporal_blocking.make_advance_tiles(effects, real, *LARGE, levels, summed)
-            yield "temporal_blocking.make_advance_tiles", kernel
-        return
-    for summed in (False, True):
-        kernel = resident_lanes.make_run_steps(effects, real, SMALL[1], 0b1100110000, summed)
-        yield "resident_lanes.make_run_steps", kernel
-    for (nx, ny, stride), summed in ((SMALL, True), (LARGEST, True), (LARGE, False), (LARGE, True)):
-        plan = next(strip_plans(2, nx, ny, real, SHARED_BYTES))
-        if (nx, ny, stride) == SMALL:
+    order = effects.order
+    if order == 2:
+        for summed in (False, True):
+            kernel = resident_lanes.make_run_steps(effects, real, SMALL[1], 0b1100110000, summed)
+            yield "resident_lanes.make_run_steps", kernel
+    sizes = {2: ((SMALL, True), (LARGEST, True), (LARGE, False), (LARGE, True)), 4: ((LARGE, True), (SMALL, False))}
+    for (nx, ny, stride), summed in sizes[order]:
+        plan = next(strip_plans(order, nx, ny, real, SHARED_BYTES))
+        if order == 2 and (nx, ny, stride) == SMALL:
             plan = plans.plan_few(nx, ny)
         kernel = resident_strips.make_run_steps(effects, real, whole(nx), whole(ny), stride, plan, summed)
         yield "resident_strips.make_run_steps", kernel
-    axes = cut(HUGE[0], 5, 16), cut(HUGE[1], 3, 16)
-    plan = next(strip_plans(2, axes[0].length, axes[1].length, real, SHARED_BYTES))
+    tiles, margin = {2: (5, 16), 4: (7, 12)}[order]
+    axes = cut(HUGE[0], tiles, margin), cut(HUGE[1], 3, margin)
+    plan = next(strip_plans(order, axes[0].length, axes[1].length, real, SHARED_BYTES))
     yield "resident_strips.make_run_steps", resident_strips.make_run_steps(effects, real, *axes, HUGE[2], plan, True)
-    for levels, summed in ((1, False), (5, True)):
+    for levels, summed in ((1, False), ({2: 5, 4: 2}[order], True)):
         kernel = temporal_blocking.make_advance_tiles(effects, real, *LARGE, levels, summed)
         yield "temporal_blocking.make_advance_tiles", kernel
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_plate.kernels import resident_lanes, resident_strips, resident_wide, temporal_blocking
+from warp_plate.kernels import resident_lanes, resident_strips, temporal_blocking
 from warp_plate.kernels.cuda import LANES
 from warp_plate.kernels.plans import Cut, StripPlan, cut, plan_few, strip_plans, whole
 from warp_plate.plate.operator import INSIDE, plain_taps
@@ -73,7 +73,9 @@ def _lanes_path(specialized: Specialized) -> Advance:
     """
     effects, real, (nx, ny) = specialized.effects, specialized.real, specialized.scheme.nodes
     loaded = sum(1 << j for j, row in enumerate(specialized.loaded_rows[2:-2]) if row)
-    inputs = _inputs(specialized, _whole(specialized))[:-1]
+    x, y = plain_taps(specialized.scene, (nx, ny))
+    factors = map(specialized.to_device, (x.factors, specialized.scheme.aspect * y.factors))
+    inputs = [specialized.parameters, *factors]
 
     def compiled(registers: int | None) -> Advance:
         kernels = {
@@ -99,15 +101,10 @@ def _blocks_path(
 ) -> Advance:
     """Return the path with a block per tile of a plate, which is whole unless ``axes`` cut it along x and y."""
     effects, real, stride = specialized.effects, specialized.real, specialized.stride
-    make_run_steps, threads = _kind(specialized).make_run_steps, LANES * plan.warps
+    make_run_steps, threads = resident_strips.make_run_steps, LANES * plan.warps
     kernels = {summed: make_run_steps(effects, real, *axes, stride, plan, summed) for summed in (False, True)}
     tiles = axes[0].count * axes[1].count
     return _cuda_advance(specialized, kernels, _inputs(specialized, axes), tiles * threads, threads, most_steps)
-
-
-def _kind(specialized: Specialized) -> Any:
-    """Return the kernels' module of plates with a block each."""
-    return resident_wide if specialized.scheme.order == 4 else resident_strips
 
 
 def _whole(specialized: Specialized) -> list[Cut]:
@@ -115,20 +112,19 @@ def _whole(specialized: Specialized) -> list[Cut]:
 
 
 def _inputs(specialized: Specialized, axes: Sequence[Cut]) -> list[Any]:
-    """Return the first arguments of the resident kernels: parameters, taps or factors of a tile, loaded rows."""
-    aspect = specialized.scheme.aspect
+    """Return the first arguments of ``resident_strips``: parameters, taps or factors of a tile, loaded rows."""
+    aspect, taps_y = specialized.scheme.aspect, resident_strips.make_row_taps(specialized.real)()
     x, y = plain_taps(specialized.scene, (axes[0].length, axes[1].length))
     if specialized.scheme.order == 2:
         # Along y these kernels take an edge's curvature from its inner neighbour alone: ∇²u there is aspect·u.
-        taps = [specialized.to_device(factors) for factors in (x.factors, aspect * y.factors)]
+        taps_x = [x.factors[:, None], aspect * y.factors[:, None]]
     else:
-        special, taps_y = resident_wide.SPECIAL, resident_wide.make_row_taps(specialized.real)()
+        special, taps_x = resident_strips.SPECIAL, [x.bend, x.move]
         taps_y.inside = aspect * np.array(INSIDE[4])
         taps_y.bend_low, taps_y.move_low = aspect * y.bend[:special], aspect * y.move[:special]
         taps_y.bend_high = aspect * y.bend[: -special - 1 : -1]
         taps_y.move_high = aspect * y.move[: -special - 1 : -1]
-        taps = [taps_y, specialized.to_device(x.bend), specialized.to_device(x.move)]
-    return [specialized.parameters, *taps, specialized.loaded]
+    return [specialized.parameters, taps_y, *map(specialized.to_device, taps_x), specialized.loaded]
 
 
 def _cuda_advance(
