@@ -7,6 +7,8 @@ from functools import cache
 
 import warp as wp
 
+from warp_plate.kernels.arithmetic import make_fused
+
 _OPAQUE = """
 #if defined(__CUDA_ARCH__)
 asm volatile("" : "+r"(value));
@@ -48,6 +50,47 @@ def make_from_lane(real):
     def from_lane(value: real, lane: int) -> real: ...
 
     return from_lane
+
+
+@cache
+def make_apply_taps(real, columns):
+    """Make ``apply_taps``: the sum of taps along x and y for a lane's part of a row, from its own and four rows more.
+
+    a … e are the rows from the lowest on; the newest, e, is added last. All 32 lanes must call it together.
+    """
+    from_lane, fused = make_from_lane(real), make_fused(real)
+    Taps = wp.types.vector(length=5, dtype=real)
+    ColumnTaps = wp.types.matrix(shape=(columns, 5), dtype=real)
+    Row = wp.types.vector(length=columns, dtype=real)
+    Around = wp.types.vector(length=columns + 4, dtype=real)
+
+    @wp.func
+    def apply_taps(a: Row, b: Row, centre: Row, d: Row, e: Row, taps_x: ColumnTaps, taps_y: Taps, lane: int):
+        around = Around()
+        if wp.static(columns == 1):
+            around[0] = from_lane(centre[0], lane - 2)
+            around[1] = from_lane(centre[0], lane - 1)
+            around[3] = from_lane(centre[0], lane + 1)
+            around[4] = from_lane(centre[0], lane + 2)
+        else:
+            around[0] = from_lane(centre[wp.static(columns - 2)], lane - 1)
+            around[1] = from_lane(centre[wp.static(columns - 1)], lane - 1)
+            around[wp.static(columns + 2)] = from_lane(centre[0], lane + 1)
+            around[wp.static(columns + 3)] = from_lane(centre[wp.static(min(1, columns - 1))], lane + 1)
+        for c in range(wp.static(columns)):
+            around[c + 2] = centre[c]
+        total = Row()
+        for c in range(wp.static(columns)):
+            for tap in range(5):
+                total[c] = fused(taps_x[c, tap], around[c + tap], total[c])
+            total[c] = fused(taps_y[0], a[c], total[c])
+            total[c] = fused(taps_y[1], b[c], total[c])
+            total[c] = fused(taps_y[2], centre[c], total[c])
+            total[c] = fused(taps_y[3], d[c], total[c])
+            total[c] = fused(taps_y[4], e[c], total[c])
+        return total
+
+    return apply_taps
 
 
 @cache

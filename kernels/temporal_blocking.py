@@ -19,8 +19,17 @@ from functools import cache
 import warp as wp
 
 from warp_plate.kernels.arithmetic import make_fused
-from warp_plate.kernels.cuda import LANES, any_lane, cuda_kernel, make_from_lane, make_pairs, most_registers, opaque
-from warp_plate.kernels.resident_strips import SPECIAL, make_apply_taps
+from warp_plate.kernels.cuda import (
+    LANES,
+    any_lane,
+    cuda_kernel,
+    make_apply_taps,
+    make_from_lane,
+    make_pairs,
+    most_registers,
+    opaque,
+)
+from warp_plate.kernels.resident_strips import SPECIAL
 from warp_plate.kernels.update import make_laplacian, make_parameters, make_state, make_update
 
 # Columns per lane, which it reads and writes in one access.
