@@ -124,11 +124,3 @@ def test_disc_across_a_layer(layered_plate, disc):
             expected = expected + (values * weights * mass) @ values.T
     error = np.abs(layered_plate.kinetic_matrix(Target(disc=disc))[:MODES, :MODES] - expected).max()
     assert error < 1e-8 * np.abs(expected).max()
-
-
-@pytest.mark.slow
-def test_disc_within_a_rectangle_around_it(layered_plate):
-    """The polygon of 512 corners that stands for part of a disc."""
-    disc = REGIONS["disc"]
-    around = layered_plate.kinetic_matrix(disc, (0.0, SIZE[0], 0.0, SIZE[1]))
-    assert around[:MODES, :MODES] == pytest.approx(layered_plate.kinetic_matrix(disc)[:MODES, :MODES], rel=0, abs=1e-5)

@@ -19,7 +19,6 @@ from warp_plate.modal.motion import fields, modal_motion, trace
 from warp_plate.optimize.quadratic import quadratic_forms
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
 from warp_plate.reference import series
-from warp_plate.solve.response import measure_response
 
 SUPPORTED = ("supported",) * 4
 BURST = {"start": 0.002, "duration": 0.005, "ramp": 0.0015, "period": 0.006}
@@ -283,19 +282,3 @@ def test_stepping_converges_to_the_motion(name, nodes, tmp_path):
     assert max(errors[1]) < (bound if nodes[0] == 21 else bound / order)
     assert errors[1][0] < 3 * errors[0][0] / 2**order
     assert errors[1][1] < 3 * errors[0][1] / 2**order
-
-
-@pytest.mark.slow
-def test_gram_matrices_of_several_frequencies_are_those_of_stepping():
-    """Second order, for stepping knows several frequencies with it alone."""
-    scene = bursts(edges=("clamped",) * 4, burst={"start": 0.001, "duration": 0.009, "ramp": 0.003})
-    plate, errors = solve_modes(scene), []
-    regions = [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)]
-    frequency = actuator_frequencies(scene)[None]
-    matrices = gram_matrices(plate, regions, plate.actuator_forces()[None], frequency, scene.window)[0]
-    for count in (21, 41):
-        grid = {"nodes": (count, count), "load": "moments", "precision": "float64"}
-        stepped = measure_response(PlateSolver(scene.with_tables(grid=grid), "cpu")).matrices
-        errors.append(np.abs(stepped - matrices).max() / matrices.max())
-    assert errors[1] < 0.1
-    assert errors[1] < errors[0] / 2

@@ -69,13 +69,19 @@ def edges_id(edges):
     return "".join(edge[0].upper() for edge in edges)
 
 
+def refused(call, *arguments, **keys):
+    """Return the one-line error message of a call."""
+    with pytest.raises(SceneError) as caught:
+        call(*arguments, **keys)
+    line = str(caught.value)
+    assert len(line.splitlines()) == 1
+    return line
+
+
 def refusal(text):
     """Return the one-line error message of a scene text, without the name of the file."""
-    with pytest.raises(SceneError) as caught:
-        Scene.parse(text, "panel.toml")
-    line = str(caught.value)
+    line = refused(Scene.parse, text, "panel.toml")
     assert line.startswith("panel.toml: ")
-    assert len(line.splitlines()) == 1
     return line.removeprefix("panel.toml: ")
 
 
