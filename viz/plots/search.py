@@ -11,7 +11,6 @@ import numpy as np
 from warp_plate.result.case import only_actuator
 from warp_plate.result.model import BOUND_DESCRIPTIONS, DRIVES, TAIL, Result, mean_of_worst
 from warp_plate.scene.model import Scene
-from warp_plate.scene.search import Search
 from warp_plate.scene.vary import counted
 from warp_plate.viz.annotations import case_label
 from warp_plate.viz.plots.frame import figure, label_axis, number_log_axis
@@ -29,8 +28,12 @@ CASE_LINES = {
     "time_reversal": {"color": "#d95f02", "linestyle": "-."},
     "equal": {"color": "#8a8a8a", "linestyle": "-"},
 }
-# Colour and line width of the curves of a spectrum by name in the result.
-CURVES = {"best": ("#08519c", 1.6), "single": ("#6baed6", 1.1), "equal": ("#8a8a8a", 1.1)}
+# Colour, line width and label of the curves of a spectrum by name in the result.
+CURVES = {
+    "best": ("#08519c", 1.6, BOUND_DESCRIPTIONS["attained within limits"]),
+    "single": ("#6baed6", 1.1, "best single actuator"),
+    "equal": ("#8a8a8a", 1.1, "equal drive"),
+}
 DRIVE_COLOURS = {"robust": "#08519c", "nominal": "#d94801"}
 METHOD_COLOURS = {"pso": "#4d4d4d", "constriction": "#d95f02", "ring": "#1b7837"}
 METHOD_COLOURS |= {"cma": "#762a83", "gradient": "#08519c", "exact": "#b2182b"}
@@ -115,11 +118,10 @@ def _fit_limits(axes: Axes, values: Sequence[float]) -> None:
 def draw_spectrum(result: Result, path: str | Path) -> None:
     """Plot localization factors against frequency, a tick for each resonance, and the best drive as a point."""
     spectrum, case = result.spectrum, result.main_case
-    labels = curve_labels(result.scene.search)
     with figure(path, (6.4, 3.4)) as fig:
         axes = fig.add_subplot()
-        for name, (colour, width) in CURVES.items():
-            axes.plot(spectrum["frequency"], spectrum[name], color=colour, linewidth=width, label=labels[name])
+        for name, (colour, width, label) in CURVES.items():
+            axes.plot(spectrum["frequency"], spectrum[name], color=colour, linewidth=width, label=label)
         _write_target(axes, result.scene)
         axes.set(xlabel="frequency [Hz]", ylabel="localization factor")
         axes.set(ylim=(0, None), xlim=spectrum["frequency"][[0, -1]])
@@ -130,25 +132,6 @@ def draw_spectrum(result: Result, path: str | Path) -> None:
             point = (case.frequency[0], case.localization_factor)
             axes.plot(*point, "o", color="#e6820e", markersize=5, clip_on=False, label="best of the search", zorder=4)
         fig.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=3, fontsize=8)
-
-
-def curve_labels(search: Search) -> dict[str, str]:
-    """Return the labels of the curves of a spectrum by their names in a result.
-
-    The best drive at each frequency is an eigenvector, and a single actuator one of the drives, if the search may
-    choose every phase, and every magnitude from zero on. Otherwise the former is only a bound.
-    """
-    magnitude, phase = search.magnitude, search.phase
-    any_magnitude = magnitude is not None and magnitude.actuators is None
-    any_magnitude = any_magnitude and (magnitude.range is None or magnitude.range[0] <= 0)
-    any_magnitude = any_magnitude and not search.limits.equal_magnitudes
-    best = BOUND_DESCRIPTIONS["attained within limits"]
-    if magnitude is None and phase is None:
-        best = "the scene's drive"
-    elif phase is not None and phase.actuators is None and any_magnitude:
-        best = "best drive at each frequency"
-    single = "best single actuator" if any_magnitude else "best single actuator (cannot be chosen)"
-    return {"best": best, "single": single, "equal": "equal drive"}
 
 
 def draw_robust(result: Result, path: str | Path) -> None:
