@@ -82,9 +82,11 @@ def test_all_pictures_that_a_result_holds(paper_run, drawing, tmp_path):
 
 def test_surfaces_may_share_their_limits(paper_run, drawing, tmp_path):
     """Then weak rows are nearly grey."""
-    viz.draw_surfaces(paper_run, tmp_path / "common.png", ColourOptions("bwr", "common"))
+    cases = {name: replace(case, displacement=case.displacement[:1]) for name, case in paper_run.cases.items()}
+    first = replace(paper_run, times=paper_run.times[:1], cases=cases)
+    viz.draw_surfaces(first, tmp_path / "common.png", ColourOptions("bwr", "common"))
     picture = pixels(tmp_path / "common.png")
-    red = [(row[..., 0] - row[..., 2] > 100).sum() for row in np.split(picture[:, :1400], 3)]
+    red = [(row[..., 0] - row[..., 2] > 100).sum() for row in np.split(picture[:, :700], 3)]
     assert red[2] > 1000 > 100 > red[0]  # the best drive is the last row
 
 
