@@ -2,7 +2,6 @@
 
 import math
 
-import cma
 import numpy as np
 import pytest
 
@@ -198,12 +197,3 @@ def test_of_equal_losses_the_first_particle_leads():
     ring = swarm_of(2, particles=4, ring=True, inertia=0.0)
     first = step(ring, lambda positions: np.ones(4))
     np.testing.assert_array_equal(ring.ask(), first)  # each leads itself
-
-
-def test_the_loop_takes_pycma():
-    search = cma.CMAEvolutionStrategy(4 * [0.0], 0.5, {"seed": 1, "verbose": -9, "tolfun": 1e-12})
-    iterations = []
-    result = minimize(search, rosenbrock, lambda strategy: iterations.append(strategy.result.iterations))
-    np.testing.assert_allclose(result.xbest, 1, atol=1e-4)
-    assert iterations == list(range(1, result.iterations + 1))
-    assert all(hasattr(result, name) for name in vars(swarm_of(4).result))

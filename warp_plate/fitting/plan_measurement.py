@@ -53,20 +53,14 @@ class MeasurementPlan:
     actuators: dict[str, float]  # factor on the widths with each other actuator and its best places, by name
 
 
-def plan_measurement(
-    scene: SceneSource,
-    sensors: int = 4,
-    noise: float = 0.02,
-    frequency_range: tuple[float, float] | None = None,
-) -> MeasurementPlan:
+def plan_measurement(scene: SceneSource, sensors: int = 4, noise: float = 0.02) -> MeasurementPlan:
     """Return the places of sensors and the actuator that best determine the keys of ``[fit.free]``.
 
     Args:
-        scene: Linear scene with ``[fit.free]``; the plan is for its values.
+        scene: Linear scene with ``[fit.free]``; the plan is for its values, at frequencies of ``fit.range`` or from
+            half the lowest natural frequency to the eighth.
         sensors: Number of accelerometers.
         noise: Standard deviation of responses, relative to each.
-        frequency_range: Lowest and highest frequency [Hz] (default: ``fit.range``, or from half the lowest natural
-            frequency to the eighth).
 
     Raises:
         SceneError: The scene has no ``[fit.free]``, a free key is a sensor's, the panel has no damping, or there are
@@ -79,7 +73,7 @@ def plan_measurement(
     candidates = _candidates(scene)
     if not 1 <= sensors <= len(candidates):
         raise SceneError(f"sensors = {sensors}: must be from 1 to {len(candidates)}")
-    low, high = frequency_range or (scene.fit and scene.fit.range) or _default_range(scene)
+    low, high = (scene.fit and scene.fit.range) or _default_range(scene)
     frequencies = np.linspace(low, high, FREQUENCIES)
     information = _information(free, frequencies, candidates, noise)
     chosen = [choose_places(candidate, sensors) for candidate in information]

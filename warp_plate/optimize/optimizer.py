@@ -1,6 +1,6 @@
 """Search spaces, and the base of all search methods: ask for positions, tell their losses, stop, history and state.
 
-Methods minimise. Their names are those of pycma's ``CMAEvolutionStrategy``, so that :func:`minimize` runs either.
+Methods minimise. Their names are those of pycma's ``CMAEvolutionStrategy``.
 """
 
 from __future__ import annotations
@@ -272,16 +272,16 @@ def as_shape(state: Mapping[str, Any], name: str, shape: tuple[int, ...], may_be
 
 
 def minimize(
-    optimizer: Any, objective: Callable[[np.ndarray], ArrayLike], callback: Callable[[Any], object] | None = None
-) -> Any:
-    """Run an :class:`Optimizer`, or pycma's ``CMAEvolutionStrategy``, and return its ``result``.
+    optimizer: Optimizer, objective: Callable[[np.ndarray], ArrayLike], callback: Callable[[Any], object] | None = None
+) -> SearchResult:
+    """Run an :class:`Optimizer`, and return its ``result``.
 
     ``objective`` takes positions (n, dimension) and returns their losses (n,). ``callback`` takes the optimizer after
     each iteration, and ends the loop by returning true; the search goes on when this function is called again.
     """
     while not optimizer.stop():
         solutions = optimizer.ask()
-        optimizer.tell(solutions, objective(np.asarray(solutions, dtype=float)))
+        optimizer.tell(solutions, objective(solutions))
         if callback is not None and callback(optimizer):
             break
     return optimizer.result
