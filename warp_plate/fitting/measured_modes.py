@@ -70,11 +70,11 @@ def read_modes(path: Path) -> MeasuredModes:
     frequencies, numbers = table["frequency"][order], table.get("mode")
     damping = table.get("damping", np.full(len(cells), math.nan))[order]
     numbers = None if numbers is None else numbers[order].astype(int)
-    named = [name for name in columns if name.split()[0:1] == [SHAPE]]
-    if not named:
+    shaped = [name for name in columns if name.split()[0:1] == [SHAPE]]
+    if not shaped:
         return MeasuredModes(str(path), frequencies, damping, numbers)
-    shapes = np.stack([_numbers(path, name, columns[name]) for name in named], axis=1)[order]
-    points = np.array([_point(path, name) for name in named])
+    shapes = np.stack([_numbers(path, name, columns[name]) for name in shaped], axis=1)[order]
+    points = np.array([_point(path, name) for name in shaped])
     return MeasuredModes(str(path), frequencies, damping, numbers, shapes, points)
 
 
