@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,7 +13,7 @@ import numpy as np
 from warp_plate.result.atomic_io import atomic_path
 from warp_plate.scene.errors import printable
 from warp_plate.viz.availability import missing_plots
-from warp_plate.viz.fields import unit_with_prefix
+from warp_plate.viz.fields import SUPERSCRIPTS, unit_with_prefix
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,8 +22,6 @@ if TYPE_CHECKING:
 
 # Powers of ten that tick labels may have; any other power is written once, with the unit.
 PLAIN_POWERS = range(-1, 4)
-# The only formula in texts of the plots.
-POWER_OF_TEN = re.compile(r"[^$]*\$10\^\{-?\d+\}\$[^$]*")
 STYLE = {"axes.linewidth": 0.8, "legend.frameon": False, "svg.hashsalt": "warp-plate"}
 
 
@@ -47,7 +44,7 @@ def figure(
         yield fig
         for text in fig.findobj(Text):  # names and titles may hold control characters and "$"
             text.set_text(printable(text.get_text()))
-            if "$" in text.get_text() and not POWER_OF_TEN.fullmatch(text.get_text()):
+            if "$" in text.get_text():
                 text.set_parse_math(False)
         fig.savefig(path, dpi=dpi)
 
@@ -82,7 +79,7 @@ def with_unit(label: str, unit: str) -> str:
     return f"{label} [{unit}]".strip() if unit != "1" else label
 
 
-def label_axis(axis: Axis, label: str, unit: str, size: float | None = None) -> None:
+def label_axis(axis: Axis, label: str, unit: str) -> None:
     """Label a linear axis, whose limits are set: lengths with a prefix, and the power of ten of other small and large
     numbers once, with the unit."""
     largest = float(np.abs(axis.get_view_interval()).max())
@@ -92,8 +89,8 @@ def label_axis(axis: Axis, label: str, unit: str, size: float | None = None) -> 
         axis.set_major_formatter(lambda value, _: f"{value * factor:.6g}".replace("-", "−"))
     elif power not in PLAIN_POWERS:
         axis.set_major_formatter(lambda value, _: f"{value / 10.0**power:.6g}".replace("-", "−"))
-        unit = f"$10^{{{power}}}$" + (f" {unit}" if unit != "1" else "")
-    axis.set_label_text(with_unit(label, unit), fontsize=size)
+        unit = f"10{str(power).translate(SUPERSCRIPTS)}" + (f" {unit}" if unit != "1" else "")
+    axis.set_label_text(with_unit(label, unit))
 
 
 def number_log_axis(axis: Axis, intervals: int = 5) -> None:

@@ -178,7 +178,7 @@ def draw_comparison(comparison: MethodComparison, path: str | Path) -> None:
             number_log_axis(column[-1].xaxis)
         grid[0, 0].set_ylabel("largest localization factor" if comparison.localization else "smallest loss")
         if comparison.bound is not None:
-            grid[1, 0].set_ylabel(f"distance from the bound (≥ $10^{{{np.log10(SMALLEST_DISTANCE):.0f}}}$)")
+            grid[1, 0].set_ylabel("distance from the bound (≥ 10⁻¹²)")
             number_log_axis(grid[1, 0].yaxis)
         fig.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
         seeds = len({trial.seed for trial in comparison.trials})

@@ -1,4 +1,4 @@
-"""Plots of waveforms: those that focus, with the plate at that moment, and the channels of a drive file."""
+"""Plots of waveforms that focus, with the plate at that moment."""
 
 from __future__ import annotations
 
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 LENGTH = 2.0  # longer side of a plate [inch]
 # Most waveforms that are drawn; periods of a burst, or of the highest frequency of a pulse, whose waves can be seen.
 MOST_WAVEFORMS, BURST_PERIODS, PULSE_PERIODS = 8, 16, 50
-# Height of a channel's strip and of the rest of the figure, and the most of all strips [inch].
-STRIP, MARGIN, TALLEST = 0.3, 0.8, 8.0
 
 
 def draw_focus(result: FocusResult, path: str | Path, colours: ColourOptions = DEFAULT_COLOURS) -> None:
