@@ -14,7 +14,7 @@ from contextlib import suppress
 import numpy as np
 import pytest
 
-from support.commands import start_program
+from support.commands import error_of, start_program
 from support.inline_pool import InlinePool, KilledWorker
 from support.worker_tasks import doubled, end_worker, process_number
 from support.workers import PLATES, assert_same_history, assert_same_run, random_phasors, small_search
@@ -167,6 +167,11 @@ def test_pools_that_cannot_be(devices, cluster, line, monkeypatch):
         pass
 
 
+def test_a_device_beside_devices_is_refused(command):
+    line = error_of(command("localize", "paper", "--devices", "cpu,cpu", "--device", "cpu"))
+    assert "--device cpu: --devices cpu,cpu already says where plates run" in line
+
+
 def test_workers_that_cannot_start_are_one_line(monkeypatch):
     monkeypatch.setenv("DASK_DISTRIBUTED__WORKER__PRELOAD", "absent_module")
     dask.config.refresh()
@@ -211,6 +216,15 @@ def test_nobody_else_can_use_the_workers(pool):
             opened.recv(1)
         refused += 1
     assert refused >= 3  # scheduler and workers
+
+
+@POSIX
+def test_ctrl_c_is_for_the_command_alone(pool):
+    """A terminal sends it to the workers too, which finish their tasks."""
+    workers = worker_processes(pool)
+    for number in workers:
+        os.kill(number, signal.SIGINT)
+    assert worker_processes(pool) == workers
 
 
 @POSIX
@@ -348,14 +362,12 @@ def test_workers_end_with_the_program(end, tmp_path, monkeypatch):
     assert psutil.wait_procs(workers, timeout=10)[1] == []
 
 
+@pytest.mark.slow
 @POSIX
-def test_ctrl_c_ends_a_command_with_workers_by_its_best(tmp_path, scene, command):
+def test_ctrl_c_ends_a_command_with_workers_by_its_best(tmp_path, scene):
     """All processes of the command receive the signal, as from a terminal."""
     file = tmp_path / "panel.toml"
     file.write_text(small_search(scene, iterations=10**6).to_toml(), encoding="utf-8")
-    refused = command("localize", file, "--devices", "cpu,cpu", "--device", "cpu")
-    assert refused[0] == 2
-    assert "--device cpu: --devices cpu,cpu already says where plates run" in refused[2]
     options = ["--devices", "cpu,cpu", "--no-pictures", "--no-estimate", "--checkpoint-every", "0"]
     process = start_program("-m", "warp_plate", "localize", file, *options, cwd=tmp_path, start_new_session=True)
     while not (tmp_path / "panel-localize.checkpoint.h5").exists() and process.poll() is None:

@@ -72,6 +72,7 @@ def test_a_command_writes_its_own_files_and_no_others(tmp_path, scene):
     wp.init()
     cache = Path(wp.config.kernel_cache_dir).resolve()
     arguments = [sys.executable, "-c", WATCHED, "localize", "panel.toml", "--device", "cpu", "--no-pictures", "--json"]
+    arguments += ["--no-estimate", "--no-spectrum"]
     environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
     answer = subprocess.run(arguments, cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert answer.returncode == 0, answer.stderr

@@ -167,8 +167,8 @@ class DaskPool(WorkerPool):
         return future
 
     def restart_worker(self, error: BaseException) -> None:
-        if hasattr(error, "worker"):
-            self._client.restart_workers([error.worker], raise_for_error=False)
+        if worker := vars(error).get("worker"):
+            self._client.restart_workers([worker], raise_for_error=False)
 
     def close(self) -> None:
         """Leave the scheduler; one that was started here ends with its workers."""
@@ -221,7 +221,7 @@ def _connect(name: str, scheduler: str | SpecCluster) -> Client:
     from dask import config
     from distributed import Client
 
-    class ClosedIfRefused(Client):  # type: ignore[misc]
+    class ClosedIfRefused(Client):
         """A client that closes when it cannot connect: the garbage collector, which closes Dask's, can deadlock."""
 
         def start(self, **options: Any) -> None:
@@ -247,7 +247,7 @@ def _run_on_worker(function: Callable[[Any], Any], argument: Any) -> Any:
         return run_task(function, argument)
     except Exception as error:
         if get_worker().nanny:
-            error.worker = get_worker().address
+            vars(error)["worker"] = get_worker().address
         raise
 
 
