@@ -44,7 +44,7 @@ def resume_or_refuse(path):
 
 
 @pytest.mark.hour
-@examples(10)
+@examples(5)
 @given(place=st.integers(0, 10**6), value=st.sampled_from(VALUES), way=st.sampled_from(list(ARRAYS)))
 def test_any_value_in_any_place(place, value, way, saved_search):
     forge_place(saved_search, place, value, way)
@@ -52,7 +52,7 @@ def test_any_value_in_any_place(place, value, way, saved_search):
 
 
 @pytest.mark.hour
-@examples(10)
+@examples(5)
 @given(data=st.data())
 def test_any_value_in_the_numbers_of_a_state(data, saved_search):
 

@@ -23,7 +23,7 @@ FRAGMENTS += ["\n", "\r\n", "\t", "1_", "0x", "a=1\n", 'a="x\n', "\0", "é", "ti
 @example([], ['\\"'])
 @example([], ['\\"""\n'])
 @example(['title = "'], ['\\"'])
-@examples(60)
+@examples(25)
 def test_repeated_fragments(start, repeated):
     piece = "".join(repeated)
     text = "".join(start) + piece * max(1, 2**18 // len(piece)) + "\\"

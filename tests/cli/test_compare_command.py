@@ -29,7 +29,7 @@ def test_all_methods_share_a_budget_and_none_exceeds_the_bound(compared, command
     """Also in the JSON, the file and its picture."""
     pytest.importorskip("cma", reason="pycma is not installed: pip install 'warp-plate[cma]'")
     pytest.importorskip("matplotlib")
-    words = ("compare", "panel.toml", "--seeds", 3, "--device", "cpu", "--json", "--out", "c.h5")
+    words = ("compare", "panel.toml", "--seeds", 2, "--device", "cpu", "--json", "--out", "c.h5")
     record, result = json.loads(output_of(command(*words))), load_comparison("c.h5")
     assert result.methods == METHODS
     assert (result.evaluator, result.bound_kind, record["budget"]) == ("response", "attained", 8 * 30)
@@ -39,8 +39,8 @@ def test_all_methods_share_a_budget_and_none_exceeds_the_bound(compared, command
         assert (np.diff(trial.seconds) > 0).all()
         assert (np.diff(trial.loss) <= 0).all()
         assert trial.best_loss >= result.bound - 1e-12
-    assert [len(result.trials_of(method)) for method in METHODS] == [3, 3, 3, 3, 3, 1]
-    assert {trial.seed for trial in result.trials_of("pso")} == {5, 6, 7}
+    assert [len(result.trials_of(method)) for method in METHODS] == [2, 2, 2, 2, 2, 1]
+    assert {trial.seed for trial in result.trials_of("pso")} == {5, 6}
     for method in ("gradient", "exact"):
         assert all(trial.best_loss <= result.bound + 1e-6 for trial in result.trials_of(method))
     assert [row["method"] for row in record["methods"]] == list(METHODS)

@@ -42,7 +42,7 @@ def end(process):
     return process.returncode, out, err, time.monotonic() - started
 
 
-@pytest.mark.parametrize("number", ["SIGINT", "SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize("number", ["SIGTERM", pytest.param("SIGINT", marks=pytest.mark.slow)])
 def test_a_search_ends_with_its_best_and_a_checkpoint(number, endless):
     file = Path("panel-localize.checkpoint.h5")
     process = start("-m", "warp_plate", "localize", "panel.toml", *QUICK, "--json", "--checkpoint-every", 0)

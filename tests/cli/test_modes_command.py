@@ -29,13 +29,13 @@ def test_json_table_and_picture(command, write_scene):
     """A scene with all kinds of edges and some effects, and a free plate."""
     pytest.importorskip("matplotlib")
     made = write_scene(nodes=(19, 15), size=(0.3, 0.2), edges=EDGES, effects=EFFECTS)
-    expected = continuous_modes(made, 7)
-    record = json.loads(output_of(command("modes", "panel.toml", "--count", 7, "--json", "--out", "m.svg")))
+    expected = continuous_modes(made, 4)
+    record = json.loads(output_of(command("modes", "panel.toml", "--count", 4, "--json", "--out", "m.svg")))
     assert record["frequencies"] == pytest.approx(expected.frequencies.tolist())
     assert record["loss_factors"] == pytest.approx(expected.loss_factors.tolist())
     assert record["damping_ratios"] == pytest.approx((expected.loss_factors / 2).tolist())
     assert record["half_waves"] == [None if pair is None else list(pair) for pair in expected.half_waves()]
-    assert [row[0] for row in record["oscillators"]] == [None] * 7
+    assert [row[0] for row in record["oscillators"]] == [None] * 4
     assert [row[1] for row in record["oscillators"]] == pytest.approx(expected.oscillators[:, 1].tolist())
     assert (record["scene"], record["left_out"]) == ("panel.toml", ["stretching"])
     assert record["files"] == ["m.svg"]
@@ -44,9 +44,9 @@ def test_json_table_and_picture(command, write_scene):
         assert f"{number}: {frequency_text(frequency)}" in drawn
     for words in ("clamped", "supported", "on springs", "free", "nodal line", "layer", "oscillator"):
         assert f"<!-- {words} -->" in drawn
-    out = output_of(command("modes", "panel.toml", "--no-pictures"))
+    out = output_of(command("modes", "panel.toml", "--no-pictures", "--count", 4))
     left_out = "Not included in natural modes: stretching."
-    for part in ("mass 1", left_out, *(f"{frequency:.6g}"[:6] for frequency in expected.frequencies[:6])):
+    for part in ("mass 1", left_out, *(f"{frequency:.6g}"[:6] for frequency in expected.frequencies)):
         assert part in out
     assert "mass 0" not in out
     write_scene(edges=("free",) * 4)
@@ -62,21 +62,22 @@ def test_json_table_and_picture(command, write_scene):
 
 
 def test_modes_of_the_grid_and_their_errors(command, write_scene):
-    made = write_scene(nodes=(19, 15), size=(0.3, 0.2), edges=EDGES, effects=EFFECTS)
+    tables = {"foundation": EFFECTS["foundation"], "stretching": {}}
+    made = write_scene(nodes=(19, 15), size=(0.3, 0.2), edges=("supported",) * 4, effects=tables)
     expected, exact = natural_modes(made, 5), continuous_modes(made, 5).frequencies
-    answer = command("modes", "panel.toml", "--grid", "--count", 5, "--json", "--no-pictures")
-    record = json.loads(output_of(answer))
+    options = ("modes", "panel.toml", "--grid", "--count", 5, "--no-pictures")
+    record = json.loads(output_of(command(*options, "--json")))
     assert record["frequencies"] == pytest.approx(expected.frequencies.tolist())
     assert record["frequencies_stepped"] == pytest.approx(expected.stepped.tolist())
     assert record["errors"] == pytest.approx((expected.frequencies / exact - 1).tolist())
     assert (record["nodes"], record["order"]) == ([19, 15], 2)
     assert record["left_out"] == ["damping of the foundation", "stretching"]
-    out = output_of(command("modes", "panel.toml", "--grid", "--no-pictures"))
+    out = output_of(command(*options))
     for part in ("19 × 15 nodes", *(f"{frequency:.2f}" for frequency in expected.frequencies)):
         assert part in out
 
 
-def test_a_grid_is_chosen_without_the_damping_that_time_steps_refuse(command, write_scene, panel):
+def test_a_grid_is_chosen_by_accuracy_without_the_damping_that_time_steps_refuse(command, write_scene, panel):
     effects = {**panel.effects.model_dump(), "loss_factor": {"eta": 0.01}, "modal_damping": {"ratio": 0.01}}
     records = []
     for made in (panel, panel.with_tables(effects=effects)):
@@ -86,6 +87,10 @@ def test_a_grid_is_chosen_without_the_damping_that_time_steps_refuse(command, wr
     plain, damped = records
     assert damped["left_out"] == ["damping", "loss factor", "modal damping"]
     assert (damped["nodes"], damped["frequencies"]) == (plain["nodes"], plain["frequencies"])
+    assert (plain["nodes"], plain["order"]) != ([27, 27], 2)
+    # π²κ(m² + n²)/2πa², κ = 0.1530 m²/s, a = 0.2 m.
+    exact = np.array([2, 5]) * math.pi / 2 * math.sqrt(1e9 * 5e-4**2 / 12 / (1 - 0.33**2) / 1000) / 0.04
+    np.testing.assert_allclose(plain["frequencies"], exact, rtol=0.05)
 
 
 def test_shapes_and_motions_are_those_of_a_fine_grid(scene):
@@ -109,16 +114,6 @@ def test_loss_factors(scene):
     density = made.plate.density * made.plate.thickness
     np.testing.assert_allclose(found.loss_factors, 3.0 / density / (2 * math.pi * found.frequencies), rtol=1e-6)
     np.testing.assert_array_equal(found.frequencies, solve_modes(made, highest=0.0, count=8).frequencies[:4])
-
-
-def test_accuracy_chooses_the_grid(command, write_scene, panel):
-    write_scene(panel)
-    answer = command("modes", "panel.toml", "--grid", "--accuracy", "20%", "--count", 3, "--json", "--no-pictures")
-    record = json.loads(output_of(answer))
-    # π²κ(m² + n²)/2πa², κ = 0.1530 m²/s, a = 0.2 m.
-    exact = np.array([2, 5, 5]) * math.pi / 2 * math.sqrt(1e9 * 5e-4**2 / 12 / (1 - 0.33**2) / 1000) / 0.04
-    np.testing.assert_allclose(record["frequencies"], exact, rtol=0.05)
-    assert (record["nodes"], record["order"]) != ([27, 27], 2)
 
 
 def test_nodal_lines(scene, tmp_path):

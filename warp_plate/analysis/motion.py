@@ -178,8 +178,8 @@ def _displacements(
 def usual_span(scene: Scene, end: float, frames: int) -> tuple[float, float]:
     """Return the start and end [s] of the span that is shown by default, of a run that ends at ``end`` [s].
 
-    It is the last period of a drive that repeats, otherwise the first burst or the scene's window. A burst or window
-    too long for 12 frames in each period of the highest frequency is cut: a burst at its end, a window at its start.
+    It is the last period of a drive that repeats, else the first burst or the scene's window, cut at the burst's end or
+    the window's start if it is too long for 12 frames in each period of the highest frequency.
     """
     if scene.nonperiodic_key is None:
         return end - 1 / scene.drive.frequency, end

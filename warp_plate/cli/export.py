@@ -9,10 +9,9 @@ from typing import Any, Literal
 
 from cyclopts import Parameter
 
-from warp_plate.analysis.export import DRIVES
 from warp_plate.analysis.export import export as export_result
 from warp_plate.cli import options, output
-from warp_plate.cli.render import FrameOptions, select_cases, span_of
+from warp_plate.cli.render import FrameOptions, span_of
 from warp_plate.result.export import Format
 from warp_plate.result.focus import FocusResult, load_focus
 from warp_plate.result.hdf5 import describe_file
@@ -84,33 +83,20 @@ def export(
             raise SceneError(f"--{name} {value}: has no effect with --to {to}; leave it out")
     if shown.device is not None and shown.start is shown.end is shown.frames is None:
         raise SceneError(f"--device {shown.device}: nothing is run without --frames, --start or --end; leave it out")
-    loaded, span = _load(result, to, shown, signal)
+    loaded: Result | FocusResult
+    if describe_file(result) == "a focus":
+        loaded, span = load_focus(result), None
+    else:
+        loaded = load_result(result)
+        span = span_of(shown, loaded.scene.window.end)
     given |= {name: value for name in ("frames", "device") if (value := getattr(shown, name)) is not None}
     with output.progress_bar("simulating", shown=not json) as show:
         try:
             exported = export_result(loaded, target, to, cases=shown.case or (), span=span, progress=show, **given)
         except SceneError as error:
-            named = str(error).startswith(("--", f"{target}:", f"{result}:"))
-            raise error if named else SceneError(f"{result}: {error}") from None
+            raise error if str(error).startswith(f"{target}:") else SceneError(f"{result}: {error}") from None
     answer = {"result": result, "to": to, **exported.contents, "files": exported.files}
     output.report(json, lambda: answer, lambda _: _print(exported.files, to, exported.contents))
-
-
-def _load(
-    file: Path, to: Format, shown: FrameOptions, signal: SignalOptions
-) -> tuple[Result | FocusResult, tuple[float, float] | None]:
-    """Return a result, or that of ``focus``, and the span of times to export."""
-    signals = vars(signal)
-    if describe_file(file) == "a focus":
-        if to not in DRIVES or (name := next((key for key in SIGNAL[:2] if signals[key]), "")):
-            what = f"--to {to}" if to not in DRIVES else f"--{name} {signals[name]}"
-            raise SceneError(f"{what}: {file} has waveforms of a given rate and duration, for drive-wav and drive-csv")
-        return load_focus(file), None
-    loaded = load_result(file)
-    select_cases(loaded, file, shown.case)
-    if to in DRIVES and len(shown.case or ()) > 1:
-        raise SceneError(f"--case {' '.join(shown.case or ())}: a file holds one drive; name one case")
-    return loaded, span_of(shown, loaded.scene.window.end)
 
 
 def _print(files: list[Path], to: Format, record: Mapping[str, Any]) -> None:

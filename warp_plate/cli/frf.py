@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -83,7 +81,7 @@ def frf(
     sources = [_source(loaded, text) for text in responses.inputs or ()]
     check_on_plate(loaded, points, "--at")
     check_on_plate(loaded, sources, "--from")
-    with output.scene_errors(scene), _errors_of_range(responses.range):
+    with output.scene_errors(scene):
         response = compute(loaded, sources, points, limits, responses.quantity)
     written = _write(response, target, formats, files.pictures)
     output.report(files.json, _as_json, _print, scene, loaded, response, written=written)
@@ -111,20 +109,9 @@ def _range(text: str) -> tuple[float, float]:
     """Return the lowest and the highest frequency [Hz] of ``--range``."""
     if re.fullmatch(f"{NUMBER}:{NUMBER}", text):
         low, high = map(float, text.split(":"))
-        if 0 < low < high:
+        if 0 < low < high < 1e9:
             return low, high
     raise SceneError(f"--range {text}: must be LOW:HIGH in hertz, 0 < LOW < HIGH, such as 50:5000")
-
-
-@contextmanager
-def _errors_of_range(text: str | None) -> Iterator[None]:
-    """Prefix errors about the highest frequency with ``--range`` if it was given."""
-    try:
-        yield
-    except SceneError as error:
-        if text is None or (key := re.match(r"drive\.frequency: |highest frequency [^:]*: ", str(error))) is None:
-            raise
-        raise SceneError(f"--range {text}: {str(error).removeprefix(key[0])}") from None
 
 
 def _write(response: FrequencyResponse, target: Path, formats: list[ResponseFormat], pictures: bool) -> output.Drawn:

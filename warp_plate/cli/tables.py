@@ -252,18 +252,14 @@ def print_cost(result: Result, console: Console, start: str = "", elapsed: float
         took = f", chosen in {result.seconds['choose']:.2f} s" if "choose" in result.seconds else ""
         console.print(f"engine: {result.accuracy['reason']}{took}")
     if elapsed is not None:
-        console.print(_seconds_text(result.seconds, elapsed))
+        spent = {text: result.seconds[stage] for stage, text in STAGES.items() if stage in result.seconds}
+        spent["loading, files and pictures"] = elapsed - sum(spent.values())
+        stages = ", ".join(f"{value:.2f} s {text}" for text, value in spent.items())
+        console.print(f"{elapsed:.2f} s in all: {stages}.")
     if "estimate" in result.accuracy:
         console.print(result.accuracy["estimate"]["line"])
     for sentence in warnings_of(result):
         console.print(f"! {sentence}")
-
-
-def _seconds_text(seconds: Mapping[str, float], elapsed: float) -> str:
-    """Return the seconds of the stages, which add up to those of the command."""
-    spent = {text: seconds[stage] for stage, text in STAGES.items() if stage in seconds}
-    spent["loading, files and pictures"] = elapsed - sum(spent.values())
-    return f"{elapsed:.2f} s in all: {', '.join(f'{value:.2f} s {text}' for text, value in spent.items())}."
 
 
 def warnings_of(result: Result) -> list[str]:
