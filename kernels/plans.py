@@ -33,19 +33,12 @@ MOST_UNROLLED = 16
 
 @dataclass(frozen=True)
 class Cut:
-    """Tiles along one axis of a plate; all are equally long, and the last ones overlap more where it does not divide.
+    """Tiles along one axis of a plate, all equally long; the last ones overlap more where it does not divide."""
 
-    Attributes:
-        nodes: Nodes of the plate, edges included.
-        count: Number of tiles.
-        length: Nodes of a tile, its edges included.
-        margin: Nodes inside a tile's edges that are wrong when it has taken its steps; edges of the plate have none.
-    """
-
-    nodes: int
-    count: int = 1
-    length: int = 0
-    margin: int = 0
+    nodes: int  # of the plate, edges included
+    count: int = 1  # tiles
+    length: int = 0  # nodes of a tile, its edges included
+    margin: int = 0  # nodes inside a tile's edges that are wrong when it has taken its steps
 
     @property
     def pitch(self):
@@ -125,9 +118,6 @@ def strip_plans(order, nx, ny, real, shared_bytes):
 
     The first is the fastest on an H200 where plates are many; in fourth order one of few warps, whose margins are few,
     with registers to spare.
-
-    Args:
-        shared_bytes: Most shared memory of a block on the device.
     """
     words = 1 if real is wp.float32 else 2
     if order == 2:  # the rows and columns that move
@@ -209,14 +199,10 @@ def workspace_planes(effects, in_registers):
 def plan_block(nx, ny, real, effects, attached, few, shared_bytes):
     """Plan the block of a plate.
 
-    With few plates the time of a single plate counts, so all threads that a block can have take part. With many, one
-    block should work while another waits at a barrier, and registers should hold much. Where sums run over the plate,
-    their order depends on the threads: there the plan of many serves any number, so that a plate's bits do not depend
-    on the number of plates.
-
-    Args:
-        few: There are fewer plates than multiprocessors.
-        shared_bytes: Most shared memory of a block on the device.
+    With fewer plates than multiprocessors the time of a single plate counts, so all threads that a block can have take
+    part. With many, one block should work while another waits at a barrier, and registers should hold much. Where sums
+    run over the plate, their order depends on the threads: there the plan of many serves any number, so that a plate's
+    bits do not depend on the number of plates.
     """
     warps = -(-nx * ny // LANES)
     words = 1 if real is wp.float32 else 2

@@ -34,22 +34,12 @@ REFUSALS = (AttributeError, BufferError, IndexError, RuntimeError, TypeError, Va
 
 
 class Batch:
-    """A batch of plates, stepped from rest at t = 0 under drives of the host or of the device.
-
-    Attributes:
-        engine: The compiled kernels.
-        state: The plates' arrays.
-        plates: Number of plates, the first of the state.
-        grown: (plates,) step at which a plate was seen to grow without bound, or −1.
-        step: Number of steps taken.
-        phasors: (plates, actuators) drives of the host.
-        scale: (plates,) pressure that each plate is scaled by [N/m²]; not finite if its drive is not.
-    """
+    """A batch of plates, stepped from rest at t = 0 under drives of the host or of the device."""
 
     def __init__(self, engine: Engine, state: State, plates: int) -> None:
         self.engine, self.state, self.plates = engine, state, plates
-        self.grown = np.full(plates, -1)
-        self.step = 0
+        self.grown = np.full(plates, -1)  # Step at which a plate was seen to grow without bound, or −1
+        self.step = 0  # Steps taken
         self.largest_rate = SLACK * engine.specialized.largest_rate_per_step
         moving = engine.specialized.discretization.moving
         self.least = moving.largest if moving else 0.0  # Pressure that all plates have beside their drives [N/m²]
@@ -151,11 +141,7 @@ class Batch:
         return values
 
     def trace(self, shares: np.ndarray) -> np.ndarray:
-        """Return (plates, points, steps) displacements of points [m], NaN from ``step`` on.
-
-        Args:
-            shares: (points, 4) weights of the four nodes around each point, see ``weights.bilinear``.
-        """
+        """Return (plates, points, steps) displacements of points [m], NaN from ``step`` on."""
         corners = self.state.trace.numpy()[: self.plates]
         corners = corners.reshape(self.plates, len(shares), 4, -1).astype(float)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -165,11 +151,9 @@ class Batch:
         return trace
 
     def queue_energies(self) -> Callable[[np.ndarray], Faults]:
-        """Queue the sums of the energies, unless ``load`` did.
+        """Queue the sums of the energies, unless ``load`` did; return a function that waits for them.
 
-        Returns:
-            Function that waits for the sums, writes the energies (plates, regions) [J] into an array, and returns the
-            faulty plates with fault and time, see ``Run.faults``.
+        It writes the energies (plates, regions) [J] into an array and returns the faulty plates, see ``Run.faults``.
         """
         specialized, scheme = self.engine.specialized, self.engine.specialized.scheme
         if not self._summed:
@@ -197,16 +181,10 @@ class Batch:
 def scaled_coefficients(
     signals: Signals, phasors: np.ndarray, sizes: np.ndarray, least: float, coefficients: np.ndarray
 ) -> np.ndarray:
-    """Write the coefficients of plates, each in units of the plate's largest pressure, and return the pressures.
+    """Write the coefficients of plates, each in units of the plate's largest pressure [N/m²], and return these.
 
-    Args:
-        phasors: (plates, actuators) drives.
-        sizes: (1 or plates, terms) factors that the waves were divided by.
-        least: Pressure of the moving load, which all plates have [N/m²].
-        coefficients: (capacity, terms, actuators), written.
-
-    Returns:
-        (plates,) pressure [N/m²] of each plate; NaN where its energies would not keep full precision.
+    They are NaN where energies would not keep full precision, and at least ``least``, the pressure of the moving load.
+    ``sizes`` (1 or plates, terms) are the factors that the waves were divided by.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # a drive that is not finite spoils its own plate alone
         # Plates innermost: NumPy is slow along short rows.
@@ -249,9 +227,6 @@ def import_drives(drives: object, actuators: int, device: wp.Device) -> wp.array
     """Return drives as a Warp array (plates, actuators, 2) over the same memory, which the array keeps alive.
 
     Warp's current stream of the device waits for what the producer has queued on its own.
-
-    Raises:
-        SceneError: They are no such array of float32 or float64, or on another device.
     """
     right = f"write Re Z and Im Z as (plates, {actuators}, 2) of float32 or float64"
     try:

@@ -52,11 +52,7 @@ def takes_lanes(specialized: Specialized) -> bool:
 
 
 def resident_path(specialized: Specialized) -> Advance:
-    """Return the path that runs all steps in one launch, with a plate in the registers of a warp or of a block.
-
-    Raises:
-        SceneError: The plate does not fit on a multiprocessor.
-    """
+    """Return the path that runs all steps in one launch, with a plate in the registers of a warp or of a block."""
     if takes_lanes(specialized):
         return _lanes_path(specialized)
     plan = plan_of(specialized)

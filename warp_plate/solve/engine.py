@@ -84,16 +84,7 @@ def describe_plan(specialized: Specialized) -> str:
 
 
 class Engine:
-    """The kernels of a specialized scene, compiled or loaded from Warp's cache.
-
-    Attributes:
-        specialized: The scene on the device.
-        path: Name of the path, "resident" or "streaming".
-        advance: Steps plates, see ``state.Advance``.
-
-    Raises:
-        SceneError: The device has no such path, or the plate does not fit it.
-    """
+    """The kernels of a specialized scene, compiled or loaded from Warp's cache."""
 
     def __init__(self, specialized: Specialized, path: str = "auto") -> None:
         scene, real = specialized.scene, specialized.real
@@ -120,10 +111,9 @@ class Engine:
         return wp.array(values, dtype=wp.float64, device=self.specialized.device)
 
     def put_waves(self, state: State, values: PerPlateValues) -> np.ndarray:
-        """Write the waves of a run: tones on the device; sweeps, and squares of voltages, on the host.
+        """Write the waves of a run, and return the (1 or plates, terms) powers of two by which they are divided.
 
-        Returns:
-            (1 or plates, terms) powers of two by which the waves are divided.
+        Tones are computed on the device; sweeps, and squares of voltages, on the host.
         """
         specialized = self.specialized
         if values.frequency is None:
@@ -165,10 +155,7 @@ class Engine:
     def load_drives(self, state: State, plates: int, edges: np.ndarray | None = None) -> None:
         """Copy the coefficients of the first plates to the device and write their load fields.
 
-        Args:
-            state: Plates, with coefficients in ``state.host_coefficients``.
-            plates: Number of plates to load; the others keep their loads.
-            edges: (plates, actuators, 4) x0, x1, y0, y1 [m] of each plate's actuators (default: the scene's).
+        ``edges`` (plates, actuators, 4): x0, x1, y0, y1 [m] of each plate's actuators (default: the scene's).
         """
         wp.copy(state.coefficients, state.host_coefficients, count=plates * state.coefficients[0].size)
         self.write_loads(state, plates, edges)

@@ -144,13 +144,7 @@ def _advance(batch: Batch, records: Records, displacement: np.ndarray, report: C
 def states_for(
     specialized: Specialized, states: list[State], plates: int, corners: np.ndarray, chunk: int | None, share: float
 ) -> list[State]:
-    """Return the states that parts alternate between, which trace the nodes ``corners`` (nodes, 2).
-
-    Args:
-        states: Those of earlier runs, reused or replaced.
-        chunk: Number of plates of a part; None for as many as memory holds.
-        share: Share of the memory for plates to take.
-    """
+    """Return the states that parts alternate between, which trace the nodes ``corners`` (nodes, 2)."""
     device, traced = specialized.device, len(corners)
     part = math.ceil(PART_NODE_STEPS / specialized.node_steps_per_plate)
     size, count = max(1, plates), 1
@@ -185,16 +179,7 @@ def segment_steps(specialized: Specialized, plates: int) -> tuple[int, bool]:
 
 
 def plates_that_fit(specialized: Specialized, traced_nodes: int, held: float, memory_share: float) -> int:
-    """Return how many plates the device has memory for, at least 1.
-
-    Args:
-        traced_nodes: Number of nodes whose displacement is recorded.
-        held: Bytes that this solver's states hold now and would give back.
-        memory_share: Share of the memory for plates that this solver may take.
-
-    Raises:
-        SceneError: A CUDA device has no memory for one plate.
-    """
+    """Return how many plates the device has memory for, at least 1."""
     device, needed = specialized.device, bytes_per_plate(specialized, traced_nodes)
     if device.is_cuda:
         room = memory_share * CUDA_MEMORY_SHARE * device.free_memory + held

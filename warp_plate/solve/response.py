@@ -54,11 +54,7 @@ def unit_drives(actuators: int) -> np.ndarray:
 
 
 def measure_response(solver: PlateSolver, progress: Progress | None = None) -> Response:
-    """Simulate the unit drives; ``solver`` should be float64, for the differences of energies lose digits.
-
-    Raises:
-        SceneError: The unit drives of so many actuators do not fit into memory.
-    """
+    """Simulate the unit drives; ``solver`` should be float64, for the differences of energies lose digits."""
     actuators = len(solver.scene.actuators)
     refuse_beyond_memory(100.0 * actuators**3, f"actuators: {actuators}, which makes {2 * actuators**2} unit drives;")
     return response_of(solver.run(unit_drives(actuators), progress=progress).energy, actuators)

@@ -100,16 +100,9 @@ def find_faults(
     largest_sum: float,
     energy: np.ndarray,
 ) -> dict[int, str]:
-    """Write the energies of plates, NaN for faulty ones, and return the faults by plate.
+    """Write the energies [J] (plates, regions) of plates, NaN for faulty ones, and return the faults by plate.
 
-    Args:
-        phasors: (plates, actuators) drives.
-        scale: (plates,) pressures that plates are scaled by, not finite if a drive is not.
-        grown: (plates,) step at which growth was seen, or −1.
-        sums: (plates, regions) weighted sums of rate² over the window.
-        unit: Energy of a sum of one at a scale of one [J].
-        largest_sum: Largest sum of a bounded plate.
-        energy: (plates, regions) takes the energies [J].
+    ``grown`` has the step at which growth was seen, or −1; ``unit`` is the energy of a sum of one at a scale of one.
     """
     with np.errstate(invalid="ignore", over="ignore"):
         energy[:] = sums * unit * scale[:, None] ** 2
@@ -136,8 +129,7 @@ def run_with_peaks(
 ) -> tuple[Run, np.ndarray]:
     """Run phasors (plates, actuators) with the scene's records, or with displacements at other times ``recorded`` [s].
 
-    Returns:
-        The run, and the largest displacements (plates, 2) [m] in the target and in the rest.
+    Also return the largest displacements (plates, 2) [m] in the target and in the rest.
     """
     scene = solver.scene
     recorded = recorded or record_times(scene)

@@ -29,15 +29,7 @@ Quantity = Literal["velocity", "displacement"]
 class Specialized:
     """A discretized scene made ready for the kernels of a device; arrays have the layout of ``warp_plate.kernels``.
 
-    Args:
-        discretization: The scene on its grid.
-        device: Device of all arrays.
-        threads: Threads of the CPU (default: as many as it has).
-        areas: Further regions by name, whose energy is summed too.
-        quantity: "velocity" for kinetic energies, "displacement" for the same sums of displacements.
-
-    Raises:
-        SceneError: Displacements are asked of a scene that is not linear, or an area covers no node.
+    ``areas`` are further regions by name, whose energy is summed too, as that of displacements if ``quantity`` says so.
     """
 
     def __init__(
@@ -164,11 +156,7 @@ class Specialized:
             self.loaded_kernels[kernel] = block_dim
 
     def to_device(self, values: np.ndarray) -> wp.array:
-        """Return a copy on the device in the scene's precision.
-
-        Raises:
-            SceneError: A value exceeds the range of that precision.
-        """
+        """Return a copy on the device in the scene's precision."""
         precision = self.scene.grid.precision
         if not (np.abs(values) <= np.finfo(precision).max).all():
             raise SceneError(
@@ -181,8 +169,7 @@ class Specialized:
 def effect_names(scene: Scene, several_waves: bool = False) -> tuple[str, ...]:
     """Return the names of the effects in the compiled kernel.
 
-    Args:
-        several_waves: Plates have more waves than the scene's drive needs.
+    ``several_waves``: plates have more waves than the scene's drive needs.
     """
     several_waves = several_waves or scene.drive.electrostatic is not None or waves_apart(scene) > 1
     names, damped = scene.effects.compiled, scene.effects.damping is not None

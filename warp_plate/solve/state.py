@@ -21,10 +21,7 @@ CLEAR_SHARE = 4
 class State:
     """Zeroed arrays for up to ``capacity`` plates; fields are (capacity, rows, stride), zero outside the plate.
 
-    Args:
-        specialized: The scene on the device.
-        capacity: Largest number of plates.
-        nodes: (traced nodes, 2) row of the field and column of nodes whose displacement is kept (default: none).
+    ``nodes`` (traced nodes, 2) has the row and column of nodes whose displacement is kept.
     """
 
     def __init__(self, specialized: Specialized, capacity: int, nodes: wp.array | None = None) -> None:
