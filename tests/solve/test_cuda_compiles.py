@@ -35,6 +35,7 @@ FEW = [KernelEffects(True, True, 2), KernelEffects(True, True, 4), EVERYTHING]
 PLAIN = itertools.product((False, True), ((False, 2), (True, 2), (True, 4)))
 TONES = (tones.integrate_patches, tones.multiply_dense, tones.multiply_sparse)
 TONES += (tones.write_drives, tones.write_motions, tones.contract)
+PORTABLE = ("energy.", "loads.", "streaming.", "tones.")
 REALS = (wp.float32, wp.float64)
 ALL = [KernelEffects(damping, *cells) for damping, cells in PLAIN]
 ALL += [EVERYTHING, *(KernelEffects(moments=True, **{name: True}) for name in ALONE)]
@@ -103,9 +104,9 @@ def compiles(kernel, binary):
 
 @pytest.mark.parametrize("effects", FEW)
 def test_a_kernel_of_each_factory_compiles(effects):
-    """The last variant of each, to PTX, which takes a third of the time of a binary."""
+    """The last variant of each, to PTX, which takes a third of the time of a binary; portable ones run on the CPU."""
     for name, kernel in dict(cuda_kernels(effects, wp.float32)).items():
-        assert compiles(kernel, binary=False), name
+        assert name.startswith(PORTABLE) or compiles(kernel, binary=False), name
 
 
 @pytest.mark.slow

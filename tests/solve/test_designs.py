@@ -120,7 +120,10 @@ def check_each(run, made, designs, points=()):
     check_run(run, made, [np.concatenate(values) for values in zip(*alone, strict=True)], points)
 
 
-@pytest.mark.parametrize("planes", [(), (*plans.REGISTERS_FIRST, "membrane_curvature", "inverse_mass")])
+HELD = (*plans.REGISTERS_FIRST, "membrane_curvature", "inverse_mass")
+
+
+@pytest.mark.parametrize("planes", [(), pytest.param(HELD, marks=pytest.mark.slow)])
 def test_the_kernel_of_blocks_on_cpu(planes, scene, draw, monkeypatch):
     """The CUDA kernel of the moment form in a block of one thread: with all effects, or few and planes in registers."""
     drive = {"frequency": 290.0, "burst": {"duration": 0.004, "ramp": 1e-3}}
