@@ -136,34 +136,33 @@ def test_four_fingers_feel_bursts_of_their_own():
 
 def test_quiet_waveforms_keep_the_rest_within_its_bound():
     """Against random waveforms near them: none within the bound and the energy moves the point further."""
-    rest, rate = {"contrast": 15.0, "radius": 0.03}, 4000
-    scene = scene_of(damping=20.0, focus={**TABLE, "rate": rate, "energy": 0.02, "rest": rest})
+    point, rest, rate = TABLE["points"][0], {"contrast": 15.0, "radius": 0.03}, 4000
+    table = {**TABLE, "points": [point], "rate": rate, "energy": 0.02, "rest": rest}
+    scene = scene_of(damping=20.0, focus=table)
     found = focus(scene)
     quiet, plain = found.methods["quiet"], found.methods["time_reversal"]
-    assert quiet.limits == ("energy, rest",) * 2
-    assert (quiet.peak < plain.peak).all()
+    assert quiet.limits == ("energy, rest",)
+    assert quiet.peak[0] < plain.peak[0]
     plate = modes_below(scene, 600.0)
     responses = HeldResponses(plate, rate, scene.focus.recorded, velocity=False)
-    inside = [plate.kinetic_matrix(Target(disc=(*point, 0.03))) for point in TABLE["points"]]
+    outside = plate.kinetic_matrix() - plate.kinetic_matrix(Target(disc=(*point, 0.03)))
     mass = plate.space.plate_mass * (1 - math.pi * 0.03**2 / 0.04)
 
-    def figures(waveforms, focus):
+    def figures(waveforms):
         amplitudes = responses.amplitudes(responses.states(waveforms))
-        squares = (amplitudes @ (plate.kinetic_matrix() - inside[focus]) * amplitudes).sum(axis=1) / mass
-        moved = (amplitudes @ plate.at_points([TABLE["points"][focus]]))[:, 0]
+        squares = (amplitudes @ outside * amplitudes).sum(axis=1) / mass
+        moved = (amplitudes @ plate.at_points([point]))[:, 0]
         return moved, moved / np.sqrt(squares)
 
-    random, least = np.random.default_rng(3), 10 ** (15 / 20)
-    for focus_index in range(2):
-        best = quiet.waveforms[focus_index]
-        moved, contrast = figures(best[None], focus_index)
-        assert contrast[0] == pytest.approx(least)
-        tilted = best + random.normal(size=(60, 1, 1)) * (plain.waveforms[focus_index] - best)
-        noisy = tilted + 0.01 * best.std() * random.normal(size=(60, *best.shape))
-        noisy *= np.linalg.norm(best) / np.linalg.norm(noisy, axis=(1, 2), keepdims=True)
-        others, contrasts = figures(noisy, focus_index)
-        assert (contrasts > least).any()
-        assert others[contrasts > least].max() < moved[0]
+    random, least, best = np.random.default_rng(3), 10 ** (15 / 20), quiet.waveforms[0]
+    moved, contrast = figures(best[None])
+    assert contrast[0] == pytest.approx(least)
+    tilted = best + random.normal(size=(60, 1, 1)) * (plain.waveforms[0] - best)
+    noisy = tilted + 0.01 * best.std() * random.normal(size=(60, *best.shape))
+    noisy *= np.linalg.norm(best) / np.linalg.norm(noisy, axis=(1, 2), keepdims=True)
+    others, contrasts = figures(noisy)
+    assert (contrasts > least).any()
+    assert others[contrasts > least].max() < moved[0]
 
 
 @pytest.mark.slow

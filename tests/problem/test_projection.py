@@ -59,6 +59,7 @@ def response_at(problem, position):
     return ModalSolver(problem.parametrization.scene_of(position)).response.matrices
 
 
+@pytest.mark.slow
 def test_no_drive_that_is_known_is_better_than_the_one_returned():
     """Neither one of the result's spectrum nor, at the same frequency, the exact one."""
     search = {**DRIVES, **FREQUENCY}
