@@ -33,41 +33,33 @@ IN_PLANE: tuple[Factors, Factors] = (("x", "x"), ("y", "y"))
 class Edge:
     """An edge of the plate as the place of a term."""
 
-    side: str
-    """"left", "bottom", "right" or "top"."""
+    side: str  # "left", "bottom", "right" or "top"
 
 
 @dataclass(frozen=True, eq=False)
 class Patch:
     """A rectangle whose mean displacement a term acts on, relative to the mass that is attached to it."""
 
-    area: Area
-    """Rectangle x0, x1, y0, y1 [m]."""
+    area: Area  # Rectangle x0, x1, y0, y1 [m]
+    # Mass [kg] with a displacement of its own; without one, the term acts between the patch and the ground
     mass: float = 0.0
-    """Mass [kg] with a displacement of its own; without one, the term acts between the patch and the ground."""
 
 
 @dataclass(frozen=True)
 class Term:
-    """A quadratic form of the equation of motion.
+    """A quadratic form of the equation of motion."""
 
-    Attributes:
-        role: Energy that the term adds to: mass (kinetic), stiffness (stored), damping (dissipated by viscous forces),
-            or hysteretic (imaginary part of the stiffness).
-        coefficient: Factor in SI units.
-        factors: Derivatives of the two factors; "" is the displacement, "n" the slope across an edge.
-        place: Where the form is taken; None for the whole plate.
-        of: "bending" for a multiple of all bending terms of the plate, "modes" for a number for each mode (a loss
-            factor of its stiffness, or a damping ratio); ``factors`` and ``place`` do not count then.
-        label: Name of the effect in texts.
-    """
-
+    # Energy that the term adds to: mass (kinetic), stiffness (stored), damping (dissipated by viscous forces), or
+    # hysteretic (imaginary part of the stiffness)
     role: Role
-    coefficient: Any
+    coefficient: Any  # Factor in SI units
+    # Derivatives of the two factors; "" is the displacement, "n" the slope across an edge
     factors: Factors = DISPLACEMENT
-    place: Edge | Patch | None = None
+    place: Edge | Patch | None = None  # Where the form is taken; None for the whole plate
+    # "bending" for a multiple of all bending terms of the plate, "modes" for a number for each mode (a loss factor of
+    # its stiffness, or a damping ratio); ``factors`` and ``place`` do not count then
     of: Literal["", "bending", "modes"] = ""
-    label: str = ""
+    label: str = ""  # Name of the effect in texts
 
     @property
     def distributed(self) -> bool:

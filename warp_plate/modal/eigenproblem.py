@@ -53,7 +53,7 @@ def solve_eigenproblem(
         # Edges that are neither clamped nor supported add modes to those of Weyl's law.
         loose = sum(not isinstance(edge, str) or edge == "free" for _, edge in galerkin.scene.edges) / 4
         share = math.ceil(wanted / len(bases) + (2 / len(bases) + 0.25) * math.sqrt(wanted) * loose + 5)
-    parts = [_solve_up_to(galerkin, basis, share, scale, least) for basis in bases]
+    parts = [_solve(galerkin, basis, share, scale, least) for basis in bases]
     sizes = [squares.size for squares, _ in parts]
     highest = min((squares[-1] for squares, _ in parts if squares.size == share), default=math.inf)
     squares, parity = np.concatenate([squares for squares, _ in parts]), np.repeat(range(len(parts)), sizes)
@@ -76,19 +76,9 @@ def _bases(galerkin: Galerkin) -> list[Matrix]:
     return galerkin.space.parity_bases()
 
 
-def _solve_up_to(
-    galerkin: Galerkin, basis: Matrix, share: int, scale: float, least: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return ω² and vectors of ``share`` modes, or of more if they do not reach ``least``; see :func:`_solve`."""
-    squares, vectors = _solve(galerkin, basis, share, scale)
-    while squares.size == share and squares[-1] < least:
-        share += math.ceil(share / 4)
-        squares, vectors = _solve(galerkin, basis, share, scale)
-    return squares, vectors
-
-
-def _solve(galerkin: Galerkin, basis: Matrix, wanted: int, scale: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return ω², rising, and vectors (unknowns, modes) of the motions that a basis (unknowns, n) spans."""
+def _solve(galerkin: Galerkin, basis: Matrix, wanted: int, scale: float, least: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return ω², rising, and vectors (unknowns, modes) of the motions that a basis (unknowns, n) spans: of ``wanted``
+    modes, or of more if they do not reach ``least``."""
     unknowns = basis.shape[1]
     few = wanted * SPARSE < unknowns
     held = LANCZOS_VECTORS * wanted if few else DENSE_MATRICES * unknowns
@@ -98,6 +88,8 @@ def _solve(galerkin: Galerkin, basis: Matrix, wanted: int, scale: float) -> tupl
         squares, vectors = lowest_by_lanczos(stiffness, mass, wanted, scale) if few else _all(stiffness, mass, scale)
     except np.linalg.LinAlgError:
         raise _buckled(galerkin.scene) from None
+    if squares.size == wanted and squares[-1] < least:
+        return _solve(galerkin, basis, wanted + math.ceil(wanted / 4), scale, least)
     return squares, basis @ vectors
 
 

@@ -68,7 +68,8 @@ def gram_matrices(
         return np.stack([real_form(np.zeros_like(product), product) for product in mixed], axis=1)
     if plate.scene.drive.burst is None and has_exponential_loads(plate.scene):
         shared = ToneMatrices(plate, regions, window, quantity, trials=(forces, frequency))
-        return shared.motion(frequency, forces).matrices(shared.regions, window, shared.free_forms())
+        forms = free_forms(shared.poles.part(shared.lasting), regions, window)
+        return shared.motion(frequency, forces).matrices(shared.regions, window, forms)
     delay = actuator_delays(plate.scene)[None] if delay is None else delay
     designs = max(len(forces), len(frequency), len(delay))
     rows = [np.broadcast_to(array, (designs, *array.shape[1:])) for array in (forces, frequency, delay)]
@@ -144,13 +145,9 @@ class ToneMatrices:
             forced, free = forced * rates[:, None, :], free * poles.values[:, None]
         return ExponentialMotion(forced, rates, poles, free)
 
-    def free_forms(self) -> Iterator[tuple[np.ndarray, list[list[Matrix]]]]:
-        """Yield the products of free motions, see :func:`free_forms`."""
-        return free_forms(self.poles.part(self.lasting), self._dense, self.window)
-
     @cached_property
     def _stored_forms(self) -> list[tuple[np.ndarray, list[list[Matrix]]]]:
-        return list(self.free_forms())
+        return list(free_forms(self.poles.part(self.lasting), self._dense, self.window))
 
     @cached_property
     def lasting(self) -> np.ndarray:

@@ -9,7 +9,6 @@ are not smooth. On a disc the rule is in the angle θ, y = y₀ + r sin θ, as t
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 
@@ -32,7 +31,9 @@ def region_values(
     """Return ∫ ρH u u dA over a region [kg], for each pair of functions of y and of x; see ``region_matrix``."""
     area = region.area if isinstance(region, Target) else region
     if area is not None:
-        return _over_rectangle(scene, along, _common(area, within))
+        area = _common(area, within)
+        integrals = Integrals(scene, *along, (area[:2], area[2:]))
+        return integrals.values(integrals.fields()[-1] * integrals.inside(area))
     assert isinstance(region, Target)
     if region.mask is not None:
         return _over_mask(scene, along, region, within)
@@ -43,11 +44,6 @@ def _common(first: Area, second: Area | None) -> Area:
     if second is None:
         return first
     return max(first[0], second[0]), min(first[1], second[1]), max(first[2], second[2]), min(first[3], second[3])
-
-
-def _over_rectangle(scene: Scene, along: tuple[Splines, Splines], area: Area) -> np.ndarray:
-    integrals = Integrals(scene, *along, (area[:2], area[2:]))
-    return integrals.values(integrals.fields()[-1] * integrals.inside(area))
 
 
 def _over_mask(scene: Scene, along: tuple[Splines, Splines], target: Target, within: Area | None) -> np.ndarray:
@@ -113,14 +109,13 @@ def _polygon_chords(
     ends = (y0 + share * (y1 - y0))[(share > 0) & (share < 1)]
     inside = breaks[(breaks > y0.min()) & (breaks < y0.max())]
     y, weights = gauss(np.unique(np.concatenate([y0, inside, ends])), count)
-    crossed = [(at, weight, chord) for at, weight in zip(y, weights, strict=True) for chord in _chords_at(corners, at)]
-    ordinates, shares, chords = zip(*crossed, strict=True)
-    return np.array(ordinates), np.array(shares), list(chords)
-
-
-def _chords_at(corners: np.ndarray, y: float) -> Iterator[tuple[float, float]]:
-    """Yield the ends [m] of the chords of a polygon at an ordinate, from left to right."""
-    (x0, y0), (x1, y1) = corners.T, np.roll(corners, -1, axis=0).T
-    crossed = (y0 < y) != (y1 < y)
-    x = np.sort((x0 + (x1 - x0) * (y - y0) / np.where(crossed, y1 - y0, 1))[crossed])
-    yield from ((low, high) for low, high in zip(x[::2], x[1::2], strict=True) if high > low)
+    ordinates, shares, chords = [], [], []
+    for at, weight in zip(y, weights, strict=True):
+        crossed = (y0 < at) != (y1 < at)
+        x = np.sort((x0 + (x1 - x0) * (at - y0) / np.where(crossed, y1 - y0, 1))[crossed])
+        for low, high in zip(x[::2], x[1::2], strict=True):
+            if high > low:
+                ordinates.append(at)
+                shares.append(weight)
+                chords.append((low, high))
+    return np.array(ordinates), np.array(shares), chords
