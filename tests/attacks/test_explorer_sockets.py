@@ -21,14 +21,15 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no 
 FILES = 200
 ESCAPES = "\x1b[2J\x1b]0;title\x07"
 METHODS = [
-    *("trame.state.get", "trame.state.update", "trame.trigger", "trame.error.client", "trame.lifecycle.update"),
-    *("wslink.hello", "viewport.image.push", "viewport.image.push.original.size", "viewport.mouse.interaction"),
-    *("application.exit", "unsubscribe", "", "a" * 300),
+    "trame.state.get",
+    "trame.state.update",
+    "trame.trigger",
+    "viewport.image.push",
+    "application.exit",
+    "a" * 300,
 ]
-VALUES = st.recursive(
-    st.none() | st.integers(-(2**63), 2**63) | st.floats() | st.text(max_size=9) | st.binary(max_size=9),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=9), inner, max_size=3),
-    max_leaves=6,
+VALUES = (
+    st.none() | st.integers(-(2**63), 2**63) | st.floats() | st.binary(max_size=9) | st.lists(st.text(), max_size=3)
 )
 
 
