@@ -64,16 +64,17 @@ def open_pool(
     pool: DaskPool | None = None
     try:
         if devices is not None:
-            pool = start_workers(device_names(devices))
+            pool = _start_workers(_device_names(devices))
         elif cluster is not None:
-            pool = DaskPool(_connect(name, scheduler_address(cluster)), name, device or "auto")
+            pool = DaskPool(_connect(name, _scheduler_address(cluster)), name, device or "auto")
     except ImportError as error:
         raise SceneError(f"{name}: {error}: pip install 'warp-plate[cluster]'") from None
     if pool is None:
         yield None
         return
     try:
-        pool.wait_for_workers()
+        while not pool.worker_count():
+            time.sleep(0.1)
         if pool.dashboard:
             log(f"dashboard of the workers: {pool.dashboard}")
         yield pool
@@ -83,12 +84,8 @@ def open_pool(
             log(f"{counted(count, 'task')} run again: {reason}")
 
 
-def device_names(text: str) -> list[str]:
-    """Return the devices of "cuda:0,cuda:1" as Warp names them.
-
-    Raises:
-        SceneError: One is not on this machine.
-    """
+def _device_names(text: str) -> list[str]:
+    """Return the devices of "cuda:0,cuda:1" as Warp names them."""
     names = [name.strip() for name in text.split(",")]
     if not all(names):
         raise SceneError(f"--devices {text}: must be devices with commas between, such as cuda:0,cuda:1 or cpu,cpu")
@@ -98,12 +95,8 @@ def device_names(text: str) -> list[str]:
         raise SceneError(f"--devices {text}: {error}") from None
 
 
-def scheduler_address(cluster: str) -> str:
-    """Return the address of a scheduler: that given or that in its file.
-
-    Raises:
-        SceneError: There is no such file, or no address in it.
-    """
+def _scheduler_address(cluster: str) -> str:
+    """Return the address of a scheduler: that given or that in its file."""
     if "://" in cluster:
         return cluster
     if not os.path.isfile(cluster):
@@ -139,15 +132,6 @@ class DaskPool(WorkerPool):
     def description(self) -> str:
         return f"up to {counted(self._most, 'Dask worker')} ({self._name.partition(' ')[2]})"
 
-    def wait_for_workers(self) -> None:
-        """Wait for the first worker.
-
-        Raises:
-            WorkersGone: None has joined.
-        """
-        while not self.worker_count():
-            time.sleep(0.1)
-
     def worker_count(self) -> int:
         """Return the number of the workers' threads, counted now and then."""
         now = time.monotonic()
@@ -168,7 +152,7 @@ class DaskPool(WorkerPool):
 
     def restart_worker(self, error: BaseException) -> None:
         if worker := vars(error).get("worker"):
-            self._client.restart_workers([worker], raise_for_error=False)
+            self._client.re_start_workers([worker], raise_for_error=False)
 
     def close(self) -> None:
         """Leave the scheduler; one that was started here ends with its workers."""
@@ -183,12 +167,8 @@ class DaskPool(WorkerPool):
         return 0
 
 
-def start_workers(devices: Sequence[str]) -> DaskPool:
-    """Start a scheduler and a worker for each device; who connects needs this run's certificate.
-
-    Raises:
-        SceneError: A worker cannot start.
-    """
+def _start_workers(devices: Sequence[str]) -> DaskPool:
+    """Start a scheduler and a worker for each device; who connects needs this run's certificate."""
     from dask import config
     from distributed import Nanny, Scheduler, Security, SpecCluster
 
