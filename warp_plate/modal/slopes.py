@@ -152,76 +152,66 @@ def _from_rest(
     total = np.zeros((3, len(phasors), len(regions), *inputs.shape[1:]), dtype=complex)
     # Poles that a place does not excite count too, if a neighbouring place excites them.
     excited = np.stack([gains, *(poles.gains(force) for force in forces[1:])])
-    for motion in _motions(poles, loads, frequency, velocity):
-        if motion.end > window.start:
-            low = max(window.start - motion.start, 0.0)
-            part = Window(start=low, end=min(motion.end, window.end) - motion.start)
+    for load, forced, free in _motions(poles, loads, frequency, velocity):
+        if load.end > window.start:
+            part = Window(start=max(window.start - load.start, 0.0), end=min(load.end, window.end) - load.start)
             share = (part.end - part.start) / (window.end - window.start)
-            states = motion.free[0], motion.forced[0]
-            lasting = lasting_poles(poles, excited, *states, motion.rates, part, window.end, velocity)
-            total += share * motion.slopes(poles, lasting, regions, pushed, inputs, part)
+            lasting = lasting_poles(poles, excited, free[0], forced[0], load.rates, part, window.end, velocity)
+            total += share * _mean_slopes(poles, lasting, regions, load.rates, (forced, free), pushed, inputs, part)
     by_drive, by_frequency, by_delay = (total * gains[:, None]).sum(axis=3)
     of_forces = poles.inputs.T @ total[0]
     by_centre = [(of_forces * slope[:, None]).sum(axis=2) for slope in forces[1:]]
     return _assemble(phasors, by_drive, by_frequency, np.stack(by_centre, axis=-1), by_delay)
 
 
-@dataclass(frozen=True)
-class _Motion:
-    """States z of the poles in an interval of time, (designs, poles, K, terms), for K actuators or one for all.
+def _mean_slopes(
+    poles: Poles,
+    lasting: np.ndarray,
+    regions: Sequence[np.ndarray],
+    exponents: np.ndarray,
+    motion: tuple[np.ndarray, np.ndarray],
+    pushed: np.ndarray,
+    inputs: np.ndarray,
+    part: Window,
+) -> np.ndarray:
+    """Return (3, designs, regions, poles, K) ⟨Re vᵀ G ∂v⟩ of unit inputs, by the drive, frequency and delay.
 
-    Forced ones follow the load as exp(σ (t − start)), free ones decay as exp(s (t − start)).
+    ``lasting`` are the poles whose free motion matters, ``exponents`` (designs, K, terms) those of the load, ``motion``
+    as of :func:`_motions`, ``pushed`` (designs, modes, K) modal forces times phasors, ``inputs`` (designs, poles, K)
+    the same for the poles; the window counts from the start of the interval.
     """
-
-    start: float  # [s]
-    end: float  # [s]
-    rates: np.ndarray  # (designs, K, terms) σ [1/s]
-    forced: np.ndarray  # and by frequency and delay: (3, designs, poles, K, terms)
-    free: np.ndarray  # (3, designs, poles, K)
-
-    def slopes(
-        self,
-        poles: Poles,
-        lasting: np.ndarray,
-        regions: Sequence[np.ndarray],
-        pushed: np.ndarray,
-        inputs: np.ndarray,
-        part: Window,
-    ) -> np.ndarray:
-        """Return (3, designs, regions, poles, K) ⟨Re vᵀ G ∂v⟩ of unit inputs, by the drive, frequency and delay.
-
-        ``lasting`` are the poles whose free motion matters, ``pushed`` (designs, modes, K) modal forces times phasors,
-        ``inputs`` (designs, poles, K) the same for the poles; the window counts from the start of the interval.
-        """
-        designs, count, _, terms = self.forced.shape[1:]
-        rates, states = self.rates.reshape(designs, -1), self.forced[0].reshape(designs, count, -1)
-        forced = poles.forced(states, np.repeat(pushed, terms, axis=2), np.repeat(inputs, terms, axis=2))
-        some, free = poles.part(lasting), (inputs * self.free[0]).sum(axis=2)[:, lasting]
-        sides = [_side_means(rates, some.values, conjugate, part) for conjugate in (False, True)]
-        slopes = np.empty((3, designs, len(regions), count, self.rates.shape[1]), dtype=complex)
-        for number, region in enumerate(regions):
-            momenta = multiply_modes(region, forced), some.observe(region)
-            rising = np.zeros((2, *forced.shape), dtype=complex)
-            inner = np.zeros_like(free)
-            for conjugate, (of_forced, of_free, crossed, decayed) in enumerate(sides):
-                side = [values.conj() if conjugate else values for values in (*momenta, free)]
-                columns, across, amplitudes = side
-                for target, mean, other in zip(rising, of_forced, of_free, strict=True):
-                    target += columns @ mean / 2 + multiply_modes(across, amplitudes[:, :, None] * other) / 2
-                inner += (some.project(columns) * crossed).sum(axis=2) / 2
-                inner += amplitudes @ (some.project(across) * decayed).T / 2
-            by_amplitude, by_exponent = poles.project(rising).reshape(2, *self.forced.shape[1:3], *self.rates.shape[1:])
-            values = (self.forced * by_amplitude).sum(axis=4)
-            values[1] += 2j * math.pi * (self.forced[0] * by_exponent).sum(axis=3)
-            values[:, :, lasting] += self.free[:, :, lasting] * inner[:, :, None]
-            slopes[:, :, number] = values
-        return slopes
+    forced_states, free_states = motion
+    designs, count, _, terms = forced_states.shape[1:]
+    rates, states = exponents.reshape(designs, -1), forced_states[0].reshape(designs, count, -1)
+    forced = poles.forced(states, np.repeat(pushed, terms, axis=2), np.repeat(inputs, terms, axis=2))
+    some, free = poles.part(lasting), (inputs * free_states[0]).sum(axis=2)[:, lasting]
+    sides = [_side_means(rates, some.values, conjugate, part) for conjugate in (False, True)]
+    slopes = np.empty((3, designs, len(regions), count, exponents.shape[1]), dtype=complex)
+    for number, region in enumerate(regions):
+        momenta = multiply_modes(region, forced), some.observe(region)
+        rising = np.zeros((2, *forced.shape), dtype=complex)
+        inner = np.zeros_like(free)
+        for conjugate, (of_forced, of_free, crossed, decayed) in enumerate(sides):
+            side = [values.conj() if conjugate else values for values in (*momenta, free)]
+            columns, across, amplitudes = side
+            for target, mean, other in zip(rising, of_forced, of_free, strict=True):
+                target += columns @ mean / 2 + multiply_modes(across, amplitudes[:, :, None] * other) / 2
+            inner += (some.project(columns) * crossed).sum(axis=2) / 2
+            inner += amplitudes @ (some.project(across) * decayed).T / 2
+        by_amplitude, by_exponent = poles.project(rising).reshape(2, *forced_states.shape[1:3], *exponents.shape[1:])
+        values = (forced_states * by_amplitude).sum(axis=4)
+        values[1] += 2j * math.pi * (forced_states[0] * by_exponent).sum(axis=3)
+        values[:, :, lasting] += free_states[:, :, lasting] * inner[:, :, None]
+        slopes[:, :, number] = values
+    return slopes
 
 
 def _motions(
     poles: Poles, loads: Sequence[ExponentialLoads], frequency: np.ndarray, velocity: bool
-) -> Iterator[_Motion]:
-    """Yield the motion in one interval of the loads (designs, K, terms) after the other."""
+) -> Iterator[tuple[ExponentialLoads, np.ndarray, np.ndarray]]:
+    """Yield the loads (designs, K, terms) of one interval after the other, and the states z of the poles and their
+    slopes by frequency and delay: (3, designs, poles, K, terms) that follow the load as exp(σ (t − start)), and
+    (3, designs, poles, K) that decay as exp(s (t − start)), for K actuators or one for all."""
     decays, omega = poles.values[:, None], 2j * math.pi
     state = np.zeros((3, len(frequency), poles.values.size, frequency.shape[1]), dtype=complex)
     before = np.zeros(frequency.shape, dtype=complex)
@@ -236,7 +226,7 @@ def _motions(
         following = forced * rates if velocity else forced
         if velocity:
             following[1] += omega * forced[0]
-        yield _Motion(load.start, load.end, load.rates, following, free * decays if velocity else free)
+        yield load, following, free * decays if velocity else free
         grown = forced * np.exp(rates * since)
         grown[1] += omega * since * grown[0]
         state = free * np.exp(decays * since) + grown.sum(axis=4)
