@@ -1,20 +1,15 @@
-"""Long searches, sweeps and explorers take no more memory, descriptors and threads at their end than early on.
+"""Long searches and sweeps take no more memory, descriptors and threads at their end than early on.
 
-With -m hour these are 20000 generations, 2000 points and 30 minutes of two clients, elsewhere a fiftieth or less.
+With -m hour these are 20000 generations and 2000 points, elsewhere a fiftieth.
 """
 
-import asyncio
-import re
 import sys
-import time
 
 import pytest
 
 from support.scenes import scene_of
-from support.sockets import answers_to, call, session
 from warp_plate import localize, sweep
 
-aiohttp = pytest.importorskip("aiohttp")
 psutil = pytest.importorskip("psutil")
 linux = pytest.mark.skipif(sys.platform != "linux", reason="counts what Linux counts")
 pytestmark = [pytest.mark.slow, pytest.mark.hour, linux]
@@ -60,28 +55,4 @@ def test_points_of_a_sweep(hour):
     vary = [f"drive.frequency=200:400:{total}"]
     found = sweep(made, vary, "simulate", device="cpu", path="resident", on_progress=lambda *at: watch.look(*at[:2]))
     assert found.plan.coordinates[0].shape == (total,)
-    watch.assert_flat()
-
-
-def test_two_clients_move_sliders(served, hour):
-    address, secret = session(served)
-    watch, total = Watch(psutil.Process().children()[-1]), 1800.0 if hour else 15.0
-    begin = time.monotonic()
-
-    async def move(client, number):
-        async with client.ws_connect(address) as opened:
-            await answers_to(opened, call("wslink.hello", {"secret": secret}, rpc="system:1"))
-            page = (await answers_to(opened, call("trame.state.get")))["result"]["state"]["trame__template_main"]
-            trigger = re.search(rf"""<VSlider[^>]*magnitude_{number}[^>]*trigger\(\W*(trigger__\d+)""", page)[1]
-            count = 0
-            while (passed := time.monotonic() - begin) < total:
-                count += 1
-                await answers_to(opened, call("trame.trigger", trigger, [count % 20 / 10], {}))
-                watch.look(passed, total)
-
-    async def both():
-        async with aiohttp.ClientSession() as client:
-            await asyncio.gather(move(client, 0), move(client, 1))
-
-    asyncio.run(both())
     watch.assert_flat()

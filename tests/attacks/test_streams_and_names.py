@@ -60,8 +60,8 @@ def test_names_that_are_not_utf8(write_scene, command):
 
 
 def test_names_of_any_letters_are_drawn_exported_and_printed(write_scene, command):
-    """They are neither formulas nor commands of a terminal, and XML cannot hold them as they are."""
-    name = "ü $\\frac{1}{$ \x1b[2J"
+    """They are neither formulas, markup, emoji nor commands of a terminal, and XML cannot hold them as they are."""
+    name = "ü $\\frac{1}{$ [b] :smile: \x1b[2J"
     targets = [{"name": key, "area": (0.0, 0.1, 0.0, end)} for key, end in (("a", 0.1), (name, 0.2))]
     actuators = [{"name": key, "area": (x, x + 0.05, 0.1, 0.15)} for key, x in (("b", 0.02), (name, 0.1))]
     tables = {"record": {"times": (0.01,)}, "search": {"particles": 3, "iterations": 2}}
@@ -72,3 +72,4 @@ def test_names_of_any_letters_are_drawn_exported_and_printed(write_scene, comman
     for line in (*lines, *(f"export panel-localize.h5 --to {kind}" for kind in ("vtkhdf", "drive-wav"))):
         out = output_of(command(*line.split(), *case * (not line.startswith("localize"))))
         assert out.replace("\n", "").isprintable()
+        assert not line.startswith("localize") or out.startswith("ü $\\frac{1}{$ [b] :smile: \\x1b[2J\n")

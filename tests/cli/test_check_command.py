@@ -27,16 +27,13 @@ def test_numbers_and_words_of_the_paper(command):
     assert found["points_a_wavelength"] == pytest.approx(wavelength / (0.2 / 26), rel=1e-3)
     assert found["condition"] == pytest.approx((found["fastest_frequency"] / found["slowest_frequency"]) ** 2)
     assert len(found["warnings"]) == 2
-    words = " ".join(command("check", "paper", "--device", "cpu")[1].split())
+    assert found["mass"] == pytest.approx(0.2 * 0.2 * 0.5e-3 * 1000)
+    # Warnings stand together; numbers that pass have a row each, without a sentence.
+    text = command("check", "paper", "--device", "cpu")[1]
+    words = " ".join(text.split())
     for part in ("9.63346e-05 s", "1250 steps", "0.851 %", "43.1 a period", "26.5 kB a plate"):
         assert part in words
-
-
-def test_summary_then_warnings_then_what_is_within_its_threshold(command):
-    """Warnings stand together; numbers that pass have a row each, without a sentence."""
-    found = json.loads(output_of(command("check", "paper", "--device", "cpu", "--json")))
-    assert found["mass"] == pytest.approx(0.2 * 0.2 * 0.5e-3 * 1000)
-    lines = [line.strip() for line in command("check", "paper", "--device", "cpu")[1].splitlines()]
+    lines = [line.strip() for line in text.splitlines()]
     assert lines[2].split(maxsplit=1) == ["plate", "200 × 200 × 0.5 mm, 20 g; all edges clamped"]
     assert "first natural frequency  21.89 Hz" in lines
     assert "drive                    290 Hz, 4 actuators" in lines

@@ -10,7 +10,6 @@ import pytest
 
 import warp_plate
 from support.commands import error_of, output_of, start_program
-from support.scenes import scene_of
 from warp_plate import Scene, load_result
 from warp_plate.scene.load import preset_names, preset_text
 
@@ -156,16 +155,3 @@ def test_standard_output_that_is_closed_or_full(recorded):
         with open("/dev/full", "w") as full:
             answer = process("init", "paper", stdout=full)
         assert answer == (2, None, "warp-plate: No space left on device\n")
-
-
-def test_names_in_a_scene_are_printed_verbatim(command, write_scene):
-    """Neither markup nor emoji nor terminal commands, in tables, lines and errors."""
-    scene = scene_of((9, 9), damping=88.5, search={"particles": 4, "iterations": 3})
-    actuators = [{"name": f"[/b]{index} \x1b[31m :smile:", "area": at.area} for index, at in enumerate(scene.actuators)]
-    scene = write_scene(scene.with_tables(title="[bold][/x] \x1b]0;owned\x07", actuators=actuators))
-    _, out, _ = command("localize", "panel.toml", *QUICK)
-    assert "[bold][/x] \\x1b]0;owned\\x07" in out
-    assert "[/b]1 \\x1b[31m :smile:" in out
-    assert not {"\x1b", "\x07"} & set(out)
-    Path("panel.toml").write_text(scene.to_toml().replace("magnitude = 1.0", "magnitude = nan"), encoding="utf-8")
-    error_of(command("localize", "panel.toml", *QUICK))
