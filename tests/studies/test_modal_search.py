@@ -84,7 +84,7 @@ def test_modes_need_no_stable_time_step(random, search):
 
 def test_robust_search_by_modes_is_the_limit_of_its_simulated_matrices():
     robust = {"scenarios": 2, "thickness": 0.05, "place": 0.002, "gain": 0.1}
-    grid = {"nodes": (41, 41), "order": 4, "load": "moments"}
+    grid = {"nodes": (33, 33), "order": 4, "load": "moments"}
     scene = paper(search={"robust": robust}, grid=grid)
     drives = np.array([[1, 0.2, 0.1j, 0.4]])
     problems = [make_problem(resolve(scene, "cpu", evaluator=name)) for name in ("modal", "response")]

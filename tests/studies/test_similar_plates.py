@@ -21,7 +21,7 @@ TABLES = {
         "material_damping": {"time": 1e-5},
         "tension": {"x": 5.0, "y": -0.5},
         "foundation": {"stiffness": 1e4},
-        "orthotropic": {"Dx": 0.014, "Dy": 0.01, "D1": 0.003, "Dxy": 0.004},
+        "orthotropic": {"Dx": 0.28, "Dy": 0.2, "D1": 0.06, "Dxy": 0.08},
         "variation": {"thickness": [[1.0, 1.2, 0.9], [0.9, 1.0, 1.1]]},
         "layers": [{"area": [0.03, 0.09, 0.0, 0.06], "thickness": 1e-4, "young_modulus": 2e9, "density": 1800.0}],
         "oscillators": [
