@@ -115,11 +115,10 @@ def region_motions(scene: Scene, run: Run, peaks: np.ndarray) -> list[RegionMoti
 
 
 def evaluate_objectives(problem: Problem, cases: Mapping[str, Case]) -> tuple[dict[str, dict[str, float]], int]:
-    """Evaluate cases at the scene's own frequency and places under objectives that they were not optimised for.
+    """Return ``Objectives.values`` by objective of cases that were not optimised for them, by case, and node-steps.
 
-    Returns:
-        ``Objectives.values`` by objective, by case, and node-steps. Empty if only the localization factor counts, which
-        a case has, if each of several targets has objectives of its own, or if Ctrl-C interrupts it.
+    Empty if only the localization factor counts, which a case has, if each of several targets has objectives of its
+    own, or if Ctrl-C interrupts it.
     """
     objectives, solver = problem.objectives, problem.drive_solver
     if objectives.only_localization or problem.scene.targets:

@@ -41,13 +41,10 @@ def make_optimizer(
     state: Mapping[str, Any] | None = None,
     slopes: Slopes | None = None,
 ) -> Optimizer:
-    """Return the method of a table ``[search]``.
+    """Return the method of a table ``[search]``, at its beginning or in a state that ``Optimizer.state`` returned.
 
-    Args:
-        search, space, seed: the table, the space of positions and the random seed.
-        problem: where losses follow from quadratic forms of the drive, which "exact" and "gradient" need.
-        state: go on from this state (see ``Optimizer.state``), to the last bit (default: from the beginning).
-        slopes: losses and their slopes, for "gradient" (default: those of ``problem``).
+    "exact" and "gradient" need a problem whose losses follow from quadratic forms of the drive; for "gradient" slopes
+    of losses will do.
 
     Raises:
         SceneError: the method does not fit the problem or takes more memory than there is; pycma is not installed.

@@ -195,11 +195,7 @@ class Parametrization:
 
 
 def parametrization_of(scene: Scene) -> Parametrization:
-    """Return the parametrization of a scene's ``[search]``.
-
-    Raises:
-        SceneError: see :func:`make_design_variables`.
-    """
+    """Return the parametrization of a scene's ``[search]``, see :func:`make_design_variables`."""
     return Parametrization(scene, make_design_variables(scene))
 
 

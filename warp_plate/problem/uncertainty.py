@@ -214,21 +214,13 @@ def apply_measure(losses: np.ndarray, robust: Robust) -> np.ndarray:
 def simulate_scenarios(
     scenarios: Sequence[Scenario], resolved: Resolved, pool: WorkerPool | None = None
 ) -> ScenarioLosses:
-    """Return losses by simulation, one launch for each scenario; all solvers together take the memory of one.
-
-    Raises:
-        SceneError: see :class:`PlateSolver` and ``make_objectives``.
-    """
+    """Return losses by simulation, one launch for each scenario; all solvers together take the memory of one."""
     plates = (_scenario_plates(scenario, resolved, pool, 1 / len(scenarios)) for scenario in scenarios)
     return ScenarioLosses(tuple(plates))
 
 
 def scenario_responses(scenarios: Sequence[Scenario], resolved: Resolved) -> ScenarioLosses:
-    """Return losses by Gram matrices, measured in double precision, for energies that are quadratic in the phasors.
-
-    Raises:
-        SceneError: see :class:`PlateSolver`, ``make_objectives`` and ``measure_response``.
-    """
+    """Return losses by Gram matrices, measured in double precision, for energies that are quadratic in the phasors."""
     measured, matrices, seconds, node_steps = [], [], 0.0, 0
     for scenario in scenarios:
         gain = np.tile(scenario.gain, 2)
