@@ -9,12 +9,13 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_plate.result.atomic_io import atomic_path, atomic_paths
+from warp_plate.result.atomic_io import atomic_paths
 from warp_plate.result.case import only_actuator
 from warp_plate.result.model import Result
 from warp_plate.result.motion import Motion
@@ -23,6 +24,7 @@ from warp_plate.viz.annotations import add_legend, at_frequency, caption, case_l
 from warp_plate.viz.availability import missing_plots, missing_renderer, prepare, set_up_renderer
 from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions, drawing_scale, field_of
 from warp_plate.viz.page import write_page
+from warp_plate.viz.plots.frame import save_plots
 from warp_plate.viz.plots.plan import draw_crosstalk, draw_plan
 from warp_plate.viz.plots.search import draw_history, draw_robust, draw_spectrum
 from warp_plate.viz.scene3d import PlateActors, SideBySide, plate_subplots
@@ -67,17 +69,11 @@ def draw_all(
     written, problems = [], []
     for draw in (draw for draw, held in jobs.items() if held):
         path = Path(f"{stem}-{draw.__name__.removeprefix('draw_')}.png")
-        problem = missing_renderer() if draw is draw_surfaces else missing_plots()
-        if problem is None:
-            try:
-                with atomic_path(path) as temporary:
-                    draw(result, temporary, **({"colours": colours} if draw is draw_surfaces else {}))
-                written.append(path)
-            except OSError as error:
-                problem = f"{path}: cannot be written: {error}"
-        if problem is not None:
-            problems.append(problem)
-    return written, "; ".join(problems) or None
+        options = {"colours": colours} if draw is draw_surfaces else {}
+        files, problem = save_plots(partial(draw, result, **options), path, [".png"])
+        written += files
+        problems += [problem] if problem is not None else []
+    return written, "; ".join(dict.fromkeys(problems)) or None
 
 
 def draw_surfaces(result: Result, path: str | Path, colours: ColourOptions = DEFAULT_COLOURS) -> None:

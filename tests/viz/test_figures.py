@@ -121,7 +121,7 @@ def test_missing_data_and_folders_are_reported(paper_run, drawing, tmp_path):
             draw(empty, tmp_path / "empty.png")
     written, problem = viz.draw_all(paper_run, tmp_path / "no such folder" / "paper")
     assert written == []
-    assert problem.count("cannot be written") == 2
+    assert problem.count("No such file") == 2
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the packages are named for Linux")

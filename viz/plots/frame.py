@@ -12,7 +12,7 @@ import numpy as np
 
 from warp_plate.result.atomic_io import atomic_path
 from warp_plate.scene.errors import printable
-from warp_plate.viz.availability import missing_plots
+from warp_plate.viz.availability import DrawingUnavailable, missing_plots
 from warp_plate.viz.fields import SUPERSCRIPTS, unit_with_prefix
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def save_plots(
             with atomic_path(target) as temporary:
                 draw(temporary)
             written.append(target)
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, DrawingUnavailable) as error:
         return written, f"no plot: {error}"
     return written, None
 
