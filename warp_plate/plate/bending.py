@@ -230,13 +230,13 @@ def buckling_factor(bending: Bending) -> float:
     It is the smallest μ with (K₀ + μG)u = 0, K₀ being the stiffness without in-plane forces and G their part of it.
     """
     moves = np.flatnonzero(bending.moves)
-    held = stiffness_matrix(replace(bending, membrane=(0.0, 0.0)))
+    first, *others = stiffness_parts(replace(bending, membrane=(0.0, 0.0))).values()
+    held = scipy.sparse.csr_array(sum(others, start=first))
     in_plane = (stiffness_matrix(bending) - held)[moves][:, moves]
     if abs(in_plane).max() == 0:
         return math.inf
     # The rigid motion of a plate that nothing holds is no buckling: it gets a stiffness of rounding's size.
-    stiffest = stiffness_parts(bending)["bending"].diagonal().max()
-    held = held[moves][:, moves] + 1e-9 * stiffest * scipy.sparse.eye_array(len(moves))
+    held = held[moves][:, moves] + 1e-9 * first.diagonal().max() * scipy.sparse.eye_array(len(moves))
     if len(moves) <= DENSE:
         largest = scipy.linalg.eigh(-in_plane.toarray(), held.toarray(), eigvals_only=True)[-1]
     else:
