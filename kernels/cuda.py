@@ -8,6 +8,7 @@ from functools import cache
 import warp as wp
 
 from warp_plate.kernels.arithmetic import make_fused
+from warp_plate.kernels.update import make_laplacian
 
 _OPAQUE = """
 #if defined(__CUDA_ARCH__)
@@ -50,6 +51,35 @@ def make_from_lane(real):
     def from_lane(value: real, lane: int) -> real: ...
 
     return from_lane
+
+
+@cache
+def make_laplacian_of_row(square_cells, real, columns, bounded):
+    """Make ``laplacian_of_row``: of a lane's part; ``bounded``: there are zeros beyond the first and the last lane."""
+    laplacian, from_lane = make_laplacian(square_cells, real), make_from_lane(real)
+    Row = wp.types.vector(length=columns, dtype=real)
+
+    @wp.func
+    def laplacian_of_row(south: Row, centre: Row, north: Row, lane: int, aspect: real):
+        west = from_lane(centre[wp.static(columns - 1)], lane - 1)
+        east = from_lane(centre[0], lane + 1)
+        if wp.static(bounded):
+            if lane == 0:
+                west = real(0.0)
+            if lane == wp.static(LANES - 1):
+                east = real(0.0)
+        sums = Row()
+        for c in range(wp.static(columns)):
+            left = west
+            right = east
+            if wp.static(c > 0):
+                left = centre[c - 1]
+            if wp.static(c < columns - 1):
+                right = centre[c + 1]
+            sums[c] = laplacian(centre[c], left, right, south[c], north[c], aspect)
+        return sums
+
+    return laplacian_of_row
 
 
 @cache

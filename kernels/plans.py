@@ -136,18 +136,16 @@ def strip_plans(order, nx, ny, real, shared_bytes):
             for warps, in_registers in product(choice, (True, False))
         ]
     for plan, spare in choices:
-        # The bits of a word say which rows are loaded.
-        few = plan.rows <= 1 if order == 2 else plan.warps > 1 and _too_few_rows(plan, ny)
+        # Of fourth order, the first and the last strip must hold all rows with special taps.
+        few = plan.rows <= 1
+        if order == 4:
+            few = plan.warps > 1 and (plan.rows <= BORDER or (plan.warps - 1) * plan.rows > ny - BORDER)
         needed = words * columns * (plan.fields * plan.rows + temporaries) + overhead
         squares = plan.rows * plan.warps if plan.squares_shared else 0
         shared = 4 * words * columns * LANES * (2 * 2 * border * (plan.warps + 2) + squares)
+        # The bits of a word say which rows are loaded.
         if not few and plan.rows < LANES and needed + spare <= plan.registers and shared <= shared_bytes:
             yield plan
-
-
-def _too_few_rows(plan, ny):
-    """Return whether the first and the last strip do not hold all rows with special taps."""
-    return plan.rows <= BORDER or (plan.warps - 1) * plan.rows > ny - BORDER
 
 
 @dataclass(frozen=True)

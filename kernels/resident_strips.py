@@ -25,6 +25,7 @@ from warp_plate.kernels.cuda import (
     cuda_kernel,
     make_apply_taps,
     make_from_lane,
+    make_laplacian_of_row,
     make_thread_part,
     shared_memory,
 )
@@ -61,6 +62,7 @@ def make_run_steps(effects, real, across, along, stride, plan, summed):
     order, nx, ny = effects.order, across.length, along.length
     place_x, place_y = make_place(across), make_place(along)
     laplacian, apply_taps = make_laplacian(effects.square_cells, real), make_apply_taps(real, plan.columns)
+    curvature_of_row = make_laplacian_of_row(effects.square_cells, real, plan.columns, True)
     update, from_lane, fused = make_update(effects, real), make_from_lane(real), make_fused(real)
     Parameters, RowTaps, (Forcing, Fields) = make_parameters(real), make_row_taps(real), make_state(real)
     columns, rows, warps = plan.columns, plan.rows, plan.warps
@@ -94,26 +96,6 @@ def make_run_steps(effects, real, across, along, stride, plan, summed):
     def in_row(lane: int, c: int):
         """Return whether the lane's column c is in the strip."""
         return lane < last_lane + int(c <= last_column)
-
-    @wp.func
-    def curvature_of_row(centre: Row, south: Row, north: Row, lane: int, aspect: real):
-        """Compute the curvature of a lane's part of a row of displacement, of second order."""
-        west = from_lane(centre[wp.static(columns - 1)], lane - 1)
-        east = from_lane(centre[0], lane + 1)
-        if lane == 0:
-            west = real(0.0)
-        if lane == wp.static(LANES - 1):
-            east = real(0.0)
-        curvature = Row()
-        for c in range(wp.static(columns)):
-            left = west
-            right = east
-            if wp.static(c > 0):
-                left = centre[c - 1]
-            if wp.static(c < columns - 1):
-                right = centre[c + 1]
-            curvature[c] = laplacian(centre[c], left, right, south[c], north[c], aspect)
-        return curvature
 
     @wp.func
     def read_loads(in_phase: wp.array[real], quadrature: wp.array[real], at: int, wanted: bool, lane: int):
@@ -261,10 +243,10 @@ def make_run_steps(effects, real, across, along, stride, plan, summed):
             if wp.static(order == 2):
                 below_2 = read_shared(shared, at - wp.static(2 * line))
                 below_1 = read_shared(shared, at - wp.static(line))
-                below = curvature_of_row(below_1, below_2, strip_u[0], lane, p.aspect)
+                below = curvature_of_row(below_2, below_1, strip_u[0], lane, p.aspect)
                 if warp == 0:
                     below = bottom_factor * strip_u[0]
-                here = curvature_of_row(strip_u[0], below_1, strip_u[1], lane, p.aspect)
+                here = curvature_of_row(below_1, strip_u[0], strip_u[1], lane, p.aspect)
             elif wp.static(exchanged):
                 for j in range(wp.static(border)):
                     for c in range(wp.static(columns)):
@@ -280,12 +262,12 @@ def make_run_steps(effects, real, across, along, stride, plan, summed):
                     if wp.static(r == rows - 1):
                         above_1 = read_shared(shared, at + wp.static(4 * line))
                         above_2 = read_shared(shared, at + wp.static(5 * line))
-                        above = curvature_of_row(above_1, strip_u[r], above_2, lane, p.aspect)
+                        above = curvature_of_row(strip_u[r], above_1, above_2, lane, p.aspect)
                     elif wp.static(r == rows - 2):
                         above_1 = read_shared(shared, at + wp.static(4 * line))
-                        above = curvature_of_row(strip_u[r + 1], strip_u[r], above_1, lane, p.aspect)
+                        above = curvature_of_row(strip_u[r], strip_u[r + 1], above_1, lane, p.aspect)
                     else:
-                        above = curvature_of_row(strip_u[r + 1], strip_u[r], strip_u[r + 2], lane, p.aspect)
+                        above = curvature_of_row(strip_u[r], strip_u[r + 1], strip_u[r + 2], lane, p.aspect)
                     if wp.static(r == last_row):
                         if warp == wp.static(warps - 1):
                             above = top_factor * strip_u[r]

@@ -24,13 +24,13 @@ from warp_plate.kernels.cuda import (
     any_lane,
     cuda_kernel,
     make_apply_taps,
-    make_from_lane,
+    make_laplacian_of_row,
     make_pairs,
     most_registers,
     opaque,
 )
 from warp_plate.kernels.resident_strips import SPECIAL
-from warp_plate.kernels.update import make_laplacian, make_parameters, make_state, make_update
+from warp_plate.kernels.update import make_parameters, make_state, make_update
 
 # Columns per lane, which it reads and writes in one access.
 COLUMNS = 2
@@ -79,8 +79,9 @@ def make_row_access(real, ny, stride):
 @cache
 def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
     """Make the kernel of ``levels`` steps, in the window if ``summed``; launch over (plates · strips · tiles · 32,)."""
-    laplacian, apply_taps = make_laplacian(effects.square_cells, real), make_apply_taps(real, COLUMNS)
-    update, from_lane, Parameters = make_update(effects, real), make_from_lane(real), make_parameters(real)
+    laplacian_of_row = make_laplacian_of_row(effects.square_cells, real, COLUMNS, False)
+    apply_taps = make_apply_taps(real, COLUMNS)
+    update, Parameters = make_update(effects, real), make_parameters(real)
     fused, (Forcing, Fields) = make_fused(real), make_state(real)
     order, reach, per_round = effects.order, REACH[effects.order], ROUND[effects.order]
     read_row, write_row, row_at, zero_if = make_row_access(real, ny, stride)
@@ -97,21 +98,6 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
     Rows = wp.types.matrix(shape=(levels * per_round, columns), dtype=real)
     Waves = wp.types.matrix(shape=(levels, 2), dtype=real)
     Round = wp.types.matrix(shape=(per_round, columns), dtype=real)
-
-    @wp.func
-    def laplacian_of_row(south: Row, centre: Row, north: Row, lane: int, aspect: real):
-        west = from_lane(centre[wp.static(columns - 1)], lane - 1)
-        east = from_lane(centre[0], lane + 1)
-        sums = Row()
-        for c in range(wp.static(columns)):
-            left = west
-            right = east
-            if wp.static(c > 0):
-                left = centre[c - 1]
-            if wp.static(c < columns - 1):
-                right = centre[c + 1]
-            sums[c] = laplacian(centre[c], left, right, south[c], north[c], aspect)
-        return sums
 
     @cuda_kernel(most_registers(WARPS[order, real]), max_unroll=32)
     def advance_tiles(

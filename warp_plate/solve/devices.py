@@ -70,12 +70,13 @@ def _oldest_architecture() -> int:
 def describe_warp() -> str:
     """Return the version of Warp, and of the CUDA that it is built with."""
     toolkit = wp.get_cuda_toolkit_version()
-    return f"{wp.config.version}, {'for CUDA {}.{}'.format(*toolkit) if toolkit else 'without CUDA'}"
+    return f"{wp.config.version}, {f'for CUDA {toolkit[0]}.{toolkit[1]}' if toolkit else 'without CUDA'}"
 
 
 def describe_driver() -> str:
     """Return the newest version of CUDA that the driver of a GPU runs."""
-    return "driver for CUDA {}.{}".format(*wp.get_cuda_driver_version())
+    major, minor = wp.get_cuda_driver_version() or (0, 0)
+    return f"driver for CUDA {major}.{minor}"
 
 
 def missing_cuda() -> str | None:

@@ -68,18 +68,15 @@ def choose_path(specialized: Specialized) -> str:
 
 def describe_plan(specialized: Specialized) -> str:
     """Return how the fastest path distributes plates over the device."""
-    device = specialized.device
-    if device.is_cpu:
+    if specialized.device.is_cpu:
         return f"all steps of a plate in one launch, on {specialized.threads} threads"
     if reason := why_streaming(specialized):
         return f"one or a few steps a launch, for {reason}"
     if specialized.effects.plain:
         plan = None if cuda.takes_lanes(specialized) else cuda.plan_of(specialized)
-        return f"all steps in one launch, a plate on {plan.warps if plan else 1} warps of {LANES} threads"
+        return f"all steps in one launch, a plate on {LANES * plan.warps if plan else LANES} threads"
     block = moment_form.plan_of(specialized, few=False)
-    place = "on the chip"
-    if not block.on_chip:
-        place = f"in device memory: they exceed the {specialized.shared_bytes / 1024:.0f} KiB of a block"
+    place = "on the chip" if block.on_chip else "in device memory"
     return f"all steps in one launch, a plate on {block.threads} threads, its working fields {place}"
 
 

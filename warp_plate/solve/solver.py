@@ -18,7 +18,6 @@ from warp_plate.plate.designs import (
     check_designs,
 )
 from warp_plate.plate.discretization import Discretization, discretize
-from warp_plate.plate.scheme import Scheme
 from warp_plate.plate.weights import NO_AREAS, Region, bilinear
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -65,6 +64,11 @@ class PlateSolver:
         device: The Warp device.
         engine: The compiled kernels.
         path: Name of the path.
+        specialized: Compile key and device arrays.
+        discretization: The scene on its grid.
+        scheme: Grid and time steps.
+        regions: Names of the regions for which runs return energies.
+        node_steps_per_plate: Nodes updated × steps.
         states: Device arrays that runs use.
         node_steps: Nodes updated × steps × plates of all runs so far.
         compile_seconds: Time that discretizing and compiling took [s].
@@ -95,7 +99,10 @@ class PlateSolver:
         self.scene = discretization.scene
         self.scene.check_stepped()
         self.engine = Engine(Specialized(discretization, self.device, threads, areas, quantity), path)
-        self.path = self.engine.path
+        self.path, self.specialized = self.engine.path, self.engine.specialized
+        self.discretization, self.scheme = discretization, self.specialized.scheme
+        self.regions = self.specialized.regions
+        self.node_steps_per_plate = self.specialized.node_steps_per_plate
         self.states: list[State] = []
         self._chunk, self._areas, self._memory_share = chunk, areas, memory_share
         self._batch: Batch | None = None
@@ -103,34 +110,9 @@ class PlateSolver:
         self.compile_seconds = time.perf_counter() - started
 
     @property
-    def specialized(self) -> Specialized:
-        """Compile key and device arrays."""
-        return self.engine.specialized
-
-    @property
-    def discretization(self) -> Discretization:
-        """The scene on its grid."""
-        return self.specialized.discretization
-
-    @property
-    def regions(self) -> tuple[str, ...]:
-        """Names of the regions for which runs return energies."""
-        return self.specialized.regions
-
-    @property
-    def scheme(self) -> Scheme:
-        """Grid and time steps."""
-        return self.specialized.scheme
-
-    @property
     def effects(self) -> tuple[str, ...]:
         """Names of the effects in the compiled kernel."""
         return effect_names(self.scene, several_waves=self.discretization.carriers > 1)
-
-    @property
-    def node_steps_per_plate(self) -> int:
-        """Nodes updated × steps."""
-        return self.specialized.node_steps_per_plate
 
     def describe_path(self, traced: bool = False) -> str:
         """Return the path and, if it streams for want of a better one, the reason; ``traced``: of runs with points."""

@@ -49,6 +49,8 @@ class Specialized:
         self.real = {"float32": wp.float32, "float64": wp.float64}[self.scene.grid.precision]
         (nx, ny), line = self.scheme.nodes, LINE_BYTES // wp.types.type_size_in_bytes(self.real)
         self.rows, self.stride = ny + 2, -(-nx // line) * line  # Shape of a field, with padding
+        self.interior_nodes = (nx - 2) * (ny - 2)  # Nodes inside the edges
+        self.node_steps_per_plate = self.interior_nodes * self.scheme.steps  # Nodes updated × steps
         self.regions = (*REGIONS, *areas)  # Names of the regions for which energies are summed
         self.parameters = make_parameters(self.real)()  # Struct of the kernels' scalar coefficients
         for name in ("stiffness", "aspect", "decay"):
@@ -85,17 +87,6 @@ class Specialized:
         # (actuators, covered nodes) load of each actuator per unit of its coefficient
         self.patches: wp.array = wp.array(patches[:, loaded], dtype=self.real, device=device)
         self.share = share[loaded]  # (covered nodes,) load on a node whose whole cell is under a pressure of one
-
-    @property
-    def interior_nodes(self) -> int:
-        """Number of nodes inside the edges."""
-        nx, ny = self.scheme.nodes
-        return (nx - 2) * (ny - 2)
-
-    @property
-    def node_steps_per_plate(self) -> int:
-        """Nodes updated × steps."""
-        return self.interior_nodes * self.scheme.steps
 
     @cached_property
     def masses(self) -> np.ndarray:
