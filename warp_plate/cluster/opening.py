@@ -152,7 +152,7 @@ class DaskPool(WorkerPool):
 
     def restart_worker(self, error: BaseException) -> None:
         if worker := vars(error).get("worker"):
-            self._client.re_start_workers([worker], raise_for_error=False)
+            self._client.restart_workers([worker], raise_for_error=False)
 
     def close(self) -> None:
         """Leave the scheduler; one that was started here ends with its workers."""
