@@ -236,7 +236,7 @@ def _print_recommendations(report: AccuracyReport, console: Console) -> None:
         tolerances.setdefault(tuple(cells), []).append(percent(recommended.tolerance).removesuffix(" %"))
     headings = ("for", "use", "error", "a plate", f"{report.particles} × {report.iterations} plates")
     rows = [(f"{', '.join(asked)} %", *cells) for cells, asked in tolerances.items()]
-    output.print_rows(console, headings, rows, "")
+    output.print_rows(console, headings, rows, "", texts=2)
 
 
 def _kind(row: AccuracyRow) -> str:

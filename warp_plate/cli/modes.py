@@ -19,8 +19,8 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
 ENDINGS, RIGID, GRID_HEADINGS = (".png", ".svg", ".pdf"), "0 (rigid)", ("error (%)", "in a run (Hz)")
-# Significant digits of frequencies without a grid; motions of masses below STILL are zero.
-DIGITS, STILL = 6, 1e-9
+# Motions of masses below this are zero.
+STILL = 1e-9
 
 
 @Parameter(name="*")
@@ -143,9 +143,4 @@ def _numbers(natural: NaturalModes, errors: np.ndarray | None, index: int) -> li
         return [f"{frequency:.2f}" if frequency else RIGID, error, f"{natural.stepped[index]:.2f}"]
     assert natural.loss_factors is not None
     factor = natural.loss_factors[index]
-    return [_digits(frequency), f"{factor / 2:.4g}", f"{factor:.4g}"] if frequency else [RIGID, "", ""]
-
-
-def _digits(value: float) -> str:
-    """Return a number with DIGITS significant digits and no exponent."""
-    return f"{value:.{max(0, DIGITS - 1 - math.floor(math.log10(value)))}f}"
+    return [f"{frequency:.6g}", f"{factor / 2:.4g}", f"{factor:.4g}"] if frequency else [RIGID, "", ""]

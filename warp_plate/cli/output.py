@@ -14,7 +14,7 @@ from functools import partial
 from json import dumps
 from pathlib import Path
 from string import Formatter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from rich.console import Console
 from rich.table import Table
@@ -144,17 +144,23 @@ def print_table(
 
 
 def print_rows(
-    console: Console, headings: Sequence[str], rows: Sequence[Sequence[str]], *after: str, title: str | None = None
+    console: Console,
+    headings: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    *after: str,
+    title: str | None = None,
+    texts: int = 1,
 ) -> None:
     """Print a table without cropping numbers, however narrow the terminal; lines may follow.
 
-    The first column is text, which wraps like the headings; the others are numbers.
+    The first columns, ``texts`` of them, wrap like the headings; the others are numbers.
     """
     table = Table(title=title, title_justify="left", box=None, header_style="bold", pad_edge=False)
     for index, heading in enumerate(headings):
         cells = [row[index] for row in rows]
-        unbroken = heading.split() + (cells if index else " ".join(cells).split())
-        table.add_column(heading, justify="right" if index else "left", min_width=max(map(len, unbroken), default=0))
+        unbroken = heading.split() + (" ".join(cells).split() if index < texts else cells)
+        justify: Literal["left", "right"] = "left" if index < texts else "right"
+        table.add_column(heading, justify=justify, min_width=max(map(len, unbroken), default=0))
     for row in rows:
         table.add_row(*row)
     console.print(table, *after, crop=False)
