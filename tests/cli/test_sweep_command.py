@@ -15,9 +15,8 @@ from warp_plate.cluster.pool import WorkersGone
 from warp_plate.result.atomic_io import check_seal
 from warp_plate.result.sweep import REFUSED, save_sweep
 from warp_plate.studies import sweep as sweeps
-from warp_plate.studies import sweep_points
 from warp_plate.studies.frequency_response import respond_to_drive
-from warp_plate.studies.sweep_points import run_here
+from warp_plate.studies.sweep_points import QUANTITIES, run_here
 
 QUICK = ("--device", "cpu", "--no-pictures")
 GRID = ("--vary", "plate.thickness=4e-4,5e-4,2e-3", "--vary", "drive.frequency=200:300:3")
@@ -121,18 +120,18 @@ def test_words_and_files_vary_and_responses_have_an_axis(write_scene, command):
 @pytest.fixture
 def interrupt_after(monkeypatch):
     """Interrupt the point after so many others; return a list of the points run."""
-    run_point = sweep_points.run_point
+    check = QUANTITIES["check"]
 
     def patch(points):
         ran = []
 
-        def run(point):
+        def compute(scene, point):
             if len(ran) == points:
                 raise KeyboardInterrupt
             ran.append(point)
-            return run_point(point)
+            return check.compute(scene, point)
 
-        monkeypatch.setattr(sweep_points, "run_point", run)
+        monkeypatch.setitem(QUANTITIES, "check", replace(check, compute=compute))
         return ran
 
     return patch
