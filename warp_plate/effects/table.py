@@ -8,14 +8,19 @@ from typing import Any, get_args
 
 import numpy as np
 
-from warp_plate.effects.damping import Damping, LossFactor, MaterialDamping, ModalDamping
+from warp_plate.effects.damping import Damping
 from warp_plate.effects.effect import Effect, Panel, Term, rows_of
 from warp_plate.effects.foundation import Foundation
 from warp_plate.effects.layers import Layer
+from warp_plate.effects.loss_factor import LossFactor
+from warp_plate.effects.material_damping import MaterialDamping
+from warp_plate.effects.modal_damping import ModalDamping
 from warp_plate.effects.moving_load import MovingLoad
 from warp_plate.effects.orthotropic import Orthotropic
 from warp_plate.effects.oscillators import Oscillator
-from warp_plate.effects.tension import ShearLayer, Stretching, Tension
+from warp_plate.effects.shear_layer import ShearLayer
+from warp_plate.effects.stretching import Stretching
+from warp_plate.effects.tension import Tension
 from warp_plate.effects.variation import LEAST_FACTOR, MOST_FACTOR, Variation
 from warp_plate.scene.fields import Area, Table
 
