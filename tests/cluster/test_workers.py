@@ -20,7 +20,6 @@ from support.worker_tasks import doubled, end_worker, process_number
 from support.workers import PLATES, assert_same_history, assert_same_run, random_phasors, small_search
 from warp_plate import CheckpointFile, PlateSolver, SceneError, load_checkpoint, load_result, localize, resume
 from warp_plate.cli.tables import failure_lines
-from warp_plate.cluster import opening, tasks
 from warp_plate.cluster.evaluator import block_size, make_evaluator
 from warp_plate.cluster.opening import open_pool
 from warp_plate.cluster.pool import BLOCK_NODE_STEPS, Task, WorkersGone, run_tasks
@@ -381,35 +380,45 @@ def test_ctrl_c_ends_a_command_with_workers_by_its_best(tmp_path, scene):
     assert load_result(tmp_path / "panel-localize.h5").interrupted
 
 
-def test_workers_must_be_alike_and_have_their_device(scene, monkeypatch):
+class Described(InlinePool):
+    """A worker that gives a description of itself in which some entries are false."""
+
+    false = ()
+
+    def run(self, function, argument):
+        evaluation, description = super().run(function, argument)
+        return evaluation, {**description, **dict(self.false)}
+
+
+def test_workers_must_be_alike_and_have_their_device(scene):
     """Their kind and versions must agree; their processors may differ."""
     with pytest.raises(SceneError, match="a worker: device = 'cuda:99': not on this machine"):
         make_evaluator(scene((9, 9)), "cpu", pool=InlinePool("cuda:99")).run([[1, 1, 1]])
-    evaluator = make_evaluator(scene((9, 9)), "cpu", pool=InlinePool())
-    real = tasks.worker_identity
+    pool = Described()
+    evaluator = make_evaluator(scene((9, 9)), "cpu", pool=pool)
     evaluator.run([[1, 1, 1]])
-    monkeypatch.setattr(tasks, "worker_identity", lambda device: {**real(device), "processor": "0.0"})
+    pool.false = {"processor": "0.0"}
     evaluator.run([[1, 1, 1]])
     for name in ("warp", "warp_plate"):
-        monkeypatch.setattr(tasks, "worker_identity", lambda device, name=name: {**real(device), name: "0.0"})
-        for other in (evaluator, make_evaluator(scene((9, 9)), "cpu", pool=InlinePool())):
+        pool.false = {name: "0.0"}
+        for other in (evaluator, make_evaluator(scene((9, 9)), "cpu", pool=pool)):
             with pytest.raises(SceneError, match=f"workers: {name} is 0.0 on one"):
                 other.run([[1, 1, 1]])
 
 
 def test_no_scheduler_is_one_line(tmp_path, monkeypatch):
     """Each client is closed at once: if the garbage collector did it, two of them could wait for each other."""
-    monkeypatch.setattr(opening, "ANSWER_SECONDS", 0.5)
     open_clients = []
     monkeypatch.setattr(distributed.Client, "__del__", lambda client: open_clients.append(client.status))
     file = tmp_path / "scheduler.json"
     for text in ("x", '{"address": 7}', "[1]", "[" * 10**5):
         file.write_text(text, encoding="utf-8")
         line = r"scheduler.json: (has no address|no scheduler answers there)"
-        with pytest.raises(SceneError, match=line), open_pool(None, str(file)):
+        with pytest.raises(SceneError, match=line), open_pool(None, str(file), answer_seconds=0.5):
             pass
     for where in ("tcp://127.0.0.1:1", "tls://127.0.0.1:1", "ucx://127.0.0.1:1"):  # a reserved port
-        with pytest.raises(SceneError, match=f"--cluster {where}: no scheduler answers there"), open_pool(None, where):
+        line = f"--cluster {where}: no scheduler answers there"
+        with pytest.raises(SceneError, match=line), open_pool(None, where, answer_seconds=0.5):
             pass
     gc.collect()
     assert set(open_clients) <= {"closed"}

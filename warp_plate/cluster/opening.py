@@ -46,6 +46,7 @@ def open_pool(
     cluster: str | None,
     device: str | None = None,
     log: Callable[[str], object] = lambda line: None,
+    answer_seconds: float = ANSWER_SECONDS,
 ) -> Iterator[WorkerPool | None]:
     """Open the pool that ``--devices`` or ``--cluster`` ask for and close it at the end; None if neither is given.
 
@@ -54,6 +55,7 @@ def open_pool(
         cluster: "tcp://host:port" or the path of a scheduler file.
         device: Device of the cluster's workers (default: each one's own choice).
         log: Called with a line for people: the dashboard's address, and at the end how many tasks were run again.
+        answer_seconds: Time that the cluster's scheduler has to answer [s].
 
     Raises:
         SceneError: Both are given, no such device, no such scheduler, a worker that cannot start, or no Dask.
@@ -66,7 +68,8 @@ def open_pool(
         if devices is not None:
             pool = _start_workers(_device_names(devices))
         elif cluster is not None:
-            pool = DaskPool(_connect(name, _scheduler_address(cluster)), name, device or "auto")
+            client = _connect(name, _scheduler_address(cluster), answer_seconds)
+            pool = DaskPool(client, name, device or "auto")
     except ImportError as error:
         raise SceneError(f"{name}: {error}: pip install 'warp-plate[cluster]'") from None
     if pool is None:
@@ -196,7 +199,7 @@ def _start_workers(devices: Sequence[str]) -> DaskPool:
     return DaskPool(_connect(name, cluster), name, cluster=cluster)
 
 
-def _connect(name: str, scheduler: str | SpecCluster) -> Client:
+def _connect(name: str, scheduler: str | SpecCluster, answer_seconds: float = ANSWER_SECONDS) -> Client:
     """Return a client of a scheduler."""
     from dask import config
     from distributed import Client
@@ -214,7 +217,7 @@ def _connect(name: str, scheduler: str | SpecCluster) -> Client:
     config.set(SETTINGS)
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # errors are reported here in one line
     try:
-        return ClosedIfRefused(scheduler, timeout=ANSWER_SECONDS, set_as_default=False)
+        return ClosedIfRefused(scheduler, timeout=answer_seconds, set_as_default=False)
     except Exception as error:  # Dask raises a different one for each scheme of an address
         raise SceneError(f"{name}: no scheduler answers there: {_first_line(error)}") from None
 
