@@ -35,7 +35,7 @@ def main(arguments: list[str] | None = None) -> None:
     except KeyboardInterrupt as interrupt:
         print(f"warp-plate: interrupted{interrupt}", file=sys.stderr)
         sys.exit(130)
-    except ImportError as error:
+    except (ImportError, SystemError) as error:  # the latter where memory runs out inside an import
         log(f"a library cannot be loaded: {error.__cause__ or error}; is it damaged, or memory limited?")
         sys.exit(2)
     except BrokenPipeError:
