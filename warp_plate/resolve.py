@@ -79,11 +79,7 @@ class Resolved:
         return discretize(self.scene, per_plate, self.allow_unstable)
 
     def solver(self, grid: Discretization | ModalGrid | None = None, **options: Any) -> PlateSolver | ModalSolver:
-        """Return a solver on ``grid`` (default: the scene's); for the options see :class:`PlateSolver`.
-
-        Raises:
-            SceneError: See :class:`ModalSolver` and :class:`PlateSolver`.
-        """
+        """Return a solver on ``grid`` (default: the scene's); for options and errors see the solvers."""
         grid = self.grid if grid is None else grid
         if isinstance(grid, ModalGrid):
             options.pop("memory_share", None)
@@ -106,9 +102,7 @@ def choose_engine(
 ) -> Literal["modes", "steps", "any"]:
     """Return the engine of a scene; "any": whichever keeps ``grid.accuracy`` at the least cost.
 
-    Args:
-        path: Path of the kernels, or "modal".
-        evaluator: Evaluator of a search or a sweep that is asked for.
+    ``path`` (of the kernels, or "modal") and ``evaluator`` (of a search or a sweep) are those that are asked for.
     """
     search = scene.search
     searched = search.frequency is not None or search.position is not None or search.delay is not None
@@ -196,11 +190,7 @@ def resolve(
 
 
 def at_highest_frequency(scene: Scene) -> Scene:
-    """Return the scene with searched frequencies at the upper end of their range, which needs the finest grid.
-
-    Raises:
-        SceneError: The step chosen for it is too short for a run of at most MOST_STEPS.
-    """
+    """Return the scene with searched frequencies at the upper end of their range; SceneError: too many steps."""
     table = scene.search.frequency
     if table is None or scene.drive.signal is not None:  # ``make_design_variables`` refuses both together
         return scene

@@ -85,11 +85,7 @@ def make_space(scene: Scene, intervals: tuple[int, int]) -> FunctionSpace:
 
 
 def make_galerkin(scene: Scene, space: FunctionSpace) -> Galerkin:
-    """Return the matrices of a scene over a function space.
-
-    Raises:
-        SceneError: A file that the scene names cannot be read, or an attached spring is too stiff.
-    """
+    """Return the matrices of a scene over a space; SceneError: no such file, or an attached spring is too stiff."""
     first, *others = (space.form(term.coefficient, term.factors) for term in space.bending_terms())
     bending = np.asarray(sum(others, start=first))
     support, damping, inertia = (_forms(scene, space, role) for role in ("stiffness", "damping", "mass"))

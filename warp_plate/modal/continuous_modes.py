@@ -39,14 +39,11 @@ def modes(scene: SceneSource, count: int | None = None, highest: float | None = 
 
 
 def continuous_modes(scene: Scene, count: int, nodes: tuple[int, int] | None = None) -> NaturalModes:
-    """Return the first ``count`` undamped modes of a scene's linear part, and their loss factors.
+    """Return the first ``count`` undamped modes of a scene's linear part, and their loss factors; grid and drive are
+    not used.
 
-    Modes of one frequency are turned as those of the grid are.
-
-    Args:
-        scene: Scene; its grid and drive are not used.
-        count: Number of modes.
-        nodes: Points (nx, ny) from edge to edge at which the shapes are returned (default: as fine as a picture).
+    Modes of one frequency are turned as those of the grid are. ``nodes`` (nx, ny) from edge to edge are the points at
+    which the shapes are returned (default: as fine as a picture).
 
     Raises:
         SceneError: count is below 1 or above MOST_MODES, the plate buckles, or a file of the scene cannot be read.

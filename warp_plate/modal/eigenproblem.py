@@ -42,9 +42,7 @@ def solve_eigenproblem(
     """Return ω² [1/s²], rising, and mass-normalised vectors (unknowns, modes) of at least the ``wanted`` lowest modes.
 
     ``scale`` is the size of the lowest ω²; all modes up to ``least`` [1/s²] are found, by Weyl's law ``wanted``.
-
-    Raises:
-        SceneError: The plate buckles, or the matrices do not fit into memory.
+    SceneError: the plate buckles, or the matrices do not fit into memory.
     """
     bases = _bases(galerkin)
     # Up to a frequency, nearly equal numbers of modes have each parity; the difference grows as the plate's perimeter.

@@ -28,13 +28,12 @@ BLOCK_NUMBERS = 2**20
 
 
 class ModalEnergies:
-    """Mean energies of regions of a plate over the scene's window, or over a period of the steady state.
+    """Mean energies of regions of a plate, by their mass matrices, over the scene's window or a period of the steady
+    state.
 
     Designs differ in what their actuators have: frequency (designs, M) [Hz], areas (designs or 1, M, 4) x0, x1, y0, y1
-    [m], and delay (designs, M), the starts of their bursts [s].
-
-    Regions are given by their mass matrices, see :meth:`ModalPlate.kinetic_matrix`. A quantity of "displacement" is
-    ½ ∫ ρH u² dA. The device is for batches of designs under tones; everything else is computed on the CPU.
+    [m], and delay (designs, M), the starts of their bursts [s]. A quantity of "displacement" is ½ ∫ ρH u² dA. The
+    device is for batches of designs under tones; everything else is computed on the CPU.
     """
 
     def __init__(
@@ -76,10 +75,8 @@ class ModalEnergies:
         return np.asarray((columns.mT @ self.matrices(frequency, areas, delay) @ columns)[:, :, 0, 0])
 
     def scene_values(self, phasors: np.ndarray) -> np.ndarray:
-        """Return (drives, regions) energies [J] under phasors (drives, M) at the scene's frequencies and places.
-
-        A moving load presses beside the actuators.
-        """
+        """Return (drives, regions) energies [J] under phasors (drives, M) of the scene as it is, and its moving
+        load."""
         scene = self.plate.scene
         if scene.linear:
             return quadratic_forms(self.scene_matrices(), phasors)

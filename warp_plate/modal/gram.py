@@ -246,8 +246,8 @@ def lasting_poles(
 
     Free motion that is left out has energy of its own, and cross energy with the forced motion as far as both stay in
     phase over the window. Residues of nearly coincident poles almost cancel; the remainder is bounded by the time.
-    The actuators have inputs (..., designs or 1, poles, M), the free motion states or rates (designs, poles, M or 1) at
-    t = 0, the forced one (designs, poles, M or 1, terms), and the load exponents (designs, M or 1, terms) [1/s].
+    Shapes: inputs (..., designs or 1, poles, M), free motion at t = 0 (designs, poles, M or 1), forced motion (designs,
+    poles, M or 1, terms), exponents of the load (designs, M or 1, terms) [1/s].
     """
     norm, residue = poles.norms
     speed = np.abs(poles.values) if velocity else np.ones(norm.shape)
@@ -268,10 +268,8 @@ def lasting_poles(
 
 
 def mean_exponential(first: np.ndarray, second: np.ndarray, window: Window) -> np.ndarray:
-    """Return the means ⟨exp(σt)⟩, σ = first + second [1/s], over the window, broadcast.
-
-    With x = σ(end − start): (exp(σ end) − exp(σ start)) / x, or exp(σ start) Σ xⁿ/(n + 1)!.
-    """
+    """Return the means of exp(σt), σ = first + second [1/s], over the window, broadcast: (exp(σ end) − exp(σ start)) /
+    x, x = σ(end − start), or exp(σ start) Σ xⁿ/(n + 1)!."""
     x = (first + second) * (window.end - window.start)
     early, late = (_exponential(first, second, time) for time in (window.start, window.end))
     slow = np.abs(x) < SLOW

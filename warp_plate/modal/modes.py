@@ -152,12 +152,8 @@ class ModalPlate:
     def kinetic_matrix(self, region: str | Area | Target = "plate", within: Area | None = None) -> np.ndarray:
         """Return (modes, modes) ∫ ρH φ φ dA over a region: ½ q̇ᵀ matrix q̇ is its kinetic energy [J].
 
-        Args:
-            region: "plate", a rectangle x0, x1, y0, y1 [m], or a target.
-            within: Rectangle outside which a region does not count (default: none).
-
-        Raises:
-            SceneError: The file of a mask cannot be read.
+        A region is "plate", a rectangle x0, x1, y0, y1 [m], or a target, and counts within a rectangle only, if one is
+        given.
         """
         if isinstance(region, str) and within is None:
             attached = self.attached_motions * np.sqrt([attachment.mass for attachment in self.galerkin.masses])
@@ -167,15 +163,10 @@ class ModalPlate:
         return np.asarray(self.vectors.T @ (matrix @ self.vectors))
 
     def respond(self, frequencies: np.ndarray, forces: np.ndarray) -> np.ndarray:
-        """Return the steady response to forces that turn as exp(iωt).
+        """Return the (frequencies, modes, loads) complex modal amplitudes q, u = Re Σ φ q exp(iωt), under forces that
+        turn as exp(iωt), of frequencies (frequencies,) [Hz] and complex modal forces (modes, loads).
 
-        Args:
-            frequencies: (frequencies,) [Hz].
-            forces: (modes, loads) complex modal forces.
-
-        Returns:
-            (frequencies, modes, loads) complex modal amplitudes q: u = Re Σ φ q exp(iωt). Infinite where an undamped
-            mode is driven at its natural frequency.
+        They are infinite where an undamped mode is driven at its natural frequency.
         """
         return self.respond_each(np.asarray(frequencies, dtype=float)[:, None], forces[None])
 

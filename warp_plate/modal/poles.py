@@ -131,11 +131,9 @@ class Poles:
         return np.asarray(motion.reshape(-1, *states.shape[1:]))
 
     def apart_from(self, rates: np.ndarray, longest: float) -> Poles:
-        """Return the poles, with those that meet exponents ``rates`` [1/s] of a load shifted by the same small amount.
-
-        An undamped mode that is driven at its natural frequency grows with time, as the difference of two exponentials
-        that are nearly the same.
-        """
+        """Return the poles, with those that meet exponents ``rates`` [1/s] of a load shifted by the same small
+        amount: an undamped mode at resonance grows with time, as the difference of two exponentials that are nearly
+        the same."""
         least, values = APART / longest, self.values.copy()
         for rate in np.unique(rates):
             values[np.abs(values - rate) < least] -= least
@@ -264,12 +262,8 @@ def multiply_modes(matrix: np.ndarray | scipy.sparse.csr_array, columns: np.ndar
 
 
 def adaptive_frequencies(centres: np.ndarray, widths: np.ndarray, low: float, high: float) -> np.ndarray:
-    """Return rising frequencies [Hz] from ``low`` to ``high`` that follow every resonance between them.
-
-    Args:
-        centres: (resonances,) [Hz], 0 for rigid motions.
-        widths: (resonances,) half-widths [Hz], 0 without damping.
-    """
+    """Return rising frequencies [Hz] from ``low`` to ``high`` that follow every resonance between them, with centres
+    (resonances,) [Hz], 0 for rigid motions, and half-widths (resonances,) [Hz], 0 without damping."""
     undamped = widths <= SHARPEST * centres
     widths = np.where(undamped, UNDAMPED * centres, widths)
     reach = CIRCLE[-1] * widths

@@ -161,11 +161,7 @@ class ModalSolver:
         return self._modal_energies.matrices(*self._parameters(designs))
 
     def energy_slopes(self, designs: Designs) -> EnergySlopes:
-        """Return energies of designs and their slopes by drives, frequencies, places and delays, by formula.
-
-        Raises:
-            SceneError: The drive is a sweep or a file, or a load moves, whose slopes are not known.
-        """
+        """Return energies of designs and their slopes by formula; SceneError: those of the drive are not known."""
         scene = self.scene
         if not (scene.linear and has_exponential_loads(scene)):
             key = scene.drive.waveform_key if scene.linear else scene.nonlinear_table

@@ -74,11 +74,7 @@ class Bending:
 
 
 def make_bending(scene: Scene) -> Bending:
-    """Return the fields of a scene on its grid.
-
-    Raises:
-        SceneError: The scene has a term that the grid does not have, or a file that it names cannot be read.
-    """
+    """Return the fields of a scene on its grid; SceneError: the grid has no such term, or a file cannot be read."""
     (width, height), (nx, ny) = scene.plate.size, scene.grid.nodes
     spacing, section = (width / (nx - 1), height / (ny - 1)), make_section(scene)
     bend_xx, bend_xy, bend_yy = _in_series(section, *_edge_compliances(scene, spacing))

@@ -72,11 +72,8 @@ def per_plate_of(scene: Scene) -> PerPlate:
 
 
 def carriers_of(scene: Scene, per_plate: PerPlate) -> int:
-    """Return the number of separate carriers of each plate: none, one, or one for each actuator.
-
-    Raises:
-        SceneError: The scene has no carrier or burst that could differ, or a load that cannot be moved.
-    """
+    """Return the number of separate carriers of each plate, 0, 1 or one an actuator; SceneError: the scene has no
+    carrier or burst that could differ, or a load that cannot be moved."""
     if per_plate.centre and scene.grid.load == "nodes":
         raise SceneError(
             'grid.load = "nodes": actuators would jump from node to node; to move them write "overlap" or "moments"'
@@ -175,11 +172,8 @@ def _refuse_unless(scene: Scene, name: str, values: np.ndarray, good: Any, right
 
 
 def as_phasors(drives: object, actuators: int) -> np.ndarray:
-    """Return (plates, actuators) complex phasors of phasors or (magnitude, phase).
-
-    Raises:
-        SceneError: They have another shape or are not numbers.
-    """
+    """Return (plates, actuators) complex phasors of phasors or (magnitude, phase); SceneError: they have no such
+    shape."""
     try:
         if isinstance(drives, tuple) and len(drives) == 2:
             magnitude, phase = (as_numbers(part, "biuf") for part in drives)
@@ -195,11 +189,7 @@ def as_phasors(drives: object, actuators: int) -> np.ndarray:
 
 
 def as_numbers(values: object, kinds: str) -> np.ndarray:
-    """Return an array of one of NumPy's kinds; no text or date is converted, and no masked value taken.
-
-    Raises:
-        TypeError: The values have another kind, or some are masked.
-    """
+    """Return an array of one of NumPy's kinds; TypeError for texts, dates and masked values."""
     array = np.asarray(values)
     if array.size and (array.dtype.kind not in kinds or np.ma.is_masked(values)):
         raise TypeError(f"{array.dtype}{', masked' if np.ma.is_masked(values) else ''}")

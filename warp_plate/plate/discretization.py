@@ -28,11 +28,7 @@ class Discretization:
 
     @cached_property
     def signals(self) -> Signals:
-        """Waves of the drive and their coefficients, only for time steps.
-
-        Raises:
-            SceneError: See ``make_signals``.
-        """
+        """Waves of the drive and their coefficients, only for time steps; see ``make_signals``."""
         scene, scheme = self.scene, self.scheme
         return make_signals(scene, scheme.time_step, scheme.steps, scene.folder, per_actuator=self.carriers > 1)
 
@@ -45,11 +41,7 @@ class Discretization:
 
     @cached_property
     def patches(self) -> np.ndarray:
-        """(actuators, ny, nx) fraction of each node's cell that each actuator loads, only for time steps.
-
-        Raises:
-            SceneError: An actuator covers no node that can move.
-        """
+        """(actuators, ny, nx) fraction of each node's cell that each actuator loads, only for time steps."""
         return patches(self.scene)
 
     @cached_property

@@ -59,11 +59,7 @@ def digests(scene: Scene) -> dict[str, str]:
 
 
 def read_table(key: str, name: str, folder: Path | None, low: float, high: float) -> np.ndarray:
-    """Return (rows, columns) numbers from ``low`` to ``high`` of a table beside the scene, see :func:`read_numbers`.
-
-    Raises:
-        SceneError: The file cannot be read or holds no such table.
-    """
+    """Return (rows, columns) numbers from ``low`` to ``high`` of a table beside the scene, or raise a SceneError."""
     data = read_beside(key, name, folder)
     try:
         table = _table(data)

@@ -70,10 +70,7 @@ class Taps:
 
 
 def make_taps(nodes: int, low: object, high: object, order: int) -> Taps:
-    """Return the taps along an axis of ``nodes`` nodes, edges included.
-
-    The edges ``low`` and ``high`` are "clamped", otherwise supported.
-    """
+    """Return the taps along an axis of ``nodes`` nodes between edges that are "clamped", otherwise supported."""
     reach = order // 2
     bend = np.tile(INSIDE[order], (nodes, 1))
     _close(bend, low, order)

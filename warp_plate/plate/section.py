@@ -88,8 +88,7 @@ def make_section(scene: Scene) -> Section:
 def factors_at(scene: Scene, x: np.ndarray, y: np.ndarray) -> dict[str, np.ndarray]:
     """Return factors of thickness, young_modulus and density at points (y, x) [m], ones without an array, by name.
 
-    Arrays are interpolated bilinearly and not averaged: one finer than the grid is sampled. For errors see
-    :func:`factor_arrays`.
+    Arrays are interpolated bilinearly and not averaged: one finer than the grid is sampled.
     """
     width, height = scene.plate.size
     factors = {key: np.ones((y.size, x.size)) for key in VARIED}

@@ -79,13 +79,8 @@ def lagrange(nodes: int, points: int) -> Axis:
 def shape_weights(scene: Scene, key: str, target: Target, within: Area | None = None) -> np.ndarray:
     """Return (ny, nx) weights of a target in cells, by moments if loads are, otherwise by overlap.
 
-    Args:
-        key: Key of the target in the scene, for errors.
-        target: The target; a mask is bilinear between its numbers.
-        within: Rectangle x0, x1, y0, y1 [m] outside which the target does not count (default: none).
-
-    Raises:
-        SceneError: The file of a mask cannot be read or holds no such array.
+    ``key`` is the target's in the scene, for errors of its mask, which is bilinear between its numbers; outside the
+    rectangle ``within`` x0, x1, y0, y1 [m] the target does not count (default: everywhere).
     """
     moments = scene.grid.load == "moments"
     across, up = (lagrange(count, 4) if moments else cells(count) for count in scene.grid.nodes)

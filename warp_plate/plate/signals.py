@@ -81,10 +81,9 @@ class Signals:
 
 
 def highest_frequency(scene: Scene) -> float:
-    """Return the highest frequency that the time step must carry [Hz].
+    """Return the highest frequency that the time step must carry [Hz], twice that of a voltage that is squared.
 
-    Of tones and sweeps it is twice theirs if the voltage is squared; a moving load counts too. For a file it is
-    ``drive.frequency``; the file is not opened.
+    A moving load counts too. For a file it is ``drive.frequency``; the file is not opened.
     """
     return max(times * frequency for _, frequency, times in _named_frequencies(scene))
 
@@ -113,11 +112,7 @@ def waves_apart(scene: Scene) -> int:
 
 
 def check_rate(scene: Scene, time_step: float) -> None:
-    """Refuse signals that the steps cannot carry.
-
-    Raises:
-        SceneError: A frequency is half the steps' rate or more, or a burst is shorter than a step.
-    """
+    """Refuse frequencies of half the steps' rate or more and bursts shorter than a step, by a SceneError."""
     for key, frequency, times in _named_frequencies(scene):
         if times * frequency >= 0.5 / time_step:
             why = "" if times == 1 else " under drive.electrostatic, which doubles it"

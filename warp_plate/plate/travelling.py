@@ -40,11 +40,7 @@ class MovingWeights(NamedTuple):
 def moving_weights(scene: Scene, time_step: float, steps: int) -> MovingWeights:
     """Return the factors of a scene's moving load at steps that carry its frequency, see ``signals.check_rate``.
 
-    While the patch is on the plate, Σ pressure·hx·hy over all nodes, edges included, is the force. Of a patch partly
-    off the plate, the part on it counts.
-
-    Raises:
-        SceneError: The load never touches the plate during the run.
+    Σ pressure·hx·hy over all nodes is the force, or its part on the plate. SceneError: it never touches the plate.
     """
     load = scene.effects.travelling
     assert load is not None
@@ -69,8 +65,7 @@ def moving_weights(scene: Scene, time_step: float, steps: int) -> MovingWeights:
 
 
 def _presence(load: MovingLoad, scene: Scene, latest: float) -> tuple[float, float]:
-    """Return begin and end [s] of the force, at most ``latest``; equal if it never acts. A point acts while it is on
-    the plate: its driving on and off is then right to second order."""
+    """Return begin and end [s] of the force, at most ``latest``, equal if it never acts; a point acts on the plate."""
     begin, end = load.from_time, math.inf if load.to_time is None else load.to_time
     for start, speed, side, nodes in zip(load.start, load.velocity, scene.plate.size, scene.grid.nodes, strict=True):
         spacing, slack = side / (nodes - 1), 1e-12 * side

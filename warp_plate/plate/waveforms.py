@@ -58,10 +58,8 @@ def sweep(chirp: Chirp, start: np.ndarray, times: np.ndarray) -> np.ndarray:
 
 
 def burst_means(burst: Burst, start: np.ndarray | float, time_step: float, steps: int, power: int) -> np.ndarray:
-    """Return (..., steps) means over a step of the envelope to a power, 1 or 2.
-
-    Its ramps are ½(1 − cos πt/ramp); ``start`` (..., 1) or a number [s] replaces the burst's own.
-    """
+    """Return (..., steps) means over a step of the envelope to a power, 1 or 2, with ramps ½(1 − cos πt/ramp);
+    ``start`` (..., 1) or a number [s] replaces the burst's own."""
     duration, ramp = burst.duration, burst.ramp
     whole_ramp = ramp / 2 if power == 1 else 3 * ramp / 8
 
@@ -118,13 +116,9 @@ class Samples:
 
 
 def read_samples(table: SampledSignal, folder: Path | None, actuators: int = 1) -> Samples:
-    """Return the signal of the file that ``[drive.signal]`` names in the scene's folder.
+    """Return the signal of the file that ``[drive.signal]`` names in the scene's folder; see :func:`read_channels`.
 
-    Args:
-        actuators: Number of channels of a file with ``per_actuator``.
-
-    Raises:
-        SceneError: There is no such file, it is too large, or its content does not match its ending.
+    With ``per_actuator`` the file has a channel for each of the ``actuators``.
     """
     channels = actuators if table.per_actuator else None
     values, rate, start = read_channels("drive.signal", table, folder, channels, "actuator")
@@ -172,9 +166,6 @@ def resample(samples: Samples, time_step: float, steps: int, band: float = 1.0) 
 
     Each value is the sum of the samples around it under a sinc with a Kaiser window, as wide as the slower rate asks.
     Frequencies up to 0.9 of the lower band limit pass within 1e-3; those above the limit are 80 dB down.
-
-    Raises:
-        SceneError: There are more than MOST_A_STEP samples per step.
     """
     if samples.rate * time_step > MOST_A_STEP:
         raise SceneError(
@@ -185,10 +176,7 @@ def resample(samples: Samples, time_step: float, steps: int, band: float = 1.0) 
 
 
 def sample_at(samples: Samples, times: np.ndarray, band: float = 1.0) -> np.ndarray:
-    """Return (..., times) analytic signal at times from 0 on [s], low-passed to ``band`` of its Nyquist frequency.
-
-    See :func:`resample`.
-    """
+    """Return (..., times) analytic signal at times from 0 on [s], as :func:`resample` does."""
     analytic = samples.analytic()
     reach = np.arange(-math.ceil(HALF_WIDTH / band), math.ceil(HALF_WIDTH / band) + 2)
     distance = np.linspace(0, HALF_WIDTH, HALF_WIDTH * TABLE_STEPS + 1)

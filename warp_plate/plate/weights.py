@@ -77,10 +77,7 @@ def patches(scene: Scene) -> np.ndarray:
     """Return (actuators, ny, nx) load of each node's cell per unit of each actuator's drive; held nodes take none.
 
     That is the share of the cell which a patch presses on, or the load per volt of a piezo patch, −M ∇² of its area in
-    the weak sense [N/m² per V].
-
-    Raises:
-        SceneError: An actuator touches no node that can move.
+    the weak sense [N/m² per V]. SceneError: an actuator touches no node that can move.
     """
     weigh = {"overlap": overlap, "nodes": inside, "moments": moments}[scene.grid.load]
     x, y = node_positions(scene)
@@ -100,11 +97,7 @@ def patches(scene: Scene) -> np.ndarray:
 
 
 def reachable_nodes(scene: Scene, areas: np.ndarray) -> np.ndarray:
-    """Return (ny, nx), true for moving nodes that a patch anywhere within one of the areas may load.
-
-    Args:
-        areas: (areas, 4) x0, x1, y0, y1 [m].
-    """
+    """Return (ny, nx), true for moving nodes that a patch within one of the areas (areas, 4) [m] may load."""
     beyond = 2 if scene.grid.load == "moments" else 0  # nodes on each side of the area
 
     def span(axis: int, low: float, high: float) -> np.ndarray:
@@ -127,10 +120,7 @@ def moving_nodes(scene: Scene) -> np.ndarray:
 def region_weights(scene: Scene, areas: Mapping[str, Region] = NO_AREAS) -> np.ndarray:
     """Return (regions, ny, nx) weights of the REGIONS and of further ``areas`` by name, in cells.
 
-    They are by moments if loads are, otherwise by overlap.
-
-    Raises:
-        SceneError: A target covers no node that moves, or its mask cannot be read.
+    They are by moments if loads are, otherwise by overlap. SceneError: a target covers no moving node, or has no mask.
     """
     width, height = scene.plate.size
     regions: dict[str, Region] = {"plate": (0.0, width, 0.0, height), "target": scene.target, **areas}

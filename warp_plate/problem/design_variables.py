@@ -205,19 +205,13 @@ def only_ratios(scene: Scene) -> bool:
 
 
 def magnitude_unit(scene: Scene) -> float:
-    """Return the drive for a magnitude of one: the largest magnitude of the scene's actuators, or 1 if all are 0.
-
-    Its unit is ``Scene.drive_unit``.
-    """
+    """Return the drive for a magnitude of one: the largest of the scene's actuators, or 1 if all are 0."""
     return max(abs(actuator.magnitude) for actuator in scene.actuators) or 1.0
 
 
 def make_design_variables(scene: Scene) -> tuple[DesignVariable, ...]:
-    """Return the design variables; none only where the paper's reading meets a single actuator.
-
-    Raises:
-        SceneError: no variable changes the motion, or a table does not fit the scene; names the key.
-    """
+    """Return the design variables, none only where the paper's reading meets a single actuator; SceneError: no variable
+    changes the motion, or a table does not fit the scene."""
     if not has_design_tables(scene):
         return tuple(_paper_variables(scene))
     _check_fixed_magnitudes(scene)
@@ -231,11 +225,8 @@ def make_design_variables(scene: Scene) -> tuple[DesignVariable, ...]:
 
 
 def with_common_step(scene: Scene, stepped: bool = True) -> Scene:
-    """Return the scene with one time step for all the frequencies and delays that its search may choose.
-
-    Raises:
-        SceneError: the scene's own time step does not carry the range; see ``at_highest_frequency``, ``make_scheme``.
-    """
+    """Return the scene with one time step for all the frequencies and delays that its search may choose; SceneError:
+    its own does not carry them."""
     table, step = scene.search.frequency, scene.grid.time_step
     if step is None and (table is not None or scene.search.delay is not None):
         highest = at_highest_frequency(scene)

@@ -115,11 +115,9 @@ def region_motions(scene: Scene, run: Run, peaks: np.ndarray) -> list[RegionMoti
 
 
 def evaluate_objectives(problem: Problem, cases: Mapping[str, Case]) -> tuple[dict[str, dict[str, float]], int]:
-    """Return ``Objectives.values`` by objective of cases that were not optimised for them, by case, and node-steps.
-
-    Empty if only the localization factor counts, which a case has, if each of several targets has objectives of its
-    own, or if Ctrl-C interrupts it.
-    """
+    """Return ``Objectives.values`` by objective of cases that were not optimised for them, by case, and node-steps;
+    empty if only the localization factor counts, if each of several targets has its objectives, or if Ctrl-C interrupts
+    it."""
     objectives, solver = problem.objectives, problem.drive_solver
     if objectives.only_localization or problem.scene.targets:
         return {}, 0

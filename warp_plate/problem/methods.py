@@ -44,11 +44,8 @@ def make_optimizer(
     """Return the method of a table ``[search]``, at its beginning or in a state that ``Optimizer.state`` returned.
 
     "exact" and "gradient" need a problem whose losses follow from quadratic forms of the drive; for "gradient" slopes
-    of losses will do.
-
-    Raises:
-        SceneError: the method does not fit the problem or takes more memory than there is; pycma is not installed.
-        ValueError: the state is not that of such a search.
+    of losses will do. SceneError: the method does not fit the problem, is not installed or takes too much memory.
+    ValueError: the state is not that of such a search.
     """
     if slopes is None and problem is not None:
         slopes = problem.losses_and_slopes

@@ -92,21 +92,13 @@ def keeps_limit(value: float, limit: float) -> bool:
 
 
 def loss_scale(objectives: Iterable[Objective]) -> float:
-    """Return the size that tolerances of a loss refer to where the loss itself is smaller; 1 for 1 − LF.
-
-    Localization, contrast and uniformity are of order one, and their sum with others may change sign. The scale of a
-    velocity or a displacement depends on its unit, so its own size is used.
-    """
+    """Return the size that tolerances of a loss refer to where the loss itself is smaller: 1 for ratios, whose sum may
+    change sign; a velocity or a displacement has its own size."""
     return float(sum(term.weight for term in objectives if REGION_QUANTITIES[term.kind].is_ratio))
 
 
 def make_objectives(discretization: Discretization | ModalGrid) -> Objectives:
-    """Return the objectives of a scene on its grid.
-
-    Raises:
-        SceneError: a target that covers no node, that leaves no rest where the rest counts, or that has too few nodes
-            for a uniformity; a mask that cannot be read.
-    """
+    """Return the objectives of a scene on its grid; SceneError: a target or mask that they do not fit."""
     scene, weights = discretization.scene, discretization.region_weights
     density, cell = discretization.surface_density, discretization.cell
     areas, masses = (

@@ -124,11 +124,7 @@ class Parametrization:
         return np.asarray(phasors * _scale_down(self.unit, np.abs(phasors).max()))
 
     def scene_of(self, position: np.ndarray) -> Scene:
-        """Return the scene with the design of a position (dimension,), which runs as the position's plate does.
-
-        Raises:
-            SceneError: a number that no scene may have, such as a magnitude beyond 1e30.
-        """
+        """Return the scene with the design of a position (dimension,), which runs as the position's plate does."""
         values = {kind: array[:, 0] for kind, array in self._values(np.asarray(position, dtype=float)[None]).items()}
         return scene_with(
             self.scene,
@@ -212,11 +208,7 @@ def _scale_down(most: float, sizes: np.ndarray) -> np.ndarray:
 
 
 class Clearance:
-    """The clearance of ``[search.position]``: how near the patches of a design may come to each other.
-
-    Two patches keep it if there is at least so much room between them along x or along y. Pairs of which neither moves
-    do not count.
-    """
+    """The clearance of ``[search.position]``: room along x or y between patches of which at least one moves."""
 
     def __init__(self, scene: Scene) -> None:
         table, self._scene = scene.search.position, scene

@@ -72,11 +72,7 @@ def make_plates(
     pool: WorkerPool | None,
     matrices: np.ndarray | None,
 ) -> SearchPlates:
-    """Return the plates of a search; the arguments are those of ``make_problem``, with the scene's objectives.
-
-    Raises:
-        SceneError: see :class:`PlateSolver`; or ``matrices`` are those of other regions.
-    """
+    """Return the plates of a search; the arguments are those of ``make_problem``, with the scene's objectives."""
     evaluator_on = partial(resolved.plates, pool=pool, areas=objectives.regions)
     grid = varied = resolved.grid
     if not parametrization.only_drives:

@@ -150,11 +150,7 @@ class Problem:
         return self._with_best_drives(designs)[0] if self.projected else designs
 
     def complete(self, position: np.ndarray) -> np.ndarray:
-        """Return the position of all design variables (dimension,) for a position of ``space``.
-
-        Raises:
-            SceneError: actuators overlap there, as at every position that the search tried.
-        """
+        """Return the position of all variables (dimension,) for one of ``space``; SceneError: actuators overlap."""
         designs = self.designs(position[None])
         self.clearance.refuse(designs)
         return self.parametrization.positions_of(designs)[0] if self.projected else position

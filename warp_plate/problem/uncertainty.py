@@ -58,10 +58,8 @@ def draw_scenarios(
     """Draw scenarios of a scene with ``[search.robust]`` and a grid; the nominal scene is none of them.
 
     All have one time step: the scene's own where it is stable for each, else the one that the stiffest would choose;
-    scenes that are not or cannot be stepped keep theirs. ``validation`` draws from another random stream.
-
-    Raises:
-        SceneError: a scenario is no plate, or has no stable run; they take more memory than there is.
+    scenes that are not or cannot be stepped keep theirs. ``validation`` draws from another random stream. SceneError: a
+    scenario is no plate or has no stable run, or they take more memory than there is.
     """
     robust, actuators = scene.search.robust, len(scene.actuators)
     if robust is None:
@@ -197,10 +195,7 @@ class ScenarioLosses:
 
 
 def apply_measure(losses: np.ndarray, robust: Robust) -> np.ndarray:
-    """Return the measure (plates,) of losses (plates, scenarios); NaN where one of a plate's is not finite.
-
-    A plate without energies on one panel is worse than any other: no measure overlooks it.
-    """
+    """Return the measure (plates,) of losses (plates, scenarios); NaN where one of them is not finite."""
     failed = ~np.isfinite(losses).all(axis=1)
     finite = np.where(failed[:, None], 0.0, losses)
     if robust.measure == "quantile":

@@ -120,23 +120,16 @@ def displacement(
     derivative: int = 0,
 ) -> np.ndarray:
     """Return (times, y, x) displacement [m], or its ``derivative`` [m/s], from rest at t = 0 under phasors (actuators,)
-    [N/m²], by ``terms`` modes along each side.
-
-    Raises:
-        SceneError: The scene has an edge that is not supported, or an effect other than viscous damping.
-    """
+    [N/m²], by ``terms`` modes along each side; SceneError as of :func:`supported_plate`."""
     (width, height), orders = scene.plate.size, np.arange(1, terms + 1) * math.pi
     along, across = np.sin(np.outer(orders / width, x)), np.sin(np.outer(orders / height, y))
     return np.asarray(across.T @ _amplitudes(scene, drive, np.asarray(times), terms, derivative) @ along)
 
 
 def kinetic_energies(scene: Scene, drive: np.ndarray, terms: int = 32) -> np.ndarray:
-    """Return (2,) kinetic energies of plate and target averaged over the scene's window [J].
+    """Return (2,) kinetic energies of plate and rectangular target averaged over the scene's window [J].
 
     The average over time is exact to rounding for the modes kept; the plate's energy converges from below.
-
-    Raises:
-        SceneError: The target is not a rectangle.
     """
     plate, (width, height), (x0, x1, y0, y1) = supported_plate(scene), scene.plate.size, scene.target.rectangle()
     along, across = _sine_products(width, x0, x1, terms), _sine_products(height, y0, y1, terms)
@@ -153,11 +146,7 @@ def kinetic_energies(scene: Scene, drive: np.ndarray, terms: int = 32) -> np.nda
 
 
 def supported_plate(scene: Scene) -> ThinPlate:
-    """Return the plate of a scene; its grid and time steps are not used.
-
-    Raises:
-        SceneError: An edge, an effect or the drive has no sine series.
-    """
+    """Return the plate of a scene; SceneError: an edge, an effect or the drive has no sine series."""
     edges = [edge for _, edge in scene.edges]
     if set(map(str, edges)) != {"supported"}:
         raise SceneError(f"edges = {edges}: the sine series needs all four supported")

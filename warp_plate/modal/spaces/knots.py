@@ -89,11 +89,7 @@ def _degree(scene: Scene) -> int:
 
 
 def _near_layers(scene: Scene, axis: int, interval: float) -> list[float]:
-    """Return positions of further knots along x (0) or y (1) [m] near the edges of layers that end inside the plate.
-
-    Raises:
-        SceneError: Two edges nearly coincide.
-    """
+    """Return further knots along x (0) or y (1) [m] near the edges of layers; SceneError: two edges nearly coincide."""
     edges = [
         {place for layer in scene.layers for place in layer.area[2 * i : 2 * i + 2] if 0 < place < side}
         for i, side in enumerate(scene.plate.size)

@@ -86,10 +86,8 @@ class Splines:
 def make_splines(
     length: float, ends: tuple[str, str], intervals: int, degree: int, corners: tuple[tuple[float, int], ...] = ()
 ) -> Splines:
-    """Return splines over 0 ... ``length`` [m] with at least ``intervals`` intervals between knots, of about one size.
-
-    The low and the high end are "clamped", "supported" or "free"; at ``corners`` [m] fewer derivatives are continuous.
-    """
+    """Return splines over 0 ... ``length`` [m] with at least ``intervals`` intervals between knots, of about one size,
+    and ends "clamped", "supported" or "free"; at ``corners`` [m] fewer derivatives are continuous."""
     continuous: dict[float, int] = {}
     for position, derivatives in sorted(corners, key=lambda corner: corner[1]):
         if all(abs(position - other) > MERGED * length for other in (0.0, length, *continuous)):
