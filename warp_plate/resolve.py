@@ -23,8 +23,7 @@ from warp_plate.cluster.evaluator import Evaluator, make_evaluator
 from warp_plate.cluster.pool import WorkerPool
 from warp_plate.modal.solver import MODAL, ModalGrid, ModalSolver
 from warp_plate.plate.designs import NO_PER_PLATE, PerPlate
-from warp_plate.plate.discretization import Discretization, discretize
-from warp_plate.plate.scheme import MOST_STEPS, STEPS_A_PERIOD
+from warp_plate.plate.scheme import MOST_STEPS, STEPS_A_PERIOD, Discretization, discretize
 from warp_plate.plate.signals import Signals, plate_harmonic
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.grid import CELLS_A_WAVE, Grid

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from peer_codes.problem import PeerMissing, Problem, Run, loaded_nodes
 from warp_plate import Scene
-from warp_plate.plate.discretization import discretize
 from warp_plate.plate.operator import DIVISOR
+from warp_plate.plate.scheme import discretize
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.engine import Engine
 from warp_plate.solve.specialize import Specialized

@@ -13,8 +13,8 @@ import warp as wp
 from step_rates.cases import BenchCase, Kind
 from step_rates.limits import DeviceLimits, measure_limits, seconds_of, share_of_limit
 from warp_plate.accuracy.measure import Machine, describe_machine, describe_versions
-from warp_plate.plate.discretization import discretize
 from warp_plate.plate.memory import machine_memory
+from warp_plate.plate.scheme import discretize
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device

@@ -18,8 +18,7 @@ from step_rates.plots import commonest_size, draw_bench, fastest_of_each_size
 
 from warp_plate.accuracy.measure import busy, describe_machine
 from warp_plate.kernels.cuda import THREAD_REGISTERS
-from warp_plate.plate.discretization import discretize
-from warp_plate.plate.scheme import make_scheme
+from warp_plate.plate.scheme import discretize, make_scheme
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import bytes_per_plate

@@ -7,7 +7,7 @@ import pytest
 
 from warp_plate.modal.continuous_modes import continuous_modes
 from warp_plate.plate.modes import natural_modes
-from warp_plate.reference.numpy_moment_form import run_moment_form
+from warp_plate.reference.numpy_plate import run_moment_form
 from warp_plate.scene.model import Scene
 from warp_plate.solve.solver import PlateSolver
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from warp_plate import PlateSolver, SceneError
-from warp_plate.plate.discretization import discretize
-from warp_plate.plate.scheme import make_scheme
+from warp_plate.plate.scheme import discretize, make_scheme
 from warp_plate.plate.weights import localization_factor, patches, region_weights
 from warp_plate.problem.objectives import MOST_CELLS, Objectives, make_objectives
 from warp_plate.quantities.region_quantities import RegionSizes

@@ -15,13 +15,12 @@ from support.commands import is_printable
 from support.scenes import PAPER
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.plate import memory
-from warp_plate.plate.discretization import discretize
-from warp_plate.plate.scheme import make_scheme
+from warp_plate.plate.scheme import discretize, make_scheme
 from warp_plate.plate.signals import make_signals
 from warp_plate.plate.travelling import moving_weights
 from warp_plate.plate.weights import patches, region_weights
 from warp_plate.problem.objectives import make_objectives
-from warp_plate.reference.numpy_moment_form import run_moment_form
+from warp_plate.reference.numpy_plate import run_moment_form
 from warp_plate.scene.load import parse_toml
 
 ALL_KEYS = parse_toml((Path(__file__).parents[1] / "data" / "all_keys.toml").read_text(encoding="utf-8"), "")

@@ -8,7 +8,7 @@ from warp_plate import Scene, SceneError
 from warp_plate.cli import output
 from warp_plate.cli.tables import drive_json, print_drive
 from warp_plate.plate.designs import actuator_centres, scene_phasors, scene_with
-from warp_plate.plate.discretization import discretize
+from warp_plate.plate.scheme import discretize
 from warp_plate.problem.uncertainty import draw_scenarios
 from warp_plate.result.case import Case
 from warp_plate.result.export.time_series import make_drive_signal

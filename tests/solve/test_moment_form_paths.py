@@ -1,4 +1,4 @@
-"""The moment-form paths against ``reference.numpy_moment_form``: random mixes of effects and edges on every device."""
+"""The moment-form paths against ``reference.numpy_plate``: random mixes of effects and edges on every device."""
 
 import numpy as np
 import pytest

@@ -5,8 +5,7 @@ import pytest
 
 from support.oracle import FOUR_EDGES, LINEAR, check_same
 from warp_plate import PlateSolver, Scene, SceneError
-from warp_plate.plate.discretization import discretize
-from warp_plate.plate.scheme import make_scheme
+from warp_plate.plate.scheme import discretize, make_scheme
 from warp_plate.plate.weights import localization_factor
 
 

@@ -28,7 +28,7 @@ from warp_plate.accuracy.configurations import (
 )
 from warp_plate.accuracy.reference_solution import ReferenceSolution, grid_lines, solve_response
 from warp_plate.modal.motion import fields
-from warp_plate.plate.discretization import discretize
+from warp_plate.plate.scheme import discretize
 from warp_plate.plate.weights import localization_factor
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene

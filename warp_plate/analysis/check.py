@@ -11,8 +11,7 @@ import numpy as np
 from warp_plate.analysis.warnings import Finding, find_warnings, slowest_frequency, wavelengths
 from warp_plate.modal.solver import MODAL
 from warp_plate.plate.bending import mass_matrix
-from warp_plate.plate.discretization import discretize
-from warp_plate.plate.scheme import Scheme
+from warp_plate.plate.scheme import Scheme, discretize
 from warp_plate.plate.signals import carrier_frequencies, highest_frequency
 from warp_plate.plate.stability_limit import StabilityLimit
 from warp_plate.scene.model import Scene, SceneSource

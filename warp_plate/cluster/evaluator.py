@@ -14,7 +14,7 @@ from warp_plate.cluster.pool import Task, WorkerPool, run_tasks
 from warp_plate.cluster.tasks import Evaluation, SolverSpec, refuse_unlike, run_block
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.plate.designs import Designs, as_phasors, check_designs
-from warp_plate.plate.discretization import Discretization
+from warp_plate.plate.scheme import Discretization
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.solver import PlateSolver

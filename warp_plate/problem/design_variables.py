@@ -1,14 +1,13 @@
 """Design variables: the numbers that a search chooses, made from the tables of a scene's ``[search]``.
 
-A class for each kind makes its variables, refuses tables that do not fit the scene, writes numbers to designs, and
-takes the slope of the loss by its number from those by the values of designs.
+A class for each kind makes its variables, refuses tables that do not fit the scene, and writes numbers to designs.
 """
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from typing import Any, ClassVar, Self
@@ -27,14 +26,6 @@ from warp_plate.scene.search import FreeDelay, FreeFrequency, FreeMagnitude, Fre
 
 # The range in which the source paper draws its first positions.
 PAPER_RANGE = (-2.0, 2.0)
-
-
-@dataclass(frozen=True)
-class LossSlopes:
-    """Slopes of the losses of n designs."""
-
-    by_value: Mapping[str, np.ndarray]  # (n, actuators) by the values of designs, by kind of variable
-    by_drive: Callable[[DesignVariable], np.ndarray]  # (n,) by a magnitude or phase, with the limits of all drives
 
 
 @dataclass(frozen=True)
@@ -78,12 +69,6 @@ class DesignVariable(ABC):
     def apply(self, numbers: np.ndarray, values: Mapping[str, np.ndarray]) -> None:
         """Write numbers (n,) to the values (actuators, n) of n designs, by kind."""
         values[self.kind][list(self.actuators)] = numbers
-
-    def derivative(self, slopes: LossSlopes) -> np.ndarray:
-        """Return the slopes (n,) of the loss by this number, by way of all drives if it is of one."""
-        if self.is_drive:
-            return slopes.by_drive(self)
-        return np.asarray(slopes.by_value[self.kind][:, list(self.actuators)].sum(axis=1))
 
 
 class Magnitude(DesignVariable):

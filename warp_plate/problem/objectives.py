@@ -15,7 +15,7 @@ from itertools import pairwise, product
 import numpy as np
 
 from warp_plate.modal.solver import ModalGrid
-from warp_plate.plate.discretization import Discretization
+from warp_plate.plate.scheme import Discretization
 from warp_plate.plate.shapes import bounds, shape_weights
 from warp_plate.plate.weights import Region, localization_factor
 from warp_plate.quantities.region_quantities import LEAST_REST, MOST_DECIBELS, REGION_QUANTITIES, RegionSizes

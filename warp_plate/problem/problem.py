@@ -26,7 +26,7 @@ from warp_plate.optimize.quadratic import Quadratic, slopes_by_drive, slopes_by_
 from warp_plate.plate.designs import Designs
 from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.problem.bounds import Bound, best_drives, bound_loss, has_free_drives
-from warp_plate.problem.design_variables import LossSlopes, has_design_tables, with_common_step
+from warp_plate.problem.design_variables import DesignVariable, has_design_tables, with_common_step
 from warp_plate.problem.objectives import Objectives, keeps_limit, make_objectives
 from warp_plate.problem.parametrization import Clearance, Parametrization, parametrization_of
 from warp_plate.problem.plates import SearchPlates, make_plates
@@ -239,11 +239,13 @@ class Problem:
             for values in (by_drive, *by_value.values()):
                 values[near] = 0.0
         by_value |= {"x": centre[..., 0], "y": centre[..., 1]}
-        slopes = LossSlopes(
-            by_value,
-            lambda variable: slopes_by_drive(phasors, positions, variables.index(variable), space, by_drive),
-        )
-        return losses, np.stack([variable.derivative(slopes) for variable in variables], axis=1)
+
+        def slope(index: int, variable: DesignVariable) -> np.ndarray:
+            if variable.is_drive:  # which limits may scale with all others
+                return slopes_by_drive(phasors, positions, index, space, by_drive)
+            return np.asarray(by_value[variable.kind][:, list(variable.actuators)].sum(axis=1))
+
+        return losses, np.stack([slope(*numbered) for numbered in enumerate(variables)], axis=1)
 
     @cached_property
     def loss_bound(self) -> Bound | None:

@@ -17,7 +17,7 @@ from warp_plate.plate.designs import (
     as_phasors,
     check_designs,
 )
-from warp_plate.plate.discretization import Discretization, discretize
+from warp_plate.plate.scheme import Discretization, discretize
 from warp_plate.plate.weights import NO_AREAS, Region, bilinear
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene

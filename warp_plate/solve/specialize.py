@@ -13,7 +13,7 @@ from warp_plate.effects.effect import DISPLACEMENT, IN_PLANE, Patch
 from warp_plate.kernels.cuda import RESERVED_BYTES
 from warp_plate.kernels.update import KernelEffects, make_parameters
 from warp_plate.plate.designs import actuator_spaces
-from warp_plate.plate.discretization import Discretization
+from warp_plate.plate.scheme import Discretization
 from warp_plate.plate.signals import running_sums, waves_apart
 from warp_plate.plate.stability_limit import needs_moment_form
 from warp_plate.plate.weights import NO_AREAS, REGIONS, Region, reachable_nodes, weigh_region

@@ -9,9 +9,8 @@ import numpy as np
 import scipy
 
 from warp_plate.effects.effect import DISPLACEMENT, SLOPE, Factors, Term
-from warp_plate.modal.spaces.integrals import Field, Integrals
+from warp_plate.modal.spaces.integrals import Field, Integrals, region_values
 from warp_plate.modal.spaces.knots import plate_splines
-from warp_plate.modal.spaces.regions import region_values
 from warp_plate.modal.spaces.space import Matrix
 from warp_plate.modal.spaces.splines import Splines, end_products, overlapping_pairs, side_products
 from warp_plate.scene.fields import Area
@@ -27,7 +26,11 @@ POINTS = 1 << 18
 
 
 class TensorSplines:
-    """Function space of a rectangular plate; see :class:`warp_plate.modal.spaces.space.FunctionSpace`."""
+    """Function space of a rectangular plate.
+
+    The methods are described in :class:`warp_plate.modal.spaces.space.FunctionSpace`; pieces are the intervals between
+    knots, and the points that resolve the functions are as many as these.
+    """
 
     def __init__(self, scene: Scene, intervals: tuple[int, int]) -> None:
         self.scene, self.intervals = scene, intervals
@@ -39,12 +42,10 @@ class TensorSplines:
 
     @property
     def degree(self) -> int:
-        """Degree of the splines."""
         return self.along[0].degree
 
     @property
     def unknowns(self) -> int:
-        """Number of functions."""
         return self.along[0].functions * self.along[1].functions
 
     @property
@@ -60,11 +61,9 @@ class TensorSplines:
 
     @property
     def plate_mass(self) -> float:
-        """Mass of the plate with its layers [kg]."""
         return self.integrals.integral(self.integrals.fields()[-1])
 
     def density(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return the mass per area [kg/m²] on the grid (y, x) of points [m]."""
         return self.integrals.fields_at(x, y)[-1]
 
     def bending_terms(self) -> Iterator[Term]:
@@ -77,16 +76,13 @@ class TensorSplines:
         yield Term("stiffness", bend_xy, ("yy", "xx"))
 
     def mass_matrix(self) -> Matrix:
-        """Return the mass matrix of the plate [kg]."""
         return self.scatter(self.form(self.integrals.fields()[-1]))
 
     def form(self, coefficient: Field, factors: Factors = DISPLACEMENT) -> np.ndarray:
-        """Return the integral of a term over the plate for each pair of functions."""
         x, y = zip(*(ORDERS[factor] for factor in factors), strict=True)
         return self.integrals.values(coefficient, x=x, y=y)
 
     def edge_form(self, side: str, coefficients: Mapping[Factors, float]) -> np.ndarray:
-        """Return the integral along an edge of terms, whose coefficients are given by their factors."""
         axis, high = 0 if side in ("left", "right") else 1, side in ("right", "top")
         products = (
             coefficient * end_products(self.along[axis], high, int(factors == SLOPE))
@@ -97,7 +93,6 @@ class TensorSplines:
         return np.outer(along, across) if axis == 0 else np.outer(across, along)
 
     def scatter(self, values: np.ndarray) -> Matrix:
-        """Return the sparse matrix of the values of :meth:`form`, or of sums of them."""
         places = (_places if self.unknowns <= MOST_UNKNOWNS else _places.__wrapped__)(*self.along)
         # SciPy sorts and prunes matrices in place, so that the places are copied.
         return Matrix((values.ravel()[places.data], places.indices, places.indptr), places.shape, copy=True)
@@ -122,36 +117,30 @@ class TensorSplines:
         return total
 
     def at_points(self, points: Sequence[tuple[float, float]] | np.ndarray) -> np.ndarray:
-        """Return (points, unknowns) values of the functions at points (x, y) [m]."""
         x, y = np.asarray(points, dtype=float).reshape(-1, 2).T
         return _products(self.along[1].values(y), self.along[0].values(x))
 
     def on_grid(self, coefficients: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return (..., ny, nx) values of sums of functions (..., unknowns) on the grid of x and y [m]."""
         tables = coefficients.reshape(*coefficients.shape[:-1], *self.shape)
         return np.asarray(self.along[1].values(y).T @ tables @ self.along[0].values(x))
 
     def patch_integrals(self, areas: np.ndarray) -> np.ndarray:
-        """Return (areas, unknowns) ∫ X_i Y_j dA over rectangles (areas, 4) x0, x1, y0, y1 [m]."""
         x0, x1, y0, y1 = np.asarray(areas, dtype=float).reshape(-1, 4).T
         return _products(self.along[1].integrals(y0, y1), self.along[0].integrals(x0, x1))
 
     def patch_slopes(self, areas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return (areas, unknowns) derivatives of :meth:`patch_integrals` by the rectangles' places."""
         along_x, along_y = self.along
         x0, x1, y0, y1 = areas.reshape(-1, 4).T
         across, up = along_x.values(x1) - along_x.values(x0), along_y.values(y1) - along_y.values(y0)
         return _products(along_y.integrals(y0, y1), across), _products(up, along_x.integrals(x0, x1))
 
     def curvature_integrals(self, areas: np.ndarray) -> np.ndarray:
-        """Return (areas, unknowns) ∫ ∇²(X_i Y_j) dA over rectangles (areas, 4) x0, x1, y0, y1 [m]."""
         along_x, along_y = self.along
         x0, x1, y0, y1 = areas.T
         bent_x, bent_y = along_x.values(x1, 1) - along_x.values(x0, 1), along_y.values(y1, 1) - along_y.values(y0, 1)
         return _products(along_y.integrals(y0, y1), bent_x) + _products(bent_y, along_x.integrals(x0, x1))
 
     def region_matrix(self, region: Area | Target, within: Area | None = None) -> Matrix:
-        """Return the mass matrix [kg] of a rectangle or target, or of its part in the rectangle ``within``."""
         return self.scatter(region_values(self.scene, self.along, region, within))
 
     def parity_bases(self) -> list[Matrix]:
@@ -167,11 +156,9 @@ class TensorSplines:
         return [Matrix(scipy.sparse.kron(Matrix(y), Matrix(x))) for y in along_y for x in along_x]
 
     def of_scene(self, scene: Scene) -> TensorSplines:
-        """Return the space of another scene with as many intervals."""
         return TensorSplines(scene, self.intervals)
 
     def is_near(self, other: TensorSplines, share: float) -> bool:
-        """Return whether the functions of another space are the same up to a share of the distance of its knots."""
         for splines, others in zip(self.along, other.along, strict=True):
             if splines.knots.size != others.knots.size or splines.left_out != others.left_out:
                 return False
