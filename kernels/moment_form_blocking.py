@@ -1,4 +1,4 @@
-"""Moment form, streaming path on CUDA: temporal blocking, see ``temporal_blocking``, of the equations in ``effects``.
+"""Moment form, streaming path on CUDA: temporal blocking, see ``temporal_blocking``, of the equations in ``update``.
 
 A row of displacement that a warp reads completes Mx and My of the row below it and Mxy of the cells below that row,
 which moves the row two below by one step. Edges take part like other nodes: weights of the west and east neighbours
@@ -16,9 +16,16 @@ import warp as wp
 from warp_plate.kernels import temporal_blocking
 from warp_plate.kernels.arithmetic import make_fused
 from warp_plate.kernels.cuda import LANES, any_lane, cuda_kernel, make_from_lane, make_pairs, most_registers, opaque
-from warp_plate.kernels.effects import make_add_local_forces, make_membrane_tension, make_moment
 from warp_plate.kernels.temporal_blocking import COLUMNS, make_row_access, strips
-from warp_plate.kernels.update import make_material, make_parameters, make_state, make_update
+from warp_plate.kernels.update import (
+    make_add_local_forces,
+    make_material,
+    make_membrane_tension,
+    make_moment,
+    make_parameters,
+    make_state,
+    make_update,
+)
 
 # As in the plain plate of second order, but for the warps that share a multiprocessor, which need fewer registers.
 REACH, ROUND, WARPS = temporal_blocking.REACH[2], temporal_blocking.ROUND[2], {wp.float32: 12, wp.float64: 8}

@@ -1,6 +1,6 @@
 """Moment form, resident path on CPU: all steps in one launch, a plate per thread, over flat ranges of memory.
 
-The equations of ``effects`` in a form that LLVM vectorises (see ``resident_cpu``). A pass walks all rows of
+The equations of ``update`` in a form that LLVM vectorises (see ``resident_cpu``). A pass walks all rows of
 the plate at once, padding included. Beyond an edge the tensors hold zeros, and mirror images are factors: on an edge
 the inner neighbour counts twice and the outer one not at all. So each node has four factors for its neighbours and one
 for its cells, stored as planes like its rigidities.
@@ -11,8 +11,16 @@ from functools import cache
 import warp as wp
 
 from warp_plate.kernels.arithmetic import flush_denormals, make_fused, portable_kernel, restore_denormals
-from warp_plate.kernels.effects import make_add_local_forces, make_attached_force, make_membrane_tension, make_moment
-from warp_plate.kernels.update import make_material, make_parameters, make_state, make_update
+from warp_plate.kernels.update import (
+    make_add_local_forces,
+    make_attached_force,
+    make_material,
+    make_membrane_tension,
+    make_moment,
+    make_parameters,
+    make_state,
+    make_update,
+)
 
 # Planes of a thread's workspace; retarded_u: displacement that causes stress; pressure: of attached masses and the
 # load that travels; load: the sum of the terms where they are not two.

@@ -1,6 +1,6 @@
 """Moment form, resident path on CUDA: all steps in one launch, a block per plate, over flat ranges of nodes.
 
-The equations of ``effects``. Node i of the plate, counted row after row, belongs to thread i modulo the threads.
+The equations of ``update``. Node i of the plate, counted row after row, belongs to thread i modulo the threads.
 Planes that neighbours read (u, mx, my, mxy) are in the block's shared memory where they fit, else in device memory;
 what a node alone reads and writes (rate, its sum of rate², its rigidities) is in the thread's registers, as far as they
 reach. A node on an edge selects its inner neighbour twice, which costs less than reading a factor. Threads with no node
@@ -13,15 +13,18 @@ import warp as wp
 
 from warp_plate.kernels.arithmetic import make_fused
 from warp_plate.kernels.cuda import LANES, barrier, cuda_kernel, make_from_lane, opaque, shared_memory
-from warp_plate.kernels.effects import (
+from warp_plate.kernels.plans import MATERIAL_PLANES, NODES_PER_WORD, material_planes, workspace_layout
+from warp_plate.kernels.update import (
     make_add_local_forces,
     make_attached_force,
+    make_material,
     make_membrane_tension,
     make_moment,
+    make_parameters,
+    make_state,
     make_travelling_pressure,
+    make_update,
 )
-from warp_plate.kernels.plans import MATERIAL_PLANES, NODES_PER_WORD, material_planes, workspace_layout
-from warp_plate.kernels.update import make_material, make_parameters, make_state, make_update
 
 # Bits of a node's flags: the edges on which it lies, and LOADED where some load field is not zero.
 LEFT, RIGHT, BOTTOM, TOP, LOADED = 1, 2, 4, 8, 16

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warp_plate.result.case import target_cases
 from warp_plate.result.motion import Motion
-from warp_plate.result.targets import target_cases
 from warp_plate.scene.errors import printable
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene

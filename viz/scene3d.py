@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warp_plate.plate.shapes import outlines
 from warp_plate.result.motion import Motion
-from warp_plate.result.targets import outlines
 from warp_plate.scene.model import Scene
 from warp_plate.viz import annotations
 from warp_plate.viz.annotations import EDGE_STYLES, GRID, INK, LEGEND_WIDTH, TARGET, edges_by_kind, rectangle

@@ -41,11 +41,11 @@ FITS = (
     "fitted_panel.FittedPanel",
 )
 EXPORTS = (
-    "export.paraview.write_vtkhdf",
-    "export.time_series.make_drive_signal",
-    "export.time_series.write_wav",
-    "export.time_series.write_drive_csv",
-    "export.time_series.write_traces",
+    "export.write_vtkhdf",
+    "export.make_drive_signal",
+    "export.write_wav",
+    "export.write_drive_csv",
+    "export.write_traces",
     "frequency_response.write_csv",
     "frequency_response.write_uff",
     "frequency_response.write_hdf5",

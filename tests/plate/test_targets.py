@@ -10,10 +10,9 @@ from hypothesis import strategies as st
 from support.scenes import PAPER, refusal, refused
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.plate.files import digests
-from warp_plate.plate.shapes import cells, clipped, lagrange, polygon_weights
+from warp_plate.plate.shapes import cells, clipped, lagrange, outlines, polygon_weights
 from warp_plate.plate.weights import REGIONS, region_weights
 from warp_plate.reference import series
-from warp_plate.result.targets import outlines
 from warp_plate.scene.target import Target, area_within
 
 TARGET = REGIONS.index("target")

@@ -11,13 +11,13 @@ from scipy.io import wavfile
 from support.results import result_of
 from warp_plate.plate.waveforms import read_samples
 from warp_plate.result.case import Case
-from warp_plate.result.export.paraview import write_vtkhdf
-from warp_plate.result.export.time_series import (
+from warp_plate.result.export import (
     BLOCK,
     make_drive_signal,
     whole_periods,
     write_drive_csv,
     write_traces,
+    write_vtkhdf,
     write_wav,
 )
 from warp_plate.scene.drive import SampledSignal

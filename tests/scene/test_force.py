@@ -11,7 +11,7 @@ from warp_plate.plate.designs import actuator_centres, scene_phasors, scene_with
 from warp_plate.plate.scheme import discretize
 from warp_plate.problem.uncertainty import draw_scenarios
 from warp_plate.result.case import Case
-from warp_plate.result.export.time_series import make_drive_signal
+from warp_plate.result.export import make_drive_signal
 from warp_plate.scene.keys import label_of, resolved_key, unit_of
 from warp_plate.studies.simulate import simulate
 from warp_plate.studies.sweep import sweep

@@ -13,7 +13,7 @@ from warp_plate import PlateSolver, Scene, load_result, localize, resume
 from warp_plate.analysis.motion import motions
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.resolve import resolve
-from warp_plate.result.export.time_series import make_drive_signal
+from warp_plate.result.export import make_drive_signal
 from warp_plate.result.model import save_result
 from warp_plate.solve.response import largest_ratio, measure_response
 from warp_plate.studies.simulate import simulate

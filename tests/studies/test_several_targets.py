@@ -13,8 +13,8 @@ from support.scenes import scene_of
 from support.searches import assert_same_results, interrupted_search
 from warp_plate import PlateSolver, Scene, load_result, localize, resume
 from warp_plate.plate.scheme import make_scheme
+from warp_plate.result.case import relative_to_own, target_cases, target_regions
 from warp_plate.result.model import best_drive_scenes, crosstalk, save_result
-from warp_plate.result.targets import relative_to_own, target_cases, target_regions
 from warp_plate.studies.simulate import simulate
 
 TARGETS = (

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_plate.effects.effect import attachments
+from warp_plate.plate.shapes import outlines
+from warp_plate.result.case import relative_to_own, target_cases
 from warp_plate.result.model import crosstalk
 from warp_plate.result.motion import Motion
-from warp_plate.result.targets import outlines, relative_to_own, target_cases
 from warp_plate.scene.errors import printable
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene

@@ -9,15 +9,15 @@ from typing import Any, get_args
 
 from warp_plate.analysis.motion import motions
 from warp_plate.result.case import Case
-from warp_plate.result.export import Format
-from warp_plate.result.export.paraview import write_vtkhdf
-from warp_plate.result.export.time_series import (
+from warp_plate.result.export import (
     Encoding,
+    Format,
     WaveformSignal,
     full_scale_of,
     make_drive_signal,
     write_drive_csv,
     write_traces,
+    write_vtkhdf,
     write_wav,
 )
 from warp_plate.result.focus import FocusResult

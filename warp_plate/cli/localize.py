@@ -12,10 +12,9 @@ from rich.console import Console
 
 from warp_plate import viz
 from warp_plate.cli import main, options, output, tables
-from warp_plate.result.case import only_actuator
+from warp_plate.result.case import only_actuator, target_cases
 from warp_plate.result.checkpoint import ENDING, Checkpoint, load_newest
 from warp_plate.result.model import BOUND_DESCRIPTIONS, Result
-from warp_plate.result.targets import target_cases
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.vary import counted

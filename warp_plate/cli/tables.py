@@ -12,10 +12,9 @@ from warp_plate.cli import output
 from warp_plate.problem.methods import unread_keys
 from warp_plate.problem.objectives import keeps_limit
 from warp_plate.quantities.region_quantities import REGION_QUANTITIES
-from warp_plate.result.case import Case, amplitude_column, amplitudes_as_given
+from warp_plate.result.case import Case, amplitude_column, amplitudes_as_given, relative_to_own, target_cases
 from warp_plate.result.comparison import MethodComparison
 from warp_plate.result.model import Result, RobustComparison, crosstalk
-from warp_plate.result.targets import relative_to_own, target_cases
 from warp_plate.scene.errors import printable
 from warp_plate.scene.model import Scene
 from warp_plate.scene.vary import counted

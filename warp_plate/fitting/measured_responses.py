@@ -20,7 +20,7 @@ import numpy as np
 from warp_plate.fitting.measured_modes import UNIVERSAL, check_file, universal_responses
 from warp_plate.plate.files import read_numbers
 from warp_plate.plate.waveforms import LOUDEST, MOST_SAMPLES, even_step, wav_channels
-from warp_plate.result.arrays import HDF5, MAT, read_arrays
+from warp_plate.result.hdf5 import HDF5, MAT, read_arrays
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import LARGEST, SMALLEST
 from warp_plate.scene.fit import Fit, TimeSignals

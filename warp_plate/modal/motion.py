@@ -31,8 +31,8 @@ from warp_plate.modal.loads import (
 )
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.poles import Poles
+from warp_plate.plate.shapes import target_outlines
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
-from warp_plate.result.targets import target_outlines
 
 # Numbers of an array of poles and times, and of displacements that are computed at once, to limit memory.
 BLOCK, BLOCK_NUMBERS = 2**18, 2**22

@@ -26,6 +26,8 @@ from warp_plate.scene.target import area_within
 
 # Corners of the polygon for a disc, which has its area and an outline off by at most 2e-7 of the radius.
 DISC_CORNERS = 4096
+# The same for outlines in pictures.
+OUTLINE_CORNERS = 96
 # Rounding of a sum that is zero, relative to the polygon's height.
 ROUNDING = 1e-13
 
@@ -219,3 +221,28 @@ def _mask_matrix(axis: Axis, count: int, low: float, high: float) -> scipy.spars
         entries = (values * share).sum(axis=2).ravel()
         matrix = matrix + scipy.sparse.csr_array((entries, (rows.ravel(), columns.ravel())), matrix.shape)
     return matrix
+
+
+def outlines(scene: Scene) -> list[np.ndarray]:
+    """Return closed outlines (points, 2) [m] of all targets of a scene."""
+    return [outline for key, target in scene.targets_by_key.items() for outline in target_outlines(scene, key, target)]
+
+
+def target_outlines(scene: Scene, key: str, target: Target) -> list[np.ndarray]:
+    """Return closed outlines (points, 2) [m] of one target.
+
+    Those of a mask are its contours at ½; none if its file is gone, as of a result that was moved.
+    """
+    if (corners := target.corners(OUTLINE_CORNERS)) is not None:
+        return [np.concatenate([corners, corners[:1]])]
+    from contourpy import contour_generator
+
+    try:
+        values = read_mask(scene, key, target)
+    except SceneError:
+        return []
+    values = np.broadcast_to(values, (max(len(values), 2), max(values.shape[1], 2)))
+    x, y = (np.linspace(0, side, count) for side, count in zip(scene.plate.size, values.shape[::-1], strict=True))
+    # A rim of zeros at the place of the edge closes the contours that meet the edge.
+    padded = np.pad(x, 1, mode="edge"), np.pad(y, 1, mode="edge"), np.pad(values, 1)
+    return [np.asarray(line) for line in contour_generator(*padded).lines(0.5)]

@@ -14,8 +14,7 @@ from warp_plate.plate.weights import localization_factor, region_weights
 from warp_plate.problem.design_variables import magnitude_unit
 from warp_plate.problem.problem import Energies, Problem
 from warp_plate.quantities.region_quantities import LEAST_REST, PLATE, REGION_QUANTITIES, TARGET, RegionSizes
-from warp_plate.result.case import Case, RegionMotion
-from warp_plate.result.targets import target_regions
+from warp_plate.result.case import Case, RegionMotion, target_regions
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.run import Run, record_times, run_with_peaks

@@ -19,7 +19,7 @@ from warp_plate.plate.scheme import Discretization
 from warp_plate.plate.shapes import bounds, shape_weights
 from warp_plate.plate.weights import Region, localization_factor
 from warp_plate.quantities.region_quantities import LEAST_REST, MOST_DECIBELS, REGION_QUANTITIES, RegionSizes
-from warp_plate.result.targets import target_regions
+from warp_plate.result.case import target_regions
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.search import Objective
 

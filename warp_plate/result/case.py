@@ -1,4 +1,8 @@
-"""A drive and the motion of the plate under it, and amplitudes of drives as the scene gives them."""
+"""A drive and the motion of the plate under it, amplitudes of drives as the scene gives them, and names of cases.
+
+With several targets, the case "best" is the best drive for the first, "best NAME" that for another. The energies of all
+cases have a region "target NAME" for each target, beside "plate" and the case's own "target".
+"""
 
 from __future__ import annotations
 
@@ -11,10 +15,12 @@ import h5py
 import numpy as np
 
 from warp_plate.plate.designs import scene_with
+from warp_plate.quantities.region_quantities import decibels
 from warp_plate.result.hdf5 import read_array, write_along
 from warp_plate.result.layouts import ELSEWHERE, Attribute, Dataset, Layout, Sizes
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
+from warp_plate.scene.target import NamedTarget
 
 
 def _phase_lag(phasors: np.ndarray) -> np.ndarray:
@@ -166,3 +172,18 @@ def amplitude_column(scene: Scene, magnitudes: Iterable[float], digits: str) -> 
             f"{text} {row[2]}" for text, row in zip(texts, amplitudes, strict=True)
         ]
     return " ".join(f"{key} ({unit})" for key, unit in kinds), texts
+
+
+def target_regions(scene: Scene) -> dict[str, NamedTarget]:
+    """Return the targets by region name; empty if the scene has a single target."""
+    return {f"target {target.name}": target for target in scene.targets}
+
+
+def target_cases(scene: Scene) -> dict[str, str]:
+    """Return the name of the case with the best drive by target name; empty if the scene has a single target."""
+    return {target.name: f"best {target.name}" if index else "best" for index, target in enumerate(scene.targets)}
+
+
+def relative_to_own(shares: np.ndarray) -> np.ndarray:
+    """Return (drives, targets) fractions relative to each drive's own target [dB]; −∞ where nothing moves."""
+    return decibels(shares, np.diag(shares)[:, None])

@@ -18,10 +18,9 @@ import numpy as np
 from warp_plate.plate.designs import scene_with
 from warp_plate.quantities.region_quantities import REGION_QUANTITIES
 from warp_plate.result import import_xarray
-from warp_plate.result.case import Case, case_scene
+from warp_plate.result.case import Case, case_scene, target_cases, target_regions
 from warp_plate.result.hdf5 import FileFormat, write_along
 from warp_plate.result.layouts import Counts, Dataset, Datasets, read_fields, write_fields
-from warp_plate.result.targets import target_cases, target_regions
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Objective

@@ -1,4 +1,4 @@
-"""Paths of scenes that need more than the plain plate, see ``kernels.effects``."""
+"""Paths of scenes that need more than the plain plate, see ``kernels.update``."""
 
 from __future__ import annotations
 

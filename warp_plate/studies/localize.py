@@ -61,7 +61,7 @@ def localize(
 ) -> Result:
     """Search for the drive with the largest share of the plate's kinetic energy in the target.
 
-    With several targets, there is a search and a best drive for each (see ``result.targets``).
+    With several targets, there is a search and a best drive for each (see ``result.case``).
     The engine and grid of a scene with ``grid.accuracy`` are chosen first, for the first target. Ctrl-C ends the search
     early; the result then holds the best drive so far and is marked as interrupted.
 

@@ -21,10 +21,9 @@ from warp_plate.problem.evaluate_cases import EvaluatedCases, evaluate_cases, re
 from warp_plate.problem.methods import make_optimizer
 from warp_plate.problem.problem import Problem, make_problem
 from warp_plate.problem.uncertainty import draw_scenarios, simulate_scenarios
-from warp_plate.result.case import Case
+from warp_plate.result.case import Case, target_cases, target_regions
 from warp_plate.result.checkpoint import Checkpoint
 from warp_plate.result.model import RobustComparison, TargetSearch
-from warp_plate.result.targets import target_cases, target_regions
 from warp_plate.scene.errors import SceneError
 from warp_plate.studies.polish import polish
 from warp_plate.studies.unfinished import CheckpointFile

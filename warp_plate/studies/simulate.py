@@ -17,8 +17,8 @@ from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.design_variables import magnitude_unit
 from warp_plate.problem.evaluate_cases import cases_from_run, reference_phasors
 from warp_plate.resolve import Resolved, resolve
+from warp_plate.result.case import target_regions
 from warp_plate.result.model import Result, load_result
-from warp_plate.result.targets import target_regions
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.solve.run import Progress, Run, run_with_peaks

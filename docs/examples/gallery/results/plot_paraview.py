@@ -11,7 +11,7 @@ from pathlib import Path
 import pyvista
 
 import warp_plate as wpl
-from warp_plate.result.export.paraview import write_vtkhdf
+from warp_plate.result.export import write_vtkhdf
 
 result = wpl.simulate(wpl.Scene.load("composite-panel").with_tables(record={"times": (0.01, 0.02)}), estimate=False)
 fields = {"displacement_drive": result.main_case.displacement}

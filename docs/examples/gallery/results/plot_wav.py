@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 from scipy.io import wavfile
 
 import warp_plate as wpl
-from warp_plate.result.export.time_series import make_drive_signal, write_wav
+from warp_plate.result.export import make_drive_signal, write_wav
 
 result = wpl.localize("paper", spectrum=False, estimate=False)
 signal = make_drive_signal(result.scene, result.main_case, rate=48000, duration=1.0)

@@ -1,8 +1,13 @@
-"""Time series: traces as CSV, and drives as WAV or CSV for an amplifier, with a channel for each actuator.
+"""Results in the formats of other programs.
 
-Channel k of a drive holds w_k cos(2πft − φ_k) divided by the full scale, so that 1.0 stands for the same pressure
-[N/m²] or voltage in every channel, or for the same force [N] if the scene gives a force for every actuator. It lasts a
-whole number of periods, so that it can be played in a loop.
+Fields over time become a VTKHDF file for ParaView, written without VTK: the plate is flat image data in the plane
+z = 0, with point data such as ``displacement_best`` [m] and the fractions of each node's cell that lie in the
+``target`` and under the ``actuators``. See "VTKHDF format specification" (temporal image data) of VTK.
+
+Traces become CSV, and drives WAV or CSV for an amplifier, with a channel for each actuator. Channel k of a drive holds
+w_k cos(2πft − φ_k) divided by the full scale, so that 1.0 stands for the same pressure [N/m²] or voltage in every
+channel, or for the same force [N] if the scene gives a force for every actuator. It lasts a whole number of periods, so
+that it can be played in a loop.
 """
 
 from __future__ import annotations
@@ -14,15 +19,20 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Literal
 
+import h5py
 import numpy as np
 
 from warp_plate.effects.table import TRAVELLING
+from warp_plate.plate.weights import REGIONS, region_weights
 from warp_plate.result.atomic_io import atomic_paths, write_table
 from warp_plate.result.case import Case
 from warp_plate.result.model import Result
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
+Format = Literal["vtkhdf", "traces-csv", "drive-wav", "drive-csv"]
+# Units of exported fields, by the first word of their names.
+UNITS = {"displacement": "m", "velocity": "m/s", "rms": "m/s", "target": "1", "actuators": "1"}
 BLOCK = 2**16  # rows that are composed at once
 Encoding = Literal["float32", "pcm16", "pcm24"]
 # WAVE_FORMAT and bytes a sample.
@@ -32,6 +42,57 @@ EXTENSIBLE, GUID_END = 0xFFFE, bytes.fromhex("0000 1000 8000 00aa 0038 9b71")
 MOST_BYTES = 2**32 - 2**20  # a WAV file counts its bytes with 32 bits; 2**20 for the chunks before the samples
 ROUNDING = 1e-9  # by which a drive may pass full scale: a force of 2 N becomes 2.0000000000000004 N
 TRIED_PERIODS = 10_000  # lengths that are compared to find the loop whose end is nearest to a sample
+
+
+def write_vtkhdf(scene: Scene, times: np.ndarray, fields: Mapping[str, np.ndarray], path: Path) -> list[Path]:
+    """Write all times into one .vtkhdf file, for ParaView 5.12 and later; return its path.
+
+    Args:
+        scene: The scene.
+        times: (times,) times [s].
+        fields: (times, ny, nx) fields, or (1, ny, nx) constant ones, by names that begin with a word of ``UNITS``; the
+            first one is active.
+        path: The file.
+
+    Raises:
+        SceneError: there are no times, or the file cannot be written.
+    """
+    constant = {name: field[None] for name, field in _constant_fields(scene, times).items()}
+    with atomic_paths(path) as (temporary,), h5py.File(temporary, "w") as file:
+        root = file.create_group("VTKHDF")
+        nx, ny = scene.grid.nodes
+        root.attrs["Version"] = np.array([2, 0])
+        root.attrs["Type"] = np.bytes_("ImageData")
+        root.attrs["WholeExtent"] = np.array([0, nx - 1, 0, ny - 1, 0, 0])
+        root.attrs["Origin"] = np.zeros(3)
+        root.attrs["Spacing"] = np.array([scene.plate.size[0] / (nx - 1), scene.plate.size[1] / (ny - 1), 1.0])
+        root.attrs["Direction"] = np.eye(3).ravel()
+        points = root.create_group("PointData")
+        steps = root.create_group("Steps")
+        steps.attrs["NSteps"] = len(times)
+        steps["Values"] = times.astype(float)
+        offsets = steps.create_group("PointDataOffsets")
+        # Arrays are (time, y, x): the format leaves out the axis of a flat image's thickness.
+        for name, field in {**fields, **constant}.items():
+            points[name] = field.astype("<f4")
+            points[name].attrs["units"] = UNITS[name.split("_")[0]]
+            offsets[name] = np.minimum(np.arange(len(times)), len(field) - 1)
+        # The active array, for older readers and for those of version 2.6 of the format.
+        active = next(iter(fields))
+        points.attrs["Scalars"] = np.bytes_(active.encode())
+        points[active].attrs["Attribute"] = "Scalars"
+    return [path]
+
+
+def _constant_fields(scene: Scene, times: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the (ny, nx) covered fractions of each node's cell by name; refuse a series without times."""
+    if not len(times):
+        raise SceneError("holds no displacements; add record.times = [...] (seconds) to its scene and run it again")
+    areas = {str(index): actuator.area for index, actuator in enumerate(scene.actuators)}
+    by_overlap = scene.model_copy(update={"grid": scene.grid.model_copy(update={"load": "overlap"})})
+    weights = region_weights(by_overlap, areas)
+    actuators = np.minimum(weights[len(REGIONS) :].sum(axis=0), 1)
+    return {"target": weights[REGIONS.index("target")], "actuators": actuators}
 
 
 @dataclass(frozen=True, eq=False)
