@@ -7,8 +7,7 @@ import pytest
 
 from support.scenes import scene_of
 from warp_plate import PlateSolver, SceneError, export, focus
-from warp_plate.focusing.figures import measure_focus
-from warp_plate.focusing.motion import focus_motions
+from warp_plate.focusing.figures import focus_motions, measure_focus
 from warp_plate.focusing.responses import HeldResponses
 from warp_plate.modal.modes import modes_below
 from warp_plate.result.focus import load_focus, save_focus

@@ -6,7 +6,7 @@ from scipy.io import wavfile
 
 from support.scenes import scene_of
 from warp_plate import SceneError, focus
-from warp_plate.focusing.motion import focus_motions
+from warp_plate.focusing.figures import focus_motions
 from warp_plate.result.focus import load_focus, save_focus
 
 TABLE = {"points": [(0.07, 0.06), (0.13, 0.12)], "highest": 600.0, "rate": 4000, "condition": 1e3}

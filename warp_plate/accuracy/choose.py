@@ -83,15 +83,8 @@ def choose(
 ) -> Choice:
     """Return the engine and the grid with at most a relative error; modes, if they may be, wherever they keep it.
 
-    Args:
-        scene: Scene whose localization factors have the error; its own grid is ignored, and damping is centred in time.
-        accuracy: Relative error.
-        device: Device of trial runs.
-        phasors: (drives, actuators) drives that keep it (default: the usual ones).
-        engine: Engines that may be chosen.
-
-    Raises:
-        SceneError: No configuration within reach keeps this accuracy, or there is no such device.
+    ``phasors`` (drives, actuators) are the drives that keep it (default: the usual ones). The scene's own grid is
+    ignored, and damping is centred in time.
     """
     find_device(device)
     if engine != "steps" and scene.linear:
@@ -158,11 +151,7 @@ def _choose_grid(scene: Scene, accuracy: float, device: str, phasors: np.ndarray
 def find_grid(
     scene: Scene, tolerance: float, error_on: Callable[[Configuration], float]
 ) -> tuple[Configuration | None, float]:
-    """Return the coarsest grid within the tolerance and its error; None and the last error if none is within reach.
-
-    Each grid follows from the error of the one before by the convergence law of its order. Errors of coarse grids may
-    pass through zero, so a somewhat finer grid must keep the tolerance too.
-    """
+    """Return the coarsest grid within the tolerance and its error; None and the last error if none is within reach."""
     order, error = highest_order(scene), math.inf
     cells = max(FEWEST_CELLS, FEWEST_CELLS_A_WAVE * waves_along(scene))
     for _ in range(TRIALS):

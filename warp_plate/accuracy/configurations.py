@@ -68,11 +68,7 @@ def configuration_of(scene: Scene) -> Configuration:
 
 
 def regrid(scene: Scene, configuration: Configuration) -> Scene:
-    """Return the scene on another grid, with centred damping, which is of second order in time.
-
-    Raises:
-        SceneError: the grid has too few or too many nodes, or the scene cannot have this order.
-    """
+    """Return the scene on another grid, with centred damping, which is of second order in time."""
     effects = scene.effects
     if effects.damping is not None:
         effects = effects.model_copy(update={"damping": effects.damping.model_copy(update={"scheme": "centred"})})
@@ -131,12 +127,10 @@ def longest_time_step(scene: Scene, order: Order, nodes: tuple[int, int]) -> flo
 
 
 def aligned(scene: Scene, longest: float) -> float:
-    """Return a time step [s] of at most ``longest`` that divides the run, and if possible the time before the window.
-
-    If the window starts within a step, a part of that step is counted or lost, which is an error of first order.
-    """
+    """Return a time step [s] up to ``longest`` that divides the run, and if possible the time before the window."""
     window = scene.window
     fewest = math.ceil(window.end / longest * (1 - 1e-12))
+    # If the window starts within a step, a part of that step is counted or lost, which is an error of first order.
     steps = fewest + np.arange(min(int(ALIGNMENT * fewest), MOST_STEPS_TRIED) + 1)
     before = window.start / window.end * steps
     misalignment = np.round(np.abs(before - np.round(before)), 6)

@@ -28,13 +28,12 @@ from warp_plate.accuracy.reference_solution import (
     MoreFunctions,
     ReferenceSolution,
     compare_with_more_functions,
+    displacement_errors,
     error_of,
     find_reference_solution,
-    grid_lines,
     refine_until,
 )
 from warp_plate.accuracy.richardson import STEPPED_SECONDS, Extrapolation, extrapolate_drives
-from warp_plate.modal.motion import fields
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.scene.model import Scene
 from warp_plate.solve.response import Response
@@ -139,34 +138,24 @@ def estimate(
     displacement: np.ndarray | None = None,
     time_step: float | None = None,
 ) -> Estimate:
-    """Estimate the errors of (drives,) localization factors under (drives, actuators) phasors.
-
-    The reference is refined until its own error is a tenth of the one that it shows, or its nominal time is used up;
-    its remaining error is added.
-
-    Args:
-        device: Device of a reference by grids.
-        times, displacement: Times [s], and (drives, times, ny, nx) displacement of the run [m].
-        time_step: Time step of the run [s] (default: the one that the scheme of the scene has).
-    """
+    """Estimate the errors of (drives,) localization factors and of (drives, times, ny, nx) displacement [m] under
+    (drives, actuators) phasors, on a run with a time step [s] (default: that of the scheme of the scene)."""
     started = time.perf_counter()
     computed = np.asarray(localization_factors, dtype=float)
     phasors = np.asarray(phasors, dtype=complex)
     moving = _known(scene, phasors, computed)
-    unknown = np.full(computed.shape, math.nan)
     if not moving.any():
         return _no_estimate(configuration_of(scene).grid_text, computed)
-
-    references, displacement_errors = unknown.copy(), unknown.copy()
+    references = np.full(computed.shape, math.nan)
     accurate, references[moving] = _reference(scene, phasors[moving], computed[moving], device)
     differences = np.abs(computed / references - 1)
     largest = float(np.nanmax(differences))
     # A difference within the uncertainty does not allow to extrapolate to smaller errors.
     resolved = accurate.uncertainty < largest
     price = _price(scene, largest, time_step) if resolved else None
+    of_displacement = np.full(computed.shape, math.nan)
     if displacement is not None and isinstance(accurate, ReferenceSolution) and accurate.plate and len(times):
-        for drive, fields in enumerate(displacement):
-            displacement_errors[drive] = accurate.displacement_error(phasors[drive], times, scene, fields)
+        of_displacement = displacement_errors(accurate.plate, phasors, times, scene, displacement)
     return Estimate(
         numerics=configuration_of(scene).grid_text,
         localization_factors=computed,
@@ -176,7 +165,7 @@ def estimate(
         kind=accurate.kind,
         seconds=time.perf_counter() - started,
         price=price,
-        displacement_errors=displacement_errors,
+        displacement_errors=of_displacement,
     )
 
 
@@ -188,11 +177,8 @@ def estimate_modal(
     displacement: np.ndarray | None = None,
     compared: MoreFunctions | None = None,
 ) -> Estimate:
-    """Estimate the errors of results by modes from their change with more functions; see :func:`estimate`.
-
-    Results under a moving load, which more functions would take too long for, are compared with grids.
-    """
-    if not scene.linear:
+    """Estimate the errors of results by modes from their change with more functions, see :func:`estimate`."""
+    if not scene.linear:  # a moving load, which more functions would take too long for
         by_grids = estimate(scene, phasors, localization_factors)
         return replace(by_grids, numerics=MODES, price=None)
     started = time.perf_counter()
@@ -201,15 +187,13 @@ def estimate_modal(
     if not moving.any():
         return _no_estimate(MODES, computed)
     compared = compared or compare_with_more_functions(scene)
-    references, displacement_errors, change = (np.full(computed.shape, math.nan) for _ in range(3))
+    references, of_displacement, change = (np.full(computed.shape, math.nan) for _ in range(3))
     references[moving] = compared.finer.localization_factors(phasors[moving])
     change[moving] = compared.changes(phasors[moving])
     change = np.maximum(change, np.abs(computed / references - 1))
     if displacement is not None and len(times):
-        expected = fields(compared.plate, phasors[moving], np.asarray(times, dtype=float), *grid_lines(scene))
-        differences = np.linalg.norm((displacement[moving] - expected).reshape(moving.sum(), -1), axis=1)
-        sizes = np.linalg.norm(expected.reshape(moving.sum(), -1), axis=1)
-        displacement_errors[moving] = error_of(differences / np.where(sizes > 0, sizes, math.nan))
+        moved = displacement_errors(compared.plate, phasors[moving], times, scene, displacement[moving])
+        of_displacement[moving] = error_of(moved)
     return Estimate(
         numerics=MODES,
         localization_factors=computed,
@@ -219,7 +203,7 @@ def estimate_modal(
         kind=MORE_FUNCTIONS,
         seconds=time.perf_counter() - started,
         price=None,
-        displacement_errors=displacement_errors,
+        displacement_errors=of_displacement,
     )
 
 

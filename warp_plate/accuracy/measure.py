@@ -9,10 +9,11 @@ import math
 import os
 import platform
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib import metadata
 from statistics import median
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -42,8 +43,6 @@ MODAL, MODAL_DENSITIES = "modal", (0.4, 0.5, 0.6, 0.7, 0.85, 1.0)
 SNAPSHOTS = 6
 # Nominal time of the creation of a solver [s], counted in a budget.
 START_SECONDS = 1.5
-# Load average of a minute for each core above which timings are unreliable.
-QUIET = 0.3
 # Runs that are timed, and the time after which no further run begins [s].
 RUNS, TIMING_SECONDS = 5, 0.5
 
@@ -96,11 +95,7 @@ def measure(
     path: str = "auto",
     seconds_left: float = math.inf,
 ) -> AccuracyRow:
-    """Return the row of a configuration; None for the scene as written.
-
-    A row that would take longer than the nominal time ``seconds_left`` is skipped. Nominal times are counted in
-    node-steps, so that the same rows are measured on every machine.
-    """
+    """Return the row of a configuration (None: the scene as written), skipped beyond ``seconds_left`` nominal ones."""
     gridded = scene if configuration is None else regrid(scene, configuration)
     settings, damping = configuration_of(gridded), gridded.effects.damping
     row = AccuracyRow(
@@ -135,9 +130,7 @@ def _measured(solver: PlateSolver, reference: ReferenceSolution, row: AccuracyRo
     solver.run(phasors)
     row = replace(
         row,
-        error_displacement=reference.displacement_error(
-            reference.drives["best"], run.times, scene, run.displacement[1]
-        ),
+        error_displacement=reference.displacement_error(run.times, scene, run.displacement[1]),
         seconds_per_plate=median(seconds_of(lambda: solver.run(phasors))) / plates,
         plates=plates,
         path=solver.path,
@@ -146,18 +139,15 @@ def _measured(solver: PlateSolver, reference: ReferenceSolution, row: AccuracyRo
 
 
 def measure_modal(scene: Scene, reference: ReferenceSolution, density: float) -> AccuracyRow:
-    """Return the row of the modal engine with this density of functions.
-
-    Everything from the scene to the energies of the swarm's plates is timed.
-    """
+    """Return the row of modes with this density of functions, timed from the scene to the energies of the swarm."""
     plate, response = solve_response(scene, density)
     nodes, times = plate.space.shape[::-1], _snapshots(scene)
     factors = response.localization_factors(np.array(list(reference.drives.values())))
-    drive, plates = reference.drives["best"], scene.search.particles
+    plates = scene.search.particles
     phasors = _random_phasors(plates, len(scene.actuators))
     once = median(seconds_of(lambda: solve_response(scene, density)))
     alone = median(seconds_of(lambda: response.energy(phasors))) / plates
-    motion = fields(plate, drive[None], times, *grid_lines(scene))[0]
+    motion = fields(plate, reference.drives["best"][None], times, *grid_lines(scene))[0]
     row = AccuracyRow(
         order=plate.space.degree,
         load=MODAL,
@@ -167,7 +157,7 @@ def measure_modal(scene: Scene, reference: ReferenceSolution, density: float) ->
         damping=None,
         spacing=spacing_of(scene, nodes),
         as_written=False,
-        error_displacement=reference.displacement_error(drive, times, scene, motion),
+        error_displacement=reference.displacement_error(times, scene, motion),
         seconds_per_plate=once / plates + alone,
         seconds_once=once,
         plates=plates,
@@ -204,27 +194,17 @@ def seconds_of(run: Callable[[], object]) -> list[float]:
     return times
 
 
-@dataclass(frozen=True)
-class Machine:
-    """The machine of a measurement."""
-
-    system: str
-    cores: int
-    threads: int  # that the simulation uses
-    load: float | None  # load average of the minute before; None on systems without it
-    devices: Mapping[str, str]  # models by Warp's name of the device
-
-
-def describe_machine(devices: Sequence[str]) -> Machine:
-    """Return the machine with its current load.
-
-    Raises:
-        SceneError: there is no such device, or WARP_PLATE_THREADS is not a number of threads.
-    """
-    threads, models = cpu_threads(), {name: processor_of(find_device(name)) for name in devices}
-    models |= {name: f"{model}, {threads} threads" for name, model in models.items() if find_device(name).is_cpu}
-    system = f"{platform.system()} {platform.release()} {platform.machine()}"
-    return Machine(system, os.cpu_count() or 1, threads, _load_average(), models)
+def describe_machine(name: str) -> dict[str, Any]:
+    """Return the machine of a measurement on a device, with the load average of the minute before."""
+    device = find_device(name)
+    model = processor_of(device) + (f", {cpu_threads()} threads" if device.is_cpu else "")
+    return {
+        "system": f"{platform.system()} {platform.release()} {platform.machine()}",
+        "cores": os.cpu_count() or 1,
+        "threads": cpu_threads(),
+        "load": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
+        "devices": {name: model},
+    }
 
 
 def describe_versions() -> dict[str, str]:
@@ -235,15 +215,3 @@ def describe_versions() -> dict[str, str]:
         if wp.is_cuda_available() and version:
             versions[f"cuda {name}"] = ".".join(map(str, version))
     return versions
-
-
-def busy() -> str | None:
-    """Return a warning if the load average shows that other programs are running, otherwise None."""
-    load, cores = _load_average(), os.cpu_count() or 1
-    if load is None or load <= QUIET * cores:
-        return None
-    return f"this machine is busy (load average {load:g} on {cores} cores): times will be too long"
-
-
-def _load_average() -> float | None:
-    return round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None

@@ -73,16 +73,11 @@ class ReferenceSolution:
         factors = self.response.localization_factors(np.array(list(self.drives.values())))
         return dict(zip(self.drives, factors.tolist(), strict=True))
 
-    def displacement_error(
-        self, phasors: np.ndarray, times: Sequence[float] | np.ndarray, scene: Scene, computed: np.ndarray
-    ) -> float | None:
-        """Return ‖u − u_ref‖ / ‖u_ref‖ over the times and the nodes of the scene; NaN for a plate at rest, and None
-        without modes."""
+    def displacement_error(self, times: np.ndarray, scene: Scene, computed: np.ndarray) -> float | None:
+        """Return the relative error of (times, ny, nx) displacement under the drive "best"; None without modes."""
         if self.plate is None:
             return None
-        expected = fields(self.plate, phasors[None], np.asarray(times, dtype=float), *grid_lines(scene))[0]
-        size = float(np.linalg.norm(expected))
-        return float(np.linalg.norm(computed - expected)) / size if size > 0 else math.nan
+        return float(displacement_errors(self.plate, self.drives["best"][None], times, scene, computed[None])[0])
 
 
 Refinement = TypeVar("Refinement", ReferenceSolution, Extrapolation)
@@ -110,7 +105,7 @@ def find_reference_solution(
     phasors: np.ndarray | None = None,
     only: bool = False,
 ) -> ReferenceSolution:
-    """Refine a reference solution until its uncertainty is below ``wanted``, or the nominal time is used up.
+    """Refine a reference until its uncertainty is as wanted, or until its nominal time is used up.
 
     Args:
         scene: A scene that is linear in its drives.
@@ -118,13 +113,8 @@ def find_reference_solution(
         device: Device of Richardson's method.
         wanted: An uncertainty, or a function of the response that returns one.
         seconds: Nominal time for all refinements [s].
-        phasors: Drives (drives, actuators) that the uncertainty applies to, besides the bound, equal drive, the best
-            single actuator and the best drive.
-        only: True if the uncertainty applies only to ``phasors``.
-
-    Raises:
-        SceneError: kind = "modal" and an undamped plate is driven at resonance, or too many modes are needed; the scene
-            is not linear; or there is no such device.
+        phasors: (drives, actuators) drives that the uncertainty applies to, besides the usual ones and the bound.
+        only: True if it applies to these alone.
     """
     if not scene.linear:
         raise SceneError(f"{scene.nonlinear_table}: not linear in the drives; accuracy needs a linear scene")
@@ -136,10 +126,7 @@ def find_reference_solution(
 def refine_until(
     refinements: Iterator[Refinement], wanted: Callable[[Refinement], float], seconds: float
 ) -> Refinement:
-    """Return the first refinement within the wanted uncertainty, or the last one within a nominal time [s].
-
-    The first refinement with a finite uncertainty is within any time.
-    """
+    """Return the first refinement within the wanted uncertainty, or the last one within a nominal time [s]."""
     last = next(refinements)
     spent = last.seconds
     while last.uncertainty > wanted(last):
@@ -154,13 +141,7 @@ def refine_until(
 
 
 def solve_response(scene: Scene, density: float, higher: float = 1.0) -> tuple[ModalPlate, Response]:
-    """Return modes and Gram matrices of plate and target, without a grid; see ``solve_modes`` for the density.
-
-    Responses are accurate up to ``higher`` times the frequencies of the drive.
-
-    Raises:
-        SceneError: An undamped plate is driven at resonance, or the plate has no modes.
-    """
+    """Return modes and Gram matrices of plate and target, up to ``higher`` times the frequencies of the drive."""
     plate = solve_modes(scene, highest=density * higher * highest_frequency(scene), density=density)
     frequencies, loss = actuator_frequencies(scene), np.diag(plate.damping)[:, None] / 2
     apart = np.hypot(2 * math.pi * (plate.frequencies[:, None] - frequencies), loss).min()
@@ -184,12 +165,10 @@ def largest_change(phasors: np.ndarray, only: bool, response: Response, others: 
     if not only:
         phasors = np.concatenate([usual_drives(response), phasors])
 
-    def values(of: Response) -> np.ndarray:
-        factors, energies = of.localization_factors(phasors), of.energy(phasors).ravel()
-        return np.concatenate([factors, energies, [] if only else [of.bound()]])
-
-    current = values(response)
-    return max(float(np.abs(values(other) / current - 1).max()) for other in others)
+    changes = [_changes(phasors, response, other).max() for other in others]
+    if not only:
+        changes += [abs(other.bound() / response.bound() - 1) for other in others]
+    return float(max(changes))
 
 
 def _refinements(scene: Scene, kind: str, device: str, change: Change) -> Iterator[ReferenceSolution]:
@@ -241,6 +220,15 @@ def _by_richardson(scene: Scene, device: str, change: Change) -> Iterator[Refere
         yield ReferenceSolution("richardson", response, limit.uncertainty, limit.seconds, limit.next_seconds)
 
 
+def displacement_errors(
+    plate: ModalPlate, phasors: np.ndarray, times: Sequence[float] | np.ndarray, scene: Scene, computed: np.ndarray
+) -> np.ndarray:
+    """Return ‖u − u_ref‖ / ‖u_ref‖ (drives,) of (drives, times, ny, nx) displacement; NaN for plates at rest."""
+    expected = fields(plate, phasors, np.asarray(times, dtype=float), *grid_lines(scene))
+    errors, sizes = (np.linalg.norm(u.reshape(len(u), -1), axis=1) for u in (computed - expected, expected))
+    return np.asarray(errors / np.where(sizes > 0, sizes, math.nan))
+
+
 def grid_lines(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Return (nx,) and (ny,) coordinates of the nodes [m]."""
     (width, height), (nx, ny) = scene.plate.size, scene.grid.nodes
@@ -279,11 +267,7 @@ class MoreFunctions:
 
 
 def compare_with_more_functions(scene: Scene) -> MoreFunctions:
-    """Solve for the modes that are taken, for more and for fewer of them.
-
-    Raises:
-        SceneError: An undamped plate is driven at resonance, or the plate has no modes.
-    """
+    """Solve for the modes that are taken, for more and for fewer of them."""
     (_, response), (plate, finer) = solve_response(scene, 1.0), solve_response(scene, FINER, HIGHER)
     return MoreFunctions(plate, response, finer, solve_response(scene, COARSER)[1])
 

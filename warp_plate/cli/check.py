@@ -179,14 +179,14 @@ def accuracy(
     from warp_plate.accuracy.report import measure_accuracy
 
     name = find_device(device).alias
-    machine = describe_machine([name])
+    machine = describe_machine(name)
     with output.scene_errors(scene), output.progress_bar("measuring", shown=not files.json) as show:
         report = measure_accuracy(loaded, source=scene, device=name, path=path, budget=budget, on_progress=show)
-    record = {**report.as_json(), "machine": vars(machine), "versions": describe_versions()}
+    record = {**report.as_json(), "machine": machine, "versions": describe_versions()}
     from warp_plate.viz.plots.accuracy import draw_accuracy
 
     written = output.write_measurements(target, record, draw_accuracy, files.pictures)
-    show_report = partial(_print_accuracy, report, machine.devices[name])
+    show_report = partial(_print_accuracy, report, machine["devices"][name])
     output.report(files.json, lambda: record, show_report, written=written)
 
 

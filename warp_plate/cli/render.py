@@ -257,7 +257,7 @@ def span_of(shown: FrameOptions, end: float) -> tuple[float, float] | None:
 
 def select_focus_motions(file: Path, shown: FrameOptions, playback: PlaybackOptions) -> tuple[Scene, list[Motion]]:
     """Return the scene and the motions to show of a file of ``focus``."""
-    from warp_plate.focusing.motion import FRAMES, focus_motions
+    from warp_plate.focusing.figures import FRAMES, focus_motions
     from warp_plate.result.focus import load_focus
 
     if playback.modes:

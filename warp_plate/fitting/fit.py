@@ -85,13 +85,7 @@ class ModeFit(FittedPanel):
 
 
 def fit_modes(scene: Scene, measured: MeasuredModes) -> ModeFit:
-    """Fit the keys under ``[fit.free]`` of a scene to measured modes.
-
-    Residuals are relative errors of frequencies and of damping ratios; the residuals tell the size of both.
-
-    Raises:
-        SceneError: Shapes are missing that ``fit.pairing`` needs or lie off the plate, or see :func:`fit_panel`.
-    """
+    """Fit a scene to measured modes, by relative errors of frequencies and of damping ratios."""
     damped = np.flatnonzero(np.isfinite(measured.damping))
     count = len(measured.frequencies)
 
@@ -124,11 +118,7 @@ def fit_modes(scene: Scene, measured: MeasuredModes) -> ModeFit:
 
 
 def assurance(scene: Scene, measured: MeasuredModes, numbers: np.ndarray) -> np.ndarray | None:
-    """Return (n, n) MAC of measured shapes and of those of the scene's modes with these numbers, from 1; None without.
-
-    Raises:
-        SceneError: A point of the shapes is off the plate.
-    """
+    """Return (n, n) MAC of measured shapes and those of the modes with these numbers, from 1; None without shapes."""
     if measured.shapes is None:
         return None
     points = _points(scene, measured)
@@ -223,11 +213,7 @@ class ResponseFit(FittedPanel):
 
 
 def fit_responses(scene: Scene, measured: MeasuredResponses) -> ResponseFit:
-    """Fit the keys under ``[fit.free]`` of a scene to measured frequency responses.
-
-    Raises:
-        SceneError: The panel has no damping, or see :func:`fit_panel`.
-    """
+    """Fit the keys under ``[fit.free]`` of a scene to measured frequency responses."""
     free = free_numbers(scene)
     coarse, exact = (_Prediction(free, measured, coarse) for coarse in (True, False))
     stages = [_LogErrors(measured, width) for width in WIDTHS]

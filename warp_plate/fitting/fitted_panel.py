@@ -148,11 +148,7 @@ class PanelProblem:
 
 
 def fit_panel(cls: type[F], problem: PanelProblem, describe: Callable[[Scene], dict[str, Any]]) -> F:
-    """Fit a scene by least squares to measurements; ``describe`` returns further attributes for the fitted scene.
-
-    Raises:
-        SceneError: There are too few data, or a range leads to a scene that is refused.
-    """
+    """Fit a scene by least squares to measurements; ``describe`` returns further attributes for the fitted scene."""
     free, weigh = problem.free, problem.weigh
     fit, count = free.scene.fit, sum(kind.size for kind in problem.kinds)
     assert fit is not None

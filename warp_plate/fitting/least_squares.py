@@ -35,6 +35,7 @@ ROUNDS = 3
 LEVEL = 0.95
 # Half the distance of exchanged unknowns, and the part of the residuals' change that differs for mirror images.
 APART, ALIKE = 0.1, 1e-3
+# Function that returns weights (n,) for residuals (n,) and the leverage (n,) of each.
 Weigh = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
@@ -107,15 +108,9 @@ def fit_least_squares(
 ) -> LeastSquaresFit:
     """Return the unknowns within 0 ... 1 that minimise the squares of residuals.
 
-    Args:
-        predict: Prediction, which takes the time.
-        residuals: Residuals of it, from the smoothest to those that count; the optimum of each is the start of the
-            next.
-        starts: (starts, p) unknowns; the best of them are followed through the first stage.
-        weigh: Function that returns (n,) weights for residuals (n,) and the leverage (n,) of each, which is the number
-            of unknowns that it determines (default: all weights are 1).
-        exact: Prediction that is right, and takes more time. What ``predict`` lacks near the optimum is added to it,
-            and the deviations follow from the exact one's derivatives (default: ``predict`` is right).
+    The best of ``starts`` (starts, p) are followed; the optimum of each of ``residuals``, from the smoothest to those
+    that count, is the start of the next. What ``predict`` lacks near the optimum compared with ``exact``, which takes
+    more time, is added to it, and the deviations follow from the derivatives of ``exact``.
     """
     stages = [LeastSquaresProblem(predict, stage) for stage in residuals]
     costs = [np.sum(stages[0].residuals(start) ** 2) for start in starts]
@@ -206,10 +201,7 @@ def _judge(unknowns: np.ndarray, problem: LeastSquaresProblem, jacobian: np.ndar
 def bootstrap(
     optimum: LeastSquaresFit, kinds: Sequence[np.ndarray], weigh: Weigh | None, count: int, seed: int
 ) -> np.ndarray:
-    """Return (count, p) unknowns that were fitted to resampled data.
-
-    ``kinds`` are indices (m, parts) of residuals that are drawn together, a row at a time, from the rows of their kind.
-    """
+    """Return (count, p) unknowns of resampled data; rows of ``kinds`` (m, parts) are residuals drawn together."""
     problem, random = optimum.problem, np.random.default_rng(seed)
     residuals, jacobian = problem.residuals(optimum.unknowns), problem.jacobian(optimum.unknowns)
     slopes = (jacobian.T / problem.weights).T

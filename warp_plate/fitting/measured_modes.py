@@ -19,11 +19,13 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import LARGEST, SMALLEST
 
 MOST_BYTES, MOST_MODES = 2**22, 200
+MODE_COLUMNS = "frequency", "damping", "mode"
 # Limits of the columns' numbers, excluded, and how they are written.
 LIMITS = {
     "frequency": (SMALLEST, LARGEST, f"a number above {SMALLEST:g} and below {LARGEST:g} (hertz)"),
     "damping": (SMALLEST, 1.0, f"a ratio above {SMALLEST:g} and below 1, or empty"),
     "mode": (0.0, MOST_MODES + 1, f"a whole number from 1 to {MOST_MODES}, different in each line"),
+    **dict.fromkeys(("x", "y", "velocity", "uncertainty"), (-SMALLEST, math.inf, "a number, 0 or more")),
 }
 # First word of columns with shapes, and the rule for their numbers.
 SHAPE, NUMBER = "shape", (-LARGEST, LARGEST, f"a number of at most {LARGEST:g}")
@@ -65,7 +67,7 @@ def read_modes(path: Path) -> MeasuredModes:
     if not 1 <= len(cells) <= MOST_MODES:
         named = ", ".join(columns)
         raise SceneError(f"{path}: needs 1 to {MOST_MODES} numbers in a column 'frequency'; the columns are: {named}")
-    table = {name: _numbers(path, name, columns[name]) for name in LIMITS if name in columns}
+    table = {name: column_numbers(path, name, columns[name]) for name in MODE_COLUMNS if name in columns}
     order = np.argsort(table.get("mode", table["frequency"]), kind="stable")
     frequencies, numbers = table["frequency"][order], table.get("mode")
     damping = table.get("damping", np.full(len(cells), math.nan))[order]
@@ -73,7 +75,7 @@ def read_modes(path: Path) -> MeasuredModes:
     shaped = [name for name in columns if name.split()[0:1] == [SHAPE]]
     if not shaped:
         return MeasuredModes(str(path), frequencies, damping, numbers)
-    shapes = np.stack([_numbers(path, name, columns[name]) for name in shaped], axis=1)[order]
+    shapes = np.stack([column_numbers(path, name, columns[name]) for name in shaped], axis=1)[order]
     points = np.array([_point(path, name) for name in shaped])
     return MeasuredModes(str(path), frequencies, damping, numbers, shapes, points)
 
@@ -88,10 +90,7 @@ def _point(path: Path, name: str) -> tuple[float, float]:
 
 
 def _universal(path: Path) -> MeasuredModes:
-    """Return the modes of a universal file, those that bend the panel, by rising frequency.
-
-    Shapes and points are None if the places of the nodes (dataset 15) are missing.
-    """
+    """Return the modes of a universal file that bend the panel, without shapes if nodes have no places (dataset 15)."""
     check_file(path)
     try:
         sets = _sets(path)
@@ -170,7 +169,7 @@ def read_columns(path: Path) -> dict[str, Cells]:
     return columns
 
 
-def _numbers(path: Path, name: str, cells: Cells) -> np.ndarray:
+def column_numbers(path: Path, name: str, cells: Cells) -> np.ndarray:
     """Return the numbers of a column, NaN for empty dampings."""
     low, high, rule = LIMITS.get(name, NUMBER)
     values: list[float] = []
@@ -187,11 +186,7 @@ def _numbers(path: Path, name: str, cells: Cells) -> np.ndarray:
 
 
 def universal_responses(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return (1 + responses, n) frequencies and responses of the datasets 58, and their (responses, n) coherences.
-
-    Raises:
-        ValueError: The file cannot be read, or holds no responses at common frequencies.
-    """
+    """Return (1 + responses, n) frequencies and responses of the datasets 58, and their (responses, n) coherences."""
     functions = [item for item in _sets(path) if item.get("type") == 58]
     sets = [item for item in functions if item.get("func_type") == RESPONSE_FUNCTION]
     coherence = [item["data"] for item in functions if item.get("func_type") == COHERENCE]

@@ -148,11 +148,7 @@ def _along(name: str, values: np.ndarray, count: int) -> np.ndarray:
 
 
 def read_signals(path: Path) -> tuple[np.ndarray, float]:
-    """Return (channels, samples) values and samples per second of a WAV file, or of a CSV file with times [s] first.
-
-    Raises:
-        ValueError: The file is damaged, too large, or holds fewer than two channels.
-    """
+    """Return (channels, samples) values and samples per second of a WAV file, or of a CSV file with times [s] first."""
     if path.suffix.lower() == ".wav":
         values, rate = wav_channels(path.read_bytes())
     else:
@@ -168,11 +164,7 @@ def read_signals(path: Path) -> tuple[np.ndarray, float]:
 
 
 def estimate_responses(values: np.ndarray, rate: float, table: TimeSignals) -> Columns:
-    """Return responses estimated from signals (channels, samples); their coherence is None of a single segment.
-
-    Raises:
-        ValueError: A segment is longer than the signals or shorter than two samples, or there is no such channel.
-    """
+    """Return responses estimated from signals (channels, samples); their coherence is None of a single segment."""
     from scipy.signal import csd, welch
 
     samples, length = values.shape[1], round(min(table.segment * rate, 1e18))

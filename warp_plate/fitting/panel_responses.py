@@ -41,11 +41,7 @@ class PanelResponses:
     """Responses of a panel in the order of its tables ``[[measurement]]``: ``values`` (measurements, n)."""
 
     def __init__(self, scene: Scene, measured: MeasuredResponses, coarse: bool = False) -> None:
-        """Compute the responses at the frequencies of measured ones; ``coarse`` plates have few functions and modes.
-
-        Raises:
-            SceneError: The panel has no damping or too many modes, or an edge holds it where it is driven or sensed.
-        """
+        """Compute the responses at the frequencies of measured ones; ``coarse`` plates have few functions and modes."""
         frequencies, density = measured.frequencies, DENSITY if coarse else 1.0
         key = f"{measured.source}: highest frequency {frequencies[-1]:g} Hz, which fit.range can lower"
         plate = solve_modes(

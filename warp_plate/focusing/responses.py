@@ -96,10 +96,7 @@ class HeldResponses:
         return self.states(late)
 
     def end_motions(self, samples: int, waveforms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the modal amplitudes (sets, modes) at the end of waveforms (sets, actuators, samples), and B Bᵀ.
-
-        B is the matrix (modes, actuators · samples) of the amplitudes at the end under each sample.
-        """
+        """Return the modal amplitudes (sets, modes) at the end of waveforms (sets, actuators, samples), and B Bᵀ."""
         modes = self.plate.frequencies.size
         gram = np.zeros((modes, modes))
         for _, _, motions in self._end_blocks(samples):

@@ -42,12 +42,7 @@ class Wish:
 
 
 def make_wish(scene: Scene, given: np.ndarray | None) -> Wish:
-    """Return the wish of ``[focus]``: motion (samples,) or (foci, samples) that is given, that of its file, its burst,
-    or a pulse at its moment.
-
-    Raises:
-        SceneError: The file cannot be read, or the given motion has another shape, is no number or too long.
-    """
+    """Return the wish of ``[focus]``: (samples,) or (foci, samples) given or in its file, its burst, or a pulse."""
     table = scene.focus
     assert table is not None
     foci = len(table.points)

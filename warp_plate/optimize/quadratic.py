@@ -127,11 +127,7 @@ class ExactSearch(Optimizer):
 
 
 def best_position(space: SearchSpace, problem: Quadratic | None) -> np.ndarray:
-    """Return the position (dimension,) with the largest ratio of all drives that positions can have.
-
-    Raises:
-        MethodError: the loss is another one, or no position reaches the maximum; says which method to use.
-    """
+    """Return the position (dimension,) with the largest ratio, or raise a MethodError that names another method."""
     if problem is None:
         raise MethodError("needs energies that are quadratic forms of the drives; write 'cma'")
     if problem.ratio is None:

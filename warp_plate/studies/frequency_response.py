@@ -81,12 +81,7 @@ def frf(
 
 
 def respond_to_drive(scene: Scene, frequencies: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the spatial and temporal mean square velocity [m²/s²] under the scene's own drive, its localization factor
-    and the bound of all drives, each (frequencies,), if it were steady at each of the frequencies [Hz].
-
-    Raises:
-        SceneError: The scene is not linear, or see :func:`solve_modes`.
-    """
+    """Return (n,) mean square velocity [m²/s²] and localization factor under the scene's drive, and the bound."""
     check_linear(scene, None)
     plate = solve_modes(scene, frequencies.max(), key=f"highest frequency {frequencies.max():g}")
     forces = plate.actuator_forces() @ scene_phasors(scene)[:, None]

@@ -8,17 +8,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from warp_plate.cluster.pool import WorkerPool
 from warp_plate.modal.solver import MODAL
 from warp_plate.plate.files import digests
-from warp_plate.problem.evaluate_cases import EvaluatedCases, evaluate_objectives
+from warp_plate.problem.evaluate_cases import EvaluatedCases, evaluate_cases, evaluate_objectives
 from warp_plate.problem.methods import with_method
 from warp_plate.problem.problem import Problem, make_problem
+from warp_plate.problem.uncertainty import draw_scenarios, simulate_scenarios
 from warp_plate.resolve import EvaluatorName, Purpose, resolve
 from warp_plate.result.atomic_io import write_atomically
-from warp_plate.result.case import Case
+from warp_plate.result.case import Case, target_cases
 from warp_plate.result.checkpoint import Checkpoint, load_newest
-from warp_plate.result.model import Result, best_drive_scenes
+from warp_plate.result.model import Result, RobustComparison, TargetSearch, best_drive_scenes
 from warp_plate.scene.errors import SceneError, printable
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.solve.devices import processor_of
@@ -26,10 +29,9 @@ from warp_plate.studies.baselines import baseline_cases, check_baselines
 from warp_plate.studies.searches import (
     OnProgress,
     SearchOutcome,
-    compare_with_nominal,
-    evaluate_targets,
     initial_state,
     search_targets,
+    with_target,
 )
 from warp_plate.studies.simulate import estimate_error, optional_part
 from warp_plate.studies.spectrum import has_spectrum, make_spectrum
@@ -168,12 +170,9 @@ def resume(
 def load_to_resume(
     file: Path, scene: Scene | None, device: str | None, log: Callable[[str], object], **options: object
 ) -> Checkpoint:
-    """Load a checkpoint for :func:`resume`, or the one before it if it is damaged.
+    """Load a checkpoint for :func:`resume`, or the one before it, and log what may change the result's last digits.
 
-    Args:
-        scene: scene as given again, or None; files that it names are looked for in its folder.
-        log: called with a line for each thing that may change the last digits of the result.
-        options: values given again by their names in :class:`Checkpoint`, or None.
+    The scene and ``options`` are those given again, or None; files that the scene names are looked for in its folder.
     """
     checkpoint, remark = load_newest(file)
     if remark:
@@ -194,8 +193,7 @@ def load_to_resume(
 
 
 def save_best_scenes(result: Result, path: Path) -> list[Path]:
-    """Write the scene that ``simulate`` runs as the best drive found, PATH.toml; of several targets one each, the
-    others as PATH.2.toml, PATH.3.toml, ..."""
+    """Write the scene of the best drive, PATH.toml; of several targets one each, PATH.2.toml, PATH.3.toml, ..."""
     files = []
     for number, scene in enumerate(best_drive_scenes(result).values(), 1):
         file = path if number == 1 else path.with_suffix(f".{number}.toml")
@@ -280,3 +278,46 @@ def _optional_parts(
         with optional_part(seconds, "spectrum"):
             fields["spectrum"] = make_spectrum(problem, cases["best"])
     return {**fields, "cases": {**cases, **nominal, **unsearched}, "node_steps": node_steps + steps}
+
+
+def evaluate_targets(problem: Problem, searches: tuple[TargetSearch, ...]) -> EvaluatedCases:
+    """Simulate the cases of the first target, and the best drive of every other one."""
+    first, *others = searches
+    evaluated = evaluate_cases(problem, first.single_actuator, first.position)
+    cases, node_steps = dict(evaluated.cases), evaluated.node_steps
+    names = list(target_cases(problem.scene).values())[1:]
+    for index, (name, search) in enumerate(zip(names, others, strict=False), 1):  # fewer after Ctrl-C
+        other = with_target(problem, index)
+        more = evaluate_cases(other, search.single_actuator, search.position)
+        cases[name] = more.cases["best"]
+        node_steps += other.drive_solver.node_steps + more.node_steps
+    return replace(evaluated, cases=cases, node_steps=node_steps)
+
+
+def compare_with_nominal(
+    problem: Problem, single_actuator: int, position: np.ndarray, nominal_position: np.ndarray
+) -> tuple[RobustComparison, dict[str, Case], int]:
+    """Compare the position (dimension,) of a robust search with the best one of the nominal plate in new scenarios.
+
+    Return the comparison, the nominal drive as the case "nominal", and the node-steps besides those of the problem.
+    """
+    nominal, table = problem.nominal, problem.robust
+    evaluated = evaluate_cases(nominal, single_actuator, nominal_position)
+    designs = problem.parametrization.designs(np.stack([position, nominal_position]))
+    losses, node_steps = [], evaluated.node_steps
+    stepped = not problem.resolved.by_modes
+    for scenario in draw_scenarios(problem.scene, table.fresh, table.seed, validation=True, stepped=stepped):
+        panel = simulate_scenarios([scenario], problem.resolved)
+        losses.append(panel.losses(designs)[:, 0])
+        node_steps += sum(evaluator.node_steps for evaluator in panel.evaluators)
+    bound = problem.loss_bound
+    comparison = RobustComparison(
+        measure=f"quantile {table.quantile:g}" if table.measure == "quantile" else table.measure,
+        scenarios=table.scenarios,
+        localization=problem.objectives.only_localization,
+        bound=None if bound is None else float(problem.value_from_loss(bound.value)),
+        searched=np.asarray(problem.value_from_loss(problem.design_losses(designs))),
+        nominal_plate=np.asarray(problem.value_from_loss(nominal.design_losses(designs))),
+        validation=np.asarray(problem.value_from_loss(np.stack(losses, axis=1))),
+    )
+    return comparison, {"nominal": evaluated.cases["best"]}, node_steps

@@ -1,4 +1,4 @@
-"""Searches for the targets of a scene, from a checkpoint to the end or until Ctrl-C, and the cases of their drives."""
+"""Searches for the targets of a scene, from a checkpoint to the end or until Ctrl-C, and descents from their ends."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy
 
 from warp_plate.cluster.evaluator import Evaluator
 from warp_plate.interrupts import SecondInterrupt, check_interrupt, deferred_interrupts
@@ -17,20 +18,25 @@ from warp_plate.modal.solver import MODAL
 from warp_plate.optimize.optimizer import MethodError, Optimizer, minimize
 from warp_plate.optimize.quadratic import best_position
 from warp_plate.plate.weights import REGIONS
-from warp_plate.problem.evaluate_cases import EvaluatedCases, evaluate_cases, reference_phasors
+from warp_plate.problem.evaluate_cases import reference_phasors
 from warp_plate.problem.methods import make_optimizer
+from warp_plate.problem.objectives import loss_scale
 from warp_plate.problem.problem import Problem, make_problem
-from warp_plate.problem.uncertainty import draw_scenarios, simulate_scenarios
-from warp_plate.result.case import Case, target_cases, target_regions
+from warp_plate.result.case import target_regions
 from warp_plate.result.checkpoint import Checkpoint
-from warp_plate.result.model import RobustComparison, TargetSearch
+from warp_plate.result.model import TargetSearch
 from warp_plate.scene.errors import SceneError
-from warp_plate.studies.polish import polish
+from warp_plate.studies.spectrum import spectrum_frequencies
 from warp_plate.studies.unfinished import CheckpointFile
 
 # Called after each iteration with the iterations done, their total, and the best localization factor so far, or the
 # best weighted sum of the objectives.
 OnProgress = Callable[[int, int, float], object]
+# Differences for slopes of descents, in initial ranges.
+STEP = 1e-6
+# A descent ends where a step gains less, and the search where a round of descents does, as a part of the loss's scale.
+TOLERANCE, GAIN = 1e-10, 1e-7
+MOST_STEPS, MOST_ROUNDS = 40, 5
 
 
 def run_search(
@@ -39,11 +45,7 @@ def run_search(
     on_progress: OnProgress | None = None,
     checkpoints: CheckpointFile | None = None,
 ) -> tuple[Optimizer | None, bool]:
-    """Run a search; return its optimizer, None if there is nothing to search, and whether Ctrl-C ended it.
-
-    ``problem`` is that of the checkpoint's scene. Checkpoints are written at intervals, and when Ctrl-C or an error
-    ends the search.
-    """
+    """Run a search; return its optimizer, None if there is nothing to search, and whether Ctrl-C ended it."""
     if start.search_state is None:
         return None, False
     optimizer = search_optimizer(problem, start.seed, start.search_state)
@@ -114,11 +116,7 @@ def find_position(problem: Problem, seed: int) -> np.ndarray | None:
 
 
 def find_nominal_position(problem: Problem, seed: int) -> np.ndarray | None:
-    """Return the best position (dimension,) of a robust problem's nominal plate, from the same search without
-    uncertainty unless it is known exactly.
-
-    None for other problems, and if that search has no result, is refused or is interrupted.
-    """
+    """Return the best position (dimension,) of a robust problem's nominal plate; None if there is none."""
     if problem.scenario_losses is None:
         return None
     with suppress(KeyboardInterrupt, SceneError):
@@ -134,8 +132,7 @@ def finish_search(
 ) -> tuple[np.ndarray | None, int, dict[str, np.ndarray]]:
     """Return the position of all design variables, the evaluations and the history of a search that has ended.
 
-    A search of places, frequencies or delays by modes is followed by a descent; a robust search also tries the nominal
-    optimum.
+    A descent follows one of places, frequencies or delays by modes; a robust search also tries the nominal optimum.
     """
     if optimizer is None:
         return None, 0, {}
@@ -225,7 +222,7 @@ def search_targets(
         if interrupted:
             break
     if count > 1:
-        problem = _with_target(problem, 0)
+        problem = with_target(problem, 0)
     return SearchOutcome(start, problem, nominal_position, interrupted)
 
 
@@ -241,7 +238,7 @@ def _next_problem(problem: Problem, index: int, start: Checkpoint) -> Problem:
     return make_problem(replace(problem.resolved.with_scene(scene), evaluator=start.evaluator), matrices, problem.pool)
 
 
-def _with_target(problem: Problem, index: int) -> Problem:
+def with_target(problem: Problem, index: int) -> Problem:
     """Return a problem with another target, for simulating cases only."""
     scene = problem.scene.aimed_at(index)
     resolved, parametrization = problem.resolved.with_scene(scene), replace(problem.parametrization, scene=scene)
@@ -249,47 +246,77 @@ def _with_target(problem: Problem, index: int) -> Problem:
     return replace(problem, resolved=resolved, parametrization=parametrization, plates=plates)
 
 
-def evaluate_targets(problem: Problem, searches: tuple[TargetSearch, ...]) -> EvaluatedCases:
-    """Simulate the cases of the first target, and the best drive of every other one."""
-    first, *others = searches
-    evaluated = evaluate_cases(problem, first.single_actuator, first.position)
-    cases, node_steps = dict(evaluated.cases), evaluated.node_steps
-    names = list(target_cases(problem.scene).values())[1:]
-    for index, (name, search) in enumerate(zip(names, others, strict=False), 1):  # fewer after Ctrl-C
-        other = _with_target(problem, index)
-        more = evaluate_cases(other, search.single_actuator, search.position)
-        cases[name] = more.cases["best"]
-        node_steps += other.drive_solver.node_steps + more.node_steps
-    return replace(evaluated, cases=cases, node_steps=node_steps)
+def polish(problem: Problem, position: np.ndarray, loss: float) -> tuple[np.ndarray, float, int]:
+    """Return the minimum to which descents from a position of ``problem.space`` lead, its loss, and the evaluations."""
+    evaluations, space = 0, problem.space
+
+    def losses(points: np.ndarray) -> np.ndarray:
+        nonlocal evaluations
+        evaluations += len(points)
+        return problem.losses_without_clearance(space.from_unit(points))
+
+    point = space.to_unit(position)
+    for _ in range(MOST_ROUNDS):
+        before = loss
+        descended = _descend(losses, problem, point)
+        for tried in (descended, _best_frequency(losses, problem, descended)):
+            value = float(problem.losses(space.from_unit(tried[None]))[0])
+            if value < loss:
+                point, loss = tried, value
+        if not loss < before - GAIN * _scale(problem, before):
+            break
+    return space.from_unit(point[None])[0], loss, evaluations
 
 
-def compare_with_nominal(
-    problem: Problem, single_actuator: int, position: np.ndarray, nominal_position: np.ndarray
-) -> tuple[RobustComparison, dict[str, Case], int]:
-    """Compare the position (dimension,) of a robust search with the best one of the nominal plate.
+def _descend(losses: Callable[[np.ndarray], np.ndarray], problem: Problem, point: np.ndarray) -> np.ndarray:
+    """Return the nearest minimum within the space's limits and the actuators' clearance, by SLSQP."""
+    space = problem.space
+    limits = np.stack([space.to_unit(space.lower), space.to_unit(space.upper)], axis=1)
+    scale = _scale(problem, float(losses(point[None])[0]))
 
-    Both drives are simulated, as two plates of one launch, in each of ``search.robust.fresh`` new scenarios.
+    def loss_and_slope(at: np.ndarray) -> tuple[float, np.ndarray]:
+        steps = np.where(at + STEP <= limits[:, 1], STEP, -STEP)
+        values = losses(at + np.concatenate([np.zeros((1, at.size)), np.diag(steps)])) / scale
+        return float(values[0]), (values[1:] - values[0]) / steps
 
-    Returns:
-        The comparison, the nominal drive as the case "nominal", and the node-steps besides those of the problem.
-    """
-    nominal, table = problem.nominal, problem.robust
-    evaluated = evaluate_cases(nominal, single_actuator, nominal_position)
-    designs = problem.parametrization.designs(np.stack([position, nominal_position]))
-    losses, node_steps = [], evaluated.node_steps
-    stepped = not problem.resolved.by_modes
-    for scenario in draw_scenarios(problem.scene, table.fresh, table.seed, validation=True, stepped=stepped):
-        panel = simulate_scenarios([scenario], problem.resolved)
-        losses.append(panel.losses(designs)[:, 0])
-        node_steps += sum(evaluator.node_steps for evaluator in panel.evaluators)
-    bound = problem.loss_bound
-    comparison = RobustComparison(
-        measure=f"quantile {table.quantile:g}" if table.measure == "quantile" else table.measure,
-        scenarios=table.scenarios,
-        localization=problem.objectives.only_localization,
-        bound=None if bound is None else float(problem.value_from_loss(bound.value)),
-        searched=np.asarray(problem.value_from_loss(problem.design_losses(designs))),
-        nominal_plate=np.asarray(problem.value_from_loss(nominal.design_losses(designs))),
-        validation=np.asarray(problem.value_from_loss(np.stack(losses, axis=1))),
+    result = scipy.optimize.minimize(
+        loss_and_slope,
+        point,
+        jac=True,
+        method="SLSQP",
+        bounds=limits,
+        constraints=_clearance(problem, point),
+        options={"maxiter": MOST_STEPS, "ftol": TOLERANCE},
     )
-    return comparison, {"nominal": evaluated.cases["best"]}, node_steps
+    return np.asarray(np.clip(result.x, *limits.T))
+
+
+def _scale(problem: Problem, loss: float) -> float:
+    """Return the size to which tolerances of a loss refer."""
+    return max(abs(loss), loss_scale(problem.objectives.terms), 1e-300)
+
+
+def _clearance(problem: Problem, point: np.ndarray) -> list[scipy.optimize.LinearConstraint]:
+    """Return the clearance of the actuators, each on the side of the others where it is now; none if none moves."""
+    centre = problem.searched.designs(problem.space.from_unit(point[None])).centre
+    if centre is None:
+        return []
+    matrix, least = problem.clearance.constraints(centre[0])
+    of_point = np.zeros((len(matrix), len(point)))
+    for column, variable in enumerate(problem.searched.variables):
+        if variable.kind in ("x", "y"):
+            of_centre = matrix[:, 2 * variable.actuators[0] + (variable.kind == "y")]
+            of_point[:, column] = of_centre * problem.space.span[column]
+    return [scipy.optimize.LinearConstraint(of_point, least - matrix @ centre[0].ravel() + of_point @ point)]
+
+
+def _best_frequency(losses: Callable[[np.ndarray], np.ndarray], problem: Problem, point: np.ndarray) -> np.ndarray:
+    """Return the point with the best frequency of the result's spectrum; unchanged if it has none."""
+    frequencies = spectrum_frequencies(problem)
+    kinds = [variable.kind for variable in problem.searched.variables]
+    if not frequencies.size:
+        return point
+    points = np.tile(problem.space.from_unit(point[None]), (frequencies.size, 1))
+    points[:, kinds.index("frequency")] = frequencies
+    points = problem.space.to_unit(points)
+    return np.asarray(points[int(np.nanargmin(losses(points)))])

@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 
 from warp_plate.analysis.motion import motions
-from warp_plate.fitting.measured_modes import read_columns
+from warp_plate.fitting.measured_modes import column_numbers, read_columns
 from warp_plate.plate.weights import region_weights
 from warp_plate.result.model import Result
 from warp_plate.scene.errors import SceneError
@@ -113,25 +113,11 @@ def verify(result: Result, data: Path | MeasuredField, case: str | None = None) 
 
 
 def read_field(path: Path) -> MeasuredField:
-    """Return the velocities of a CSV file with the columns x, y [m], velocity [m/s] and maybe uncertainty [m/s].
-
-    Raises:
-        SceneError: The file cannot be read, or holds no such table.
-    """
+    """Return the velocities of a CSV file with the columns x, y [m], velocity [m/s] and maybe uncertainty [m/s]."""
     columns = read_columns(path)
     if missing := [name for name in COLUMNS[:3] if name not in columns]:
         raise SceneError(f"{path}: has no column {missing[0]!r}; the columns are: {', '.join(columns)}")
-    table = {}
-    for name in (name for name in COLUMNS if name in columns):
-        values = []
-        for line, cell in columns[name]:
-            try:
-                values.append(float(cell))
-            except ValueError:
-                values.append(math.nan)
-            if not math.isfinite(values[-1]) or values[-1] < 0:
-                raise SceneError(f"{path}: line {line}, {name} = {cell[:40]!r}: must be a number, 0 or more")
-        table[name] = np.array(values)
+    table = {name: column_numbers(path, name, columns[name]) for name in COLUMNS if name in columns}
     if not any(table["velocity"]):
         raise SceneError(f"{path}: needs velocities that are not all 0")
     points = np.stack([table["x"], table["y"]], axis=1)
