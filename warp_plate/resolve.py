@@ -145,13 +145,9 @@ def resolve(
 ) -> Resolved:
     """Decide the engine, grid and device of a scene.
 
-    A grid for ``grid.accuracy`` is that of the highest frequency that the scene's search may choose.
-
-    Args:
-        purpose: What the scene is resolved for.
-        path, evaluator: What is asked for, see :func:`choose_engine`.
-        phasors: (drives, actuators) drives whose errors matter (default: the usual ones).
-        allow_unstable: True if a time step above the stability limit is accepted.
+    A grid for ``grid.accuracy`` is that of the highest frequency that the scene's search may choose. ``path`` and
+    ``evaluator`` are what is asked for, see :func:`choose_engine`; ``phasors`` (drives, actuators) the drives whose
+    errors matter (default: the usual ones).
 
     Raises:
         SceneError: There is no such device, or no engine keeps the accuracy.

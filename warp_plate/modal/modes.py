@@ -257,11 +257,8 @@ def solve_modes(
 
 
 def modes_below(scene: SceneSource, highest: float, key: str = "highest frequency") -> ModalPlate:
-    """Return the modes of a linear scene up to a natural frequency [Hz], without those above, which cost most.
-
-    Raises:
-        SceneError: There is none, which the error says of ``key``, or see :func:`solve_modes`.
-    """
+    """Return the modes of a linear scene up to a natural frequency [Hz], without those above, which cost most;
+    SceneError: there is none, which the error says of ``key``, or see :func:`solve_modes`."""
     plate = solve_modes(scene, highest, alone=True, most=MOST_ALONE, key=f"{key} {highest:g}")
     plate = plate.part(np.flatnonzero(plate.frequencies <= highest))
     if not plate.frequencies.size:

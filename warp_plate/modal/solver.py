@@ -97,9 +97,7 @@ class ModalSolver:
     Args:
         scene: Scene, or its grid.
         device: Device of batches of designs under tones; everything else is computed on the CPU.
-        areas: Further regions whose energy runs return, by name.
-        per_plate: Quantities that may differ between plates besides their drives.
-        quantity: "velocity" or "displacement", see :class:`PlateSolver`.
+        areas, per_plate, quantity: See :class:`PlateSolver`.
 
     Attributes:
         discretization: Grid of displacements and traces.

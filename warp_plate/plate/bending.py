@@ -147,10 +147,8 @@ def _refused(term: Term) -> SceneError:
 
 
 def stiffness_parts(bending: Bending) -> dict[str, scipy.sparse.csr_array]:
-    """Return the symmetric matrices [N/m] of all nodes, row by row, edges included, that add up to K, by name.
-
-    ½uᵀKu is the energy stored by "bending", by in-plane forces and by springs.
-    """
+    """Return the symmetric matrices [N/m] of all nodes, row by row, edges included, that add up to K, by name: ½uᵀKu is
+    the energy stored by "bending", by in-plane forces and by springs."""
     (hx, hy), (ny, nx) = bending.spacing, bending.mass.shape
     curve_x = scipy.sparse.kron(scipy.sparse.eye_array(ny), _mirrored_second_difference(nx)) / hx**2
     curve_y = scipy.sparse.kron(_mirrored_second_difference(ny), scipy.sparse.eye_array(nx)) / hy**2
@@ -221,10 +219,8 @@ def join_masses(
 
 
 def buckling_factor(bending: Bending) -> float:
-    """Return the factor by which the in-plane forces can grow until the plate buckles; infinite if they never press.
-
-    It is the smallest μ with (K₀ + μG)u = 0, K₀ being the stiffness without in-plane forces and G their part of it.
-    """
+    """Return the factor by which the in-plane forces can grow until the plate buckles; infinite if they never press:
+    the smallest μ with (K₀ + μG)u = 0, K₀ being the stiffness without in-plane forces and G their part of it."""
     moves = np.flatnonzero(bending.moves)
     first, *others = stiffness_parts(replace(bending, membrane=(0.0, 0.0))).values()
     held = scipy.sparse.csr_array(sum(others, start=first))

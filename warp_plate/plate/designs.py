@@ -108,9 +108,7 @@ def check_designs(designs: Designs, scene: Scene, per_plate: PerPlate, time_step
     """Check designs for a solver that was made for ``per_plate``.
 
     Raises:
-        SceneError: The solver was not made for them, an array has another shape, values differ between actuators that
-            share them, the steps cannot carry a frequency, a delay is outside the run, or an actuator is outside its
-            area; the message names plate and actuator.
+        SceneError: The solver was not made for them, or they have a wrong shape, frequency, delay or place.
     """
     shape = (len(designs), len(scene.actuators))
     given: dict[str, np.ndarray] = {}
@@ -204,19 +202,11 @@ def scene_with(
     centre: np.ndarray | None = None,
     delay: np.ndarray | None = None,
 ) -> Scene:
-    """Return a scene with other values of its actuators (default: the scene's).
+    """Return a scene with other values (actuators,) of its actuators (default: the scene's): magnitudes [N/m², or V],
+    phase lags [rad], frequencies [Hz], centres (actuators, 2) [m] and starts of the bursts [s].
 
-    Forces stay forces. A frequency or delay that all actuators share becomes the drive's own.
-
-    Args:
-        magnitude: (actuators,) magnitudes [N/m², or V].
-        phase: (actuators,) phase lags [rad].
-        frequency: (actuators,) frequencies [Hz].
-        centre: (actuators, 2) x, y of the actuators' centres [m].
-        delay: (actuators,) starts of the bursts [s].
-
-    Raises:
-        SceneError: No scene may have such numbers, for example a magnitude beyond 1e30.
+    Forces stay forces. A frequency or delay that all actuators share becomes the drive's own. SceneError: no scene may
+    have such numbers, for example a magnitude beyond 1e30.
     """
     actuators: list[dict[str, Any]] = [actuator.model_dump() for actuator in scene.actuators]
     drive = scene.drive.model_dump()

@@ -18,11 +18,7 @@ MOST_TABLES = 4
 
 
 def read_beside(key: str, name: str, folder: Path | None) -> bytes:
-    """Return the content of a file in the scene's folder.
-
-    Args:
-        key: Key of the scene that names the file.
-        folder: The scene's folder; None if it was not read from a file.
+    """Return the content of a file in the scene's folder, None if the scene was not read from a file; ``key`` names it.
 
     Raises:
         SceneError: There is no folder, the file is not in it, or it is too large.

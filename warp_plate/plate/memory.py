@@ -35,11 +35,7 @@ def machine_memory() -> float:
 
 
 def refuse_beyond_memory(needed: float, what: str) -> None:
-    """Refuse to take more than SHARE of the memory.
-
-    Raises:
-        SceneError: ``needed`` bytes are more; the message begins with ``what``, the keys at fault.
-    """
+    """Raise a SceneError that begins with the keys at fault if ``needed`` bytes are more than SHARE of the memory."""
     room = SHARE * machine_memory()
     if needed > room:
         raise SceneError(

@@ -74,10 +74,8 @@ def natural_modes(scene: Scene, count: int) -> NaturalModes:
     """Return the first ``count`` undamped modes of the scene's grid, or all if the grid has fewer.
 
     Modes of one frequency are turned so that a weight of x² + y²/2 about the middle does not couple them: sides stay
-    recognizable and every machine gives the same. The peak of a shape is positive.
-
-    Raises:
-        SceneError: ``make_scheme`` refuses the scene, or count is below 1.
+    recognizable and every machine gives the same. The peak of a shape is positive. SceneError: see ``make_scheme``, or
+    count is below 1.
     """
     if count < 1:
         raise SceneError(f"count = {count}: must be at least 1")

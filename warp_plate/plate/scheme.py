@@ -103,13 +103,11 @@ def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = 
     Args:
         allow_unstable: Accept a time step above the stability limit.
         moment_form: Use the moment form also where a plain plate would do.
-        stepped: False for a plate by modes, which uses the time step only for its traces, so that it need not be
-            stable.
+        stepped: False for a plate by modes, whose time step only serves its traces and need not be stable.
 
     Raises:
-        SceneError: The scene asks for an accuracy instead of a grid; its time step is above the stability limit or too
-            long for the drive's frequency; its window holds no half-step; its run is longer than MOST_STEPS; or grid or
-            run take more memory than there is.
+        SceneError: No grid is chosen yet; the time step is unstable or too long for the drive; the window holds no
+            half-step; or the run is longer than MOST_STEPS, or takes more memory than there is.
     """
     plate, grid = scene.plate, scene.grid
     check_grid(scene, moment_form)
@@ -259,12 +257,7 @@ class Discretization:
 def discretize(
     scene: Scene, per_plate: PerPlate = NO_PER_PLATE, allow_unstable: bool = False, stepped: bool = True
 ) -> Discretization:
-    """Discretize a scene.
-
-    Args:
-        per_plate: Quantities that may differ between the plates of a batch.
-        allow_unstable: Accept a time step above the stability limit.
-        stepped: False for a plate by modes, see ``make_scheme``.
+    """Discretize a scene for plates that differ in ``per_plate``; for all else see ``make_scheme``.
 
     Raises:
         SceneError: ``make_scheme`` or ``region_weights`` refuse the scene, or it does not support ``per_plate``.

@@ -96,11 +96,8 @@ def factors_at(scene: Scene, x: np.ndarray, y: np.ndarray) -> dict[str, np.ndarr
 
 
 def factor_arrays(scene: Scene) -> dict[str, np.ndarray]:
-    """Return the arrays (rows, columns) of factors of the scene's maps, by name.
-
-    Raises:
-        SceneError: A file cannot be read or holds no such array, or the plate is not thin everywhere.
-    """
+    """Return the arrays (rows, columns) of factors of the scene's maps, by name; SceneError: no such file, or not
+    thin."""
     arrays = {}
     for key, given in scene.effects.factor_maps.items():
         head = f"{FACTOR_MAPS}.{key}"
@@ -131,10 +128,8 @@ def _parts(length: float, nodes: int, cuts: list[float]) -> _Parts:
 def laminates(
     scene: Scene, x: np.ndarray, y: np.ndarray, factors: dict[str, np.ndarray]
 ) -> tuple[Rigidities, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """Return rigidities and twist [N·m], mass [kg/m²] and membrane stiffness [N/m] at points x, y [m].
-
-    ``factors`` are those of :func:`factors_at`, at the points (y, x).
-    """
+    """Return rigidities and twist [N·m], mass [kg/m²] and membrane stiffness [N/m] at points x, y [m], with the factors
+    of :func:`factors_at` at the points (y, x)."""
     plate, ratio = scene.plate, scene.plate.poisson_ratio
     thickness = plate.thickness * factors["thickness"]
     mass = plate.density * factors["density"] * thickness

@@ -131,11 +131,9 @@ def check_rate(scene: Scene, time_step: float) -> None:
 def make_signals(
     scene: Scene, time_step: float, steps: int, folder: Path | None = None, per_actuator: bool = False
 ) -> Signals:
-    """Return the signals of a scene at t = n·time_step.
+    """Return the signals of a scene at t = n·time_step, with the file of ``[drive.signal]`` from a folder.
 
-    Args:
-        folder: Folder of the file of ``[drive.signal]``.
-        per_actuator: Give every actuator separate waves, even if it could share them; no file is a carrier.
+    With ``per_actuator`` every actuator has separate waves, even if it could share them; no file is a carrier then.
 
     Raises:
         SceneError: The steps cannot carry a frequency or burst, or a file is missing or malformed.
@@ -156,21 +154,17 @@ def waves_per_plate(
     """Return (plates, steps, terms) waves of plates that differ in frequency or start of the burst.
 
     The terms are those of ``make_signals``, with ``per_actuator`` if there are several carriers; no file is a carrier.
-
-    Args:
-        frequency: (plates, carriers) [Hz], one carrier for all actuators or one for each.
-        delay: (plates, carriers) starts of the burst [s]; None without bursts.
+    Frequencies [Hz] and delays [s], None without bursts, are (plates, carriers), one carrier for all actuators or one
+    for each.
     """
     return _columns(scene, steps, _separate_carriers(scene, time_step, steps, frequency, delay))[0]
 
 
 def running_sums(wave: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the running sums over the steps of waves (..., steps, terms), scaled below two in size.
+    """Return the running sums over the steps of waves (..., steps, terms), scaled below two in size, and the powers of
+    two (..., terms) by which they are scaled.
 
     A linear plate that begins at rest answers them with the running sums of its rates, which are its displacements.
-
-    Returns:
-        The sums, and the powers of two (..., terms) that they were divided by.
     """
     sums = np.cumsum(wave, axis=-2)
     size = _power_of_two(np.abs(sums).max(axis=-2))

@@ -65,11 +65,8 @@ class StabilityLimit:
 
 
 def find_limit(scene: Scene, moment_form: bool = False) -> tuple[StabilityLimit, Bending | None]:
-    """Return the limit of a scene with a grid, and the plate in moment form if it needs or ``moment_form`` asks for it.
-
-    Raises:
-        SceneError: The plate buckles, or fourth order is asked of a plate in moment form.
-    """
+    """Return the limit of a scene with a grid, and the plate in moment form if it needs or ``moment_form`` asks for it;
+    SceneError: the plate buckles, or fourth order is asked of a plate in moment form."""
     if not (moment_form or needs_moment_form(scene)):
         return _limit_of_plain_plate(scene), None
     if scene.grid.order == 4:

@@ -131,10 +131,8 @@ def read_channels(
 ) -> tuple[np.ndarray, float, float]:
     """Return values (channels, samples), rate [1/s] and start [s] of a file in the scene's folder.
 
-    Args:
-        key: Key of the table, which errors name.
-        channels: Number of channels, one for each owner; None for a file with one channel for all.
-        owner: "actuator" or "point".
+    The file has a channel for each owner, "actuator" or "point", or one for all if ``channels`` is None; ``key`` is
+    that of its table.
 
     Raises:
         SceneError: There is no such file, it is too large, or it is not what its ending says.
@@ -199,11 +197,7 @@ def sample_at(samples: Samples, times: np.ndarray, band: float = 1.0) -> np.ndar
 
 
 def wav_channels(data: bytes) -> tuple[np.ndarray, float]:
-    """Return values (channels, samples) and rate of a RIFF WAVE file of integers or floating point.
-
-    Raises:
-        ValueError: It is no such file, or is damaged.
-    """
+    """Return values (channels, samples) and rate of a RIFF WAVE file; ValueError: it is none, or is damaged."""
     if data[:4] != b"RIFF" or data[8:12] != b"WAVE":
         raise ValueError("not a WAV file")
     stated = int.from_bytes(data[4:8], "little") + 8

@@ -34,10 +34,8 @@ class EvaluatedCases:
 
 
 def evaluate_cases(problem: Problem, single: int, position: np.ndarray | None) -> EvaluatedCases:
-    """Run the reference drives at the scene's own frequency and places, and the best position (dimension,).
-
-    ``single`` is the index of the best single actuator, which replaces the best position if that is None.
-    """
+    """Run the reference drives at the scene's own frequency and places, and the best position (dimension,), or the best
+    single actuator, of index ``single``, if that is None."""
     scene, parametrization = problem.scene, problem.parametrization
     singles = magnitude_unit(scene) * np.eye(len(scene.actuators), dtype=complex)
     phasors = {"equal": singles.sum(axis=0), "single": singles[single]}

@@ -70,10 +70,8 @@ class Objectives:
         return np.where(excess > 0, worst + excess, -values["sum"])
 
     def values(self, energy: np.ndarray, displacement_energy: np.ndarray | None = None) -> dict[str, np.ndarray]:
-        """Return values (plates,) by the objectives' kinds and their weighted "sum".
-
-        Velocity and displacement come with those "of the rest". The arguments are those of :meth:`losses`.
-        """
+        """Return values (plates,) by the objectives' kinds, also "of the rest" where these have them, and their
+        weighted "sum"; the arguments are those of :meth:`losses`."""
         values: dict[str, np.ndarray] = {}
         for term in self.terms:
             quantity = REGION_QUANTITIES[term.kind]

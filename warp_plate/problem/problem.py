@@ -160,10 +160,8 @@ class Problem:
         return 1 - loss if self.objectives.only_localization else -loss
 
     def objective_values(self, position: np.ndarray) -> dict[str, float]:
-        """Return the values of a position (dimension,), and the "bound" of their sum if one is known.
-
-        Empty if only the localization factor counts, which a result has. No bound is given beyond a limit.
-        """
+        """Return the values of a position (dimension,), and the "bound" of their sum if one is known and no limit is
+        passed; empty if only the localization factor counts, which a result has."""
         if self.objectives.only_localization:
             return {}
         designs = self.parametrization.designs(position[None])
@@ -313,10 +311,8 @@ class Problem:
 def make_problem(resolved: Resolved, matrices: np.ndarray | None = None, pool: WorkerPool | None = None) -> Problem:
     """Return the problem of a resolved scene, robust where it has ``[search.robust]``.
 
-    Args:
-        resolved: scene; without an evaluator, a robust search takes "response" if it can, and others "direct".
-        matrices: ``SearchPlates.matrices`` where they are known (default: they are measured).
-        pool: workers that run batches (default: this process does).
+    Without an evaluator, a robust search takes "response" if it can, and others "direct". Known
+    ``SearchPlates.matrices`` are not measured again; the workers of a pool run batches.
 
     Raises:
         SceneError: see ``parametrization_of``, ``with_common_step``, ``make_objectives``, ``draw_scenarios`` and

@@ -117,8 +117,7 @@ def _moved_actuators(scene: Scene, offset: np.ndarray) -> list[dict[str, Any]]:
 
 
 def _per_plate(scene: Scene, place: float) -> PerPlate:
-    """Return the quantities that may differ between plates, with each actuator's area wider by ``place`` [m] on all
-    sides."""
+    """Return the quantities that may differ between plates, with the actuators' areas wider by ``place`` [m]."""
     per_plate = per_plate_of(scene)
     if not place:
         return per_plate

@@ -53,10 +53,8 @@ def biharmonic(u: np.ndarray, spacing: tuple[float, float]) -> np.ndarray:
 
 
 def with_ghosts(u: np.ndarray, edges: tuple[str, str, str, str]) -> np.ndarray:
-    """Return u (..., ny, nx) with one ghost node beyond each edge; edges are left, bottom, right, top.
-
-    Clamped, ∂u/∂n = 0: the ghost equals the first inner node. Supported, ∂²u/∂n² = 0 with u = 0: its negative.
-    """
+    """Return u (..., ny, nx) with one ghost node beyond each edge, left, bottom, right, top: clamped, ∂u/∂n = 0, it
+    equals the first inner node; supported, ∂²u/∂n² = 0 with u = 0, its negative."""
     sign = {"clamped": 1.0, "supported": -1.0}
     left, bottom, right, top = (sign[edge] for edge in edges)
     ghosted = np.zeros((*u.shape[:-2], u.shape[-2] + 2, u.shape[-1] + 2))
@@ -69,11 +67,9 @@ def with_ghosts(u: np.ndarray, edges: tuple[str, str, str, str]) -> np.ndarray:
 
 
 def curvature_matrix(nodes: int, spacing: float, low: str, high: str) -> np.ndarray:
-    """Return the (nodes, nodes) matrix of ∂² of fourth order [1/m²], for u = 0 at both ends.
-
-    Inside (−1, 16, −30, 16, −1)/12, with the ghost −u₁ beyond a supported end and no curvature on it; at a clamped end
-    the rows of nodes 0 and 1 that ``plate.operator`` derives.
-    """
+    """Return the (nodes, nodes) matrix of ∂² of fourth order [1/m²], for u = 0 at both ends: inside (−1, 16, −30, 16,
+    −1)/12, with the ghost −u₁ beyond a supported end and no curvature on it, and the rows that ``plate.operator``
+    derives at a clamped one."""
     matrix = np.zeros((nodes, nodes))
     for node in range(2, nodes - 2):
         matrix[node, node - 2 : node + 3] = np.array([-1, 16, -30, 16, -1]) / 12
