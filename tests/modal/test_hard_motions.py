@@ -23,6 +23,7 @@ CASES = {
     "burst, overdamped": {"damping": 1e5, "burst": ABRUPT, "window": (0.002, 0.012)},
     "burst at resonance": {**SUPPORTED, "frequency": "first", "burst": EARLY},
     "long after a burst": {"damping": 88.3, "burst": EARLY, "window": (0.1, 0.12)},
+    "displacements between corners": {"damping": 88.3, "burst": EARLY, "window": (0.001, 0.004)},
 }
 
 
@@ -37,7 +38,7 @@ def plate_of(frequency=290.0, damping=None, burst=None, **tables):
     return solve_modes(scene_of(frequency=frequency, damping=damping, **drive, **tables), density=DENSITY)
 
 
-def mean_over_time(plate, regions, corners=()):
+def mean_over_time(plate, regions, corners=(), velocity=True):
     """Return the mean energies (regions,) of the motion, by Gauss's rule on panels that narrow towards corners [s]."""
     window, points = plate.scene.window, np.polynomial.legendre.leggauss(8)
     narrow = [corner + np.geomspace(1e-7, 1e-4, 20) for corner in (0.0, *corners)]
@@ -45,7 +46,7 @@ def mean_over_time(plate, regions, corners=()):
     breaks = np.unique(breaks[(breaks >= window.start) & (breaks <= window.end)])
     half = np.diff(breaks)[:, None] / 2
     times = (breaks[:-1, None] + half * (1 + points[0])).ravel()
-    rates = modal_motion(plate, PHASORS, times, velocity=True)[:, 0]
+    rates = modal_motion(plate, PHASORS, times, velocity)[:, 0]
     weights = (half * points[1]).ravel() / (window.end - window.start) / 2
     return np.array([((rates * (region @ rates)).sum(axis=0) * weights).sum() for region in regions])
 
@@ -56,13 +57,15 @@ def test_energies_are_means_over_time(name):
     scene, regions = plate.scene, [plate.kinetic_matrix(), plate.kinetic_matrix(plate.scene.target)]
     frequency, forces = np.full((1, 3), scene.drive.frequency), plate.actuator_forces()[None]
     settings = frequency, np.array([[actuator.area for actuator in scene.actuators]]), np.zeros((1, 3))
-    energies, corners = ModalEnergies(plate, regions), () if scene.drive.burst is None else (0.001, 0.003, 0.004)
+    quantity = "displacement" if "displacements" in name else "velocity"
+    energies = ModalEnergies(plate, regions, quantity)
     found = [
-        quadratic_forms(gram_matrices(plate, regions, forces, frequency, scene.window)[0], PHASORS)[0],
+        quadratic_forms(gram_matrices(plate, regions, forces, frequency, scene.window, quantity)[0], PHASORS)[0],
         energies.slopes(PHASORS, *settings).energy[0],
         energies.values(PHASORS, *settings)[0],
     ]
-    exact = mean_over_time(plate, regions, corners)
+    corners = () if scene.drive.burst is None else (0.001, 0.003, 0.004)
+    exact = mean_over_time(plate, regions, corners, quantity == "velocity")
     assert np.allclose(found, exact, rtol=5e-5, atol=0)
 
 

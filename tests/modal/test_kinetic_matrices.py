@@ -89,14 +89,6 @@ def test_parts_add_up(layered_plate):
     assert np.allclose(whole + 3e-3 * np.outer(motion, motion), np.eye(300), rtol=0, atol=1e-9)
 
 
-def test_rectangle_is_a_polygon(layered_plate):
-    """Both are exact, whatever layers and splines lie across them; sides at other positions along x than along y."""
-    x0, x1, y0, y1 = area = REGIONS["rectangle"]
-    outline = Target(polygon=[(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
-    matrix, expected = (layered_plate.kinetic_matrix(region)[:MODES, :MODES] for region in (area, outline))
-    assert np.allclose(matrix, expected, rtol=0, atol=1e-10)
-
-
 def test_polygon_across_a_layer(layered_plate):
     """Its outline crosses all sides of the layer: parts that a layer's line cuts off along each axis add up to it."""
     polygon, (left, _, bottom, _) = REGIONS["concave polygon"], LAYER["area"]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from support.scenes import scene_of
+from support.scenes import areas_of, scene_of
 from warp_plate.modal.gram import gram_matrices
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.optimize.quadratic import quadratic_forms
@@ -15,6 +15,12 @@ BURSTS = {
     "single": {"start": 0.001, "ramp": 0.0015, "duration": 0.004},
     "repeated and abrupt": {"ramp": 0.0, "duration": 0.0025, "period": 0.004},
 }
+
+
+def areas_at(scene, centre):
+    """Return the rectangles (..., actuators, 4) of the actuators around centres (..., actuators, 2) [m]."""
+    half = np.diff(areas_of(scene), axis=2)[..., 0] / 2
+    return np.stack([centre - half, centre + half], axis=-1).reshape(*centre.shape[:-1], 4)
 
 
 def coarse(scene):
@@ -32,9 +38,7 @@ def test_energies_are_those_of_the_closed_form(name, damping, random):
     drives = random.normal(size=shape) + 1j * random.normal(size=shape)
     centre = random.uniform([0.04, 0.04], [0.16, 0.16], (*shape, 2))
     designs = Designs(drives, random.uniform(200, 400, shape), centre, random.uniform(0, 0.006, shape))
-    half = np.array([np.diff(np.reshape(actuator.area, (2, 2)))[:, 0] / 2 for actuator in scene.actuators])
-    areas = np.stack([centre - half, centre + half], axis=-1).reshape(*shape, 4)
-    forces = np.stack([solver.plate.patch_forces(each) for each in areas])
+    forces = np.stack([solver.plate.patch_forces(areas) for areas in areas_at(scene, centre)])
     regions = [solver.plate.kinetic_matrix(region) for region in ("plate", scene.target)]
     exact = gram_matrices(solver.plate, regions, forces, designs.frequency, scene.window, delay=designs.delay)
     size = np.abs(exact).max(axis=(2, 3), keepdims=True)
@@ -56,11 +60,8 @@ def test_places_under_sweeps(random):
     """Plates with other places are those of a scene with its actuators there."""
     scene = coarse(scene_of(damping=60.0, target=TARGET, window=(0.002, 0.006), drive=CHIRP))
     centre = random.uniform([0.04, 0.04], [0.16, 0.16], (1, 3, 2))
-    half = np.array([np.diff(np.reshape(actuator.area, (2, 2)))[:, 0] / 2 for actuator in scene.actuators])
-    areas = np.stack([centre[0] - half, centre[0] + half], axis=-1).reshape(3, 4)
-    rows = [
-        {**row.model_dump(), "area": tuple(area.tolist())} for row, area in zip(scene.actuators, areas, strict=True)
-    ]
+    pairs = zip(scene.actuators, areas_at(scene, centre[0]).tolist(), strict=True)
+    rows = [{**actuator.model_dump(), "area": tuple(area)} for actuator, area in pairs]
     drives = random.normal(size=(1, 3)) + 1j * random.normal(size=(1, 3))
     moved = ModalSolver(scene, per_plate=PerPlate(centre=True)).run(Designs(drives, centre=centre)).energy
     assert np.allclose(moved, ModalSolver(scene.with_tables(actuators=rows)).run(drives).energy, rtol=1e-3)

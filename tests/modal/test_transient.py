@@ -5,7 +5,6 @@ sums of tones that are switched on and off at their corners.
 """
 
 import math
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from warp_plate.modal.energies import ModalEnergies
 from warp_plate.modal.gram import gram_matrices
 from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.motion import fields, modal_motion, trace
-from warp_plate.optimize.quadratic import quadratic_forms
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
 from warp_plate.reference import series
 
@@ -92,30 +90,6 @@ def test_bursts_move_modes_as_tones_that_are_switched(burst):
         exact = amplitudes(plate, actuator, phasor, times)[:MODES]
         moved = (phasor * motion[:, actuator]).real
         assert np.allclose(moved, exact, rtol=0, atol=1e-9 * np.abs(exact).max())
-
-
-@pytest.mark.parametrize(
-    ("window", "quantity"),
-    [((0.002, 0.007), "velocity"), ((0.0035, 0.0091), "displacement"), ((0.0, 0.004), "velocity")],
-)
-def test_gram_matrices_are_means_of_products(window, quantity):
-    """Windows begin and end at corners of bursts; of any symmetric matrix G, ½ mean of q̇ᵀ G q̇ is zᵀ matrix z."""
-    scene = bursts(window=window, burst={**BURST, "ramp": 0.0} if window[0] else BURST)
-    plate, random = solve_modes(scene, highest=100.0, density=0.5), np.random.default_rng(2)
-    root = random.normal(size=(len(plate.frequencies), 3)) / (1 + plate.frequencies[:, None] / 300) ** 2
-    region, phasors = root @ root.T, random.normal(size=(3, 2)) @ [1, 1j]
-    matrix = gram_matrices(
-        plate, [region], plate.actuator_forces()[None], actuator_frequencies(scene)[None], scene.window, quantity
-    )[0]
-    points, weights = np.polynomial.legendre.leggauss(8)
-    corners = {moment for actuator in range(3) for moment, _, _ in switched_terms(scene, actuator)}
-    cuts = sorted({*window, *(moment for moment in corners if window[0] < moment < window[1])})
-    breaks = np.unique(np.concatenate([np.linspace(early, late, 40) for early, late in pairwise(cuts)]))
-    half = np.diff(breaks)[:, None] / 2
-    times = (breaks[:-1, None] + half * (1 + points)).ravel()
-    rates = sum(amplitudes(plate, k, phasors[k], times, int(quantity == "velocity")) for k in range(3))
-    mean = ((root.T @ rates) ** 2).sum(axis=0) @ (half * weights).ravel() / (window[1] - window[0])
-    assert quadratic_forms(matrix, phasors[None])[0, 0] == pytest.approx(mean / 2, rel=1e-5)
 
 
 def test_designs_have_their_own_frequencies_delays_and_places():
@@ -257,10 +231,7 @@ def test_each_actuator_has_a_channel(tmp_path):
 
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param(name, marks=() if name in ("burst", "sweep", "moving load") else pytest.mark.slow)
-        for name in STEPPED
-    ],
+    [pytest.param(name, marks=() if name in FAST else pytest.mark.slow) for name in STEPPED],
 )
 @pytest.mark.parametrize("nodes", [(21, 41), pytest.param((41, 81), marks=pytest.mark.slow)])
 def test_stepping_converges_to_the_motion(name, nodes, tmp_path):

@@ -76,15 +76,6 @@ def test_unstable_time_step_is_refused_with_the_limit(scene):
     assert make_scheme(scene(damping=88.5, scheme="backward")).limit < limit
 
 
-def test_damped_steps_keep_to_their_equations(scene):
-    """ρH(v⁺ − v)/Δt = f − c(v⁺ + v)/2 centred in time, f − c v backward, for f = 0 and for v = 0."""
-    for damping in ("centred", "backward"):
-        made = make_scheme(scene(damping=88.5, scheme=damping))
-        inertia, half = made.surface_density / made.time_step, 88.5 / 2 if damping == "centred" else 0.0
-        assert inertia * (made.decay - 1) == pytest.approx(-(88.5 - half) - half * made.decay, rel=1e-9)
-        assert made.gain == pytest.approx(1 - half * made.gain / inertia, rel=1e-9)
-
-
 def test_default_time_step(scene):
     """A whole number of steps to the end of the window, as few as 0.9 of the limit and 20 steps a period allow."""
     for nodes in ((13, 13), (17, 9), (27, 27)):

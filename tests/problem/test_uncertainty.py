@@ -183,17 +183,6 @@ def test_bits_do_not_depend_on_how_a_batch_is_cut(phasors):
     np.testing.assert_array_equal(replace(responses, block=13).losses(designs), responses.losses(designs))
 
 
-def test_scenarios_share_kernels_wherever_their_actuators_are():
-    """On CUDA the rows that some actuator loads are compiled in: all scenarios have those of their wider areas."""
-    scenarios = draw_scenarios(robust(**{**TOLERANCES, "place": 0.05}), 6, 0)
-    solvers = [
-        evaluator.solver for evaluator in simulate_scenarios(scenarios, resolve(scenarios[0].scene, "cpu")).evaluators
-    ]
-    assert len({tuple(solver.specialized.loaded_rows) for solver in solvers}) == 1
-    alone = {tuple(PlateSolver(scenario.scene, "cpu").specialized.loaded_rows) for scenario in scenarios}
-    assert len(alone) > 1
-
-
 @pytest.mark.parametrize("searched", [False, True])
 def test_actuators_are_off_by_their_offsets(device, path, phasors, searched):
     """A scene written out with its patches where they are moves the same; a patch stops at an edge of the plate."""
