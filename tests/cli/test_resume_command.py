@@ -15,7 +15,7 @@ import pytest
 from support.commands import error_of, output_of, start_program
 from support.searches import assert_same_results, stop_after
 from warp_plate import Scene, SceneError, load_result, localize, resume
-from warp_plate.result.checkpoint import load_newest, previous_path
+from warp_plate.result.checkpoint import load_checkpoint
 from warp_plate.studies.unfinished import CheckpointFile
 
 QUICK = ("--no-pictures", "--no-estimate")
@@ -69,15 +69,7 @@ def test_the_command_resumes(command, resumable, left):
             assert result.cases[name].energy == case.energy
 
 
-def test_a_damaged_checkpoint_gives_way_to_the_one_before(command, left):
-    """The file before it is used; if that is damaged too, the newer one is named."""
-    previous = previous_path(left)
-    previous.write_bytes(left.read_bytes())
-    left.write_bytes(b"x")
-    status, _, err = command("localize", "--resume", left, *QUICK)
-    assert (status, len(err.splitlines())) == (0, 1)
-    assert "panel-localize.checkpoint.previous.h5, 5 of 60 iterations" in err
-    previous.write_bytes(b"y")
+def test_a_damaged_checkpoint_is_refused(command, left):
     left.write_bytes(b"x")
     assert "panel-localize.checkpoint.h5: damaged: " in error_of(command("localize", "--resume", left, *QUICK))
 
@@ -107,7 +99,7 @@ def test_killed_at_random_moments(kills, resumable, random, write_scene):
     arguments, reached = [*COMMAND, "--checkpoint-every", "0"], [0]
     for _ in range(kills):
         assert not killed(arguments, random.uniform(0, 0.3 / kills))
-        checkpoint, _ = load_newest(FILE)
+        checkpoint = load_checkpoint(FILE)
         reached.append(checkpoint.iterations)
         arguments = ["localize", "--resume", str(FILE), *QUICK, "--checkpoint-every", "0"]
     assert reached == sorted(reached)
@@ -115,7 +107,7 @@ def test_killed_at_random_moments(kills, resumable, random, write_scene):
     assert_same_results(
         replace(found, source="panel.toml"), localize(resumable, source="panel.toml", device="cpu", estimate=False)
     )
-    CheckpointFile(FILE, resumes=True).remove()
+    CheckpointFile(FILE).remove()
     assert [path.name for path in Path().iterdir()] == ["panel.toml"]
 
 

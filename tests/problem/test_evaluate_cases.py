@@ -106,7 +106,7 @@ def test_searches_for_several_targets_keep_them_in_files_and_checkpoints(scene, 
     targets = [{"name": "a", "disc": (0.06, 0.06, 0.04)}, {"name": "b", "area": (0.1, 0.2, 0.0, 0.2)}]
     panel = scene(damping=88.5, search=SEARCH)
     made = Scene.model_validate({**panel.model_dump(), "targets": targets, "target": {"disc": (0.06, 0.06, 0.04)}})
-    kept = CheckpointFile(tmp_path / "a.checkpoint.h5", 0.0, False, lambda line: None)
+    kept = CheckpointFile(tmp_path / "a.checkpoint.h5", 0.0, lambda line: None)
     result = localize(made, device="cpu", estimate=False, checkpoints=kept)
     values = [search.objective_values for search in result.target_searches]
     assert values[0]["sum"] != values[1]["sum"]

@@ -11,7 +11,7 @@ import pytest
 from support.scenes import scene_of
 from warp_plate import CheckpointFile, SceneError, load_checkpoint, load_result, localize, resume, save_result
 from warp_plate.result.atomic_io import SEAL_BYTES, atomic_paths, make_seal, write_atomically
-from warp_plate.result.checkpoint import load_newest, previous_path, save_checkpoint
+from warp_plate.result.checkpoint import save_checkpoint
 
 SMALL = {"search": {"particles": 4, "iterations": 3}, "record": {"points": ((0.1, 0.1),)}}
 
@@ -115,7 +115,7 @@ except SceneError as error:
     print(error)
 checkpoint = load_checkpoint(Path("a.checkpoint.h5"))
 resource.setrlimit(resource.RLIMIT_FSIZE, (5000, 20000))
-file = CheckpointFile(Path("a.checkpoint.h5"), 0, True, print)
+file = CheckpointFile(Path("a.checkpoint.h5"), 0, print)
 file.save(checkpoint)
 file.save(checkpoint)  # warns once
 """
@@ -134,32 +134,21 @@ def test_a_limit_on_the_size_of_files(written_files, tmp_path):
     assert found == {"file.bin": b"whole", "a.checkpoint.h5": written_files["checkpoint"][0]}
 
 
-def test_an_interrupted_swap_leaves_one_that_can_be_read(written_files, tmp_path, monkeypatch):
-    """Whichever rename fails, the newest complete checkpoint is found; nothing is renamed before a flush."""
-    path, content = tmp_path / "a.checkpoint.h5", written_files["checkpoint"][0]
-    replace_file, flush, calls = os.replace, os.fsync, []
+def test_a_rename_that_fails_leaves_the_old_file(tmp_path, monkeypatch):
+    """Nothing is renamed before a flush."""
+    path, flush, calls = tmp_path / "a.checkpoint.h5", os.fsync, []
+    path.write_bytes(b"old")
+
+    def stopped(source, target):
+        calls.append("rename")
+        raise OSError(5, "Input/output error")
+
     monkeypatch.setattr(os, "fsync", lambda handle: (calls.append("flush"), flush(handle)))
-    for stop in (0, 1):
-        for entry in tmp_path.iterdir():
-            entry.unlink()
-        path.write_bytes(content)
-        calls.clear()
-
-        def stopped(source, target, stop=stop):
-            calls.append("rename")
-            if calls.count("rename") > stop:
-                raise OSError(5, "Input/output error")
-            replace_file(source, target)
-
-        monkeypatch.setattr(os, "replace", stopped)
-        with pytest.raises(SceneError, match="Input/output error"):
-            write_atomically(b"new", path, previous_path(path))
-        assert calls[:2] == ["flush", "rename"]
-        monkeypatch.setattr(os, "replace", replace_file)
-        checkpoint, word = load_newest(path)
-        assert checkpoint.source == "panel"
-        assert (word is None) == (stop == 0)
-        assert [entry.read_bytes() for entry in tmp_path.iterdir()] == [content]
+    monkeypatch.setattr(os, "replace", stopped)
+    with pytest.raises(SceneError, match="Input/output error"):
+        write_atomically(b"new", path)
+    assert calls == ["flush", "rename"]
+    assert [entry.read_bytes() for entry in tmp_path.iterdir()] == [b"old"]
 
 
 def test_several_files_are_written_completely_or_not_at_all(tmp_path):

@@ -9,7 +9,7 @@ from support.inline_pool import InlinePool
 from support.scenes import scene_of
 from support.searches import assert_same_results, interrupted_search
 from warp_plate import localize, resume
-from warp_plate.result.checkpoint import load_checkpoint, previous_path, save_checkpoint
+from warp_plate.result.checkpoint import load_checkpoint
 from warp_plate.scene.grid import Grid
 from warp_plate.studies.unfinished import CheckpointFile
 
@@ -78,7 +78,7 @@ def test_another_device_and_other_versions_are_kept(tmp_path):
 
 @pytest.mark.parametrize(("every", "expected"), [(0.0, [*range(1, 10)]), (np.inf, [])])
 def test_checkpoints_while_a_search_runs(every, expected, tmp_path):
-    """With 0 seconds there is a checkpoint for each iteration, and the previous one is kept."""
+    """With 0 seconds there is a checkpoint for each iteration."""
     saved, file = [], CheckpointFile(tmp_path / "a.checkpoint.h5", every)
 
     def on_progress(done, total, best):
@@ -87,19 +87,5 @@ def test_checkpoints_while_a_search_runs(every, expected, tmp_path):
 
     localize(scene_of(**SEARCH), device="cpu", on_progress=on_progress, estimate=False, checkpoints=file)
     assert saved == expected
-    if expected:
-        assert load_checkpoint(previous_path(file.path)).iterations == expected[-2]
     file.remove()
     assert not list(tmp_path.iterdir())
-
-
-def test_the_previous_checkpoint_of_another_search_is_deleted(tmp_path):
-    _, checkpoint = interrupted_search(tmp_path, scene_of(**SEARCH), device="cpu", after=2)
-    path, other = tmp_path / "a.checkpoint.h5", replace(checkpoint, seed=99)
-    save_checkpoint(other, path)
-    save_checkpoint(other, previous_path(path))
-    file = CheckpointFile(path)
-    file.save(checkpoint)
-    assert not previous_path(path).exists()
-    file.save(checkpoint)
-    assert load_checkpoint(previous_path(path)).seed == checkpoint.seed

@@ -130,7 +130,7 @@ def test_a_sweep_interrupted_anywhere_resumes_to_the_same(swept_plate, tmp_path,
 
     current = start_sweep(SweepRequest(swept_plate, vary=plan, what="modes", count=2), "cpu")
     while not current.finished:
-        kept = CheckpointFile(file, math.inf, resumes=file.exists())
+        kept = CheckpointFile(file, math.inf)
         try:
             current = run_sweep(current, on_progress, kept)
         except KeyboardInterrupt:

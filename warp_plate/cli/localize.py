@@ -13,7 +13,7 @@ from rich.console import Console
 from warp_plate import viz
 from warp_plate.cli import main, options, output, tables
 from warp_plate.result.case import only_actuator, target_cases
-from warp_plate.result.checkpoint import ENDING, Checkpoint, load_newest
+from warp_plate.result.checkpoint import ENDING, Checkpoint, load_checkpoint
 from warp_plate.result.model import BOUND_DESCRIPTIONS, Result
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -54,7 +54,7 @@ class SearchOptions:
         baselines: Compare with drives that need no search: time reversal and inverse filter at one frequency.
         spectrum: After a search for a common frequency, compute the localization factors over its range: of the equal
             drive, of the best single actuator, and the bound at each frequency, with the plate's resonances.
-        resume: The checkpoint (.checkpoint.h5) of a search to continue; the one before it is taken if it is damaged.
+        resume: The checkpoint (.checkpoint.h5) of a search to continue.
             Scene, seed, evaluator, path and accuracy are the checkpoint's, and may only be given again as they were.
     """
 
@@ -114,7 +114,7 @@ def localize(
         with output.scene_errors(scene or "--accuracy"):
             loaded, checkpoint = _load_checkpoint(resume, search, loaded, changes, local, workers.path)
     output.check_overwriting(target.with_suffix(ENDING), "a checkpoint", files.force or resume is not None)
-    file = CheckpointFile(target.with_suffix(ENDING), checkpoint_every, resume is not None, output.log)
+    file = CheckpointFile(target.with_suffix(ENDING), checkpoint_every, output.log)
     if checkpoint is None and file.path.exists():
         output.log(f"{file.path} holds an unfinished search; a checkpoint of this one will replace it")
     if files.pictures:
@@ -157,14 +157,14 @@ def _load_checkpoint(
 ) -> tuple[Scene | None, Checkpoint]:
     """Return the scene with its accuracy, if one of them is given, and the checkpoint of a search to continue."""
     if scene is None and changes.accuracy is not None:
-        scene = changes.with_accuracy(load_newest(file)[0].scene_as_written)
+        scene = changes.with_accuracy(load_checkpoint(file).scene_as_written)
     given: dict[str, Any] = {"seed": search.seed, "evaluator": search.evaluator, "path": path}
     return scene, load_to_resume(file, scene, device, output.log, **given)
 
 
 def _result_beside(checkpoint: Path) -> Path:
-    """Return NAME.h5 for NAME.checkpoint.h5 or the checkpoint before it."""
-    stem = checkpoint.name.removesuffix(".h5").removesuffix(".previous")
+    """Return NAME.h5 for NAME.checkpoint.h5."""
+    stem = checkpoint.name.removesuffix(".h5")
     named = stem.endswith(".checkpoint")
     return checkpoint.parent / (stem.removesuffix(".checkpoint") + (".h5" if named else "-localize.h5"))
 

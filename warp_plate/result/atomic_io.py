@@ -21,25 +21,21 @@ from warp_plate.scene.errors import SceneError
 
 
 @contextmanager
-def atomic_path(path: Path, previous: Path | None = None) -> Iterator[Path]:
+def atomic_path(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside ``path`` whose content replaces ``path`` at the end, but not after an error.
 
-    The new file is on the disk before any name changes, so that a complete file survives a power failure. The file that
-    is replaced is deleted, or renamed to ``previous``.
+    The new file is on the disk before any name changes, so that a complete file survives a power failure.
 
     Raises:
         OSError: the folder is missing or cannot be written to, or the disk is full.
     """
-    if previous is None:  # the file that a symbolic link leads to is replaced, not the link
-        path = Path(os.path.realpath(path))
+    path = Path(os.path.realpath(path))  # the file that a symbolic link leads to is replaced, not the link
     temporary = path.parent / f".{path.name}.{secrets.token_hex(6)}.part{path.suffix}"
     temporary.touch(exist_ok=False)
     try:
         yield temporary
         with temporary.open("rb+") as written:
             os.fsync(written.fileno())
-        if previous is not None and path.exists():
-            os.replace(path, previous)
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
@@ -53,7 +49,7 @@ def atomic_path(path: Path, previous: Path | None = None) -> Iterator[Path]:
 
 
 @contextmanager
-def atomic_paths(*paths: Path, previous: Path | None = None) -> Iterator[list[Path]]:
+def atomic_paths(*paths: Path) -> Iterator[list[Path]]:
     """Yield temporary paths whose contents replace ``paths``, in this order, at the end, but not after an error.
 
     A SceneError that names the last path is raised if a file cannot be written; see :func:`atomic_path`.
@@ -61,15 +57,15 @@ def atomic_paths(*paths: Path, previous: Path | None = None) -> Iterator[list[Pa
     try:
         with ExitStack() as stack:
             # The last one entered is the first one to leave.
-            temporaries = [stack.enter_context(atomic_path(path, previous)) for path in reversed(paths)]
+            temporaries = [stack.enter_context(atomic_path(path)) for path in reversed(paths)]
             yield temporaries[::-1]
     except OSError as error:
         raise SceneError(f"{paths[-1]}: cannot be written: {error.strerror or error}") from None
 
 
-def write_atomically(content: bytes, path: Path, previous: Path | None = None) -> None:
+def write_atomically(content: bytes, path: Path) -> None:
     """Write a file atomically, or raise a SceneError; see :func:`atomic_path`."""
-    with atomic_paths(path, previous=previous) as (temporary,):
+    with atomic_paths(path) as (temporary,):
         temporary.write_bytes(content)
 
 
@@ -102,12 +98,3 @@ def check_seal(path: Path) -> None:
     content = memoryview(path.read_bytes())
     if content[-SEAL_BYTES:] != make_seal(content[:-SEAL_BYTES]):
         raise SceneError(f"{path}: damaged: no valid checksum; it was cut short, or changed or made by another program")
-
-
-def is_intact(path: Path) -> bool:
-    """Return whether a file exists and is as it was sealed."""
-    try:
-        check_seal(path)
-    except (OSError, SceneError):
-        return False
-    return True

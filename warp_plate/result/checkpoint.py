@@ -7,14 +7,12 @@ The state of the optimizer is the group ``swarm`` whatever the method; finished 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from warp_plate.result.atomic_io import is_intact
 from warp_plate.result.hdf5 import FileFormat
 from warp_plate.result.layouts import Attribute, Counts, Dataset, SearchState, read_fields, write_fields
 from warp_plate.result.model import TargetSearch
@@ -23,7 +21,6 @@ from warp_plate.scene.model import Scene
 
 FORMAT = FileFormat("checkpoint", 3)
 ENDING = ".checkpoint.h5"
-PREVIOUS_ENDING = ".checkpoint.previous.h5"
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,14 +67,9 @@ class Checkpoint:
         return f"{done} of target {index + 1} of {len(targets)} ({targets[index].name!r})" if targets else done
 
 
-def previous_path(path: Path) -> Path:
-    """Return the path to which the checkpoint at ``path`` goes when the next one is written."""
-    return path.parent / (path.name.removesuffix(".h5").removesuffix(".checkpoint") + PREVIOUS_ENDING)
-
-
-def save_checkpoint(checkpoint: Checkpoint, path: Path, keep_previous: bool = False) -> None:
-    """Write a checkpoint file atomically, or raise a SceneError; ``keep_previous``: see :func:`previous_path`."""
-    with FORMAT.create(path, previous_path(path) if keep_previous else None) as file:
+def save_checkpoint(checkpoint: Checkpoint, path: Path) -> None:
+    """Write a checkpoint file atomically, or raise a SceneError."""
+    with FORMAT.create(path) as file:
         write_fields(file, checkpoint)
 
 
@@ -100,20 +92,3 @@ def _check_numbers(checkpoint: Checkpoint) -> None:
     for single in (checkpoint.single_actuator, *(search.single_actuator for search in finished)):
         if single >= count:
             raise SceneError(f"single = {single}: must be the index of one of {count} actuators")
-
-
-def load_newest(path: Path) -> tuple[Checkpoint, str | None]:
-    """Read a checkpoint, or the previous one if the file is missing or damaged; return a sentence that says so.
-
-    An intact file of another kind is refused, for a result was named by mistake. If neither file can be read, the
-    SceneError describes the fault of the first.
-    """
-    try:
-        return load_checkpoint(path), None
-    except SceneError as error:
-        previous = previous_path(path)
-        if previous != path and not is_intact(path):
-            with suppress(SceneError):
-                checkpoint = load_checkpoint(previous)
-                return checkpoint, f"{error}; continuing from {previous}, {checkpoint.progress}"
-        raise

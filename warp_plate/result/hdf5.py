@@ -31,7 +31,7 @@ class FileFormat:
     version: int
 
     @contextmanager
-    def create(self, path: str | Path, previous: Path | None = None) -> Iterator[h5py.File]:
+    def create(self, path: str | Path) -> Iterator[h5py.File]:
         """Yield a file that is written atomically at the end, or raise a SceneError; see :func:`atomic_path`."""
         # Composed in memory, because HDF5 does not reliably report a full disk.
         with h5py.File("in memory", "w", driver="core", backing_store=False) as file:
@@ -39,7 +39,7 @@ class FileFormat:
             yield file
             file.flush()
             content: bytes = file.id.get_file_image()
-        write_atomically(content + make_seal(content), Path(path), previous)
+        write_atomically(content + make_seal(content), Path(path))
 
     @contextmanager
     def open(self, path: str | Path) -> Iterator[h5py.File]:

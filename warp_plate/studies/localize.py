@@ -20,7 +20,7 @@ from warp_plate.problem.uncertainty import draw_scenarios, simulate_scenarios
 from warp_plate.resolve import EvaluatorName, Purpose, resolve
 from warp_plate.result.atomic_io import write_atomically
 from warp_plate.result.case import Case, target_cases
-from warp_plate.result.checkpoint import Checkpoint, load_newest
+from warp_plate.result.checkpoint import Checkpoint, load_checkpoint
 from warp_plate.result.model import Result, RobustComparison, TargetSearch, best_drive_scenes
 from warp_plate.scene.errors import SceneError, printable
 from warp_plate.scene.model import Scene, SceneSource
@@ -170,13 +170,11 @@ def resume(
 def load_to_resume(
     file: Path, scene: Scene | None, device: str | None, log: Callable[[str], object], **options: object
 ) -> Checkpoint:
-    """Load a checkpoint for :func:`resume`, or the one before it, and log what may change the result's last digits.
+    """Load a checkpoint for :func:`resume`, and log what may change the last digits of the result.
 
     The scene and ``options`` are those given again, or None; files that the scene names are looked for in its folder.
     """
-    checkpoint, remark = load_newest(file)
-    if remark:
-        log(remark)
+    checkpoint = load_checkpoint(file)
     written = checkpoint.scene_as_written
     for option, value in options.items():
         before = getattr(checkpoint, option)

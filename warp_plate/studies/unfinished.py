@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 import time
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from glob import escape
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,7 @@ import warp as wp
 from warp_plate._version import __version__
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.problem.problem import Problem
-from warp_plate.result.atomic_io import is_intact
-from warp_plate.result.checkpoint import Checkpoint, previous_path, save_checkpoint
+from warp_plate.result.checkpoint import Checkpoint, save_checkpoint
 from warp_plate.result.sweep import Sweep, save_sweep
 from warp_plate.scene.errors import SceneError
 from warp_plate.solve.devices import device_aliases, find_device, processor_of
@@ -29,11 +28,10 @@ EVERY = 30.0
 
 
 class CheckpointFile:
-    """The file that holds an unfinished search or sweep; of a search the one before is kept too.
+    """The file that holds an unfinished search or sweep.
 
     Args:
         every: least seconds between two saves; 0 saves whenever possible, infinity only when the study is interrupted.
-        resumes: True if the study continues from the file. If not, the file is not kept as the previous one.
         warn: called with one line if the file cannot be written. The study then continues, and the last file stays.
 
     Attributes:
@@ -43,16 +41,12 @@ class CheckpointFile:
         SceneError: ``every`` is negative or NaN.
     """
 
-    def __init__(
-        self, path: Path, every: float = EVERY, resumes: bool = False, warn: Callable[[str], object] = warnings.warn
-    ) -> None:
+    def __init__(self, path: Path, every: float = EVERY, warn: Callable[[str], object] = warnings.warn) -> None:
         if not every >= 0:
             raise SceneError(f"checkpoint-every = {every:g}: must be a number of seconds, 0 or more")
         self.path, self.every = path, every
         self.saved: Checkpoint | Sweep | None = None
-        self._resumes, self._warn = resumes, warn
-        self._keep_previous = resumes and is_intact(path)
-        self._warned = False
+        self._warn, self._warned = warn, False
         self._last = time.monotonic()
 
     def due(self) -> bool:
@@ -64,22 +58,19 @@ class CheckpointFile:
         self._last = time.monotonic()
         try:
             if isinstance(study, Checkpoint):
-                save_checkpoint(study, self.path, self._keep_previous)
+                save_checkpoint(study, self.path)
             else:
                 save_sweep(study, self.path)
-            if self.saved is None and not self._resumes:
-                previous_path(self.path).unlink(missing_ok=True)  # left by another study
         except (SceneError, OSError) as error:
             if not self._warned:
                 self._warn(f"{error}; continuing without")
             self._warned = True
             return
-        self.saved, self._keep_previous, self._warned = study, True, False
+        self.saved, self._warned = study, False
 
     def remove(self) -> None:
-        """Delete the file, the previous one, and temporary files that killed processes left."""
-        left: Iterable[Path] = self.path.parent.glob(f".{escape(self.path.name)}.*.part.h5")
-        for path in (self.path, previous_path(self.path), *left):
+        """Delete the file, and temporary files that killed processes left."""
+        for path in (self.path, *self.path.parent.glob(f".{escape(self.path.name)}.*.part.h5")):
             path.unlink(missing_ok=True)
 
 
