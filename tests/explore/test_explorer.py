@@ -1,19 +1,22 @@
-"""The explorer: its live model shows at once what plates do when they are run; its picture as data; refusals."""
+"""The explorer: its unit responses and live model show at once what plates do when they are run; its picture as data;
+refusals."""
 
 import math
 import threading
 import time
 from contextlib import ExitStack, closing
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from support.commands import error_of, until
 from warp_plate import PlateSolver, SceneError, localize
-from warp_plate.analysis.superposition import ORDERS, last_period, live_solver, unit_responses
+from warp_plate.analysis.motion import last_period, steady_motions
 from warp_plate.explore.live_model import CHOICES, LiveModel, changed_scene, slider_ranges
+from warp_plate.explore.unit_responses import live_solver, unit_responses
 from warp_plate.plate.weights import localization_factor
-from warp_plate.result.motion import SwarmSnapshot
+from warp_plate.result.motion import QUADRANTS, SwarmSnapshot, quadrants
 from warp_plate.viz import explorer_page
 from warp_plate.viz.explorer_view import LEAST_SHARE, PERIOD, ExplorerView
 from warp_plate.viz.pictures import make_plotter
@@ -56,6 +59,58 @@ def after(model, **changes):
         (model.choose if name == "choice" else getattr(model, f"set_{name}"))(value)
     model.wait()
     return model.read()
+
+
+def test_harmonic_motion_is_fitted_exactly(random, explored_panel, phasors):
+    """A field A cos ωt − B sin ωt has the amplitude A + iB; a constant, as of a slow decay, is residual."""
+    solver = PlateSolver(explored_panel, "cpu")
+    run = solver.run(phasors(1, 3), last_period(explored_panel, solver.specialized.scheme.time_step))
+    amplitude = random.normal(size=(4, 5)) + 1j * random.normal(size=(4, 5))
+    angles = explored_panel.drive_angular_frequency * run.times
+    fields = np.real(amplitude * np.exp(1j * angles)[:, None, None])
+    for constant in (0.0, 0.5):
+        (motion,) = steady_motions(replace(run, displacement=fields[None] + constant), explored_panel)
+        np.testing.assert_allclose(motion.amplitude, amplitude, atol=1e-10)
+        residual = constant * math.sqrt(fields.size / ((fields + constant) ** 2).sum())
+        assert motion.residual == pytest.approx(residual, rel=1e-9, abs=1e-10)
+        np.testing.assert_allclose(motion.at(angles[7]), fields[7], atol=1e-9)
+    largest = max(np.abs(motion.at(angle)).max() for angle in np.linspace(0, 7, 2000))
+    assert motion.peak() == pytest.approx(largest, rel=1e-4)
+
+
+@pytest.mark.parametrize("path", ["auto", "modal"])
+@pytest.mark.parametrize("steady", [True, False])
+def test_any_drive_equals_its_run(steady, path, scene, phasors):
+    """Energies agree to rounding with a run in float64, and amplitudes too, even if start-up motion persists."""
+    tables = {"damping": DAMPING, "window": (0.08, 0.1)} if steady else {}
+    made = scene(precision="float32", **tables)
+    drive = phasors(1, 3)
+    reading = unit_responses(made, "cpu", path).read(drive[0])
+    exact = made.model_copy(update={"grid": made.grid.model_copy(update={"precision": "float64"})})
+    time_step = PlateSolver(exact, "cpu").specialized.scheme.time_step
+    run = live_solver(exact, "cpu", path).run(drive, last_period(exact, time_step))
+    assert run.regions == ("plate", "target", *QUADRANTS)
+    np.testing.assert_allclose(list(reading.energy.values()), run.energy[0], rtol=1e-9)
+    assert reading.localization_factor == pytest.approx(localization_factor(run.energy)[0], rel=1e-9)
+    assert sum(reading.share(name) for name in QUADRANTS) == pytest.approx(1, rel=1e-12)
+    assert reading.share("lower left") == pytest.approx(reading.localization_factor, rel=1e-9)
+    (direct,) = steady_motions(run, made)
+    largest = np.abs(run.displacement).max()
+    np.testing.assert_allclose(reading.motion.amplitude, direct.amplitude, rtol=0, atol=1e-9 * largest)
+    assert (reading.motion.residual < 0.01) == steady
+    if steady:
+        shown = [reading.motion.at(made.drive_angular_frequency * when) for when in run.times]
+        np.testing.assert_allclose(shown, run.displacement[0], rtol=0, atol=1e-4 * largest)
+
+
+def test_quadrants_are_summed_beside_any_target(scene):
+    made = scene(damping=DAMPING, target={"area": (0.05, 0.15, 0.02, 0.2)}, size=(0.2, 0.24))
+    alone = PlateSolver(made, "cpu").run(np.ones((1, 3)))
+    run = PlateSolver(made, "cpu", areas=quadrants(made.plate.size)).run(np.ones((1, 3)))
+    np.testing.assert_array_equal(run.energy[:, :2], alone.energy)
+    assert run.energy[0, 2:].sum() == pytest.approx(run.energy[0, 0], rel=1e-12)
+    upper = made.model_copy(update={"target": made.target.model_copy(update={"area": (0.0, 0.1, 0.12, 0.24)})})
+    assert run.energy[0, 4] == pytest.approx(PlateSolver(upper, "cpu").run(np.ones((1, 3))).energy[0, 1], rel=1e-12)
 
 
 @pytest.mark.parametrize("path", ["auto", "resident"])
@@ -106,6 +161,8 @@ def test_what_cannot_be_simulated_is_reported_and_the_rest_goes_on(scene, live):
 
     with pytest.raises(SceneError, match="above the stability limit"):
         live(scene(time_step=1e-3), "resident")
+    with pytest.raises(SceneError, match=r"^effects.stretching: what is explored is linear in the drives"):
+        live(scene(effects={"stretching": {}}))
     model = live(scene(damping=10.0, scheme="backward", time_step=1.2e-4), "resident", respond=respond)
     before = model.read()
     assert after(model, damping=1e5).scene is before.scene
@@ -183,37 +240,6 @@ def test_a_search_is_watched(explored_panel, model):
     for frequency in (200.0, 220.0):
         assert after(model, choice="found", frequency=frequency).scene.drive.frequency == frequency
         assert model.settings.frequency == frequency
-
-
-def test_stretching_is_simulated_for_each_drive(scene, live):
-    """If the plate moves by its thickness and more, ten times the drive is not ten times the motion."""
-    effects = {"stretching": {}, "damping": {"viscous": DAMPING}}
-    film = scene(frequency=60.0, window=(0.08, 0.1), effects=effects, search=SEARCH)
-    model, shown, solver = live(film), [], PlateSolver(film, "cpu")
-    times = last_period(film, solver.specialized.scheme.time_step, 5)
-    for magnitude in (10.0, 100.0):
-        for index in range(3):
-            model.set_actuator(index, magnitude=magnitude)
-        model.wait()
-        reading, run = model.read(), solver.run(np.full((1, 3), magnitude), times)
-        assert reading.localization_factor == pytest.approx(localization_factor(run.energy)[0], rel=1e-9)
-        assert reading.bound is None
-        shown.append(reading.motion)
-        field = run.displacement[0, 2]
-        at = reading.motion.at(film.drive_angular_frequency * run.times[2])
-        np.testing.assert_allclose(at, field, atol=0.02 * np.abs(field).max())
-    np.testing.assert_array_equal(shown[0].orders, ORDERS)
-    assert shown[1].peak() < 9.8 * shown[0].peak()
-    # A swarm of simulated plates, no exact best, and a drive that no run survives.
-    after(model, choice="found")
-    assert model.read().localization_factor == pytest.approx(model.swarm().best[-1], rel=1e-6)
-    before = model.settings
-    after(model, choice="exact")
-    assert model.status().startswith("exact best: effects.stretching is not linear")
-    assert model.settings == before
-    model.set_actuator(0, magnitude=1e12)
-    model.wait()
-    assert "grew without bound" in model.status()
 
 
 def test_the_plate_follows_the_model(view, model):

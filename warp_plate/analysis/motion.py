@@ -17,11 +17,11 @@ from warp_plate.plate.signals import highest_frequency
 from warp_plate.resolve import Resolved, resolve
 from warp_plate.result.case import Case, case_scene, only_actuator
 from warp_plate.result.model import Result
-from warp_plate.result.motion import Motion
+from warp_plate.result.motion import Motion, SteadyMotion
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.grid import Record
 from warp_plate.scene.model import Scene
-from warp_plate.solve.run import Progress
+from warp_plate.solve.run import Progress, Run
 
 # Default frames of a period, and most default frames of a longer span.
 FRAMES_A_PERIOD, MOST_FRAMES = 60, 600
@@ -29,6 +29,8 @@ FRAMES_A_PERIOD, MOST_FRAMES = 60, 600
 MOST_BYTES, FEWEST_FRAMES = 2 * 2**30, 24
 # Frames of a period of the highest frequency below which a motion is not recognisable.
 FEWEST_A_PERIOD = 12
+# Displacements that a steady motion is fitted to.
+SAMPLES = 12
 
 
 def motion(
@@ -217,6 +219,31 @@ def mode_motions(scene: Scene, numbers: Sequence[int], frames: int = FRAMES_A_PE
             )
         )
     return motions_of_modes
+
+
+def last_period(scene: Scene, time_step: float) -> list[float]:
+    """Return times [s] spread evenly over the last period of the drive, at least a time step apart if possible."""
+    end = math.floor(scene.window.end / time_step) * time_step
+    span = min(max(1 / scene.drive.frequency, SAMPLES * time_step), end)
+    times: list[float] = (end - span * np.arange(SAMPLES) / SAMPLES).tolist()
+    return times
+
+
+def steady_motions(run: Run, scene: Scene) -> list[SteadyMotion]:
+    """Fit the motion of each plate of a run at the drive's frequency, by least squares.
+
+    A straight line in time is fitted besides, which takes up the slow decay of low modes.
+    """
+    angles = scene.drive_angular_frequency * run.times[:, None]
+    drift = np.stack([np.ones(run.times.size), run.times / run.times.max() - 1], axis=1)
+    columns = np.concatenate([np.cos(angles), -np.sin(angles), drift], axis=1)
+    fields = run.displacement
+    parts = np.tensordot(np.linalg.pinv(columns), fields, (1, 1)).swapaxes(0, 1)[:, :2]
+    rest = fields - np.tensordot(columns[:, :2], parts, (1, 1)).swapaxes(0, 1)
+    all_squares, rest_squares = ((field**2).sum(axis=(1, 2, 3)) for field in (fields, rest))
+    residuals = np.sqrt(rest_squares / np.where(all_squares > 0, all_squares, 1))
+    amplitudes = parts[:, 0] + 1j * parts[:, 1]
+    return [SteadyMotion(*pair) for pair in zip(amplitudes, residuals.tolist(), strict=True)]
 
 
 def _default_frames(periods: float, field_bytes: int) -> int:

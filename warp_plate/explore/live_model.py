@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from warp_plate.accuracy.configurations import percent
-from warp_plate.analysis.superposition import SimulatedResponses, UnitResponses, unit_responses
 from warp_plate.effects.damping import Damping
+from warp_plate.explore.unit_responses import UnitResponses, unit_responses
 from warp_plate.modal.solver import MODAL
 from warp_plate.optimize.optimizer import minimize
 from warp_plate.optimize.pso import Swarm
@@ -107,8 +107,8 @@ class LiveModel:
         choices: Drives that can be chosen, and what their buttons say.
 
     Raises:
-        SceneError: The load does not repeat with the drive, or see :class:`PlateSolver`. ``status`` reports later
-            errors, which leave the last reading unchanged.
+        SceneError: The motion is not linear in the drives, the load does not repeat with the drive, or see
+            :class:`PlateSolver`. ``status`` reports later errors, which leave the last reading unchanged.
     """
 
     choices = CHOICES
@@ -117,10 +117,10 @@ class LiveModel:
         self, scene: Scene, device: str = "auto", path: str = "auto", progress: Progress | None = None,
         respond: Callable[..., UnitResponses] = unit_responses,
     ) -> None:  # fmt: skip
-        if scene.nonperiodic_key is not None:
-            raise SceneError(
-                f"{scene.nonperiodic_key}: what is explored repeats with the period of drive.frequency; leave it out"
-            )
+        if (key := scene.nonperiodic_key) is not None:
+            raise SceneError(f"{key}: what is explored repeats with the period of drive.frequency; leave it out")
+        if (key := scene.nonlinear_table) is not None:
+            raise SceneError(f"{key}: what is explored is linear in the drives; leave it out, or run simulate")
         self.scene = scene
         self.ranges = slider_ranges(scene)
         self.by_modes = choose_engine(scene, "survey", path) == "modes"
@@ -129,7 +129,7 @@ class LiveModel:
         phasors = scene_phasors(scene)
         self.settings = LiveSettings(scene.drive.frequency, scene_damping(scene), *polar(phasors))
         self._random = np.random.default_rng()
-        self._responses: UnitResponses | SimulatedResponses = self._simulate(scene, progress)
+        self._responses = respond(scene, device, self._path, progress)
         self._reading = self._responses.read(phasors)
         self._simulated = self.settings
         self._choice: tuple[str, float] | None = None
@@ -145,9 +145,7 @@ class LiveModel:
         """Return the response to the settings, or to the latest ones that have been simulated."""
         self._follow_search()
         responses, phasors = self._responses, self.settings.phasors
-        if isinstance(responses, UnitResponses) and (
-            self._reading.scene is not responses.scene or not np.array_equal(self._reading.phasors, phasors)
-        ):
+        if self._reading.scene is not responses.scene or not np.array_equal(self._reading.phasors, phasors):
             self._reading = responses.read(phasors)
         return self._reading
 
@@ -160,8 +158,6 @@ class LiveModel:
         if self._search is not None and self.swarm() is None:
             return "searching: the first swarm ..."
         residual = self.read().motion.residual
-        if not math.isfinite(residual):
-            return "the motion of this run grew without bound: drive less, or write a shorter grid.time_step"
         if residual > RESIDUAL_WARNING:
             return f"not steady: {percent(residual)} of the motion at the run's end is start-up motion, not shown"
         return ""
@@ -229,8 +225,6 @@ class LiveModel:
 
     def _outdated(self, settings: LiveSettings) -> bool:
         """Return whether something must be simulated for these settings."""
-        if not self.scene.linear:
-            return settings != self._simulated
         return (settings.frequency, settings.damping) != (self._simulated.frequency, self._simulated.damping)
 
     def _at_rest(self) -> bool:
@@ -259,7 +253,11 @@ class LiveModel:
                     if self._closed:
                         return
                 try:
-                    self._update_responses(settings)
+                    if self._outdated(settings):
+                        with self._changed:
+                            self._end_search()
+                        changed = changed_scene(self.scene, settings.frequency, settings.damping)
+                        self._responses = self._respond(changed, self._device, self._path, None)
                     if choice is not None:
                         self._take(*choice)
                     self._problem = ""
@@ -276,25 +274,11 @@ class LiveModel:
                 self._simulated, self._choice = self.settings, None
                 self._changed.notify_all()
 
-    def _update_responses(self, settings: LiveSettings) -> None:
-        old = self._simulated
-        if (settings.frequency, settings.damping) != (old.frequency, old.damping):
-            with self._changed:
-                self._end_search()
-            self._responses = self._simulate(changed_scene(self.scene, settings.frequency, settings.damping))
-        if isinstance(self._responses, SimulatedResponses):
-            self._reading = self._responses.read(settings.phasors)
-
-    def _simulate(self, scene: Scene, progress: Progress | None = None) -> UnitResponses | SimulatedResponses:
-        if scene.linear:
-            return self._respond(scene, self._device, self._path, progress)
-        return SimulatedResponses(scene, self._device, self._path)
-
     def _take(self, choice: str, seconds: float) -> None:
         responses, actuators = self._responses, len(self.scene.actuators)
         if choice == "found" and actuators > 1:
             with self._changed:
-                self._search = WatchedSearch(responses.scene, responses.energies, self._scale, seconds)
+                self._search = WatchedSearch(responses.scene, responses.response.energy, self._scale, seconds)
             return
         if choice == "scene":
             phasors = scene_phasors(self.scene)
@@ -302,17 +286,16 @@ class LiveModel:
             rotations = np.exp(2j * math.pi * self._random.random(actuators))
             phasors = self._scale * self._random.random(actuators) * rotations
         elif choice == "exact":
-            if not isinstance(responses, UnitResponses):
-                raise SceneError(f"exact best: {self.scene.nonlinear_table} is not linear in the drives")
             phasors = self._scale * responses.best_drive
         else:
-            phasors = reference_phasors(self.scene, responses.energies)["equal" if choice == "equal" else "single"]
+            cases = reference_phasors(self.scene, responses.response.energy)
+            phasors = cases["equal" if choice == "equal" else "single"]
         self._drive_by(phasors)
 
     def _drive_by(self, phasors: np.ndarray) -> None:
-        """Request a drive (actuators,) [N/m²], scaled into the sliders' range where only ratios count."""
+        """Request a drive (actuators,) [N/m²], scaled into the sliders' range."""
         largest = np.abs(phasors).max()
-        if self.scene.linear and largest > self.ranges.magnitude:
+        if largest > self.ranges.magnitude:
             phasors = phasors * (self.ranges.magnitude / largest)
         magnitude, phase = polar(phasors)
         self._request(magnitude=magnitude, phase=phase)

@@ -85,25 +85,18 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class SteadyMotion:
-    """Steady motion of a plate, u(θ) = Re Σ amplitudes[k] exp(i orders[k] θ) at the phase θ = ωt of the drive."""
+    """Steady motion of a plate, u(θ) = Re(amplitude · exp(iθ)) at the phase θ = ωt of the drive."""
 
-    orders: np.ndarray  # (orders,) integer multiples of the drive's frequency
-    amplitudes: np.ndarray  # (orders, ny, nx) complex amplitudes [m]
+    amplitude: np.ndarray  # (ny, nx) complex amplitude [m]
     residual: float = 0.0  # RMS of the motion that does not repeat with the drive, relative to all motion
 
     def at(self, phase: float) -> np.ndarray:
         """Return the (ny, nx) displacement [m] at a phase of the drive [rad]."""
-        field = np.zeros(self.amplitudes.shape[1:])
-        # Real arithmetic, and no matrix product: its threads cost more than this little work.
-        for order, amplitude in zip(self.orders, self.amplitudes, strict=True):
-            field += math.cos(order * phase) * amplitude.real - math.sin(order * phase) * amplitude.imag
-        return field
+        return np.asarray(math.cos(phase) * self.amplitude.real - math.sin(phase) * self.amplitude.imag)
 
     def peak(self) -> float:
         """Return the largest displacement of any node at any time [m]."""
-        if self.orders.tolist() == [1]:
-            return float(np.abs(self.amplitudes).max())
-        return float(max(np.abs(self.at(phase)).max() for phase in np.linspace(0, 2 * math.pi, 48, endpoint=False)))
+        return float(np.abs(self.amplitude).max())
 
 
 @dataclass(frozen=True, eq=False)

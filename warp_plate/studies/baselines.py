@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from warp_plate.analysis.superposition import LINEAR_ORDERS, LINEAR_SAMPLES, last_period, motions_of
+from warp_plate.analysis.motion import last_period, steady_motions
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.plate.signals import carrier_frequencies
 from warp_plate.plate.weights import REGIONS, bilinear, node_positions
@@ -67,12 +67,12 @@ def transfer_functions(solver: PlateSolver | ModalSolver) -> np.ndarray:
     scene = solver.scene
     check_baselines(scene)
     (frequency,) = carrier_frequencies(scene)
-    # ``superposition`` reads the frequency of the drive, which the actuators may override.
+    # ``steady_motions`` reads the frequency of the drive, which the actuators may override.
     tone = scene.model_copy(update={"drive": scene.drive.model_copy(update={"frequency": frequency})})
-    times = last_period(tone, solver.discretization.time_step, LINEAR_SAMPLES)
+    times = last_period(tone, solver.discretization.time_step)
     count = len(scene.actuators)
     run = solver.run(np.concatenate([np.eye(count), -1j * np.eye(count)]), times)
-    motions = np.stack([motion.amplitudes[0] for motion in motions_of(run, tone, LINEAR_ORDERS)])
+    motions = np.stack([motion.amplitude for motion in steady_motions(run, tone)])
     # The drive Z = −i yields −iH; the mean of both halves the remaining transient.
     return np.asarray((motions[:count] + 1j * motions[count:]) / 2)
 

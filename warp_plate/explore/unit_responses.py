@@ -1,0 +1,75 @@
+"""Motion and energies of a linear plate under any drive, from its responses to unit drives.
+
+Displacements are linear in the drives, so that 2M runs suffice: with z as in ``solve.response``, the steady motion is
+Σ z_a · (motion under unit drive a), and energies are zᵀ matrix z.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from warp_plate.analysis.motion import last_period, steady_motions
+from warp_plate.modal.solver import ModalSolver
+from warp_plate.optimize.quadratic import real_parts
+from warp_plate.plate.weights import REGIONS
+from warp_plate.resolve import resolve
+from warp_plate.result.motion import QUADRANTS, DriveResponse, SteadyMotion, quadrants
+from warp_plate.scene.model import Scene
+from warp_plate.solve.response import Response, in_float64, measure_response, unit_drives
+from warp_plate.solve.run import Progress
+from warp_plate.solve.solver import PlateSolver
+
+
+@dataclass(frozen=True)
+class UnitResponses:
+    """Responses to 2M unit drives: 1 on each actuator alone, then −i on each."""
+
+    scene: Scene  # scene
+    response: Response  # Gram matrices of the regions
+    amplitudes: np.ndarray  # (2M, ny, nx) complex displacements [m per N/m²]
+    residual: float  # largest ``SteadyMotion.residual`` of the unit drives
+    bound: float  # largest localization factor of any drive
+    best_drive: np.ndarray  # (actuators,) phasors of the drive that reaches it [N/m²]
+
+    def read(self, phasors: np.ndarray) -> DriveResponse:
+        """Return the response to one drive (actuators,) [N/m²]."""
+        amplitude = np.tensordot(real_parts(phasors[None])[0], self.amplitudes, 1)
+        return DriveResponse(
+            scene=self.scene,
+            phasors=phasors,
+            motion=SteadyMotion(amplitude, self.residual),
+            energy=dict(zip((*REGIONS, *QUADRANTS), self.response.energy(phasors[None])[0].tolist(), strict=True)),
+            bound=self.bound if math.isfinite(self.bound) else None,
+        )
+
+
+def unit_responses(
+    scene: Scene, device: str = "auto", path: str = "auto", progress: Progress | None = None
+) -> UnitResponses:
+    """Simulate the unit drives, in float64 because small differences of energies matter.
+
+    The path "modal" takes the modes of the plate.
+
+    Raises:
+        SceneError: see :class:`PlateSolver`.
+    """
+    solver = live_solver(in_float64(scene), device, path)
+    response = solver.response if isinstance(solver, ModalSolver) else measure_response(solver, progress)
+    units = unit_drives(len(scene.actuators))[: 2 * len(scene.actuators)]
+    motions = steady_motions(solver.run(units, last_period(scene, solver.discretization.time_step)), scene)
+    return UnitResponses(
+        scene=scene,
+        response=response,
+        amplitudes=np.stack([motion.amplitude for motion in motions]),
+        residual=float(np.max([motion.residual for motion in motions])),
+        bound=response.bound(),
+        best_drive=response.best_drive(),
+    )
+
+
+def live_solver(scene: Scene, device: str, path: str) -> PlateSolver | ModalSolver:
+    """Return a solver that also sums the energies of the plate's quadrants."""
+    return resolve(scene, device, purpose="replay", path=path).solver(areas=quadrants(scene.plate.size))
