@@ -136,10 +136,9 @@ def plot(
     from warp_plate.viz.availability import DrawingUnavailable, missing_plots
     from warp_plate.viz.fields import colour_options
     from warp_plate.viz.pictures import draw_all
-    from warp_plate.viz.plots.frequency_response import draw_frequency_response
+    from warp_plate.viz.plots.responses import draw_focus, draw_frequency_response
     from warp_plate.viz.plots.search import draw_comparison
     from warp_plate.viz.plots.sweep import draw_sweep
-    from warp_plate.viz.plots.waveforms import draw_focus
 
     colours = colour_options(colormap, limits)
     if isinstance(shown, Result):

@@ -10,7 +10,7 @@ from functools import reduce
 from pathlib import Path
 
 import warp_plate
-from warp_plate.cli.commands import COMMANDS, app, load
+from warp_plate.cli.main import COMMANDS, application, load
 from warp_plate.scene.fields import Table
 from warp_plate.scene.key_reference import table_references
 
@@ -116,7 +116,7 @@ def command_line():
     """Return the help of all commands."""
     for name in COMMANDS:
         load(name)
-    text = app.generate_docs(output_format="markdown", recursive=True)
+    text = application().generate_docs(output_format="markdown", recursive=True)
     return re.sub(r"## Table of Contents\n\n(- .*\n)+", "", text).replace("# warp-plate\n", "# Command line\n", 1)
 
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from support.attacks import examples
 from support.commands import is_printable
-from warp_plate.cli.commands import COMMANDS, app
+from warp_plate.cli.main import COMMANDS, application
 from warp_plate.plate import memory
 
 # Commands that wait for a person or measure this machine, and options that start other programs.
@@ -62,7 +62,7 @@ def options_of(command):
     """The options of a command, each with the words that it takes, None where these are any."""
     return [
         (name, argument.get_choices())
-        for argument in app[command].assemble_argument_collection()
+        for argument in application()[command].assemble_argument_collection()
         for name in argument.names
         if name.startswith("--") and name not in PROGRAMS
     ]

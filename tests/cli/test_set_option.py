@@ -6,12 +6,13 @@ from inspect import signature
 import pytest
 
 from support.commands import output_of
-from warp_plate.cli.commands import COMMANDS, app
+from warp_plate.cli.main import COMMANDS, application
 
 
 def test_every_command_of_a_scene_sets_its_keys():
-    options = {name: [option.name for option in app[name].assemble_argument_collection()] for name in COMMANDS}
-    scenes = [name for name in COMMANDS if "scene" in signature(app[name].default_command).parameters]
+    apps = {name: application()[name] for name in COMMANDS}
+    options = {name: [option.name for option in app.assemble_argument_collection()] for name, app in apps.items()}
+    scenes = [name for name, app in apps.items() if "scene" in signature(app.default_command).parameters]
     assert len(scenes) > 8
     assert [name for name in scenes if "--set" not in options[name]] == []
 

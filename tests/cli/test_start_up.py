@@ -33,7 +33,7 @@ print(len(sys.modules), *sys.modules)
 @pytest.mark.parametrize(
     ("arguments", "allowed", "most"),
     [
-        (["--help"], set(), 550),
+        (["localize", "--help"], set(), 600),
         (["check", "paper"], STEPS, 950),
         (["modes", "paper", "--no-pictures"], STEPS - {"warp"}, 850),
         pytest.param(

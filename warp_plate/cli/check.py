@@ -1,22 +1,24 @@
-"""``warp-plate check``, ``effects`` and ``accuracy``: numerics of a scene, price of its effects and of its errors."""
+"""Commands about a scene: ``init``, ``keys``, ``check``, and the price of its ``effects`` and of ``accuracy``."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import asdict
 from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from warp_plate.accuracy.measure import AccuracyRow
-from warp_plate.accuracy.report import AccuracyReport
-from warp_plate.analysis.check import check as check_scene
-from warp_plate.analysis.influence import Influence, measure_effects
-from warp_plate.analysis.warnings import Finding, find_warnings
 from warp_plate.cli import options, output
-from warp_plate.resolve import resolve
-from warp_plate.scene.errors import SceneError
-from warp_plate.solve.devices import find_device
+from warp_plate.scene.errors import SceneError, printable
+
+if TYPE_CHECKING:
+    from warp_plate.accuracy.measure import AccuracyRow
+    from warp_plate.accuracy.report import AccuracyReport
+    from warp_plate.analysis.influence import Influence
+    from warp_plate.analysis.warnings import Finding
 
 HEADINGS = "single | bound | error % | u % | a plate | "
 CELLS = "{localization_factor:.4f} | {bound:.4f} | {error} | {error_displacement} | {seconds} | {front}"
@@ -30,6 +32,62 @@ ACCURACY_LEGEND = (
 )
 
 
+def init(name: str, /, *, out: Path | None = None) -> None:
+    """Write a preset as a TOML file to edit.
+
+    Parameters
+    ----------
+    name
+        The preset: paper, paper-supported, touch-panel, cantilever-display, composite-panel, large-amplitude,
+        focusing-glass or four-fingers.
+    out
+        The file to write (default: NAME.toml in this folder). An existing file is never overwritten.
+    """
+    from warp_plate.scene.load import preset_text
+
+    text = preset_text(name)
+    path = out or Path(f"{name}.toml")
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        raise SceneError(f"{path}: exists already; choose another name with --out") from None
+    except (OSError, ValueError) as error:
+        raise SceneError(f"{path}: cannot be written: {error}") from None
+    print(printable(f"wrote {path}; run it with: warp-plate localize {path}"))
+
+
+def keys(*tables: str, json: options.Json = False) -> None:
+    """Show the tables of a scene file, or every key of a table with unit, default, range, example and meaning.
+
+    Parameters
+    ----------
+    tables
+        Tables such as plate, edges, drive.burst or effects.damping; "all" for all of them. Default: their names.
+    """
+    from warp_plate.scene.key_reference import table_references
+
+    references = {heading.strip("[]"): table for table in table_references() for heading in table.headings}
+    for name in tables:
+        if name not in references and name != "all":
+            raise SceneError(f"{name}: no such table; there are: {', '.join(list(references)[1:])}")
+    selected = {name: references[name] for name in (references if "all" in tables else tables)}
+
+    def show(console: Console) -> None:
+        if not selected:
+            tables = {name: table.description.split("\n\n")[0].replace("\n", " ") for name, table in references.items()}
+            output.print_lines(console, ((name, text.replace("`", "")) for name, text in tables.items()))
+        for name, table in selected.items():
+            console.print(f"{name}: {table.description.replace('`', '')}\n", highlight=False)
+            rows = [("key", "unit", "default", "range", "example", "meaning")]
+            for key in table.keys:
+                rows.append((key.name, key.unit, key.default, key.range, key.example, f"{key.meaning} ({key.type})"))
+            output.print_lines(console, ([cell.replace("`", "") for cell in row] for row in rows), "")
+
+    record = {name: [asdict(key) for key in table.keys] for name, table in (selected or references).items()}
+    output.report(json, lambda: record, show)
+
+
 def check(
     scene: options.SceneName,
     /,
@@ -41,6 +99,9 @@ def check(
 ) -> None:
     """Show what a scene is, warnings about it, and the numerics of its run: time step and its limit, points per
     wavelength, condition, memory and stepping path."""
+    from warp_plate.analysis.check import check as check_scene
+    from warp_plate.resolve import resolve
+
     loaded, scene = changes.load(scene)
     with output.scene_errors(scene):
         resolved = resolve(loaded, device, purpose="check")
@@ -72,6 +133,10 @@ def effects(
     names
         Effects to switch, such as damping edges (default: all).
     """
+    from warp_plate.analysis.influence import measure_effects
+    from warp_plate.analysis.warnings import find_warnings
+    from warp_plate.resolve import resolve
+
     loaded, scene = changes.load(scene)
     with output.scene_errors(scene):
         loaded = resolve(loaded, device, purpose="replay").scene
@@ -177,13 +242,14 @@ def accuracy(
     loaded, scene = changes.load(scene)
     from warp_plate.accuracy.measure import describe_machine, describe_versions
     from warp_plate.accuracy.report import measure_accuracy
+    from warp_plate.solve.devices import find_device
 
     name = find_device(device).alias
     machine = describe_machine(name)
     with output.scene_errors(scene), output.progress_bar("measuring", shown=not files.json) as show:
         report = measure_accuracy(loaded, source=scene, device=name, path=path, budget=budget, on_progress=show)
     record = {**report.as_json(), "machine": machine, "versions": describe_versions()}
-    from warp_plate.viz.plots.accuracy import draw_accuracy
+    from warp_plate.viz.plots.search import draw_accuracy
 
     written = output.write_measurements(target, record, draw_accuracy, files.pictures)
     show_report = partial(_print_accuracy, report, machine["devices"][name])

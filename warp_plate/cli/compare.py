@@ -4,19 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from cyclopts import Parameter
 from rich.console import Console
 
-from warp_plate.cli import options, output, tables
-from warp_plate.optimize.optimizer import tolerance_scale
-from warp_plate.problem.objectives import loss_scale
-from warp_plate.result.comparison import MethodComparison, save_comparison
-from warp_plate.studies.compare import compare as run
-from warp_plate.viz.plots.frame import save_plots
-from warp_plate.viz.plots.search import draw_comparison
+from warp_plate.cli import options, output
+
+if TYPE_CHECKING:
+    from warp_plate.result.comparison import MethodComparison
 
 # A trial has reached the bound if its loss is this close, relative to the bound.
 NEAR = 1e-6
@@ -60,6 +56,11 @@ def compare(
     Results are compared with the upper bound, if one is known. Ctrl-C keeps the finished trials. The results are
     written to an .h5 file.
     """
+    from warp_plate.result.comparison import save_comparison
+    from warp_plate.studies.compare import compare as run
+    from warp_plate.viz.plots.frame import save_plots
+    from warp_plate.viz.plots.search import draw_comparison
+
     target = files.target(scene, "-compare.h5", holds="a comparison")
     names = None if trials.methods is None else [name.strip() for name in trials.methods.split(",")]
     loaded, scene = changes.load(scene)
@@ -87,6 +88,11 @@ def compare(
 
 def rows(result: MethodComparison) -> list[dict[str, Any]]:
     """Return a record for each method: losses, gap, number of seeds near the bound, and cost."""
+    import numpy as np
+
+    from warp_plate.optimize.optimizer import tolerance_scale
+    from warp_plate.problem.objectives import loss_scale
+
     bound = result.bound
     near = NEAR * tolerance_scale(bound or 0.0, loss_scale(result.scene.search.objectives))
     records = []
@@ -133,6 +139,8 @@ def _as_json(result: MethodComparison) -> dict[str, object]:
 
 
 def _print(result: MethodComparison, console: Console) -> None:
+    from warp_plate.cli import tables
+
     title = "localization factor" if result.localization else "loss"
     console.print(f"{result.scene.title or result.source} on {result.device}, evaluator {result.evaluator}\n")
     records, bounded = rows(result), result.bound is not None

@@ -16,8 +16,6 @@ from typing import Any, Literal
 from warp_plate._version import __version__
 from warp_plate.cli import options, output
 from warp_plate.cli.explore import has_desktop
-from warp_plate.solve import devices
-from warp_plate.viz.availability import missing_renderer, missing_window
 
 # A requirement, such as: pyvista>=0.46; extra == "viz".
 REQUIREMENT = re.compile(r"""([\w.-]+)[^;]*(?:; ?extra == ["'](\w+)["'])?""")
@@ -59,6 +57,8 @@ def _check_python() -> Iterator[Diagnosis]:
 
 
 def _check_devices() -> Iterator[Diagnosis]:
+    from warp_plate.solve import devices
+
     cpu = devices.find_device("cpu")
     yield Diagnosis("Warp", "ok", devices.describe_warp())
     if devices.can_compile_for_cpu():
@@ -74,6 +74,8 @@ def _check_devices() -> Iterator[Diagnosis]:
 
 
 def _diagnose_gpu(device: Any) -> Diagnosis:
+    from warp_plate.solve import devices
+
     if device not in devices.usable_devices():
         return Diagnosis(device.alias, "missing", devices.too_old(device))
     text = (
@@ -92,6 +94,8 @@ def _diagnose_folder(name: str, folder: Path, state: Literal["missing", "error"]
 
 
 def _check_drawing() -> Iterator[Diagnosis]:
+    from warp_plate.viz.availability import missing_renderer, missing_window
+
     remote = None if has_desktop() else "no desktop here; 'explore SCENE --web' prints an address to open elsewhere"
     for name, problem in (("pictures", missing_renderer()), ("window", missing_window()), ("browser", remote)):
         yield Diagnosis(name, "missing" if problem else "ok", problem or "works")

@@ -9,13 +9,9 @@ from typing import Any, Literal
 
 from cyclopts import Parameter
 
-from warp_plate.analysis.export import export as export_result
 from warp_plate.cli import options, output
 from warp_plate.cli.render import FrameOptions, span_of
 from warp_plate.result.export import Format
-from warp_plate.result.focus import FocusResult, load_focus
-from warp_plate.result.hdf5 import describe_file
-from warp_plate.result.model import Result, load_result
 from warp_plate.scene.errors import SceneError, printable
 
 # Ending that is added to the result's name, and options beside --case.
@@ -75,6 +71,11 @@ def export(
     out
         The file to write (default: RESULT with another ending, in this folder).
     """
+    from warp_plate.analysis.export import export as export_result
+    from warp_plate.result.focus import FocusResult, load_focus
+    from warp_plate.result.hdf5 import describe_file
+    from warp_plate.result.model import Result, load_result
+
     target = output.output_file(out, f"{result.stem}{FORMATS[to][0]}")
     given = {name: value for name, value in vars(signal).items() if value is not None}
     for name, value in {**output.attributes(shown, *SERIES), **given}.items():

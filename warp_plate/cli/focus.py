@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
 from rich.console import Console
 
-from warp_plate.accuracy.configurations import percent
 from warp_plate.cli import options, output
-from warp_plate.focusing.focus import focus as compute
-from warp_plate.result.focus import FocusResult, load_focus, save_focus
-from warp_plate.viz.plots.frame import save_plots
-from warp_plate.viz.plots.waveforms import draw_focus
+
+if TYPE_CHECKING:
+    from warp_plate.result.focus import FocusResult
 
 FIGURES: tuple[str, ...] = ("peak", "focus_area", "contrast_db", "energy", "gap", "limits")
 FIGURES += ("crosstalk_db", "misfit", "electrical_energy")
@@ -43,6 +41,11 @@ def focus(
         File of focus with waveforms made for another panel, which are played on this one: shows how a finger or another
         damping changes the focus.
     """
+    from warp_plate.focusing.focus import focus as compute
+    from warp_plate.result.focus import load_focus, save_focus
+    from warp_plate.viz.plots.frame import save_plots
+    from warp_plate.viz.plots.responses import draw_focus
+
     chosen = colours.chosen()
     target = files.target(scene, "-focus.h5", holds="a focus")
     loaded, scene = changes.load(scene)
@@ -98,6 +101,10 @@ def _print(name: str, result: FocusResult, console: Console) -> None:
 
 def _remarks(result: FocusResult, name: str) -> list[str]:
     """Return what a line says of a method, for all foci together."""
+    import numpy as np
+
+    from warp_plate.accuracy.configurations import percent
+
     method, others, remarks = result.methods[name], ~np.eye(len(result.bound), dtype=bool), []
     wish = "burst" if result.wished is None else "wish"
     if others.any():

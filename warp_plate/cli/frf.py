@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import numpy as np
 from cyclopts import Parameter
 from rich.console import Console
 
 from warp_plate.cli import options, output
-from warp_plate.result.frequency_response import WRITERS, FrequencyResponse, Quantity, missing_uff
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Scene
-from warp_plate.studies.frequency_response import check_on_plate
-from warp_plate.studies.frequency_response import frf as compute
-from warp_plate.viz.plots.frame import save_plots
-from warp_plate.viz.plots.frequency_response import draw_frequency_response
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from warp_plate.result.frequency_response import FrequencyResponse
+    from warp_plate.scene.model import Scene
 
 PICTURES = (".png", ".svg", ".pdf")
 ResponseFormat = Literal["csv", "uff", "hdf5"]
@@ -45,7 +45,7 @@ class ResponseOptions:
     inputs: Annotated[list[str] | None, Parameter(name="--from", negative="", allow_leading_hyphen=True)] = None
     at: Annotated[list[str] | None, Parameter(negative="", allow_leading_hyphen=True)] = None
     range: str | None = None
-    quantity: Quantity = "mobility"
+    quantity: Literal["receptance", "mobility", "accelerance"] = "mobility"
 
 
 def frf(
@@ -68,6 +68,10 @@ def frf(
         File with the numbers beside the picture; may be repeated: csv; uff, dataset 58 of the universal file format
         (needs the extra uff); hdf5, which xarray opens. The ending of --out (.csv, .uff, .h5) acts as --to.
     """
+    from warp_plate.result.frequency_response import WRITERS, missing_uff
+    from warp_plate.studies.frequency_response import check_on_plate
+    from warp_plate.studies.frequency_response import frf as compute
+
     by_ending = {ending: name for name, (ending, _) in WRITERS.items()}
     target = files.target(scene, "-frf.png", endings=(*PICTURES, *by_ending))
     formats = [*(to or ()), *([by_ending[target.suffix.lower()]] if target.suffix.lower() in by_ending else ())]
@@ -116,6 +120,10 @@ def _range(text: str) -> tuple[float, float]:
 
 def _write(response: FrequencyResponse, target: Path, formats: list[ResponseFormat], pictures: bool) -> output.Drawn:
     """Write the files of the formats and the picture; return them, and why there is no picture."""
+    from warp_plate.result.frequency_response import WRITERS
+    from warp_plate.viz.plots.frame import save_plots
+    from warp_plate.viz.plots.responses import draw_frequency_response
+
     written = []
     for name in dict.fromkeys(formats):
         ending, write = WRITERS[name]
@@ -142,6 +150,8 @@ def _as_json(name: str, scene: Scene, response: FrequencyResponse) -> dict[str, 
 
 
 def _print(name: str, scene: Scene, response: FrequencyResponse, console: Console) -> None:
+    import numpy as np
+
     low, high, count = response.frequencies[0], response.frequencies[-1], len(response.natural_frequencies)
     console.print(
         f"{scene.title or name}: {response.quantity} at {len(response.frequencies)} frequencies from {low:g} to "
@@ -166,5 +176,5 @@ def _print(name: str, scene: Scene, response: FrequencyResponse, console: Consol
 
 
 def _extremes(values: np.ndarray) -> str:
-    finite = values[np.isfinite(values)]
-    return f"{finite.min():.4f} to {finite.max():.4f}" if finite.size else "none (no motion)"
+    finite = [value for value in values.tolist() if math.isfinite(value)]
+    return f"{min(finite):.4f} to {max(finite):.4f}" if finite else "none (no motion)"

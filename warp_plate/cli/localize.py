@@ -1,28 +1,24 @@
-"""``warp-plate localize SCENE``: the search, its tables and its files."""
+"""``warp-plate localize`` and ``simulate``: a search, or one plate under one drive, with their tables and files."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cyclopts import Parameter
 from rich.console import Console
 
-from warp_plate import viz
-from warp_plate.cli import main, options, output, tables
-from warp_plate.result.case import only_actuator, target_cases
-from warp_plate.result.checkpoint import ENDING, Checkpoint, load_checkpoint
-from warp_plate.result.model import BOUND_DESCRIPTIONS, Result
+from warp_plate.cli import main, options, output
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Scene
-from warp_plate.scene.vary import counted
-from warp_plate.studies.localize import load_to_resume, save_best_scenes
-from warp_plate.studies.localize import localize as run_localize
-from warp_plate.studies.localize import resume as run_resume
-from warp_plate.studies.unfinished import CheckpointFile
-from warp_plate.viz.fields import ColourOptions
+
+if TYPE_CHECKING:
+    from warp_plate.result.checkpoint import Checkpoint
+    from warp_plate.result.model import Result
+    from warp_plate.scene.model import Scene
+    from warp_plate.studies.unfinished import CheckpointFile
+    from warp_plate.viz.fields import ColourOptions
 
 CASE_DESCRIPTIONS = {
     "equal": "all actuators alike",
@@ -100,6 +96,12 @@ def localize(
     continues to a bit-identical result. A search that runs longer than --checkpoint-every leaves one too, in case the
     machine stops. A finished search deletes its checkpoints.
     """
+    from warp_plate import viz
+    from warp_plate.result.checkpoint import ENDING
+    from warp_plate.studies.localize import localize as run_localize
+    from warp_plate.studies.localize import resume as run_resume
+    from warp_plate.studies.unfinished import CheckpointFile
+
     resume, chosen = search.resume, colours.chosen()
     if resume is not None and files.out is None:
         files = replace(files, out=_result_beside(resume))
@@ -156,6 +158,9 @@ def _load_checkpoint(
     path: str | None,
 ) -> tuple[Scene | None, Checkpoint]:
     """Return the scene with its accuracy, if one of them is given, and the checkpoint of a search to continue."""
+    from warp_plate.result.checkpoint import load_checkpoint
+    from warp_plate.studies.localize import load_to_resume
+
     if scene is None and changes.accuracy is not None:
         scene = changes.with_accuracy(load_checkpoint(file).scene_as_written)
     given: dict[str, Any] = {"seed": search.seed, "evaluator": search.evaluator, "path": path}
@@ -171,6 +176,8 @@ def _result_beside(checkpoint: Path) -> Path:
 
 def _write(result: Result, target: Path, pictures: bool, file: CheckpointFile, colours: ColourOptions) -> output.Drawn:
     """Write the result, its pictures and the scenes found; delete the checkpoints of a finished search."""
+    from warp_plate.studies.localize import save_best_scenes
+
     path = target.with_suffix(".best.toml")
     with output.resumable(file, "localize"):
         files, missing = output.write_result(result, target, pictures, colours)
@@ -187,6 +194,9 @@ def _write(result: Result, target: Path, pictures: bool, file: CheckpointFile, c
 
 def _as_json(checkpoint: Path | None, result: Result) -> dict[str, object]:
     """Return the record for ``--json``; ``checkpoint`` is the file that an interrupted search resumes from."""
+    from warp_plate.cli import tables
+    from warp_plate.result.case import only_actuator
+
     factors = {name: case.localization_factor for name, case in result.cases.items()}
     names = ("device", "path", "seed", "bound_kind", "evaluations", "node_steps", "seconds", "effects", "spectrum")
     return {
@@ -208,6 +218,10 @@ def _as_json(checkpoint: Path | None, result: Result) -> dict[str, object]:
 
 
 def _print(elapsed: float | None, result: Result, console: Console) -> None:
+    from warp_plate.cli import tables
+    from warp_plate.result.case import target_cases
+    from warp_plate.scene.vary import counted
+
     console.print(result.scene.title or result.source)
     _print_factors(result, console)
     tables.print_motion({name.replace("_", " "): case for name, case in result.cases.items()}, result.scene, console)
@@ -229,6 +243,9 @@ def _print(elapsed: float | None, result: Result, console: Console) -> None:
 
 def _print_factors(result: Result, console: Console) -> None:
     """Print the localization factors, with the published ones of the paper's scene."""
+    from warp_plate.result.case import only_actuator
+    from warp_plate.result.model import BOUND_DESCRIPTIONS
+
     published = PUBLISHED if result.source == "paper" else {}
     target = f", target {result.scene.targets[0].name}" if result.target_searches else ""
     rows = []
@@ -248,3 +265,84 @@ def _print_factors(result: Result, console: Console) -> None:
     reached = result.cases["best"].localization_factor
     if result.bound is not None and result.bound_kind == "attained" and result.bound - reached > MISSED:
         console.print('The bound can be reached: method = "exact" in [search] finds that drive.\n')
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class RunOptions:
+    """Options of a run."""
+
+    device: options.Device = "auto"
+    path: options.SteppingOrModes = "auto"
+    estimate: options.EstimateSwitch = True
+    allow_unstable: options.AllowUnstable = False
+
+
+def simulate(
+    scene: options.SceneName,
+    /,
+    *,
+    changes: options.SceneOptions = options.SceneOptions(),
+    drive: str = "scene",
+    run: RunOptions = RunOptions(),
+    files: options.FileOptions = options.FileOptions(),
+    colours: options.ColourChoice = options.ColourChoice(),
+) -> None:
+    """Run one plate under one drive, and write the result as an .h5 file.
+
+    Parameters
+    ----------
+    drive
+        scene (the magnitudes and phases of the scene's actuators), equal, single (the best single actuator), or a
+        result file (.h5) whose best drive is taken.
+    """
+    from warp_plate import viz
+    from warp_plate.studies.simulate import simulate as simulate_scene
+
+    chosen = colours.chosen()
+    target = files.target(scene, "-simulate.h5", holds="a result of simulate")
+    loaded, scene = changes.load(scene)
+    if files.pictures:
+        viz.prepare()  # while the plate is simulated
+    last = "estimating the error" if run.estimate else ""
+    with output.scene_errors(scene), output.progress_bar("simulating", not files.json, loaded, last) as show:
+
+        def on_progress(done: int, total: int) -> None:
+            show(done, total, f"{done:.2g} node-steps")
+
+        result = simulate_scene(loaded, source=scene, drive=drive, progress=on_progress, **vars(run))
+    written = output.write_result(result, target, files.pictures, chosen)
+    output.report(files.json, _run_as_json, _print_run, result, written=written)
+
+
+def _run_as_json(result: Result) -> dict[str, object]:
+    from warp_plate.cli import tables
+
+    case = result.cases["drive"]
+    names = ("device", "evaluator", "path", "peak_displacement", "node_steps", "seconds", "effects", "accuracy")
+    return {
+        "scene": result.source,
+        **output.attributes(result, *names),
+        **output.attributes(case, "status", "localization_factor", "energy"),
+        "motion": tables.motion_json(case),
+        "warnings": tables.warnings_of(result),
+    }
+
+
+def _print_run(result: Result, console: Console) -> None:
+    from warp_plate.cli import tables
+    from warp_plate.result.case import only_actuator
+
+    case = result.cases["drive"]
+    console.print(result.scene.title or result.source)
+    rows = [] if case.status == "ok" else [("status", case.status)]
+    if name := only_actuator(case, result.scene):
+        rows.append(("only actuator driven", name))
+    rows.append(("localization factor", output.number_text(case.localization_factor, ".4f")))
+    for region, energy in case.energy.items():
+        label = f"kinetic energy of the {region}, averaged over the window"
+        rows.append((label, output.number_text(energy, ".4g", " J")))
+    rows.append(("largest displacement during the run", output.number_text(result.peak_displacement, ".4g", " m")))
+    output.print_rows(console, ("quantity", "value"), rows, "")
+    tables.print_motion(result.cases, result.scene, console)
+    tables.print_cost(result, console, elapsed=main.elapsed())

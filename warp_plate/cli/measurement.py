@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 from cyclopts import Parameter
 from rich.console import Console
 
 from warp_plate.cli import options, output
-from warp_plate.fitting.fit import ModeFit, ResponseFit, assurance
-from warp_plate.fitting.fit import fit as fit_files
-from warp_plate.fitting.plan_measurement import MeasurementPlan
-from warp_plate.fitting.plan_measurement import plan_measurement as make_plan
-from warp_plate.result.atomic_io import atomic_paths
-from warp_plate.result.model import load_result
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.keys import unit_of
-from warp_plate.scene.model import Scene
-from warp_plate.studies.verify import Verification
-from warp_plate.studies.verify import verify as compare_velocities
-from warp_plate.viz.plots.frame import save_plots
-from warp_plate.viz.plots.frequency_response import draw_mode_fit, draw_response_fit
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from warp_plate.fitting.fit import ModeFit, ResponseFit
+    from warp_plate.fitting.plan_measurement import MeasurementPlan
+    from warp_plate.scene.model import Scene
+    from warp_plate.studies.verify import Verification
 
 # First words of the files; correlations that are reported.
 FITTED, PLANNED, STRONG = "# Fitted by warp-plate", "# Planned by warp-plate", 0.9
@@ -54,6 +50,8 @@ def fit(
         dataset 58 for each; .mat, .h5 or .nc with the arrays frequency and response; or time signals, as .wav, or as
         .csv with the table [fit.signals]. May be repeated, for files with as many responses each.
     """
+    from warp_plate.fitting.fit import fit as fit_files
+
     target = files.target(scene, ".fitted.toml", holds=FITTED)
     loaded, scene = changes.load(scene)
     _check_folder(loaded, target)
@@ -71,11 +69,17 @@ def _check_folder(scene: Scene, target: Path) -> None:
 
 
 def _write_scene(scene: Scene, target: Path, heading: str) -> None:
+    from warp_plate.result.atomic_io import atomic_paths
+
     with atomic_paths(target) as (temporary,):
         temporary.write_text(f"{heading}\n{scene.to_toml()}", encoding="utf-8")
 
 
 def _draw(fitted: ModeFit | ResponseFit, target: Path) -> output.Drawn:
+    from warp_plate.fitting.fit import ResponseFit, assurance
+    from warp_plate.viz.plots.frame import save_plots
+    from warp_plate.viz.plots.responses import draw_mode_fit, draw_response_fit
+
     if isinstance(fitted, ResponseFit):
         return save_plots(partial(draw_response_fit, fitted), target)
     mac = assurance(fitted.scene, fitted.measured, fitted.numbers)
@@ -83,6 +87,8 @@ def _draw(fitted: ModeFit | ResponseFit, target: Path) -> output.Drawn:
 
 
 def _fit_as_json(name: str, fitted: ModeFit | ResponseFit) -> dict[str, object]:
+    from warp_plate.fitting.fit import ResponseFit
+
     columns = {"value": fitted.values, "low": fitted.low, "high": fitted.high, "at_limit": fitted.at_limit}
     if fitted.bootstrap is not None:
         columns["bootstrap"] = fitted.bootstrap.T
@@ -101,6 +107,10 @@ def _fit_as_json(name: str, fitted: ModeFit | ResponseFit) -> dict[str, object]:
 
 
 def _print_fit(name: str, fitted: ModeFit | ResponseFit, console: Console) -> None:
+    import numpy as np
+
+    from warp_plate.fitting.fit import ResponseFit
+
     console.print(f"{fitted.scene.title or name}\n")
     _print_properties(fitted, fitted.bootstrap, console)
     if isinstance(fitted, ResponseFit):
@@ -124,6 +134,8 @@ def _print_properties(
     estimated: ModeFit | ResponseFit | MeasurementPlan, bootstrap: np.ndarray | None, console: Console
 ) -> None:
     """Print the values of the free properties with their intervals, and those of the bootstrap."""
+    from warp_plate.scene.keys import unit_of
+
     headings = ["number", "unit", "value", "95 % from", "to"]
     columns = [estimated.values, estimated.low, estimated.high]
     if bootstrap is not None:
@@ -136,6 +148,8 @@ def _print_properties(
 
 def _remarks(fitted: ModeFit | ResponseFit) -> list[str]:
     """Return lines about properties that the data do not determine."""
+    import numpy as np
+
     lines = []
     for group in fitted.inseparable:
         fault = "cannot be distinguished by these data; fix all but one" if len(group) > 1 else "has no influence here"
@@ -175,6 +189,8 @@ def plan_measurement(
     """
     if not 1e-9 <= noise <= 1:
         raise SceneError(f"--noise {noise:g}: must be from 1e-9 to 1, such as 0.02")
+    from warp_plate.fitting.plan_measurement import plan_measurement as make_plan
+
     target = files.target(scene, ".plan.toml", holds=PLANNED)
     loaded, scene = changes.load(scene)
     _check_folder(loaded, target)
@@ -227,6 +243,9 @@ def verify(
     case
         Name of the drive in the result (default: best, or the one that was simulated).
     """
+    from warp_plate.result.model import load_result
+    from warp_plate.studies.verify import verify as compare_velocities
+
     verified = compare_velocities(load_result(result), data, case)
     output.report(json, _verified_as_json, _print_verified, verified)
 
@@ -258,5 +277,5 @@ def _print_verified(verified: Verification, console: Console) -> None:
     )
     if not verified.kept:
         console.print("! The drive does not keep its promise: fit the scene to a measurement, and search again.")
-    if np.isnan(verified.deviation):
+    if math.isnan(verified.deviation):
         console.print("! The noise is not known: add a column uncertainty, or measure each point twice.")

@@ -5,18 +5,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
+from typing import TYPE_CHECKING
 
-import numpy as np
 from cyclopts import Parameter
 from rich.console import Console
 
 from warp_plate.cli import options, output
-from warp_plate.effects.effect import attachments
-from warp_plate.modal.continuous_modes import continuous_modes
-from warp_plate.plate.modes import NaturalModes
-from warp_plate.plate.signals import highest_frequency
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Scene
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from warp_plate.plate.modes import NaturalModes
+    from warp_plate.scene.model import Scene
 
 ENDINGS, RIGID, GRID_HEADINGS = (".png", ".svg", ".pdf"), "0 (rigid)", ("error (%)", "in a run (Hz)")
 # Motions of masses below this are zero.
@@ -50,6 +51,8 @@ def modes(
 
     A picture (.png, .svg or .pdf) shows the shapes with their nodal lines.
     """
+    from warp_plate.modal.continuous_modes import continuous_modes
+
     target = files.target(scene, "-modes.png", endings=ENDINGS)
     if changes.accuracy is not None and not shown.grid:
         raise SceneError("--accuracy: chooses a grid; add --grid")
@@ -59,8 +62,8 @@ def modes(
         natural = exact = continuous_modes(loaded, shown.count)
         if shown.grid:
             loaded, natural = _grid_modes(loaded, shown.count)
-            exact_frequencies = exact.frequencies[: len(natural.frequencies)]
-            moving = np.where(exact_frequencies > 0, exact_frequencies, math.nan)
+            moving = exact.frequencies[: len(natural.frequencies)].copy()
+            moving[moving == 0] = math.nan
             errors = natural.frequencies / moving - 1
     written: output.Drawn = [], None
     if files.pictures:
@@ -106,6 +109,9 @@ def _as_json(
 def _print(
     name: str, scene: Scene, natural: NaturalModes, errors: np.ndarray | None, left_out: list[str], console: Console
 ) -> None:
+    from warp_plate.effects.effect import attachments
+    from warp_plate.plate.signals import highest_frequency
+
     nx, ny = scene.grid.nodes
     grid = "" if errors is None else f": {nx} × {ny} nodes, order {scene.grid.order}"
     console.print(f"{scene.title or name}{grid}\n")

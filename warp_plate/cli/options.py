@@ -14,11 +14,11 @@ import cyclopts
 from cyclopts import Parameter, validators
 
 from warp_plate.cli import output
-from warp_plate.cluster.pool import WorkerPool
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Scene
 
 if TYPE_CHECKING:
+    from warp_plate.cluster.pool import WorkerPool
+    from warp_plate.scene.model import Scene
     from warp_plate.viz.fields import ColourOptions
 
 
@@ -94,6 +94,8 @@ class SceneChanges:
 
     def load(self, source: str) -> tuple[Scene, str]:
         """Return the scene, and its name with the options that changed it, for use in output."""
+        from warp_plate.scene.model import Scene  # imports NumPy and pydantic
+
         changed = self.assignments or []
         name = " ".join([source, *(f"--set {shlex.quote(assignment)}" for assignment in changed)])
         return Scene.load(source, changed), name

@@ -6,20 +6,16 @@ import math
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 from rich.console import Console
 
 from warp_plate.cli import options, output
-from warp_plate.result.sweep import Sweep
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.keys import label_of, unit_of
-from warp_plate.scene.vary import counted, value_text
-from warp_plate.studies.sweep import SweepRequest, open_sweep, run_sweep, save_finished
-from warp_plate.studies.unfinished import CheckpointFile
-from warp_plate.viz.plots.frame import save_plots
-from warp_plate.viz.plots.sweep import draw_sweep
+
+if TYPE_CHECKING:
+    from warp_plate.result.sweep import Sweep
 
 # Larger sweeps are summarised by the smallest and largest values.
 MOST_ROWS, MOST_COLUMNS = 40, 7
@@ -80,6 +76,11 @@ def sweep(
     --checkpoint-every: the same command again, or --resume, runs the pending points to bit-identical results. The
     result replaces only an earlier result of the same sweep.
     """
+    from warp_plate.studies.sweep import SweepRequest, open_sweep, run_sweep, save_finished
+    from warp_plate.studies.unfinished import CheckpointFile
+    from warp_plate.viz.plots.frame import save_plots
+    from warp_plate.viz.plots.sweep import draw_sweep
+
     resume, seed, samples = points.resume, points.seed, points.samples
     if seed is not None and samples is None:
         raise SceneError(f"--seed {seed}: is the seed of samples; give --samples N as well, or leave it out")
@@ -140,6 +141,9 @@ def _columns(result: Sweep) -> dict[str, tuple[str, list[float]]]:
 
 
 def _print(result: Sweep, console: Console) -> None:
+    from warp_plate.scene.keys import label_of, unit_of
+    from warp_plate.scene.vary import counted, value_text
+
     plan, scene, columns = result.plan, result.scene, _columns(result)
     way = "by modes" if result.evaluator == "modal" else "by time steps"
     head = f"{scene.title or result.source}: {result.what} {way}, {plan.description}, on {result.devices_used}\n"
