@@ -9,7 +9,6 @@ import math
 import numpy as np
 import pytest
 import scipy
-from error_bars.elements import element_frequencies
 
 from support.levy import isotropic, levy_frequencies
 from support.ritz_polynomials import extrapolated_frequencies, ritz_frequencies
@@ -263,40 +262,6 @@ def test_springs_that_hide_the_plate(mass):
     for stiffness in (1e18, 1e29):
         with pytest.raises(SceneError, match=r"^effects\.oscillators\[0\]\.stiffness = 1e\+.*: hides the plate"):
             solve_modes(scene(stiffness))
-
-
-def random_scene(random):
-    """Return a scene of random edges, some on springs, and about half of the linear effects but layers."""
-    size = (0.2, 0.2 * random.uniform(0.4, 1.0))
-
-    def edge():
-        springs = {"translation": 10 ** random.uniform(1, 5), "rotation": 10 ** random.uniform(-3, 1)}
-        return random.choice(["clamped", "supported", "free", springs])
-
-    def oscillator():
-        low, part = random.uniform(0.1, 0.6, 2), random.uniform(0.1, 0.3, 2)
-        area = [side * place for side, a, b in zip(size, low, part, strict=True) for place in (a, a + b)]
-        return {"area": area, "mass": random.choice([0.0, 2e-3]), "stiffness": 10 ** random.uniform(1, 3)}
-
-    rigid = 10 ** random.uniform(-2.5, -1, 2)
-    effects = {
-        "orthotropic": {"Dx": rigid[0], "Dy": rigid[1], "D1": 0.3 * np.sqrt(rigid.prod()), "Dxy": 5e-3},
-        "tension": dict(zip("xy", random.uniform(-2, 60, 2), strict=True)),
-        "foundation": {"stiffness": 10 ** random.uniform(2, 5)},
-        "oscillators": [oscillator()],
-        "variation": {"thickness": np.exp(random.uniform(-0.3, 0.3, random.integers(2, 4, 2))).tolist()},
-    }
-    chosen = {name: table for name, table in effects.items() if random.random() < 0.5}
-    return scene_of(size=size, edges=tuple(edge() for _ in range(4)), effects=chosen)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(8))
-def test_random_plates(seed):
-    scene = random_scene(np.random.default_rng(seed))
-    frequencies, expected = lowest(scene), element_frequencies(scene, COUNT)
-    moving = frequencies > 0
-    assert frequencies[moving] == pytest.approx(expected[moving], rel=1e-5)
 
 
 def layers_between(gap):

@@ -12,7 +12,6 @@ import pytest
 from support.scenes import scene_of
 from warp_plate import PlateSolver
 from warp_plate.modal.energies import ModalEnergies
-from warp_plate.modal.gram import gram_matrices
 from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.motion import fields, modal_motion, trace
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
@@ -90,21 +89,6 @@ def test_bursts_move_modes_as_tones_that_are_switched(burst):
         exact = amplitudes(plate, actuator, phasor, times)[:MODES]
         moved = (phasor * motion[:, actuator]).real
         assert np.allclose(moved, exact, rtol=0, atol=1e-9 * np.abs(exact).max())
-
-
-def test_designs_have_their_own_frequencies_delays_and_places():
-    """A batch holds what the scenes of its designs have alone."""
-    scene = bursts(burst={**BURST, "ramp": 0.0, "period": None}, window=(0.008, 0.012))
-    plate, random = solve_modes(scene, highest=400.0, density=0.5), np.random.default_rng(3)
-    regions = [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)]
-    tones, delays = random.uniform(150, 400, (2, 3)), random.uniform(0, 0.004, (2, 3))
-    forces = np.stack([plate.actuator_forces(), plate.actuator_forces()[:, ::-1]])
-    batch = gram_matrices(plate, regions, forces, tones, scene.window, delay=delays)
-    for design, matrices in enumerate(batch):
-        rows = actuators_of(tones[design].tolist(), delays[design].tolist())
-        alone = solve_modes(scene.with_tables(actuators=rows), highest=400.0, density=0.5)
-        force, tone = forces[[design]], actuator_frequencies(alone.scene)[None]
-        assert np.allclose(matrices, gram_matrices(alone, regions, force, tone, scene.window)[0], rtol=1e-12, atol=0)
 
 
 def test_undamped_mode_at_resonance_grows():

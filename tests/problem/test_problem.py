@@ -45,16 +45,6 @@ def test_the_bound_and_the_matrices_are_those_of_float64(problem):
         make_problem(resolve(problem.scene, "cpu"), matrices=problem.plates.matrices[:1])
 
 
-def test_plates_have_the_places_of_their_positions():
-    problem = make_problem(resolve(scene_of(**SMALL, search={"position": {}, "phase": {}}), "cpu", evaluator="direct"))
-    space = problem.space
-    asked = space.from_unit(np.random.default_rng(4).random((3, space.dimension)))
-    for position, loss in zip(asked, problem.losses_without_clearance(asked), strict=True):
-        scene = problem.parametrization.scene_of(position)
-        energy = PlateSolver(scene, "cpu").run(problem.parametrization.designs(position[None]).drives).energy
-        assert loss == pytest.approx(1 - localization_factor(energy)[0], rel=1e-9)
-
-
 def test_kinds_of_bounds(problem):
     """Limits of drives lower the bound; places and frequencies have none."""
     limited = make_problem(

@@ -59,19 +59,6 @@ def response_at(problem, position):
     return ModalSolver(problem.parametrization.scene_of(position)).response.matrices
 
 
-@pytest.mark.slow
-def test_no_drive_that_is_known_is_better_than_the_one_returned():
-    """Neither one of the result's spectrum nor, at the same frequency, the exact one."""
-    search = {**DRIVES, **FREQUENCY}
-    result = localize(projected_search(search), device="cpu", estimate=False)
-    best = result.cases["best"].localization_factor
-    assert best == pytest.approx(result.history["best"][-1], abs=1e-6)
-    assert result.spectrum["best"].max() <= best + 1e-6
-    found = result.driven_scene(result.cases["best"]).with_tables(search={**DRIVES, "method": "exact"})
-    exact = localize(found, device="cpu", evaluator="modal", estimate=False)
-    assert exact.cases["best"].localization_factor == pytest.approx(best, abs=1e-4)  # of modes up to other frequencies
-
-
 def overlapping(areas, clearance):
     """Return whether two rectangles of areas (actuators, 2, 2) have less room than the clearance on both axes."""
     return any(

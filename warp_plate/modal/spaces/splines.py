@@ -62,12 +62,6 @@ class Splines:
         pieces = [*slopes, self._from_start(starts)]
         return np.stack([piece.T / factor for piece, factor in zip(pieces, factorials, strict=True)], axis=-1)
 
-    def products(self, low: float, high: float, first: int = 0, second: int = 0) -> np.ndarray:
-        """Return (functions, functions) ∫ of two derivatives, row times column, from ``low`` to ``high`` [m]."""
-        inside = self.breaks[(self.breaks > low) & (self.breaks < high)]
-        x, weights = gauss(np.concatenate([[low], inside, [high]]), self.degree + 1)
-        return np.asarray((self.values(x, first) * weights) @ self.values(x, second).T)
-
     def _from_start(self, x: np.ndarray) -> np.ndarray:
         """Return (functions, points) integrals from the low end to x [m], sums of splines of one degree more."""
         knots = np.concatenate([self.knots[:1], self.knots, self.knots[-1:]])
