@@ -27,19 +27,14 @@ class Evaluator:
     """Energies of plates of one scene, from its solver in this process or from a pool's workers.
 
     Both give the same bits if the workers have this machine's kind of processor.
-
-    Attributes:
-        solver: The solver of this process, which also keeps displacements and traces of few plates.
-        pool: The workers that run batches; None if this process does.
-        lost: Number of plates without energies because their block was given up, by the reason.
     """
 
     def __init__(
         self, solver: PlateSolver | ModalSolver, pool: WorkerPool | None = None, spec: SolverSpec | None = None
     ) -> None:
-        self.solver = solver
-        self.pool = pool
-        self.lost: Counter[str] = Counter()
+        self.solver = solver  # of this process, which also keeps displacements and traces of few plates
+        self.pool = pool  # the workers that run batches; None if this process does
+        self.lost: Counter[str] = Counter()  # plates without energies because their block was given up, by the reason
         self._spec = spec
         self._worker_node_steps = 0
         self._worker: dict[str, str] = {}
@@ -55,10 +50,7 @@ class Evaluator:
         return self.solver.compile_seconds
 
     def run(self, designs: np.ndarray | Designs) -> Evaluation:
-        """Return the energies of a batch.
-
-        Args:
-            designs: Phasors (plates, actuators), or designs as for :meth:`PlateSolver.run`.
+        """Return the energies of a batch: of phasors (plates, actuators), or designs as for :meth:`PlateSolver.run`.
 
         Raises:
             SceneError: The designs are refused, or workers are of different kinds or versions.
@@ -86,7 +78,7 @@ class Evaluator:
         size = block_size(plates, pool.worker_count(), self.solver.node_steps_per_plate, work)
         slices = [slice(first, min(first + size, plates)) for first in range(0, plates, size)]
         tasks = [Task(run_block, (self._spec, designs[some]), some) for some in slices]
-        for task, outcome in run_tasks(pool, tasks, halves_of_block):
+        for task, outcome in run_tasks(pool, tasks):
             some = task.key
             if outcome.failure:
                 fault = f"block {outcome.failure}"
@@ -119,16 +111,9 @@ def make_evaluator(
     pool: WorkerPool | None = None,
     **options: Any,
 ) -> Evaluator:
-    """Return the evaluator of a scene by time steps; see :class:`PlateSolver` for the options.
+    """Return the evaluator of a scene by time steps; see :class:`PlateSolver` for the options and errors.
 
-    Args:
-        scene: A scene with a grid, or its discretization.
-        device: Device of the solver in this process; workers have ``pool.device``.
-        path: See :class:`PlateSolver`.
-        pool: Workers that run batches (default: this process does).
-
-    Raises:
-        SceneError: See :class:`PlateSolver`.
+    ``device`` is that of the solver in this process; the workers of a ``pool``, which run batches, have their own.
     """
     solver = PlateSolver(scene, device, path, **options)
     if pool is None:
@@ -140,22 +125,9 @@ def make_evaluator(
 def block_size(plates: int, workers: int, node_steps_per_plate: int, work: tuple[float, float]) -> int:
     """Return how many plates a block has: two blocks for each worker, or more where these were too large.
 
-    Args:
-        plates: Number of plates of the batch.
-        workers: Number of workers.
-        node_steps_per_plate: Nodes updated × steps.
-        work: The least and the most node-steps of a block.
+    ``work``: the least and the most node-steps of a block.
     """
     least, most = (max(1, int(node_steps / node_steps_per_plate)) for node_steps in work)
     blocks_per_worker = max(2, math.ceil(plates / (workers * most)))
     size = max(least, math.ceil(plates / (workers * blocks_per_worker)))
     return BLOCK_MULTIPLE * math.ceil(size / BLOCK_MULTIPLE)
-
-
-def halves_of_block(task: Task) -> list[Task]:
-    """Return the task as two of half as many plates; none if it has but one."""
-    (spec, designs), some = task.argument, task.key
-    count = len(designs) // 2
-    middle = some.start + count
-    parts = ((designs[:count], slice(some.start, middle)), (designs[count:], slice(middle, some.stop)))
-    return [Task(task.function, (spec, part), rows) for part, rows in parts] if count else []

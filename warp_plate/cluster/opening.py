@@ -113,11 +113,7 @@ def _scheduler_address(cluster: str) -> str:
 class DaskPool(WorkerPool):
     """The workers of a Dask scheduler, which may come and go.
 
-    Args:
-        client: A client of the scheduler.
-        name: The option that named the workers, for messages.
-        device: See :class:`WorkerPool`.
-        cluster: Scheduler and workers that were started here.
+    ``name`` is the option that named the workers; ``cluster`` has a scheduler and workers that were started here.
     """
 
     def __init__(self, client: Client, name: str, device: str = "auto", cluster: SpecCluster | None = None) -> None:

@@ -1,4 +1,4 @@
-"""A pool of workers, and how tasks run on it: repeated if a worker ended, and halved if memory was short."""
+"""A pool of workers, and how tasks run on it: repeated if a worker ended or its memory was short."""
 
 from __future__ import annotations
 
@@ -27,22 +27,15 @@ class WorkersGone(SceneError):
 
 
 class WorkerPool(ABC):
-    """Workers that run functions of one argument.
-
-    Attributes:
-        device: Device on which workers run plates; "auto" for each worker's own choice.
-        attempts: Number of failures after which a task is given up.
-        block_node_steps: The least and the most work in a block of plates, by the kind of device.
-        on_progress: Called with (tasks done, tasks in all) while ``run_tasks`` runs; None: nobody is.
-        retried: Number of tasks that were run again, or in halves, by the reason.
-    """
+    """Workers that run functions of one argument."""
 
     def __init__(self, device: str = "auto") -> None:
-        self.device = device
-        self.attempts = 3
-        self.block_node_steps = dict(BLOCK_NODE_STEPS)
+        self.device = device  # on which workers run plates; "auto" for each worker's own choice
+        self.attempts = 3  # failures after which a task is given up
+        self.block_node_steps = dict(BLOCK_NODE_STEPS)  # least and most work in a block of plates, by kind of device
+        # Called with (tasks done, tasks in all) while ``run_tasks`` runs
         self.on_progress: Callable[[int, int], object] | None = None
-        self.retried: Counter[str] = Counter()
+        self.retried: Counter[str] = Counter()  # tasks that were run again, by the reason
 
     @property
     @abstractmethod
@@ -51,11 +44,7 @@ class WorkerPool(ABC):
 
     @abstractmethod
     def worker_count(self) -> int:
-        """Return the number of tasks that can run at once.
-
-        Raises:
-            WorkersGone: No worker is left.
-        """
+        """Return the number of tasks that can run at once, or raise ``WorkersGone`` if no worker is left."""
 
     @abstractmethod
     def submit(self, function: Callable[[Any], Any], argument: Any) -> Future[Any]:
@@ -71,43 +60,24 @@ class WorkerPool(ABC):
 
 @dataclass(eq=False)
 class Task:
-    """A call of a function of a module's top level.
+    """A call of a function of a module's top level."""
 
-    Attributes:
-        function: The function; workers find it by its name.
-        argument: Its argument.
-        key: Anything by which the caller knows the result.
-        attempts: How often the task failed.
-    """
-
-    function: Callable[[Any], Any]
+    function: Callable[[Any], Any]  # workers find it by its name
     argument: Any
-    key: Any = None
-    attempts: int = 0
+    key: Any = None  # anything by which the caller knows the result
+    attempts: int = 0  # how often the task failed
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of a task.
+    """The result of a task."""
 
-    Attributes:
-        value: Return value of the function; None for a task that was given up.
-        failure: Why it was given up; "" if it was not.
-    """
-
-    value: Any = None
-    failure: str = ""
+    value: Any = None  # return value of the function; None for a task that was given up
+    failure: str = ""  # why it was given up; "" if it was not
 
 
-def run_tasks(
-    pool: WorkerPool, tasks: Iterable[Task], halves: Callable[[Task], list[Task]] = lambda task: []
-) -> Iterator[tuple[Task, Outcome]]:
+def run_tasks(pool: WorkerPool, tasks: Iterable[Task]) -> Iterator[tuple[Task, Outcome]]:
     """Yield each task with its outcome, in the order in which they finish.
-
-    Args:
-        pool: The workers.
-        tasks: The tasks.
-        halves: Splits a task for which memory was short into smaller ones; returns none if that cannot be done.
 
     Raises:
         SceneError: A task raised it: bad input is bad everywhere.
@@ -117,7 +87,10 @@ def run_tasks(
     waiting, running, done = deque(tasks), dict[Future[Any], Task](), 0
     try:
         while waiting or running:
-            while waiting and len(running) < _most_running(pool.worker_count(), [waiting[0], *running.values()]):
+            while waiting and len(running) < pool.worker_count() * TASKS_PER_WORKER:
+                # A task that failed before runs alone, so that no other fails with it.
+                if running and any(task.attempts for task in (waiting[0], *running.values())):
+                    break
                 task = waiting.popleft()
                 running[pool.submit(task.function, task.argument)] = task
             if running:
@@ -128,9 +101,9 @@ def run_tasks(
             check_interrupt()
             for future in finished:
                 task = running.pop(future)
-                outcome = _outcome(pool, task, future, halves)
-                if not isinstance(outcome, Outcome):
-                    waiting.extendleft(outcome)
+                outcome = _outcome(pool, task, future)
+                if outcome is None:
+                    waiting.appendleft(task)
                     continue
                 done += 1
                 if pool.on_progress is not None:
@@ -141,18 +114,10 @@ def run_tasks(
             future.cancel()
 
 
-def _most_running(workers: int, tasks: list[Task]) -> int:
-    """Return the number of tasks that may run at once: only one if a task failed before, so that no other fails with
-    it."""
-    return min(workers, 1) if any(task.attempts for task in tasks) else TASKS_PER_WORKER * workers
-
-
-def _outcome(
-    pool: WorkerPool, task: Task, future: Future[Any], halves: Callable[[Task], list[Task]]
-) -> Outcome | list[Task]:
-    """Return the outcome of a task, or the tasks that are to be run in its place."""
+def _outcome(pool: WorkerPool, task: Task, future: Future[Any]) -> Outcome | None:
+    """Return the outcome of a task; None if it is to be run again."""
     if future.cancelled():  # Dask lost it
-        return [task]
+        return None
     error = future.exception()
     if error is None:
         return Outcome(future.result())
@@ -160,21 +125,14 @@ def _outcome(
         raise SceneError(f"a worker: {error}")
     if isinstance(error, ImportError):
         raise SceneError(f"a worker cannot import {error.name}: install the same warp-plate on every worker")
-    reason = _reason(error)
-    smaller = halves(task) if isinstance(error, MemoryError) else []
-    if not isinstance(error, MemoryError):
+    if isinstance(error, MemoryError):
+        reason = str(error)
+    else:
         pool.restart_worker(error)
+        killed = type(error).__name__ == "KilledWorker"
+        reason = "its worker ended" if killed else f"{type(error).__name__}: {str(error).strip()}".partition("\n")[0]
     task.attempts += 1
-    if not smaller and task.attempts == pool.attempts:
+    if task.attempts == pool.attempts:
         return Outcome(failure=f"given up after {pool.attempts} attempts: {reason}")
     pool.retried[reason] += 1
-    return smaller or [task]
-
-
-def _reason(error: BaseException) -> str:
-    """Return one line about an error."""
-    if type(error).__name__ == "KilledWorker":
-        return "its worker ended"
-    if isinstance(error, MemoryError):
-        return str(error)
-    return f"{type(error).__name__}: {str(error).strip()}".partition("\n")[0]
+    return None

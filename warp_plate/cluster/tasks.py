@@ -33,23 +33,14 @@ WARP_OUT_OF_MEMORY = "Failed to allocate"
 
 @dataclass(frozen=True)
 class SceneSpec:
-    """A scene in plain data.
+    """A scene in plain data."""
 
-    Attributes:
-        text: The scene as TOML.
-        files: Contents of the files that it names, by their names.
-    """
-
-    text: str
-    files: Mapping[str, bytes]
+    text: str  # as TOML
+    files: Mapping[str, bytes]  # contents of the files that it names, by their names
 
     @staticmethod
     def of(scene: Scene) -> SceneSpec:
-        """Return a scene in plain data.
-
-        Raises:
-            SceneError: A file that it names cannot be read.
-        """
+        """Return a scene in plain data, or raise a SceneError if a file that it names cannot be read."""
         files = {name: read_beside(key, name, scene.folder) for key, name in named_files(scene).items()}
         return SceneSpec(scene.to_toml(), files)
 
@@ -62,21 +53,13 @@ class SceneSpec:
 
 @dataclass(frozen=True)
 class SolverSpec:
-    """The arguments of a :class:`PlateSolver` in plain data.
+    """The arguments of a :class:`PlateSolver` in plain data."""
 
-    Attributes:
-        scene: The scene, which has a grid.
-        device: Device, unless the worker's environment names another one.
-        path: See :class:`PlateSolver`.
-        options: Further arguments.
-        key: Identifies a solver that a worker has built.
-    """
-
-    scene: SceneSpec = field(compare=False)
-    device: str = field(compare=False)
+    scene: SceneSpec = field(compare=False)  # with a grid
+    device: str = field(compare=False)  # unless the worker's environment names another one
     path: str = field(compare=False)
     options: Mapping[str, Any] = field(compare=False)
-    key: str = field(default_factory=lambda: uuid4().hex)
+    key: str = field(default_factory=lambda: uuid4().hex)  # identifies a solver that a worker has built
 
     @staticmethod
     def of(scene: Scene, device: str, path: str, areas: Mapping[str, Region] = NO_AREAS, **options: Any) -> SolverSpec:
@@ -88,25 +71,16 @@ class SolverSpec:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Energies of a batch.
+    """Energies of a batch."""
 
-    Attributes:
-        energy: (plates, regions) as in ``Run``; NaN for a plate that failed.
-        node_steps: Nodes updated × steps × plates.
-        faults: Reason and time of detection [s] (NaN if unknown) of each plate that failed, by its number.
-    """
-
-    energy: np.ndarray
-    node_steps: int
+    energy: np.ndarray  # (plates, regions) as in ``Run``; NaN for a plate that failed
+    node_steps: int  # nodes updated × steps × plates
+    # Reason and time of detection [s] (NaN if unknown) of each plate that failed, by its number
     faults: Mapping[int, tuple[str, float]]
 
 
 def run_task(function: Callable[[Any], Any], argument: Any) -> Any:
-    """Call a function on a worker.
-
-    Raises:
-        MemoryError: The worker has too little memory, on the host or on its device.
-    """
+    """Call a function on a worker; raise MemoryError if it has too little memory, on the host or on its device."""
     try:
         return function(argument)
     except (MemoryError, RuntimeError) as error:
@@ -117,11 +91,7 @@ def run_task(function: Callable[[Any], Any], argument: Any) -> Any:
 
 
 def run_block(block: tuple[SolverSpec, Designs]) -> tuple[Evaluation, dict[str, str]]:
-    """Run the plates of a block; returns their energies and the worker's identity with the "kind" of its device.
-
-    Raises:
-        SceneError: See :class:`PlateSolver`.
-    """
+    """Run the plates of a block; return their energies and the worker's identity with the "kind" of its device."""
     spec, designs = block
     solver = make_solver(spec)
     run = solver.run(designs)
@@ -153,11 +123,7 @@ def worker_identity(device: wp.Device) -> dict[str, str]:
 
 
 def refuse_unlike(expected: Mapping[str, str], worker: Mapping[str, str]) -> None:
-    """Refuse a worker whose identity differs in an entry of ``expected`` from this process or other workers.
-
-    Raises:
-        SceneError: One line that names what differs.
-    """
+    """Raise a SceneError if a worker's identity differs in an entry of ``expected`` from this process or others."""
     for name, value in expected.items():
         if worker[name] != value:
             raise SceneError(
