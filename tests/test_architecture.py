@@ -42,6 +42,19 @@ OWNERS = {
 # Imported only inside functions, so that ``warp-plate --help`` starts quickly.
 LATE = re.compile(r"(scipy\.(signal|stats)|matplotlib|pyvista|vtkmodules|trame|dask|distributed)(\.|$)")
 
+# What could make code of data, and modules that could or that leave the process.
+FORBIDDEN_NAMES = {"eval", "exec", "compile", "__import__", "globals", "breakpoint", "os.system"}
+FORBIDDEN_MODULES = {
+    "pickle", "marshal", "shelve", "dill", "joblib", "yaml", "code", "codeop", "runpy", "socket", "ssl",
+    "http", "urllib", "ftplib", "smtplib", "xmlrpc", "socketserver", "requests", "webbrowser", "asyncio", "subprocess",
+}  # fmt: skip
+# The explorer serves a page on 127.0.0.1, reads its key, and opens it; others start fixed commands without a shell.
+ALLOWED = {
+    "viz/explorer_page.py": {"asyncio", "socket", "urllib"},
+    "warp_plate/cli/explore.py": {"webbrowser"},
+    "viz/availability.py": {"subprocess"},
+}  # fmt: skip
+
 # Effects that only their own files in effects/ and kernels name, and those that so many files at most name.
 HIDDEN_EFFECTS = ("foundation", "tension", "orthotropic", "loss_factor", "material_damping", "variation")
 RARE_EFFECTS, MOST_FILES = ("oscillators", "stretching", "moving_load"), 6
@@ -49,15 +62,14 @@ RARE_EFFECTS, MOST_FILES = ("oscillators", "stretching", "moving_load"), 6
 
 @cache
 def sources():
-    """Return (path, name inside warp_plate, text, imports, names of classes) of every product file."""
+    """Return (path, name inside warp_plate, text, imports, nodes of the syntax tree) of every product file."""
     found = []
     for top in ("warp_plate", "kernels", "viz"):
         for path in sorted((ROOT / top).rglob("*.py")):
             parts = path.relative_to(ROOT / "warp_plate" if top == "warp_plate" else ROOT).with_suffix("").parts
             module, text = ".".join(part for part in parts if part != "__init__"), path.read_text("utf-8")
             tree = ast.parse(text)
-            classes = [node.name for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
-            found.append((path, module, text, list(imports(tree)), classes))
+            found.append((path, module, text, list(imports(tree)), list(ast.walk(tree))))
     return found
 
 
@@ -111,9 +123,9 @@ def test_no_circle_of_imports():
     modules = {module for _, module, *_ in sources()}
     stub = ast.parse((ROOT / "warp_plate" / "__init__.pyi").read_text("utf-8"))
     graph = {"": {node.module for node in stub.body if isinstance(node, ast.ImportFrom)}}
-    for _, module, text, *_ in sources():
+    for _, module, _, _, nodes in sources():
         targets = graph.setdefault(module, set())
-        for node in ast.walk(ast.parse(text)):
+        for node in nodes:
             taken = [alias.name for alias in getattr(node, "names", ()) if isinstance(alias, ast.alias)]
             for name in [node.module] if isinstance(node, ast.ImportFrom) else taken:
                 if name.split(".")[0] == "warp_plate":
@@ -132,7 +144,8 @@ def test_heavy_libraries_are_imported_when_needed():
 
 
 def test_no_public_class_name_is_used_twice():
-    names = [name for *_, classes in sources() for name in classes if not name.startswith("_")]
+    classes = [node.name for *_, nodes in sources() for node in nodes if isinstance(node, ast.ClassDef)]
+    names = [name for name in classes if not name.startswith("_")]
     assert sorted(names) == sorted(set(names))
 
 
@@ -167,3 +180,17 @@ def test_no_file_names_a_place_of_one_machine():
     beside = [path for path in ROOT.iterdir() if path.suffix in (".md", ".toml", ".cff")]
     files = [path for path in inside + beside if "__pycache__" not in path.parts]
     assert not [str(path.relative_to(ROOT)) for path in files if place.search(path.read_bytes())]
+
+
+def test_no_file_makes_code_of_data():
+    for path, _, _, _, nodes in sources():
+        name = path.relative_to(ROOT).as_posix()
+        for node in nodes:
+            if isinstance(node, ast.Call):
+                options = {keyword.arg for keyword in node.keywords if getattr(keyword.value, "value", None)}
+                called = ast.unparse(node.func)
+                bad = called in FORBIDDEN_NAMES or called.endswith((".popen", ".fromstring"))
+                assert not bad | bool(options & {"shell", "allow_pickle"}), f"{name}:{node.lineno}"
+            modules = [alias.name for alias in getattr(node, "names", ())] if isinstance(node, ast.Import) else []
+            heads = {module.split(".")[0] for module in [*modules, getattr(node, "module", None) or ""]}
+            assert not heads & FORBIDDEN_MODULES - ALLOWED.get(name, set()), f"{name}:{node.lineno}: {heads}"
