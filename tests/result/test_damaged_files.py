@@ -1,8 +1,6 @@
 """Checkpoints and results that are cut short, changed, or that the disk has no room for."""
 
 import os
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -100,37 +98,26 @@ def test_a_checkpoint_that_contradicts_itself_is_refused(written_files, tmp_path
         assert words in refusal_of(load_checkpoint, path)
 
 
-LIMITED = """
-import resource
-from pathlib import Path
-from warp_plate import CheckpointFile, SceneError, load_checkpoint
-from warp_plate.result.atomic_io import write_atomically
-
-resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))
-path = Path("file.bin")
-write_atomically(b"whole", path)
-try:
-    write_atomically(bytes(30000), path)
-except SceneError as error:
-    print(error)
-checkpoint = load_checkpoint(Path("a.checkpoint.h5"))
-resource.setrlimit(resource.RLIMIT_FSIZE, (5000, 20000))
-file = CheckpointFile(Path("a.checkpoint.h5"), 0, print)
-file.save(checkpoint)
-file.save(checkpoint)  # warns once
-"""
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no limit on the size of files")
 def test_a_limit_on_the_size_of_files(written_files, tmp_path):
-    """Writes that fail half-way, as on a full disk, keep the old files."""
-    (tmp_path / "a.checkpoint.h5").write_bytes(written_files["checkpoint"][0])
-    command = [sys.executable, "-c", LIMITED]
-    answer = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
-    first, second = answer.stdout.splitlines()
-    assert first.startswith("file.bin: cannot be written: File too large")
-    assert second.startswith("a.checkpoint.h5: cannot be written: File too large")
-    found = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    """Writes that fail half-way, as on a full disk, keep the old files; a search warns of it once."""
+    resource = pytest.importorskip("resource", reason="Windows has no limit on the size of files")
+    binary, path = tmp_path / "file.bin", tmp_path / "a.checkpoint.h5"
+    write_atomically(b"whole", binary)
+    path.write_bytes(written_files["checkpoint"][0])
+    checkpoint, warned = load_checkpoint(path), []
+    file = CheckpointFile(path, 0, warned.append)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (5000, before[1]))
+    try:
+        with pytest.raises(SceneError, match=r"file\.bin: cannot be written: File too large"):
+            write_atomically(bytes(30000), binary)
+        file.save(checkpoint)
+        file.save(checkpoint)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    (line,) = warned
+    assert line.startswith(f"{path}: cannot be written: File too large")
+    found = {entry.name: entry.read_bytes() for entry in tmp_path.iterdir()}
     assert found == {"file.bin": b"whole", "a.checkpoint.h5": written_files["checkpoint"][0]}
 
 

@@ -2,18 +2,13 @@
 
 import warnings
 
-import h5py
 import numpy as np
 import pytest
 
 import warp_plate as wpl
 from support.scenes import scene_of
-from warp_plate.result.atomic_io import SEAL_BYTES, make_seal
 from warp_plate.result.comparison import save_comparison
 from warp_plate.result.focus import save_focus
-from warp_plate.result.hdf5 import write_along
-from warp_plate.result.sweep import save_sweep
-from warp_plate.scene.errors import SceneError
 
 xarray = pytest.importorskip("xarray")
 pytest.importorskip("h5netcdf")
@@ -52,12 +47,6 @@ def test_a_comparison_opens(tmp_path):
     assert groups["/trials/pso/0"].loss.dims == ("iteration",)
 
 
-def test_a_sweep_opens(tmp_path):
-    found = wpl.sweep(scene_of((9, 9)), ["drive.frequency=200,300"], what="modes", count=2)
-    groups = opened(save_sweep(found, tmp_path / "a.h5"))
-    assert groups["/"].status.dims == ("drive.frequency",)
-
-
 def test_focusing_opens(tmp_path):
     found = wpl.focus("four-fingers")
     groups = opened(save_focus(found, tmp_path / "a.h5"))
@@ -65,37 +54,3 @@ def test_focusing_opens(tmp_path):
     assert group.waveforms.dims == ("foci", "actuator", "samples")
     assert group.responses.dims == ("foci", "foci_2", "times")
     assert wpl.load_focus(tmp_path / "a.h5").modes == found.modes
-
-
-def reopened(path, change):
-    """Load a result after a change to its file, under a right seal."""
-    path.write_bytes(path.read_bytes()[:-SEAL_BYTES])
-    with h5py.File(path, "r+") as file:
-        change(file)
-    content = path.read_bytes()
-    path.write_bytes(content + make_seal(content))
-    return wpl.load_result(path)
-
-
-def remove_names(file):
-    """Make of a file one without dimensions, as they were before."""
-    for path in ("actuator", *(f"cases/{case}/{name}" for case in file["cases"] for name in ("region", "point"))):
-        del file[path]
-
-
-def test_a_file_without_names_is_read(tmp_path):
-    result = small_result()
-    read = reopened(wpl.save_result(result, tmp_path / "a.h5"), remove_names)
-    assert read.cases["best"].energy == result.cases["best"].energy
-
-
-def test_a_scale_of_another_length_names_no_shape(tmp_path):
-    """Shapes that are read are checked against the scene, not the scales."""
-
-    def change(file):
-        del file["cases/best/phase"]
-        write_along(file["cases/best"], "longer", np.arange(5), "1", "forged")
-        write_along(file["cases/best"], "phase", np.arange(5.0), "rad", "forged", ["longer"])
-
-    with pytest.raises(SceneError, match=r"cases/best/phase has shape \(5,\) instead of \(3,\)"):
-        reopened(wpl.save_result(small_result(), tmp_path / "a.h5"), change)

@@ -9,6 +9,7 @@ import pytest
 
 from warp_plate.result.atomic_io import make_seal
 from warp_plate.result.case import Case
+from warp_plate.result.hdf5 import write_along
 from warp_plate.result.model import Result, RobustComparison, TargetSearch, load_result, save_result
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -81,16 +82,6 @@ def test_a_result_is_loaded_as_it_was_saved(full_result, tmp_path):
     assert_equal(full_result, load_result(path))
 
 
-def test_a_file_without_real_parts_has_its_drive_from_magnitude_and_phase(full_result, tmp_path):
-    """Files of before have no others."""
-    path = save_result(full_result, tmp_path / "run.h5")
-    with h5py.File(path, "r+") as file:
-        for name in ("real", "imaginary"):
-            del file[f"cases/best/{name}"]
-    path.write_bytes(path.read_bytes() + make_seal(path.read_bytes()))
-    np.testing.assert_allclose(load_result(path).cases["best"].phasors, full_result.cases["best"].phasors, rtol=1e-14)
-
-
 def test_other_programs_find_the_documented_names_and_units(full_result, tmp_path):
     units = {}
 
@@ -159,11 +150,11 @@ def replace_member(parent, name, value):
     ("name", "values", "words"),
     [
         ("times", None, "times is missing"), ("cases", None, "cases is missing"),
-        ("cases/best/phase", None, "cases/best/phase is missing"), ("searches/0", None, "searches/0 is missing"),
+        ("cases/best/real", None, "cases/best/real is missing"), ("searches/0", None, "searches/0 is missing"),
         ("spectrum/equal", None, "spectrum/equal is missing"), ("spectrum/equal", np.ones(2), "instead of (3,)"),
         ("cases/best/energy", np.ones(3), "cases/best/energy"), ("cases/best/trace", np.ones((3, 10)), "best/trace"),
         ("cases/best/centre", np.ones((4, 3)), "cases/best/centre has shape (4, 3) instead of (4, 2)"),
-        ("cases/best/magnitude", np.ones(5), "cases/best/magnitude has shape (5,) instead of (4,)"),
+        ("cases/best/real", np.ones(5), "cases/best/real has shape (5,) instead of (4,)"),
         ("times", np.ones(3), "cases/best/displacement has shape (2, 27, 27) instead of (3, 27, 27)"),
         ("times", np.ones((2, 1)), "times has shape"), ("peak_displacement", np.ones(2), "displacement has shape"),
         ("times", np.array([b"text"]), "times is not a dataset of real numbers"),
@@ -177,6 +168,18 @@ def replace_member(parent, name, value):
 def test_wrong_datasets_are_refused_by_name(full_result, tmp_path, name, values, words):
     path = save_result(full_result, tmp_path / "run.h5")
     assert words in refusal_after(path, lambda file: replace_member(file, name, values))
+
+
+def test_a_scale_of_another_length_names_no_shape(full_result, tmp_path):
+    """Shapes that are read are checked against the scene, not the scales."""
+
+    def change(file):
+        del file["cases/best/real"]
+        write_along(file["cases/best"], "longer", np.arange(5), "1", "forged")
+        write_along(file["cases/best"], "real", np.arange(5.0), "1", "forged", ["longer"])
+
+    line = refusal_after(save_result(full_result, tmp_path / "run.h5"), change)
+    assert "cases/best/real has shape (5,) instead of (4,)" in line
 
 
 @pytest.mark.parametrize(

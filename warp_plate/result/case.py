@@ -28,7 +28,7 @@ def _phase_lag(phasors: np.ndarray) -> np.ndarray:
 
 
 class _Phasors(Layout):
-    """Complex amplitudes as the datasets ``magnitude`` and ``phase``, and to the bit as ``real`` and ``imaginary``."""
+    """Complex amplitudes as ``real`` and ``imaginary``; for other programs also as ``magnitude`` and ``phase``."""
 
     magnitude = Dataset("", "drive magnitude of each actuator", ("actuator",))  # its unit depends on the scene
     phase = Dataset("rad", "drive phase lag of each actuator", ("actuator",))
@@ -42,9 +42,6 @@ class _Phasors(Layout):
         self.imaginary.write(group, "imaginary", np.imag(value))
 
     def read(self, group: h5py.Group, name: str, sizes: Sizes) -> np.ndarray:
-        magnitude, phase = self.magnitude.read(group, "magnitude", sizes), self.phase.read(group, "phase", sizes)
-        if "real" not in group:  # a file of an earlier version
-            return np.asarray(magnitude * np.exp(-1j * phase))
         phasors = self.real.read(group, "real", sizes).astype(complex)
         phasors.imag = self.imaginary.read(group, "imaginary", sizes)
         return phasors
