@@ -13,7 +13,7 @@ from support.levy import isotropic, levy_frequencies
 from support.scenes import MATERIAL, scene_of
 from warp_plate import Scene, SceneError, modes
 from warp_plate.fitting.fit import fit_modes
-from warp_plate.fitting.least_squares import Differenced, bootstrap, exchangeable, fit_least_squares
+from warp_plate.fitting.least_squares import exchangeable
 from warp_plate.fitting.measured_modes import MeasuredModes, read_modes
 from warp_plate.reference.series import wavenumber_squared
 
@@ -211,37 +211,6 @@ def test_modes_that_cross(pairing, random):
 def test_shapes_are_needed_for_the_mac(random):
     with pytest.raises(SceneError, match="has no shapes with points"):
         fit_modes(stiff_panel(free=MODULI, pairing="mac"), measured(random))
-
-
-class Distances:
-    """Residuals of data."""
-
-    def __init__(self, data):
-        self.data = data
-
-    def __call__(self, predicted):
-        return predicted - self.data
-
-    def slopes(self, predicted, changes):
-        return changes
-
-
-def test_bootstrap_agrees_with_the_jacobian(random):
-    """Of a linear problem with normal errors; the same seed gives the same samples."""
-    slopes, truth = random.normal(size=(60, 2)), np.array([0.4, 0.6])
-    data = slopes @ truth + 0.02 * random.normal(size=60)
-    found = fit_least_squares(Differenced(slopes.__matmul__), [Distances(data)], np.array([[0.5, 0.5]]))
-    assert np.abs(found.unknowns - truth).max() < 5 * found.deviations.max()
-    samples, again = (bootstrap(found, [np.arange(60)[:, None]], None, 300, 1) for _ in range(2))
-    np.testing.assert_array_equal(samples, again)
-    np.testing.assert_allclose(samples.std(axis=0), found.deviations, rtol=0.25)
-    np.testing.assert_allclose(samples.mean(axis=0), found.unknowns, atol=0.3 * found.deviations.max())
-
-
-def test_bootstrap_of_modes(random):
-    scene = stiff_panel(free=MODULI, bootstrap=40)
-    found = fit_modes(scene, measured(random, count=4))
-    np.testing.assert_allclose(found.bootstrap[1] - found.bootstrap[0], found.high - found.low, rtol=0.9)
 
 
 @pytest.mark.slow

@@ -105,16 +105,10 @@ def find_reference_solution(
     phasors: np.ndarray | None = None,
     only: bool = False,
 ) -> ReferenceSolution:
-    """Refine a reference until its uncertainty is as wanted, or until its nominal time is used up.
+    """Refine a reference, "modal", "richardson" or "auto", until its uncertainty is as wanted or its time is used up.
 
-    Args:
-        scene: A scene that is linear in its drives.
-        kind: "auto", "modal" or "richardson".
-        device: Device of Richardson's method.
-        wanted: An uncertainty, or a function of the response that returns one.
-        seconds: Nominal time for all refinements [s].
-        phasors: (drives, actuators) drives that the uncertainty applies to, besides the usual ones and the bound.
-        only: True if it applies to these alone.
+    ``wanted`` is an uncertainty, or a function of the response that returns one. It applies to the bound, the usual
+    drives and ``phasors`` (drives, actuators), or ``only`` to the latter. Times are nominal [s].
     """
     if not scene.linear:
         raise SceneError(f"{scene.nonlinear_table}: not linear in the drives; accuracy needs a linear scene")
@@ -158,10 +152,7 @@ def seconds_of_modes(plate: ModalPlate) -> float:
 
 
 def largest_change(phasors: np.ndarray, only: bool, response: Response, others: Sequence[Response]) -> float:
-    """Return the largest relative difference of the observed quantities from those of other responses.
-
-    Energies are observed too: the error of their ratio may pass through zero between two refinements.
-    """
+    """Return the largest relative difference of the observed quantities from those of other responses."""
     if not only:
         phasors = np.concatenate([usual_drives(response), phasors])
 
@@ -253,11 +244,7 @@ class MoreFunctions:
     coarser: Response  # response by those of fewer functions
 
     def changes(self, phasors: np.ndarray) -> np.ndarray:
-        """Return the relative changes (drives,) of the results of drives (drives, actuators).
-
-        The error of a localization factor may pass through zero, so the changes of the drive's own energies count too,
-        and a part of the changes from fewer functions.
-        """
+        """Return the relative changes (drives,) of the results of drives (drives, actuators)."""
         after = _changes(phasors, self.finer, self.response)
         return np.maximum(after, COARSER_FACTOR / CHANGE_FACTOR * _changes(phasors, self.response, self.coarser))
 

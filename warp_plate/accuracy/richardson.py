@@ -64,16 +64,10 @@ def extrapolate(
     allowed: Callable[[np.ndarray], bool],
     change: Callable[[np.ndarray, Sequence[np.ndarray]], float],
 ) -> Iterator[Extrapolation]:
-    """Yield extrapolations from ever more grids.
+    """Yield extrapolations of what ``measure`` returns by runs of ``plates`` plates on ever more grids.
 
-    Args:
-        plates: Plates that a measurement runs.
-        measure: Returns the values on a grid. Grids where it raises a SceneError or is not finite are left out.
-        allowed: Returns whether extrapolated values are possible; those of the finest grid are taken if not.
-        change: Returns the largest relative difference of what is observed from other values.
-
-    Raises:
-        SceneError: Fewer than four grids are left, or those that resolve bending waves take too long.
+    Grids that it refuses, or where it is not finite, are left out. Where extrapolated values are not ``allowed``, those
+    of the finest grid are taken. ``change`` is the largest relative difference of what is observed from other values.
     """
     _refuse_short_waves(scene, plates)
     scenes: list[Scene] = []

@@ -14,8 +14,6 @@ from warp_plate.cli import options, output
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from warp_plate.fitting.fit import ModeFit, ResponseFit
     from warp_plate.fitting.plan_measurement import MeasurementPlan
     from warp_plate.scene.model import Scene
@@ -37,8 +35,7 @@ def fit(
 
     The table [fit.free] of the scene lists the free properties and their ranges, such as
     "plate.young_modulus" = [6e10, 8e10]. The fitted scene is written as a scene file, SCENE.fitted.toml. Properties
-    that the data cannot distinguish are reported and have no interval. fit.bootstrap = 200 adds intervals by the
-    bootstrap.
+    that the data cannot distinguish are reported and have no interval.
 
     Parameters
     ----------
@@ -90,8 +87,6 @@ def _fit_as_json(name: str, fitted: ModeFit | ResponseFit) -> dict[str, object]:
     from warp_plate.fitting.fit import ResponseFit
 
     columns = {"value": fitted.values, "low": fitted.low, "high": fitted.high, "at_limit": fitted.at_limit}
-    if fitted.bootstrap is not None:
-        columns["bootstrap"] = fitted.bootstrap.T
     record: dict[str, object] = {
         "scene": name,
         "parameters": {key: {name: of[row] for name, of in columns.items()} for row, key in enumerate(fitted.keys)},
@@ -112,7 +107,7 @@ def _print_fit(name: str, fitted: ModeFit | ResponseFit, console: Console) -> No
     from warp_plate.fitting.fit import ResponseFit
 
     console.print(f"{fitted.scene.title or name}\n")
-    _print_properties(fitted, fitted.bootstrap, console)
+    _print_properties(fitted, console)
     if isinstance(fitted, ResponseFit):
         headings, cells = "response | rms error (dB) | rms error (°)", "{0} → {1:g},{2:g} | {3:.2g} | {4:.2g}"
         rows = [
@@ -130,18 +125,13 @@ def _print_fit(name: str, fitted: ModeFit | ResponseFit, console: Console) -> No
         console.print(f"! {line}")
 
 
-def _print_properties(
-    estimated: ModeFit | ResponseFit | MeasurementPlan, bootstrap: np.ndarray | None, console: Console
-) -> None:
-    """Print the values of the free properties with their intervals, and those of the bootstrap."""
+def _print_properties(estimated: ModeFit | ResponseFit | MeasurementPlan, console: Console) -> None:
+    """Print the values of the free properties with their intervals."""
     from warp_plate.scene.keys import unit_of
 
     headings = ["number", "unit", "value", "95 % from", "to"]
-    columns = [estimated.values, estimated.low, estimated.high]
-    if bootstrap is not None:
-        headings, columns = [*headings, "bootstrap from", "to"], [*columns, *bootstrap]
     rows = []
-    for key, *values in zip(estimated.keys, *columns, strict=True):
+    for key, *values in zip(estimated.keys, estimated.values, estimated.low, estimated.high, strict=True):
         rows.append([key, unit_of(estimated.scene, key), *(output.number_text(value, ".5g") for value in values)])
     output.print_rows(console, headings, rows, "")
 
@@ -215,7 +205,7 @@ def _print_plan(name: str, plan: MeasurementPlan, console: Console) -> None:
     console.print(f"{plan.scene.title or name}: drive {plan.actuator!r} from {low:.4g} to {high:.4g} Hz\n")
     places = ((number, *point) for number, point in enumerate(plan.points, 1))
     output.print_table(console, "sensor | x (m) | y (m)", "{0} | {1:.4g} | {2:.4g}", places, "")
-    _print_properties(plan, None, console)
+    _print_properties(plan, console)
     console.print(f"Random places: intervals {plan.random:.3g} times as wide.")
     for other, times in plan.actuators.items():
         console.print(f"Driving {other!r}: {times:.3g} times as wide.")

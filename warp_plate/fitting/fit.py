@@ -105,7 +105,7 @@ def fit_modes(scene: Scene, measured: MeasuredModes) -> ModeFit:
         measured.source,
         Differenced(lambda unknowns: _paired_modes(free.panel_at(unknowns), measured, pairing)),
         [_RelativeErrors(measured, damped)],
-        [np.arange(count)[:, None], np.arange(count, count + len(damped))[:, None]],
+        count + len(damped),
         weigh if len(damped) else None,
     )
 
@@ -217,8 +217,7 @@ def fit_responses(scene: Scene, measured: MeasuredResponses) -> ResponseFit:
     free = free_numbers(scene)
     coarse, exact = (_Prediction(free, measured, coarse) for coarse in (True, False))
     stages = [_LogErrors(measured, width) for width in WIDTHS]
-    pairs = np.arange(2 * measured.responses.size).reshape(2, -1).T
-    problem = PanelProblem(free, measured.source, coarse, stages, [pairs], _weigh, exact)
+    problem = PanelProblem(free, measured.source, coarse, stages, 2 * measured.responses.size, _weigh, exact)
 
     def describe(fitted: Scene) -> dict[str, Any]:
         return {"measured": measured, "responses": PanelResponses(fitted, measured).values}

@@ -12,22 +12,13 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from warp_plate.fitting.least_squares import (
-    Prediction,
-    Residuals,
-    Weigh,
-    bootstrap,
-    exchangeable,
-    fit_least_squares,
-)
+from warp_plate.fitting.least_squares import Prediction, Residuals, Weigh, exchangeable, fit_least_squares
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import resolved_key, value_of
 from warp_plate.scene.model import Scene
 
 # Step of differences of scenes, relative to a value above 0, or else to its range.
 STEP = 1e-3
-# Quantiles of 95 % intervals.
-TAILS = 0.025, 0.975
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +119,6 @@ class FittedPanel:
     # groups of keys of opposite edges whose numbers may change places without a change of the data
     mirrored: tuple[tuple[str, ...], ...]
     evaluations: int  # number of plates that were computed
-    bootstrap: np.ndarray | None  # (2, p) ends of the 95 % intervals by the bootstrap; None if it was not asked for
 
 
 F = TypeVar("F", bound=FittedPanel)
@@ -142,26 +132,21 @@ class PanelProblem:
     source: str  # file of the measurements, for errors
     predict: Prediction  # what is measured, as a function of fractions of the ranges
     residuals: Sequence[Residuals]
-    kinds: Sequence[np.ndarray]  # (m, parts) residuals that are drawn together, see :func:`bootstrap`
+    count: int  # number of data
     weigh: Weigh | None
     exact: Prediction | None = None  # prediction that takes more time
 
 
 def fit_panel(cls: type[F], problem: PanelProblem, describe: Callable[[Scene], dict[str, Any]]) -> F:
     """Fit a scene by least squares to measurements; ``describe`` returns further attributes for the fitted scene."""
-    free, weigh = problem.free, problem.weigh
-    fit, count = free.scene.fit, sum(kind.size for kind in problem.kinds)
+    free = problem.free
+    fit = free.scene.fit
     assert fit is not None
-    if count <= len(free.keys):
-        given = f"{count} numbers do not determine {len(free.keys)} free ones and their errors"
+    if problem.count <= len(free.keys):
+        given = f"{problem.count} numbers do not determine {len(free.keys)} free ones and their errors"
         raise SceneError(f"{problem.source}: {given}; measure more, or free fewer keys in [fit.free]")
     starts = free.starts(fit.starts, fit.seed)
-    optimum = fit_least_squares(problem.predict, problem.residuals, starts, weigh, problem.exact)
-    samples = None
-    if fit.bootstrap:
-        drawn = bootstrap(optimum, problem.kinds, weigh, fit.bootstrap, fit.seed)
-        ends = np.where(np.isnan(optimum.deviations), np.nan, np.quantile(drawn, TAILS, axis=0))
-        samples = np.array([free.values(row) for row in ends])
+    optimum = fit_least_squares(problem.predict, problem.residuals, starts, problem.weigh, problem.exact)
     mirrored = [pairs for pairs in free.mirror_pairs() if exchangeable(optimum, pairs)]
     width, scene = optimum.student * optimum.deviations, free.scene_at(optimum.unknowns)
     return cls(
@@ -175,6 +160,5 @@ def fit_panel(cls: type[F], problem: PanelProblem, describe: Callable[[Scene], d
         inseparable=tuple(tuple(free.keys[index] for index in group) for group in optimum.inseparable),
         mirrored=tuple(tuple(free.keys[index] for pair in pairs for index in pair) for pairs in mirrored),
         evaluations=problem.predict.evaluations + (problem.exact.evaluations if problem.exact else 0),
-        bootstrap=samples,
         **describe(scene),
     )

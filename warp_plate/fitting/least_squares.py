@@ -3,16 +3,12 @@
 With residuals r and their Jacobian J at the optimum, the covariance of the unknowns is s² (JᵀJ)⁻¹, in which
 s² = rᵀr / (n − rank J), and intervals follow from Student's t. Directions in which J, its columns scaled to length 1,
 has no singular value are combinations of unknowns that the data do not tell apart.
-
-The bootstrap (B. Efron, R. J. Tibshirani, An Introduction to the Bootstrap, 1993, section 9.4) draws the residuals of a
-fit with replacement, adds them to the prediction at the optimum and fits these data, many times; it makes no assumption
-of normal errors, and follows the unknowns where they are not linear in the data.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Protocol
 
@@ -21,8 +17,8 @@ import scipy
 
 # Step of central differences and the number of best starts that are followed to the end.
 STEP, FOLLOWED = 1e-4, 3
-# Relative changes of the unknowns at which a stage, the whole, and further fits around the optimum end.
-COARSE, FINE, AROUND = 1e-2, 1e-6, 1e-4
+# Relative changes of the unknowns at which a stage and the whole end.
+COARSE, FINE = 1e-2, 1e-6
 # Residuals that change by less over a whole range do not depend on an unknown; smaller singular values are zero.
 NO_INFLUENCE, RANK = 1e-6, 1e-4
 # Parts of a direction without a singular value above MEMBER belong to it; unknowns whose parts change together by a
@@ -96,7 +92,7 @@ class LeastSquaresFit:
     correlations: np.ndarray  # (p, p) correlations, NaN for the same
     inseparable: tuple[tuple[int, ...], ...]  # groups that cannot be distinguished; a group of one has no influence
     student: float  # half-width of 95 % intervals in standard deviations
-    problem: LeastSquaresProblem  # the problem, with the weights at the optimum, for further fits
+    problem: LeastSquaresProblem  # the problem, with the weights at the optimum
 
 
 def fit_least_squares(
@@ -139,20 +135,16 @@ class LeastSquaresProblem:
     of: Residuals
     weights: np.ndarray | float = 1.0  # (n,)
     lacking: np.ndarray | float = 0.0  # addition to the prediction
-    shift: np.ndarray | float = 0.0  # (n,) addition to the residuals
-    slopes: np.ndarray | None = None  # (n, p) derivatives of the residuals, if one matrix stands for all unknowns
 
     def residuals(self, unknowns: np.ndarray) -> np.ndarray:
         """Return (n,) residuals, not weighted."""
-        return self.of(self.predict(unknowns) + self.lacking) + self.shift
+        return self.of(self.predict(unknowns) + self.lacking)
 
     def jacobian(self, unknowns: np.ndarray, central: bool = True) -> np.ndarray:
         """Return the (n, p) Jacobian of the weighted residuals."""
-        slopes = self.slopes
-        if slopes is None:
-            changes = self.predict.slopes(unknowns, central)
-            slopes = self.of.slopes(self.predict(unknowns) + self.lacking, changes).T
-        return np.asarray((self.weights * slopes.T).T)
+        changes = self.predict.slopes(unknowns, central)
+        slopes = self.of.slopes(self.predict(unknowns) + self.lacking, changes)
+        return np.asarray((self.weights * slopes).T)
 
     def solve(self, start: np.ndarray, tolerance: float) -> np.ndarray:
         """Return the (p,) unknowns of a local optimum."""
@@ -196,26 +188,6 @@ def _judge(unknowns: np.ndarray, problem: LeastSquaresProblem, jacobian: np.ndar
     student = float(scipy.special.stdtrit(freedom, (1 + LEVEL) / 2))
     inseparable = tuple(group for group in groups if group)
     return LeastSquaresFit(unknowns, deviations / lengths, correlations, inseparable, student, problem)
-
-
-def bootstrap(
-    optimum: LeastSquaresFit, kinds: Sequence[np.ndarray], weigh: Weigh | None, count: int, seed: int
-) -> np.ndarray:
-    """Return (count, p) unknowns of resampled data; rows of ``kinds`` (m, parts) are residuals drawn together."""
-    problem, random = optimum.problem, np.random.default_rng(seed)
-    residuals, jacobian = problem.residuals(optimum.unknowns), problem.jacobian(optimum.unknowns)
-    slopes = (jacobian.T / problem.weights).T
-    # Residuals of a fit are smaller than the errors of the data.
-    errors = residuals * np.sqrt(len(residuals) / max(1, len(residuals) - len(optimum.unknowns)))
-    samples = []
-    for _ in range(count):
-        drawn = errors.copy()
-        for rows in kinds:
-            drawn[rows] = errors[rows[random.integers(len(rows), size=len(rows))]]
-        weights = problem.weights if weigh is None else weigh(drawn, leverage(jacobian))
-        resampled = replace(problem, shift=drawn - residuals, weights=weights, slopes=slopes)
-        samples.append(resampled.solve(optimum.unknowns, AROUND))
-    return np.array(samples)
 
 
 def exchangeable(optimum: LeastSquaresFit, pairs: Sequence[tuple[int, int]]) -> bool:

@@ -113,8 +113,7 @@ def measure_focus(
 def _electrical_energy(scene: Scene, waveforms: np.ndarray) -> np.ndarray | None:
     """Return (foci,) energies [J] of voltages (foci, actuators, samples) on capacitors from 0; None without these.
 
-    That is Σ ∫ C V dV/dt dt over the times at which |V| rises, ½ C V² for each rise from 0 to V: no amplifier gets back
-    what capacitors return while |V| falls.
+    That is Σ ∫ C V dV/dt dt while |V| rises: no amplifier gets back what capacitors return while |V| falls.
     """
     capacitances = [actuator.capacitance for actuator in scene.actuators if actuator.capacitance is not None]
     if len(capacitances) < len(scene.actuators):

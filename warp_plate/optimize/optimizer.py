@@ -106,10 +106,7 @@ class SearchResult:
 
 
 def tolerance_scale(loss: float, loss_scale: float) -> float:
-    """Return the size that relative tolerances of a loss refer to, so that neither unit nor weight changes a search.
-
-    It is the loss's magnitude, but at least ``loss_scale``, for losses that pass zero.
-    """
+    """Return the size that relative tolerances of a loss refer to: its magnitude, or ``loss_scale`` near zero."""
     return max(abs(loss), loss_scale)
 
 
@@ -175,11 +172,7 @@ class Optimizer(ABC):
         return self.positions
 
     def tell(self, solutions: ArrayLike, losses: ArrayLike) -> None:
-        """Take the losses (n,) of the positions that :meth:`ask` gave; losses that are not finite are worst.
-
-        Raises:
-            ValueError: `solutions` are not those positions, or `losses` has another shape.
-        """
+        """Take the losses (n,) of the positions that :meth:`ask` gave; losses that are not finite are worst."""
         same = self.asked and (solutions is self.positions or np.array_equal(np.asarray(solutions), self.positions))
         if not same:
             raise ValueError("tell: solutions must be the positions that the last ask() gave, told once")
@@ -211,11 +204,7 @@ class Optimizer(ABC):
         return state
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Restore a result of :meth:`state`, bit for bit, into a new optimizer with the same settings.
-
-        Raises:
-            ValueError: the state is not that of such a search.
-        """
+        """Restore a result of :meth:`state`, bit for bit, or raise a ValueError if it is not one of such a search."""
         try:
             if state["format"] != self.FORMAT:
                 raise ValueError(f"search state: format = {state['format']!r}: must be {self.FORMAT!r}")
@@ -274,10 +263,9 @@ def as_shape(state: Mapping[str, Any], name: str, shape: tuple[int, ...], may_be
 def minimize(
     optimizer: Optimizer, objective: Callable[[np.ndarray], ArrayLike], callback: Callable[[Any], object] | None = None
 ) -> SearchResult:
-    """Run an :class:`Optimizer`, and return its ``result``.
+    """Run an :class:`Optimizer` on an objective of positions (n, dimension), and return its ``result``.
 
-    ``objective`` takes positions (n, dimension) and returns their losses (n,). ``callback`` takes the optimizer after
-    each iteration, and ends the loop by returning true; the search goes on when this function is called again.
+    ``callback`` takes the optimizer after each iteration, and ends the loop by returning true.
     """
     while not optimizer.stop():
         solutions = optimizer.ask()

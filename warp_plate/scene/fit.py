@@ -9,8 +9,6 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from warp_plate.scene.fields import Gain, Moderate, Name, Point, Positive, Table, Unit
 
-FEWEST_SAMPLES = 40
-
 
 def _flat(free: Any) -> Any:
     """Return ``{"plate.density": range}`` for ``{"plate": {"density": range}}``, which TOML makes of unquoted keys."""
@@ -77,9 +75,7 @@ class Fit(Table):
     starts: Annotated[int, Field(ge=1, le=10_000, examples=[32])] = 16
     """Number of starting points."""
     seed: Annotated[int, Field(ge=0, lt=2**63, examples=[7])] = 0
-    """Random seed of the starts and of the bootstrap."""
-    bootstrap: Annotated[int, Field(ge=0, le=100_000, examples=[200])] = 0
-    """Number of resampled data sets for further intervals."""
+    """Random seed of the starts."""
     range: Annotated[tuple[Positive, Positive] | None, Unit("Hz"), Field(examples=[[50.0, 2000.0]])] = None
     """Lowest and highest frequency of responses that are used."""
     signals: TimeSignals | None = None
@@ -92,10 +88,6 @@ class Fit(Table):
         for key, (low, high) in self.free.items():
             if low >= high:
                 raise ValueError(f"free: {key} = {[low, high]}: the lowest value comes first, and they differ")
-        if 0 < self.bootstrap < FEWEST_SAMPLES:
-            raise ValueError(
-                f"bootstrap = {self.bootstrap}: must be 0 or at least {FEWEST_SAMPLES}, for intervals of 95 %"
-            )
         if self.range is not None and self.range[0] >= self.range[1]:
             raise ValueError(f"range: {list(self.range)}: the lowest frequency comes first, and they differ")
         return self

@@ -185,8 +185,7 @@ def _localization(
     of_target: tuple[np.ndarray, np.ndarray | Matrix],
     of_plate: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return (n,) localization factors of a drive and (n,) bounds of all drives, from amplitudes (n, modes, actuators)
-    under a unit pressure on each actuator and the kinetic matrices (None: the identity)."""
+    """Return (n,) localization factors of a drive and bounds of all, from amplitudes (n, modes, actuators) of units."""
     size = np.sqrt(np.einsum("fmi,fmi->fi", driven.conj(), driven).real)
     size = np.where(size > 0, size, 1)
     basis, values, drives = np.linalg.svd(driven / size[:, None], full_matrices=False)

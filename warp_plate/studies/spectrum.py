@@ -28,8 +28,7 @@ MOST_BOUNDED = 20
 
 
 def make_spectrum(problem: Problem, best: Case) -> dict[str, np.ndarray]:
-    """Return ``Result.spectrum`` at the positions and delays of the best case; empty without
-    :func:`spectrum_frequencies`."""
+    """Return ``Result.spectrum`` at the positions and delays of the best case; empty without frequencies."""
     scene, frequencies = problem.scene, spectrum_frequencies(problem)
     if not frequencies.size:
         return {}
@@ -44,14 +43,12 @@ def has_spectrum(scene: Scene) -> bool:
 
 
 def spectrum_frequencies(problem: Problem) -> np.ndarray:
-    """Return the frequencies of a result's spectrum [Hz]; empty without one.
-
-    By modes they follow every resonance, unless limits on magnitudes make the bound at each too dear.
-    """
+    """Return the frequencies of a result's spectrum [Hz]; empty without one."""
     scene = problem.scene
     search = scene.search.frequency
     if search is None or not has_spectrum(scene):
         return np.empty(0)
+    # By modes they follow every resonance, unless limits on magnitudes make the bound at each too dear.
     if problem.resolved.by_modes and not allowed_drives(parametrization_of(scene)).limits_ratios:
         plate = solve_modes(scene, search.range[1], key="search.frequency.range")
         return adaptive_frequencies(*plate.resonances, *search.range)
@@ -62,11 +59,8 @@ def spectrum_frequencies(problem: Problem) -> np.ndarray:
 def factors_over(
     resolved: Resolved, frequencies: np.ndarray, centre: np.ndarray | None = None, delay: np.ndarray | None = None
 ) -> dict[str, np.ndarray]:
-    """Return localization factors (n,) at frequencies (n,) [Hz]: "equal"; "single", the best single actuator; "best",
-    a bound over the drives that the search may choose.
-
-    ``centre`` and ``delay`` are (actuators, 2) positions [m] and (actuators,) delays [s] (default: the scene's).
-    """
+    """Return localization factors (n,) at frequencies [Hz], for places (actuators, 2) and delays (actuators,): "equal";
+    "single", the best single actuator; "best", a bound over the drives that the search may choose."""
     scene = resolved.scene
     exact, singles = resolved.with_scene(in_float64(scene)), np.eye(len(scene.actuators), dtype=complex)
     solver = exact.solver(exact.grid_for(per_plate_of(exact.scene)))

@@ -55,12 +55,6 @@ class SweepRequest:
         """Return the request with values for what is left out."""
         return replace(self, **{name: value for name, value in values.items() if getattr(self, name) is None})
 
-    def plan(self, scene: Scene) -> Plan:
-        """Return the points asked for; ``scene`` has the numbers to vary."""
-        if isinstance(self.vary, Plan):
-            return self.vary
-        return make_plan([parse_vary(scene, text) for text in self.vary or ()], self.samples, self.seed or 0)
-
 
 def sweep(
     scene: SceneSource,
@@ -106,9 +100,10 @@ def start_sweep(request: SweepRequest, device: str = "auto") -> Sweep:
     """Return the sweep of a request, without any finished point."""
     filled = request.filled(DEFAULTS)
     kept: dict[str, Any] = {name: getattr(filled, name) for name in DEFAULTS}
-    scene, what, count = filled.scene, kept["what"], kept["count"]
+    scene, plan, what, count = filled.scene, filled.vary, kept["what"], kept["count"]
     assert scene is not None
-    plan = filled.plan(scene)
+    if not isinstance(plan, Plan):
+        plan = make_plan([parse_vary(scene, text) for text in plan or ()], filled.samples, filled.seed or 0)
     if what not in QUANTITIES:
         raise SceneError(f"--what {what}: must be one of {', '.join(QUANTITIES)}")
     if not 1 <= count <= MOST_MODES:
@@ -150,14 +145,8 @@ def file_digests(scene: Scene, plan: Plan) -> dict[str, str]:
 
 
 def choose_evaluator(scene: Scene, keys: Sequence[str], what: str, path: str, asked: str | None = None) -> str:
-    """Return the evaluator of a sweep over ``keys`` of a scene: the one asked for, or "modal" where it applies.
-
-    Time steps are taken by default for scenes without modes, and where a path of the steps is asked for or a key of the
-    grid is varied.
-
-    Raises:
-        SceneError: The evaluator that is asked for cannot compute the quantities, or not of this scene.
-    """
+    """Return the evaluator of a sweep over ``keys`` of a scene: the one asked for, or "modal" for scenes with modes,
+    unless a path of time steps is asked for or a key of the grid is varied."""
     evaluators = QUANTITIES[what].evaluators
     if asked not in (None, *evaluators):
         raise SceneError(f"--evaluator {asked}: --what {what} is always {evaluators[0]}; leave it out")
@@ -241,15 +230,10 @@ def open_sweep(
     log: Callable[[str], object] = lambda line: None,
     force: bool = False,
 ) -> Sweep:
-    """Return the sweep to run for a request: the unfinished one of the same request, or a new one.
+    """Return the sweep to run for a request: the unfinished one of the same request beside ``target``, or a new one.
 
-    Args:
-        target: file of the result; unfinished sweeps are beside it.
-        resume: unfinished sweep to continue, or the result that it will become; the request may then leave out
-            anything.
-        on_workers: whether workers of a pool run the points, which then report their devices.
-        log: called with one line for each thing to know about a sweep that is continued.
-        force: whether the result may replace any file.
+    A request to ``resume`` an unfinished sweep, or the result that it will become, may leave out anything. Workers
+    report their devices. ``log`` is called with each line to know, and ``force`` lets the result replace any file.
     """
     unfinished = target.with_suffix(ENDING)
     file, advice = unfinished, f"name another file by --out, or delete {unfinished}"
@@ -309,8 +293,7 @@ def check_same_sweep(path: Path, existing: Sweep, sweep: Sweep, advice: str) -> 
 
 
 def resume_sweep(sweep: Sweep, device: str | None = None, on_workers: bool = False) -> Sweep:
-    """Return an unfinished sweep as it continues on workers of a pool, or on a device: by default one of the kind that
-    it began on, if there is one."""
+    """Return an unfinished sweep as it continues on workers of a pool, or on a device (default: one of its kind)."""
     if sweep.finished:
         return sweep
     sweep = replace(sweep, versions=merged_versions(sweep.versions))

@@ -183,7 +183,6 @@ QUANTITIES: Mapping[str, Quantities] = {
     ),
 }
 
-
 # Number of tasks prepared for a pool, because their scenes may hold large files.
 TASK_BLOCK = 1000
 
@@ -237,10 +236,7 @@ def run_here(
 
 
 def run_on_pool(start: Sweep, points: Sequence[int], pool: WorkerPool) -> Iterator[PointResult]:
-    """Yield points in the order in which a pool's workers finish them; one that fails in all attempts is given up.
-
-    The quantities are those of one process to the last bit if the workers have its kind of processor.
-    """
+    """Yield points in the order in which a pool's workers finish them; one that fails in all attempts is given up."""
     expected: Mapping[str, str] = {"warp_plate": __version__, "warp": wp.config.version}
     arguments = _points(start, points, SceneSpec.of(start.scene), pool.device)
     tasks = (Task(run_point, point, number) for number, point in zip(points, arguments, strict=True))
