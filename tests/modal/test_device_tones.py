@@ -6,7 +6,7 @@ import warp as wp
 
 from support.scenes import scene_of
 from warp_plate.modal.device_tones import DeviceToneMatrices
-from warp_plate.modal.gram import ToneMatrices, gram_matrices
+from warp_plate.modal.gram import Means, ToneMatrices, gram_matrices
 from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.plate.designs import Designs, PerPlate
@@ -60,13 +60,10 @@ def both(plate, quantity, device, frequency, areas):
     """Return matrices by the kernels and by NumPy, each region's relative to its largest."""
     scene = plate.scene
     regions = [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)]
-    window = None if scene.steady else scene.window
+    means = Means(plate, regions, None if scene.steady else scene.window, quantity == "velocity")
     forces = np.stack([plate.drive_forces(row) for row in areas])
-    if window is None:
-        exact = gram_matrices(plate, regions, forces, frequency, None, quantity)
-    else:
-        exact = ToneMatrices(plate, regions, window, quantity).matrices(frequency, forces)
-    found = DeviceToneMatrices(plate, regions, window, quantity, device).matrices(frequency, areas)
+    exact = gram_matrices(means, forces, frequency) if scene.steady else ToneMatrices(means).matrices(frequency, forces)
+    found = DeviceToneMatrices(means, device).matrices(frequency, areas)
     size = np.abs(exact).max(axis=(2, 3), keepdims=True)
     return found / size, exact / size
 
@@ -96,13 +93,13 @@ def test_undamped_plate_at_resonance(random, device):
 def test_plates_do_not_feel_their_neighbours(random, device, damped_plate):
     """A plate has the same bits alone, in a batch, in blocks, and beside one that is not finite."""
     plate, (frequency, areas) = damped_plate, batch(random)
-    settings = plate, [plate.kinetic_matrix(plate.scene.target)], plate.scene.window, "velocity", device
-    tones = DeviceToneMatrices(*settings)
+    means = Means(plate, [plate.kinetic_matrix(plate.scene.target)], plate.scene.window)
+    tones = DeviceToneMatrices(means, device)
     together = tones.matrices(frequency, areas)
     for row in range(PLATES):
         assert np.array_equal(tones.matrices(frequency[row : row + 1], areas[row : row + 1])[0], together[row])
     frequency[2] = np.nan
-    beside = DeviceToneMatrices(*settings, 2 * 6 * len(plate.frequencies)).matrices(frequency, areas)
+    beside = DeviceToneMatrices(means, device, 2 * 6 * len(plate.frequencies)).matrices(frequency, areas)
     kept = [0, 1, 3, 4]
     assert np.array_equal(beside[kept], together[kept])
     assert np.isnan(beside[2]).any()

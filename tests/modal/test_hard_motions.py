@@ -5,7 +5,7 @@ import pytest
 
 from support.scenes import MATERIAL, scene_of
 from warp_plate.modal.energies import ModalEnergies
-from warp_plate.modal.gram import gram_matrices
+from warp_plate.modal.gram import Means, gram_matrices
 from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.motion import modal_motion
 from warp_plate.modal.slopes import energy_slopes
@@ -59,8 +59,9 @@ def test_energies_are_means_over_time(name):
     settings = frequency, np.array([[actuator.area for actuator in scene.actuators]]), np.zeros((1, 3))
     quantity = "displacement" if "displacements" in name else "velocity"
     energies = ModalEnergies(plate, regions, quantity)
+    means = Means(plate, regions, scene.window, quantity == "velocity")
     found = [
-        quadratic_forms(gram_matrices(plate, regions, forces, frequency, scene.window, quantity)[0], PHASORS)[0],
+        quadratic_forms(gram_matrices(means, forces, frequency)[0], PHASORS)[0],
         energies.slopes(PHASORS, *settings).energy[0],
         energies.values(PHASORS, *settings)[0],
     ]
@@ -72,13 +73,11 @@ def test_energies_are_means_over_time(name):
 def test_slopes_where_a_mode_is_not_excited():
     """An actuator in the middle excites no mode that is odd there, but one beside it does."""
     plate = solve_modes(scene_of(damping=20.0, actuators=[(0.09, 0.11, 0.04, 0.06)]), density=DENSITY)
-    window, regions = plate.scene.window, [plate.kinetic_matrix(plate.scene.target)]
+    means = Means(plate, [plate.kinetic_matrix(plate.scene.target)], plate.scene.window)
     area, step = np.array(plate.scene.actuators[0].area), 1e-5
 
     def slopes_at(shift):
-        return energy_slopes(
-            plate, regions, np.ones((1, 1)), np.full((1, 1), 290.0), (area + shift)[None, None], window
-        )
+        return energy_slopes(means, np.ones((1, 1)), np.full((1, 1), 290.0), (area + shift)[None, None])
 
     sideways = np.array([1.0, 1.0, 0.0, 0.0])
     difference = (slopes_at(step * sideways).energy - slopes_at(-step * sideways).energy) / (2 * step)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from support.scenes import areas_of, scene_of
-from warp_plate.modal.gram import gram_matrices
+from warp_plate.modal.gram import Means, gram_matrices
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.optimize.quadratic import quadratic_forms
 from warp_plate.plate.designs import Designs, PerPlate
@@ -40,7 +40,7 @@ def test_energies_are_those_of_the_closed_form(name, damping, random):
     designs = Designs(drives, random.uniform(200, 400, shape), centre, random.uniform(0, 0.006, shape))
     forces = np.stack([solver.plate.patch_forces(areas) for areas in areas_at(scene, centre)])
     regions = [solver.plate.kinetic_matrix(region) for region in ("plate", scene.target)]
-    exact = gram_matrices(solver.plate, regions, forces, designs.frequency, scene.window, delay=designs.delay)
+    exact = gram_matrices(Means(solver.plate, regions, scene.window), forces, designs.frequency, designs.delay)
     size = np.abs(exact).max(axis=(2, 3), keepdims=True)
     assert np.allclose(solver.gram_matrices(designs) / size, exact / size, rtol=0, atol=3e-4)
     expected = [quadratic_forms(*pair)[0] for pair in zip(exact, drives[:, None], strict=True)]

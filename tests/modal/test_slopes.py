@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from support.scenes import scene_of
-from warp_plate.modal.gram import gram_matrices
+from warp_plate.modal.gram import Means, gram_matrices
 from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.slopes import energy_slopes
 from warp_plate.modal.solver import ModalSolver
@@ -44,7 +44,7 @@ def test_slopes_are_those_of_differences(name, quantity, alike, random):
     scene = scene_of(window=(0.003, 0.008), target={"disc": (0.13, 0.11, 0.03)}, **CASES[name])
     plate = replace(solve_modes(scene, density=0.4), negligible=0.0)
     regions = [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)]
-    window = None if scene.steady else scene.window
+    means = Means(plate, regions, None if scene.steady else scene.window, quantity == "velocity")
     shape = (2, 3)
     shared = (2, 1) if alike else shape
     base = {
@@ -59,13 +59,13 @@ def test_slopes_are_those_of_differences(name, quantity, alike, random):
     def energies(values):
         areas = areas_around(np.stack([values["x"], values["y"]], axis=-1))
         forces = np.stack([plate.patch_forces(each) for each in areas])
-        matrices = gram_matrices(plate, regions, forces, values["frequency"], window, quantity, values["delay"])
+        matrices = gram_matrices(means, forces, values["frequency"], values["delay"])
         phasors = values["real"] + 1j * values["imaginary"]
         return np.stack([quadratic_forms(*pair)[0] for pair in zip(matrices, phasors[:, None], strict=True)])
 
     areas = areas_around(np.stack([base["x"], base["y"]], axis=-1))
     phasors = base["real"] + 1j * base["imaginary"]
-    found = energy_slopes(plate, regions, phasors, base["frequency"], areas, window, quantity, base["delay"])
+    found = energy_slopes(means, phasors, base["frequency"], areas, base["delay"])
     assert np.allclose(found.energy, energies(base), rtol=1e-7, atol=0)
     slopes = {
         "real": found.drives[..., :3],

@@ -5,7 +5,7 @@ import pytest
 
 from support.scenes import MATERIAL, scene_of
 from warp_plate import Scene, SceneError, localize, simulate
-from warp_plate.modal.gram import gram_matrices
+from warp_plate.modal.gram import Means, gram_matrices
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.optimize.quadratic import real_parts
 from warp_plate.plate.designs import Designs, PerPlate
@@ -51,7 +51,7 @@ def test_batches_have_the_energies_of_plain_gram_matrices(random, effects, varie
     forces = np.stack([plate.patch_forces(row) for row in areas])
     window = None if scene.steady else scene.window
     z = real_parts(drives)
-    energy = np.einsum("pa,prab,pb->pr", z, gram_matrices(plate, regions, forces, frequency, window), z)
+    energy = np.einsum("pa,prab,pb->pr", z, gram_matrices(Means(plate, regions, window), forces, frequency), z)
     assert np.allclose(run.energy, energy, rtol=1e-5)
 
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from warp_plate.accuracy.configurations import refuse_many_modes
 from warp_plate.accuracy.richardson import Extrapolation, extrapolate
-from warp_plate.modal.gram import gram_matrices
+from warp_plate.modal.gram import Means, gram_matrices
 from warp_plate.modal.modes import ModalPlate, solve_modes
 from warp_plate.modal.motion import fields
 from warp_plate.plate.signals import actuator_frequencies, highest_frequency
@@ -142,8 +142,8 @@ def solve_response(scene: Scene, density: float, higher: float = 1.0) -> tuple[M
     if not scene.steady and apart * scene.window.end < NEAREST_RESONANCE:  # mode and drive would cancel
         raise SceneError(f"drive.frequency = {scene.drive.frequency:g}: the undamped plate is driven at resonance")
     regions = [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)]
-    window = None if scene.steady else scene.window
-    return plate, Response(gram_matrices(plate, regions, plate.actuator_forces()[None], frequencies[None], window)[0])
+    means = Means(plate, regions, None if scene.steady else scene.window)
+    return plate, Response(gram_matrices(means, plate.actuator_forces()[None], frequencies[None])[0])
 
 
 def seconds_of_modes(plate: ModalPlate) -> float:

@@ -8,14 +8,13 @@ plate are put on the device once; frequencies and places follow with each batch.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import warp as wp
 
 from warp_plate.kernels import tones as kernels
-from warp_plate.modal.gram import ToneMatrices, mean_exponential
+from warp_plate.modal.gram import Means, ToneMatrices, mean_exponential
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.poles import APART, as_sparse
 from warp_plate.modal.spaces.tensor_splines import TensorSplines
@@ -32,22 +31,14 @@ class DeviceToneMatrices:
     """Gram matrices of regions, by their mass matrices, under tones from rest, or in the steady state without a window,
     in float64 on a device; of modes that damping does not couple."""
 
-    def __init__(
-        self,
-        plate: ModalPlate,
-        regions: Sequence[np.ndarray],
-        window: Window | None,
-        quantity: str,
-        device: wp.Device,
-        block_numbers: int = BLOCK_NUMBERS,
-    ) -> None:
-        self._block_numbers = block_numbers
-        self._device, self._window, self._velocity = device, window, int(quantity == "velocity")
+    def __init__(self, means: Means, device: wp.Device, block_numbers: int = BLOCK_NUMBERS) -> None:
+        plate, window, self._block_numbers = means.plate, means.window, block_numbers
+        self._device, self._window, self._velocity = device, window, int(means.velocity)
         if window is None:
             values, squares, lasting = *_steady_poles(plate), np.empty(0, dtype=int)
             undamped = np.empty(0, dtype=complex)
         else:
-            tones = ToneMatrices(plate, regions, window, quantity)
+            tones = ToneMatrices(means)
             values, squares, lasting = tones.poles.values, tones.poles.sizes**2, tones.lasting
             undamped = values[np.abs(values.real) < APART / window.end]
         free = np.zeros_like(squares)
@@ -58,11 +49,9 @@ class DeviceToneMatrices:
         place[lasting] = np.arange(lasting.size)
         self._motions = [*(self._put(array) for array in (values, squares, free, oscillates, place)), lasting.size]
         self._undamped, self._lasting = self._put(undamped), self._put(np.tile(lasting, 2))
-        means = _free_means(values[:, lasting], oscillates[lasting], window)
-        self._regions = [
-            [self._put_matrix(matrix) for matrix in (region, np.tile(region[np.ix_(lasting, lasting)], (2, 2)) * means)]
-            for region in regions
-        ]
+        free_means = _free_means(values[:, lasting], oscillates[lasting], window)
+        pairs = ((region, np.tile(region[np.ix_(lasting, lasting)], (2, 2)) * free_means) for region in means.regions)
+        self._regions = [[self._put_matrix(matrix) for matrix in pair] for pair in pairs]
         # Piezo patches stay in their places; their forces are moments along their edges, which no kernel integrates.
         self._fixed = plate.actuator_forces() if plate.scene.piezo else None
         assert isinstance(plate.space, TensorSplines)

@@ -8,14 +8,14 @@ is one (:mod:`warp_plate.modal.device_tones`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
 import warp as wp
 
 from warp_plate.modal.device_tones import DeviceToneMatrices
-from warp_plate.modal.gram import ToneMatrices, gram_matrices
+from warp_plate.modal.gram import Means, ToneMatrices, gram_matrices
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.motion import make_excitation
 from warp_plate.modal.quadrature import WaveformEnergies, quadrature_matrices
@@ -44,7 +44,8 @@ class ModalEnergies:
         device: wp.Device | None = None,
     ) -> None:
         self.plate, self.regions, self.quantity = plate, regions, quantity
-        self.window = None if plate.scene.steady else plate.scene.window
+        window = None if plate.scene.steady else plate.scene.window
+        self._means = Means(plate, regions, window, quantity == "velocity")
         self._device = device if device is not None and device.is_cuda and plate.proportional else None
         self._tones = plate.scene.drive.waveform_key is None
 
@@ -81,19 +82,17 @@ class ModalEnergies:
         if scene.linear:
             return quadratic_forms(self.scene_matrices(), phasors)
         excitation = make_excitation(self.plate, scene.window.end)
-        velocity = self.quantity == "velocity"
-        matrices = quadrature_matrices(excitation, phasors, self.regions, scene.window, velocity)
+        matrices = quadrature_matrices(excitation, phasors, self.regions, scene.window, self._means.velocity)
         return np.diagonal(matrices, axis1=1, axis2=2).T.copy()
 
     def slopes(self, phasors: np.ndarray, frequency: np.ndarray, areas: np.ndarray, delay: np.ndarray) -> EnergySlopes:
         """Return energies of designs under phasors (designs, M), and their slopes; not of sweeps and files."""
-        settings = phasors, frequency, areas, self.window, self.quantity, delay
-        return energy_slopes(self.plate, self.regions, *settings)
+        return energy_slopes(self._means, phasors, frequency, areas, delay)
 
     def _matrices(self, frequency: np.ndarray, forces: np.ndarray) -> np.ndarray:
-        if self.window is not None and self._tones:
-            return self._tone_matrices(frequency, forces)
-        return gram_matrices(self.plate, self.regions, forces, frequency, self.window, self.quantity)
+        if self._means.window is not None and self._tones:
+            return self._tone_matrices.matrices(frequency, forces)
+        return gram_matrices(self._means, forces, frequency)
 
     def _forces(self, areas: np.ndarray) -> np.ndarray:
         """Return (designs or 1, modes, M) modal forces of the actuators' unit pressures."""
@@ -101,14 +100,13 @@ class ModalEnergies:
         return np.moveaxis(forces.reshape(len(forces), *areas.shape[:2]), 0, 1)
 
     @cached_property
-    def _tone_matrices(self) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-        assert self.window is not None
-        return ToneMatrices(self.plate, self.regions, self.window, self.quantity).matrices
+    def _tone_matrices(self) -> ToneMatrices:
+        return ToneMatrices(self._means)
 
     @cached_property
     def _device_tones(self) -> DeviceToneMatrices:
         assert self._device is not None
-        return DeviceToneMatrices(self.plate, self.regions, self.window, self.quantity, self._device)
+        return DeviceToneMatrices(self._means, self._device)
 
     @cached_property
     def _waveforms(self) -> WaveformEnergies:

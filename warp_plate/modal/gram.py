@@ -39,35 +39,35 @@ SLOW = 1e-2
 ROWS = 1024
 
 
+@dataclass(frozen=True)
+class Means:
+    """Which mean energies are computed: of what regions of a plate, and over what time."""
+
+    plate: ModalPlate  # Modes
+    regions: Sequence[np.ndarray]  # Mass matrices (modes, modes), see :meth:`ModalPlate.kinetic_matrix`
+    # Window of a plate that starts from rest; None for the steady state, in which actuators of different frequencies do
+    # not interfere
+    window: Window | None
+    velocity: bool = True  # False for ½ ∫ ρH u² dA of displacements [J s² per (N/m²)²]
+
+
 def gram_matrices(
-    plate: ModalPlate,
-    regions: Sequence[np.ndarray],
-    forces: np.ndarray,
-    frequency: np.ndarray,
-    window: Window | None,
-    quantity: str = "velocity",
-    delay: np.ndarray | None = None,
+    means: Means, forces: np.ndarray, frequency: np.ndarray, delay: np.ndarray | None = None
 ) -> np.ndarray:
     """Return (designs, regions, 2M, 2M) matrices of mean energies [J per (N/m²)²].
 
-    Args:
-        plate: Modes.
-        regions: Mass matrices (modes, modes) of the regions, see :meth:`ModalPlate.kinetic_matrix`.
-        forces: (designs or 1, modes, M) modal forces of the actuators' unit pressures.
-        frequency: (designs, M) frequencies of the actuators [Hz].
-        window: Window of a plate that starts from rest; None for the steady state, in which actuators of different
-            frequencies do not interfere.
-        quantity: "velocity", or "displacement" for ½ ∫ ρH u² dA [J s² per (N/m²)²].
-        delay: (designs, M) starts of the scene's bursts [s] (default: the scene's).
+    The actuators have modal forces (designs or 1, modes, M) of unit pressures, frequencies (designs, M) [Hz] and, under
+    bursts, starts (designs, M) [s] (default: the scene's).
     """
+    plate, window, regions = means.plate, means.window, means.regions
     if window is None:
-        rate = 2j * math.pi * frequency[:, None, :] if quantity == "velocity" else 1
+        rate = 2j * math.pi * frequency[:, None, :] if means.velocity else 1
         forced = plate.respond_each(frequency, forces) * rate
         same = frequency[:, :, None] == frequency[:, None, :]
         mixed = [(forced.conj().mT @ multiply_modes(region, forced)) * same for region in regions]
         return np.stack([real_form(np.zeros_like(product), product) for product in mixed], axis=1)
     if plate.scene.drive.burst is None and has_exponential_loads(plate.scene):
-        shared = ToneMatrices(plate, regions, window, quantity, trials=(forces, frequency))
+        shared = ToneMatrices(means, trials=(forces, frequency))
         forms = free_forms(shared.poles.part(shared.lasting), regions, window)
         return shared.motion(frequency, forces).matrices(shared.regions, window, forms)
     delay = actuator_delays(plate.scene)[None] if delay is None else delay
@@ -76,7 +76,7 @@ def gram_matrices(
     matrices = []
     for force, tones, starts in zip(*rows, strict=True):
         excitation = make_excitation(plate, window.end, force, tones, starts, moving=False)
-        matrices.append(_excitation_matrices(excitation, regions, window, quantity == "velocity"))
+        matrices.append(_excitation_matrices(excitation, regions, window, means.velocity))
     return np.stack(matrices)
 
 
@@ -116,17 +116,11 @@ class ToneMatrices:
     and frequencies (designs, M), which are by default those of the scene and of its search.
     """
 
-    def __init__(
-        self,
-        plate: ModalPlate,
-        regions: Sequence[np.ndarray],
-        window: Window,
-        quantity: str = "velocity",
-        trials: tuple[np.ndarray, np.ndarray] | None = None,
-    ) -> None:
-        self.window, self.poles, self._velocity = window, plate.poles(window.end), quantity == "velocity"
-        self.regions: list[Matrix] = [as_sparse(region) for region in regions]
-        self._dense = regions
+    def __init__(self, means: Means, trials: tuple[np.ndarray, np.ndarray] | None = None) -> None:
+        assert means.window is not None
+        self.window, self.poles, self._velocity = means.window, means.plate.poles(means.window.end), means.velocity
+        self.regions: list[Matrix] = [as_sparse(region) for region in means.regions]
+        self._dense, plate = means.regions, means.plate
         self._trials = trials or (trial_forces(plate)[None], trial_frequencies(plate.scene)[:, None])
 
     def matrices(self, frequency: np.ndarray, forces: np.ndarray) -> np.ndarray:

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from warp_plate.modal.assemble import load_integrals
-from warp_plate.modal.gram import lasting_poles, mean_exponential, mean_exponential_with_time
+from warp_plate.modal.gram import Means, lasting_poles, mean_exponential, mean_exponential_with_time
 from warp_plate.modal.loads import ExponentialLoads, exponential_loads
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.poles import Poles, multiply_modes
@@ -47,20 +47,14 @@ class EnergySlopes:
 
 
 def energy_slopes(
-    plate: ModalPlate,
-    regions: Sequence[np.ndarray],
-    phasors: np.ndarray,
-    frequency: np.ndarray,
-    areas: np.ndarray,
-    window: Window | None,
-    quantity: str = "velocity",
-    delay: np.ndarray | None = None,
+    means: Means, phasors: np.ndarray, frequency: np.ndarray, areas: np.ndarray, delay: np.ndarray | None = None
 ) -> EnergySlopes:
     """Return energies of tones or bursts under phasors (designs, M) [N/m²], and their slopes.
 
     The actuators have rectangles (designs or 1, M, 4) x0, x1, y0, y1 [m]; for all else see
     :func:`warp_plate.modal.gram.gram_matrices`.
     """
+    plate = means.plate
     block = max(1, BLOCK_NUMBERS // (8 * len(plate.frequencies) * phasors.shape[1]))
     if plate.scene.drive.burst is None:
         delay = None
@@ -71,12 +65,11 @@ def energy_slopes(
     for first in range(0, len(phasors), block):
         rows = slice(first, first + block)
         forces = _patch_forces(plate, areas[rows] if len(areas) > 1 else areas)
-        if window is None:
-            slopes = _steady(plate, regions, phasors[rows], frequency[rows], forces, quantity)
+        if means.window is None:
+            parts.append(_steady(means, phasors[rows], frequency[rows], forces))
         else:
             delays = None if delay is None else delay[rows]
-            slopes = _from_rest(plate, regions, phasors[rows], frequency[rows], delays, forces, window, quantity)
-        parts.append(slopes)
+            parts.append(_from_rest(means, means.window, phasors[rows], frequency[rows], delays, forces))
     return EnergySlopes(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 
@@ -87,26 +80,20 @@ def _patch_forces(plate: ModalPlate, areas: np.ndarray) -> np.ndarray:
     return np.asarray(forces.reshape(3, *areas.shape[:2], -1).swapaxes(2, 3))
 
 
-def _steady(
-    plate: ModalPlate,
-    regions: Sequence[np.ndarray],
-    phasors: np.ndarray,
-    frequency: np.ndarray,
-    forces: np.ndarray,
-    quantity: str,
-) -> tuple[np.ndarray, ...]:
+def _steady(means: Means, phasors: np.ndarray, frequency: np.ndarray, forces: np.ndarray) -> tuple[np.ndarray, ...]:
     """Return the arrays of :class:`EnergySlopes` in the steady state."""
+    plate = means.plate
     rate = 2j * math.pi * frequency[:, None, :]
     unit, by_x, by_y = (plate.respond_each(frequency, force) for force in forces)
     # By iω of the dynamic stiffness, times the amplitudes.
     by_rate = -plate.respond_each(frequency, 2 * rate * unit + multiply_modes(plate.damping, unit))
-    if quantity == "velocity":
+    if means.velocity:
         by_rate = rate * by_rate + unit
         unit, by_x, by_y = rate * unit, rate * by_x, rate * by_y
     same = frequency[:, :, None] == frequency[:, None, :]
     motion = (unit * phasors[:, None, :]) @ same
     values = []
-    for region in regions:
+    for region in means.regions:
         momenta = multiply_modes(region, motion.conj()) / 2
         values.append(np.stack([(momenta * by).sum(axis=1) for by in (unit, by_rate, by_x, by_y)]))
     by_drive, by_rate, *by_centre = np.stack(values, axis=2)
@@ -125,17 +112,15 @@ def _assemble(
 
 
 def _from_rest(
-    plate: ModalPlate,
-    regions: Sequence[np.ndarray],
+    means: Means,
+    window: Window,
     phasors: np.ndarray,
     frequency: np.ndarray,
     delay: np.ndarray | None,
     forces: np.ndarray,
-    window: Window,
-    quantity: str,
 ) -> tuple[np.ndarray, ...]:
     """Return the arrays of :class:`EnergySlopes` over a window; under bursts, of a single design."""
-    poles, velocity = plate.poles(window.end), quantity == "velocity"
+    poles, regions, velocity = means.plate.poles(window.end), means.regions, means.velocity
     alike = bool((frequency == frequency[:, :1]).all() and (delay is None or (delay == delay[:, :1]).all()))
     gains = poles.gains(forces[0])
     pushed, inputs = forces[0] * phasors[:, None, :], gains * phasors[:, None, :]
@@ -146,7 +131,7 @@ def _from_rest(
         rates = poles.shift_rates(2j * math.pi * frequency, window.end)[..., None]
         loads = [ExponentialLoads(0.0, window.end, rates, np.ones_like(rates))]
     else:
-        loads = exponential_loads(plate.scene, frequency[0], delay[0], window.end)
+        loads = exponential_loads(means.plate.scene, frequency[0], delay[0], window.end)
         poles = poles.apart_from(np.concatenate([load.rates.ravel() for load in loads]), window.end)
         loads = [replace(load, rates=load.rates[None], weights=load.weights[None]) for load in loads]
     total = np.zeros((3, len(phasors), len(regions), *inputs.shape[1:]), dtype=complex)
