@@ -78,12 +78,11 @@ def modes(
 
 def _grid_modes(scene: Scene, count: int) -> tuple[Scene, NaturalModes]:
     """Return the scene with its grid, without effects that cannot be stepped, and the modes of the grid."""
-    from warp_plate.plate.modes import natural_modes, refuse_many_nodes
+    from warp_plate.plate.modes import natural_modes
     from warp_plate.resolve import resolve
 
     effects = scene.effects.keeping(lambda effect: effect.stepped)
     gridded = resolve(scene.model_copy(update={"effects": effects}), purpose="simulate", evaluator="direct").scene
-    refuse_many_nodes(gridded)
     return gridded, natural_modes(gridded, count)
 
 

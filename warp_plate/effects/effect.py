@@ -183,11 +183,6 @@ class Attachment:
     damping: float
     label: str
 
-    @property
-    def swings(self) -> bool:
-        """True if a mass is held by a spring, and so has natural modes."""
-        return self.mass > 0 and self.stiffness > 0
-
 
 def attachments(terms: Iterable[Term]) -> list[Attachment]:
     """Return what is attached to patches, in the order of the terms."""

@@ -60,25 +60,20 @@ class NaturalModes:
         return [_half_waves(shape) for shape in self.shapes]
 
 
-def refuse_many_nodes(scene: Scene) -> None:
-    """Refuse a grid of more than MOST_NODES, too large for its modes to be computed, with a SceneError."""
-    nodes = math.prod(scene.grid.nodes)
-    if nodes > MOST_NODES:
-        raise SceneError(
-            f"grid.nodes = {list(scene.grid.nodes)}: {nodes} are too many for their modes; write at most {MOST_NODES} "
-            "(the error of a frequency falls with the square of the spacing, or the fourth power)"
-        )
-
-
 def natural_modes(scene: Scene, count: int) -> NaturalModes:
     """Return the first ``count`` undamped modes of the scene's grid, or all if the grid has fewer.
 
     Modes of one frequency are turned so that a weight of x² + y²/2 about the middle does not couple them: sides stay
     recognizable and every machine gives the same. The peak of a shape is positive. SceneError: see ``make_scheme``, or
-    count is below 1.
+    there are too many nodes, or count is below 1.
     """
     if count < 1:
         raise SceneError(f"count = {count}: must be at least 1")
+    if (nodes := math.prod(scene.grid.nodes)) > MOST_NODES:
+        raise SceneError(
+            f"grid.nodes = {list(scene.grid.nodes)}: {nodes} are too many for their modes; write at most {MOST_NODES} "
+            "(the error of a frequency falls with the square of the spacing, or the fourth power)"
+        )
     scene = scene.model_copy(update={"effects": scene.effects.keeping(lambda effect: effect.stepped)})
     scheme = make_scheme(scene)
     stiffness, masses, moving = _matrices(scene, scheme)
@@ -158,7 +153,7 @@ def normalised_shapes(scene: Scene, vectors: np.ndarray, moving: np.ndarray) -> 
     shapes[:, moving] = vectors[:nodes].T
     attached = attachments(scene.terms)
     motions = np.tile([0.0 if attachment.mass > 0 else math.nan for attachment in attached], (count, 1))
-    swinging = [attachment.swings for attachment in attached]
+    swinging = [attachment.mass > 0 and attachment.stiffness > 0 for attachment in attached]
     motions[:, swinging] = vectors[nodes:].T
     for shape, motion in zip(shapes, motions, strict=True):
         peak = _peak(shape)

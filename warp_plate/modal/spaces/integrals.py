@@ -90,10 +90,6 @@ class Integrals:
         x, y = self.points
         return np.outer((y > area[2]) & (y < area[3]), (x > area[0]) & (x < area[1])).astype(float)
 
-    def integral(self, field: Field) -> float:
-        """Return ∫ field dA of values at Gauss's points (y, x), or of a number."""
-        return float((self.weights * field).sum())
-
     @property
     def weights(self) -> np.ndarray:
         """Weights [m²] of Gauss's points (y, x)."""

@@ -61,7 +61,7 @@ class TensorSplines:
 
     @property
     def plate_mass(self) -> float:
-        return self.integrals.integral(self.integrals.fields()[-1])
+        return float((self.integrals.weights * self.integrals.fields()[-1]).sum())
 
     def density(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         return self.integrals.fields_at(x, y)[-1]
