@@ -56,13 +56,13 @@ def test_above_the_limit_grows(device, path, scene, phasors):
     early, late = np.abs(run.displacement[[0, 2], :2]).max(axis=(2, 3)).T
     assert np.all(late > 1e3 * early)
     assert list(run.status) == ["grew without bound", "ok", "grew without bound"]
-    assert np.all(run.growth_time[[0, 2]] < 300 * step)
+    assert max(run.faults[plate][1] for plate in (0, 2)) < 300 * step
     assert run.fault(0).startswith("grew without bound by t = ")
     assert list(run.finite) == [False, True, False]
     assert not run.displacement[1].any()
     # All stop when none is left.
     alone = solver.run(drives[[0, 2]], (2000 * step,))
-    np.testing.assert_array_equal(alone.growth_time, run.growth_time[[0, 2]])
+    assert list(alone.faults.values()) == [run.faults[plate] for plate in (0, 2)]
     assert np.isnan(alone.displacement).all()
 
 

@@ -132,7 +132,7 @@ def scenes(draw):
     return tables
 
 
-@settings(max_examples=60)
+@settings(max_examples=40)
 @given(scenes())
 def test_any_scene_gives_finite_arrays_or_is_refused(tables):
     check_arrays(read(tables))

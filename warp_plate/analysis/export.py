@@ -143,7 +143,9 @@ def _export_waveforms(
     names, files = tuple(actuator.name for actuator in result.scene.actuators), []
     for index, ((x, y), waveform) in enumerate(zip(table.points, waveforms, strict=True), 1):
         file = path if len(table.points) == 1 else path.with_name(f"{path.stem}-{index}{path.suffix}")
-        signal = WaveformSignal(names, waveform, full_scale, unit, table.rate, f"{name} at {x:g},{y:g} m")
+        signal = WaveformSignal(
+            names, full_scale, unit, table.rate, waveform.shape[1], f"{name} at {x:g},{y:g} m", waveform
+        )
         files += write_wav(signal, file, encoding) if to == "drive-wav" else write_drive_csv(signal, file)
     contents = {"case": name, "rate": table.rate, "full_scale": full_scale, "unit": unit, "channels": names}
     return Exported(files, contents)

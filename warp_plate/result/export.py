@@ -96,29 +96,35 @@ def _constant_fields(scene: Scene, times: np.ndarray) -> dict[str, np.ndarray]:
 
 
 @dataclass(frozen=True, eq=False)
-class DriveSignal:
-    """Signals of all actuators over a whole number of periods."""
+class Signal:
+    """Signals of all actuators."""
 
     names: tuple[str, ...]
-    phasors: np.ndarray  # (actuators,) complex amplitudes relative to ``full_scale``
     full_scale: float  # value of 1.0, in ``unit``
     unit: str
-    frequency: float  # [Hz]
     rate: int  # [1/s]
     samples: int
-    periods: int
-    seam: float  # phase jump [degrees] where the end meets the beginning; 0 for a whole number of samples
+    about: str  # for the comment of a WAV file
 
     @property
     def full_scale_text(self) -> str:
         return f"{self.full_scale:.9g} {self.unit.replace('²', '^2')}"
 
-    @property
-    def about(self) -> str:
-        return f"{self.frequency!r} Hz"
+    def blocks(self) -> Iterator[np.ndarray]:
+        """Yield (samples, 1 + actuators) blocks of the time [s] and the signals over the full scale."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, eq=False)
+class DriveSignal(Signal):
+    """Signals of all actuators over a whole number of periods."""
+
+    phasors: np.ndarray  # (actuators,) complex amplitudes relative to ``full_scale``
+    frequency: float  # [Hz]
+    periods: int
+    seam: float  # phase jump [degrees] where the end meets the beginning; 0 for a whole number of samples
 
     def blocks(self) -> Iterator[np.ndarray]:
-        """Yield (samples, 1 + actuators) blocks of the time [s] and the signals."""
         for start in range(0, self.samples, BLOCK):
             time = np.arange(start, min(start + BLOCK, self.samples)) / self.rate
             rotation = np.exp(2j * np.pi * np.mod(self.frequency * time, 1))
@@ -126,26 +132,12 @@ class DriveSignal:
 
 
 @dataclass(frozen=True, eq=False)
-class WaveformSignal:
+class WaveformSignal(Signal):
     """Waveforms of all actuators, of any shape."""
 
-    names: tuple[str, ...]
     waveforms: np.ndarray  # (actuators, samples) [unit]
-    full_scale: float  # value of 1.0 [unit]
-    unit: str  # of drives, such as N/m² or V
-    rate: int  # [1/s]
-    about: str  # for the comment of a WAV file
-
-    @property
-    def samples(self) -> int:
-        return self.waveforms.shape[1]
-
-    @property
-    def full_scale_text(self) -> str:
-        return f"{self.full_scale:.9g} {self.unit.replace('²', '^2')}"
 
     def blocks(self) -> Iterator[np.ndarray]:
-        """Yield the (samples, 1 + actuators) times [s] and waveforms over the full scale."""
         yield np.column_stack([np.arange(self.samples) / self.rate, self.waveforms.T / self.full_scale])
 
 
@@ -172,7 +164,9 @@ def make_drive_signal(
         raise SceneError(f"--duration {duration:g}: {len(scene.actuators)} channels take more than 4 GiB; write less")
     periods, samples, seam = whole_periods(frequency, rate, duration)
     names = tuple(actuator.name for actuator in scene.actuators)
-    return DriveSignal(names, phasors / full_scale, full_scale, unit, frequency, rate, samples, periods, seam)
+    return DriveSignal(
+        names, full_scale, unit, rate, samples, f"{frequency!r} Hz", phasors / full_scale, frequency, periods, seam
+    )
 
 
 def full_scale_of(asked: float | None, largest: float, unit: str) -> float:
@@ -209,13 +203,13 @@ def write_traces(result: Result, cases: Mapping[str, Case], path: Path) -> list[
     return write_table(path, ["time [s]", *columns], [rows])
 
 
-def write_drive_csv(signal: DriveSignal | WaveformSignal, path: Path) -> list[Path]:
+def write_drive_csv(signal: Signal, path: Path) -> list[Path]:
     """Write the time [s] and each actuator's signal, with the full scale in the header; return the path."""
     heading = ["time [s]", *(f"{name} [1 = {signal.full_scale_text}]" for name in signal.names)]
     return write_table(path, heading, signal.blocks())
 
 
-def write_wav(signal: DriveSignal | WaveformSignal, path: Path, encoding: Encoding = "float32") -> list[Path]:
+def write_wav(signal: Signal, path: Path, encoding: Encoding = "float32") -> list[Path]:
     """Write a WAV file with a channel for each actuator, without loudspeaker positions; return its path.
 
     Its comment (LIST INFO ICMT) names the channels, the frequency or point, and the full scale.
@@ -245,7 +239,7 @@ def _encode(values: np.ndarray, encoding: Encoding) -> bytes:
     return integers.reshape(-1, 1).view(np.uint8)[:, :size].tobytes()
 
 
-def _wav_head(signal: DriveSignal | WaveformSignal, code: int, size: int) -> bytes:
+def _wav_head(signal: Signal, code: int, size: int) -> bytes:
     """Return the chunks before the samples: format, number of samples, comment."""
     frame = len(signal.names) * size
     layout = struct.pack("<HHIIHH", EXTENSIBLE, len(signal.names), signal.rate, signal.rate * frame, frame, 8 * size)

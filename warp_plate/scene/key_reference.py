@@ -17,42 +17,25 @@ BOUNDS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
 
 @dataclass(frozen=True)
 class Key:
-    """A key of a table, as texts.
+    """A key of a table, as texts."""
 
-    Attributes:
-        name: Name of the key in its table.
-        type: Type of the value in words, or the possible values.
-        unit: SI unit; empty for numbers without a unit.
-        default: Default as TOML, "required", or empty where the default is to leave it out.
-        range: Limits of the numbers.
-        example: Example as TOML.
-        meaning: Sentence that describes the key.
-    """
-
-    name: str
-    type: str
-    unit: str
-    default: str
-    range: str
-    example: str
+    name: str  # in its table
+    type: str  # type of the value in words, or the possible values
+    unit: str  # SI unit; empty for numbers without a unit
+    default: str  # as TOML, "required", or empty where the default is to leave it out
+    range: str  # limits of the numbers
+    example: str  # as TOML
     meaning: str
 
 
 @dataclass(frozen=True)
 class TableReference:
-    """A table of scene files.
+    """A table of scene files."""
 
-    Attributes:
-        headings: Headings under which it stands, such as "[plate]" and "[[actuators]]"; "Top level" for the first.
-        model: Pydantic model.
-        description: Docstring of the model.
-        keys: Keys that hold no table.
-    """
-
-    headings: tuple[str, ...]
+    headings: tuple[str, ...]  # such as "[plate]" and "[[actuators]]"; "Top level" for the first
     model: type[Table]
-    description: str
-    keys: tuple[Key, ...]
+    description: str  # docstring of the model
+    keys: tuple[Key, ...]  # those that hold no table
 
 
 def table_references() -> list[TableReference]:

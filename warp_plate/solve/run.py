@@ -80,11 +80,6 @@ class Run:
         """(plates,) "ok" or the fault."""
         return np.array([self.faults.get(plate, SOUND)[0] for plate in range(len(self.energy))], dtype=object)
 
-    @property
-    def growth_time(self) -> np.ndarray:
-        """(plates,) time at which a plate was found to grow without bound [s], otherwise NaN."""
-        return np.array([self.faults.get(plate, SOUND)[1] for plate in range(len(self.energy))], dtype=float)
-
     def fault(self, plate: int) -> str:
         """Return the fault of a plate with its time, or "ok"."""
         fault, seen = self.faults.get(plate, SOUND)
