@@ -55,7 +55,7 @@ COMMANDS = {
         f"render strong-and-quiet-localize.h5 {PLAN} --case equal --case best",
     ),
     "paper-accuracy.png": ("paper-accuracy.png", "accuracy paper"),
-    "paper-surfaces.png": ("paper-localize-figure-2.png", "localize paper", "render paper-localize.h5 --figures paper"),
+    "paper-surfaces.png": ("paper-localize-surfaces.png", "localize paper"),
     "robust-touch-panel.png": ("robust-touch-panel-localize-robust.png", "localize robust-touch-panel.toml"),
     "searching-bursts.png": (
         "bursts-localize.png",

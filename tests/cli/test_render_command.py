@@ -50,14 +50,11 @@ def frames_of(path):
             yield np.asarray(movie.convert("RGB")).astype(int)
 
 
-def test_pictures(render, drawing, tmp_path):
-    """The default, and the paper's figures."""
+def test_the_default_is_a_picture(render, drawing, tmp_path):
     assert files_of(render("--json")) == ["panel.png"]
     (picture,) = frames_of(tmp_path / "panel.png")
     assert ((picture.max(axis=-1) - picture.min(axis=-1)) > 100).sum() > 300
-    files = files_of(render("--figures", "paper", "--json"))
-    assert files == ["panel-figure-2.png", *(f"panel-figure-3.{form}" for form in ("png", "svg", "pdf"))]
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["panel.png", *files])
+    assert [path.name for path in tmp_path.iterdir()] == ["panel.png"]
 
 
 def test_movies_play_all_frames(render, drawing, tmp_path):

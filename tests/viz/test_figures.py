@@ -94,20 +94,18 @@ def test_the_best_never_falls_and_infinite_means_are_gaps(paper_run):
     """Beside the bound, the drives that need no search and the published factor, of results that have them."""
     from matplotlib.figure import Figure
 
-    def lines(loss=False, **changes):
-        plot_history(axes := Figure().add_subplot(), replace(paper_run, history=history, **changes), loss)
+    def lines(**changes):
+        plot_history(axes := Figure().add_subplot(), replace(paper_run, history=history, **changes))
         return {line.get_label(): line.get_ydata() for line in axes.get_lines()}
 
     history = {"best": np.array([0.3, 0.5, 0.4]), "mean": np.array([0.1, -np.inf, 0.2])}
     only = {"best": paper_run.cases["best"]}
-    drawn, losses, without = lines(), lines(True), lines(source="panel.toml", bound=None, cases=only)
+    drawn, without = lines(), lines(source="panel.toml", bound=None, cases=only)
     np.testing.assert_allclose(drawn["best so far: 0.5000"], [0.3, 0.5, 0.5])
-    np.testing.assert_allclose(losses["best so far: 0.5000"], [0.7, 0.5, 0.5])
     np.testing.assert_allclose(drawn["mean"], [0.1, np.nan, 0.2])
     named = {"bound": 0.6867, "published": 0.72, "single actuator": 0.6367, "equal drive": 0.25}
     for name, factor in named.items():
         assert drawn[f"{name}: {factor:.4f}"][0] == pytest.approx(factor)
-        assert losses[f"{name}: {1 - factor:.4f}"][0] == pytest.approx(1 - factor)
     assert set(without) == {"best so far: 0.5000", "mean"}
     single = replace(paper_run.cases["single"], phasors=np.array([0, 1, 0, 0j]))
     assert "single actuator, upper left: 0.6367" in lines(cases={"single": single})

@@ -53,45 +53,39 @@ DRAWN_TOLERANCES = (0.1, 0.03, 0.01, 0.003, 0.001)
 Row = Mapping[str, Any]
 
 
-def draw_history(result: Result, path: str | Path, loss: bool = False) -> None:
+def draw_history(result: Result, path: str | Path) -> None:
     """Plot localization factor or weighted sum of the objectives against the iteration, for the first of several
-    targets; ``loss`` plots 1 − localization factor, as the source paper does, or the negative sum.
+    targets.
 
     Horizontal lines show the bound, drives that need no search and, for the preset "paper", the published factor.
     """
     if not result.history:
         raise ValueError("the result holds no history: only a search leaves one")
     with figure(path, (5, 3.6), dpi=320) as fig:
-        plot_history(axes := fig.add_subplot(), result, loss)
+        plot_history(axes := fig.add_subplot(), result)
         fig.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=2, fontsize=7)
 
 
-def plot_history(axes: Axes, result: Result, loss: bool = False) -> None:
+def plot_history(axes: Axes, result: Result) -> None:
     """Plot the history of a search into Matplotlib axes; see :func:`draw_history`."""
     from matplotlib.ticker import MaxNLocator
 
-    localization = result.only_localization
-    offset, sign = (float(localization), -1) if loss else (0.0, 1)
     # Matplotlib cannot scale an axis to infinity.
     values = {name: np.where(np.isfinite(array), array, np.nan) for name, array in result.history.items()}
-    best = offset + sign * np.fmax.accumulate(values["best"])
+    best = np.fmax.accumulate(values["best"])
     iteration = np.arange(1, best.size + 1)
     marker = "." if best.size < 10 else None
     # Overlapping places have huge losses, which would dominate the mean; "exact" tries one drive only.
     if "mean" in values and result.scene.search.method != "exact" and result.scene.search.position is None:
-        axes.plot(
-            iteration, offset + sign * values["mean"], color="#9ecae1", linewidth=1.0, marker=marker, label="mean"
-        )
+        axes.plot(iteration, values["mean"], color="#9ecae1", linewidth=1.0, marker=marker, label="mean")
     axes.plot(iteration, best, color="#08519c", linewidth=1.8, marker=marker, label=f"best so far: {_number(best[-1])}")
-    levels = {name: (offset + sign * level, look) for name, (level, look) in _levels(result).items()}
+    levels = _levels(result)
     for name, (level, look) in levels.items():
         axes.axhline(level, linewidth=1.0, label=f"{name}: {_number(level)}", **look)
     _write_target(axes, result.scene)
-    quantity = "localization factor" if localization else "weighted sum of objectives"
-    signed = quantity if not loss else f"loss (1 − {quantity})" if localization else f"loss (− {quantity})"
     axes.set(xlabel="iteration", xlim=(1, best.size) if best.size > 1 else (0, 2))
     _fit_limits(axes, [*best, *(level for level, _ in levels.values())])
-    label_axis(axes.yaxis, signed, "1")
+    label_axis(axes.yaxis, "localization factor" if result.only_localization else "weighted sum of objectives", "1")
     axes.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 5, 10], integer=True))
 
 

@@ -19,9 +19,8 @@ if TYPE_CHECKING:
     from warp_plate.result.motion import Motion
     from warp_plate.scene.model import Scene
 
-# As in viz.render, which is imported later.
-PLOTS = (".svg", ".pdf")
-ENDINGS = (".png", *PLOTS, ".gif", ".mp4", ".html")
+# As in viz.pictures, which is imported later.
+ENDINGS = (".png", ".svg", ".pdf", ".gif", ".mp4", ".html")
 # Limits of the frames a second, and the shortest time in which a period is played [s].
 RATES, PERIOD_SECONDS = (1, 120), 1.4
 
@@ -132,7 +131,6 @@ def render(
     /,
     *,
     out: Annotated[list[Path] | None, Parameter(negative="")] = None,
-    figures: Literal["paper"] | None = None,
     playback: PlaybackOptions = PlaybackOptions(),
     colours: options.ColourChoice = options.ColourChoice(),
     shown: FrameOptions = FrameOptions(),
@@ -149,58 +147,39 @@ def render(
     out
         File to write; repeat the option for more: .png (a picture), .gif, .mp4 (movies), .html (a page that plays and
         turns the plates, offline), .svg, .pdf (seen from above). Default: RESULT.png in this folder.
-    figures
-        paper: figures 2 and 3 of the source paper, as RESULT-figure-2.png (the recorded times) and
-        RESULT-figure-3.png, .svg and .pdf (the search).
     """
-    given = out or ([] if figures else [Path(f"{result.stem}.png")])
-    targets = [output.output_file(path, ".png", ENDINGS) for path in given]
+    targets = [output.output_file(path, ".png", ENDINGS) for path in out or [Path(f"{result.stem}.png")]]
     playback.check()
     from warp_plate.analysis.motion import frame_at
     from warp_plate.result.hdf5 import describe_file
     from warp_plate.result.model import load_result
     from warp_plate.viz.availability import DrawingUnavailable
-    from warp_plate.viz.pictures import PictureStyle, draw_motions, largest_frame
+    from warp_plate.viz.pictures import PictureStyle, draw_motions, largest_frame, missing_library
 
+    for target in targets:  # before anything is simulated
+        if (problem := missing_library(target, picture.plan)) is not None:
+            raise SceneError(problem)
+    if describe_file(result) == "a focus":
+        scene, motions = select_focus_motions(result, shown, playback)
+    else:
+        loaded = load_result(result)
+        scene = loaded.scene
+        motions = select_motions(loaded, result, frames_around(loaded, picture.time, shown), playback, json)
+    time, colours_chosen = picture.time, colours.chosen()
+    frame = largest_frame(motions, playback.field) if time is None else frame_at(motions[0], time)
+    rate = playback.frame_rate(motions)
+    style = PictureStyle(playback.field, picture.width, playback.heights, colours_chosen, picture.plan, rate)
     files: list[Path] = []
     try:
-        if describe_file(result) == "a focus" and figures is None:
-            _check_drawable(targets, picture.plan)
-            scene, motions = select_focus_motions(result, shown, playback)
-        else:
-            loaded = load_result(result)
-            scene = loaded.scene
-            if figures == "paper":
-                files += _paper_figures(loaded, result)
-            if targets:
-                _check_drawable(targets, picture.plan)
-                around = frames_around(loaded, picture.time, shown)
-                motions = select_motions(loaded, result, around, playback, json)
-        if targets:
-            time = picture.time
-            frame = largest_frame(motions, playback.field) if time is None else frame_at(motions[0], time)
-            style = PictureStyle(
-                playback.field, picture.width, playback.heights, colours.chosen(), picture.plan,
-                playback.frame_rate(motions),
-            )  # fmt: skip
-            for target in targets:
-                with output.progress_bar(f"drawing {target.name}", shown=not json) as show:
-                    draw_motions(scene, motions, target, style, frame, show)
-                files.append(target)
+        for target in targets:
+            with output.progress_bar(f"drawing {target.name}", shown=not json) as show:
+                draw_motions(scene, motions, target, style, frame, show)
+            files.append(target)
     except DrawingUnavailable as problem:
         raise SceneError(str(problem)) from None
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"; wrote only {', '.join(map(str, files))}" if files else "") from None
     output.report(json, lambda: {"result": result}, lambda _: None, written=(files, None))
-
-
-def _check_drawable(targets: list[Path], plan: bool) -> None:
-    """Check that the libraries for all files are there, before anything is simulated."""
-    from warp_plate.viz.pictures import missing_library
-
-    for target in targets:
-        if (problem := missing_library(target, plan)) is not None:
-            raise SceneError(problem)
 
 
 def frames_around(result: Result, time: float | None, shown: FrameOptions) -> FrameOptions:
@@ -213,32 +192,16 @@ def frames_around(result: Result, time: float | None, shown: FrameOptions) -> Fr
     return replace(shown, start=start, end=end)
 
 
-def _paper_figures(result: Result, name: Path) -> list[Path]:
-    """Draw figures 2 and 3 of the source paper."""
-    from warp_plate.result.atomic_io import atomic_paths
-    from warp_plate.viz.availability import missing_renderer
-    from warp_plate.viz.pictures import draw_history, draw_surfaces
-
-    if not result.history or not result.times.size:
-        raise SceneError(f"--figures paper: {name} holds no search; make it with localize")
-    if (problem := missing_renderer()) is not None:
-        raise SceneError(problem)
-    drawn = [Path(f"{name.stem}-figure-2.png"), *(Path(f"{name.stem}-figure-3{form}") for form in (".png", *PLOTS))]
-    with atomic_paths(*drawn) as (surfaces, *histories):
-        draw_surfaces(result, surfaces)
-        for path in histories:
-            draw_history(result, path, loss=True)
-    return drawn
-
-
 def select_motions(
     result: Result, file: Path, shown: FrameOptions, playback: PlaybackOptions, quiet: bool
 ) -> list[Motion]:
     """Return the motions of a result to show; errors name its file."""
-    from warp_plate.analysis.motion import motions
+    from warp_plate.analysis.motion import FRAMES_A_PERIOD, mode_motions, motions
 
     if playback.modes:
-        return _mode_shapes(result, shown.frames, playback)
+        if playback.field != "displacement":
+            raise SceneError(f"--field {playback.field}: mode shapes have displacements only; leave out --modes")
+        return mode_motions(result.scene, range(1, playback.modes + 1), shown.frames or FRAMES_A_PERIOD)
     span = span_of(shown, result.scene.window.end)
     cases = select_cases(result, file, shown.case)
     with output.progress_bar("simulating", shown=not quiet) as show:
@@ -268,15 +231,6 @@ def select_focus_motions(file: Path, shown: FrameOptions, playback: PlaybackOpti
         return result.scene, focus_motions(result, shown.case or (), span, shown.frames or FRAMES)
     except SceneError as error:
         raise SceneError(f"{file}: {error}") from None
-
-
-def _mode_shapes(result: Result, frames: int | None, playback: PlaybackOptions) -> list[Motion]:
-    from warp_plate.analysis.motion import mode_motions
-
-    count = playback.modes
-    if playback.field != "displacement":
-        raise SceneError(f"--field {playback.field}: mode shapes have displacements only; leave out --modes")
-    return mode_motions(result.scene, range(1, count + 1), **({} if frames is None else {"frames": frames}))
 
 
 def select_cases(result: Result, file: Path, names: Sequence[str] | None) -> dict[str, Case]:
