@@ -19,15 +19,7 @@ import numpy as np
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
 from warp_plate.viz.annotations import AZIMUTH, ELEVATION, LABEL_FORMAT, frame_caption, legend_entries, lookup_table
-from warp_plate.viz.fields import (
-    DEFAULT_COLOURS,
-    DISPLACEMENT,
-    MODE,
-    ColourOptions,
-    DrawingScale,
-    PlateField,
-    motion_scales,
-)
+from warp_plate.viz.fields import DEFAULT_COLOURS, DISPLACEMENT, MODE, ColourOptions, DrawingScale, motion_scales
 from warp_plate.viz.scene3d import PlateMeshes, line_layers, rows_and_columns
 
 # Values are integers −PEAK … PEAK in the page; NAN stands for NaN.
@@ -62,9 +54,9 @@ def page_data(
         peak, colours = scale.limit, []
     all_nodes = heights[0].shape[1:]
     values = sum(len(array) for array in [*heights, *colours]) * math.prod(all_nodes)
-    ny, nx = (thinned_nodes(nodes, values, most_bytes) for nodes in all_nodes)
-    heights = [_resampled(array, (ny, nx), DISPLACEMENT) for array in heights]
-    colours = [_resampled(array, (ny, nx), field) for array in colours]
+    rows, columns = (shown_nodes(nodes, values, most_bytes) for nodes in all_nodes)
+    heights, colours = ([array[:, rows][..., columns] for array in arrays] for arrays in (heights, colours))
+    ny, nx = rows.size, columns.size
     meshes, (low, high) = PlateMeshes(scene, heights[0][0], scale), scale.clim
     legends = [_legend(one) for one in scales]
     return {
@@ -110,24 +102,11 @@ def _legend(scale: DrawingScale) -> dict[str, Any]:
     return {"title": scale.title, "ticks": ticks}
 
 
-def thinned_nodes(nodes: int, values: int, most_bytes: float = MOST_BYTES) -> int:
-    """Return how many nodes along one axis are shown, for a total number of values.
-
-    The step between them is the least for these bytes, or up to twice that if only then the last node is shown.
-    """
-    least = math.ceil(math.sqrt(BYTES_PER_VALUE * values / most_bytes))
-    step = next((step for step in range(least, 2 * least + 1) if (nodes - 1) % step == 0), least)
-    return max(2, round((nodes - 1) / step) + 1)
-
-
-def _resampled(array: np.ndarray, nodes: tuple[int, int], field: PlateField) -> np.ndarray:
-    """Return (frames, *nodes) of (frames, ny, nx): linear between nodes, but the nearest node for angles."""
-    from scipy.ndimage import zoom
-
-    if array.shape[1:] == nodes:
-        return array
-    factors = np.divide(nodes, array.shape[1:])
-    return np.stack([zoom(frame, factors, order=0 if field.kind == "cyclic" else 1) for frame in array])
+def shown_nodes(nodes: int, values: int, most_bytes: float = MOST_BYTES) -> np.ndarray:
+    """Return the indices of the nodes along one axis that are shown, about every second, third, … if that many values
+    take too many bytes."""
+    step = math.ceil(math.sqrt(BYTES_PER_VALUE * values / most_bytes))
+    return np.linspace(0, nodes - 1, max(2, round((nodes - 1) / step) + 1)).round().astype(int)
 
 
 def _outlines(meshes: PlateMeshes) -> list[dict[str, Any]]:

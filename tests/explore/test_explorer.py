@@ -213,14 +213,14 @@ def test_a_search_is_watched(explored_panel, model):
     """Particles and best at each iteration; the plate is that of the best, as localize finds it."""
     model.choose("found", seconds=0.02)
     seen = {}
-    while (swarm := model.swarm()) is None or swarm.running:
+    while (swarm := model.swarm()) is None or swarm.best.size < swarm.iterations:
         if swarm is not None:
             seen[swarm.best.size] = swarm
         time.sleep(0.002)
     model.wait()
     last = model.swarm()
     assert len(seen) > 5
-    assert (last.running, last.best.size, last.iterations) == (False, 15, 15)
+    assert (last.best.size, last.iterations) == (15, 15)
     assert np.all(np.diff(last.best) >= 0)
     for swarm in seen.values():
         assert swarm.phasors.shape == (12, 3)
@@ -231,7 +231,7 @@ def test_a_search_is_watched(explored_panel, model):
     np.testing.assert_allclose(last.best, history, rtol=1e-6)
     # A search ends when a slider is moved: what it finds after that is not taken.
     model.choose("found", seconds=0.02)
-    until(lambda: model.swarm() is not None and model.swarm().running)
+    until(lambda: model.swarm() is not None)
     model.set_actuator(0, magnitude=0.25)
     assert model.swarm() is None
     time.sleep(0.05)
@@ -315,7 +315,7 @@ def test_the_swarm_is_drawn(view, model):
     assert not charts.history.visible
     # Without a finite loss and without a bound.
     nothing = np.full(4, np.nan)
-    charts.show(SwarmSnapshot(np.ones((4, 3), complex), nothing, nothing[:1], None, iterations=5, running=True), None)
+    charts.show(SwarmSnapshot(np.ones((4, 3), complex), nothing, nothing[:1], None, iterations=5), None)
     assert [plot.visible for plot in charts.plane.plots("scatter")] == [True, False, True, False]
     assert not next(iter(charts.history.plots("line"))).visible
 

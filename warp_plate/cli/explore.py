@@ -7,8 +7,10 @@ import sys
 import threading
 import webbrowser
 from dataclasses import dataclass
+from typing import Annotated
 
 from cyclopts import Parameter
+from cyclopts.validators import Number
 
 from warp_plate.cli import options, output
 from warp_plate.scene.errors import SceneError
@@ -27,7 +29,7 @@ class PageOptions:
 
     web: options.Switch = False
     host: str = "127.0.0.1"
-    port: int = 8080
+    port: Annotated[int, Parameter(validator=Number(gte=0, lte=65535))] = 8080
 
 
 def explore(
@@ -48,8 +50,6 @@ def explore(
     factor and ignores the scene's [search]. With --path auto, linear scenes use the modal engine.
     """
     host, port = page.host, page.port
-    if not 0 <= port <= 65535:
-        raise SceneError(f"--port {port}: must be from 1 to 65535, or 0 for any free one")
     if not host.strip():
         raise SceneError("--host '': must be an address of this machine, such as 127.0.0.1, or 0.0.0.0 for all")
     loaded, scene = changes.load(scene)

@@ -10,14 +10,12 @@ from typing import TYPE_CHECKING, Any
 from cyclopts import Parameter
 from rich.console import Console
 
+import warp_plate
 from warp_plate.cli import main, options, output
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
     from warp_plate.result.checkpoint import Checkpoint
-    from warp_plate.result.model import Result
-    from warp_plate.scene.model import Scene
-    from warp_plate.studies.unfinished import CheckpointFile
     from warp_plate.viz.fields import ColourOptions
 
 CASE_DESCRIPTIONS = {
@@ -98,9 +96,6 @@ def localize(
     """
     from warp_plate import viz
     from warp_plate.result.checkpoint import ENDING
-    from warp_plate.studies.localize import localize as run_localize
-    from warp_plate.studies.localize import resume as run_resume
-    from warp_plate.studies.unfinished import CheckpointFile
 
     resume, chosen = search.resume, colours.chosen()
     if resume is not None and files.out is None:
@@ -116,7 +111,7 @@ def localize(
         with output.scene_errors(scene or "--accuracy"):
             loaded, checkpoint = _load_checkpoint(resume, search, loaded, changes, local, workers.path)
     output.check_overwriting(target.with_suffix(ENDING), "a checkpoint", files.force or resume is not None)
-    file = CheckpointFile(target.with_suffix(ENDING), checkpoint_every, output.log)
+    file = warp_plate.CheckpointFile(target.with_suffix(ENDING), checkpoint_every, output.log)
     if checkpoint is None and file.path.exists():
         output.log(f"{file.path} holds an unfinished search; a checkpoint of this one will replace it")
     if files.pictures:
@@ -138,11 +133,13 @@ def localize(
         common: dict[str, Any] = {"on_progress": on_progress, "estimate": search.estimate, "checkpoints": file}
         common |= {"spectrum": search.spectrum, "pool": pool, "baselines": search.baselines}
         if checkpoint is not None:
-            result = run_resume(checkpoint, local, **common)
+            result = warp_plate.resume(checkpoint, local, **common)
         else:
             assert loaded is not None
             common |= {"seed": search.seed, "evaluator": search.evaluator, "path": workers.path or "auto"}
-            result = run_localize(loaded, source=scene or "", device="auto" if local is None else local, **common)
+            result = warp_plate.localize(
+                loaded, source=scene or "", device="auto" if local is None else local, **common
+            )
     written = _write(result, target, files.pictures, file, chosen)
     left = file.path if result.interrupted and file.saved else None
     elapsed = None if resume is not None else main.elapsed()
@@ -152,11 +149,11 @@ def localize(
 def _load_checkpoint(
     file: Path,
     search: SearchOptions,
-    scene: Scene | None,
+    scene: warp_plate.Scene | None,
     changes: options.SceneOptions,
     device: str | None,
     path: str | None,
-) -> tuple[Scene | None, Checkpoint]:
+) -> tuple[warp_plate.Scene | None, Checkpoint]:
     """Return the scene with its accuracy, if one of them is given, and the checkpoint of a search to continue."""
     from warp_plate.result.checkpoint import load_checkpoint
     from warp_plate.studies.localize import load_to_resume
@@ -174,7 +171,9 @@ def _result_beside(checkpoint: Path) -> Path:
     return checkpoint.parent / (stem.removesuffix(".checkpoint") + (".h5" if named else "-localize.h5"))
 
 
-def _write(result: Result, target: Path, pictures: bool, file: CheckpointFile, colours: ColourOptions) -> output.Drawn:
+def _write(
+    result: warp_plate.Result, target: Path, pictures: bool, file: warp_plate.CheckpointFile, colours: ColourOptions
+) -> output.Drawn:
     """Write the result, its pictures and the scenes found; delete the checkpoints of a finished search."""
     from warp_plate.studies.localize import save_best_scenes
 
@@ -192,7 +191,7 @@ def _write(result: Result, target: Path, pictures: bool, file: CheckpointFile, c
     return files, missing
 
 
-def _as_json(checkpoint: Path | None, result: Result) -> dict[str, object]:
+def _as_json(checkpoint: Path | None, result: warp_plate.Result) -> dict[str, object]:
     """Return the record for ``--json``; ``checkpoint`` is the file that an interrupted search resumes from."""
     from warp_plate.cli import tables
     from warp_plate.result.case import only_actuator
@@ -217,7 +216,7 @@ def _as_json(checkpoint: Path | None, result: Result) -> dict[str, object]:
     }
 
 
-def _print(elapsed: float | None, result: Result, console: Console) -> None:
+def _print(elapsed: float | None, result: warp_plate.Result, console: Console) -> None:
     from warp_plate.cli import tables
     from warp_plate.result.case import target_cases
     from warp_plate.scene.vary import counted
@@ -241,7 +240,7 @@ def _print(elapsed: float | None, result: Result, console: Console) -> None:
     tables.print_cost(result, console, searched, elapsed)
 
 
-def _print_factors(result: Result, console: Console) -> None:
+def _print_factors(result: warp_plate.Result, console: Console) -> None:
     """Print the localization factors, with the published ones of the paper's scene."""
     from warp_plate.result.case import only_actuator
     from warp_plate.result.model import BOUND_DESCRIPTIONS
@@ -297,7 +296,6 @@ def simulate(
         result file (.h5) whose best drive is taken.
     """
     from warp_plate import viz
-    from warp_plate.studies.simulate import simulate as simulate_scene
 
     chosen = colours.chosen()
     target = files.target(scene, "-simulate.h5", holds="a result of simulate")
@@ -310,12 +308,12 @@ def simulate(
         def on_progress(done: int, total: int) -> None:
             show(done, total, f"{done:.2g} node-steps")
 
-        result = simulate_scene(loaded, source=scene, drive=drive, progress=on_progress, **vars(run))
+        result = warp_plate.simulate(loaded, source=scene, drive=drive, progress=on_progress, **vars(run))
     written = output.write_result(result, target, files.pictures, chosen)
     output.report(files.json, _run_as_json, _print_run, result, written=written)
 
 
-def _run_as_json(result: Result) -> dict[str, object]:
+def _run_as_json(result: warp_plate.Result) -> dict[str, object]:
     from warp_plate.cli import tables
 
     case = result.cases["drive"]
@@ -329,7 +327,7 @@ def _run_as_json(result: Result) -> dict[str, object]:
     }
 
 
-def _print_run(result: Result, console: Console) -> None:
+def _print_run(result: warp_plate.Result, console: Console) -> None:
     from warp_plate.cli import tables
     from warp_plate.result.case import only_actuator
 

@@ -323,8 +323,6 @@ class WatchedSearch(threading.Thread):
     def run(self) -> None:
         """Search, in the thread."""
         minimize(self._swarm, self._losses, self._after_iteration)
-        if self.snapshot is not None:
-            self.snapshot = replace(self.snapshot, running=False)
 
     def _losses(self, positions: np.ndarray) -> np.ndarray:
         self._factors = localization_factor(self._energies(self._scale * paper_phasors(positions)))
@@ -339,6 +337,5 @@ class WatchedSearch(threading.Thread):
             best=np.where(np.isfinite(best), best, np.nan),
             best_phasors=None if drive is None else paper_phasors(drive[None])[0],
             iterations=swarm.settings.iterations,
-            running=True,
         )
         return self.ended.wait(self._seconds)

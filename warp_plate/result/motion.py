@@ -127,7 +127,6 @@ class SwarmSnapshot:
     best: np.ndarray  # (iterations,) best localization factor after each iteration
     best_phasors: np.ndarray | None  # (actuators,) best drive; None before the first finite one
     iterations: int
-    running: bool
 
 
 def quadrants(size: tuple[float, float]) -> dict[str, Area]:
