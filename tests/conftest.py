@@ -25,7 +25,7 @@ import pytest
 import warp as wp
 
 from support.scenes import EDGE_MIXES, edges_id, scene_of
-from warp_plate import PlateSolver, SceneError
+from warp_plate import PlateSolver, SceneError, localize, save_result
 from warp_plate.cli.main import main
 from warp_plate.solve.devices import find_device
 
@@ -138,6 +138,14 @@ def panel():
     edges = ("supported",) * 4
     made = scene_of(edges=edges, damping=300.0, window=(0.01, 0.03), actuators=patches, frequency=200.0)
     return made.with_tables(grid={})
+
+
+@pytest.fixture(scope="session")
+def result_file(tmp_path_factory):
+    """The file of a small search with recorded times, run.h5, which tests only read."""
+    record = {"times": (0.002, 0.004), "points": ((0.1, 0.1),)}
+    made = scene_of(damping=200.0, record=record, search={"particles": 4, "iterations": 3})
+    return save_result(localize(made, device="cpu", estimate=False), tmp_path_factory.mktemp("search") / "run.h5")
 
 
 @pytest.fixture

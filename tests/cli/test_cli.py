@@ -1,8 +1,12 @@
 """The command line whole: what localize, simulate and init print and write, errors, and the process."""
 
+import io
 import json
+import math
 import os
 import re
+import sys
+from inspect import signature
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +15,8 @@ import pytest
 import warp_plate
 from support.commands import error_of, output_of, start_program
 from warp_plate import Scene, load_result
+from warp_plate.cli import output
+from warp_plate.cli.main import COMMANDS, application
 from warp_plate.scene.load import preset_names, preset_text
 
 QUICK = ("--device", "cpu", "--no-pictures", "--no-estimate")
@@ -155,3 +161,112 @@ def test_standard_output_that_is_closed_or_full(recorded):
         with open("/dev/full", "w") as full:
             answer = process("init", "paper", stdout=full)
         assert answer == (2, None, "warp-plate: No space left on device\n")
+
+
+# Drives and seconds --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", ["auto", "modal"])
+def test_numbers_follow_from_energies(command, tmp_path, path):
+    file = tmp_path / "a.h5"
+    words = ("simulate", "paper", "--drive", "single", "--path", path, *QUICK, "--out", file)
+    found = json.loads(output_of(command(*words, "--json")))
+    scene, motion = Scene.load("paper"), found["motion"]
+    mass = scene.plate.density * scene.plate.thickness * math.prod(scene.plate.size)
+    target, plate = found["energy"]["target"], found["energy"]["plate"]
+    for region, energy, share in (("target", target, 1 / 4), ("outside", plate - target, 3 / 4)):
+        velocity = motion["velocity_rms"][region]
+        assert velocity == pytest.approx(math.sqrt(2 * energy / (share * mass)), rel=1e-6)
+        assert motion["acceleration_rms"][region] == pytest.approx(2 * math.pi * 290 * velocity)
+    assert motion["contrast_db"] == pytest.approx(10 * math.log10(3 * target / (plate - target)))
+    peaks = motion["displacement_peak"]
+    assert max(peaks.values()) == load_result(file).peak_displacement
+    assert peaks["outside"] < peaks["target"]
+    assert "only actuator driven lower left" in " ".join(command(*words)[1].split())
+    assert load_result(file).main_case.motion is None
+
+
+def test_a_plate_that_is_not_linear_has_no_acceleration(command, tmp_path):
+    words = ("simulate", "large-amplitude", *QUICK, "--out", tmp_path / "a.h5")
+    motion = json.loads(output_of(command(*words, "--json")))["motion"]
+    assert set(motion) == {"contrast_db", "velocity_rms", "displacement_peak"}
+    assert "acceleration" not in command(*words)[1]
+
+
+def test_cases_of_a_search_are_compared(command, tmp_path):
+    words = ("localize", "paper", *QUICK, "--baselines", "--set", "search.iterations=3", "--out", tmp_path / "a.h5")
+    found = json.loads(output_of(command(*words, "--json")))
+    assert set(found["motion"]) == set(found["localization_factor"]) - {"bound"}
+    equal, single, best = (found["motion"][name] for name in ("equal", "single", "best"))
+    assert equal["contrast_db"] == pytest.approx(0, abs=1e-6)
+    assert equal["displacement_peak"]["target"] == pytest.approx(equal["displacement_peak"]["outside"], rel=1e-3)
+    assert best["contrast_db"] > 0
+    assert single["contrast_db"] == pytest.approx(7.208, abs=0.01)
+    assert found["single_actuator"] in {actuator.name for actuator in Scene.load("paper").actuators}
+    text = " ".join(command(*words)[1].split())
+    assert f"best single actuator, {found['single_actuator']}" in text
+    assert "Motion in the target / outside" in text
+
+
+class Terminal(io.StringIO):
+    """A stream that says it is a terminal."""
+
+    def isatty(self):
+        return True
+
+
+@pytest.mark.parametrize("name", ["localize", "simulate"])
+def test_seconds_add_up(command, tmp_path, name):
+    words = (name, "paper", "--device", "cpu", "--no-pictures", "--out", tmp_path / "a.h5")
+    searched = ("--set", "search.iterations=3") if name == "localize" else ()
+    text = " ".join(output_of(command(*words, *searched)).split())
+    total, stages = re.search(r"([\d.]+) s in all: (.*? loading, files and pictures)", text).groups()
+    seconds = [float(value) for value in re.findall(r"([\d.]+) s ", stages)]
+    assert len(seconds) == 4
+    assert min(seconds) >= 0
+    assert sum(seconds) == pytest.approx(float(total), abs=0.005 * (len(seconds) + 1))
+
+
+@pytest.mark.parametrize(("accuracy", "first"), [(None, "compiling or loading kernels"), (0.01, "choosing a grid")])
+def test_progress_says_what_is_done(monkeypatch, accuracy, first):
+    scene, stream = Scene.load("paper"), Terminal()
+    monkeypatch.setattr(sys, "stderr", stream)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "100")
+    seen = []
+    scene = scene if accuracy is None else scene.with_accuracy(accuracy)
+    for updates in ((), ((1, 2),), ((2, 2),)):
+        with output.progress_bar("searching", True, scene, "running the drives found") as show:
+            for update in updates:
+                show(*update)
+        seen.append(stream.getvalue())
+        stream.truncate(0)
+    assert first in seen[0]
+    assert "searching" not in seen[0]
+    assert "searching" in seen[1]
+    assert "running the drives found" in seen[2]
+
+
+# --set ---------------------------------------------------------------------------------------------
+
+
+def test_every_command_of_a_scene_sets_its_keys():
+    apps = {name: application()[name] for name in COMMANDS}
+    options = {name: [option.name for option in app.assemble_argument_collection()] for name, app in apps.items()}
+    scenes = [name for name, app in apps.items() if "scene" in signature(app.default_command).parameters]
+    assert len(scenes) > 8
+    assert [name for name in scenes if "--set" not in options[name]] == []
+
+
+def test_results_bear_what_was_set(command, tmp_path):
+    options = ("--device", "cpu", "--no-pictures", "--no-estimate", "--out", tmp_path / "a.h5", "--json")
+    found = json.loads(output_of(command("simulate", "paper", "--set", "drive.frequency=300", *options)))
+    bare = json.loads(output_of(command("simulate", "paper", *options)))
+    assert found["scene"] == "paper --set drive.frequency=300"
+    assert found["energy"]["plate"] != pytest.approx(bare["energy"]["plate"], rel=1e-2)
+
+
+def test_a_search_that_is_resumed_takes_no_new_keys(command):
+    status, _, error = command("localize", "--resume", "a.checkpoint.h5", "--set", "drive.frequency=300")
+    assert status == 2
+    assert "an unfinished search has its own" in error

@@ -60,7 +60,7 @@ def test_a_plate_at_rest_has_no_factor(command, write_scene):
     assert "fondation: no such effect" in error_of(command("effects", "panel.toml", "fondation"))
 
 
-@pytest.mark.parametrize("grid", ["grid.accuracy=0.05", "grid.nodes=[13, 13]"])
+@pytest.mark.parametrize("grid", [pytest.param("grid.accuracy=0.05", marks=pytest.mark.slow), "grid.nodes=[13, 13]"])
 def test_a_scene_with_a_loss_factor_is_solved_by_modes(grid, command, write_scene):
     """It was refused, with the advice to use an evaluator that the command does not have."""
     write_scene(effects={"loss_factor": {"eta": 0.02}}, edges=("clamped", "free", "clamped", "free"))

@@ -12,25 +12,17 @@ from scipy.io import wavfile
 
 from support.commands import error_of, output_of
 from support.scenes import scene_of
-from warp_plate import load_result, localize, save_result, simulate
+from warp_plate import load_result, save_result, simulate
 from warp_plate.analysis.motion import motions
 
 GUIDE = Path(__file__).parents[2] / "docs" / "exports.md"
 
 
-@pytest.fixture(scope="module")
-def search_file(tmp_path_factory):
-    """The result file of a small search."""
-    record = {"times": (0.002, 0.004), "points": ((0.1, 0.1),)}
-    scene = scene_of(damping=88.5, record=record, search={"particles": 4, "iterations": 3})
-    return save_result(localize(scene, device="cpu", estimate=False), tmp_path_factory.mktemp("search") / "run.h5")
-
-
 @pytest.fixture
-def result_folder(search_file, tmp_path, monkeypatch):
+def result_folder(result_file, tmp_path, monkeypatch):
     """A working folder with the result of the search, run.h5."""
     monkeypatch.chdir(tmp_path)
-    shutil.copy(search_file, "run.h5")
+    shutil.copy(result_file, tmp_path)
 
 
 def new_files():

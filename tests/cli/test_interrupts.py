@@ -80,6 +80,7 @@ def test_a_long_iteration_ends_within_a_launch(endless, write_scene):
     assert [path.name for path in Path().iterdir()] == ["panel.toml"]
 
 
+@pytest.mark.slow
 def test_a_closed_terminal_leaves_result_and_checkpoint(endless):
     """The terminal is gone when SIGHUP comes, so that nothing can be printed."""
     pty = pytest.importorskip("pty")
@@ -115,7 +116,7 @@ main(sys.argv[1:])
 """
 
 
-@pytest.mark.parametrize("module", ["cyclopts", "warp_plate.kernels.loads"])
+@pytest.mark.parametrize("module", ["cyclopts", pytest.param("warp_plate.kernels.loads", marks=pytest.mark.slow)])
 def test_a_command_that_starts_ends_in_one_line(module, endless):
     status, out, err, _ = end(start("-c", STARTING.format(module=module), "localize", "panel.toml", *QUICK))
     assert (status, out, err) == (130, "", "warp-plate: interrupted\n")

@@ -7,32 +7,22 @@ import numpy as np
 import pytest
 
 from support.commands import error_of, output_of
-from support.scenes import scene_of
 from warp_plate.analysis.motion import frame_at, motions
 from warp_plate.cli.render import FrameOptions, frames_around
-from warp_plate.result.model import load_result, save_result
-from warp_plate.studies.localize import localize
+from warp_plate.result.model import load_result
 from warp_plate.viz import availability
 
 pytest.importorskip("pyvista", reason="PyVista is not installed: pip install 'warp-plate[viz]'")
 
 
-@pytest.fixture(scope="module")
-def search_file(tmp_path_factory):
-    """A result file of a small search."""
-    scene = scene_of(damping=200.0, search={"particles": 4, "iterations": 3})
-    path = tmp_path_factory.mktemp("search") / "panel.h5"
-    return save_result(localize(scene, device="cpu", estimate=False), path)
-
-
 @pytest.fixture
-def render(search_file, tmp_path, monkeypatch, command):
+def render(result_file, tmp_path, monkeypatch, command):
     """Run the command in an empty folder; return (status, standard output, standard error)."""
     monkeypatch.chdir(tmp_path)
 
     def run(*options):
         width = [] if "--width" in options else ["--width", "160"]
-        return command("render", search_file, "--device", "cpu", *width, *options)
+        return command("render", result_file, "--device", "cpu", *width, *options)
 
     return run
 
@@ -51,10 +41,10 @@ def frames_of(path):
 
 
 def test_the_default_is_a_picture(render, drawing, tmp_path):
-    assert files_of(render("--json")) == ["panel.png"]
-    (picture,) = frames_of(tmp_path / "panel.png")
+    assert files_of(render("--json")) == ["run.png"]
+    (picture,) = frames_of(tmp_path / "run.png")
     assert ((picture.max(axis=-1) - picture.min(axis=-1)) > 100).sum() > 300
-    assert [path.name for path in tmp_path.iterdir()] == ["panel.png"]
+    assert [path.name for path in tmp_path.iterdir()] == ["run.png"]
 
 
 def test_movies_play_all_frames(render, drawing, tmp_path):
@@ -123,9 +113,9 @@ def test_invalid_options_are_named(render, tmp_path):
         assert not list(tmp_path.iterdir())
 
 
-def test_a_moment_is_the_frame_of_pictures(search_file):
+def test_a_moment_is_the_frame_of_pictures(result_file):
     """--time selects a frame of the period from there on, or of the last one."""
-    result = load_result(search_file)
+    result = load_result(result_file)
     period = 1 / result.scene.drive.frequency
     for time, start, span in (
         (0.004, None, (0.004, 0.004 + period)), (0.0119, None, (0.012 - period, 0.012)), (None, 0.001, (0.001, None))

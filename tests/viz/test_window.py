@@ -13,8 +13,6 @@ import pytest
 from support.commands import error_of, start_program
 from support.results import motion_of
 from warp_plate.analysis.motion import mode_motions
-from warp_plate.result.model import save_result
-from warp_plate.studies.localize import localize
 from warp_plate.viz.availability import missing_window
 from warp_plate.viz.scene3d import SCALARS
 from warp_plate.viz.window import RATES, ViewerWindow, window_plotter
@@ -23,7 +21,6 @@ pytest.importorskip("pyvista", reason="PyVista is not installed: pip install 'wa
 
 # Longest wait for a window on a busy machine [s].
 PATIENCE = 90.0
-SEARCH = {"particles": 4, "iterations": 3}
 
 
 @pytest.fixture
@@ -83,24 +80,17 @@ def test_modes_have_periods_instead_of_times_and_no_fields(scene, drawing):
         assert window.plates.plates[2].caption.GetInput() == modes[2].name
 
 
-@pytest.fixture
-def saved_result(scene, tmp_path):
-    """The path of a result with three cases."""
-    made = localize(scene(damping=200.0, search=SEARCH), device="cpu", estimate=False)
-    return save_result(made, tmp_path / "panel.h5")
-
-
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only on Linux is there a system without displays")
 @pytest.mark.parametrize("display", [None, ":987"])
-def test_without_a_display_other_commands_are_named(saved_result, monkeypatch, command, display):
+def test_without_a_display_other_commands_are_named(result_file, monkeypatch, command, display):
     monkeypatch.delenv("DISPLAY", raising=False)
     if display is not None:
         monkeypatch.setenv("DISPLAY", display)
-    assert f"warp-plate render {saved_result}" in error_of(command("view", saved_result))
+    assert f"warp-plate render {result_file}" in error_of(command("view", result_file))
 
 
 @pytest.mark.slow
-def test_the_window_opens_plays_and_closes(display, saved_result, tmp_path, monkeypatch):
+def test_the_window_opens_plays_and_closes(display, result_file, tmp_path, monkeypatch):
     """The window responds to real keys; Ctrl-C closes it too."""
     from PIL import ImageGrab
 
@@ -113,7 +103,7 @@ def test_the_window_opens_plays_and_closes(display, saved_result, tmp_path, monk
         subprocess.run(["xdotool", *map(str, words)], check=True, timeout=PATIENCE)
 
     def opened():
-        process = start_program("-m", "warp_plate", "view", "panel.h5", "--device", "cpu", cwd=tmp_path)
+        process = start_program("-m", "warp_plate", "view", result_file, "--device", "cpu", cwd=tmp_path)
         # Keys go to the window below the mouse.
         at = ("mousemove", "--window", "%1", 400, 200)
         xdotool("search", "--sync", "--onlyvisible", "--name", "warp-plate view", *at)
