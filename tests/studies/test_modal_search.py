@@ -138,16 +138,6 @@ def test_a_search_without_a_method_is_exact_and_by_modes_where_it_can_be():
         assert with_method(paper(**tables)).search.method == method
 
 
-def test_gram_matrices_of_bursts_are_the_limit_of_fine_grids():
-    drive = {"frequency": 290.0, "burst": {"start": 0.002, "duration": 0.06, "ramp": 0.01}}
-    grid = {"nodes": (41, 41), "order": 4, "load": "moments"}
-    scene = paper(drive=drive, grid=grid, effects={"damping": {"viscous": 80.0}})
-    modal, stepped = (
-        make_problem(resolve(scene, "cpu", evaluator=name)).response.bound() for name in ("modal", "response")
-    )
-    assert modal == pytest.approx(stepped, abs=2e-3)
-
-
 def test_a_spectrum_follows_every_resonance(scene):
     """Within its half-width ηf/2, and the drive found is as good as the best there."""
     drives = {"magnitude": {"range": [0.0, 1.0]}, "phase": {}, "frequency": {"range": [30.0, 250.0]}}

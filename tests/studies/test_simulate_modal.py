@@ -66,8 +66,3 @@ def test_a_patch_beside_an_edge_needs_no_node():
     assert np.allclose(list(energy.values()), expected[0], rtol=1e-3, atol=0)
     with pytest.raises(SceneError, match=r"^actuators\[0\]\.area"):
         simulate(scene, device="cpu", estimate=False)
-
-
-def test_nonlinear_scene_is_refused_by_name():
-    with pytest.raises(SceneError, match=r"^effects\.stretching: "):
-        simulate(scene_of(effects={"stretching": {}}), device="cpu", path="modal")
