@@ -118,7 +118,7 @@ def test_waveforms_without_a_wish_are_not_played_under_one(tmp_path):
     np.savetxt(tmp_path / "wish.csv", wishes(4000)[1][1])
     made = focus(focus_panel())
     wishing = focus_panel(focus={**TABLE, "wish": {"file": "wish.csv", "rate": 4000.0}}).in_folder(tmp_path)
-    with pytest.raises(SceneError, match=r"focus.wish: the waveforms were made without one"):
+    with pytest.raises(SceneError, match=r"focus.wish: the waveforms were made with another one, None"):
         focus(wishing, made)
 
 

@@ -161,18 +161,12 @@ def _table(scene: Scene) -> Focus:
 
 def _check_fit(scene: Scene, table: Focus, played: FocusResult) -> None:
     """Raise a SceneError unless waveforms that were made for another scene can be played in this one."""
-    assert played.scene.focus is not None
-    same = {"points": table.points, "rate": table.rate, "burst": table.burst}
-    if played.wished is None:
-        same["time"] = table.time
-    for key, value in same.items():
-        if (other := getattr(played.scene.focus, key)) != value:
+    keys = ["points", "rate", "burst", *(("time", "wish") if played.wished is None else ())]
+    for key in keys:
+        if (other := getattr(played.scene.focus, key)) != getattr(table, key):
             raise SceneError(f"focus.{key}: the waveforms were made with another one, {other}")
-    if played.wished is None and table.wish is not None:
-        raise SceneError("focus.wish: the waveforms were made without one; delete it")
-    names, others = ([actuator.name for actuator in some.actuators] for some in (scene, played.scene))
-    if played.scene.drive_unit != scene.drive_unit:
-        units = f"{played.scene.drive_unit}, not {scene.drive_unit}"
-        raise SceneError(f"actuators: the waveforms were made for actuators driven by {units}")
-    if names != others:
-        raise SceneError(f"actuators: the waveforms were made for others, {', '.join(others)}")
+    driven, before = (
+        [f"{actuator.name} ({some.drive_unit})" for actuator in some.actuators] for some in (scene, played.scene)
+    )
+    if driven != before:
+        raise SceneError(f"actuators: the waveforms were made for others, {', '.join(before)}")

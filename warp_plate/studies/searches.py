@@ -108,7 +108,11 @@ def search_optimizer(problem: Problem, seed: int, state: Mapping[str, Any] | Non
 
 
 def find_position(problem: Problem, seed: int) -> np.ndarray | None:
-    """Return the position (dimension,) that a search finds; None if there is nothing to search or nothing is found."""
+    """Return the best position (dimension,), exactly where it is known, or by a search; None if there is none."""
+    if not problem.space.dimension:
+        return None
+    with suppress(MethodError):  # a limit or a fixed number keeps the search from the eigenvector
+        return best_position(problem.space, problem.quadratic)
     optimizer = search_optimizer(problem, seed)
     if optimizer is not None:
         minimize(optimizer, problem.losses)
@@ -120,10 +124,7 @@ def find_nominal_position(problem: Problem, seed: int) -> np.ndarray | None:
     if problem.scenario_losses is None:
         return None
     with suppress(KeyboardInterrupt, SceneError):
-        nominal = problem.nominal
-        with suppress(MethodError):  # it is not known exactly
-            return best_position(nominal.space, nominal.quadratic)
-        return find_position(nominal, seed)
+        return find_position(problem.nominal, seed)
     return None
 
 

@@ -18,14 +18,12 @@ from warp_plate.cluster.tasks import SceneSpec, refuse_unlike, run_task, worker_
 from warp_plate.modal.continuous_modes import linear_part
 from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.solver import MODAL
-from warp_plate.optimize.optimizer import MethodError
-from warp_plate.optimize.quadratic import best_position
 from warp_plate.plate.designs import scene_phasors
 from warp_plate.plate.files import named_files, read_beside
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.evaluate_cases import reference_phasors
 from warp_plate.problem.methods import with_method
-from warp_plate.problem.problem import Problem, make_problem
+from warp_plate.problem.problem import make_problem
 from warp_plate.quantities.region_quantities import REGION_QUANTITIES
 from warp_plate.resolve import resolve
 from warp_plate.result.sweep import Sweep, SweepOutput
@@ -77,20 +75,10 @@ def _localization_quantities(scene: Scene, point: Point) -> Values:
     equal, single = localization_factor(problem.plates.energies_of_phasors(phasors)).tolist()
     if not np.isfinite([equal, single]).any() and (fault := problem.drive_solver.run(phasors[:1]).fault(0)) != "ok":
         raise SceneError(fault)  # rather than at rest
-    position, best = _best_position(problem), single
+    position, best = find_position(problem, problem.scene.search.seed), single
     if position is not None:
         best = float(localization_factor(problem.plates.energies(problem.parametrization.designs(position[None])))[0])
     return {"equal": equal, "single": single, "best": best, "bound": np.nan if problem.bound is None else problem.bound}
-
-
-def _best_position(problem: Problem) -> np.ndarray | None:
-    """Return the best position (dimension,), or None if there is nothing to search or nothing was found."""
-    if problem.scene.search.robust is None and problem.objectives.only_localization and problem.space.dimension:
-        try:
-            return best_position(problem.space, problem.quadratic)
-        except MethodError:  # a limit or a fixed number keeps the search from the eigenvector
-            pass
-    return find_position(problem, problem.scene.search.seed)
 
 
 def _simulation_quantities(scene: Scene, point: Point) -> Values:
