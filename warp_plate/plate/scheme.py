@@ -13,7 +13,7 @@ source paper with its signs corrected: decay = 1 − a, gain = 1.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -248,10 +248,6 @@ class Discretization:
     def cell(self) -> float:
         """Area of a cell of the grid [m²]."""
         return self.scheme.spacing[0] * self.scheme.spacing[1]
-
-    def with_scene(self, scene: Scene) -> Discretization:
-        """Return this discretization for a scene that differs only in ``grid.precision``, ``record`` or ``search``."""
-        return replace(self, scene=scene)
 
 
 def discretize(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -105,9 +105,8 @@ def _measure_matrices(
             matrices.append(solver.response.matrices)
             continue
         if solver.scene.grid.precision != "float64":
-            grid, quantity = solver.discretization.with_scene(in_float64(solver.scene)), solver.specialized.quantity
-            device, path = resolved.device, resolved.path
-            solver = PlateSolver(grid, device, path, areas=objectives.regions, quantity=quantity)
+            grid, quantity = replace(solver.discretization, scene=in_float64(solver.scene)), solver.specialized.quantity
+            solver = PlateSolver(grid, resolved.device, resolved.path, areas=objectives.regions, quantity=quantity)
         matrices.append(measure_response(solver).matrices)
         if solver is not evaluator.solver:
             seconds, node_steps = seconds + solver.compile_seconds, node_steps + solver.node_steps
