@@ -208,7 +208,7 @@ def test_energies_of_displacements(device, path, kind, precision, burst_scene, d
             mass = mass * (scheme.surface_density if scheme.bending is None else scheme.bending.mass)
             expected = np.einsum("ryx,yx->r", mass, squares)
             np.testing.assert_allclose(run.energy[plate], expected / 2, rtol=tolerance)
-            np.testing.assert_allclose(run.mean_square[plate], expected / mass.sum(axis=(1, 2)), rtol=tolerance)
+            np.testing.assert_allclose(run.masses, mass.sum(axis=(1, 2)), rtol=tolerance)
 
 
 def test_per_plate_of_a_search(scene):

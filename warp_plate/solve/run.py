@@ -71,11 +71,6 @@ class Run:
         return np.isfinite(self.energy).all(axis=1)
 
     @property
-    def mean_square(self) -> np.ndarray:
-        """(plates, regions) velocity² [m²/s²] or displacement² [m²], averaged over the window and the region's mass."""
-        return 2 * self.energy / self.masses
-
-    @property
     def status(self) -> np.ndarray:
         """(plates,) "ok" or the fault."""
         return np.array([self.faults.get(plate, SOUND)[0] for plate in range(len(self.energy))], dtype=object)
