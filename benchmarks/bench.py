@@ -15,7 +15,6 @@ from step_rates.cases import Kind, all_devices, make_cases
 from step_rates.measure import FULL, QUICK, BenchReport, BenchRow, measure_all
 from step_rates.plots import draw_bench
 
-from warp_plate.accuracy.measure import busy
 from warp_plate.cli import output
 from warp_plate.scene.errors import SceneError
 
@@ -45,8 +44,6 @@ def main(arguments: list[str] | None = None) -> None:
         devices = all_devices() if given.device == "all" else [name.strip() for name in given.device.split(",")]
         precisions = [given.precision] if given.precision else PRECISIONS[:1] if given.quick else PRECISIONS
         cases = make_cases(devices, precisions, given.plates, given.nodes, given.path, given.quick, given.kind)
-        if warning := busy():
-            output.log(warning)
         pace = QUICK if given.quick else FULL
         with output.progress_bar("measuring", shown=not given.json) as show:
             report = measure_all(cases, pace, lambda done, case: show(done, len(cases), str(case)))
@@ -106,7 +103,7 @@ def print_report(report: BenchReport, console: Console) -> None:
         copied, arithmetic = limits.copy_bytes_per_second / 1e9, limits.flops[precision] / 1e9
         rows = (row for row in report.rows if row.measured and (row.device, row.precision) == (device, precision))
         after = f"limits: copying {copied:.4g} GB/s, arithmetic {arithmetic:.4g} GFLOP/s\n"
-        title = f"{report.machine.devices[device]}, {precision}"
+        title = f"{report.machine['devices'][device]}, {precision}"
         output.print_table(console, HEADINGS, CELLS, map(_record, rows), after, title=title)
     if groups:
         console.print(LEGEND)

@@ -11,13 +11,12 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
 from warp_plate import PlateSolver, Scene, SceneError
-from warp_plate.accuracy.measure import busy, describe_machine, describe_versions
+from warp_plate.accuracy.measure import describe_machine, describe_versions
 from warp_plate.analysis.influence import bare_scene, names, seconds_a_step, toggle
 
 EFFECTS = names()
@@ -53,8 +52,6 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=21)
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
-    if (warning := busy()) is not None:
-        print(warning)
     try:
         figures = measure(bare_plate(given.nodes), given.device, given.rounds)
     except SceneError as error:
@@ -70,7 +67,7 @@ def main() -> None:
         text = f"{name:20}{off['ratio']:8.3f}{f'{low:.3f} to {high:.3f}':>16}"
         print(text + (f"{on['ratio']:8.2f}" if on else ""))
     if given.out is not None:
-        record = {"machine": asdict(describe_machine([given.device])), "versions": describe_versions()}
+        record = {"machine": describe_machine(given.device), "versions": describe_versions()}
         record |= {"nodes": given.nodes, "rounds": given.rounds, "bare": bare, "again": again, "effects": figures}
         given.out.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
 

@@ -14,14 +14,13 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import warp as wp
 
 from warp_plate import Scene, SceneError
-from warp_plate.accuracy.measure import busy, describe_machine, describe_versions
+from warp_plate.accuracy.measure import describe_machine, describe_versions
 from warp_plate.problem.methods import make_optimizer
 from warp_plate.problem.problem import Problem, make_problem
 from warp_plate.resolve import resolve
@@ -98,11 +97,9 @@ def main() -> None:
     parser.add_argument("--generations", type=int, default=GENERATIONS)
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
-    if (warning := busy()) is not None:
-        print(warning)
     try:
         rows = measure(Scene.load("paper"), given.device, tuple(given.plates), given.generations)
-        machine = describe_machine([given.device])
+        machine = describe_machine(given.device)
     except SceneError as error:
         parser.error(str(error))
     names = "".join(f"{name:>19}" for name in PARTS)
@@ -114,7 +111,7 @@ def main() -> None:
         share = 100 * row["host_share"]
         print(f"{row['plates']:8}{whole:10.2f} ms{device:8.2f} ms{share:6.1f} %{parts}")
     if given.out is not None:
-        record = {"machine": asdict(machine), "versions": describe_versions(), "rows": rows}
+        record = {"machine": machine, "versions": describe_versions(), "rows": rows}
         given.out.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
 
 

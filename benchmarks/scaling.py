@@ -16,14 +16,13 @@ import argparse
 import json
 import time
 from contextlib import ExitStack
-from dataclasses import asdict
 from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
 
 from warp_plate import Scene, SceneError
-from warp_plate.accuracy.measure import busy, describe_machine, describe_versions
+from warp_plate.accuracy.measure import describe_machine, describe_versions
 from warp_plate.cluster.evaluator import block_size
 from warp_plate.cluster.opening import open_pool
 from warp_plate.cluster.pool import BLOCK_NODE_STEPS, Task, WorkerPool, run_tasks
@@ -143,8 +142,6 @@ def main() -> None:
     parser.add_argument("--generations", type=int, default=GENERATIONS)
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
-    if (warning := busy()) is not None:
-        print(warning)
     device = given.device if given.cluster else given.devices.split(",")[0]
     try:
         with ExitStack() as opened:
@@ -158,7 +155,7 @@ def main() -> None:
             }
             found = measure(paper_scene(given.nodes), device, pools, given.plates, given.generations)
             words = {name: pool.description for name, pool in pools.items()}
-        machine = describe_machine([device])
+        machine = describe_machine(device)
     except SceneError as error:
         parser.error(str(error))
     blocks = f"blocks of at most {found['plates_of_block']}"
@@ -172,7 +169,7 @@ def main() -> None:
         print(f"{words[name]}: a task {cost['milliseconds_empty']:.2f} ms, {cost['bytes_there']} bytes of 4096 plates "
               f"{cost['milliseconds_with_bytes']:.2f} ms, 16 MiB {cost['milliseconds_of_16_MiB']:.1f} ms")  # fmt: skip
     if given.out is not None:
-        record = {"machine": asdict(machine), "versions": describe_versions(), "pools": words, **found}
+        record = {"machine": machine, "versions": describe_versions(), "pools": words, **found}
         given.out.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
 
 

@@ -6,13 +6,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from statistics import median
+from typing import Any
 
 import numpy as np
 import warp as wp
 
 from step_rates.cases import BenchCase, Kind
 from step_rates.limits import DeviceLimits, measure_limits, seconds_of, share_of_limit
-from warp_plate.accuracy.measure import Machine, describe_machine, describe_versions
+from warp_plate.accuracy.measure import describe_machine, describe_versions
 from warp_plate.plate.memory import machine_memory
 from warp_plate.plate.scheme import discretize
 from warp_plate.scene.errors import SceneError
@@ -93,7 +94,7 @@ class BenchRow:
 class BenchReport:
     """The result of a benchmark; ``limits`` by device."""
 
-    machine: Machine
+    machine: Mapping[str, Any]  # see ``describe_machine``, with all devices
     versions: Mapping[str, str]
     limits: Mapping[str, DeviceLimits]
     rows: Sequence[BenchRow]
@@ -134,7 +135,8 @@ def measure_all(
         SceneError: there is no such device, or WARP_PLATE_THREADS is not a number of threads.
         KeyboardInterrupt: no case has been measured yet.
     """
-    machine = describe_machine(list(dict.fromkeys(case.device for case in cases)))
+    machines = [describe_machine(device) for device in dict.fromkeys(case.device for case in cases)]
+    machine = {**machines[0], "devices": {name: model for one in machines for name, model in one["devices"].items()}}
     limits, rows = dict[str, DeviceLimits](), list[BenchRow]()
     try:
         for case in cases:
