@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,7 +13,14 @@ from warp_plate.accuracy.choose import choose, find_grid
 from warp_plate.accuracy.configurations import Configuration, cost_of_run, percent, regrid, seconds_text
 from warp_plate.accuracy.estimate import estimate, estimate_modal
 from warp_plate.accuracy.measure import AccuracyRow, measure, measure_modal
-from warp_plate.accuracy.reference_solution import find_reference_solution, grid_lines, solve_response
+from warp_plate.accuracy.reference_solution import (
+    by_richardson,
+    find_reference_solution,
+    grid_lines,
+    largest_change,
+    refine_until,
+    solve_response,
+)
 from warp_plate.modal.motion import fields
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.plate.scheme import make_scheme
@@ -29,13 +37,13 @@ MOMENTS = Configuration(4, "moments", (21, 21), None, "float32")
 @pytest.fixture(scope="module")
 def exact(panel):
     """The reference solution of the panel, to 3e-4."""
-    return find_reference_solution(panel, "modal", "cpu", 3e-4)
+    return find_reference_solution(panel, "cpu", 3e-4)
 
 
 @pytest.fixture(scope="module")
 def paper_exact():
     """The reference solution of the paper's scene, to 1e-3."""
-    return find_reference_solution(Scene.load("paper"), "modal", "cpu", 1e-3)
+    return find_reference_solution(Scene.load("paper"), "cpu", 1e-3)
 
 
 def factors_of(scene, phasors):
@@ -95,7 +103,8 @@ def test_configurations_vary_load_precision_grid_and_time_step(panel):
 
 
 def test_richardson_agrees_with_modes_within_its_uncertainty(panel, exact):
-    grids = find_reference_solution(panel, "richardson", "cpu", 3e-2, 1e-3)
+    change = partial(largest_change, np.empty((0, 3)), False)
+    grids = refine_until(by_richardson(panel, "cpu", change), lambda last: 3e-2, 1e-3)
     assert grids.kind == "richardson"
     assert 0 < grids.uncertainty < 0.05
     for name, factor in grids.localization_factors.items():
@@ -104,20 +113,20 @@ def test_richardson_agrees_with_modes_within_its_uncertainty(panel, exact):
 
 
 def test_uncertainty_covers_further_refinement(panel, exact):
-    rough = find_reference_solution(panel, "modal", "cpu", 0.2)
+    rough = find_reference_solution(panel, "cpu", 0.2)
     assert abs(rough.bound / exact.bound - 1) < rough.uncertainty
     assert rough.uncertainty > exact.uncertainty
     # Waves too short for the modes that are solved for.
     fast = panel.model_copy(update={"drive": panel.drive.model_copy(update={"frequency": 3e4})})
     with pytest.raises(SceneError, match=r"^drive\.frequency"):
-        find_reference_solution(fast, "modal", "cpu")
+        configurations.refuse_many_modes(fast)
 
 
 def test_the_modal_reference_is_the_sine_series():
     """Energies and displacements of a supported plate under patches, from rest; the error of displacements is about the
     root of that of energies."""
     scene, drive = Scene.load("paper-supported"), np.array([1, 0.3 - 0.4j, 0, 0.2j])
-    found = find_reference_solution(scene, "modal", "cpu", 1e-4)
+    found = find_reference_solution(scene, "cpu", 1e-4)
     energy = found.response.energy(drive[None])[0]
     np.testing.assert_allclose(energy, series.kinetic_energies(scene, drive, terms=32), rtol=1e-4)
     x, y, times = np.linspace(0, 0.2, 9), np.linspace(0, 0.2, 7), np.array([0.0, 0.002, 0.03, 0.1])
@@ -130,11 +139,11 @@ def test_an_undamped_resonance_has_no_modal_reference(panel, exact):
     """The modes nearest to the drive would cancel, to negative energies."""
     tables = {"effects": {}, "drive": {"frequency": float(exact.plate.frequencies[0])}}
     tuned = panel.with_tables(**tables)
-    found = find_reference_solution(tuned, "auto", "cpu", 3e-2, 1e-3)
+    found = find_reference_solution(tuned, "cpu", 3e-2, 1e-3)
     assert found.kind == "richardson"
     assert 0 < found.localization_factors["single"] < found.bound <= 1
     with pytest.raises(SceneError, match=r"drive\.frequency"):
-        find_reference_solution(tuned, "modal", "cpu", 3e-2)
+        solve_response(tuned, 1.0)
 
 
 def test_a_row_agrees_with_a_run(paper_exact):

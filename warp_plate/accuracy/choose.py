@@ -122,7 +122,7 @@ def _choose_modes(scene: Scene, accuracy: float, phasors: np.ndarray | None, alo
 def _choose_grid(scene: Scene, accuracy: float, device: str, phasors: np.ndarray | None) -> Choice:
     """Return the choice of a grid."""
     wanted = REFERENCE_SHARE * accuracy
-    reference = find_reference_solution(scene, "auto", device, wanted, REFERENCE_SECONDS, phasors)
+    reference = find_reference_solution(scene, device, wanted, REFERENCE_SECONDS, phasors)
     uncertainty = reference.uncertainty
     if not uncertainty <= accuracy / 2:
         raise SceneError(

@@ -226,7 +226,7 @@ def _reference(
     def wanted_of(response: Response) -> float:
         return wanted(response.localization_factors(phasors))
 
-    reference = find_reference_solution(scene, "auto", device, wanted_of, REFERENCE_SECONDS, phasors, only=True)
+    reference = find_reference_solution(scene, device, wanted_of, REFERENCE_SECONDS, phasors, only=True)
     return reference, reference.response.localization_factors(phasors)
 
 

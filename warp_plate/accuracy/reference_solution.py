@@ -98,14 +98,13 @@ def usual_drives(response: Response) -> np.ndarray:
 
 def find_reference_solution(
     scene: Scene,
-    kind: str,
     device: str,
     wanted: float | Callable[[Response], float] = 1e-4,
     seconds: float = 60.0,
     phasors: np.ndarray | None = None,
     only: bool = False,
 ) -> ReferenceSolution:
-    """Refine a reference, "modal", "richardson" or "auto", until its uncertainty is as wanted or its time is used up.
+    """Refine a reference, by modes where they can be, until its uncertainty is as wanted or its time is used up.
 
     ``wanted`` is an uncertainty, or a function of the response that returns one. It applies to the bound, the usual
     drives and ``phasors`` (drives, actuators), or ``only`` to the latter. Times are nominal [s].
@@ -113,7 +112,7 @@ def find_reference_solution(
     if not scene.linear:
         raise SceneError(f"{scene.nonlinear_table}: not linear in the drives; accuracy needs a linear scene")
     observed = np.empty((0, len(scene.actuators))) if phasors is None else phasors
-    refinements = _refinements(scene, kind, device, partial(largest_change, observed, only))
+    refinements = _refinements(scene, device, partial(largest_change, observed, only))
     return refine_until(refinements, lambda last: wanted(last.response) if callable(wanted) else wanted, seconds)
 
 
@@ -162,18 +161,17 @@ def largest_change(phasors: np.ndarray, only: bool, response: Response, others: 
     return float(max(changes))
 
 
-def _refinements(scene: Scene, kind: str, device: str, change: Change) -> Iterator[ReferenceSolution]:
-    if kind != "richardson":
-        by_modes = _by_modes(scene, change)
-        try:
-            yield next(by_modes)
-        except SceneError:
-            if kind == "modal" or scene.modal_only_key is not None:
-                raise
-        else:
-            yield from by_modes
-            return
-    yield from _by_richardson(scene, device, change)
+def _refinements(scene: Scene, device: str, change: Change) -> Iterator[ReferenceSolution]:
+    by_modes = _by_modes(scene, change)
+    try:
+        yield next(by_modes)
+    except SceneError:
+        if scene.modal_only_key is not None:
+            raise
+    else:
+        yield from by_modes
+        return
+    yield from by_richardson(scene, device, change)
 
 
 def _by_modes(scene: Scene, change: Change) -> Iterator[ReferenceSolution]:
@@ -196,7 +194,9 @@ def _by_modes(scene: Scene, change: Change) -> Iterator[ReferenceSolution]:
         yield ReferenceSolution("modal", response, uncertainty, seconds, next_seconds, plate=plate, density=density)
 
 
-def _by_richardson(scene: Scene, device: str, change: Change) -> Iterator[ReferenceSolution]:
+def by_richardson(scene: Scene, device: str, change: Change) -> Iterator[ReferenceSolution]:
+    """Yield references by extrapolation from grids."""
+
     def differ(matrices: np.ndarray, others: Sequence[np.ndarray]) -> float:
         return change(Response(matrices), [Response(other) for other in others])
 
