@@ -169,6 +169,7 @@ def targets(name: str) -> Path:
 
     import warp_plate as wpl
     from warp_plate.analysis.motion import motions
+    from warp_plate.viz.fields import PictureStyle
     from warp_plate.viz.plots.plan import draw_plan
 
     paper = wpl.Scene.load("paper")
@@ -181,7 +182,7 @@ def targets(name: str) -> Path:
         result = wpl.simulate(scene, drive="equal", device="cpu", estimate=False)
         (motion,) = motions(scene, result.cases, device="cpu")
         drawn.append(replace(motion, name=shape, scene=scene))
-    draw_plan(paper, drawn, Path(name), "rms-velocity", 0)
+    draw_plan(paper, drawn, Path(name), PictureStyle("rms-velocity"), 0)
     return Path(name)
 
 

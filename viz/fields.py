@@ -65,6 +65,23 @@ class ColourOptions:
 DEFAULT_COLOURS = ColourOptions()
 
 
+@dataclass(frozen=True)
+class PictureStyle:
+    """Style of pictures, movies and pages of motions."""
+
+    quantity: str = "displacement"  # field in colour, a key of FIELDS
+    width: int = 560  # width of one plate's picture, without the legend [pixels]
+    heights: float | None = None  # factor by which heights are exaggerated (default: to suit the picture)
+    colours: ColourOptions = DEFAULT_COLOURS  # colour map and limits of the field
+    plan: bool = False  # whether a .png is seen from above too
+    rate: float = 30.0  # frames per second of movies and pages
+
+    @property
+    def font_size(self) -> int:
+        """Height of the text [pixels]."""
+        return max(8, round(self.width / 29))
+
+
 def colour_options(colormap: str | None, limits: str | float | None) -> ColourOptions:
     """Return the options from the texts of a command."""
     with suppress(ValueError):

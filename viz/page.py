@@ -19,7 +19,7 @@ import numpy as np
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
 from warp_plate.viz.annotations import AZIMUTH, ELEVATION, LABEL_FORMAT, frame_caption, legend_entries, lookup_table
-from warp_plate.viz.fields import DEFAULT_COLOURS, DISPLACEMENT, MODE, ColourOptions, DrawingScale, motion_scales
+from warp_plate.viz.fields import DISPLACEMENT, MODE, DrawingScale, PictureStyle, motion_scales
 from warp_plate.viz.scene3d import PlateMeshes, line_layers, rows_and_columns
 
 # Values are integers −PEAK … PEAK in the page; NAN stands for NaN.
@@ -30,27 +30,24 @@ MOST_BYTES, BYTES_PER_VALUE = 20e6, 8 / 3
 FONT_SIZE, DEPTH_STEP = 16, 2e-6
 
 
-def write_page(
-    scene: Scene, motions: Sequence[Motion], path: Path, quantity: str = "displacement", rate: float = 30.0,
-    heights: float | None = None, colours: ColourOptions = DEFAULT_COLOURS,
-) -> None:  # fmt: skip
-    """Write the page, with the field in colour (a key of FIELDS) and the initial frame rate [1/s] and height factor."""
+def write_page(scene: Scene, motions: Sequence[Motion], path: Path, style: PictureStyle) -> None:
+    """Write the page, with the initial frame rate and height factor of the style."""
     # Inside HTML, only "<" in the JSON text could end the script.
-    data = json.dumps(page_data(scene, motions, quantity, rate, heights, colours)).replace("<", "\\u003c")
+    data = json.dumps(page_data(scene, motions, style)).replace("<", "\\u003c")
     page, script = (files("warp_plate.viz").joinpath(name).read_text("utf-8") for name in ("page.html", "page.js"))
     path.write_text(page.replace("/*SCRIPT*/", script).replace("/*DATA*/", data), encoding="utf-8")
 
 
 def page_data(
-    scene: Scene, motions: Sequence[Motion], quantity: str, rate: float, heights_factor: float | None,
-    options: ColourOptions = DEFAULT_COLOURS, most_bytes: float = MOST_BYTES,
-) -> dict[str, Any]:  # fmt: skip
+    scene: Scene, motions: Sequence[Motion], style: PictureStyle, most_bytes: float = MOST_BYTES
+) -> dict[str, Any]:
     """Return all data of the page's script as JSON types; arrays are base64 of little-endian numbers."""
-    scales, colours = motion_scales(scene, motions, quantity, options)
+    separate = style.colours.separate
+    scales, colours = motion_scales(scene, motions, style.quantity, style.colours)
     scale, heights = scales[0], [motion.displacement for motion in motions]
     field, frames = scale.field, len(colours[0])
     peak = max(float(np.abs(np.nan_to_num(array)).max()) for array in heights) or 1.0
-    if field in (DISPLACEMENT, MODE) and not options.separate and peak <= scale.limit:
+    if field in (DISPLACEMENT, MODE) and not separate and peak <= scale.limit:
         peak, colours = scale.limit, []
     all_nodes = heights[0].shape[1:]
     values = sum(len(array) for array in [*heights, *colours]) * math.prod(all_nodes)
@@ -61,7 +58,7 @@ def page_data(
     legends = [_legend(one) for one in scales]
     return {
         "heightWords": bool(scale.heights),
-        **({"title": "", "ticks": []} if options.separate else legends[0]),
+        **({"title": "", "ticks": []} if separate else legends[0]),
         "limits": [low / high, 1.0],
         "cyclic": scale.field.kind == "cyclic",
         "none": _rgb(scale.field.nan_colour),
@@ -73,9 +70,9 @@ def page_data(
         "frames": len(heights[0]),
         "colourFrames": frames,
         "columns": rows_and_columns(len(motions))[1],
-        "rate": rate,
+        "rate": style.rate,
         "peak": peak,
-        "factor": scale.warp_factor if heights_factor is None else heights_factor,
+        "factor": scale.warp_factor if style.heights is None else style.heights,
         "azimuth": AZIMUTH,
         "elevation": ELEVATION,
         "key": legend_entries(scene),
@@ -88,7 +85,7 @@ def page_data(
                 # null: the heights are the colours, and the outlines those of the scene.
                 "colours": _integers(colours[index], scales[index].limit) if colours else None,
                 "factor": scales[index].warp_factor / scale.warp_factor,  # relative to that of the page
-                "legend": legends[index] if options.separate else None,
+                "legend": legends[index] if separate else None,
                 "outlines": _outlines(PlateMeshes(motion.scene, heights[0][0], scale)) if motion.scene else None,
             }
             for index, motion in enumerate(motions)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,7 +21,7 @@ from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
 from warp_plate.viz.annotations import add_legend, at_frequency, caption, case_label, name_actuators, ordered_cases
 from warp_plate.viz.availability import missing_plots, missing_renderer, prepare, set_up_renderer
-from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions, drawing_scale, field_of
+from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions, PictureStyle, drawing_scale, field_of
 from warp_plate.viz.page import write_page
 from warp_plate.viz.plots.frame import save_plots
 from warp_plate.viz.plots.plan import draw_crosstalk, draw_plan
@@ -110,23 +109,6 @@ def draw_surfaces(result: Result, path: str | Path, colours: ColourOptions = DEF
         take_picture().save(path, format="PNG", compress_level=3)
 
 
-@dataclass(frozen=True)
-class PictureStyle:
-    """Style of pictures, movies and pages of motions."""
-
-    quantity: str = "displacement"  # field in colour, a key of FIELDS
-    width: int = 560  # width of one plate's picture, without the legend [pixels]
-    heights: float | None = None  # factor by which heights are exaggerated (default: to suit the picture)
-    colours: ColourOptions = DEFAULT_COLOURS  # colour map and limits of the field
-    plan: bool = False  # whether a .png is seen from above too
-    rate: float = 30.0  # frames per second of movies and pages
-
-    @property
-    def font_size(self) -> int:
-        """Height of the text [pixels]."""
-        return max(8, round(self.width / 29))
-
-
 def missing_library(path: Path, plan: bool = False) -> str | None:
     """Return a sentence on what is missing to draw this file, or None; ``plan``: a .png seen from above."""
     ending = path.suffix.lower()
@@ -148,9 +130,9 @@ def draw_motions(
     ending = path.suffix.lower()
     with atomic_paths(path) as (temporary,):
         if ending in PLOTS or (style.plan and ending == ".png"):
-            draw_plan(scene, motions, temporary, style.quantity, frame, style.colours)
+            draw_plan(scene, motions, temporary, style, frame)
         elif ending == ".html":
-            write_page(scene, motions, temporary, style.quantity, style.rate, style.heights, style.colours)
+            write_page(scene, motions, temporary, style)
         else:
             with _off_screen_plates(scene, motions, style) as (plates, take_picture):
                 if ending == ".png":

@@ -14,7 +14,7 @@ from warp_plate.interrupts import END_SIGNALS
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
 from warp_plate.viz.annotations import INK, LEGEND_WIDTH, add_text
-from warp_plate.viz.fields import DEFAULT_COLOURS, FIELDS, ColourOptions
+from warp_plate.viz.fields import FIELDS, PictureStyle
 from warp_plate.viz.pictures import make_plotter
 from warp_plate.viz.scene3d import SideBySide, plate_subplots, rows_and_columns
 
@@ -40,14 +40,13 @@ class ViewerWindow:
         rate: frames a second.
     """
 
-    def __init__(
-        self, plotter: pyvista.Plotter, scene: Scene, motions: Sequence[Motion], quantity: str, rate: float,
-        colours: ColourOptions = DEFAULT_COLOURS,
-    ) -> None:  # fmt: skip
-        self.plotter, self.quantity, self.rate = plotter, quantity, rate
-        self.plates = SideBySide(plotter, scene, motions, quantity, FONT_SIZE, colours)
+    def __init__(self, plotter: pyvista.Plotter, scene: Scene, motions: Sequence[Motion], style: PictureStyle) -> None:
+        self.plotter, self.quantity, self.rate = plotter, style.quantity, style.rate
+        self.plates = SideBySide(plotter, scene, motions, style.quantity, FONT_SIZE, style.colours)
+        if style.heights is not None:
+            self.plates.exaggerate(style.heights)
         modes = motions[0].localization_factor is None
-        self._fields = [quantity] if modes else list(FIELDS)
+        self._fields = [style.quantity] if modes else list(FIELDS)
         self._moments = np.linspace(0, 1, self.plates.frames, endpoint=False) if modes else motions[0].times
         self._position, self._clock = 0.0, time.perf_counter()
         plotter.subplot(rows_and_columns(len(motions))[0], 0)
@@ -135,15 +134,10 @@ def window_plotter(plates: int, separate: bool = False, **options: object) -> py
     return make_plotter(size, title="warp-plate view", **subplots, **options)
 
 
-def open_window(
-    scene: Scene, motions: Sequence[Motion], quantity: str, rate: float, heights: float | None,
-    colours: ColourOptions = DEFAULT_COLOURS,
-) -> None:  # fmt: skip
+def open_window(scene: Scene, motions: Sequence[Motion], style: PictureStyle) -> None:
     """Show motions until the window is closed."""
-    plotter = window_plotter(len(motions), colours.separate)
-    window = ViewerWindow(plotter, scene, motions, quantity, rate, colours)
-    if heights is not None:
-        window.plates.exaggerate(heights)
+    plotter = window_plotter(len(motions), style.colours.separate)
+    window = ViewerWindow(plotter, scene, motions, style)
     plotter.add_timer_event(max_steps=2**31 - 1, duration=TIMER, callback=lambda _: window.tick())
     # Ctrl-C closes the window as q does; VTK would end the process.
     before = {number: signal.signal(number, lambda *_: plotter.iren.terminate_app()) for number in END_SIGNALS}

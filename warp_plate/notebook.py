@@ -221,8 +221,8 @@ def render(
     from warp_plate.analysis.motion import frame_at, motions, period_around
     from warp_plate.scene.errors import SceneError
     from warp_plate.viz.availability import DrawingUnavailable
-    from warp_plate.viz.fields import FIELDS, colour_options
-    from warp_plate.viz.pictures import ENDINGS, PictureStyle, draw_motions, largest_frame, missing_library
+    from warp_plate.viz.fields import FIELDS, PictureStyle, colour_options
+    from warp_plate.viz.pictures import ENDINGS, draw_motions, largest_frame, missing_library
 
     path, colours = Path(path), colour_options(colormap, limits)
     style = PictureStyle(quantity, width, heights, colours, plan, rate)

@@ -33,16 +33,9 @@ VALUES = (
 )
 
 
-def test_the_secret_is_given_to_those_who_have_it(served):
-    """Not to other users of this machine, who can reach the address."""
-    page = f"http://{served[0]}/"
-    for referer in ("", page, f"{page}?key=", f"{page}{served[1]}x", f"{page}?key=%ff", "http://[?key=1"):
-        with pytest.raises(urllib.error.HTTPError, match="403"):
-            ask(served, Referer=referer)
-    assert session(served)[1] in served[1]
-    request = urllib.request.Request(f"{page}paraview/", b"{}", {"Referer": page + served[1]})
-    with urllib.request.urlopen(request, timeout=PATIENCE) as answer:
-        assert "Access-Control-Allow-Origin" not in answer.headers
+async def greet(socket, secret):
+    """Return the server's answer to a client that has the secret."""
+    return await answers_to(socket, call("wslink.hello", {"secret": secret}, rpc="system:1"))
 
 
 async def flood(socket):
@@ -55,7 +48,16 @@ def test_an_empty_host_does_not_listen_everywhere(command):
     assert "must be an address of this machine" in error_of(command("explore", "paper", "--web", "--host", ""))
 
 
-def test_only_the_page_may_open_a_socket(served):
+def test_only_the_page_has_the_secret_and_may_open_a_socket(served):
+    """Not other users of this machine, who can reach the address, and not other pages."""
+    page = f"http://{served[0]}/"
+    for referer in ("", page, f"{page}?key=", f"{page}{served[1]}x", f"{page}?key=%ff", "http://[?key=1"):
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            ask(served, Referer=referer)
+    assert session(served)[1] in served[1]
+    request = urllib.request.Request(f"{page}paraview/", b"{}", {"Referer": page + served[1]})
+    with urllib.request.urlopen(request, timeout=PATIENCE) as answer:
+        assert "Access-Control-Allow-Origin" not in answer.headers
     address, secret = session(served)
     plain = address.partition("?")[0]
     host = {"Origin": f"http://{served[0]}"}
@@ -71,8 +73,7 @@ def test_only_the_page_may_open_a_socket(served):
                     await client.ws_connect(url, headers=headers)
                 found.append(refused.value.status)
             async with client.ws_connect(address, headers=host) as opened:
-                answer = await answers_to(opened, call("wslink.hello", {"secret": secret}, rpc="system:1"))
-                assert "clientID" in answer["result"]
+                assert "clientID" in (await greet(opened, secret))["result"]
         return found
 
     assert set(asyncio.run(statuses())) <= {400, 403}
@@ -89,7 +90,7 @@ def test_what_clients_send_is_neither_printed_nor_obeyed(served):
         async with aiohttp.ClientSession() as client:
             for message in (b"", b"\xff" * 40, call("a" + ESCAPES), call("trigger", ESCAPES, [], {}), ESCAPES):
                 async with client.ws_connect(address) as opened:
-                    await answers_to(opened, call("wslink.hello", {"secret": secret}, rpc="system:1"))
+                    await greet(opened, secret)
                     await (opened.send_str if isinstance(message, str) else opened.send_bytes)(message)
                     await asyncio.sleep(0.2)
 
@@ -99,6 +100,7 @@ def test_what_clients_send_is_neither_printed_nor_obeyed(served):
     session(served)
 
 
+@pytest.mark.slow
 def test_connections_that_use_up_the_files_are_not_reported(served):
     """The server may open only so many files and sockets at once; once clients leave, the page is served again."""
     resource = pytest.importorskip("resource")
@@ -124,9 +126,9 @@ def test_a_client_that_does_not_read_is_dropped(served):
 
     async def talk():
         async with aiohttp.ClientSession() as client, client.ws_connect(address) as idle:
-            await answers_to(idle, call("wslink.hello", {"secret": secret}, rpc="system:1"))
+            await greet(idle, secret)
             async with client.ws_connect(address) as other:
-                await answers_to(other, call("wslink.hello", {"secret": secret}, rpc="system:1"))
+                await greet(other, secret)
                 with pytest.raises(ConnectionError):
                     await flood(idle)
                 assert "error" in await answers_to(other, call("b"))
@@ -140,7 +142,7 @@ def test_sliders_take_only_numbers_within_their_ends(served):
 
     async def talk():
         async with aiohttp.ClientSession() as client, client.ws_connect(address) as opened:
-            await answers_to(opened, call("wslink.hello", {"secret": secret}, rpc="system:1"))
+            await greet(opened, secret)
 
             async def state():
                 return (await answers_to(opened, call("trame.state.get")))["result"]["state"]
@@ -179,11 +181,11 @@ def test_any_messages(sent, served):
     async def talk():
         async with aiohttp.ClientSession() as client:
             async with client.ws_connect(address) as opened:
-                await answers_to(opened, call("wslink.hello", {"secret": secret}, rpc="system:1"))
+                await greet(opened, secret)
                 for message in sent:
                     await (opened.send_str if isinstance(message, str) else opened.send_bytes)(message)
             async with client.ws_connect(address) as other:
-                await answers_to(other, call("wslink.hello", {"secret": secret}, rpc="system:1"))
+                await greet(other, secret)
                 state = (await answers_to(other, call("trame.state.get")))["result"]["state"]
                 assert all(math.isfinite(state[f"magnitude_{index}"]) for index in range(3))
 

@@ -97,12 +97,6 @@ def test_why_cuda_is_not_used(command, machine, state, reason):
     assert reason in line["text"]
 
 
-def test_nothing_is_missing_where_a_device_can_be_used(machine):
-    machine(found=[PASCAL, TURING])
-    assert devices.missing_cuda() is None
-    assert devices.usable_devices() == [TURING]
-
-
 def test_commands_say_once_that_a_gpu_is_not_used(command, machine):
     machine(models=["NVIDIA RTX A2000"])
     status, _, err = command("check", "paper")
@@ -160,7 +154,9 @@ def test_a_check_that_fails_is_a_finding(command, monkeypatch):
 
 def test_what_a_gpu_is(command, machine):
     memory = {"free_memory": 7 * 2**30, "total_memory": 8 * 2**30}
-    machine(found=[SimpleNamespace(**vars(TURING), **memory), PASCAL])
+    turing = SimpleNamespace(**vars(TURING), **memory)
+    machine(found=[PASCAL, turing])
+    assert (devices.missing_cuda(), devices.usable_devices()) == (None, [turing])
     found = checks(command)
     assert "RTX 2080, sm_75, driver for CUDA 13.1, 7 of 8 GiB free" in found["cuda:0"]["text"]
     assert found["cuda:1"]["state"] == "missing"

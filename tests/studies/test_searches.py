@@ -142,9 +142,10 @@ def test_motions_and_signals_use_the_frequency_and_positions_of_a_case(frequency
     np.testing.assert_array_equal(found.displacement[3], run.displacement[0, 0].astype(np.float32))
     assert make_drive_signal(result.case_scene(best), best, 48000, 1.0).frequency == best.frequency[0]
     pytest.importorskip("pyvista")
+    from warp_plate.viz.fields import PictureStyle
     from warp_plate.viz.page import page_data
 
-    page = page_data(result.scene, [equal, found], "displacement", 30.0, None)
+    page = page_data(result.scene, [equal, found], PictureStyle())
     assert page["plates"][0]["outlines"] is None
     moved = [one != other for one, other in zip(page["plates"][1]["outlines"], page["outlines"], strict=True)]
     assert (any(moved), all(moved)) == (True, False)  # those of the actuators

@@ -240,14 +240,12 @@ def test_the_player_holds_all_that_it_shows(paper_run):
             view(paper_run, case, quantity=quantity, device="cpu")
 
 
-def test_scenes_and_results_show_themselves_in_ipython(paper_run):
-    formatters = pytest.importorskip("IPython.core.formatters", reason="IPython is missing: pip install ipython")
-    shell = SimpleNamespace(display_formatter=formatters.DisplayFormatter())
-    warp_plate.load_ipython_extension(shell)
-    shown, _ = shell.display_formatter.format(paper_run)
-    assert "best drive found" in text_of(shown["text/html"])
-    shown, _ = shell.display_formatter.format(paper_run.scene)
-    assert "frequency = 290" in text_of(shown["text/html"])
+def test_scenes_and_results_have_formatters_in_ipython():
+    found = {}
+    html = SimpleNamespace(for_type_by_name=lambda module, name, function: found.update({f"{module}.{name}": function}))
+    display_formatter = SimpleNamespace(formatters={"text/html": html})
+    warp_plate.load_ipython_extension(SimpleNamespace(display_formatter=display_formatter))
+    assert found == {"warp_plate.scene.model.Scene": scene_html, "warp_plate.result.model.Result": result_html}
 
 
 @pytest.mark.slow

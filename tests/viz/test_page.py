@@ -9,7 +9,7 @@ import pytest
 from support.commands import until
 from support.pictures import drag, pixels
 from support.results import motion_of
-from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions, motion_scales
+from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions, PictureStyle, motion_scales
 from warp_plate.viz.page import NAN, PEAK, page_data, shown_nodes, write_page
 from warp_plate.viz.scene3d import PlateMeshes
 
@@ -30,7 +30,7 @@ def decoded(text, kind):
 
 def test_frames_meshes_and_scale(scene):
     made, motions = scene(), [bump(1e-7), bump(3e-7)]
-    data = page_data(made, motions, "velocity", 25.0, None)
+    data = page_data(made, motions, PictureStyle("velocity", rate=25.0))
     scale = motion_scales(made, motions, "velocity")[0][0]
     assert (data["grid"], data["frames"], data["rate"]) == ([8, 9], FRAMES, 25.0)
     assert (data["factor"], data["limits"], data["title"]) == (scale.warp_factor, [-1.0, 1.0], "velocity\n[µm/s]")
@@ -57,8 +57,8 @@ def test_fine_grids_are_thinned(scene, quantity):
     """Every second row is shown, and 5 of 8 columns, evenly; limits and heights stay those of all nodes."""
     assert [shown_nodes(nodes, 67_500_000).size for nodes in (28, 102, 513, 4)] == [10, 35, 172, 2]
     assert shown_nodes(102, 7_500_000).tolist() == list(range(102))
-    fine = page_data(scene(), [bump(3e-7)], quantity, 25.0, 5.0)
-    data = page_data(scene(), [bump(3e-7)], quantity, 25.0, 5.0, most_bytes=1200.0)
+    style = PictureStyle(quantity, heights=5.0)
+    fine, data = (page_data(scene(), [bump(3e-7)], style, most) for most in (20e6, 1200.0))
     assert (fine["thinned"], data["grid"]) == ("", [5, 5])
     assert data["thinned"] == "5 × 5 of 8 × 9 nodes are shown."
     assert all(data[key] == fine[key] for key in ("peak", "factor", "limits"))
@@ -83,7 +83,8 @@ def opened(browser, scene, tmp_path):
 
     def open_page(quantity="displacement", colours=DEFAULT_COLOURS):
         motions = [bump(1e-7), bump(2e-7)]
-        write_page(scene(title="</script><b>"), motions, tmp_path / "page.html", quantity, 20, None, colours)
+        style = PictureStyle(quantity, colours=colours, rate=20)
+        write_page(scene(title="</script><b>"), motions, tmp_path / "page.html", style)
         page.goto((tmp_path / "page.html").as_uri())
         holds(page, "player.frame > 0.5")
         page.keyboard.press("Space")

@@ -14,6 +14,7 @@ from support.commands import error_of, start_program
 from support.results import motion_of
 from warp_plate.analysis.motion import mode_motions
 from warp_plate.viz.availability import missing_window
+from warp_plate.viz.fields import PictureStyle
 from warp_plate.viz.scene3d import SCALARS
 from warp_plate.viz.window import RATES, ViewerWindow, window_plotter
 
@@ -30,7 +31,7 @@ def window(scene, drawing):
     shape = 1e-7 * np.sin(x) * np.sin(y)
     shown = [motion_of(name, shape, lag, frames=60) for lag, name in enumerate(("equal", "single", "best"))]
     with closing(window_plotter(len(shown), off_screen=True)) as plotter:
-        yield ViewerWindow(plotter, scene(), shown, "displacement", 30.0)
+        yield ViewerWindow(plotter, scene(), shown, PictureStyle())
 
 
 def test_frames_follow_the_clock_and_the_slider(window, monkeypatch):
@@ -71,7 +72,7 @@ def test_keys_change_speed_heights_and_fields(window):
 def test_modes_have_periods_instead_of_times_and_no_fields(scene, drawing):
     modes = mode_motions(scene(), [1, 2, 3, 4])
     with closing(window_plotter(4, off_screen=True)) as plotter:
-        window = ViewerWindow(plotter, scene(), modes, "displacement", 30.0)
+        window = ViewerWindow(plotter, scene(), modes, PictureStyle())
         window.go(15)
         window.next_field()
         assert window.slider.GetRepresentation().GetValue() == 0.25

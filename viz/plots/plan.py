@@ -29,7 +29,7 @@ from warp_plate.viz.annotations import (
     rectangle,
     shortened,
 )
-from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions, DrawingScale, colour_map, motion_scales
+from warp_plate.viz.fields import DrawingScale, PictureStyle, colour_map, motion_scales
 from warp_plate.viz.plots.frame import add_panels, figure
 from warp_plate.viz.scene3d import rows_and_columns
 
@@ -50,16 +50,13 @@ LAYER, OSCILLATOR = "#8c6bb1", "#e6820e"
 NAME_WIDTH = 13
 
 
-def draw_plan(
-    scene: Scene, motions: Sequence[Motion], path: Path, quantity: str, frame: int,
-    colours: ColourOptions = DEFAULT_COLOURS,
-) -> None:  # fmt: skip
-    """Draw one frame of all motions from above, the quantity (a key of FIELDS) in colour."""
-    scales, fields = motion_scales(scene, motions, quantity, colours)
+def draw_plan(scene: Scene, motions: Sequence[Motion], path: Path, style: PictureStyle, frame: int) -> None:
+    """Draw one frame of all motions from above."""
+    scales, fields = motion_scales(scene, motions, style.quantity, style.colours)
     rows, columns = rows_and_columns(len(motions))
     width, height = drawn_size(scene, LENGTH)
-    wide, lines = width + 0.45 + 0.6 * colours.separate, 1 + (len(fields[0]) > 1)
-    size = (max(columns * wide, 3.2) + 0.9 - 0.6 * colours.separate, rows * (height + 0.6 + 0.15 * lines) + 0.3)
+    wide, lines = width + 0.45 + 0.6 * style.colours.separate, 1 + (len(fields[0]) > 1)
+    size = (max(columns * wide, 3.2) + 0.9 - 0.6 * style.colours.separate, rows * (height + 0.6 + 0.15 * lines) + 0.3)
     with figure(path, size, font_size=8) as fig:
         panels = add_panels(fig, len(motions), columns)
         for index, (axes, motion, scale, values) in enumerate(zip(panels, motions, scales, fields, strict=True)):
@@ -70,9 +67,9 @@ def draw_plan(
             time = r"\n\1" if len(values) > 1 else ""
             axes.set_title(re.sub(", (t = .*)", time, caption), fontsize=8, pad=6)
             _label_sides(axes, scene, index + columns >= len(motions), index % columns == 0)
-            if colours.separate:
+            if style.colours.separate:
                 _add_bar(fig, scale, axes)
-        if not colours.separate:
+        if not style.colours.separate:
             _add_bar(fig, scales[0], panels)
         fig.legend(handles=_outline_handles(scene), loc="outside lower center", ncols=6, fontsize=7)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 from cyclopts.validators import Number
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from warp_plate.result.model import Result
     from warp_plate.result.motion import Motion
     from warp_plate.scene.model import Scene
+    from warp_plate.viz.fields import ColourOptions, PictureStyle
 
 # As in viz.pictures, which is imported later.
 ENDINGS = (".png", ".svg", ".pdf", ".gif", ".mp4", ".html")
@@ -71,13 +72,15 @@ class PlaybackOptions:
         if self.heights is not None and not 0 < self.heights < float("inf"):
             raise SceneError(f"--heights {self.heights:g}: must be above 0")
 
-    def frame_rate(self, motions: Sequence[Motion]) -> float:
-        """Return the frames a second: ``rate``, or 30 unless a period would be shorter than ``PERIOD_SECONDS``."""
-        if self.rate is not None:
-            return self.rate
+    def style(self, motions: Sequence[Motion], colours: ColourOptions, **options: Any) -> PictureStyle:
+        """Return the style of pictures of these motions; by default a period takes at least ``PERIOD_SECONDS``."""
+        from warp_plate.viz.fields import PictureStyle
+
         first = motions[0]
         periods = (first.span[1] - first.span[0]) * first.frequency
-        return min(30.0, max(RATES[0], len(first.times) / max(periods, 1e-9) / PERIOD_SECONDS))
+        usual = min(30.0, max(RATES[0], len(first.times) / max(periods, 1e-9) / PERIOD_SECONDS))
+        rate = usual if self.rate is None else self.rate
+        return PictureStyle(self.field, heights=self.heights, colours=colours, rate=rate, **options)
 
 
 @Parameter(name="*")
@@ -122,8 +125,7 @@ def view(
     motions = select_motions(loaded, result, frames, playback, quiet=False)
     from warp_plate.viz.window import open_window
 
-    rate = playback.frame_rate(motions)
-    open_window(loaded.scene, motions, playback.field, rate, playback.heights, chosen)
+    open_window(loaded.scene, motions, playback.style(motions, chosen))
 
 
 def render(
@@ -154,7 +156,7 @@ def render(
     from warp_plate.result.hdf5 import describe_file
     from warp_plate.result.model import load_result
     from warp_plate.viz.availability import DrawingUnavailable
-    from warp_plate.viz.pictures import PictureStyle, draw_motions, largest_frame, missing_library
+    from warp_plate.viz.pictures import draw_motions, largest_frame, missing_library
 
     for target in targets:  # before anything is simulated
         if (problem := missing_library(target, picture.plan)) is not None:
@@ -165,10 +167,9 @@ def render(
         loaded = load_result(result)
         scene = loaded.scene
         motions = select_motions(loaded, result, frames_around(loaded, picture.time, shown), playback, json)
-    time, colours_chosen = picture.time, colours.chosen()
+    time = picture.time
     frame = largest_frame(motions, playback.field) if time is None else frame_at(motions[0], time)
-    rate = playback.frame_rate(motions)
-    style = PictureStyle(playback.field, picture.width, playback.heights, colours_chosen, picture.plan, rate)
+    style = playback.style(motions, colours.chosen(), width=picture.width, plan=picture.plan)
     files: list[Path] = []
     try:
         for target in targets:
