@@ -249,12 +249,11 @@ def test_a_task_that_no_worker_survives(pool):
     assert {value: outcome.value for value, outcome in outcomes.items()} == {value: 2 * value for value in range(9)}
 
 
-def test_an_error_of_the_program_is_named(pool, monkeypatch):
+def test_an_error_of_the_program_is_named(pool):
     """The worker starts anew, since after an error of CUDA nothing works in a process any more."""
     before = worker_processes(pool)
-    monkeypatch.setattr(pool, "attempts", 1)
-    ((_, outcome),) = run_tasks(pool, [Task(doubled, 17)])
-    assert outcome.failure == "given up after 1 attempts: RuntimeError: CUDA error 700: an illegal memory access"
+    ((_, outcome),) = run_tasks(pool, [Task(doubled, 17, attempts=2)])
+    assert outcome.failure == "given up after 3 attempts: RuntimeError: CUDA error 700: an illegal memory access"
     assert worker_processes(pool) != before
 
 

@@ -16,6 +16,8 @@ from warp_plate.scene.errors import SceneError
 # The least and the most node-steps of a block. On a CPU 0.01 and 0.1 s of a core; on a GPU what fills an H200 once
 # (2112 plates of the paper's scene), and 16 times that.
 BLOCK_NODE_STEPS = {"cpu": (1e8, 8e8), "cuda": (1.65e9, 2.64e10)}
+# Failures after which a task is given up.
+ATTEMPTS = 3
 # Tasks queued for each worker, so that it need not wait for the next one.
 TASKS_PER_WORKER = 2
 # Seconds between checks for Ctrl-C and for workers that came or went.
@@ -31,7 +33,6 @@ class WorkerPool(ABC):
 
     def __init__(self, device: str = "auto") -> None:
         self.device = device  # on which workers run plates; "auto" for each worker's own choice
-        self.attempts = 3  # failures after which a task is given up
         self.block_node_steps = dict(BLOCK_NODE_STEPS)  # least and most work in a block of plates, by kind of device
         # Called with (tasks done, tasks in all) while ``run_tasks`` runs
         self.on_progress: Callable[[int, int], object] | None = None
@@ -132,7 +133,7 @@ def _outcome(pool: WorkerPool, task: Task, future: Future[Any]) -> Outcome | Non
         killed = type(error).__name__ == "KilledWorker"
         reason = "its worker ended" if killed else f"{type(error).__name__}: {str(error).strip()}".partition("\n")[0]
     task.attempts += 1
-    if task.attempts == pool.attempts:
-        return Outcome(failure=f"given up after {pool.attempts} attempts: {reason}")
+    if task.attempts == ATTEMPTS:
+        return Outcome(failure=f"given up after {ATTEMPTS} attempts: {reason}")
     pool.retried[reason] += 1
     return None
