@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fits.campaign import ALLOWED, INSEPARABLE, measured, summary
 
 from support.commands import error_of, output_of
 from support.scenes import MATERIAL, scene_of
@@ -23,6 +24,8 @@ MODULUS, SURFACE_DENSITY = MATERIAL["young_modulus"], MATERIAL["density"] * MATE
 RIGIDITY = MODULUS * MATERIAL["thickness"] ** 3 / 12 / (1 - MATERIAL["poisson_ratio"] ** 2)
 POINTS = (0.1, 0.05), (0.17, 0.12), (0.03, 0.13)
 MODULI = {"plate.young_modulus": (0.7 * MODULUS, 1.4 * MODULUS)}
+# Stepped panels: one with a loss factor, and one with springs and viscous damping.
+PANELS = 16, 17
 FREE = {**MODULI, "effects.loss_factor.eta": (0.002, 0.2)}
 
 
@@ -154,3 +157,19 @@ def test_what_is_no_file_is_refused(read, name, tmp_path):
     os.mkfifo(tmp_path / "pipe.csv")
     with pytest.raises(SceneError, match="no such file"):
         read(tmp_path / name)
+
+
+@pytest.mark.slow
+def test_fits_of_stepped_panels():
+    """Responses by time stepping, of random panels; ``benchmarks/fits`` has many more."""
+    rows = [measured(number) for number in PANELS]
+    found = summary(rows)
+    assert found["said_inseparable"] == len(rows)
+    assert found["rigidity_within"] == len(rows)
+    for kind in ("modulus", "damping", "springs"):
+        assert found[kind]["within"] == found[kind]["determined"] == found[kind]["numbers"]
+    for row in rows:
+        assert not row["inseparable"]
+        assert max(abs(row["numbers"][key]["value"] / row["numbers"][key]["truth"] - 1) / limit
+                   for key, limit in ALLOWED.items() if key in row["numbers"]) < 0.1  # fmt: skip
+        assert set(INSEPARABLE) == {key for group in row["told_apart"] for key in group}
