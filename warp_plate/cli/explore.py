@@ -47,7 +47,7 @@ def explore(
     The moving plate, its localization factor, the bound and the energy shares of the quadrants are updated at once.
     Buttons select the scene's drive, equal drives, the best single actuator, the best of the swarm (shown as it
     searches), the exact optimum, or a random drive. The swarm optimizes all magnitudes and phases for the localization
-    factor and ignores the scene's [search]. With --path auto, linear scenes use the modal engine.
+    factor and ignores the scene's [search]. The scene must be linear in the drives; --path auto uses its modes.
     """
     host, port = page.host, page.port
     if not host.strip():

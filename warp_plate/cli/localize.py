@@ -99,7 +99,8 @@ def localize(
 
     resume, chosen = search.resume, colours.chosen()
     if resume is not None and files.out is None:
-        files = replace(files, out=_result_beside(resume))
+        stem = resume.name.removesuffix(".h5").partition(".checkpoint")[0]  # of checkpoints before the last one too
+        files = replace(files, out=resume.parent / f"{stem}.h5")
     target = files.target(scene, "-localize.h5", holds="a result of localize")
     output.check_overwriting(target.with_suffix(".best.toml"), "# Found by: warp-plate localize", files.force)
     needs = "localize needs a SCENE (a preset's name or a TOML file)"
@@ -162,13 +163,6 @@ def _load_checkpoint(
         scene = changes.with_accuracy(load_checkpoint(file).scene_as_written)
     given: dict[str, Any] = {"seed": search.seed, "evaluator": search.evaluator, "path": path}
     return scene, load_to_resume(file, scene, device, output.log, **given)
-
-
-def _result_beside(checkpoint: Path) -> Path:
-    """Return NAME.h5 for NAME.checkpoint.h5."""
-    stem = checkpoint.name.removesuffix(".h5")
-    named = stem.endswith(".checkpoint")
-    return checkpoint.parent / (stem.removesuffix(".checkpoint") + (".h5" if named else "-localize.h5"))
 
 
 def _write(
