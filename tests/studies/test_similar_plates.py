@@ -86,9 +86,7 @@ def factor_of(tables, path):
     return result.cases["drive"].localization_factor
 
 
-@pytest.mark.parametrize(
-    ("path", "scale"), [("auto", 37.0), pytest.param("modal", 0.02, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("path", "scale"), [("auto", 37.0), pytest.param("modal", 0.02, marks=pytest.mark.slow)])
 def test_turned_plates_of_another_size_have_the_same_localization_factor(path, scale):
     factor = factor_of(TABLES, path)
     assert 0.05 < factor < 0.95
