@@ -81,7 +81,7 @@ def above(name: str, where: Where) -> Measured:
     x, y = (np.linspace(0, side, count) for side, count in zip(scene.plate.size, (nx, ny), strict=True))
     points = [(x[i], y[j]) for i in (nx // 2, nx // 2 + 1) for j in (ny // 2, ny // 2 + 1, 1)]
     run = where.solver(scene, allow_unstable=True).run([[1.0, 0.4j]], (), points)
-    if run.status[0] != "grew without bound" or run.growth_time[0] > 500 * step:
+    if run.status[0] != "grew without bound" or run.faults[0][1] > 500 * step:
         return Measured(math.inf)
     trace = run.trace[0][:, np.isfinite(run.trace[0]).all(axis=0)]
     # Second differences in time make the fastest motion stand out.
