@@ -3,8 +3,6 @@
 import json
 import sys
 import tomllib
-from email.message import Message
-from importlib import metadata
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,6 +10,7 @@ import pytest
 import warp as wp
 
 from support.commands import output_of
+from warp_plate.cli.doctor import EXTRAS
 from warp_plate.solve import devices
 
 TURING = SimpleNamespace(alias="cuda:0", name="RTX 2080", arch=75, is_cuda=True, is_cpu=False)
@@ -39,29 +38,6 @@ def machine(monkeypatch, tmp_path):
     devices._warn_of_unused_gpu.cache_clear()
 
 
-@pytest.fixture
-def installed(monkeypatch):
-    """A function that installs this checkout and all that it requires but for packages whose version is None."""
-    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    stated = Message()
-    for extra, requirements in {None: project["dependencies"], **project["optional-dependencies"]}.items():
-        if extra:
-            stated["Provides-Extra"] = extra
-        for requirement in requirements:
-            stated["Requires-Dist"] = f'{requirement}; extra == "{extra}"' if extra else requirement
-
-    def make(**others):
-        def version(name):
-            if (found := others.get(name, "9999.0")) is None:
-                raise metadata.PackageNotFoundError(name)
-            return found
-
-        monkeypatch.setattr(metadata, "metadata", lambda name: stated)
-        monkeypatch.setattr(metadata, "version", version)
-
-    return make
-
-
 def checks(command):
     """The lines of the report by name."""
     status, out, _ = command("doctor", "--json")
@@ -75,7 +51,7 @@ def test_this_machine(command):
     found = checks(command)
     assert found["Python"]["text"].startswith(f"{sys.version_info.major}.{sys.version_info.minor}.")
     assert found["Warp"]["text"].startswith(wp.config.version)
-    assert {"CPU", "kernels", "results", "pictures", "window", "browser", "packages"} <= found.keys()
+    assert {"CPU", "kernels", "results", "pictures", "window", "browser", "extra viz"} <= found.keys()
     for device in wp.get_cuda_devices():
         assert found[device.alias]["plates"] > 1000
     words = output_of(command("doctor"))
@@ -119,30 +95,22 @@ def test_a_device_that_warp_cannot_compile_for_is_refused(command, machine, monk
     assert "device = 'cuda:1': GTX 1080 has compute capability 6.1" in err
 
 
-def test_versions_of_installed_packages(command, installed):
-    installed(numpy="2.4.6")
-    found = checks(command)
-    assert found["packages"]["versions"].items() >= {"numpy": "2.4.6", "warp-lang": "9999.0"}.items()
-    assert found["extra test"]["versions"].keys() >= {"pytest", "hypothesis"}
+def test_extras_are_those_of_the_project():
+    text = (Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8")
+    extras = tomllib.loads(text)["project"]["optional-dependencies"]
+    assert set(EXTRAS) == set(extras) - {"docs", "test"}
+    for extra, module in EXTRAS.items():
+        assert any(requirement.startswith(module) for requirement in extras[extra])
 
 
-def test_a_checkout_that_is_not_installed(command, monkeypatch):
-    def missing(name):
-        raise metadata.PackageNotFoundError(name)
-
-    monkeypatch.setattr(metadata, "metadata", missing)
-    assert checks(command)["packages"]["text"] == "warp-plate is not installed, only found: pip install -e ."
-
-
-def test_what_lacks_has_its_remedy(command, installed, monkeypatch, tmp_path):
-    """Folders that cannot be written, and packages that are missing; kernels and requirements are needed."""
-    installed(pyuff=None, h5py=None)
+def test_what_lacks_has_its_remedy(command, monkeypatch, tmp_path):
+    """Folders that cannot be written, and extras that are missing."""
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path / "gone"))
     found = checks(command)
     assert "WARP_CACHE_PATH" in found["kernels"]["text"]
-    assert found["packages"]["text"] == "h5py not installed: pip install 'warp-plate'"
-    assert found["extra uff"]["text"] == "pyuff not installed: pip install 'warp-plate[uff]'"
-    assert {name for name, line in found.items() if line["state"] == "error"} == {"kernels", "packages"}
+    assert found["extra uff"]["text"] == "pyuff not found: pip install 'warp-plate[uff]'"
+    assert {name for name, line in found.items() if line["state"] == "error"} == {"kernels"}
 
 
 def test_a_check_that_fails_is_a_finding(command, monkeypatch):
