@@ -3,8 +3,6 @@
 NumPy releases Python's lock inside a block and treats each row by itself, so that no number depends on the cut.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor

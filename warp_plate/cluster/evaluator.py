@@ -1,7 +1,5 @@
 """Energies of batches of plates, from a solver of this process or from a pool's workers."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from typing import Any

@@ -1,7 +1,5 @@
 """A pool of workers, and how tasks run on it: repeated if a worker ended or its memory was short."""
 
-from __future__ import annotations
-
 import time
 from abc import ABC, abstractmethod
 from collections import Counter, deque

@@ -5,8 +5,6 @@ so a sealed HDF5 file opens everywhere. The seal is verified before HDF5 opens t
 crash over damaged bytes.
 """
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import os

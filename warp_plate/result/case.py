@@ -4,8 +4,6 @@ With several targets, the case "best" is the best drive for the first, "best NAM
 cases have a region "target NAME" for each target, beside "plate" and the case's own "target".
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

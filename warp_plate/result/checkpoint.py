@@ -4,8 +4,6 @@ The state of the optimizer is the group ``swarm`` whatever the method; finished 
 ``searches/0``, ``searches/1``, ...
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

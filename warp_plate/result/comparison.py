@@ -3,8 +3,6 @@
 Trials are the groups ``trials/METHOD/SEED`` with a dataset for each column.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

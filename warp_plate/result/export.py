@@ -10,8 +10,6 @@ channel, or for the same force [N] if the scene gives a force for every actuator
 that it can be played in a loop.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

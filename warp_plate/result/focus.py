@@ -1,7 +1,5 @@
 """Waveforms that focus motion at points of a plate, and their results."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -3,8 +3,6 @@
 Files are written atomically. On reading, links, data in other files and datasets larger than their file are refused.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager

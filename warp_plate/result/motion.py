@@ -1,7 +1,5 @@
 """Motion of a plate: frame by frame, or as its steady motion under a drive at one moment of the explorer."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,8 +1,6 @@
 """The table ``[[actuators]]``: the patches that press on the plate or bend it."""
 
-from __future__ import annotations
-
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
@@ -72,7 +70,7 @@ class Actuator(Table):
         return 1.0 if self.force is None else (x1 - x0) * (y1 - y0)
 
     @model_validator(mode="after")
-    def _keys_of_kind(self) -> Actuator:
+    def _keys_of_kind(self) -> Self:
         if self.kind == "piezo":
             for key in PIEZO:
                 if getattr(self, key) is None:
@@ -86,7 +84,7 @@ class Actuator(Table):
         return self
 
     @model_validator(mode="after")
-    def _magnitude_of_force(self) -> Actuator:
+    def _magnitude_of_force(self) -> Self:
         x0, x1, y0, y1 = self.area
         if self.force is None or not (x0 < x1 and y0 < y1):  # the scene refuses such an area
             return self

@@ -4,9 +4,7 @@ Actuator k applies Re(Z_k · carrier_k(t)) · envelope(t), where Z_k is its phas
 and the envelope is one.
 """
 
-from __future__ import annotations
-
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -26,7 +24,7 @@ class Burst(Table):
     """Time from the start of one burst to the start of the next (default: a single burst)."""
 
     @model_validator(mode="after")
-    def _ramps_and_period_fit(self) -> Burst:
+    def _ramps_and_period_fit(self) -> Self:
         if 2 * self.ramp > self.duration * (1 + 1e-12):
             raise ValueError(f"ramp: {self.ramp:g} s is more than half of duration, {self.duration / 2:g} s")
         if self.period is not None and self.period < self.duration:
@@ -56,7 +54,7 @@ class SampledFile(Table):
     """Time at which the file begins; added to the times of a CSV file."""
 
     @model_validator(mode="after")
-    def _file_beside_scene(self) -> SampledFile:
+    def _file_beside_scene(self) -> Self:
         check_file_name("file", self.file, (".wav", ".csv"))
         if self.rate is not None and self.file.lower().endswith(".wav"):
             raise ValueError(f"rate: {self.file!r} contains its sampling rate; delete rate")
@@ -95,7 +93,7 @@ class Drive(Table):
     electrostatic: Electrostatic | None = None
 
     @model_validator(mode="after")
-    def _one_carrier(self) -> Drive:
+    def _one_carrier(self) -> Self:
         if self.signal is not None and self.chirp is not None:
             raise ValueError("chirp: drive.signal replaces the carrier, which cannot be swept; delete one of them")
         return self

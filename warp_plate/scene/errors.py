@@ -1,7 +1,5 @@
 """The exception for invalid input, and text for messages and files: escaped, or as TOML."""
 
-from __future__ import annotations
-
 import datetime
 import json
 import unicodedata

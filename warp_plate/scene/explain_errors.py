@@ -1,7 +1,5 @@
 """Validation errors of pydantic as one line in terms of the scene file: key, value, and what would be valid."""
 
-from __future__ import annotations
-
 import difflib
 import re
 import types

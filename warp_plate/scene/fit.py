@@ -1,9 +1,7 @@
 """The tables ``[fit]``, numbers that ``warp-plate fit`` takes from measurements, and ``[[measurement]]``."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -38,7 +36,7 @@ class Measurement(Table):
     """Measured response over the true response in SI units."""
 
     @model_validator(mode="after")
-    def _driven_once(self) -> Measurement:
+    def _driven_once(self) -> Self:
         if (self.actuator is None) == (self.force_at is None):
             raise ValueError("actuator: write an actuator's name, or force_at = [x, y], and not both")
         return self
@@ -82,7 +80,7 @@ class Fit(Table):
     """Set if the data are time signals."""
 
     @model_validator(mode="after")
-    def _ranges(self) -> Fit:
+    def _ranges(self) -> Self:
         if not self.free:
             raise ValueError('free: is empty; write a range for a key, such as "plate.young_modulus" = [6e10, 8e10]')
         for key, (low, high) in self.free.items():

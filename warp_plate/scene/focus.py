@@ -1,8 +1,6 @@
 """The table ``[focus]``: points at which ``warp-plate focus`` makes the plate move, at one moment."""
 
-from __future__ import annotations
-
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -94,7 +92,7 @@ class Focus(Table):
         return 1.0 if self.peak is None and self.energy is None else self.peak
 
     @model_validator(mode="after")
-    def _sampled(self) -> Focus:
+    def _sampled(self) -> Self:
         if self.rate < 2 * self.highest:
             raise ValueError(
                 f"rate: {self.rate} samples a second; highest = {self.highest:g} Hz takes at least twice it"

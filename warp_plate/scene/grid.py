@@ -1,9 +1,7 @@
 """The tables ``[grid]``, ``[window]`` and ``[record]``: how a run is discretised, timed and stored."""
 
-from __future__ import annotations
-
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -36,7 +34,7 @@ class Grid(Table):
     """Allowed relative error of localization factors; all keys above are chosen from it."""
 
     @model_validator(mode="after")
-    def _consistent(self) -> Grid:
+    def _consistent(self) -> Self:
         if self.order == 4 and min(self.nodes) < 9:
             raise ValueError(f"nodes: {list(self.nodes)} are too few for order = 4, which takes 9 or more a side")
         chosen = self.model_fields_set - {"accuracy"}
@@ -55,7 +53,7 @@ class Window(Table):
     """End of the interval and of the run."""
 
     @model_validator(mode="after")
-    def _ordered(self) -> Window:
+    def _ordered(self) -> Self:
         if self.end <= self.start:
             raise ValueError(f"end: {self.end:g} s must be later than start = {self.start:g} s")
         return self

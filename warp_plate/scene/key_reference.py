@@ -1,7 +1,5 @@
 """The keys of scene files, by table, with type, unit, default, range, example and meaning: for help and the docs."""
 
-from __future__ import annotations
-
 import inspect
 import re
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ They name numbers and texts of a scene, with units and labels, and in ``KEY=VALU
 these are checked.
 """
 
-from __future__ import annotations
-
 import difflib
 import re
 from collections.abc import Iterable, Iterator, Mapping

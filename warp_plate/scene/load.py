@@ -1,7 +1,5 @@
 """The TOML text of scenes: read from presets and files, and written from tables."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from importlib import resources

@@ -5,10 +5,8 @@ any such table the search is that of the source paper: all magnitudes and phases
 actuator, which stay at 1 and 0.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -29,7 +27,7 @@ class _Range(Table):
     """Names of those that vary (default: all)."""
 
     @model_validator(mode="after")
-    def _ordered(self) -> _Range:
+    def _ordered(self) -> Self:
         low, high = self.range or (0.0, 1.0)
         if high <= low:
             raise ValueError(f"range: [{low:g}, {high:g}] has no inside; write the smaller number first")
@@ -97,7 +95,7 @@ class Objective(Table):
     """Limit of the RMS over the rest, for "velocity" and "displacement"."""
 
     @model_validator(mode="after")
-    def _limit_fits_kind(self) -> Objective:
+    def _limit_fits_kind(self) -> Self:
         if self.rest_limit is not None and self.kind not in ("velocity", "displacement"):
             raise ValueError(f"rest_limit: {self.kind!r} has none; it is for 'velocity' and 'displacement'")
         return self
@@ -198,7 +196,7 @@ class Search(Table):
     robust: Robust | None = None
 
     @model_validator(mode="after")
-    def _different_objectives(self) -> Search:
+    def _different_objectives(self) -> Self:
         kinds = [objective.kind for objective in self.objectives]
         for index, kind in enumerate(kinds):
             if kind in kinds[:index]:

@@ -1,9 +1,7 @@
 """The table ``[plate]``, and the top level of a scene file with what follows from its tables."""
 
-from __future__ import annotations
-
 import math
-from typing import Annotated
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
@@ -42,7 +40,7 @@ class Plate(Table):
         return self.young_modulus * self.thickness**3 / (12 * (1 - self.poisson_ratio**2))
 
     @model_validator(mode="after")
-    def _thin(self) -> Plate:
+    def _thin(self) -> Self:
         self.check_thin(self.thickness, "thickness: ")
         return self
 

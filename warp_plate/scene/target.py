@@ -1,9 +1,7 @@
 """The tables ``[target]`` and ``[[targets]]``: a region of the plate as a rectangle, disc, polygon or mask."""
 
-from __future__ import annotations
-
 import math
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -47,7 +45,7 @@ class Target(Table):
     """Name of a CSV file."""
 
     @model_validator(mode="after")
-    def _one_shape(self) -> Target:
+    def _one_shape(self) -> Self:
         given = [name for name in SHAPES if getattr(self, name) is not None]
         if len(given) > 1:
             raise ValueError(f"{given[1]}: {given[0]} is given too; write one of them")

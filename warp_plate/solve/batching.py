@@ -5,8 +5,6 @@ norm of a step's load, apart from factors that a step next to the limit and uneq
 the factor SLACK is unstable growth.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Paths of the CPU for plain plates: plates in the cores' caches, distributed by Python threads."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import os

@@ -1,7 +1,5 @@
 """Paths of CUDA for plain plates: in registers where a plate fits, else several steps per pass over memory."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any

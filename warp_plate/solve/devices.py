@@ -1,7 +1,5 @@
 """Choice of the device, GPUs that Warp cannot use, the cores of the CPU, and the folder of compiled kernels."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import os

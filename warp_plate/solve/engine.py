@@ -3,8 +3,6 @@
 All numbers are in the kernels' scaled units; ``batching`` converts to SI.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Paths of scenes that need more than the plain plate, see ``kernels.update``."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Runs of large batches, part by part, as many plates at a time as the memory of a device holds."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Callable, Sequence, Set

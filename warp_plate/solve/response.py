@@ -6,8 +6,6 @@ A z = λ B z. The matrices come from plates like any others, by polarisation: wi
 E(a + b) − E(a) − E(b) = 2 aᵀA b. That takes M(2M + 1) plates.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

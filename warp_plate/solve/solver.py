@@ -1,7 +1,5 @@
 """Time stepping of any number of plates of one scene, each under its own drives."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping, Sequence
 

@@ -1,7 +1,5 @@
 """A discretized scene on one device: the compile key and the arrays that every path needs."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cached_property
 from typing import Literal, get_args

@@ -1,7 +1,5 @@
 """The device arrays of a batch of plates."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The plain streaming path of every device, and launches repeated from records, which saves Python's overhead."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
