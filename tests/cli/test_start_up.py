@@ -34,6 +34,7 @@ print(len(sys.modules), *sys.modules)
     ("arguments", "allowed", "most"),
     [
         (["localize", "--help"], set(), 600),
+        (["export", "--help"], set(), 600),
         (["check", "paper"], STEPS, 950),
         (["modes", "paper", "--no-pictures"], STEPS - {"warp"}, 850),
         pytest.param(

@@ -11,9 +11,9 @@ from cyclopts import Parameter
 
 from warp_plate.cli import options, output
 from warp_plate.cli.render import FrameOptions, span_of
-from warp_plate.result.export import Format
 from warp_plate.scene.errors import SceneError, printable
 
+Format = Literal["vtkhdf", "traces-csv", "drive-wav", "drive-csv"]
 # Ending that is added to the result's name, and options beside --case.
 SERIES, SIGNAL = ("start", "end", "frames", "device"), ("rate", "duration", "full-scale")
 FORMATS: dict[Format, tuple[str, tuple[str, ...]]] = {
