@@ -34,12 +34,12 @@ class DeviceTime:
     """The time that a device computes for a problem's plates; on a CPU that of the steps."""
 
     def __init__(self, problem: Problem) -> None:
-        engine, self._device = problem.drive_solver.engine, problem.drive_solver.device
+        compiled, self._device = problem.drive_solver.compiled, problem.drive_solver.device
         self._seconds = 0.0
         if self._device.is_cuda:
             wp.timing_begin(wp.TIMING_ALL & ~wp.TIMING_MEMCPY)
         else:
-            self._step, engine.advance = engine.advance, self._advance
+            self._step, compiled.advance = compiled.advance, self._advance
 
     def _advance(self, state: object, plates: int, start: int, stop: int) -> None:
         began = time.perf_counter()

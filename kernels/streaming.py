@@ -1,9 +1,9 @@
 """The plainest path, and the place to start reading: two launches a step, a thread a node, any size, order and device.
 
 The first launch computes the curvature of every node from the displacement; the second moves the nodes by the
-biharmonic of the displacement, which is the curvature of the curvature. It works in place, because it reads the
-displacement of no other node. Both gather neighbours with the taps of each axis, which are data. On CUDA
-``temporal_blocking`` is a faster form of this path.
+biharmonic of the displacement, which is the curvature of the curvature. The second launch needs the curvature of a
+node's neighbours but the displacement of the node alone, so it works in place. Both weight neighbours by the taps of
+each axis, which are data. On CUDA ``temporal_blocking`` is a faster form of this path.
 
 Between steps of any streaming path, single nodes are recorded, and the ``clock`` counts steps on the device: it holds
 the step at which a run of launches began, so that recorded launches can be repeated unchanged.

@@ -6,12 +6,13 @@ second step, and so on: each level needs only the last rows of the level before,
 ``levels`` steps a row is written back. So one pass serves several steps, without shared memory or barriers, at the
 price of a margin around each strip that neighbouring warps compute as well.
 
-Rows are walked in rounds of three (four), in which row y of each level has slot y modulo 3 (4) of its window, so that
-no register is moved. Most rounds touch neither a loaded row nor an edge: their body is compiled without either. In
-fourth order edges take part like other nodes, with taps of their own, see ``resident_strips``.
+Each level keeps its last 3 rows (fourth order: 4) in a window; row y is in slot y mod 3 (mod 4), so no register is
+copied from slot to slot. The loop over rows is unrolled by as many, which makes a round. Most rounds touch neither a
+loaded row nor an edge: their body is compiled without either. In fourth order, nodes at edges are moved like others,
+with taps of their own, see ``resident_strips``.
 
-Displacement and rate are in two buffers that take turns, because neighbours still read the old ones. ``clock`` counts
-steps on the device, so that a captured CUDA graph can be replayed: a launch adds its own offset to it.
+Displacement and rate are double-buffered, because neighbours still read the old ones. ``clock`` counts steps on the
+device, so that a captured CUDA graph can be replayed: a launch adds its own offset to it.
 """
 
 from functools import cache
@@ -34,7 +35,8 @@ from warp_plate.kernels.update import make_parameters, make_state, make_update
 
 # Columns per lane, which it reads and writes in one access.
 COLUMNS = 2
-# By order: rows below the newest one that a level moves, and rows of a round, in which each window turns once.
+# By order: how many rows below its newest row a level moves one, and the rows of a round, in which every slot of a
+# window is written once.
 REACH, ROUND = {2: 2, 4: 4}, {2: 3, 4: 4}
 # Warps that share a multiprocessor: with eight, each thread has all registers that it can have.
 WARPS = {(2, wp.float32): 8, (2, wp.float64): 8, (4, wp.float32): 12, (4, wp.float64): 8}
@@ -88,9 +90,12 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
     size = wp.types.type_size_in_bytes(real)
     columns, margin, strip_count = COLUMNS, reach * levels, strips(nx, reach * levels)
     useful = LANES * columns - 2 * margin
-    # Rows near an edge, and those by which sums are read later than rates: in fourth order, the first of several levels
-    # has nothing to add to them.
-    edge, delay = (reach, 0) if order == 2 else (SPECIAL + 1, reach if levels > 1 else 0)
+    # Rows at the start of a plate's tensor that are not updated as those inside: the row of zeros and the plate's first
+    # row, in fourth order its first SPECIAL rows.
+    edge = reach if order == 2 else SPECIAL + 1
+    # Rows by which the sums of rate² are read later than the rates: with several levels the second one is the first to
+    # add to a sum, reach rows later. Fourth order reads the sum then, which saves a window of registers.
+    delay = reach if order == 4 and levels > 1 else 0
     taps = 1 if order == 2 else 5  # a factor on the curvature, or taps along an axis
     Taps = wp.types.vector(length=5, dtype=real)
     ColumnTaps = wp.types.matrix(shape=(columns, taps), dtype=real)

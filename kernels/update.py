@@ -2,16 +2,17 @@
 
     ρH ü + c u̇ + D∇⁴u = f,   velocity form:  rate⁺ = decay·rate − stiffness·∇⁴u + load,   u⁺ = u + rate⁺
 
-``rate`` is the displacement gained in one step, Δt·u̇ at the half-step between two levels of u. Displacement is in
-units of the plate's largest drive × Δt²/ρH, which keeps all numbers near one whatever the material: ``stiffness`` =
-(κΔt/h²)² (fourth order: (κΔt/12h²)²) and ``load`` ≤ 1, both divided by 1 + cΔt/2ρH where damping is centred in time.
+``rate`` is the displacement gained in one step, Δt·u̇ at the half-step between two time steps of u. Displacement is in
+units of the plate's largest drive × Δt²/ρH, which keeps all numbers near one whatever the material. With κ = √(D/ρH),
+``stiffness`` = (κΔt/h²)² (fourth order: (κΔt/12h²)²) and ``load`` ≤ 1, both divided by 1 + cΔt/2ρH where damping is
+centred in time.
 
 Differences are on unit spacing along x; ``aspect`` is (spacing x / spacing y)². The second-order biharmonic is the
 Laplacian of the Laplacian, 13 nodes in all. In two passes it costs half the arithmetic, and edges become simple: where
 the inner Laplacian (the curvature) is stored, a clamped edge, whose mirror node doubles it, and a supported edge, where
 it is zero, are the factors 2 and 0 on the curvature of the edge's nodes. The fourth-order form is two such passes too,
 each with five nodes along each axis. Edges change the taps of the two nodes next to them in both passes, so taps near
-an edge are data. Each path gathers ∇⁴u and the load by itself.
+an edge are data. Each path computes ∇⁴u and the load in its own way, then calls ``update``.
 
 Scenes that need more than the plain plate take the moment form. Bending goes by moments: Mx and My from the curvatures
 at each node, Mxy from the twist of each cell, and the force from the moments:
@@ -19,8 +20,8 @@ at each node, Mxy from the twist of each cell, and the force from the moments:
     Mx = Cxx u_xx + Cxy u_yy,   My = Cxy u_xx + Cyy u_yy,   Mxy = Ct u_xy,   force = Mx_xx + My_yy + Mxy_xy
 
 C varies from node to node and contains the edges (a free edge carries no moment) and stiffeners. Beyond an edge u, Mx
-and My continue as mirror images and Mxy as the negative one: a node on an edge has half a cell, and the mirror image is
-the other half.
+and My continue as mirror images, and Mxy as the negative one: a node on an edge owns half a cell, and the stencil
+treats its mirror image as the other half.
 """
 
 from dataclasses import dataclass
@@ -117,7 +118,7 @@ def make_material(real):
         in_plane_y: real
         retardation: real  # of the material, in steps
         membrane: real  # tension per Σ weight · (−u · membrane curvature), in SI displacements
-        stretch_ratio: real  # κ of the membrane curvature u_xx + κ u_yy
+        stretch_ratio: real  # membrane force along y over that along x; the membrane curvature is u_xx + ratio · u_yy
 
     return Material
 
@@ -153,7 +154,7 @@ def make_weighted_sum(real):
 
 @cache
 def make_update(effects, real):
-    """Make ``update``: the rate half a step later from the rate, ∇⁴u, the load and the stiffness at a node."""
+    """Make ``update``: the rate one step later from the rate, ∇⁴u, the load and the stiffness at a node."""
     Parameters = make_parameters(real)
 
     @wp.func
@@ -226,7 +227,7 @@ def make_travelling_pressure(real):
 
 @cache
 def make_add_local_forces(effects, real):
-    """Make ``add_local_forces``: add to the load what bed and membrane do at a node, −k u + N(u_xx + κu_yy)."""
+    """Make ``add_local_forces``: add to the load −k u of springs and N · membrane curvature of a stretched plate."""
 
     @wp.func
     def add_local_forces(

@@ -1,4 +1,4 @@
-"""The way from a scene to what runs it: engine, grid and device are decided here, once, and by nobody after.
+"""The way from a scene to what runs it: engine, grid and device are decided here once; nothing later changes them.
 
 :func:`choose_engine` chooses between modes and time steps; :func:`resolve` also chooses a grid for a scene that asks
 for an accuracy. Studies, problems and analyses take the :class:`Resolved` scene.
@@ -34,8 +34,13 @@ from warp_plate.solve.solver import PlateSolver
 
 Engine = Literal["modes", "steps"]
 EvaluatorName = Literal["direct", "response", "modal"]
-# What a scene is resolved for; "exact": a search that an eigenvector solves, unless the scene says otherwise; "survey":
-# many scenes or drives; "replay": the run of a result, or the effects of a scene, once more.
+# What a scene is resolved for.
+#   simulate: a single run
+#   search: a search by an optimizer
+#   exact: a search solved as an eigenvalue problem, when the scene names no method
+#   survey: many scenes or drives
+#   check: the properties of a scene, without a run
+#   replay: the run of a result, or the effects of a scene, once more
 Purpose = Literal["simulate", "search", "exact", "survey", "check", "replay"]
 # Most corners of the ranges of a sweep that are looked at.
 MOST_CORNERS = 64
@@ -106,7 +111,7 @@ def choose_engine(
     search = scene.search
     searched = search.frequency is not None or search.position is not None or search.delay is not None
     # Waveforms whose frequencies, places or delays are searched cost more by modes than on an ordinary grid.
-    fast = scene.linear and not (searched and scene.drive.waveform_key is not None)
+    modes_pay = scene.linear and not (searched and scene.drive.waveform_key is not None)
     # 1. What is asked for.
     if MODAL in (path, evaluator):
         return "modes"
@@ -119,12 +124,14 @@ def choose_engine(
         return "steps"
     # 3. An accuracy.
     if scene.grid.accuracy is not None and purpose not in ("survey", "replay"):
-        return "any" if fast or purpose == "simulate" else "steps"
-    # 4. Time steps are the judge of a single run. Searches of places, frequencies or delays would take a plate of
-    # their own for each, and modes give exact searches and surveys without any.
+        return "any" if modes_pay or purpose == "simulate" else "steps"
+    # 4. A single run uses time steps. A search of places, frequencies or delays would have to run a plate for each of
+    # them; modes run none for it, nor for exact searches and surveys.
     if purpose == "search":
-        fast = fast and searched and search.robust is None
-    return "modes" if fast and purpose in ("search", "exact", "survey") else "steps"
+        takes_modes = modes_pay and searched and search.robust is None
+    else:
+        takes_modes = modes_pay and purpose in ("exact", "survey")
+    return "modes" if takes_modes else "steps"
 
 
 def refuse_nonlinear_modes(scene: Scene) -> None:
@@ -167,8 +174,8 @@ def resolve(
         scene.check_stepped()
     started = time.perf_counter()
     of_search = purpose in ("search", "exact", "check") or (purpose == "survey" and engine == "modes")
-    hardest = at_highest_frequency(scene) if of_search else scene
-    choice = choose(hardest, asked, device, phasors, engine)
+    at_shortest_wave = at_highest_frequency(scene) if of_search else scene
+    choice = choose(at_shortest_wave, asked, device, phasors, engine)
     grid = Grid(**choice.scene.grid.model_dump(exclude={"accuracy"}))
     chosen = choice.scene.model_copy(update={"grid": grid} | ({"actuators": scene.actuators} if of_search else {}))
     if of_search and not choice.by_modes and evaluator is None and scene.search.robust is None:
@@ -218,8 +225,8 @@ def resolve_for_sweep(scene: Scene, plan: Plan, device: str, evaluator: str) -> 
         with suppress(SceneError):
             corners.append(at_highest_frequency(scene.with_values(dict(zip(plan.keys, values, strict=True)))))
     with suppress(SceneError, ValueError):  # refused, or without corners
-        hardest = max(corners, key=waves_along)
-        chosen = resolve(hardest, device, purpose="replay", evaluator=evaluator).scene
+        at_shortest_wave = max(corners, key=waves_along)
+        chosen = resolve(at_shortest_wave, device, purpose="replay", evaluator=evaluator).scene
         if evaluator == MODAL:
             return scene.model_copy(update={"grid": chosen.grid})
         grid = configuration_of(chosen)  # stable at all corners

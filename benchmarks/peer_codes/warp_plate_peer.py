@@ -12,8 +12,8 @@ from peer_codes.problem import PeerMissing, Problem, Run, loaded_nodes
 from warp_plate import Scene
 from warp_plate.plate.operator import DIVISOR
 from warp_plate.plate.scheme import discretize
+from warp_plate.solve.compiled_scene import CompiledScene
 from warp_plate.solve.devices import find_device
-from warp_plate.solve.engine import Engine
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import State
 from warp_plate.solve.streaming import repeat
@@ -26,7 +26,7 @@ def make(problem: Problem, threads: int) -> Run:
         raise PeerMissing("Warp finds no GPU")
     specialized = specialize_as(problem, threads)
     inner = np.s_[:, 1:-1, : problem.nodes]
-    engine = Engine(specialized)
+    compiled = CompiledScene(specialized)
     state = State(specialized, problem.plates)
     for field, load in ((state.in_phase, problem.in_phase), (state.quadrature, problem.quadrature)):
         padded = np.zeros(field.shape, dtype=problem.dtype)
@@ -35,15 +35,15 @@ def make(problem: Problem, threads: int) -> Run:
 
     def whole(_launch: object, state: State, plates: int) -> None:
         state.clear(plates)
-        engine.advance(state, plates, 0, problem.steps)
-        engine.sums_to_host(state, plates)
+        compiled.advance(state, plates, 0, problem.steps)
+        compiled.sums_to_host(state, plates)
 
     def run() -> NDArray[np.float64]:
-        if problem.device == "cuda" and engine.path == "resident":
+        if problem.device == "cuda" and compiled.path == "resident":
             repeat(specialized.device, whole, state, problem.plates)
         else:
             whole(None, state, problem.plates)
-        return engine.wait_for_sums(state, problem.plates)().copy()
+        return compiled.wait_for_sums(state, problem.plates)().copy()
 
     return run
 

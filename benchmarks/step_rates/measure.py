@@ -18,8 +18,8 @@ from warp_plate.plate.memory import machine_memory
 from warp_plate.plate.scheme import discretize
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
+from warp_plate.solve.compiled_scene import CompiledScene
 from warp_plate.solve.devices import find_device
-from warp_plate.solve.engine import Engine
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import Advance, State, bytes_per_plate
 
@@ -229,16 +229,17 @@ def prepare(case: BenchCase) -> PreparedCase:
     needed, room = case.plates * bytes_per_plate(specialized, 0), memory_for_plates(device)
     if needed > room:
         raise SceneError(f"needs {needed / 2**30:.1f} GiB of memory, but only {room / 2**30:.1f} GiB may be used")
-    engine, state, random = Engine(specialized, case.path), State(specialized, case.plates), np.random.default_rng(0)
+    compiled, state = CompiledScene(specialized, case.path), State(specialized, case.plates)
+    random = np.random.default_rng(0)
     parts = random.uniform(-SIZE, SIZE, (2, case.plates, specialized.patches.shape[0]))
     state.host_coefficients.numpy()[:] = specialized.discretization.signals.coefficients(parts[0] + 1j * parts[1])
-    engine.load_drives(state, case.plates)
-    engine.advance(state, case.plates, 0, 1)  # some paths make arrays of their own at the first step
+    compiled.load_drives(state, case.plates)
+    compiled.advance(state, case.plates, 0, 1)  # some paths make arrays of their own at the first step
     for field in (state.u, state.rate):
         plate = np.zeros(field.shape[1:], dtype=case.precision)
         plate[2 : case.nodes, 1 : case.nodes - 1] = random.uniform(-SIZE, SIZE, (case.nodes - 2,) * 2)
         field.assign(np.broadcast_to(plate, field.shape))
-    return PreparedCase(specialized, engine.path, engine.advance, state)
+    return PreparedCase(specialized, compiled.path, compiled.advance, state)
 
 
 def paper_like(nodes: int, precision: str, kind: Kind = "plain") -> Scene:

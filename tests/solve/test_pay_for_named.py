@@ -7,8 +7,8 @@ from warp_plate import Scene
 from warp_plate.kernels import moment_form_cpu
 from warp_plate.kernels.update import KernelEffects
 from warp_plate.plate.scheme import discretize
+from warp_plate.solve.compiled_scene import choose_path
 from warp_plate.solve.devices import find_device
-from warp_plate.solve.engine import choose_path
 from warp_plate.solve.specialize import Specialized
 
 # Lines of the kernel that belong to one effect alone; Warp repeats those that it compiles as comments.

@@ -11,7 +11,7 @@ from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.signals import make_signals
 from warp_plate.plate.weights import patches, region_weights
 from warp_plate.reference.numpy_plate import run_moment_form, run_plate
-from warp_plate.solve import engine, moment_form
+from warp_plate.solve import compiled_scene, moment_form
 
 # Relative to the largest number of a plate. Both sides round a few times ε a step, in another order; a few hundred
 # steps near the stability limit gather some hundred ε.
@@ -114,7 +114,7 @@ def run_on_a_block(monkeypatch, planes=()):
         nodes = nx * ny + 1  # one beyond the plate
         return moment_form.block_path(specialized, plans.BlockPlan(1, nodes, planes, kept, False, 64))
 
-    monkeypatch.setitem(engine.MOMENT_FORM, "resident", path)
+    monkeypatch.setitem(compiled_scene.MOMENT_FORM, "resident", path)
 
 
 def random_edge(random):

@@ -15,8 +15,8 @@ from warp_plate.plate.scheme import Scheme, discretize
 from warp_plate.plate.signals import carrier_frequencies, highest_frequency
 from warp_plate.plate.stability_limit import StabilityLimit
 from warp_plate.scene.model import Scene, SceneSource
+from warp_plate.solve.compiled_scene import choose_path, describe_plan
 from warp_plate.solve.devices import find_device
-from warp_plate.solve.engine import choose_path, describe_plan
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import bytes_per_plate
 

@@ -16,7 +16,7 @@ from warp_plate.kernels.loads import make_scale_drives
 from warp_plate.plate.designs import PerPlateValues
 from warp_plate.plate.signals import Signals
 from warp_plate.scene.errors import SceneError
-from warp_plate.solve.engine import Engine
+from warp_plate.solve.compiled_scene import CompiledScene
 from warp_plate.solve.run import Faults, find_faults
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import State
@@ -34,12 +34,12 @@ REFUSALS = (AttributeError, BufferError, IndexError, RuntimeError, TypeError, Va
 class Batch:
     """A batch of plates, stepped from rest at t = 0 under drives of the host or of the device."""
 
-    def __init__(self, engine: Engine, state: State, plates: int) -> None:
-        self.engine, self.state, self.plates = engine, state, plates
+    def __init__(self, compiled: CompiledScene, state: State, plates: int) -> None:
+        self.compiled, self.state, self.plates = compiled, state, plates
         self.grown = np.full(plates, -1)  # Step at which a plate was seen to grow without bound, or −1
         self.step = 0  # Steps taken
-        self.largest_rate = SLACK * engine.specialized.largest_rate_per_step
-        moving = engine.specialized.discretization.moving
+        self.largest_rate = SLACK * compiled.specialized.largest_rate_per_step
+        moving = compiled.specialized.discretization.moving
         self.least = moving.largest if moving else 0.0  # Pressure that all plates have beside their drives [N/m²]
         self._summed = False
         self._largest: wp.array | None = None
@@ -47,9 +47,9 @@ class Batch:
 
     def load(self, phasors: np.ndarray, values: PerPlateValues, whole: bool = False) -> None:
         """Put the plates at rest under drives of the host, or ``whole``: queue all their steps and sums too."""
-        specialized, state = self.engine.specialized, self.state
+        specialized, state = self.compiled.specialized, self.state
         self.phasors = phasors
-        sizes = self.engine.put_waves(state, values)
+        sizes = self.compiled.put_waves(state, values)
         coefficients = state.host_coefficients.numpy()
         self.scale = scaled_coefficients(specialized.discretization.signals, phasors, sizes, self.least, coefficients)
         if not specialized.effects.plain:
@@ -61,15 +61,15 @@ class Batch:
             strength[: self.plates] = self.least / np.where(self.scale == 0, 1, self.scale)
             state.travelling.assign(strength.astype(specialized.scene.grid.precision))
         if whole:
-            self.engine.run_whole(state, self.plates)
+            self.compiled.run_whole(state, self.plates)
             self.step, self._summed = specialized.scheme.steps, True
         else:
-            self.engine.load_drives(state, self.plates, values.edges)
+            self.compiled.load_drives(state, self.plates, values.edges)
             state.clear(self.plates)
 
     def load_on_device(self, drives: wp.array) -> None:
         """Put the plates at rest under drives (plates, actuators, 2) on the device: Re Z, Im Z."""
-        specialized, state = self.engine.specialized, self.state
+        specialized, state = self.compiled.specialized, self.state
         state.use_waves(per_plate=False)
         self._device_scale = wp.empty(self.plates, dtype=wp.float64, device=specialized.device)
         wp.launch(
@@ -80,13 +80,13 @@ class Batch:
             outputs=[state.coefficients, self._device_scale, state.units, state.travelling],
             device=specialized.device,
         )
-        self.engine.write_loads(state, self.plates)
+        self.compiled.write_loads(state, self.plates)
         state.clear(self.plates)
 
     def advance(self, stop: int) -> None:
         """Take the plates to step ``stop``; on CUDA the work is queued."""
         if stop > self.step:
-            self.engine.advance(self.state, self.plates, self.step, stop)
+            self.compiled.advance(self.state, self.plates, self.step, stop)
             self.step = stop
 
     def check_growth(self) -> bool:
@@ -99,17 +99,17 @@ class Batch:
     @property
     def largest_sum(self) -> float:
         """Largest sum of rate² of a bounded plate."""
-        scheme = self.engine.specialized.scheme
+        scheme = self.compiled.specialized.scheme
         return float((scheme.window[1] - scheme.window[0]) * (scheme.steps * self.largest_rate) ** 2)
 
     @property
     def displacement(self) -> np.ndarray:
         """(plates, ny, nx) displacement [m]."""
-        return self._field(self.state.u, self.engine.specialized.scheme.load_scale)
+        return self._field(self.state.u, self.compiled.specialized.scheme.load_scale)
 
     def sample_peak(self) -> None:
         """Compare the displacement of each node with the largest one sampled before; on CUDA the work is queued."""
-        u, specialized = self.state.u[: self.plates], self.engine.specialized
+        u, specialized = self.state.u[: self.plates], self.compiled.specialized
         if self._largest is None:
             self._largest = wp.zeros_like(u)
         if u.ptr not in self._samplers:  # fields of some paths alternate
@@ -124,15 +124,15 @@ class Batch:
     def peak(self) -> np.ndarray:
         """(plates, ny, nx) largest magnitude of the displacements that were sampled [m]."""
         assert self._largest is not None
-        return self._field(self._largest, self.engine.specialized.scheme.load_scale)
+        return self._field(self._largest, self.compiled.specialized.scheme.load_scale)
 
     @property
     def velocity(self) -> np.ndarray:
         """(plates, ny, nx) velocity half a step before the displacement [m/s]."""
-        return self._field(self.state.rate, speed_unit(self.engine.specialized))
+        return self._field(self.state.rate, speed_unit(self.compiled.specialized))
 
     def _field(self, field: wp.array, unit: float) -> np.ndarray:
-        nx, ny = self.engine.specialized.scheme.nodes
+        nx, ny = self.compiled.specialized.scheme.nodes
         values = field[: self.plates].numpy()[:, 1 : ny + 1, :nx].astype(float)
         with np.errstate(over="ignore", invalid="ignore"):
             values *= (self.scale * unit)[:, None, None]
@@ -143,7 +143,7 @@ class Batch:
         corners = self.state.trace.numpy()[: self.plates]
         corners = corners.reshape(self.plates, len(shares), 4, -1).astype(float)
         with np.errstate(over="ignore", invalid="ignore"):
-            unit = (self.scale * self.engine.specialized.scheme.load_scale)[:, None, None]
+            unit = (self.scale * self.compiled.specialized.scheme.load_scale)[:, None, None]
             trace: np.ndarray = np.einsum("mpcn,pc->mpn", corners, shares) * unit
         trace[:, :, self.step :] = np.nan
         return trace
@@ -153,10 +153,10 @@ class Batch:
 
         It writes the energies (plates, regions) [J] into an array and returns the faulty plates, see ``Run.faults``.
         """
-        specialized, scheme = self.engine.specialized, self.engine.specialized.scheme
+        specialized, scheme = self.compiled.specialized, self.compiled.specialized.scheme
         if not self._summed:
-            self.engine.sums_to_host(self.state, self.plates)
-        sums = self.engine.wait_for_sums(self.state, self.plates)
+            self.compiled.sums_to_host(self.state, self.plates)
+        sums = self.compiled.wait_for_sums(self.state, self.plates)
 
         def finish(energy: np.ndarray) -> Faults:
             unit = energy_unit(specialized)
@@ -168,10 +168,10 @@ class Batch:
 
     def write_energies(self, energy: wp.array) -> None:
         """Write the energies (plates, regions) [J] of the window's steps so far, NaN for faulty plates."""
-        specialized, scale = self.engine.specialized, self._device_scale
+        specialized, scale = self.compiled.specialized, self._device_scale
         if (self.grown >= 0).any():
             scale.assign(np.where(self.grown >= 0, np.nan, scale.numpy()))
-        self.engine.sum_regions(self.state, self.plates)
+        self.compiled.sum_regions(self.state, self.plates)
         inputs = [self.state.energy, scale, energy_unit(specialized), self.largest_sum]
         wp.launch(write_energies, dim=self.plates, inputs=inputs, outputs=[energy], device=specialized.device)
 

@@ -14,7 +14,7 @@ from warp_plate.interrupts import check_interrupt
 from warp_plate.plate.designs import PerPlateValues
 from warp_plate.scene.errors import SceneError
 from warp_plate.solve.batching import Batch, steps_between_checks
-from warp_plate.solve.engine import Engine
+from warp_plate.solve.compiled_scene import CompiledScene
 from warp_plate.solve.run import Faults, Progress, Run
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import State, bytes_per_plate
@@ -45,7 +45,7 @@ class Records:
 
 
 def run_parts(
-    engine: Engine,
+    compiled: CompiledScene,
     states: Sequence[State],
     phasors: np.ndarray,
     values: PerPlateValues,
@@ -57,7 +57,7 @@ def run_parts(
 
     Parts alternate between the states: while the device steps one, the host prepares the next.
     """
-    specialized, size = engine.specialized, states[0].capacity
+    specialized, size = compiled.specialized, states[0].capacity
     plates, work = len(phasors), specialized.node_steps_per_plate
     queued: deque[tuple[slice, Callable[[np.ndarray], Faults]]] = deque()
 
@@ -74,8 +74,8 @@ def run_parts(
         part = slice(first, min(first + size, plates))
         if len(queued) == len(states):
             finish_oldest()
-        whole = not records and _takes_whole(engine, values, part.stop - first)
-        batch = Batch(engine, state, part.stop - first)
+        whole = not records and _takes_whole(compiled, values, part.stop - first)
+        batch = Batch(compiled, state, part.stop - first)
         batch.load(phasors[part], values[part], whole)
         if not whole:
             _advance(batch, records, run.displacement[part], partial(report, first * work))
@@ -88,17 +88,17 @@ def run_parts(
         finish_oldest()
 
 
-def run_parts_on_device(engine: Engine, state: State, drives: wp.array, energy: wp.array) -> None:
+def run_parts_on_device(compiled: CompiledScene, state: State, drives: wp.array, energy: wp.array) -> None:
     """Step plates part by part under drives (plates, actuators, 2), and write their energies (plates, regions).
 
     On CUDA all is queued; the host waits only for plates that may grow.
     """
-    steps = engine.specialized.scheme.steps
+    steps = compiled.specialized.scheme.steps
     for first in range(0, len(drives), state.capacity):
         part = slice(first, min(first + state.capacity, len(drives)))
-        batch = Batch(engine, state, part.stop - first)
+        batch = Batch(compiled, state, part.stop - first)
         batch.load_on_device(drives[part])
-        segment, may_grow = segment_steps(engine.specialized, batch.plates)
+        segment, may_grow = segment_steps(compiled.specialized, batch.plates)
         for stop in (*range(segment, steps, segment), steps):
             batch.advance(stop)
             check_interrupt()
@@ -107,11 +107,11 @@ def run_parts_on_device(engine: Engine, state: State, drives: wp.array, energy: 
         batch.write_energies(energy[part])
 
 
-def _takes_whole(engine: Engine, values: PerPlateValues, plates: int) -> bool:
+def _takes_whole(compiled: CompiledScene, values: PerPlateValues, plates: int) -> bool:
     """Return whether a part can be one call: on a chip, all steps at once, only drives differ, none may grow."""
-    segment, may_grow = segment_steps(engine.specialized, plates)
-    resident = engine.specialized.device.is_cuda and engine.path == "resident"
-    return resident and values.edges is None and not may_grow and segment >= engine.specialized.scheme.steps
+    segment, may_grow = segment_steps(compiled.specialized, plates)
+    resident = compiled.specialized.device.is_cuda and compiled.path == "resident"
+    return resident and values.edges is None and not may_grow and segment >= compiled.specialized.scheme.steps
 
 
 def _advance(batch: Batch, records: Records, displacement: np.ndarray, report: Callable[[int], None]) -> None:
@@ -119,7 +119,7 @@ def _advance(batch: Batch, records: Records, displacement: np.ndarray, report: C
 
     The displacement (plates, times, ny, nx) is written at the steps of ``records``.
     """
-    specialized = batch.engine.specialized
+    specialized = batch.compiled.specialized
     steps = specialized.scheme.steps
     segment, may_grow = segment_steps(specialized, batch.plates)
     waits = {*range(segment, steps, segment), *records.snapshots}

@@ -20,8 +20,8 @@ from warp_plate.plate.weights import NO_AREAS, Region, bilinear
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.batching import Batch, import_drives
+from warp_plate.solve.compiled_scene import CompiledScene, paths_of, why_streaming
 from warp_plate.solve.devices import find_device
-from warp_plate.solve.engine import Engine, paths_of, why_streaming
 from warp_plate.solve.parts import Records, run_parts, run_parts_on_device, states_for
 from warp_plate.solve.run import Progress, Run
 from warp_plate.solve.specialize import Quantity, Specialized, effect_names
@@ -60,7 +60,7 @@ class PlateSolver:
 
     Attributes:
         device: The Warp device.
-        engine: The compiled kernels.
+        compiled: The compiled kernels.
         path: Name of the path.
         specialized: Compile key and device arrays.
         discretization: The scene on its grid.
@@ -96,8 +96,8 @@ class PlateSolver:
         discretization = discretize(scene, per_plate, allow_unstable) if isinstance(scene, Scene) else scene
         self.scene = discretization.scene
         self.scene.check_stepped()
-        self.engine = Engine(Specialized(discretization, self.device, threads, areas, quantity), path)
-        self.path, self.specialized = self.engine.path, self.engine.specialized
+        self.compiled = CompiledScene(Specialized(discretization, self.device, threads, areas, quantity), path)
+        self.path, self.specialized = self.compiled.path, self.compiled.specialized
         self.discretization, self.scheme = discretization, self.specialized.scheme
         self.regions = self.specialized.regions
         self.node_steps_per_plate = self.specialized.node_steps_per_plate
@@ -171,7 +171,7 @@ class PlateSolver:
         records = Records(snapshots, samples, corners, shares)
         try:
             states = self._states_for(plates, corners.reshape(-1, 2))
-            run_parts(self.engine, states, phasors, values, records, run, progress or (lambda done, total: None))
+            run_parts(self.compiled, states, phasors, values, records, run, progress or (lambda done, total: None))
         except BaseException:  # an interrupted run leaves no work that uses its states
             wp.synchronize_device(self.device)
             raise
@@ -200,7 +200,7 @@ class PlateSolver:
         """
         pairs = import_drives(drives, len(self.scene.actuators), self.device)
         energy: wp.array = wp.empty((len(pairs), len(self.regions)), dtype=wp.float64, device=self.device)
-        run_parts_on_device(self.engine, self._states_for(len(pairs), np.empty((0, 2), int))[0], pairs, energy)
+        run_parts_on_device(self.compiled, self._states_for(len(pairs), np.empty((0, 2), int))[0], pairs, energy)
         # Queued work reads the drives: their memory stays as long as the energies.
         energy.drives = pairs  # type: ignore[attr-defined]
         self.node_steps += len(pairs) * self.node_steps_per_plate
@@ -211,7 +211,7 @@ class PlateSolver:
         if self.specialized.quantity == "displacement":
             raise SceneError('setup: a solver with quantity = "displacement" cannot be stepped by hand; make another')
         phasors, values = self._check_drives(drives)
-        self._batch = Batch(self.engine, State(self.specialized, max(1, len(phasors))), len(phasors))
+        self._batch = Batch(self.compiled, State(self.specialized, max(1, len(phasors))), len(phasors))
         self._batch.load(phasors, values)
 
     def step(self, count: int = 1) -> None:

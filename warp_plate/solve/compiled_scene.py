@@ -78,7 +78,7 @@ def describe_plan(specialized: Specialized) -> str:
     return f"all steps in one launch, a plate on {block.threads} threads, its working fields {place}"
 
 
-class Engine:
+class CompiledScene:
     """The kernels of a specialized scene, compiled or loaded from Warp's cache."""
 
     def __init__(self, specialized: Specialized, path: str = "auto") -> None:
