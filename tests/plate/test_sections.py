@@ -14,6 +14,9 @@ import pytest
 
 from support.scenes import refusal, refused
 from warp_plate import Scene, SceneError
+from warp_plate.effects.effect import IN_PLANE, SLOPE, Edge, Term
+from warp_plate.effects.foundation import Foundation
+from warp_plate.modal.assemble import make_space
 from warp_plate.modal.modes import solve_modes
 from warp_plate.plate.bending import make_bending
 from warp_plate.plate.modes import natural_modes
@@ -156,3 +159,38 @@ def test_bad_files_are_refused_on_one_line(scene, tmp_path, content, why):
 )
 def test_bad_tables_are_refused(scene, table, why):
     assert why in refusal(f"{scene().to_toml()}\n[effects.variation]\n{table}\n")
+
+
+def with_term(plate, *term, **options):
+    """Return a scene with an effect of one term."""
+    effect = type("OneTerm", (Foundation,), {"terms": lambda self, plate: [Term(*term, **options)]})(stiffness=1.0)
+    return plate.model_copy(update={"effects": plate.effects.model_copy(update={"foundation": effect})})
+
+
+@pytest.mark.parametrize(
+    ("role", "options"),
+    [
+        ("damping", {"place": Edge("left")}),
+        ("mass", {"factors": ("x", "x")}),
+        ("stiffness", {"factors": ("xx", "yy")}),
+        ("stiffness", {"multiple_of": "bending"}),
+        ("stiffness", {"factors": IN_PLANE[0], "place": Edge("left")}),
+    ],
+)
+def test_terms_that_the_grid_does_not_have_are_refused(scene, role, options):
+    assert "foundation has no term on a grid" in refused(make_scheme, with_term(scene(), role, 1.0, **options))
+
+
+@pytest.mark.parametrize(("term", "why"), [(("stiffness", 1.0, SLOPE), "Edge"), (("hysteretic", 0.1), "multiple_of")])
+def test_terms_that_no_engine_has_are_refused(term, why):
+    with pytest.raises(ValueError, match=f"Term of {term[0]}: .*{why}"):
+        Term(*term)
+
+
+def test_mass_of_a_term_counts_in_both_engines(scene):
+    bare, heavy = scene(), with_term(scene(), "mass", 3.0)
+    on_grid = make_bending(heavy).mass - make_bending(bare).mass
+    np.testing.assert_allclose(on_grid, 3.0)
+    width, height = bare.plate.size
+    by_modes = make_space(heavy, (2, 2)).plate_mass - make_space(bare, (2, 2)).plate_mass
+    assert by_modes == pytest.approx(3.0 * width * height)

@@ -38,11 +38,11 @@ class Edge:
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """A rectangle whose mean displacement a term acts on, relative to the mass that is attached to it."""
+    """A rectangle whose mean displacement a term acts on, relative to an attached mass, or to the ground where mass is
+    zero."""
 
     area: Area  # Rectangle x0, x1, y0, y1 [m]
-    # Mass [kg] with a displacement of its own; without one, the term acts between the patch and the ground
-    mass: float = 0.0
+    mass: float = 0.0  # Attached mass, which has a displacement of its own [kg]
 
 
 @dataclass(frozen=True)
@@ -56,15 +56,21 @@ class Term:
     # Derivatives of the two factors; "" is the displacement, "n" the slope across an edge
     factors: Factors = DISPLACEMENT
     place: Edge | Patch | None = None  # Where the form is taken; None for the whole plate
-    # "bending" for a multiple of all bending terms of the plate, "modes" for a number for each mode (a loss factor of
-    # its stiffness, or a damping ratio); ``factors`` and ``place`` do not count then
-    of: Literal["", "bending", "modes"] = ""
+    # "bending": ``coefficient`` multiplies all bending terms of the plate. "modes": it is a number for each mode, a
+    # loss factor of its stiffness or a damping ratio. Both ignore ``factors`` and ``place``
+    multiple_of: Literal["", "bending", "modes"] = ""
     label: str = ""  # Name of the effect in texts
+
+    def __post_init__(self) -> None:
+        if "n" in self.factors and not isinstance(self.place, Edge):
+            raise ValueError(f"Term of {self.role}: factors {self.factors} need an Edge as place, n being across it")
+        if self.role == "hysteretic" and not self.multiple_of:
+            raise ValueError("Term of hysteretic: multiple_of must be 'bending' or 'modes'; no engine takes others")
 
     @property
     def distributed(self) -> bool:
         """True for a form over the whole plate."""
-        return self.place is None and not self.of
+        return self.place is None and not self.multiple_of
 
 
 class Panel(Protocol):
@@ -164,9 +170,9 @@ def losses(terms: Iterable[Term]) -> Losses:
     viscous, of_bending = 0.0, {"damping": 0.0, "hysteretic": 0.0}
     of_modes: dict[str, Any] = {"damping": None, "hysteretic": None}
     for term in terms:
-        if term.of == "bending":
+        if term.multiple_of == "bending":
             of_bending[term.role] += term.coefficient
-        elif term.of == "modes":
+        elif term.multiple_of == "modes":
             of_modes[term.role] = term.coefficient
         elif term.role == "damping" and term.distributed:
             viscous += term.coefficient

@@ -35,7 +35,7 @@ class LossFactor(Effect):
     damping_keys = ("eta",)
 
     def terms(self, plate: Panel) -> Iterator[Term]:
-        yield Term("hysteretic", self.eta, of="modes" if isinstance(self.eta, tuple) else "bending")
+        yield Term("hysteretic", self.eta, multiple_of="modes" if isinstance(self.eta, tuple) else "bending")
 
     @classmethod
     def typical(cls, setting: Setting) -> tuple[Any, str]:

@@ -21,7 +21,7 @@ class MaterialDamping(Effect):
     damping_keys = ("time",)
 
     def terms(self, plate: Panel) -> Iterator[Term]:
-        yield Term("damping", self.time, of="bending")
+        yield Term("damping", self.time, multiple_of="bending")
 
     @classmethod
     def typical(cls, setting: Setting) -> tuple[Any, str]:

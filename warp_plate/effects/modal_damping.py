@@ -26,7 +26,7 @@ class ModalDamping(Effect):
     damping_keys = ("ratio",)
 
     def terms(self, plate: Panel) -> Iterator[Term]:
-        yield Term("damping", self.ratio, of="modes")
+        yield Term("damping", self.ratio, multiple_of="modes")
 
     @classmethod
     def typical(cls, setting: Setting) -> tuple[Any, str]:

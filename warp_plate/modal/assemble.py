@@ -114,10 +114,11 @@ def _forms(scene: Scene, space: FunctionSpace, role: Role) -> np.ndarray:
         if term.role != role or isinstance(term.place, Patch):
             continue
         if isinstance(term.place, Edge):
-            springs.setdefault(term.place, {})[term.factors] = term.coefficient
+            coefficients = springs.setdefault(term.place, {})
+            coefficients[term.factors] = coefficients.get(term.factors, 0.0) + term.coefficient
         elif term.distributed and term.factors != DISPLACEMENT:
             total += space.form(term.coefficient, term.factors)
-        elif term.distributed and role != "mass":
+        elif term.distributed and role != "mass":  # ``space.mass_matrix`` has the mass per area, with that of terms
             total += term.coefficient * area
     for edge, coefficients in springs.items():
         total += space.edge_form(edge.side, coefficients)

@@ -115,24 +115,25 @@ def _with_terms(bare: Bending, terms: Sequence[Term]) -> Bending:
     membrane, retardation = [0.0, 0.0], 0.0
     labels: dict[str, list[str]] = {"membrane": [], "retardation": []}
     for term in sorted(terms, key=lambda term: isinstance(term.place, Edge)):
-        if term.role == "stiffness" and not isinstance(term.place, Patch):
-            if term.factors in IN_PLANE:
-                membrane[IN_PLANE.index(term.factors)] += term.coefficient
-                labels["membrane"].append(term.label)
-            elif term.factors == DISPLACEMENT:
-                field, edge = springs.setdefault(term.label, np.zeros_like(bare.mass)), term.place
-                if isinstance(edge, Edge):
-                    across = bare.spacing[0 if edge.side in ("left", "right") else 1]
-                    field[EDGE_LINES[edge.side]] += 2 * term.coefficient / across
-                else:
-                    field += term.coefficient
-            elif term.factors != SLOPE:
-                raise _refused(term)
-        elif term.of == "bending" and term.role == "damping":
+        if _applied_elsewhere(term):
+            continue
+        if term.role == "stiffness" and term.distributed and term.factors in IN_PLANE:
+            membrane[IN_PLANE.index(term.factors)] += term.coefficient
+            labels["membrane"].append(term.label)
+        elif term.role == "stiffness" and not term.multiple_of and term.factors == DISPLACEMENT:
+            field, edge = springs.setdefault(term.label, np.zeros_like(bare.mass)), term.place
+            if isinstance(edge, Edge):
+                across = bare.spacing[0 if edge.side in ("left", "right") else 1]
+                field[EDGE_LINES[edge.side]] += 2 * term.coefficient / across
+            else:
+                field += term.coefficient
+        elif term.role == "damping" and term.multiple_of == "bending":
             retardation += term.coefficient
             labels["retardation"].append(term.label)
-        elif term.distributed and term.factors != DISPLACEMENT:
-            raise _refused(term)
+        else:
+            raise SceneError(
+                f"effects: {term.label} has no term on a grid, and so no time steps; take the modal engine"
+            )
     return replace(
         bare,
         springs=springs,
@@ -142,8 +143,13 @@ def _with_terms(bare: Bending, terms: Sequence[Term]) -> Bending:
     )
 
 
-def _refused(term: Term) -> SceneError:
-    return SceneError(f"effects: {term.label} has no term on a grid, and so no time steps; take the modal engine")
+def _applied_elsewhere(term: Term) -> bool:
+    """Return whether ``attachments``, ``_edge_compliances``, ``section.laminates`` (mass per area), ``losses`` (viscous
+    damping) or the modal engine (damping that is not stepped) applies a term."""
+    slope_of_edge = term.role == "stiffness" and isinstance(term.place, Edge) and term.factors == SLOPE
+    per_area = term.role in ("mass", "damping") and term.distributed and term.factors == DISPLACEMENT
+    by_modes = term.role == "hysteretic" or term.multiple_of == "modes"
+    return isinstance(term.place, Patch) or slope_of_edge or per_area or by_modes
 
 
 def stiffness_parts(bending: Bending) -> dict[str, scipy.sparse.csr_array]:

@@ -102,7 +102,7 @@ def needs_moment_form(scene: Scene) -> bool:
 def _of_plain_plate(term: Term) -> bool:
     """Return whether a term is viscous damping of the whole plate, or damping that is not stepped."""
     viscous = term.role == "damping" and term.distributed and term.factors == DISPLACEMENT
-    return viscous or term.role == "hysteretic" or term.of == "modes"
+    return viscous or term.role == "hysteretic" or term.multiple_of == "modes"
 
 
 def _limit_of_plain_plate(scene: Scene) -> StabilityLimit:

@@ -170,7 +170,7 @@ def effect_names(scene: Scene, several_waves: bool = False) -> tuple[str, ...]:
 def kernel_effects(discretization: Discretization) -> KernelEffects:
     """Return the compile key of the kernels."""
     scheme, scene = discretization.scheme, discretization.scene
-    kinds = {(term.role, term.of, term.factors) for term in scene.terms if not isinstance(term.place, Patch)}
+    kinds = {(term.role, term.multiple_of, term.factors) for term in scene.terms if not isinstance(term.place, Patch)}
     return KernelEffects(
         damping=("damping", "", DISPLACEMENT) in kinds,
         square_cells=scheme.square_cells or scheme.order == 4,
