@@ -57,7 +57,7 @@ class AllowedDrives:
     phase: np.ndarray  # (actuators,) fixed phases [rad]; NaN where a phase is searched
     power: float = math.inf  # largest Σ magnitude²
     equal: bool = False  # all magnitudes are the same
-    wider: bool = False  # the set contains drives that are not allowed, one of which may attain the bound
+    contains_forbidden: bool = False  # true if it has drives that are not allowed; one of them may attain the bound
 
     @property
     def limits_ratios(self) -> bool:
@@ -106,8 +106,9 @@ def allowed_drives(parametrization: Parametrization) -> AllowedDrives:
         lower, upper = np.minimum(lower, limits.magnitude), np.minimum(upper, limits.magnitude)
     if limits.power is None:
         return AllowedDrives(lower, upper, phase, equal=equal)
-    # A drive that is scaled down to the power may end below the range.
-    return AllowedDrives(np.minimum(lower, 0.0), upper, phase, limits.power, equal, wider=bool((lower > 0).any()))
+    # Scaling a drive down to the power limit may take a magnitude below its range, so the lower ends are dropped.
+    dropped = bool((lower > 0).any())
+    return AllowedDrives(np.minimum(lower, 0.0), upper, phase, limits.power, equal, contains_forbidden=dropped)
 
 
 def has_free_drives(parametrization: Parametrization, objectives: Objectives) -> bool:
@@ -116,7 +117,7 @@ def has_free_drives(parametrization: Parametrization, objectives: Objectives) ->
     if not parametrization.scene.linear or parametrization.only_drives:
         return False
     # Where all objectives grow with the localization factor, so does their sum.
-    grows = all(REGION_QUANTITIES[term.kind].grows_with == "localization" for term in objectives.terms)
+    grows = all(REGION_QUANTITIES[term.kind].bounded_by == "localization" for term in objectives.terms)
     ratio = grows and not objectives.limits
     return ratio and allowed_drives(parametrization).free
 
@@ -230,7 +231,7 @@ def bound_loss(
     total += objectives.only_localization
     if len(terms) > 1:
         return Bound(total, "bound only", "the sum of what each objective alone could reach")
-    if allowed.wider:  # the drive that reaches it need not be one of the search's
+    if allowed.contains_forbidden:  # the drive that reaches it need not be one of the search's
         sentence = "the most that any drive of this power and these largest magnitudes has; ranges may keep it lower"
         return Bound(total, "bound only", sentence)
     return replace(proved[0], value=total)
@@ -246,14 +247,15 @@ def _bound_value(
 ) -> Bound | None:
     """Return the bound of an objective's value, in its own unit."""
     quantity, sentence = REGION_QUANTITIES[term.kind], ""
-    if quantity.grows_with is None:
-        return Bound(1.0, "bound only", f"a {term.kind} is at most 1 by its definition")
-    if quantity.grows_with == "localization":
+    if quantity.largest is not None:
+        return Bound(quantity.largest, "bound only", f"a {term.kind} is at most {quantity.largest:g} by its definition")
+    bound, plate = None, math.nan
+    if quantity.bounded_by == "localization":
         bound, plate = bound_localization(response, allowed), 1.0
         if term.kind != "localization":
             sentence = f"{term.kind} grows with the localization factor, and of that "
-    else:
-        bound, plate = None if form is None else bound_energy(form.matrices[TARGET], allowed, rests), math.nan
+    elif quantity.bounded_by == "energy" and form is not None:
+        bound = bound_energy(form.matrices[TARGET], allowed, rests)
     if bound is None:
         return None
     energy = np.full((1, 2), plate)

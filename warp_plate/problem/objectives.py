@@ -1,9 +1,8 @@
 """The objectives of a search: from energies of regions to values, and to the loss that is minimised.
 
 Values are those of :mod:`warp_plate.quantities.region_quantities`. The loss is −Σ weight · value; for a single
-localization with weight 1 it is 1 − LF, as in the source paper. Beyond a ``rest_limit`` it is the largest loss that any
-drive within all limits can have, plus the sum of the relative excesses: such a drive is worse than any that keeps the
-limits, the more so the farther it is beyond.
+localization with weight 1 it is 1 − LF, as in the source paper. A drive that exceeds a ``rest_limit`` gets the worst
+possible loss plus its relative excesses, so it ranks below every drive that keeps the limits.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ class Objectives:
     @property
     def needs_displacement(self) -> bool:
         """True if :meth:`losses` needs energies of displacements too."""
-        return any(REGION_QUANTITIES[term.kind].squares == "displacement" for term in self.terms)
+        return any(REGION_QUANTITIES[term.kind].energy_of == "displacement" for term in self.terms)
 
     @property
     def limits(self) -> dict[str, float]:
@@ -75,12 +74,12 @@ class Objectives:
         values: dict[str, np.ndarray] = {}
         for term in self.terms:
             quantity = REGION_QUANTITIES[term.kind]
-            squares = energy if quantity.squares == "velocity" else displacement_energy
-            if squares is None:
+            energies = energy if quantity.energy_of == "velocity" else displacement_energy
+            if energies is None:
                 raise ValueError(f"an objective of {term.kind} needs energies of displacement")
-            values[term.kind] = quantity.evaluate(squares, self.sizes)
+            values[term.kind] = quantity.evaluate(energies, self.sizes)
             if quantity.of_rest is not None:
-                values[term.kind + OF_THE_REST] = quantity.of_rest(squares, self.sizes)
+                values[term.kind + OF_THE_REST] = quantity.of_rest(energies, self.sizes)
         return {**values, "sum": np.asarray(sum(term.weight * values[term.kind] for term in self.terms))}
 
 

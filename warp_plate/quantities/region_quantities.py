@@ -46,16 +46,14 @@ class Quantity:
     meaning: str  # its name for people
     # function from energies (plates, regions) of plate, target and the target's cells, and sizes, to values (plates,)
     evaluate: Callable[[np.ndarray, RegionSizes], np.ndarray]
-    squares: Literal["velocity", "displacement"] = "velocity"  # motion whose mean squares the energies are
-    # what bounds it: the localization factor, the energy of the target, or neither
-    grows_with: Literal["localization", "energy"] | None = "localization"
+    energy_of: Literal["velocity", "displacement"] = "velocity"  # motion whose mean squares give these energies
+    is_ratio: bool = False  # true if a common factor of all drives does not change it in a linear scene
+    # what it grows with, so that a bound of that bounds it: the localization factor, or the energy of the target; None
+    # if it grows with neither. Without this and ``largest``, no bound is claimed
+    bounded_by: Literal["localization", "energy"] | None = None
+    largest: float | None = None  # upper bound by its definition, if no other bounds it
     # function like ``evaluate`` for the rest of the plate; None if the rest has no such quantity
     of_rest: Callable[[np.ndarray, RegionSizes], np.ndarray] | None = None
-
-    @property
-    def is_ratio(self) -> bool:
-        """True if a common factor of all drives does not change it in a linear scene."""
-        return self.grows_with != "energy"
 
 
 def mean_square(energy: np.ndarray, mass: np.ndarray | float) -> np.ndarray:
@@ -94,25 +92,37 @@ def _rms_of(part: int, energy: np.ndarray, sizes: RegionSizes) -> np.ndarray:
         return np.asarray(np.sqrt(mean_square(np.maximum(_target_and_rest(energy), 0), sizes.masses)))[:, part]
 
 
-RMS = partial(_rms_of, 0), partial(_rms_of, 1)
+RMS_OF_TARGET, RMS_OF_REST = partial(_rms_of, 0), partial(_rms_of, 1)
 _LIST = (
-    Quantity("localization", "1", "localization factor", lambda energy, _: localization_factor(energy)),
-    Quantity("contrast", "dB", "contrast of target and rest", contrast),
-    Quantity("velocity", "m/s", "velocity of the target", RMS[0], "velocity", "energy", RMS[1]),
-    Quantity("displacement", "m", "displacement of the target", RMS[0], "displacement", "energy", RMS[1]),
-    Quantity("uniformity", "1", "uniformity of the target", uniformity, grows_with=None),
     Quantity(
-        "energy_plate", "J", "kinetic energy of the plate", lambda energy, _: energy[:, PLATE], grows_with="energy"
+        "localization",
+        "1",
+        "localization factor",
+        lambda energy, _: localization_factor(energy),
+        is_ratio=True,
+        bounded_by="localization",
+    ),
+    Quantity("contrast", "dB", "contrast of target and rest", contrast, is_ratio=True, bounded_by="localization"),
+    Quantity(
+        "velocity", "m/s", "velocity of the target", RMS_OF_TARGET, bounded_by="energy", of_rest=RMS_OF_REST
     ),
     Quantity(
-        "energy_target", "J", "kinetic energy of the target", lambda energy, _: energy[:, TARGET], grows_with="energy"
+        "displacement",
+        "m",
+        "displacement of the target",
+        RMS_OF_TARGET,
+        energy_of="displacement",
+        bounded_by="energy",
+        of_rest=RMS_OF_REST,
     ),
+    Quantity("uniformity", "1", "uniformity of the target", uniformity, is_ratio=True, largest=1.0),
+    Quantity("energy_plate", "J", "kinetic energy of the plate", lambda energy, _: energy[:, PLATE]),
+    Quantity("energy_target", "J", "kinetic energy of the target", lambda energy, _: energy[:, TARGET]),
     Quantity(
         "mean_square_velocity",
         "m^2/s^2",
         "mean square velocity",
         lambda energy, sizes: mean_square(energy[:, PLATE], sizes.masses.sum()),
-        grows_with="energy",
     ),
 )
 REGION_QUANTITIES = {quantity.name: quantity for quantity in _LIST}
