@@ -128,11 +128,13 @@ def ordered_cases(result: Result) -> dict[str, Case]:
     return {name: result.cases[name] for name in names if name in result.cases}
 
 
-def caption(label: str, time: float, localization_factor: float, decimals: int | None = None, tone: str = "") -> str:
-    """Return two lines: the drive and the time [s], with so many decimals or four digits; the localization factor and
-    the text of :func:`at_frequency`."""
+def caption(
+    label: str, time: float, localization_factor: float, decimals: int | None = None, frequency_text: str = ""
+) -> str:
+    """Return two lines: the drive and the time [s], rounded to ``decimals`` (default: to four digits); the localization
+    factor and the text of :func:`at_frequency`."""
     moment = f"{time:.4g}" if decimals is None else f"{time:.{decimals}f}"
-    return f"{label}, t = {moment} s\nlocalization factor {in_percent(localization_factor)}{tone}"
+    return f"{label}, t = {moment} s\nlocalization factor {in_percent(localization_factor)}{frequency_text}"
 
 
 def at_frequency(scene: Scene, frequency: float) -> str:
@@ -149,8 +151,8 @@ def frame_caption(motion: Motion, frame: int, scene: Scene) -> str:
     # Enough decimals to tell one frame from the next.
     decimals = max(0, math.ceil(-math.log10((motion.span[1] - motion.span[0]) / len(motion.times))))
     label = case_label(motion.name, scene, motion.only_actuator)
-    tone = at_frequency(scene, motion.frequency)
-    return caption(label, float(motion.times[frame]), motion.localization_factor, decimals, tone)
+    frequency_text = at_frequency(scene, motion.frequency)
+    return caption(label, float(motion.times[frame]), motion.localization_factor, decimals, frequency_text)
 
 
 def in_percent(share: float, decimals: int = 2) -> str:

@@ -143,7 +143,7 @@ class DrawingScale:
     """The scale of a picture, shared by all pictures that are to be compared."""
 
     limit: float  # end of the colour map in the SI unit of the field
-    warp_factor: float  # factor by which displacements are exaggerated as heights
+    height_factor: float  # factor by which displacements are exaggerated as heights
     unit: str  # unit of the colour bar
     unit_factor: float  # number of these units in one SI unit
     field: PlateField = DISPLACEMENT  # field shown in colour
@@ -172,8 +172,8 @@ class DrawingScale:
 
     @property
     def heights(self) -> str:
-        """The warp factor as text; empty for a mode, which has no amplitude."""
-        return f"heights × {short_number(self.warp_factor)}" if self.field is not MODE else ""
+        """The height factor as text; empty for a mode, which has no amplitude."""
+        return f"heights × {short_number(self.height_factor)}" if self.field is not MODE else ""
 
 
 def drawing_scale(
@@ -187,15 +187,15 @@ def drawing_scale(
     """
     heights = list(displacements)
     tallest = _largest(heights)
-    warp_factor = float(f"{TALLEST * min(size) / tallest:.2g}") if tallest > 0 else 1.0
+    height_factor = float(f"{TALLEST * min(size) / tallest:.2g}") if tallest > 0 else 1.0
     if field.kind == "cyclic" or not field.unit:
         colours.refuse_limit(field.label.replace("\n", " "))
         unit, factor = ("°", 180.0) if field.kind == "cyclic" else ("", 1.0)
         limit = math.pi if unit else 1.0
-        return DrawingScale(limit, warp_factor, unit, factor / limit, field, colours.colormap)
+        return DrawingScale(limit, height_factor, unit, factor / limit, field, colours.colormap)
     limit = colours.limit or round_limit(_largest(heights if values is None else values) or 1e-6)
     unit, factor = unit_with_prefix(limit, field.unit)
-    return DrawingScale(limit, warp_factor, unit, factor, field, colours.colormap)
+    return DrawingScale(limit, height_factor, unit, factor, field, colours.colormap)
 
 
 def unit_with_prefix(largest: float, unit: str) -> tuple[str, float]:

@@ -72,7 +72,7 @@ def page_data(
         "columns": rows_and_columns(len(motions))[1],
         "rate": style.rate,
         "peak": peak,
-        "factor": scale.warp_factor if style.heights is None else style.heights,
+        "factor": scale.height_factor if style.heights is None else style.heights,
         "azimuth": AZIMUTH,
         "elevation": ELEVATION,
         "key": legend_entries(scene),
@@ -84,7 +84,7 @@ def page_data(
                 "heights": _integers(heights[index], peak),
                 # null: the heights are the colours, and the outlines those of the scene.
                 "colours": _integers(colours[index], scales[index].limit) if colours else None,
-                "factor": scales[index].warp_factor / scale.warp_factor,  # relative to that of the page
+                "factor": scales[index].height_factor / scale.height_factor,  # relative to that of the page
                 "legend": legends[index] if separate else None,
                 "outlines": _outlines(PlateMeshes(motion.scene, heights[0][0], scale)) if motion.scene else None,
             }

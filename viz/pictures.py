@@ -97,13 +97,15 @@ def draw_surfaces(result: Result, path: str | Path, colours: ColourOptions = DEF
             together = cases.values() if colours.limits == "common" else [case]
             scale = drawing_scale([one.displacement for one in together], scene.plate.size, colours=colours)
             driven = result.case_scene(case)
-            tone = at_frequency(scene, driven.drive.frequency)
+            frequency_text = at_frequency(scene, driven.drive.frequency)
             for column, index in enumerate(shown):
                 plotter.subplot(row, column)
-                text = caption(label, float(result.times[index]), case.localization_factor, tone=tone)
+                text = caption(
+                    label, float(result.times[index]), case.localization_factor, frequency_text=frequency_text
+                )
                 field = case.displacement[index]
                 PlateActors(plotter, driven, field, scale, text, font_size, bar=False)
-                name_actuators(plotter, driven, scale.warp_factor * field, round(0.75 * font_size))
+                name_actuators(plotter, driven, scale.height_factor * field, round(0.75 * font_size))
             plotter.subplot(row, len(shown))
             add_legend(plotter, scene, scale, font_size)
         take_picture().save(path, format="PNG", compress_level=3)

@@ -1,6 +1,6 @@
 """Plates in 3-D: PyVista meshes that follow a displacement field, their actors in a plotter, and plates side by side.
 
-Heights are exaggerated: a node at (x, y) with displacement u is drawn at (x, y, warp factor × u), all in metres.
+Heights are exaggerated: a node at (x, y) with displacement u is drawn at (x, y, height factor × u), all in metres.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class PlateMeshes:
     def update(self, displacement: np.ndarray, scale: DrawingScale, values: np.ndarray | None = None) -> None:
         """Move in place to another displacement (ny, nx) [m], at rest where it is not finite, and other values of the
         scale's field in its SI unit (default: the displacement)."""
-        heights = (np.where(np.isfinite(displacement), displacement, 0) * scale.warp_factor).ravel()
+        heights = (np.where(np.isfinite(displacement), displacement, 0) * scale.height_factor).ravel()
         self.surface.points[:, 2] = heights
         scalars = displacement if values is None else values
         self.surface.point_data[SCALARS][:] = np.asarray(scalars, dtype=float).ravel() * scale.unit_factor
@@ -249,13 +249,13 @@ class SideBySide:
         colours = replace(self.colours, limits="each" if self.colours.separate else "common")
         scales, self._values = motion_scales(self.scene, self.motions, quantity, colours)
         pairs = zip(scales, self.scales, strict=True)
-        self._rescale([replace(scale, warp_factor=before.warp_factor) for scale, before in pairs])
+        self._rescale([replace(scale, height_factor=before.height_factor) for scale, before in pairs])
 
-    def exaggerate(self, warp_factor: float) -> None:
+    def exaggerate(self, height_factor: float) -> None:
         """Exaggerate heights of the first plate by this factor, rounded to three digits, and others in proportion."""
-        ratio = warp_factor / self.scales[0].warp_factor
-        factors = [float(f"{ratio * scale.warp_factor:.3g}") for scale in self.scales]
-        self._rescale([replace(scale, warp_factor=new) for scale, new in zip(self.scales, factors, strict=True)])
+        ratio = height_factor / self.scales[0].height_factor
+        factors = [float(f"{ratio * scale.height_factor:.3g}") for scale in self.scales]
+        self._rescale([replace(scale, height_factor=new) for scale, new in zip(self.scales, factors, strict=True)])
 
     def _rescale(self, scales: list[DrawingScale]) -> None:
         self.scales = scales

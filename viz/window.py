@@ -107,7 +107,7 @@ class ViewerWindow:
 
     def exaggerate(self, ratio: float) -> None:
         """Multiply the heights."""
-        self.plates.exaggerate(ratio * self.plates.scales[0].warp_factor)
+        self.plates.exaggerate(ratio * self.plates.scales[0].height_factor)
         self.plotter.render()
 
     def next_field(self) -> None:

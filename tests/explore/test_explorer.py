@@ -247,7 +247,7 @@ def test_the_plate_follows_the_model(view, model):
     for seconds in (0.0, 0.1, 0.4):
         assert view.advance(seconds)
         surface = view.plate.meshes.surface
-        heights = view.plate.scale.warp_factor * model.read().motion.at(view.angle).ravel()
+        heights = view.plate.scale.height_factor * model.read().motion.at(view.angle).ravel()
         np.testing.assert_allclose(surface.points[:, 2], heights, rtol=1e-5, atol=1e-9)
         view.plotter.render_window.Render()
         pictures.append(np.asarray(view.plotter.screenshot(return_img=True)).astype(int))

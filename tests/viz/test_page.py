@@ -33,7 +33,7 @@ def test_frames_meshes_and_scale(scene):
     data = page_data(made, motions, PictureStyle("velocity", rate=25.0))
     scale = motion_scales(made, motions, "velocity")[0][0]
     assert (data["grid"], data["frames"], data["rate"]) == ([8, 9], FRAMES, 25.0)
-    assert (data["factor"], data["limits"], data["title"]) == (scale.warp_factor, [-1.0, 1.0], "velocity\n[µm/s]")
+    assert (data["factor"], data["limits"], data["title"]) == (scale.height_factor, [-1.0, 1.0], "velocity\n[µm/s]")
     for motion, plate in zip(motions, data["plates"], strict=True):
         heights = decoded(plate["heights"], "<i2").reshape(FRAMES, 9, 8) / PEAK * data["peak"]
         np.testing.assert_allclose(heights, motion.displacement, atol=data["peak"] / PEAK)

@@ -83,7 +83,7 @@ def test_scales_have_round_limits_in_a_suitable_unit(name, largest, unit, low, h
     assert scale.unit == unit
     assert scale.clim == pytest.approx((low, high))
     # Heights are drawn up to 12 % of the shorter side.
-    assert 0.1 * 0.2 < scale.warp_factor * 1e-7 <= 0.12 * 0.2 * 1.05
+    assert 0.1 * 0.2 < scale.height_factor * 1e-7 <= 0.12 * 0.2 * 1.05
 
 
 def test_plates_at_rest_and_plates_that_are_not_finite_can_be_drawn():
@@ -164,11 +164,11 @@ def test_plates_move_in_place_with_captions_and_heights(plates):
         for motion, plate, surface in zip(PAIR, plates.plates, surfaces, strict=True):
             field = motion.displacement[frame % FRAMES].ravel()
             assert plate.meshes.surface is surface
-            np.testing.assert_allclose(surface.points[:, 2], plates.scales[0].warp_factor * field, atol=1e-8)
+            np.testing.assert_allclose(surface.points[:, 2], plates.scales[0].height_factor * field, atol=1e-8)
             np.testing.assert_allclose(surface.point_data[SCALARS], 1e9 * field, rtol=1e-6, atol=1e-6)
     plates.show(3)
     plate = plates.plates[1]
-    assert plates.scales[0].warp_factor == 84000
+    assert plates.scales[0].height_factor == 84000
     heights = "heights × 8.4·10⁴"
     assert plate.caption.GetInput() == f"best drive found, t = 0.0919 s\nlocalization factor 25.00 %, {heights}"
     plates.exaggerate(12345.0)
@@ -183,9 +183,9 @@ def test_plates_may_have_limits_of_their_own(scene, drawing):
     with closing(make_plotter((sum(columns["col_weights"]), 200), off_screen=True, **columns)) as plotter:
         plates = SideBySide(plotter, scene(), PAIR, "displacement", 8, ColourOptions("PuOr", "each"))
         assert [scale.clim[1] for scale in plates.scales] == [100, 320]
-        ratio = plates.scales[0].warp_factor / plates.scales[1].warp_factor
-        plates.exaggerate(2 * plates.scales[0].warp_factor)
-        assert plates.scales[0].warp_factor / plates.scales[1].warp_factor == pytest.approx(ratio, rel=1e-2)
+        ratio = plates.scales[0].height_factor / plates.scales[1].height_factor
+        plates.exaggerate(2 * plates.scales[0].height_factor)
+        assert plates.scales[0].height_factor / plates.scales[1].height_factor == pytest.approx(ratio, rel=1e-2)
         for plate, scale in zip(plates.plates, plates.scales, strict=True):
             assert plate.surface.mapper.scalar_range == pytest.approx(scale.clim)
             assert plate.surface.mapper.lookup_table.map_value(-1e9)[0] == pytest.approx(0x7F / 255, abs=0.01)

@@ -55,9 +55,9 @@ def test_frames_follow_the_clock_and_the_slider(window, monkeypatch):
 
 
 def test_keys_change_speed_heights_and_fields(window):
-    factor = window.plates.scales[0].warp_factor
+    factor = window.plates.scales[0].height_factor
     window.exaggerate(3.0)
-    assert window.plates.scales[0].warp_factor == pytest.approx(3 * factor, rel=5e-3)
+    assert window.plates.scales[0].height_factor == pytest.approx(3 * factor, rel=5e-3)
     for ratio, limited in ((1000.0, RATES[1]), (1e-9, RATES[0])):
         window.speed_up(ratio)
         assert window.rate == limited

@@ -42,10 +42,15 @@ from warp_plate.solve.response import Response
 REFERENCE_SECONDS = 1.0
 # Effect of rounding on a localization factor.
 ROUNDING = {"float32": 1e-6, "float64": 1e-13}
-# Uncertainty of the reference as a fraction of the error that it shows, and its greatest and least value.
-GOOD_ENOUGH, FIRST_WANTED, FINEST_WANTED = 0.1, 0.02, 1e-4
-# A price is named for the first of these that the run does not keep; its grid is to keep this fraction of it.
-TOLERANCES, TOLERANCE_SHARE = (0.01, 0.001), 0.9
+# The reference is refined until its uncertainty is this fraction of the run's error. The line for people names an
+# uncertainty above this.
+GOOD_ENOUGH = 0.1
+# Largest and smallest relative uncertainty that a reference is refined to, whatever the run's error.
+LOOSEST, TIGHTEST = 0.02, 1e-4
+# Tolerances of which the first that the run exceeds gets a price.
+TOLERANCES = (0.01, 0.001)
+# Fraction of the tolerance that the grid of the price is to keep.
+TOLERANCE_SHARE = 0.9
 # Numerics and reference of results by modes.
 MODES, MORE_FUNCTIONS = "modes", "more functions"
 
@@ -214,7 +219,7 @@ def _reference(
 
     def wanted(factors: np.ndarray) -> float:
         difference = np.abs(computed / factors - 1).max()
-        return min(max(GOOD_ENOUGH * float(difference), FINEST_WANTED), FIRST_WANTED)
+        return min(max(GOOD_ENOUGH * float(difference), TIGHTEST), LOOSEST)
 
     if not scene.linear:
         # As much time as the run took, if that is more.
