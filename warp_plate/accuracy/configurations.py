@@ -28,8 +28,9 @@ LOAD_OF: dict[Order, Load] = {2: "overlap", 4: "moments"}
 # ``warp-plate accuracy``.
 NODE_STEP_SECONDS = {"cpu": 0.6e-9, "cuda": 2e-11}
 RELATIVE_COST = {(2, "float32"): 1.0, (2, "float64"): 1.4, (4, "float32"): 2.0, (4, "float64"): 2.8}
-# Cells in a bending wave for an error of 1 % with fourth order.
-CELLS_A_WAVE = 6.3
+# Cells in a bending wave for an error of 1 % with fourth order. At least so many waves count: patches and targets need
+# cells where waves are long.
+CELLS_A_WAVE, FEWEST_WAVES = 6.3, 2.4
 # Nodes along each side of a square plate; each grid has about twice the nodes of the one before.
 SIDES = (13, 19, 27, 37, 53, 75, 105, 149, 209, 297, 417)
 # Side of the grid on which the time step is varied, and these time steps as fractions of the longest.
@@ -169,7 +170,7 @@ def nominal_seconds(scene: Scene, configuration: Configuration, device: str) -> 
 
 def fourth_order(scene: Scene, error: float) -> Configuration:
     """Return the configuration of fourth order with a relative error, by the law of its convergence."""
-    cells = CELLS_A_WAVE * (0.01 / error) ** 0.25 * waves_along(scene)
+    cells = CELLS_A_WAVE * (0.01 / error) ** 0.25 * max(FEWEST_WAVES, waves_along(scene))
     return make_configuration(scene, 4, nodes_for(scene.plate.size, 1 + cells, 4))
 
 
