@@ -223,6 +223,11 @@ def test_accuracies_out_of_reach_are_refused(panel):
         choose(panel, 1e-4, "cpu")
 
 
+def test_coarse_grids_of_the_moment_form_are_tried(panel):
+    grid = choose(panel.with_tables(edges={"left": "free"}), 0.2, "cpu").scene.grid
+    assert max(grid.nodes) < 25
+
+
 @pytest.mark.parametrize("lucky", [9, 14])
 def test_grids_are_confirmed_by_finer_ones(panel, lucky):
     """A grid that is right by chance, while finer ones are wrong, is not taken."""

@@ -35,6 +35,7 @@ from warp_plate.accuracy.reference_solution import (
     seconds_of_modes,
     usual_drives,
 )
+from warp_plate.plate.stability_limit import needs_moment_form
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.grid import Grid
 from warp_plate.scene.model import Scene
@@ -55,7 +56,7 @@ FEWEST_CELLS, FEWEST_CELLS_A_WAVE = 8.0, 4.0
 CONFIRMING_FACTOR, LEAST_STEP, LARGEST_STEP = 1.2, 1.06, 1.5
 # Grids that are tried, and node-steps of a plate and nodes of a side that are not.
 TRIALS, MOST_NODE_STEPS, MOST_NODES = 20, 2e10, 8193
-# Trials of up to this many node-steps take the streaming path, which compiles no kernel for each grid.
+# Trials of plain plates of up to this many node-steps take the streaming path, which compiles no kernel a grid.
 STREAMED_NODE_STEPS = {"cpu": 4e7, "cuda": 1e10}
 
 
@@ -174,9 +175,10 @@ def _error_on(
     """Return the largest relative error of drives (drives, actuators) and of the bound; infinity if it is refused."""
     count = 2 * len(scene.actuators)
     work = count * (count + 1) / 2 * node_steps(scene, configuration)
-    streamed = work < STREAMED_NODE_STEPS["cuda" if find_device(device).is_cuda else "cpu"]
+    few = work < STREAMED_NODE_STEPS["cuda" if find_device(device).is_cuda else "cpu"]
+    path = "streaming" if few and not needs_moment_form(scene) else "auto"
     try:
-        solver = PlateSolver(in_float64(regrid(scene, configuration)), device, "streaming" if streamed else "auto")
+        solver = PlateSolver(in_float64(regrid(scene, configuration)), device, path)
         response = measure_response(solver)
     except SceneError:  # the cells are too large for an actuator
         return math.inf

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -53,6 +54,8 @@ def init(name: str, /, *, out: Path | None = None) -> None:
     except FileExistsError:
         raise SceneError(f"{path}: exists already; choose another name with --out") from None
     except (OSError, ValueError) as error:
+        with suppress(OSError, ValueError):
+            path.unlink()  # what a full disk took of it
         raise SceneError(f"{path}: cannot be written: {error}") from None
     print(printable(f"wrote {path}; run it with: warp-plate localize {path}"))
 

@@ -168,7 +168,7 @@ def read_arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     if not arrays:
         raise ValueError(f"has none of the arrays {', '.join(names)}")
     for name, values in arrays.items():
-        if values.dtype.kind not in "fiuc":
+        if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiuc":  # MAT files may hold sparse ones
             raise ValueError(f"{name} is not an array of numbers")
     return {name: values.astype(complex if values.dtype.kind == "c" else float) for name, values in arrays.items()}
 
