@@ -108,3 +108,18 @@ def test_accuracy_takes_more_functions_where_the_usual_ones_leave_too_much():
     case = simulate(scene, device="cpu").cases["drive"]
     denser = simulate(scene.with_tables(grid={"modal_density": 3.0}), device="cpu", path="modal", estimate=False)
     assert case.localization_factor == pytest.approx(denser.cases["drive"].localization_factor, rel=choice.error)
+
+
+@pytest.mark.slow
+def test_small_factors_are_stepped_in_float64():
+    """In a corner between clamped edges energies are lost in the rounding of float32."""
+    scene = scene_of(
+        size=(0.1, 0.1), frequency=400.0, window=(0.02, 0.025), actuators=[(0.05, 0.08, 0.03, 0.06)],
+        target={"area": (0.0005, 0.003, 0.0005, 0.003)},
+    )  # fmt: skip
+    choice = choose(scene, 0.1, "cpu")
+    assert choice.error <= 0.1
+    assert choice.scene.grid.precision == "float64"
+    coarse = choice.scene.with_tables(grid={**choice.scene.grid.model_dump(), "precision": "float32"})
+    exact, rounded = (PlateSolver(made, "cpu").run(np.ones((1, 1))).energy for made in (choice.scene, coarse))
+    assert abs(localization_factor(rounded) / localization_factor(exact) - 1) > 0.05

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
 
@@ -36,6 +36,7 @@ from warp_plate.accuracy.reference_solution import (
     usual_drives,
 )
 from warp_plate.plate.stability_limit import needs_moment_form
+from warp_plate.plate.weights import localization_factor
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.grid import Grid
 from warp_plate.scene.model import Scene
@@ -140,6 +141,11 @@ def _choose_grid(scene: Scene, accuracy: float, device: str, phasors: np.ndarray
             f"accuracy = {accuracy:g}: out of reach for this scene: the error is {error:.2g} on the finest grid, and "
             f"grids above {MOST_NODE_STEPS:.0e} node-steps a plate are not tried; ask for a larger error"
         )
+    rounded = _error_with_rounding(scene, reference, drives, device, grid)
+    if rounded + uncertainty <= accuracy:
+        error = max(error, rounded)
+    else:  # of small localization factors
+        grid = replace(grid, precision="float64")
     error += uncertainty
     reason = (
         f"time steps, for {percent(accuracy)}: {grid.nodes[0]} × {grid.nodes[1]} nodes, order {grid.order}, "
@@ -174,12 +180,9 @@ def _error_on(
 ) -> float:
     """Return the largest relative error of drives (drives, actuators) and of the bound; infinity if it is refused."""
     count = 2 * len(scene.actuators)
-    work = count * (count + 1) / 2 * node_steps(scene, configuration)
-    few = work < STREAMED_NODE_STEPS["cuda" if find_device(device).is_cuda else "cpu"]
-    path = "streaming" if few and not needs_moment_form(scene) else "auto"
+    path = _path_of(scene, count * (count + 1) / 2 * node_steps(scene, configuration), device)
     try:
-        solver = PlateSolver(in_float64(regrid(scene, configuration)), device, path)
-        response = measure_response(solver)
+        response = measure_response(PlateSolver(in_float64(regrid(scene, configuration)), device, path))
     except SceneError:  # the cells are too large for an actuator
         return math.inf
     if not np.isfinite(response.matrices).all():
@@ -187,6 +190,21 @@ def _error_on(
     computed = np.append(response.localization_factors(drives), response.bound())
     expected = np.append(reference.response.localization_factors(drives), reference.bound)
     return float(np.abs(computed / expected - 1).max())
+
+
+def _error_with_rounding(
+    scene: Scene, reference: ReferenceSolution, drives: np.ndarray, device: str, configuration: Configuration
+) -> float:
+    """Return the largest relative error of drives (drives, actuators) in the precision of the configuration."""
+    path = _path_of(scene, len(drives) * node_steps(scene, configuration), device)
+    computed = localization_factor(PlateSolver(regrid(scene, configuration), device, path).run(drives).energy)
+    return float(np.abs(computed / reference.response.localization_factors(drives) - 1).max())
+
+
+def _path_of(scene: Scene, work: float, device: str) -> str:
+    """Return the path of trials of so many node-steps."""
+    few = work < STREAMED_NODE_STEPS["cuda" if find_device(device).is_cuda else "cpu"]
+    return "streaming" if few and not needs_moment_form(scene) else "auto"
 
 
 def _advice(possible: float) -> str:
