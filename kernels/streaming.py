@@ -5,8 +5,8 @@ biharmonic of the displacement, which is the curvature of the curvature. The sec
 node's neighbours but the displacement of the node alone, so it works in place. Both weight neighbours by the taps of
 each axis, which are data. On CUDA ``temporal_blocking`` is a faster form of this path.
 
-Between steps of any streaming path, single nodes are recorded, and the ``clock`` counts steps on the device: it holds
-the step at which a run of launches began, so that recorded launches can be repeated unchanged.
+Between the steps of any streaming path, ``record_trace`` stores the displacement of traced nodes. ``clock`` holds, on
+the device, the step at which a run of launches began: so recorded launches can be repeated unchanged.
 """
 
 from functools import cache
@@ -103,7 +103,7 @@ def advance_clock(clock: wp.array[int], steps: int):
 
 @cache
 def make_record_trace(real):
-    """Make the kernel that copies the displacement of single nodes to the trace; launch over (plates, nodes)."""
+    """Make the kernel that copies the displacement of traced nodes to the trace; launch over (plates, nodes)."""
     _, Fields = make_state(real)
 
     @portable_kernel()

@@ -38,12 +38,12 @@ COLUMNS = 2
 # By order: how many rows below its newest row a level moves one, and the rows of a round, in which every slot of a
 # window is written once.
 REACH, ROUND = {2: 2, 4: 4}, {2: 3, 4: 4}
-# Warps that share a multiprocessor: with eight, each thread has all registers that it can have.
+# Warps that share a multiprocessor: with eight, a thread may use as many registers as it can address.
 WARPS = {(2, wp.float32): 8, (2, wp.float64): 8, (4, wp.float32): 12, (4, wp.float64): 8}
 
 
 def strips(nx, margin):
-    """Return the warps that share a row, each of which moves all but the margins of its strip."""
+    """Return the number of warps that share a row: each moves the nodes of its strip without the margins."""
     return -(-nx // (LANES * COLUMNS - 2 * margin))
 
 

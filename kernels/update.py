@@ -8,11 +8,11 @@ units of the plate's largest drive × Δt²/ρH, which keeps all numbers near on
 centred in time.
 
 Differences are on unit spacing along x; ``aspect`` is (spacing x / spacing y)². The second-order biharmonic is the
-Laplacian of the Laplacian, 13 nodes in all. In two passes it costs half the arithmetic, and edges become simple: where
-the inner Laplacian (the curvature) is stored, a clamped edge, whose mirror node doubles it, and a supported edge, where
-it is zero, are the factors 2 and 0 on the curvature of the edge's nodes. The fourth-order form is two such passes too,
-each with five nodes along each axis. Edges change the taps of the two nodes next to them in both passes, so taps near
-an edge are data. Each path computes ∇⁴u and the load in its own way, then calls ``update``.
+Laplacian of the Laplacian, 13 nodes in all. In two passes it costs half the arithmetic, and an edge is one factor on
+the inner Laplacian (the curvature) of its nodes: 2 where it is clamped, because the mirror node doubles the curvature,
+and 0 where it is supported. The fourth-order form is two such passes too, each with five nodes along each axis. Edges
+change the taps of the two nodes next to them in both passes, so taps near an edge are data. Each path computes ∇⁴u and
+the load in its own way, then calls ``update``.
 
 Scenes that need more than the plain plate take the moment form. Bending goes by moments: Mx and My from the curvatures
 at each node, Mxy from the twist of each cell, and the force from the moments:
@@ -170,7 +170,7 @@ def make_update(effects, real):
 
 @cache
 def make_moment(effects, real):
-    """Make ``moment``: from the curvatures along and across it, less constant tension, as (Mx − Tx u)_xx."""
+    """Make ``moment``: Mx − Tx u from both curvatures; its second derivative has the force of the tension too."""
     fused = make_fused(real)
 
     @wp.func
@@ -185,7 +185,7 @@ def make_moment(effects, real):
 
 @cache
 def make_attached_force(real):
-    """Make ``attached_force``: the force of a mass on its patch of the plate, which also moves the mass by a step."""
+    """Make ``attached_force``: move an attached mass by one step, and return its force on its patch of the plate."""
     Material, (_, Fields) = make_material(real), make_state(real)
 
     @wp.func
