@@ -39,7 +39,7 @@ CASE_LABELS = {
 AZIMUTH, ELEVATION = -127.5, 40.0
 # Width of colour bar and legend, and height of a line of the legend [font sizes].
 LEGEND_WIDTH, LINE_HEIGHT = 8.2, 1.35
-# Labels stand at quarters of a limit of two digits, which have at most four digits.
+# Labels are quarters of a limit of two digits, and so have at most four digits.
 LABEL_FORMAT = "%.4g"
 # Corners (x, y) [m].
 Path = list[tuple[float, float]]
@@ -81,7 +81,8 @@ def edges_by_kind(scene: Scene) -> dict[str, list[Path]]:
 
 
 def length_unit(size: Sequence[float]) -> tuple[str, float]:
-    """Return the unit of lengths of a plate of this size [m], and its number in a metre: mm below a metre."""
+    """Return the unit for lengths of a plate of this size [m], mm if both sides are below a metre, and how many of it
+    make a metre."""
     return ("mm", 1000.0) if max(size) < 1 else ("m", 1.0)
 
 
@@ -163,8 +164,8 @@ def in_percent(share: float, decimals: int = 2) -> str:
 def look_at_plate(plotter: pyvista.Plotter, size: tuple[float, float], font_size: int, share: float = 1.0) -> None:
     """Point the camera of the active subplot at a plate, the same for every field on it.
 
-    The plate of this size [m] with its largest heights and its axis labels fills the subplot below two lines of text
-    [pixels], and this share of its width, from the left.
+    The plate of this size [m], with its largest heights and its axis labels, fills this share of the subplot's width,
+    from the left, and its height below two lines of text of ``font_size`` [pixels].
     """
     pixels_wide, pixels_high = plotter.renderer.GetSize()
     azimuth, elevation = np.radians([AZIMUTH, ELEVATION])

@@ -103,7 +103,7 @@ def _check_name(name: str) -> None:
     try:
         from matplotlib import colormaps
     except ImportError:
-        return  # what draws says what is missing
+        return  # the functions that draw report the missing library
     if name not in colormaps:
         raise SceneError(f"colormap = {name!r}: must be a colour map of Matplotlib, such as viridis")
 
@@ -171,7 +171,7 @@ class DrawingScale:
         return f"{self.field.label}\n[{self.unit}]" if self.unit else self.field.label
 
     @property
-    def heights(self) -> str:
+    def heights_text(self) -> str:
         """The height factor as text; empty for a mode, which has no amplitude."""
         return f"heights × {short_number(self.height_factor)}" if self.field is not MODE else ""
 
@@ -199,7 +199,8 @@ def drawing_scale(
 
 
 def unit_with_prefix(largest: float, unit: str) -> tuple[str, float]:
-    """Return a unit in which the largest value lies below 1000 if there is one, and its number in one SI unit."""
+    """Return the prefixed unit in which the largest value is below 1000, if there is one, and how many of it make one
+    SI unit."""
     # Lengths below a nanometre are easier to read as fractions of one than as picometres.
     prefixes = PREFIXES[1:] if unit == "m" else PREFIXES
     prefix, factor = next((pair for pair in prefixes if largest * pair[1] < 1000), PREFIXES[-1])

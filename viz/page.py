@@ -57,7 +57,7 @@ def page_data(
     meshes, (low, high) = PlateMeshes(scene, heights[0][0], scale), scale.clim
     legends = [_legend(one) for one in scales]
     return {
-        "heightWords": bool(scale.heights),
+        "heightWords": bool(scale.heights_text),
         **({"title": "", "ticks": []} if separate else legends[0]),
         "limits": [low / high, 1.0],
         "cyclic": scale.field.kind == "cyclic",

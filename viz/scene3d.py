@@ -181,7 +181,7 @@ class PlateActors:
         """Move to another field, see :meth:`PlateMeshes.update`, with another caption if a text is given."""
         self.meshes.update(displacement, self.scale, values)
         self._text = self._text if text is None else text
-        self.caption.SetInput(", ".join(filter(None, (self._text, self.scale.heights))))
+        self.caption.SetInput(", ".join(filter(None, (self._text, self.scale.heights_text))))
 
     def rescale(self, scale: DrawingScale) -> None:
         """Take another scale; a call of :meth:`update` must follow."""
