@@ -42,7 +42,7 @@ EvaluatorName = Literal["direct", "response", "modal"]
 #   check: the properties of a scene, without a run
 #   replay: the run of a result, or the effects of a scene, once more
 Purpose = Literal["simulate", "search", "exact", "survey", "check", "replay"]
-# Most corners of the ranges of a sweep that are looked at.
+# Largest number of corners of the ranges of a sweep among which the one with the shortest waves is sought.
 MOST_CORNERS = 64
 
 
@@ -152,9 +152,9 @@ def resolve(
 ) -> Resolved:
     """Decide the engine, grid and device of a scene.
 
-    A grid for ``grid.accuracy`` is that of the highest frequency that the scene's search may choose. ``path`` and
-    ``evaluator`` are what is asked for, see :func:`choose_engine`; ``phasors`` (drives, actuators) the drives whose
-    errors matter (default: the usual ones).
+    For ``grid.accuracy``, the grid is chosen at the highest frequency that the scene's search may try. ``path`` and
+    ``evaluator`` are what is asked for, see :func:`choose_engine`. ``phasors`` (drives, actuators) are the drives whose
+    errors are kept small (default: the usual ones).
 
     Raises:
         SceneError: There is no such device, or no engine keeps the accuracy.
@@ -173,12 +173,12 @@ def resolve(
     if engine == "steps":
         scene.check_stepped()
     started = time.perf_counter()
-    of_search = purpose in ("search", "exact", "check") or (purpose == "survey" and engine == "modes")
-    at_shortest_wave = at_highest_frequency(scene) if of_search else scene
+    for_search = purpose in ("search", "exact", "check") or (purpose == "survey" and engine == "modes")
+    at_shortest_wave = at_highest_frequency(scene) if for_search else scene
     choice = choose(at_shortest_wave, asked, device, phasors, engine)
     grid = Grid(**choice.scene.grid.model_dump(exclude={"accuracy"}))
-    chosen = choice.scene.model_copy(update={"grid": grid} | ({"actuators": scene.actuators} if of_search else {}))
-    if of_search and not choice.by_modes and evaluator is None and scene.search.robust is None:
+    chosen = choice.scene.model_copy(update={"grid": grid} | ({"actuators": scene.actuators} if for_search else {}))
+    if for_search and not choice.by_modes and evaluator is None and scene.search.robust is None:
         evaluator = "direct"
     return Resolved(
         chosen,

@@ -148,26 +148,25 @@ def estimate(
     started = time.perf_counter()
     computed = np.asarray(localization_factors, dtype=float)
     phasors = np.asarray(phasors, dtype=complex)
-    moving = _known(scene, phasors, computed)
+    moving = _moving(scene, phasors, computed)
     if not moving.any():
         return _no_estimate(configuration_of(scene).grid_text, computed)
     references = np.full(computed.shape, math.nan)
-    accurate, references[moving] = _reference(scene, phasors[moving], computed[moving], device)
+    reference, references[moving] = _reference(scene, phasors[moving], computed[moving], device)
     differences = np.abs(computed / references - 1)
     largest = float(np.nanmax(differences))
-    # A difference within the uncertainty does not allow to extrapolate to smaller errors.
-    resolved = accurate.uncertainty < largest
-    price = _price(scene, largest, time_step) if resolved else None
+    # A difference below the uncertainty is not known to be the run's error, so no finer grid follows from it.
+    price = _price(scene, largest, time_step) if reference.uncertainty < largest else None
     of_displacement = np.full(computed.shape, math.nan)
-    if displacement is not None and isinstance(accurate, ReferenceSolution) and accurate.plate and len(times):
-        of_displacement = displacement_errors(accurate.plate, phasors, times, scene, displacement)
+    if displacement is not None and isinstance(reference, ReferenceSolution) and reference.plate and len(times):
+        of_displacement = displacement_errors(reference.plate, phasors, times, scene, displacement)
     return Estimate(
         numerics=configuration_of(scene).grid_text,
         localization_factors=computed,
         references=references,
-        uncertainty=accurate.uncertainty,
-        errors=differences + accurate.uncertainty + ROUNDING[scene.grid.precision],
-        kind=accurate.kind,
+        uncertainty=reference.uncertainty,
+        errors=differences + reference.uncertainty + ROUNDING[scene.grid.precision],
+        kind=reference.kind,
         seconds=time.perf_counter() - started,
         price=price,
         displacement_errors=of_displacement,
@@ -188,7 +187,7 @@ def estimate_modal(
         return replace(by_grids, numerics=MODES, price=None)
     started = time.perf_counter()
     computed, phasors = np.asarray(localization_factors, dtype=float), np.asarray(phasors, dtype=complex)
-    moving = _known(scene, phasors, computed)
+    moving = _moving(scene, phasors, computed)
     if not moving.any():
         return _no_estimate(MODES, computed)
     compared = compared or compare_with_more_functions(scene)
@@ -235,7 +234,7 @@ def _reference(
     return reference, reference.response.localization_factors(phasors)
 
 
-def _known(scene: Scene, phasors: np.ndarray, factors: np.ndarray) -> np.ndarray:
+def _moving(scene: Scene, phasors: np.ndarray, factors: np.ndarray) -> np.ndarray:
     """Return whether the plates of drives (drives,) move, and so have a localization factor."""
     return np.asarray(np.isfinite(factors) & (np.any(phasors != 0, axis=1) | (not scene.linear)))
 

@@ -90,7 +90,7 @@ class Panel(Protocol):
 
 @dataclass(frozen=True)
 class Setting:
-    """A scene as typical values see it."""
+    """What typical values of an effect depend on."""
 
     plate: Panel  # The table ``[plate]``
     angular_frequency: float  # Angular frequency of the drive [rad/s]
@@ -135,7 +135,7 @@ class Effect(Table):
 
     @property
     def at_rest(self) -> Self:
-        """The effect as natural modes of the linear plate have it."""
+        """The effect with which natural modes of the linear plate are computed."""
         return self
 
     @property
@@ -209,7 +209,7 @@ def per_mode(values: float | tuple[float, ...], count: int) -> np.ndarray:
 
 
 def rows_of(value: Any) -> Iterator[tuple[str, Effect]]:
-    """Yield the tables of a field of ``[effects]``, with the index that a key takes in a list."""
+    """Yield (index, table) of a field of ``[effects]``: "[0]", "[1]", ... in a list, "" for a single table."""
     if isinstance(value, tuple):
         yield from ((f"[{index}]", row) for index, row in enumerate(value))
     elif value is not None:

@@ -7,8 +7,8 @@ With u = Σ q_i ψ_i(x, y), the energies of the plate, its edges and what is att
       + ½ ∫ Tx u_x² + Ty u_y² + k u² dA + ½ ∮ k u² + r u_n² ds + Σ ½ s (ū − z)²            stiffness K
     F = ½ ∫ c u̇² dA + Σ ½ d (ū̇ − ż)² + τ B                                               viscous damping C
 
-in which ū is the mean displacement of a patch and z that of the mass on it. Only the displacement of a supported edge
-and the slope of a clamped one need functions that keep them; moments and forces of all other edges follow from the
+in which ū is the mean displacement of a patch and z that of the mass on it. The functions themselves must vanish on
+supported and clamped edges, and their slopes across clamped ones; conditions on moments and forces follow from the
 energies (A. W. Leissa, J. Sound Vib. 31, 1973, pp. 257-293).
 """
 
@@ -40,8 +40,8 @@ from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
 from warp_plate.scene.target import Target
 
-# Attached springs that are stiffer than this, relative to the largest entry of the plate's own stiffness, would hide it
-# in rounding; those of a thousandth already hold their patch as a rigid one.
+# Largest stiffness of an attached spring, relative to the largest entry of the plate's own stiffness, which rounding
+# would hide beside a stiffer one. A spring of a thousandth of this already acts as a rigid one.
 STIFFEST = 1e10
 
 

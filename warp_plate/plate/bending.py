@@ -1,9 +1,9 @@
 """The plate in moment form: rigidity, mass and springs of every node, from the terms of a scene.
 
 Bending stores ½∫ Dx u_xx² + 2 D1 u_xx u_yy + Dy u_yy² + 4 Dxy u_xy² dA. On the grid, curvatures and moments belong to
-nodes and twists to cells, and a node on an edge has half a cell (a quarter at a corner). There the curvature across the
-edge is the mirror image's, 2(u₁ − u₀)/h², in series with what holds the edge: a rotational spring of stiffness r per
-length adds the compliance 2/(r h) to that of the plate,
+nodes and twists to cells, and a node on an edge owns half a cell (a quarter at a corner). There the curvature across
+the edge is taken with the neighbour's mirror image as 2(u₁ − u₀)/h². A rotational spring at the edge is in series with
+the plate: with a stiffness r per length it adds the compliance 2/(r h) to that of the plate,
 
     C = (D⁻¹ + diag(2/(rx hx), 2/(ry hy)))⁻¹,
 
@@ -238,7 +238,7 @@ def buckling_factor(bending: Bending) -> float:
     if len(moves) <= DENSE:
         largest = scipy.linalg.eigh(-in_plane.toarray(), held.toarray(), eigvals_only=True)[-1]
     else:
-        # Shifted by one, so that a relative tolerance suffices where the eigenvalue is next to nothing.
+        # The eigenvalues are shifted by one, so that a relative tolerance suffices for one near zero.
         start = np.random.default_rng(0).normal(size=len(moves))
         largest = scipy.sparse.linalg.eigsh(
             held - in_plane, k=1, M=held.tocsc(), which="LA", v0=start, tol=1e-6, ncv=60, return_eigenvectors=False

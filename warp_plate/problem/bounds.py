@@ -61,7 +61,7 @@ class AllowedDrives:
 
     @property
     def limits_ratios(self) -> bool:
-        """True if not every drive has a multiple that is allowed, so that limits say something about a ratio."""
+        """True if some drives have no allowed multiple, so that the limits restrict ratios of energies too."""
         return self.equal or bool((self.lower > 0).any())
 
     @property
@@ -315,8 +315,8 @@ def _best_allowed(quantity: Callable[[np.ndarray], np.ndarray], z: np.ndarray, a
     """Return the largest quantity of the drives near ±z, (2M,), that keep the limits; −∞ if none does."""
     if not z.any():
         return -math.inf
-    named = [*allowed.lower, *allowed.upper, math.sqrt(allowed.power / len(allowed.phase))]
-    typical, best = max((value for value in named if 0 < value < math.inf), default=1.0), -math.inf
+    magnitudes = [*allowed.lower, *allowed.upper, math.sqrt(allowed.power / len(allowed.phase))]
+    typical, best = max((value for value in magnitudes if 0 < value < math.inf), default=1.0), -math.inf
     for real, imaginary in (np.split(z, 2), np.split(-z, 2)):
         phasors = real - 1j * imaginary
         held = ~np.isnan(allowed.phase)
@@ -329,7 +329,8 @@ def _best_allowed(quantity: Callable[[np.ndarray], np.ndarray], z: np.ndarray, a
 
 
 def _within_limits(sizes: np.ndarray, allowed: AllowedDrives) -> np.ndarray:
-    """Return magnitudes (some, actuators) within the limits, derived from others (tried, actuators)."""
+    """Return those of the magnitudes ``sizes`` (tried, actuators) that keep the limits, made equal, clipped and scaled
+    to the power first."""
     if allowed.equal:
         sizes = np.where(sizes < 0, -1, 1) * np.abs(sizes).mean(axis=1, keepdims=True)
     lower = np.maximum(allowed.lower, -allowed.upper)

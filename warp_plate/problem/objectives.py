@@ -22,9 +22,11 @@ from warp_plate.result.case import target_regions
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.search import Objective
 
-# Largest number of cells of the target along each axis, for its uniformity, and least nodes of a cell along it.
-MOST_CELLS, CELL_NODES = 6, 2
-# Part of a limit that rounding in float32 may pass.
+# Largest number of cells, along each axis, into which the target is cut for its uniformity.
+MOST_CELLS = 6
+# Smallest number of nodes of such a cell along each axis.
+CELL_NODES = 2
+# Relative excess over a limit that counts as rounding in float32.
 ROUNDING = 1e-5
 OF_THE_REST = " of the rest"
 
@@ -89,8 +91,8 @@ def keeps_limit(value: float, limit: float) -> bool:
 
 
 def loss_scale(objectives: Iterable[Objective]) -> float:
-    """Return the size that tolerances of a loss refer to where the loss itself is smaller: 1 for ratios, whose sum may
-    change sign; a velocity or a displacement has its own size."""
+    """Return the least size of a loss to which tolerances refer: the sum of the weights of ratios, because a loss of
+    ratios may be near zero; 0 without ratios."""
     return float(sum(term.weight for term in objectives if REGION_QUANTITIES[term.kind].is_ratio))
 
 

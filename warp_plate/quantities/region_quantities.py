@@ -21,9 +21,9 @@ import numpy as np
 
 from warp_plate.plate.weights import REGIONS, localization_factor
 
-# A contrast beyond these is rounding.
+# Largest contrast of either sign [dB]: beyond it, the smaller energy is rounding.
 MOST_DECIBELS = 120.0
-# Smallest rest of the plate, as a part of its area.
+# Share of the plate's area up to which what the target leaves counts as no rest.
 LEAST_REST = 1e-9
 PLATE, TARGET = REGIONS.index("plate"), REGIONS.index("target")
 
@@ -76,7 +76,7 @@ def uniformity(energy: np.ndarray, sizes: RegionSizes) -> np.ndarray:
 
 
 def decibels(energy: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """Return the level of energies over others [dB]; negative ones, by rounding, are zero."""
+    """Return the level of energies over others [dB]; energies that rounding made negative count as zero."""
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(10 * (np.log10(np.maximum(energy, 0)) - np.log10(np.maximum(reference, 0))))
 

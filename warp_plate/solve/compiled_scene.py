@@ -34,7 +34,7 @@ MakePath = Callable[[Specialized], Advance]
 CPU: dict[str, MakePath] = {"resident": cpu.resident_path, "streaming": streaming.streaming_path}
 CUDA: dict[str, MakePath] = {"resident": cuda.resident_path, "streaming": cuda.streaming_path}
 MOMENT_FORM: dict[str, MakePath] = {"resident": moment_form.resident_path, "streaming": moment_form.streaming_path}
-# Most numbers of waves that the host computes at once.
+# Largest block of samples of waves that the host computes at once.
 HOST_NUMBERS = 2**24
 
 
@@ -197,7 +197,7 @@ class CompiledScene:
     def run_whole(self, state: State, plates: int) -> None:
         """Queue a run from rest to the end of the window, from ``host_coefficients`` to ``host_energy``.
 
-        On CUDA all of it becomes one recorded call when a state takes so many plates for the second time.
+        The second run of a state with the same number of plates is recorded, and later ones repeat the recording.
         """
         key = (plates, state.has_plate_waves)
         if key in state.whole_runs:
@@ -219,7 +219,7 @@ class CompiledScene:
         """
         device = self.specialized.device
         done = wp.get_stream(device).record_event() if device.is_cuda else None
-        energy = state.host_energy  # and not the state, which may be released
+        energy = state.host_energy  # ``wait`` holds this array and not the state, which may be released
 
         def wait() -> np.ndarray:
             if done is not None:
