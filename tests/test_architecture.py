@@ -51,7 +51,7 @@ FORBIDDEN_MODULES = {
 # The explorer serves a page on 127.0.0.1, reads its key, and opens it; others start fixed commands without a shell.
 ALLOWED = {
     "viz/explorer_page.py": {"asyncio", "socket", "urllib"},
-    "warp_plate/cli/render.py": {"webbrowser"},
+    "warp_plate/cli/explore.py": {"webbrowser"},
     "viz/availability.py": {"subprocess"},
 }  # fmt: skip
 

@@ -9,7 +9,7 @@ import pytest
 
 from support.commands import output_of
 from warp_plate.accuracy import report
-from warp_plate.cli.check import error_text
+from warp_plate.cli.accuracy import error_text
 
 ROW_KEYS = {
     "order", "load", "nodes", "time_step", "precision", "localization_factor", "bound", "error", "seconds_per_plate",

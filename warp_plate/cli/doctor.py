@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 from warp_plate._version import __version__
 from warp_plate.cli import options, output
-from warp_plate.cli.render import has_desktop
+from warp_plate.cli.explore import has_desktop
 
 # A module of each extra that commands use.
 EXTRAS = {"viz": "pyvista", "web": "trame", "cma": "cma", "cluster": "distributed", "data": "xarray", "uff": "pyuff"}
