@@ -64,6 +64,7 @@ def test_text_names_responses_and_undamped_plates(command, write_scene):
         ("--range", "100:50"),
         ("--range", "0:50"),
         ("--range", "50:1e99"),
+        ("--range", "50:900000"),
         ("--range", "٣:50"),
         ("--quantity", "speed"),
         ("--to", "xls"),

@@ -67,6 +67,9 @@ def test_the_command_resumes(command, resumable, left):
         assert_same_results(replace(result, cases=full.cases), full)
         for name, case in full.cases.items():
             assert result.cases[name].energy == case.energy
+    Path("other.h5").write_bytes(kept)  # a checkpoint by another name is not overwritten
+    record = json.loads(output_of(command("localize", "--resume", "other.h5", *QUICK, "--json")))
+    assert record["files"] == ["other-localize.h5", "other-localize.best.toml"]
 
 
 def test_a_damaged_checkpoint_is_refused(command, left):

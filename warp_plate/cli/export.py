@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -95,7 +96,10 @@ def export(
         try:
             exported = export_result(loaded, target, to, cases=shown.case or (), span=span, progress=show, **given)
         except SceneError as error:
-            raise error if str(error).startswith(f"{target}:") else SceneError(f"{result}: {error}") from None
+            if str(error).startswith(f"{target}:"):
+                raise
+            message = re.sub(r"^(case|start|frames) = ", r"--\1 ", str(error)).replace(", end = ", ", --end ", 1)
+            raise SceneError(message if message.startswith("--") else f"{result}: {error}") from None
     answer = {"result": result, "to": to, **exported.contents, "files": exported.files}
     output.report(json, lambda: answer, lambda _: _print(exported.files, to, exported.contents))
 

@@ -86,7 +86,12 @@ def frf(
     check_on_plate(loaded, points, "--at")
     check_on_plate(loaded, sources, "--from")
     with output.scene_errors(scene):
-        response = compute(loaded, sources, points, limits, responses.quantity)
+        try:
+            response = compute(loaded, sources, points, limits, responses.quantity)
+        except SceneError as error:
+            if limits is None or not str(error).startswith("drive.frequency: "):
+                raise
+            raise SceneError(f"--range {responses.range}: {str(error).partition(': ')[2]}") from None
     written = _write(response, target, formats, files.pictures)
     output.report(files.json, _as_json, _print, scene, loaded, response, written=written)
 

@@ -99,8 +99,8 @@ def localize(
 
     resume, chosen = search.resume, colours.chosen()
     if resume is not None and files.out is None:
-        stem = resume.name.removesuffix(".h5").partition(".checkpoint")[0]  # of checkpoints before the last one too
-        files = replace(files, out=resume.parent / f"{stem}.h5")
+        stem, ending, _ = resume.name.removesuffix(".h5").partition(".checkpoint")
+        files = replace(files, out=resume.parent / f"{stem}{'' if ending else '-localize'}.h5")
     target = files.target(scene, "-localize.h5", holds="a result of localize")
     output.check_overwriting(target.with_suffix(".best.toml"), "# Found by: warp-plate localize", files.force)
     needs = "localize needs a SCENE (a preset's name or a TOML file)"

@@ -167,8 +167,7 @@ def plan_measurement(
     """Plan a measurement: choose the actuator and the sensor places that best determine the keys of [fit.free].
 
     The plan is D-optimal: it minimises the product of the widths of all intervals. The scene is written with a table
-    [[measurement]] for each sensor, ready for warp-plate
-    fit, as SCENE.plan.toml.
+    [[measurement]] for each sensor, ready for warp-plate fit, as SCENE.plan.toml.
 
     Parameters
     ----------

@@ -39,8 +39,8 @@ SceneName = Annotated[str, Parameter(help=f"A preset ({_PRESETS}) or a TOML file
 ResultFile = Annotated[Path, Parameter(help="An .h5 file written by localize or simulate.")]
 Device = Annotated[str, Parameter(help="cpu, cuda, cuda:1, ...; auto takes a CUDA device if there is one.")]
 _STEPPING = (
-    "How plates are stepped: resident (all steps in one launch), streaming (one or a few steps a launch) or auto (the "
-    "faster of the two)"
+    "How plates are stepped: resident (all steps in one launch), streaming (one or a few steps a launch; on a CPU "
+    "only for clamped or supported plates whose one effect is viscous damping) or auto (the faster of the two)"
 )
 Stepping = Annotated[Literal["auto", "resident", "streaming"], Parameter(help=f"{_STEPPING}.")]
 SteppingOrModes = Annotated[
