@@ -275,6 +275,14 @@ def test_a_result_that_cannot_be_written_leaves_all_points(swept_plate, tmp_path
     assert load_sweep(unfinished.path).finished
     save_finished(found, tmp_path / "b.h5", unfinished)
     assert [path.name for path in tmp_path.iterdir() if path.is_file()] == ["b.h5"]
+    # A file of others that appears during a sweep stays.
+    (tmp_path / "c.h5").write_bytes(b"theirs")
+    with pytest.raises(SceneError, match="or give --force"):
+        save_finished(found, tmp_path / "c.h5", unfinished)
+    assert (tmp_path / "c.h5").read_bytes() == b"theirs"
+    assert load_sweep(unfinished.path).finished
+    save_finished(found, tmp_path / "c.h5", unfinished, force=True)
+    assert load_sweep(tmp_path / "c.h5").finished
 
 
 def test_drives_of_motion_that_begins_are_those_of_localize():

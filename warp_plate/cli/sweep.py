@@ -105,7 +105,7 @@ def sweep(
             note = "{} of {}: {}".format
             result = run_sweep(start, lambda *done: show(*done[:2], note(*done)), file, pool)
         draw = partial(save_plots, partial(draw_sweep, result, colormap=colormap))
-        save = partial(save_finished, result, file=file)
+        save = partial(save_finished, result, file=file, force=files.force)
         written = output.write_files(target, save, draw, files.pictures)
     output.report(files.json, _as_json, _print, result, written=written)
 

@@ -260,9 +260,8 @@ def open_sweep(
         raise SceneError(f"--count {given.count}: --what {sweep.what} has no modes to count; leave it out")
     if given.frequencies is not None and "frequency" not in axes:
         raise SceneError(f"--frequencies {given.frequencies}: are those of --what frf; leave it out")
-    if target.exists() and not force:
-        advice = "name another file by --out, or give --force"
-        check_same_sweep(target, _load(target, advice), sweep, advice)
+    if not force:
+        check_replaceable(target, sweep)
     if not file.exists():
         return sweep
     log(f"{file}: {sweep.progress} done; {'nothing is left' if sweep.finished else 'continuing'}")
@@ -277,6 +276,13 @@ def _load(path: Path, advice: str) -> Sweep:
         return load_sweep(path)
     except SceneError as error:
         raise SceneError(f"{error}; {advice}") from None
+
+
+def check_replaceable(target: Path, sweep: Sweep) -> None:
+    """Check that a result replaces no file other than an earlier result of the same sweep."""
+    advice = "name another file by --out, or give --force"
+    if target.exists():
+        check_same_sweep(target, _load(target, advice), sweep, advice)
 
 
 def check_same_sweep(path: Path, existing: Sweep, sweep: Sweep, advice: str) -> None:
@@ -303,9 +309,11 @@ def resume_sweep(sweep: Sweep, device: str | None = None, on_workers: bool = Fal
     return sweep.moved_to(used.alias, processor_of(used))
 
 
-def save_finished(sweep: Sweep, path: Path, file: CheckpointFile) -> None:
+def save_finished(sweep: Sweep, path: Path, file: CheckpointFile, force: bool = False) -> None:
     """Save a finished sweep as its result and remove the unfinished file; on failure all points are in that file."""
     try:
+        if not force:  # checked again, because another program may have written the file meanwhile
+            check_replaceable(path, sweep)
         save_sweep(sweep, path)
     except SceneError:
         file.save(sweep)
