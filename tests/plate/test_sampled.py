@@ -152,7 +152,7 @@ def test_a_channel_for_each_actuator(tmp_path, bits):
         ("a.csv", "0,1,2\n1,2,3\n", {}, "3 columns instead of 1, or time first; per_actuator = true"),
         ("a.csv", "0,1,2\n1,2,3\n", {"per_actuator": True}, "3 columns instead of 1"),
         ("a.wav", wav(bytes(8), channels=2), {"per_actuator": True}, "write 1, one for each actuator"),
-        ("a.csv", "0,1\n1,two\n", {}, "could not convert string 'two' to float64 at row 1, column 2"),
+        ("a.csv", "0,1\n1,two\n", {}, "could not convert string 'two' to float64 at row 2, column 2"),
         ("a.csv", "0,1_0\n1,2\n2,3\n", {}, "1_0"),
         ("a.csv", "time, s;value\n0;1,05\n1;2\n", {}, "decimal points: could not convert string '1,05'"),
         ("a.csv", "0,1\n1,nan\n", {}, "no number"),

@@ -19,6 +19,7 @@ from warp_plate.effects.foundation import Foundation
 from warp_plate.modal.assemble import make_space
 from warp_plate.modal.modes import solve_modes
 from warp_plate.plate.bending import make_bending
+from warp_plate.plate.files import read_numbers, read_table
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.section import factors_at
@@ -138,6 +139,9 @@ def test_rows_of_a_file_lie_along_y(scene, tmp_path):
     [
         ("x,y\n", "holds no numbers"),
         ("1,2\n3\n", "decimal points: the number of columns changed from 2 to 1 at row 2"),
+        ("x,y\n\n1,2\n# b\n3\n", "the number of columns changed from 2 to 1 at row 5"),
+        ("# a\nx,y\n\n1,2\n1,b\n1,2\n", "could not convert string 'b' to float64 at row 5, column 2"),
+        ("x,y\r\n1,2\r\n1,nan\r\n", "row 3, column 2: nan is no number from 0.001 to 1000"),
         ("1,2\n1,nan\n", "row 2, column 2: nan is no number from 0.001 to 1000"),
         ("1,99\n", "0.0495 m is not thin for a side of 0.18 m"),
     ],
@@ -146,6 +150,13 @@ def test_bad_files_are_refused_on_one_line(scene, tmp_path, content, why):
     line = refused(make_scheme, in_folder(tmp_path, scene(NODES, SIZE), content))
     assert line.startswith("effects.variation.thickness = 'a.csv': ")
     assert why in line
+
+
+def test_tables_are_bounded_and_kept_unchanged(tmp_path):
+    (tmp_path / "a.csv").write_text("1,2\n")
+    assert not read_table("key", "a.csv", tmp_path, 0, 9).flags.writeable
+    with pytest.raises(ValueError, match=r"^4194305 rows; at most 4194304 are read$"):
+        read_numbers(b"1\n" * (2**22 + 1))
 
 
 @pytest.mark.parametrize(

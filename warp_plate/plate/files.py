@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import re
+from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 
@@ -12,7 +14,7 @@ import numpy as np
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
-MOST_BYTES = 2**27
+MOST_BYTES, MOST_ROWS = 2**27, 2**22
 # Tables cached after they are read.
 MOST_TABLES = 4
 
@@ -58,11 +60,11 @@ def read_table(key: str, name: str, folder: Path | None, low: float, high: float
     """Return (rows, columns) numbers from ``low`` to ``high`` of a table beside the scene, or raise a SceneError."""
     data = read_beside(key, name, folder)
     try:
-        table = _table(data)
+        table, numbers = _table(data)
         if not table.size:
             raise ValueError("holds no numbers")
         for row, column in np.argwhere(~((low <= table) & (table <= high)))[:1].tolist():
-            where = f"row {row + 1}, column {column + 1}"
+            where = f"row {numbers[row]}, column {column + 1}"
             raise ValueError(f"{where}: {table[row, column]:g} is no number from {low:g} to {high:g}")
     except ValueError as error:
         raise SceneError(f"{key} = {name!r}: {error}") from None
@@ -76,27 +78,47 @@ def read_numbers(data: bytes) -> np.ndarray:
     without numbers, empty lines and lines that begin with # are skipped.
 
     Raises:
-        ValueError: The text is not UTF-8, a cell is no number, or rows differ in length.
+        ValueError: The text is not UTF-8, a cell is no number, rows differ in length, or there are more than MOST_ROWS.
     """
+    return _read_rows(data)[0]
+
+
+def _read_rows(data: bytes) -> tuple[np.ndarray, list[int]]:
+    """Return the numbers of a text table, and the line of each row in the file, from 1."""
+    if (rows := max(data.count(b"\n"), data.count(b"\r"))) > MOST_ROWS:
+        raise ValueError(f"{rows} rows; at most {MOST_ROWS} are read")
     try:
-        text = data.decode("utf-8-sig")
+        text = io.StringIO(data.decode("utf-8-sig"), newline=None)
     except UnicodeDecodeError:
         raise ValueError("not UTF-8 text") from None
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    if lines and not any(map(_is_number, re.split("[,;\t]", lines[0]))):
+    lines = [(at, line) for at, line in enumerate(text, 1) if line.strip() and not line.lstrip().startswith("#")]
+    if lines and not any(map(_is_number, re.split("[,;\t]", lines[0][1]))):
         del lines[0]
     if not lines:
-        return np.empty((0, 0))
-    separator = next((mark for mark in ";\t" if mark in lines[0]), ",")
+        return np.empty((0, 0)), []
+    separator = next((mark for mark in ";\t" if mark in lines[0][1]), ",")
+    number = 0
+
+    def one_by_one() -> Iterator[str]:
+        nonlocal number
+        for at, line in lines:
+            number = at
+            yield line
+
     try:
-        return np.loadtxt(lines, delimiter=separator, ndmin=2, comments=None)
-    except ValueError as error:
-        reason = str(error).partition(";")[0]
+        table = np.loadtxt(one_by_one(), delimiter=separator, ndmin=2, comments=None)
+    except ValueError as error:  # at the line that was taken last
+        reason = re.sub(r"at row \d+", f"at row {number}", str(error).partition(";")[0])
         raise ValueError(f"not a table of numbers with decimal points: {reason}") from None
+    return table, [at for at, _ in lines]
 
 
-# A plate is asked for its maps often.
-_table = lru_cache(MOST_TABLES)(read_numbers)
+@lru_cache(MOST_TABLES)
+def _table(data: bytes) -> tuple[np.ndarray, list[int]]:
+    """Return what :func:`_read_rows` does, read only; a plate is asked for its maps often."""
+    table, numbers = _read_rows(data)
+    table.flags.writeable = False
+    return table, numbers
 
 
 def _is_number(cell: str) -> bool:
