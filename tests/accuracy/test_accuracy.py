@@ -9,7 +9,7 @@ import pytest
 
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.accuracy import configurations, report
-from warp_plate.accuracy.choose import choose, find_grid
+from warp_plate.accuracy.choose import choose, error_of_grid, find_grid
 from warp_plate.accuracy.configurations import Configuration, cost_of_run, percent, regrid, seconds_text
 from warp_plate.accuracy.estimate import estimate, estimate_modal
 from warp_plate.accuracy.measure import AccuracyRow, measure, measure_modal
@@ -240,6 +240,24 @@ def test_grids_are_confirmed_by_finer_ones(panel, lucky):
     least = 1 + 12 * (0.3 / 0.01) ** 0.25
     assert error == error_on(grid) <= 0.01
     assert least <= grid.nodes[0] <= 1.1 * least
+
+
+def test_the_work_of_all_trials_is_bounded(panel):
+    """Of three actuators each has 21 plates."""
+    work = []
+
+    def error_on(grid):
+        work.append(21 * configurations.node_steps(panel, grid))
+        return 1.0
+
+    assert find_grid(panel, 0.01, error_on) == (None, 1.0)
+    assert 1e8 < sum(work) <= 1e10
+
+
+def test_a_drive_that_moves_no_plate_has_an_infinite_error(panel, exact):
+    coarse = replace(MOMENTS, nodes=(9, 9))
+    assert error_of_grid(panel, exact, np.zeros((1, 3)), "cpu", coarse) == math.inf
+    assert error_of_grid(panel, exact, np.ones((1, 3)), "cpu", coarse) < 1
 
 
 @pytest.mark.parametrize("configuration", [OVERLAP, replace(OVERLAP, load="nodes"), MOMENTS], ids=str)

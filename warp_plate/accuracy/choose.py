@@ -55,8 +55,8 @@ SEARCH_SHARE = 0.9
 FEWEST_CELLS, FEWEST_CELLS_A_WAVE = 8.0, 4.0
 # A grid is confirmed by one that is finer by this factor, and the next grid is finer by a factor between these.
 CONFIRMING_FACTOR, LEAST_STEP, LARGEST_STEP = 1.2, 1.06, 1.5
-# Grids that are tried, and node-steps of a plate and nodes of a side that are not.
-TRIALS, MOST_NODE_STEPS, MOST_NODES = 20, 2e10, 8193
+# Grids that are tried, the node-steps of all their plates together (half a minute of a core), and nodes of a side.
+TRIALS, MOST_NODE_STEPS, MOST_NODES = 20, 1e10, 8193
 # Trials of plain plates of up to this many node-steps take the streaming path, which compiles no kernel a grid.
 STREAMED_NODE_STEPS = {"cpu": 4e7, "cuda": 1e10}
 
@@ -134,12 +134,12 @@ def _choose_grid(scene: Scene, accuracy: float, device: str, phasors: np.ndarray
     drives = usual_drives(reference.response)
     if phasors is not None:
         drives = np.concatenate([drives, phasors])
-    error_on = partial(_error_on, scene, reference, drives, device)
+    error_on = partial(error_of_grid, scene, reference, drives, device)
     grid, error = find_grid(scene, SEARCH_SHARE * accuracy - uncertainty, error_on)
     if grid is None:
         raise SceneError(
             f"accuracy = {accuracy:g}: out of reach for this scene: the error is {error:.2g} on the finest grid, and "
-            f"grids above {MOST_NODE_STEPS:.0e} node-steps a plate are not tried; ask for a larger error"
+            f"finer grids would take the trials beyond {MOST_NODE_STEPS:.0e} node-steps; ask for a larger error"
         )
     rounded = _error_with_rounding(scene, reference, drives, device, grid)
     if rounded + uncertainty <= accuracy:
@@ -161,13 +161,17 @@ def find_grid(
     """Return the coarsest grid within the tolerance and its error; None and the last error if none is within reach."""
     order, error = highest_order(scene), math.inf
     cells = max(FEWEST_CELLS, FEWEST_CELLS_A_WAVE * waves_along(scene))
+    left = MOST_NODE_STEPS / _count_unit_drives(scene)
     for _ in range(TRIALS):
         grid = make_configuration(scene, order, nodes_for(scene.plate.size, 1 + cells, order))
-        if node_steps(scene, grid) > MOST_NODE_STEPS or max(grid.nodes) > MOST_NODES:
+        finer = refine(scene, grid, CONFIRMING_FACTOR)
+        left -= node_steps(scene, grid)
+        if node_steps(scene, finer) > left or max(grid.nodes) > MOST_NODES:
             break
         error = error_on(grid)
         if error <= tolerance:
-            of_finer = error_on(refine(scene, grid, CONFIRMING_FACTOR))
+            left -= node_steps(scene, finer)
+            of_finer = error_on(finer)
             if of_finer <= tolerance:
                 return grid, error
             error = of_finer
@@ -175,12 +179,11 @@ def find_grid(
     return None, error
 
 
-def _error_on(
+def error_of_grid(
     scene: Scene, reference: ReferenceSolution, drives: np.ndarray, device: str, configuration: Configuration
 ) -> float:
-    """Return the largest relative error of drives (drives, actuators) and of the bound; infinity if it is refused."""
-    count = 2 * len(scene.actuators)
-    path = _path_of(scene, count * (count + 1) / 2 * node_steps(scene, configuration), device)
+    """Return the largest relative error of drives (drives, actuators) and of the bound; infinity if there is none."""
+    path = _path_of(scene, _count_unit_drives(scene) * node_steps(scene, configuration), device)
     try:
         response = measure_response(PlateSolver(in_float64(regrid(scene, configuration)), device, path))
     except SceneError:  # the cells are too large for an actuator
@@ -189,7 +192,14 @@ def _error_on(
         return math.inf
     computed = np.append(response.localization_factors(drives), response.bound())
     expected = np.append(reference.response.localization_factors(drives), reference.bound)
-    return float(np.abs(computed / expected - 1).max())
+    with np.errstate(divide="ignore", invalid="ignore"):
+        error = float(np.abs(computed / expected - 1).max())
+    return math.inf if math.isnan(error) else error
+
+
+def _count_unit_drives(scene: Scene) -> int:
+    """Return the number of plates that give the Gram matrices of a scene."""
+    return len(scene.actuators) * (2 * len(scene.actuators) + 1)
 
 
 def _error_with_rounding(
