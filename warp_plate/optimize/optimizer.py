@@ -1,6 +1,6 @@
 """Search spaces, and the base of all search methods: ask for positions, tell their losses, stop, history and state.
 
-Methods minimise. Their names are those of pycma's ``CMAEvolutionStrategy``.
+Methods minimise.
 """
 
 from __future__ import annotations
