@@ -55,8 +55,8 @@ SEARCH_SHARE = 0.9
 FEWEST_CELLS, FEWEST_CELLS_A_WAVE = 8.0, 4.0
 # A grid is confirmed by one that is finer by this factor, and the next grid is finer by a factor between these.
 CONFIRMING_FACTOR, LEAST_STEP, LARGEST_STEP = 1.2, 1.06, 1.5
-# Grids that are tried, the node-steps of all their plates together (half a minute of a core), and nodes of a side.
-TRIALS, MOST_NODE_STEPS, MOST_NODES = 20, 1e10, 8193
+# Grids that are tried, the node-steps of all their plates together (two minutes of a core), and nodes of a side.
+TRIALS, MOST_NODE_STEPS, MOST_NODES = 20, 4e10, 8193
 # Trials of plain plates of up to this many node-steps take the streaming path, which compiles no kernel a grid.
 STREAMED_NODE_STEPS = {"cpu": 4e7, "cuda": 1e10}
 
