@@ -123,6 +123,7 @@ def in_shell(line, **environment):
     return run.returncode, run.stdout, run.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="shells of Unix")
 def test_a_search_whose_streams_are_closed_keeps_its_result(write_scene):
     write_scene(damping=88.5, precision="float32", search={"particles": 3, "iterations": 2})

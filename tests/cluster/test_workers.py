@@ -74,7 +74,7 @@ SCENES = {
 }
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", ["stretching", pytest.param("signal", marks=pytest.mark.slow), "designs"])
 def test_workers_give_the_bits_of_one_process(name, pool, scene, random, tmp_path):
     """Also of a plate that fails, by its number in the batch, and of a signal in a file that workers cannot read."""
     (tmp_path / "pulse.csv").write_text("time,value\n0,0\n0.002,1\n0.004,0\n", encoding="utf-8")
@@ -249,6 +249,7 @@ def test_a_task_that_no_worker_survives(pool):
     assert {value: outcome.value for value, outcome in outcomes.items()} == {value: 2 * value for value in range(9)}
 
 
+@pytest.mark.slow
 def test_an_error_of_the_program_is_named(pool):
     """The worker starts anew, since after an error of CUDA nothing works in a process any more."""
     before = worker_processes(pool)
