@@ -92,6 +92,8 @@ def command_lines(draw):
 @pytest.fixture
 def enter(filled, tmp_path, monkeypatch):
     """A function that makes the working folder as it was."""
+    for name in COMMANDS:
+        options_of(name)  # imports commands, which may draw random numbers, before examples are drawn
 
     def make():
         shutil.rmtree(tmp_path / "at", ignore_errors=True)
