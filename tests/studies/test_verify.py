@@ -78,7 +78,8 @@ def test_readings_are_averaged(random):
     assert found.uncertainty == pytest.approx(np.full(4, 1 / np.sqrt(50)), rel=0.4)
 
 
-def test_command(command, lossy_run, tmp_path):
+def test_command(command, lossy_run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     save_result(lossy_run, "panel.h5")
     field = field_of(lossy_run)
     table = np.column_stack([field.points, field.velocity])
