@@ -10,7 +10,7 @@ import inspect
 import textwrap
 import threading
 import types
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 import warp as wp
@@ -112,10 +112,9 @@ def copy_of(value):
     return value.copy() if isinstance(value, Values) and not value.field else value
 
 
-def in_python(function, _done={}):  # noqa: B006
+@cache
+def in_python(function):
     """Return a kernel, or a function of Warp's, as one of Python."""
-    if function in _done:
-        return _done[function]
     tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
     definition = _CopyNames().visit(tree.body[0])
     definition.decorator_list = []
@@ -124,10 +123,9 @@ def in_python(function, _done={}):  # noqa: B006
     names = {**function.__globals__, **inspect.getclosurevars(function).nonlocals}
     space = {"copy_of": copy_of}
     exec(compile(ast.fix_missing_locations(tree), inspect.getfile(function), "exec"), space)
-    _done[function] = space[definition.name]
     used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
     space.update({name: _converted(value) for name, value in names.items() if name in used})
-    return _done[function]
+    return space[definition.name]
 
 
 def _converted(value):
