@@ -100,7 +100,7 @@ def modal_motion(
 ) -> np.ndarray:
     """Return (modes, drives, times) amplitudes of the modes, or their rates, or (outputs, drives, times) products with
     ``outputs`` (outputs, modes), at times from 0 on [s] in any order."""
-    times = np.asarray(times, dtype=float)
+    drives, times = np.asarray(drives), np.asarray(times, dtype=float)
     if plate.scene.steady:
         return _steady_motion(plate, drives, times, velocity, outputs)
     end, order = max(float(times.max(initial=0.0)), plate.scene.window.end), np.argsort(times, kind="stable")
