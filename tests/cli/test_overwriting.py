@@ -2,12 +2,14 @@
 
 import json
 import shutil
+import stat
+import sys
 from pathlib import Path
 
 import pytest
 
 from support.commands import error_of, output_of
-from warp_plate import save_result, simulate
+from warp_plate import SceneError, load_result, save_result, simulate
 
 FAST = ("--device", "cpu", "--no-pictures")
 
@@ -38,6 +40,24 @@ def test_results_of_other_commands_stay_without_force(command, simulated, words)
 
 def test_the_same_command_replaces_its_result(command, simulated):
     output_of(command("simulate", "paper", *FAST, "--no-estimate", "--out", simulated))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has only read-only and other files")
+def test_a_file_that_is_written_again_stays_private_or_read_only(command, simulated):
+    line = ("simulate", "paper", *FAST, "--no-estimate", "--out", simulated)
+    simulated.chmod(0o600)
+    output_of(command(*line))
+    assert stat.S_IMODE(simulated.stat().st_mode) == 0o600
+    simulated.chmod(0o444)
+    before = simulated.read_bytes()
+    for force in ((), ("--force",)):
+        assert f"{simulated}: is read-only" in error_of(command(*line, *force))
+    best = simulated.with_name("b.best.toml")
+    best.touch(0o444)
+    assert f"{best}: is read-only" in error_of(command("localize", "paper", *FAST, "--out", simulated.with_name("b.h5")))
+    with pytest.raises(SceneError, match="is read-only"):
+        save_result(load_result(simulated), simulated)
+    assert simulated.read_bytes() == before
 
 
 def test_files_of_other_programs_stay(command, tmp_path):

@@ -247,12 +247,16 @@ def output_file(out: Path | None, default: str, endings: Sequence[str] = ()) -> 
 
 
 def check_overwriting(path: Path, holds: str, force: bool) -> None:
-    """Raise a SceneError if a file is there that another command or program has written, unless ``--force``.
+    """Raise a SceneError if a file is there that is read-only, or unless ``--force`` of another command or program.
 
     Args:
         holds: what may be replaced: of HDF5 files their kind, such as "a sweep"; of JSON files "measurements with KEY",
             KEY being one that they have; of others how they begin.
     """
+    from warp_plate.result.atomic_io import is_read_only
+
+    if is_read_only(path):
+        raise SceneError(f"{path}: is read-only; name another file by --out")
     if force or not path.exists():
         return
     if path.suffix.lower() == ".h5":
@@ -270,6 +274,10 @@ def check_overwriting(path: Path, holds: str, force: bool) -> None:
 
 def writing_problem(path: Path) -> str:
     """Return why a file or those beside it (checkpoints, pictures, temporary files) cannot be written, or ""."""
+    from warp_plate.result.atomic_io import is_read_only
+
+    if is_read_only(path):
+        return "is read-only"
     if os.path.isdir(path):
         return "is a folder"
     if os.path.exists(path) and not os.path.isfile(path):

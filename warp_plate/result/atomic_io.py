@@ -9,6 +9,7 @@ import csv
 import hashlib
 import os
 import secrets
+import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -22,15 +23,21 @@ from warp_plate.scene.errors import SceneError
 def atomic_path(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside ``path`` whose content replaces ``path`` at the end, but not after an error.
 
-    The new file is on the disk before any name changes, so that a complete file survives a power failure.
+    The new file is on the disk before any name changes, so that a complete file survives a power failure. It has the
+    permissions of the file that it replaces.
 
     Raises:
         OSError: the folder is missing or cannot be written to, or the disk is full.
+        SceneError: the file is read-only.
     """
     path = Path(os.path.realpath(path))  # the file that a symbolic link leads to is replaced, not the link
+    if is_read_only(path):
+        raise SceneError(f"{path}: is read-only")
     temporary = path.parent / f".{path.name}.{secrets.token_hex(6)}.part{path.suffix}"
     temporary.touch(exist_ok=False)
     try:
+        if path.exists():
+            shutil.copymode(path, temporary)
         yield temporary
         with temporary.open("rb+") as written:
             os.fsync(written.fileno())
@@ -44,6 +51,11 @@ def atomic_path(path: Path) -> Iterator[Path]:
                 os.fsync(folder)
             finally:
                 os.close(folder)
+
+
+def is_read_only(path: Path) -> bool:
+    """Return whether a file is there that this user may not write, or that nobody but root may."""
+    return os.path.isfile(path) and not (os.access(path, os.W_OK) and path.stat().st_mode & 0o222)
 
 
 @contextmanager
