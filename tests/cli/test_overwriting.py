@@ -52,9 +52,9 @@ def test_a_file_that_is_written_again_stays_private_or_read_only(command, simula
     before = simulated.read_bytes()
     for force in ((), ("--force",)):
         assert f"{simulated}: is read-only" in error_of(command(*line, *force))
-    best = simulated.with_name("b.best.toml")
+    best, other = simulated.with_name("b.best.toml"), simulated.with_name("b.h5")
     best.touch(0o444)
-    assert f"{best}: is read-only" in error_of(command("localize", "paper", *FAST, "--out", simulated.with_name("b.h5")))
+    assert f"{best}: is read-only" in error_of(command("localize", "paper", *FAST, "--out", other))
     with pytest.raises(SceneError, match="is read-only"):
         save_result(load_result(simulated), simulated)
     assert simulated.read_bytes() == before
