@@ -3,7 +3,7 @@
     python benchmarks/compare_commits.py OLD NEW [--keep DIR]
 
 OLD and NEW are checkouts of two commits; both run with this interpreter, on the CPU. The commands simulate every preset
-and every example under docs/, search eight scenes, sweep one, and compare methods. Datasets are matched by name. Those
+and every example under docs/, search eight scenes, and sweep one. Datasets are matched by name. Those
 that depend on the time of day or the machine's speed are left out. The exit status is 1 if any number differs or a
 dataset is missing.
 """
@@ -52,9 +52,6 @@ def commands(folder, paths):
     out = folder / "sweep.h5"
     vary = ("drive.frequency=200:400:5", "effects.damping.viscous=log:10:300:3")
     yield ("sweep", "paper", "--vary", *vary, *common, "--out", str(out)), out
-    out = folder / "compare.h5"
-    methods = ("--methods", "pso,ring,constriction,gradient", "--seeds", "2")
-    yield ("compare", "paper", *methods, *common, "--out", str(out)), out
 
 
 def run(checkout, folder, words):

@@ -28,8 +28,7 @@ PLAN = "--plan --field rms-velocity"
 # Commands of warp-plate, in a folder with the scenes of docs/examples, and the picture that they write.
 COMMANDS = {
     "bounds-strong-and-quiet.png": ("strong-and-quiet-localize-history.png", "localize strong-and-quiet.toml"),
-    "compare-paper.png": ("paper-compare.png", "compare paper"),
-    "comparing-baselines.png": (
+    "baselines.png": (
         "mask-localize.png",
         "localize mask.toml --baselines",
         f"render mask-localize.h5 {PLAN} --limits each --case time_reversal --case inverse_filter --case best",

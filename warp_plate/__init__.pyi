@@ -16,8 +16,6 @@ from .notebook import plot as plot
 from .notebook import render as render
 from .notebook import view as view
 from .result.checkpoint import load_checkpoint as load_checkpoint
-from .result.comparison import load_comparison as load_comparison
-from .result.comparison import save_comparison as save_comparison
 from .result.focus import load_focus as load_focus
 from .result.focus import save_focus as save_focus
 from .result.model import Result as Result
@@ -36,7 +34,6 @@ from .scene.search import Search as Search
 from .scene.tables import Plate as Plate
 from .scene.target import Target as Target
 from .solve.solver import PlateSolver as PlateSolver
-from .studies.compare import compare as compare
 from .studies.frequency_response import frf as frf
 from .studies.localize import localize as localize
 from .studies.localize import resume as resume

@@ -22,7 +22,6 @@ from typing import TYPE_CHECKING, Any
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 if TYPE_CHECKING:
-    from warp_plate.result.comparison import MethodComparison
     from warp_plate.result.focus import FocusResult
     from warp_plate.result.frequency_response import FrequencyResponse
     from warp_plate.result.model import Result
@@ -108,7 +107,7 @@ class NotebookPlayer:
 
 
 def plot(
-    shown: Result | Sweep | FrequencyResponse | MethodComparison | FocusResult,
+    shown: Result | Sweep | FrequencyResponse | FocusResult,
     stem: str | Path,
     *,
     colormap: str | None = None,
@@ -117,7 +116,7 @@ def plot(
     """Draw a result as its command does, and return the files.
 
     Args:
-        shown: result of ``localize`` or ``simulate``, of ``sweep``, of ``frf``, ``compare`` or ``focus``.
+        shown: result of ``localize`` or ``simulate``, of ``sweep``, of ``frf`` or ``focus``.
         stem: path of the pictures without an ending: a result makes STEM-history.png, STEM-surfaces.png and so on, all
             others STEM.png.
         colormap: colour map of Matplotlib for fields over the plate and maps (default: depends on the field).
@@ -128,7 +127,6 @@ def plot(
         SceneError, DrawingUnavailable, TypeError: no such colour map or limits, a library is not installed, or there
             are no pictures of such an object.
     """
-    from warp_plate.result.comparison import MethodComparison
     from warp_plate.result.focus import FocusResult
     from warp_plate.result.frequency_response import FrequencyResponse
     from warp_plate.result.model import Result
@@ -137,7 +135,6 @@ def plot(
     from warp_plate.viz.fields import colour_options
     from warp_plate.viz.pictures import draw_all
     from warp_plate.viz.plots.responses import draw_focus, draw_frequency_response
-    from warp_plate.viz.plots.search import draw_comparison
     from warp_plate.viz.plots.sweep import draw_sweep
 
     colours = colour_options(colormap, limits)
@@ -149,7 +146,6 @@ def plot(
     drawings: dict[type, Callable[[Any, Path], None]] = {
         Sweep: partial(draw_sweep, colormap=colormap),
         FrequencyResponse: draw_frequency_response,
-        MethodComparison: draw_comparison,
         FocusResult: partial(draw_focus, colours=colours),
     }
     if type(shown) not in drawings:

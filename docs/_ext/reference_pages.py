@@ -24,7 +24,6 @@ RETURNED = (
     "modal.modes.ModalPlate",
     "result.frequency_response.FrequencyResponse",
     "result.sweep.Sweep",
-    "result.comparison.MethodComparison",
     "result.model.RobustComparison",
     "result.focus.FocusResult",
     "result.focus.FocusedWaveforms",

@@ -44,7 +44,6 @@ COMMANDS = {
     "localize": (".h5", ["device", "seed", "evaluator", "path", "accuracy", "estimate", "checkpoint-every", "resume"]),
     "simulate": (".h5", ["drive", "device", "out", "pictures", "json"]),
     "sweep": (".h5", ["vary", "what", "samples", "count", "device", "checkpoint-every", "resume"]),
-    "compare": (".h5", ["methods", "seeds", "evaluations"]),
     "modes": (".png", ["count", "out"]),
     "frf": (".png", ["out"]),
     "focus": (".h5", ["out"]),

@@ -7,7 +7,6 @@ import pytest
 
 import warp_plate as wpl
 from support.scenes import scene_of
-from warp_plate.result.comparison import save_comparison
 from warp_plate.result.focus import save_focus
 
 xarray = pytest.importorskip("xarray")
@@ -39,12 +38,6 @@ def test_a_result_opens_by_names_of_actuators_regions_and_places(tmp_path):
     assert case.trace.dims == ("point", "trace_times")
     np.testing.assert_allclose(case.x, np.linspace(0, result.scene.plate.size[0], 9))
     assert groups["/history"].best.dims == ("iteration",)
-
-
-def test_a_comparison_opens(tmp_path):
-    found = wpl.compare(scene_of((9, 9), search=SEARCH), methods=["pso"], seeds=1, device="cpu")
-    groups = opened(save_comparison(found, tmp_path / "a.h5"))
-    assert groups["/trials/pso/0"].loss.dims == ("iteration",)
 
 
 def test_focusing_opens(tmp_path):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import warp_plate
-from warp_plate import Scene, compare, frf, load_result, plot, simulate, sweep
+from warp_plate import Scene, frf, load_result, plot, simulate, sweep
 from warp_plate.viz.availability import missing_renderer
 
 PICTURES = ("surfaces", "sweep")
@@ -55,14 +55,9 @@ def test_script_finds_and_saves_a_drive(tmp_path, monkeypatch):
 
 def test_plots_are_those_of_the_commands(tmp_path):
     pytest.importorskip("matplotlib")
-    responses, compared = (
-        frf("paper", frequency_range=(200, 300)),
-        compare("paper", methods=["exact"], seeds=1, device="cpu"),
-    )
-    for shown in (responses, compared):
-        assert plot(shown, tmp_path / "drawn.1") == [tmp_path / "drawn.1.png"]
-        assert (tmp_path / "drawn.1.png").read_bytes().startswith(b"\x89PNG")
-        (tmp_path / "drawn.1.png").unlink()
+    responses = frf("paper", frequency_range=(200, 300))
+    assert plot(responses, tmp_path / "drawn.1") == [tmp_path / "drawn.1.png"]
+    assert (tmp_path / "drawn.1.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(TypeError, match="Scene: there are pictures of Result, Sweep"):
         plot(Scene.load("paper"), tmp_path / "drawn")
 

@@ -15,7 +15,6 @@ from warp_plate import Scene
 from warp_plate.fitting.fit import modal_assurance
 from warp_plate.fitting.measured_responses import MeasuredResponses
 from warp_plate.result.case import Case
-from warp_plate.result.comparison import MethodComparison, Trial
 from warp_plate.result.sweep import REFUSED
 from warp_plate.scene.vary import make_plan, parse_vary
 from warp_plate.studies.frequency_response import frf
@@ -29,7 +28,7 @@ from warp_plate.viz.plots.responses import (
     draw_mode_fit,
     draw_response_fit,
 )
-from warp_plate.viz.plots.search import draw_comparison, draw_history, draw_spectrum
+from warp_plate.viz.plots.search import draw_history, draw_spectrum
 from warp_plate.viz.plots.sweep import LINE_COLOURS, REFUSED_GREY, REFUSED_TICK, cell_edges, draw_sweep
 
 figures = pytest.importorskip("matplotlib.figure", reason="Matplotlib is not installed: pip install 'warp-plate[viz]'")
@@ -142,15 +141,6 @@ def test_labels_of_a_logarithmic_axis(drawn, ends, numbers):
             number_log_axis(axes.xaxis)
 
     assert drawn(draw, ends)[1] == numbers
-
-
-def test_a_comparison_over_less_than_two_decades(drawn):
-    rising = np.linspace(0.6, 0.2, 20)
-    trial = Trial("ring", 5, np.arange(40, 840, 40), np.geomspace(0.01, 0.2, 20), rising)
-    scene = scene_of(nodes=(11, 11))
-    comparison = MethodComparison("panel", scene, "cpu", "direct", 800, {"prepare": 0.5}, True, (trial,))
-    _, words = drawn(draw_comparison, comparison)
-    assert "panel: median, best and worst of 1 seed" in words
 
 
 # Fits ---------------------------------------------------------------------------------------------------------

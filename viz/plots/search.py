@@ -1,4 +1,4 @@
-"""Plots of searches (history, robustness, spectrum, comparison of methods), and of error against run time."""
+"""Plots of searches (history, robustness, spectrum), and of error against run time."""
 
 from __future__ import annotations
 
@@ -11,14 +11,11 @@ import numpy as np
 from warp_plate.result.case import only_actuator
 from warp_plate.result.model import BOUND_DESCRIPTIONS, DRIVES, TAIL, Result, mean_of_worst
 from warp_plate.scene.model import Scene
-from warp_plate.scene.vary import counted
 from warp_plate.viz.annotations import case_label
 from warp_plate.viz.plots.frame import figure, label_axis, number_log_axis
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from warp_plate.result.comparison import MethodComparison, Trial
 
 PUBLISHED = 0.72  # final localization factor of the swarm in the source paper
 # Line styles of drives that need no search.
@@ -35,10 +32,6 @@ CURVES = {
     "equal": ("#8a8a8a", 1.1, "equal drive"),
 }
 DRIVE_COLOURS = {"robust": "#08519c", "nominal": "#d94801"}
-METHOD_COLOURS = {"pso": "#4d4d4d", "constriction": "#d95f02", "ring": "#1b7837"}
-METHOD_COLOURS |= {"cma": "#762a83", "gradient": "#08519c", "exact": "#b2182b"}
-BOUND_LABELS = {"attained": "bound of these searches", "bound only": "upper bound (may be out of reach)"}
-SMALLEST_DISTANCE = 1e-12  # from the bound; smaller ones are rounding errors
 # Colour, marker and label by order and load; float64 has open marks and a dotted line.
 FAMILIES = {
     (2, "nodes"): ("#7f7f7f", "s", "order 2, node masks"),
@@ -171,62 +164,6 @@ def _write_target(axes: Axes, scene: Scene) -> None:
     targets = scene.targets
     if len(targets) > 1:
         axes.set_title(f"search for target {targets[0].name}, the first of {len(targets)}", fontsize=9, wrap=True)
-
-
-def draw_comparison(comparison: MethodComparison, path: str | Path) -> None:
-    """Plot median (lines) and worst to best seed (bands), and if a bound is known, the distances from it below."""
-    rows = 1 if comparison.bound is None else 2
-    with figure(path, (9.0, 0.9 + 2.7 * rows)) as fig:
-        grid = fig.subplots(rows, 2, sharex="col", sharey="row", squeeze=False)
-        for column, clock in zip(grid.T, ("evaluations", "seconds"), strict=True):
-            _plot_losses(column, comparison, clock)
-            column[-1].set_xlabel(clock)
-            number_log_axis(column[-1].xaxis)
-        grid[0, 0].set_ylabel("largest localization factor" if comparison.localization else "smallest loss")
-        if comparison.bound is not None:
-            grid[1, 0].set_ylabel("distance from the bound (≥ 10⁻¹²)")
-            number_log_axis(grid[1, 0].yaxis)
-        fig.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
-        seeds = len({trial.seed for trial in comparison.trials})
-        title = f"{comparison.scene.title or comparison.source}: median, best and worst of {counted(seeds, 'seed')}"
-        fig.suptitle(title, fontsize=9)
-
-
-def loss_statistics(trials: Sequence[Trial], clock: str, budget: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the (iterations,) median of a clock, "evaluations" or "seconds", over trials, and their (3, iterations)
-    smallest, median and largest loss so far, with the last loss of trials that have ended."""
-    count = max(len(trial.loss) for trial in trials)
-    times, losses = (
-        np.array([np.pad(getattr(trial, name), (0, count - len(trial.loss)), mode="edge") for trial in trials], float)
-        for name in (clock, "loss")
-    )
-    clocks = np.median(times, axis=0)
-    statistics = np.stack([losses.min(axis=0), np.median(losses, axis=0), losses.max(axis=0)])
-    if clock == "evaluations" and clocks[-1] < budget:
-        clocks, statistics = np.append(clocks, budget), np.pad(statistics, ((0, 0), (0, 1)), mode="edge")
-    return clocks, statistics
-
-
-def _plot_losses(column: Sequence[Axes], comparison: MethodComparison, clock: str) -> None:
-    sign, offset = (-1, 1) if comparison.localization else (1, 0)
-    for method in comparison.methods:
-        clocks, losses = loss_statistics(comparison.trials_of(method), clock, comparison.budget)
-        _plot_method(column[0], method, clocks, offset + sign * losses)
-        if comparison.bound is not None:
-            _plot_method(column[1], method, clocks, np.maximum(losses - comparison.bound, SMALLEST_DISTANCE))
-    if comparison.bound is not None:
-        bound, label = offset + sign * comparison.bound, BOUND_LABELS[comparison.bound_kind]
-        column[0].axhline(bound, color="#111111", linewidth=1.0, linestyle="--", label=label)
-        column[1].set_yscale("log")
-    for axes in column:
-        axes.set_xscale("log")
-
-
-def _plot_method(axes: Axes, method: str, clocks: np.ndarray, values: np.ndarray) -> None:
-    colour = METHOD_COLOURS.get(method, "#666666")
-    axes.fill_between(clocks, values[0], values[2], step="post", color=colour, alpha=0.13, linewidth=0)
-    marker = {"marker": "D", "markevery": [0], "markersize": 4} if method == "exact" else {}
-    axes.plot(clocks, values[1], drawstyle="steps-post", color=colour, linewidth=1.4, label=method, **marker)
 
 
 def draw_accuracy(record: Mapping[str, Any], path: str | Path) -> None:

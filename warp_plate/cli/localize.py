@@ -225,7 +225,7 @@ def _print(elapsed: float | None, result: warp_plate.Result, console: Console) -
             tables.print_drive(result.cases[case], result.scene, console, target)
     if result.target_searches:
         tables.print_crosstalk(result, console)
-    tables.print_failures(result, console, "the best drive so far is shown")
+    tables.print_failures(result, console)
     if result.source == "paper":
         console.print(NOT_REPRODUCED)
     in_all = {"direct": ", in all ", "response": " on Gram matrices, in all ", "modal": ", "}

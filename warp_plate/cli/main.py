@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 # The module of each command, which is imported when the command runs, and the command's line in ``warp-plate --help``.
 COMMANDS = {
     "localize": ("localize", "Search for the drive that puts most of the plate's kinetic energy into the target."),
-    "compare": ("compare", "Compare search methods on a scene, each from several seeds with equal budgets."),
     "sweep": ("sweep", "Compute the results of one command over many scenes that differ in some keys."),
     "simulate": ("simulate", "Run one plate under one drive."),
     "check": ("check", "Show what a scene is, warnings about it, and the numerics of its run."),

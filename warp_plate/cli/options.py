@@ -55,7 +55,7 @@ Evaluator = Annotated[
     Parameter(
         help="direct simulates a plate for each evaluation; response uses Gram matrices of simulated unit responses; "
         "modal computes energies from the modes of the plate, for tones and linear scenes (default: direct, but in "
-        "compare and robust searches response where it applies)."
+        "robust searches response where it applies)."
     ),
 ]
 EstimateSwitch = Annotated[bool, Parameter(help="Estimate the error of the result at the end.")]

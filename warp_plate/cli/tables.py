@@ -13,7 +13,6 @@ from warp_plate.problem.methods import unread_keys
 from warp_plate.problem.objectives import keeps_limit
 from warp_plate.quantities.region_quantities import REGION_QUANTITIES
 from warp_plate.result.case import Case, amplitude_column, amplitudes_as_given, relative_to_own, target_cases
-from warp_plate.result.comparison import MethodComparison
 from warp_plate.result.model import Result, RobustComparison, crosstalk
 from warp_plate.scene.errors import printable
 from warp_plate.scene.model import Scene
@@ -219,12 +218,12 @@ def _robust_quantity(compared: RobustComparison) -> str:
     return "localization factor" if compared.localization else "weighted sum of objectives"
 
 
-def print_failures(result: Result | MethodComparison, console: Console, shown: str) -> None:
-    """Print why workers failed to simulate plates, and which part of an interrupted study is shown."""
+def print_failures(result: Result, console: Console) -> None:
+    """Print why workers failed to simulate plates, and that an interrupted search shows its best drive so far."""
     for line in failure_lines(result.lost_plates):
         console.print(f"! {line}")
     if result.interrupted:
-        console.print(f"Interrupted by Ctrl-C; {shown}.")
+        console.print("Interrupted by Ctrl-C; the best drive so far is shown.")
 
 
 def failure_lines(failures: Mapping[str, int]) -> list[str]:
