@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic import BaseModel
 
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.fields import explain_key, shown_unit
+from warp_plate.scene.fields import shown_unit, unit_in
 from warp_plate.scene.load import parse_toml
 from warp_plate.scene.tables import SceneTables
 from warp_plate.scene.target import SHAPES
@@ -76,7 +76,8 @@ def unit_of(scene: SceneTables, key: str) -> str:
     unit: str | None = None
     for part in key_parts(key):
         if isinstance(part, str):
-            unit = explain_key(type(holder), part)[1]
+            field = type(holder).model_fields[part]
+            unit = unit_in(field.annotation, field.metadata)
         holder = holder[part] if isinstance(part, int) else getattr(holder, part)
     return shown_unit(unit or "1", scene.drive_unit)
 
