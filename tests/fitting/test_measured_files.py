@@ -142,6 +142,30 @@ def test_modes_of_universal_files(random, tmp_path):
     np.testing.assert_allclose(found.damping, [0.01, 0.02], rtol=1e-4)
     np.testing.assert_allclose(found.shapes, [[1 + 1j, 2], [0.5, -1]], rtol=1e-5)
     np.testing.assert_allclose(found.points, [[0.02, 0.06], [0.1, 0.05]])
+    text = (tmp_path / "data.uff").read_text()
+    (tmp_path / "data.uff").write_text(text.replace(f"{8:10d}{2:10d}{3:10d}", f"{8:10d}{2:10d}{-5:10d}"))
+    with pytest.raises(SceneError, match=r"data\.uff: mode 1 of 3 \(dataset 55\): record 6 states -5 values a node"):
+        read_modes(tmp_path / "data.uff")
+
+
+def dataset_58(points):
+    """The text of a response of two points, 1 at 1 Hz and 2 Hz, whose header states other points."""
+    node = f"{'NONE':>5s}{1:10d}{3:4d}"
+    axes = f"{18:10d}{0:5d}{0:5d}{0:5d} NONE                 NONE\n" * 4
+    head = f"{4:5d}{0:10d}{1:5d}{0:10d} {node} {node}\n{5:10d}{points:10d}{1:10d}{1:13.5e}{1:13.5e}{0:13.5e}\n"
+    return "    -1\n    58\n" + "NONE\n" * 5 + head + axes + f"{1:13.5e}{0:13.5e}" * 2 + "\n    -1\n"
+
+
+@pytest.mark.parametrize("points", [999_999_999, 3, 1, 0, -5])
+def test_points_that_a_universal_file_states_but_lacks(points, tmp_path):
+    pytest.importorskip("pyuff")
+    path = tmp_path / "data.uff"
+    path.write_text(dataset_58(2))
+    np.testing.assert_array_equal(read_responses(path, 1).responses, [[1, 1]])
+    path.write_text(dataset_58(2) + dataset_58(points))
+    stated = f"data\\.uff: dataset 58, number 2 of 2: record 7 states {points} points and 2 follow"
+    with pytest.raises(SceneError, match=stated):
+        read_responses(path, 2)
 
 
 def test_shapes_in_text(tmp_path):

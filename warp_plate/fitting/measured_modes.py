@@ -134,6 +134,10 @@ def _shapes_and_points(
         raise ValueError(f"node {missing[0]} of a mode has no place (dataset 15)")
     if any("r3" not in item for item in modes):
         raise ValueError("a mode has no motion across the plate (r3 of dataset 55)")
+    for number, item in enumerate(modes, 1):
+        if len(item["r3"]) != len(numbers):
+            stated = f"{item['n_data_per_node']} values a node, but {len(item['r3'])} of r3 for {len(numbers)} nodes"
+            raise ValueError(f"mode {number} of {len(modes)} (dataset 55): record 6 states {stated}")
     return np.array([item["r3"] for item in modes]), np.array([places[int(number)] for number in numbers])
 
 
@@ -192,6 +196,10 @@ def universal_responses(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     coherence = [item["data"] for item in functions if item.get("func_type") == COHERENCE]
     if not sets:
         raise ValueError("has no frequency response (dataset 58 of function type 4)")
+    for number, item in enumerate(functions, 1):
+        if item["num_pts"] != len(item["data"]):
+            stated = f"record 7 states {item['num_pts']} points and {len(item['data'])} follow"
+            raise ValueError(f"dataset 58, number {number} of {len(functions)}: {stated}")
     if any(not np.array_equal(item["x"], sets[0]["x"]) for item in functions):
         raise ValueError("its frequency responses are at different frequencies")
     columns = np.vstack([sets[0]["x"], *(item["data"] for item in sets)]).astype(complex)
