@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from warp_plate import PlateSolver, Scene
+from warp_plate import Scene
 from warp_plate.analysis.warnings import (
     find_warnings,
     search_warnings,
@@ -13,7 +13,6 @@ from warp_plate.analysis.warnings import (
     target_warnings,
     warning_texts,
 )
-from warp_plate.solve.specialize import effect_names
 
 START = 0.004  # start of the window of the tests' scene [s]
 TAU = 1e-5  # retardation time [s]
@@ -72,15 +71,6 @@ def test_files_with_higher_frequencies_are_reported(tmp_path, scene, frequency, 
     assert "drive.signal" in left(loaded).sentence
 
 
-def test_effects_are_named_as_in_the_kernel(scene):
-    voltage = scene(drive={"frequency": 290.0, "electrostatic": {"gain": 1.0}})
-    loaded = scene(effects={"moving_load": {"force": 1.0, "start": (0.1, 0.1)}})
-    for made, waves in ((voltage, True), (loaded, False), (scene(), False)):
-        effects = PlateSolver(made, "cpu").specialized.effects
-        assert ("several waves" in effect_names(made)) == (effects.terms > 2) == waves
-        assert ("bending by moments" in effect_names(made)) == effects.moments == (not effects.plain)
-
-
 def scaled(scene, lengths, thickness):
     """Return a scene whose lengths in the plane, and its thickness, are multiplied."""
     made = scene.model_dump(mode="json", exclude={"targets"})
@@ -128,6 +118,8 @@ def test_the_first_natural_frequency_of_a_stiffened_plate_is_found(scene):
     bare = slowest_frequency(made.with_tables(effects={}))
     assert number.value == pytest.approx(made.drive.frequency / math.hypot(bare, bed), rel=1e-6)
     assert number.exceeded
+    damped = scene(effects={"foundation": {"stiffness": 1.0, "damping": 100.0}})
+    assert left(damped).value == pytest.approx(math.exp(-100 * START))
 
 
 @pytest.mark.parametrize("effects", [None, {"modal_damping": {"ratio": 0.002}}])

@@ -82,15 +82,6 @@ def test_libraries_that_do_not_fit_in_a_limit_of_memory(limit, write_scene):
     assert not Path("panel-simulate.h5").exists()
 
 
-@pytest.mark.slow
-def test_a_backend_of_matplotlib_that_it_does_not_know(write_scene):
-    write_scene(damping=88.5)
-    line = [sys.executable, "-m", "warp_plate", "frf", "panel.toml", "--range", "100:200"]
-    run = subprocess.run(line, capture_output=True, text=True, env={**os.environ, "MPLBACKEND": "none"})
-    assert (run.returncode, run.stderr) == (0, "")
-    assert list(Path().glob("*.png"))
-
-
 FORKED = """
 import os, signal, time
 import numpy as np
@@ -134,13 +125,6 @@ def test_a_search_whose_streams_are_closed_keeps_its_result(write_scene):
 @pytest.mark.skipif(sys.platform == "win32", reason="shells of Unix")
 def test_a_closed_standard_error_changes_no_status():
     assert in_shell("COMMAND init none 2>&-")[:2] == (2, "")
-
-
-def test_a_terminal_of_no_width_is_one_of_80_columns(command, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
-    expected = output_of(command("check", "paper"))
-    monkeypatch.setenv("COLUMNS", "0")
-    assert output_of(command("check", "paper")) == expected != ""
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="shells of Unix")

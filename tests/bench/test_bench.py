@@ -9,16 +9,13 @@ from pathlib import Path
 import bench as program
 import numpy as np
 import pytest
-import warp as wp
-from step_rates import cases, limits, measure
-from step_rates.cases import BenchCase, filling_plates, make_cases
+from step_rates import limits
+from step_rates.cases import BenchCase
 from step_rates.measure import BenchRow, TimingBudget, measure_all, paper_like, prepare
-from step_rates.multiply_adds import make_multiply_adds
 from step_rates.plots import commonest_size, draw_bench, fastest_of_each_size
 
-from warp_plate.accuracy.measure import describe_machine
 from warp_plate.kernels.cuda import THREAD_REGISTERS
-from warp_plate.plate.scheme import discretize, make_scheme
+from warp_plate.plate.scheme import discretize
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import bytes_per_plate
@@ -64,7 +61,6 @@ def record(*rows):
 
 
 def test_figures_are_consistent(device, path):
-    """Every figure of a row follows from its seconds and the sizes."""
     kinds = [(precision, plates) for precision in ("float32", "float64") for plates in (1, 3)]
     wanted = [BenchCase(device, precision, 9, plates, path) for precision, plates in kinds]
     report = measure_all(wanted, HASTE)
@@ -90,17 +86,6 @@ def test_figures_are_consistent(device, path):
         assert (one.limit, one.share) == (limit, pytest.approx(one.node_steps_per_second * needs / most))
 
 
-@pytest.mark.parametrize("real", [wp.float32, wp.float64])
-def test_arithmetic_limit_counts_its_operations(real):
-    """x ← 1·x + 1, as often as it is counted, for each number."""
-    block, depth, rounds, passes = 40, 16, 3, 5
-    kernel = make_multiply_adds(real, block, depth, rounds)
-    start = np.arange(2 * block).reshape(2, block)
-    numbers = wp.array(start, dtype=real, device="cpu")
-    wp.launch(kernel, dim=2, inputs=[1.0, 1.0, passes], outputs=[numbers], device="cpu")
-    np.testing.assert_array_equal(numbers.numpy(), start + depth * rounds * passes)
-
-
 def test_operations_are_those_of_the_equation(scene):
     """Two Laplacians of 3 additions and a multiply-add, both updates, loads, and the window's share of the sum."""
     device = find_device("cpu")
@@ -123,41 +108,16 @@ def test_kinds_of_plates_stay_stable(kind, operations):
     assert limits.operations_a_node_step(ready.specialized) == pytest.approx(operations + 3.5, abs=1.0)
 
 
-@pytest.mark.parametrize("nodes", [5, 27, 161, 8193])
-def test_the_scene_is_the_papers_on_another_grid(nodes):
-    made = make_scheme(paper_like(nodes, "float64"))
-    assert (made.nodes, made.steps, made.window) == ((nodes, nodes), 1250, (625, 1250))
-    assert made.time_step < 0.9 * made.limit
-    assert made.angular_frequency * made.time_step == pytest.approx(2 * np.pi * 290 * 8e-5)
-
-
-def test_plates_start_from_noise(device, path):
-    """All moving nodes move, no other does, and the drive is on."""
-    ready = prepare(BenchCase(device, "float32", 9, 3, path))
-    for field in (ready.state.u.numpy(), ready.state.rate.numpy()):
-        assert (field[:, 2:9, 1:8] != 0).all()
-        field[:, 2:9, 1:8] = 0
-        assert not field.any()
-    assert ready.state.in_phase.numpy().any()
-    ready.seconds(1250)
-    assert np.isfinite(ready.state.u.numpy()).all()
-    assert ready.state.squares.numpy()[:, 2:9, 1:8].all()
-
-
-def test_slow_and_large_cases_are_skipped(bench, monkeypatch):
-    monkeypatch.setattr(measure, "memory_for_plates", lambda device: 1e5)
-    status, out, err = bench(*SMALL, "--plates", "2,100000", "--path", "streaming", "--no-pictures")
+def test_large_and_unfit_cases_are_skipped(bench):
+    status, out, err = bench(*SMALL, "--plates", "2,1000000000", "--path", "streaming", "--no-pictures")
     assert (status, err, "streaming" in out) == (0, "", True)
-    assert "100000 × 9², plain: skipped: needs" in " ".join(out.split())
+    assert "1000000000 × 9², plain: skipped: needs" in " ".join(out.split())
     assert out.splitlines()[-1] == "wrote bench.json"
     rows = json.loads(Path("bench.json").read_text(encoding="utf-8"))["rows"]
     assert [one["status"].partition(":")[0] for one in rows] == ["measured", "skipped"]
-    monkeypatch.setattr(measure, "LONGEST_SECONDS", 0.0)
-    wanted = [BenchCase("cpu", "float32", 9, 2, path) for path in ("streaming", "strips")]
-    slow, unfit = measure_all(wanted, HASTE).rows
-    assert slow.status.startswith("skipped: 4 steps take")
-    assert slow.seconds is slow.share is None
+    [unfit] = measure_all([BenchCase("cpu", "float32", 9, 2, "strips")], HASTE).rows
     assert unfit.status.startswith("skipped: path = 'strips'")
+    assert unfit.seconds is unfit.share is None
 
 
 def test_json_table_and_pictures(bench):
@@ -190,21 +150,6 @@ def test_bad_options(bench, words):
     assert os.listdir() == []
 
 
-def test_cases_cover_sizes_and_numbers_of_plates(monkeypatch):
-    made = make_cases(["cpu"], ["float32", "float64"])
-    assert len(set(made)) == len(made)
-    assert {case.precision for case in made} == {"float32", "float64"}
-    assert {case.kind for case in made} == {"plain", "order4", "free", "stretching"}
-    assert len(make_cases(["cpu"], ["float32"], quick=True)) < len(made) / 4
-    both = make_cases(["cpu"], ["float32"], [1, 2], [9, 11], "streaming")
-    assert both == [BenchCase("cpu", "float32", *sizes, "streaming") for sizes in ((9, 1), (9, 2), (11, 1), (11, 2))]
-    monkeypatch.setenv("WARP_PLATE_THREADS", "3")
-    assert describe_machine("cpu")["threads"] == 3
-    counts = [filling_plates("cpu", nodes) for nodes in cases.NODES]  # the same for every thread
-    assert all(count % 3 == 0 and count > 0 for count in counts)
-    assert counts == sorted(counts, reverse=True)
-
-
 def test_ctrl_c_keeps_finished_rows():
     wanted = [BenchCase("cpu", "float32", 9, plates) for plates in (1, 2, 3)]
 
@@ -217,13 +162,6 @@ def test_ctrl_c_keeps_finished_rows():
     assert [one.plates for one in report.rows] == [1]
     with pytest.raises(KeyboardInterrupt):
         measure_all(wanted[1:], HASTE, interrupt)
-
-
-def test_short_runs_are_repeated():
-    """After one uncounted run, there is a least number of runs, for a quarter of the seconds."""
-    for pace, expected in ((TimingBudget(1.0, 5), [0.0625] * 5), (TimingBudget(2.0, 3), [0.0625] * 8)):
-        seconds = iter([9.0] + [0.0625] * 20)
-        assert measure.time_runs(lambda seconds=seconds: next(seconds), pace) == expected
 
 
 def test_plots(tmp_path):

@@ -1,7 +1,6 @@
 """``warp-plate accuracy``: its table, JSON, files and picture, and Ctrl-C."""
 
 import json
-import re
 from functools import partial
 from pathlib import Path
 
@@ -51,21 +50,6 @@ def test_table_file_and_picture(accuracy):
     assert "warp-lang" in record["versions"]
     assert Path("a.png").read_bytes().startswith(b"\x89PNG")
     assert "order 4, moments" in Path("a.svg").read_text(encoding="utf-8")
-
-
-@pytest.mark.slow
-def test_scenes_that_only_modes_solve(command, write_scene, panel):
-    """Their table has no column of time steps, and equal recommendations share a row."""
-    pytest.importorskip("matplotlib")
-    write_scene(panel.with_tables(effects={"loss_factor": {"eta": 0.05}}))
-    lines = output_of(command("accuracy", "panel.toml", "--device", "cpu", "--out", "a.json")).splitlines()
-    assert any(line.startswith("functions  single") for line in lines)
-    assert not any("Δt" in line or "measured laws" in line for line in lines)
-    start = next(index for index, line in enumerate(lines) if line.startswith("for "))
-    rows = [re.split("  +", line, maxsplit=1) for line in lines[start + 1 : lines.index("", start)]]
-    tolerances = [text for names, _ in rows for text in names.removesuffix(" %").split(", ")]
-    assert tolerances == ["10", "3", "1", "0.3", "0.1"]
-    assert len({cells for _, cells in rows}) == len(rows)
 
 
 def test_errors_within_that_of_the_reference_are_bounds():

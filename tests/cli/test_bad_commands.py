@@ -115,7 +115,6 @@ def test_the_longest_file_names(folder_of_files, command):
 
 
 def test_more_than_fits_into_memory(folder_of_files, write_scene, command, monkeypatch):
-    """Scenes and swarms that never fit, and an allocation that fails."""
     with monkeypatch.context() as patch:
         patch.setattr(memory, "machine_memory", lambda: 2.0**10)
         for name in ("localize", "simulate"):

@@ -196,6 +196,7 @@ def test_a_plate_that_is_not_linear_has_no_acceleration(command, tmp_path):
 def test_cases_of_a_search_are_compared(command, tmp_path):
     words = ("localize", "paper", *QUICK, "--baselines", "--set", "search.iterations=3", "--out", tmp_path / "a.h5")
     found = json.loads(output_of(command(*words, "--json")))
+    assert found["scene"] == "paper --set search.iterations=3"
     assert set(found["motion"]) == set(found["localization_factor"]) - {"bound"}
     equal, single, best = (found["motion"][name] for name in ("equal", "single", "best"))
     assert equal["contrast_db"] == pytest.approx(0, abs=1e-6)
@@ -256,17 +257,3 @@ def test_every_command_of_a_scene_sets_its_keys():
     scenes = [name for name, app in apps.items() if "scene" in signature(app.default_command).parameters]
     assert len(scenes) > 8
     assert [name for name in scenes if "--set" not in options[name]] == []
-
-
-def test_results_bear_what_was_set(command, tmp_path):
-    options = ("--device", "cpu", "--no-pictures", "--no-estimate", "--out", tmp_path / "a.h5", "--json")
-    found = json.loads(output_of(command("simulate", "paper", "--set", "drive.frequency=300", *options)))
-    bare = json.loads(output_of(command("simulate", "paper", *options)))
-    assert found["scene"] == "paper --set drive.frequency=300"
-    assert found["energy"]["plate"] != pytest.approx(bare["energy"]["plate"], rel=1e-2)
-
-
-def test_a_search_that_is_resumed_takes_no_new_keys(command):
-    status, _, error = command("localize", "--resume", "a.checkpoint.h5", "--set", "drive.frequency=300")
-    assert status == 2
-    assert "an unfinished search has its own" in error

@@ -82,11 +82,6 @@ def test_commands_say_once_that_a_gpu_is_not_used(command, machine):
     assert command("check", "paper", "--device", "cpu")[2] == ""
 
 
-def test_commands_say_nothing_where_there_is_no_gpu(command, machine):
-    machine()
-    assert output_of(command("check", "paper"))
-
-
 def test_a_device_that_warp_cannot_compile_for_is_refused(command, machine, monkeypatch):
     machine(found=[PASCAL])
     monkeypatch.setattr(wp, "get_device", {"cuda:1": PASCAL, "cpu": wp.get_device("cpu")}.get)
@@ -104,7 +99,6 @@ def test_extras_are_those_of_the_project():
 
 
 def test_what_lacks_has_its_remedy(command, monkeypatch, tmp_path):
-    """Folders that cannot be written, and extras that are missing."""
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path / "gone"))
     found = checks(command)

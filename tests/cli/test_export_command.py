@@ -65,7 +65,6 @@ def test_options_of_a_drive(command, result_folder):
 
 
 def test_a_motion_repeats_the_run(command, result_folder):
-    """Displacements at the recorded time are those of the result."""
     options = ("--case", "best", "--case", "single", "--start", 0.002, "--end", 0.004, "--frames", 4, "--device", "cpu")
     assert "recorded times" not in command("export", "run.h5", "--to", "vtkhdf", *options)[1]
     record = json.loads(output_of(command("export", "run.h5", "--to", "vtkhdf", *options, "--json")))

@@ -34,8 +34,8 @@ def test_json_and_files(command, write_scene):
         assert words in again
 
 
-def test_waveforms_are_exported_for_the_amplifier(command, write_scene):
-    """A file for each point, which [drive.signal] reads back as pressures."""
+def test_waveforms_are_exported_and_played_on_another_panel(command, write_scene):
+    """Export writes a file for each point, which [drive.signal] reads back as pressures."""
     write_scene(damping=10.0, focus=TABLE)
     output_of(command("focus", "panel.toml", "--no-pictures"))
     out = output_of(command("export", "panel-focus.h5", "--to", "drive-wav", "--case", "time_reversal"))
@@ -46,6 +46,10 @@ def test_waveforms_are_exported_for_the_amplifier(command, write_scene):
     np.testing.assert_allclose(stored.T, waveforms[1] / abs(waveforms).max(), atol=1e-7)
     read = read_samples(SampledSignal(file="panel-focus-drive-1.wav", per_actuator=True), Path(), 3)
     np.testing.assert_allclose(read.values * abs(waveforms).max(), waveforms[0], atol=1e-6)
+    played = ("focus", "panel.toml", "--set", "effects.damping.viscous=30", "--no-pictures", "--out", "other.h5")
+    output_of(command(*played, "--waveforms", "panel-focus.h5"))
+    np.testing.assert_array_equal(load_focus("other.h5").methods["time_reversal"].waveforms, waveforms)
+    assert "none.h5: no such file" in error_of(command(*played, "--waveforms", "none.h5"))
     csv = json.loads(output_of(command("export", "panel-focus.h5", "--to", "drive-csv", "--full-scale", "2", "--json")))
     assert (csv["case"], csv["full_scale"]) == ("optimum", 2.0)
     for words in (
@@ -57,21 +61,7 @@ def test_waveforms_are_exported_for_the_amplifier(command, write_scene):
         assert words[-1] in error_of(command("export", "panel-focus.h5", *words))
 
 
-def test_waveforms_of_a_file_are_played_on_another_panel(command, write_scene):
-    write_scene(damping=10.0, focus=TABLE)
-    output_of(command("focus", "panel.toml", "--no-pictures"))
-    other = ("--set", "effects.damping.viscous=30", "--waveforms", "panel-focus.h5", "--out", "other.h5")
-    output_of(command("focus", "panel.toml", "--no-pictures", *other))
-    made, played = (load_focus(name).methods["optimum"] for name in ("panel-focus.h5", "other.h5"))
-    np.testing.assert_array_equal(made.waveforms, played.waveforms)
-    assert (played.peak < made.peak).all()
-    line = error_of(command("focus", "panel.toml", "--set", "focus.time=0.02", *other[2:]))
-    assert "panel.toml --set focus.time=0.02: focus.time: the waveforms were made with another one, 0.01" in line
-    assert "none.h5: no such file" in error_of(command("focus", "panel.toml", "--waveforms", "none.h5"))
-
-
 def test_focus_is_rendered(command, write_scene):
-    """Seen from above, which needs no renderer."""
     pytest.importorskip("matplotlib")
     write_scene(damping=10.0, focus=TABLE)
     output_of(command("focus", "panel.toml", "--no-pictures"))

@@ -143,7 +143,6 @@ def test_files_are_written_whole_or_not_at_all(target, endless, write_scene, com
 
 
 def test_a_solver_can_be_used_after_an_interrupted_run(device, path, phasors):
-    """A signal arrives during a launch."""
     scene = scene_of(precision="float32", window=(0.01, 0.3))
     solver = PlateSolver(scene, device, path, 2)
     drives, others = phasors(2, 3).repeat(10, axis=0), phasors(20, 3)

@@ -48,7 +48,6 @@ def test_the_default_is_a_picture(render, drawing, tmp_path):
 
 
 def test_movies_play_all_frames(render, drawing, tmp_path):
-    """Frames of GIF and MP4 files differ, and the background stays white."""
     imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
 
     options = "--out a.gif --out a.mp4 --frames 6 --rate 12 --case best --json"

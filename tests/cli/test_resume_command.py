@@ -44,6 +44,7 @@ def test_what_would_change_the_result_is_refused_by_name(command, resumable, lef
         ("--seed 3", "--seed 3: the search in panel-localize.checkpoint.h5 began with 0"),
         ("--evaluator response", "--evaluator response: the search in .* began with direct"),
         ("--path streaming", "--path streaming: the search in .* began with auto"),
+        ("--set drive.frequency=300", "an unfinished search has its own"),
         ("--accuracy 1%", "the scene is not that of the search in"),
         ("thicker.toml", "the scene is not that of the search in"),
     ):

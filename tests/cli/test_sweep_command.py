@@ -173,7 +173,6 @@ def test_an_interrupted_sweep_is_resumed(swept_panel, command, interrupt_after, 
 
 
 def test_only_the_same_sweep_is_replaced(swept_panel, command, interrupt_after):
-    """A finished new result replaces the old one."""
     assert command(*CHECKS)[0] == 0
     Path("panel-localize.h5").write_bytes(b"another command's")
     Path("other-sweep.checkpoint.h5").write_bytes(b"another command's")

@@ -229,7 +229,6 @@ def test_springs_of_opposite_edges_are_named(ranges):
 
 @pytest.mark.parametrize("unknowns", [(0.7, 0.3), (0.6, 0.4), (0.5, 0.5), (0.2, 0.0)])
 def test_mirror_images_are_found_wherever_the_optimum_lies(unknowns):
-    """Residuals that are symmetric in two unknowns, and that are not."""
     for weights, alike in (((1.0, 1.0), True), ((1.0, 2.0), False)):
         problem = SimpleNamespace(residuals=lambda u, w=weights: np.array([np.dot(w, u), np.dot(w, u**2)]))
         found = SimpleNamespace(unknowns=np.array(unknowns), problem=problem)

@@ -63,7 +63,6 @@ def noisy(random, noise=0.01, frequencies=None):
 
 
 def test_command(command, write_scene, random):
-    """An outlier does no harm."""
     write_scene(wrong_panel(free=MODULI).replace("effects.loss_factor.eta", ETA))
     data = noisy(random)
     data.responses[1, 30] *= -20
@@ -124,10 +123,7 @@ def test_files_of_frf(ending, write, tmp_path):
 @pytest.mark.parametrize(
     ("row", "message"),
     [
-        (
-            {"point": (0.1, 0.1)},
-            "measurement[0].actuator: write an actuator's name, or force_at = [x, y]",
-        ),
+        ({"point": (0.1, 0.1)}, "measurement[0].actuator: write an actuator's name, or force_at = [x, y]"),
         ({"actuator": "0", "point": (0.1, 0.3)}, "measurement[0].point: [0.1, 0.3] is off the plate"),
         ({"actuator": "x", "point": (0.1, 0.1)}, "measurement[0].actuator: 'x' is not one of 0, 1, 2"),
         ({"force_at": (1, 0), "point": (0, 0)}, "measurement[0].force_at: [1.0, 0.0] is off the plate"),

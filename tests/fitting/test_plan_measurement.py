@@ -25,7 +25,6 @@ def lossy_panel(**free):
 
 
 def test_places_are_the_best_of_all(random):
-    """The information of random sensors, two of them alike."""
     jacobians = random.normal(size=(9, 2, 3))
     jacobians[3] = jacobians[7]
     information = np.einsum("cfi,cfj->cij", jacobians, jacobians)

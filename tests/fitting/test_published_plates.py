@@ -40,7 +40,6 @@ def moduli(scene):
 
 
 def test_published_modulus_of_aluminium():
-    """Its frequencies without a fit."""
     scene = Scene.load(PLATES / "aluminium.toml", ["plate.young_modulus=69e9"])
     computed = modes(scene, count=5).frequencies
     measured = read_modes(PLATES / "aluminium.csv").frequencies

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from warp_plate import Scene
-from warp_plate.modal.gram import Means, free_forms, gram_matrices, mean_exponential, mean_exponential_with_time
+from warp_plate.modal.gram import Means, gram_matrices, mean_exponential, mean_exponential_with_time
 from warp_plate.modal.modes import solve_modes
 from warp_plate.scene.grid import Window
 from warp_plate.solve.response import Response
@@ -53,14 +53,3 @@ def test_means_of_exponentials():
     assert np.array_equal(mean, mean_exponential(first, second, window))
     assert np.allclose(mean, exponentials.sum(axis=-1), rtol=1e-11, atol=0)
     assert np.allclose(with_time, (exponentials * times).sum(axis=-1), rtol=1e-11, atol=0)
-
-
-def test_products_of_free_motions_come_in_parts(paper_plate):
-    """Matrices between all poles of a large plate would take gigabytes."""
-    window, region = Window(start=0.0, end=0.004), paper_plate.kinetic_matrix(paper_plate.scene.target)
-    poles = paper_plate.poles(window.end)
-    ((_, [whole]),) = free_forms(poles, [region], window)
-    parts = list(free_forms(poles, [region], window, most=50))
-    assert all(rows.size <= 50 for rows, _ in parts)
-    for side, form in enumerate(whole):
-        assert np.allclose(np.concatenate([forms[0][side] for _, forms in parts]), form, rtol=1e-12, atol=0)

@@ -89,14 +89,6 @@ def test_parts_add_up(layered_plate):
     assert np.allclose(whole + 3e-3 * np.outer(motion, motion), np.eye(300), rtol=0, atol=1e-9)
 
 
-def test_polygon_across_a_layer(layered_plate):
-    """Its outline crosses all sides of the layer: parts that a layer's line cuts off along each axis add up to it."""
-    polygon, (left, _, bottom, _) = REGIONS["concave polygon"], LAYER["area"]
-    x, y = (0.0, left, SIZE[0]), (0.0, bottom, SIZE[1])
-    parts = sum(layered_plate.kinetic_matrix(polygon, (*across, *up)) for across in pairwise(x) for up in pairwise(y))
-    assert np.allclose(parts[:MODES, :MODES], layered_plate.kinetic_matrix(polygon)[:MODES, :MODES], rtol=0, atol=1e-9)
-
-
 @pytest.mark.parametrize("disc", [(0.1, 0.08, 0.057), (0.0505, 0.06, 0.004)], ids=["large", "small"])
 def test_disc_across_a_layer(layered_plate, disc):
     """Chords by Gauss's rule, each in and beside the layer; between the angles at which they enter or leave it, too."""

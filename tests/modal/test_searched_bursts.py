@@ -47,15 +47,6 @@ def test_energies_are_those_of_the_closed_form(name, damping, random):
     assert np.allclose(solver.run(designs).energy, expected, rtol=2e-3)
 
 
-def test_energies_do_not_depend_on_the_batch(random):
-    scene = scene_of(damping=60.0, drive={"frequency": 290.0, "burst": BURSTS["single"]})
-    solver = ModalSolver(scene, per_plate=PerPlate(delay=True))
-    delay = np.repeat([[0.0], [0.002], [0.002]], 3, axis=1)
-    designs = Designs(random.normal(size=(3, 3)) + 0j, delay=delay)
-    together = solver.run(designs).energy
-    assert np.array_equal(together, np.concatenate([solver.run(designs[row : row + 1]).energy for row in range(3)]))
-
-
 def test_places_under_sweeps(random):
     """Plates with other places are those of a scene with its actuators there."""
     scene = coarse(scene_of(damping=60.0, target=TARGET, window=(0.002, 0.006), drive=CHIRP))

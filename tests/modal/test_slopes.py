@@ -40,7 +40,6 @@ def areas_around(centre):
 @pytest.mark.parametrize("quantity", ["velocity", pytest.param("displacement", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in CASES])
 def test_slopes_are_those_of_differences(name, quantity, alike, random):
-    """Each kind of parameter changes along a random direction."""
     scene = scene_of(window=(0.003, 0.008), target={"disc": (0.13, 0.11, 0.03)}, **CASES[name])
     plate = replace(solve_modes(scene, density=0.4), negligible=0.0)
     regions = [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)]

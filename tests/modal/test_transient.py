@@ -13,7 +13,7 @@ from support.scenes import scene_of
 from warp_plate import PlateSolver
 from warp_plate.modal.energies import ModalEnergies
 from warp_plate.modal.modes import solve_modes
-from warp_plate.modal.motion import fields, modal_motion, trace
+from warp_plate.modal.motion import modal_motion, trace
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
 from warp_plate.reference import series
 
@@ -102,16 +102,6 @@ def test_undamped_mode_at_resonance_grows():
     exact = plate.actuator_forces()[0, 1] * times * np.sin(omega * times) / (2 * omega)
     motion = unit_motion(plate, times)[0, 1].real
     assert np.allclose(motion, exact, rtol=0, atol=1e-4 * np.abs(exact).max())
-
-
-def test_fields_hold_traces():
-    plate = solve_modes(bursts(), highest=100.0)
-    x, y, times, drives = np.array([0.05, 0.12]), np.array([0.03, 0.1, 0.15]), [0.011, 0.004], np.array([[1, 1j, -2]])
-    points = [(0.12, 0.03), (0.05, 0.15)]
-    moved = fields(plate, drives, times, x, y)
-    assert moved.shape == (1, 2, 3, 2)
-    expected = np.stack([moved[0, :, 0, 1], moved[0, :, 2, 0]])
-    assert np.allclose(trace(plate, drives, points, times)[0], expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
 def test_steady_motion_has_the_amplitude_of_late_motion():
@@ -214,8 +204,7 @@ def test_each_actuator_has_a_channel(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=() if name in FAST else pytest.mark.slow) for name in STEPPED],
+    "name", [pytest.param(name, marks=() if name in FAST else pytest.mark.slow) for name in STEPPED]
 )
 @pytest.mark.parametrize("nodes", [(21, 41), pytest.param((41, 81), marks=pytest.mark.slow)])
 def test_stepping_converges_to_the_motion(name, nodes, tmp_path):

@@ -204,23 +204,6 @@ def test_budget_history_and_what_may_be_told(method):
     assert best[-1] == optimizer.result.fbest == problem.losses(optimizer.result.xbest[None])[0]
 
 
-def test_flat_losses():
-    """The first best position stays; descents stall; a new cloud has twice as many positions."""
-    seen = {}
-    for method, keys in (("pso", {}), ("gradient", {"stall": 3}), ("cma", {"restarts": 1, "iterations": 60})):
-        search, space, problem = case(method, **keys)
-        optimizer, seen[method] = make_optimizer(search, space, 0, problem), []
-        minimize(optimizer, lambda x, asked=seen[method]: asked.append(x) or np.ones(len(x)))
-        np.testing.assert_array_equal(optimizer.result.xbest, seen[method][0][0])
-    assert len(seen["gradient"]) == 4
-    sizes, first = [len(asked) for asked in seen["cma"]], max(8, 4 + int(3 * math.log(5)))
-    assert (sizes[0], sizes[-1], set(sizes)) == (first, 2 * first, {first, 2 * first})
-    search, space, problem = case("gradient", stall=3)
-    descents = make_optimizer(search, space, 0, problem)
-    minimize(descents, lambda x: np.full(len(x), 1.0 if descents.iterations == 0 else 0.5))
-    assert descents.iterations == 5  # of which the second made progress
-
-
 @pytest.mark.parametrize("method", ["pso", "ring", "cma", "gradient"])
 @pytest.mark.parametrize(("low", "high", "restarts"), [(1.0, 1.001, 0), (0.0, 5.0, 2), (1.0, 3.0, 1)])
 def test_limits_and_periods_hold_for_any_loss(random, method, low, high, restarts):

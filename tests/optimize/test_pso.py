@@ -7,8 +7,6 @@ import pytest
 
 from warp_plate.optimize.optimizer import SearchSpace, minimize
 from warp_plate.optimize.pso import Swarm, SwarmSettings
-from warp_plate.problem.methods import swarm_settings
-from warp_plate.scene.search import Search
 
 
 def space_of(dimension, lower=-math.inf, upper=math.inf, initial=(-2, 2), period=math.inf):
@@ -34,17 +32,6 @@ def step(swarm, objective):
     positions = swarm.ask()
     swarm.tell(positions, objective(positions))
     return positions
-
-
-def test_settings_of_scenes():
-    """The paper's for the paper's search; constriction of Clerc and Kennedy; restarts after 20 iterations."""
-    assert swarm_settings(Search(), 3) == SwarmSettings(seed=3)
-    ring = swarm_settings(Search(method="ring", inertia=0.9, velocity_limit=0.5), 0)
-    assert ring.inertia == pytest.approx(0.7298, abs=5e-5)
-    assert ring.cognitive == ring.social == pytest.approx(1.49618, abs=5e-6)
-    assert (ring.decay, ring.ring, ring.velocity_limit) == (1, True, 0.5)
-    assert not swarm_settings(Search(method="constriction"), 0).ring
-    assert [swarm_settings(Search(restarts=2, **keys), 0).stall for keys in ({}, {"stall": 5})] == [20, 5]
 
 
 def test_the_papers_counts_and_a_callback():
@@ -121,13 +108,6 @@ def test_limits_and_velocity_limit_hold():
     assert walls > 0
     # The minimum, (0.5, 0.5), is outside: the best is on the wall next to it.
     np.testing.assert_allclose(swarm.result.xbest, [0.25, 0.5], atol=2e-3)
-
-
-def test_a_swarm_that_flies_apart_stays_finite():
-    swarm = swarm_of(2, inertia=1e6, decay=1.0, iterations=200)
-    minimize(swarm, lambda positions: np.abs(positions[:, 0]))
-    assert np.abs(swarm.positions).max() > 1e90
-    assert np.all(np.isfinite(swarm.positions))
 
 
 def test_restarts_keep_the_best_and_count():

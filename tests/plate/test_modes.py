@@ -162,14 +162,6 @@ def test_modes_with_attached_masses(scene):
         assert np.abs(shape).max() == shape.max() == 1
 
 
-def test_a_mass_on_a_patch_at_rest_swings_alone(scene):
-    attached = {"area": (0.0, 0.001, 0.05, 0.1), "mass": 1e-3, "stiffness": 2.0}
-    found = natural_modes(scene((9, 9), effects={"oscillators": [attached]}), 1)
-    assert found.frequencies[0] == pytest.approx(math.sqrt(2000.0) / (2 * math.pi), rel=1e-9)
-    assert found.oscillators[0, 0] == pytest.approx(1)
-    assert np.abs(found.shapes).max() < 1e-9
-
-
 def test_shapes_of_one_frequency_are_kept_apart(scene):
     """Square plates have pairs of modes; they come out along the sides."""
     found = natural_modes(scene((21, 21)), 8)

@@ -77,13 +77,6 @@ def test_drives_on_and_off(loaded, load, size):
     assert {0.0, 1.0} <= set(part)
 
 
-def test_along_an_edge(loaded):
-    """The edge belongs to the plate."""
-    force, middle = forces(loaded(start=(0.0, HEIGHT), velocity=(1.0, 0.0)))
-    np.testing.assert_allclose(force, 3.0, rtol=1e-12)
-    np.testing.assert_allclose(middle[:, 1], HEIGHT)
-
-
 @pytest.mark.parametrize("times", [(0.0, None), (0.0305, 0.0812), (0.0303, 0.0304)])
 def test_impulse_and_place_go_by_its_time(loaded, times):
     """Σ force·Δt is force·(to − from), wherever between two steps it sets in and ends; the last step has its later half

@@ -78,17 +78,6 @@ def test_silence_before_and_after():
     assert not late[times < 0.0999].any()
 
 
-def test_the_end_does_not_reach_the_beginning():
-    """A click has the Hilbert transform 2/πn at odd distances n: next to nothing at the file's other end, unless the
-    file repeats and the click is also just before the beginning."""
-    click = np.zeros(400)
-    click[-1] = 1
-    once, again = (Samples(click, 8000, 0.0, repeat).analytic().imag for repeat in (False, True))
-    np.testing.assert_allclose(once[398:0:-2], -2 / (np.pi * (399 - np.arange(398, 0, -2))), atol=2e-3)
-    assert np.abs(once[:10]).max() < 3e-3
-    assert again[0] == pytest.approx(2 / np.pi, rel=1e-3)
-
-
 def test_highest_frequency_is_where_the_energy_ends():
     mixed = tone(100, 8000) + 0.2 * tone(900, 8000) + 1e-3 * tone(3000, 8000)
     assert Samples(mixed, 8000, 0.0, False).highest_frequency() == 900
@@ -193,7 +182,6 @@ SAMPLES = (np.arange(1, 30) * 517 % 251 - 125).astype("<i2")
 
 
 def test_a_wav_file_cut_anywhere_is_refused(tmp_path):
-    """Files are cut at every length: none is read as a shorter signal."""
     subformat = struct.pack("<HHIH", 22, 16, 4, 1) + GUID
     content = wav(SAMPLES.tobytes(), 0xFFFE, extra=b"LIST\4\0\0\0abcd", form_extra=subformat)
     assert read(tmp_path, content, "a.wav").values.size == SAMPLES.size

@@ -44,7 +44,6 @@ TAPERS = {
 
 @pytest.mark.parametrize("name", TAPERS)
 def test_frequencies_of_tapered_plates(scene, name):
-    """Six frequencies, of second order in the spacing."""
     edges, tables = TAPERS[name]
     exact = solve_modes(scene(NODES, SIZE, edges, effects={"variation": tables}), count=6).frequencies[:6]
     errors = []

@@ -66,7 +66,6 @@ def test_weights_sum_to_the_exact_area(load, nodes, scene):
 @settings(max_examples=20)
 @given(st.integers(0, 2**32), st.sampled_from([cells, lambda nodes: lagrange(nodes, 4)]))
 def test_parts_of_any_polygon_sum_to_it(seed, axis):
-    """A star-shaped polygon, cut in four anywhere."""
     random = np.random.default_rng(seed)
     nodes = random.integers(5, 40, 2)
     count = random.integers(4, 12)

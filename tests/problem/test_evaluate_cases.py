@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from warp_plate import Scene, load_result, localize
-from warp_plate.problem.evaluate_cases import evaluate_cases, reference_phasors
 from warp_plate.problem.objectives import keeps_limit
 from warp_plate.problem.problem import make_problem
 from warp_plate.resolve import resolve
@@ -56,19 +55,6 @@ def test_values_follow_from_the_energies_of_the_drive_found(scene):
     assert values["sum"] == pytest.approx(total, rel=1e-12)
     assert values["sum"] == pytest.approx(result.history["best"][-1], rel=1e-9)
     assert values["sum"] <= values["bound"]
-
-
-def test_references_are_all_actuators_and_the_best_single_one(scene):
-    """The best single one also stands for the best drive where there is none."""
-    cases = evaluate_cases(make_problem(resolve(scene((9, 9)), "cpu")), 2, None).cases
-    expected = {"equal": [1, 1, 1], "single": [0, 0, 1], "best": [0, 0, 1]}
-    assert {name: case.phasors.tolist() for name, case in cases.items()} == expected
-    shares = np.array([0.2, 0.6, np.nan])
-
-    def energies(phasors):
-        return np.stack([np.ones(3), shares[np.abs(phasors).argmax(axis=1)]], axis=1)
-
-    assert reference_phasors(scene(), energies)["single"].tolist() == [0, 1, 0]
 
 
 def test_the_command_shows_those_of_all_cases(scene, localize_command):

@@ -58,18 +58,6 @@ def test_kinds_of_bounds(problem):
     assert problem.objective_values(positions(problem)[0]) == {}
 
 
-def test_node_steps_and_seconds_are_those_of_all_solvers():
-    """A solver for drives, another for places, and a third in float64 for the Gram matrices of 3 actuators."""
-    plate = PlateSolver(scene_of(**SMALL), "cpu").node_steps_per_plate
-    assert make_problem(resolve(scene_of(**SMALL, precision="float32"), "cpu")).node_steps == 21 * plate
-    places = make_problem(resolve(scene_of(**SMALL, search={"position": {}}), "cpu", evaluator="direct"))
-    assert places.node_steps == 0
-    places.losses(positions(places).clip(places.space.lower, places.space.upper))
-    places.plates.energies_of_phasors(np.ones((2, 3)))
-    assert places.node_steps == 8 * plate
-    assert 0 < places.plates.drives.compile_seconds < places.compile_seconds
-
-
 def test_the_response_is_refused_where_it_does_not_hold():
     stretching = scene_of(**SMALL, effects={"stretching": {}})
     with pytest.raises(SceneError, match=r"evaluator = 'response': effects.stretching is not linear"):

@@ -48,13 +48,6 @@ def test_the_loss_of_a_position_is_that_of_its_best_drive(name, random):
         )
 
 
-def test_particles_at_one_frequency_each_have_a_loss(random):
-    """A swarm that gathers at an end of the range."""
-    problem = make_problem(resolve(projected_search(SEARCHES["contrast"]), "cpu"))
-    position = problem.space.from_unit(random.random((1, problem.space.dimension)))
-    assert np.array_equal(problem.losses(position.repeat(4, axis=0)), problem.losses(position).repeat(4))
-
-
 def response_at(problem, position):
     return ModalSolver(problem.parametrization.scene_of(position)).response.matrices
 

@@ -9,7 +9,6 @@ import pytest
 
 from warp_plate.result.atomic_io import make_seal
 from warp_plate.result.case import Case
-from warp_plate.result.hdf5 import write_along
 from warp_plate.result.model import Result, RobustComparison, TargetSearch, load_result, save_result
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -168,18 +167,6 @@ def replace_member(parent, name, value):
 def test_wrong_datasets_are_refused_by_name(full_result, tmp_path, name, values, words):
     path = save_result(full_result, tmp_path / "run.h5")
     assert words in refusal_after(path, lambda file: replace_member(file, name, values))
-
-
-def test_a_scale_of_another_length_names_no_shape(full_result, tmp_path):
-    """Shapes that are read are checked against the scene, not the scales."""
-
-    def change(file):
-        del file["cases/best/real"]
-        write_along(file["cases/best"], "longer", np.arange(5), "1", "forged")
-        write_along(file["cases/best"], "real", np.arange(5.0), "1", "forged", ["longer"])
-
-    line = refusal_after(save_result(full_result, tmp_path / "run.h5"), change)
-    assert "cases/best/real has shape (5,) instead of (4,)" in line
 
 
 @pytest.mark.parametrize(

@@ -207,12 +207,6 @@ def test_huge_texts_are_refused(text, why):
     assert why in str(caught.value)
 
 
-def test_dots_in_texts_and_comments_are_no_deep_keys():
-    title = "a.b.c.d.e.f.g.h.i.j.k.l"
-    text = f"# {title}\ntitle = '{title}'\n" + "\n".join(PAPER.partition("[plate]")[1:])
-    assert Scene.parse(text, "").title == title
-
-
 def test_truncated_and_corrupted_files():
     """Cut at every thirtieth length, and with every fifteenth byte changed: a valid scene, or one line."""
     content = PAPER.encode()

@@ -14,7 +14,6 @@ from warp_plate.result.case import Case
 from warp_plate.result.export import make_drive_signal
 from warp_plate.scene.keys import label_of, resolved_key, unit_of
 from warp_plate.studies.simulate import simulate
-from warp_plate.studies.sweep import sweep
 
 PATCH = (0.03, 0.06, 0.05, 0.07)  # 6e-4 m²
 AREA = 6e-4
@@ -64,14 +63,6 @@ def test_it_is_varied_and_stays_when_the_patch_changes():
     assert (key, unit_of(made, key), label_of(made, key)) == ("actuators[0].force", "N", "actuator a force")
 
 
-def test_a_sweep_over_the_force():
-    """Energies go with the square of the force."""
-    made = scene_of(actuators=[PATCH]).with_tables(actuators=[{"name": "a", "area": PATCH, "force": 1.0}])
-    found = sweep(made, ["actuators.a.force=0.5,1,2"], what="simulate", device="cpu")
-    energy = found.shaped("energy_plate")
-    np.testing.assert_allclose(energy / energy[1], [0.25, 1, 4], rtol=1e-9)
-
-
 def test_other_drives_places_and_scenarios():
     made = pressed(force=0.3, search={"robust": {"place": 0.01, "thickness": 0.05}})
     other = scene_with(made, magnitude=np.array([2.0, 3.0]))
@@ -89,7 +80,6 @@ def test_other_drives_places_and_scenarios():
 
 @pytest.mark.parametrize(("magnitude", "heading"), [(None, "force (N)"), (1.0, "force or magnitude")])
 def test_a_drive_comes_back_in_newtons(magnitude, heading, capsys):
-    """Force = magnitude · area, in tables, records, scenes and signals."""
     second = {"force": 1.0} if magnitude is None else {"magnitude": magnitude}
     made = pressed(force=0.3).with_tables(
         actuators=[{"name": "a", "area": PATCH, "force": 0.3}, {"name": "b", "area": (0.1, 0.15, 0.1, 0.15), **second}]

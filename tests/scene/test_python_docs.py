@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import warp_plate
-from warp_plate import Scene, frf, load_result, plot, simulate, sweep
+from warp_plate import Scene, frf, load_result, plot, simulate
 from warp_plate.viz.availability import missing_renderer
 
 PICTURES = ("surfaces", "sweep")
@@ -80,15 +80,6 @@ def test_results_are_by_case():
     bare = simulate("paper", device="cpu", estimate=False)
     assert bare.to_xarray().sizes["trace_time"] == 0
     assert (bare.to_xarray()["phase"].sel(case="drive").values == bare.main_case.phase).all()
-
-
-def test_samples_have_one_dimension():
-    pytest.importorskip("xarray")
-    found = sweep("paper", ["drive.frequency=200:300", "plate.density=900:1100"], "modes", samples=3, count=2)
-    data = found.to_xarray()
-    assert data["drive.frequency"].dims == ("sample",)
-    assert dict(data.sizes) == {"sample": 3, "mode": 2}
-    assert data["plate.density"].attrs["units"] == "kg/m³"
 
 
 def test_frequency_responses_are_by_input_and_point():

@@ -48,8 +48,7 @@ def solver_of(name, device, path, **options):
 
 
 @pytest.mark.parametrize(
-    ("name", "dtype"),
-    [("plain", np.float64), ("fourth order", np.float64), ("moment form", np.float32)],
+    ("name", "dtype"), [("plain", np.float64), ("fourth order", np.float64), ("moment form", np.float32)]
 )
 def test_energies_are_those_of_a_run(name, dtype, device, path, phasors):
     """Energies agree bit for bit, in batches larger than a chunk, with bad plates, and with runs in between."""

@@ -1,7 +1,6 @@
 """Plans follow the limits of the chip: what is compiled for it fits its shared memory; registers are capped."""
 
 import json
-from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -42,21 +41,3 @@ def test_compiled_plans_fit_the_chip(arch, kind, nodes, tmp_path):
         wp.compile_aot_module(kernel.module, device=None, arch=arch, module_dir=tmp_path, use_ptx=True)
         allocated = json.loads(next(Path(tmp_path).glob("*.meta")).read_text(encoding="utf-8"))
         assert max(allocated.values()) + 1024 <= 1024 * SHARED_KIB[arch]  # a KiB is the driver's
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_less_shared_memory_takes_smaller_plates(kind):
-    """Plates that fit a chip also fit a larger one; each has its largest plate."""
-    effects, fits = KINDS[kind], []
-    for shared_bytes in sorted({1024 * size - RESERVED_BYTES for size in SHARED_KIB.values()}):
-        if effects.moments:
-            found = [
-                plans.plan_block(nodes, nodes, wp.float32, effects, 0, False, shared_bytes).on_chip
-                for nodes in range(9, 162)
-            ]
-        else:
-            sides, order = range(9, 162), effects.order
-            found = [next(plans.strip_plans(order, side, side, wp.float32, shared_bytes), None) for side in sides]
-        fits.append({nodes for nodes, plan in enumerate(found, 9) if plan})
-    assert all(less <= more for less, more in pairwise(fits))
-    assert set() < fits[0] < fits[-1]

@@ -3,14 +3,10 @@
 On the streaming path, whose kernels serve grids of any size; ``test_paths`` compares the others.
 """
 
-import csv
-from pathlib import Path
-
 import numpy as np
 import pytest
-import scipy.sparse.linalg
 
-from support.scenes import discrete_operator, point_scene
+from support.scenes import point_scene
 from warp_plate import PlateSolver
 from warp_plate.reference.series import damped_motion, grid_wavenumber_squared, mode_shape, wavenumber_squared
 
@@ -21,7 +17,6 @@ FREQUENCY, VISCOUS, END = 290.0, 60.0, 0.012
 TIMES = END * np.array([5, 7, 8, 10, 11, 12]) / 12
 # Loads that start at their largest and at zero: cos ωt, sin ωt.
 DRIVES = np.array([1.0, -1.0j])
-MODES = Path(__file__).parents[1] / "data" / "modes_square_plate.csv"
 
 
 def observed_orders(spacings, errors):
@@ -65,23 +60,3 @@ def test_second_order_in_time():
         errors(13, steps, mode, lambda scheme: grid_wavenumber_squared(mode, SIZE, scheme.spacing)) for steps in counts
     ]
     np.testing.assert_allclose(observed_orders(1 / counts, found), 2, atol=0.1)
-
-
-@pytest.mark.parametrize(("held", "order"), [("CCCC", 2), ("SCSC", 4)])
-def test_natural_frequencies(held, order):
-    """√ of the eigenvalues of the ∇⁴ that plates compute, against a Ritz solution.
-
-    Within 3 % for second order with 25 nodes a side, 1e-3 for fourth: a finer grid would show the table's last digit.
-    Between coarse grids some of its slopes are still on their way to 4.
-    """
-    with MODES.open(encoding="utf-8") as file:
-        rows = csv.reader(line for line in file if not line.startswith("#"))
-        exact = np.array({row[0]: row[1:] for row in rows}[held], dtype=float)
-    edges, side, cells, errors = [{"S": "supported", "C": "clamped"}[edge] for edge in held], 0.2, (12, 24), []
-    for count in cells:
-        matrix = discrete_operator(point_scene((count + 1, count + 1), (side, side), edges, order=order))
-        values = scipy.sparse.linalg.eigsh(matrix, k=6, sigma=0, which="LM", return_eigenvectors=False)
-        errors.append(np.abs(side**2 * np.sqrt(np.sort(values)) - exact) / exact)
-    assert np.max(errors[-1]) < {2: 0.03, 4: 1e-3}[order]
-    orders = observed_orders(1 / np.array(cells), errors)
-    np.testing.assert_allclose(orders[-1], order, atol={2: 0.15, 4: 0.4}[order])

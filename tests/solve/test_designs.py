@@ -16,7 +16,7 @@ from support.oracle import (
 )
 from warp_plate import PlateSolver, SceneError
 from warp_plate.kernels import plans
-from warp_plate.plate.designs import Designs, PerPlate, per_plate_of
+from warp_plate.plate.designs import Designs, PerPlate
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import region_weights
 
@@ -209,17 +209,6 @@ def test_energies_of_displacements(device, path, kind, precision, burst_scene, d
             expected = np.einsum("ryx,yx->r", mass, squares)
             np.testing.assert_allclose(run.energy[plate], expected / 2, rtol=tolerance)
             np.testing.assert_allclose(run.masses, mass.sum(axis=(1, 2)), rtol=tolerance)
-
-
-def test_per_plate_of_a_search(scene):
-    made = scene((9, 9), drive={"frequency": 290.0, "burst": {"duration": 0.01}})
-    assert per_plate_of(made) == PerPlate()
-    position = {"actuators": ["0", "2"], "area": (0.0, 0.15, 0.0, 0.15)}
-    searched = made.with_tables(
-        search={"frequency": {"range": (100.0, 9e3), "own": True}, "delay": {"range": (0, 0.01)}, "position": position}
-    )
-    areas = ((0.0, 0.15, 0.0, 0.15), made.actuators[1].area, (0.0, 0.15, 0.0, 0.15))
-    assert per_plate_of(searched) == PerPlate(frequency=True, delay=True, centre=True, per_actuator=True, areas=areas)
 
 
 def refuses(message, call, *arguments, **options):

@@ -8,7 +8,6 @@ from support.scenes import scene_of
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.signals import make_signals
-from warp_plate.studies.localize import localize
 
 WINDOW = (0.004, 0.012)
 TIMES = (0.003, 0.0075, 0.012)
@@ -93,17 +92,3 @@ def test_fourth_order_knows_one_frequency():
     for made in apart, driven(order=4, electrostatic={"gain": 1.0}):
         with pytest.raises(SceneError, match=r"^grid\.order = 4: .* actuators of one frequency; write 2"):
             make_scheme(made)
-
-
-def test_search_under_squares_keeps_to_the_volts_of_the_scene():
-    """No bound is claimed, and a magnitude of one stands for the largest of the scene's."""
-    made = driven(electrostatic={"bias": 50.0, "gain": 1e-3})
-    pairs = zip(made.model_dump()["actuators"], (20.0, 120.0, 80.0), strict=True)
-    volts = [{**table, "magnitude": volt} for table, volt in pairs]
-    made = made.with_tables(actuators=volts, search={"particles": 4, "iterations": 2})
-    found = localize(made, device="cpu", estimate=False)
-    assert found.bound is None
-    np.testing.assert_array_equal(found.cases["equal"].phasors, np.full(3, 120.0))
-    assert found.cases["best"].magnitude[0] == pytest.approx(120.0)
-    with pytest.raises(SceneError, match=r"^evaluator = 'response': drive\.electrostatic is not linear"):
-        localize(made, device="cpu", evaluator="response")

@@ -22,7 +22,7 @@ import scipy.sparse.linalg
 
 from support.scenes import point_scene
 from warp_plate import PlateSolver
-from warp_plate.plate.bending import make_bending, stiffness_matrix, system
+from warp_plate.plate.bending import make_bending, system
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.reference.series import grid_wavenumber_squared, mode_shape
 
@@ -165,21 +165,6 @@ LEVY = {
 }
 
 
-def test_layer_over_the_whole_plate_is_the_laminate(scene):
-    """A layer on one face has D = D₁ + D₂ + d²/(1/A₁ + 1/A₂), with the distance d of the middles and the stretching
-    stiffnesses A in series. The mass is the sum."""
-    plane, thin = 1 - RATIO**2, LAYER["thickness"]
-    stretch, stretch_layer = YOUNG * THICKNESS / plane, LAYER["young_modulus"] * thin / plane
-    lever = (THICKNESS + thin) ** 2 / 4 / (1 / stretch + 1 / stretch_layer)
-    rigidity = RIGIDITY + stretch_layer * thin**2 / 12 + lever
-    made = make_bending(scene(NODES, SIZE, effects={"layers": [{"area": (0, SIZE[0], 0, SIZE[1]), **LAYER}]}))
-    for values, expected in (
-        (made.bend_xx, rigidity), (made.bend_yy, rigidity), (made.bend_xy, RATIO * rigidity),
-        (made.mass, DENSITY + LAYER["density"] * thin),
-    ):  # fmt: skip
-        np.testing.assert_allclose(values[1:-1, 1:-1], expected, rtol=1e-12)
-
-
 def lowest_frequency(scene):
     """Return the lowest natural frequency ω [rad/s] of the plate on its grid, as the paths step it."""
     stiffness, masses = system(make_bending(scene))
@@ -274,18 +259,3 @@ def test_layer_on_a_strip_of_the_plate_by_levys_solution(scene):
         errors.append(found / root_near(determinant, found) - 1)
     assert abs(errors[0]) < 0.01
     assert abs(errors[1]) < 0.3 * abs(errors[0])
-
-
-def test_rigid_motions_of_a_free_plate_bend_nothing(scene):
-    """Motions 1, x and y, with a layer and orthotropic rigidities."""
-    x, y = np.meshgrid(np.linspace(0, SIZE[0], NODES[0]), np.linspace(0, SIZE[1], NODES[1]))
-    layer = {"area": (0.03, 0.09, 0.05, 0.18), **LAYER}
-    effects = {"orthotropic": ORTHOTROPIC, "layers": [layer]}
-    bending = make_bending(scene(NODES, SIZE, ("free",) * 4, effects=effects))
-    matrix = stiffness_matrix(bending)
-    for motion in (np.ones_like(x), x, y):
-        assert np.abs(matrix @ motion.ravel()).max() < 1e-12 * abs(matrix).max() * np.abs(motion).max()
-    twisted = (x * y).ravel()
-    # xy has no curvature but a twist of one: ½ · 4D_xy times the area, with the layer's share (1 − ν)/2 of D.
-    energy = 0.5 * twisted @ (matrix @ twisted)
-    assert energy == pytest.approx(0.5 * bending.twist.sum() * np.prod(bending.spacing), rel=1e-9)

@@ -1,7 +1,5 @@
 """Tiles of large plates on CUDA: cuts, what a tile's own edges spoil, and plans; and the same bits as other paths."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 import warp as wp
@@ -11,7 +9,6 @@ from support.scenes import EDGE_MIXES
 from warp_plate import PlateSolver
 from warp_plate.kernels.plans import cut, make_place
 from warp_plate.plate.operator import biharmonic, make_taps
-from warp_plate.solve.cuda import MOST_LATENCY, plan_tiles
 
 CUTS = [(33, 2, 4), (33, 5, 4), (257, 7, 16), (97, 40, 16), (40, 2, 16), (17, 3, 12), (9, 30, 8)]
 SIDES = [(sides[0], sides[1]) for sides in EDGE_MIXES[:4]]
@@ -72,29 +69,6 @@ def advance(u, rate, order, steps, stiffness, sides):
         rate -= stiffness * (matrix @ u[inner].ravel()).reshape(rate.shape)
         u[inner] += rate
     return u
-
-
-@pytest.mark.parametrize("multiprocessors", [40, 132])
-@pytest.mark.parametrize("order", [2, 4])
-@pytest.mark.parametrize("real", [wp.float32, wp.float64])
-def test_plans(multiprocessors, order, real):
-    """There is at most a tile for each multiprocessor, and none for plates that are too large or too many."""
-    found = {}
-    for side, plates in ((161, 1), (257, 1), (257, 4), (513, 1), (2049, 1), (257, 200)):
-        specialized = SimpleNamespace(
-            scheme=SimpleNamespace(order=order, nodes=(side, side + 30)),
-            real=real,
-            shared_bytes=99 * 1024,
-            device=SimpleNamespace(sm_count=multiprocessors),
-        )
-        found[side, plates] = plan = plan_tiles(specialized, plates)
-        if plan is not None:
-            axes, strips = plan
-            assert plates * axes[0].count * axes[1].count <= multiprocessors
-            assert strips.latency <= MOST_LATENCY
-            assert [axis.nodes for axis in axes] == [side, side + 30]
-    assert found[161, 1] is not None
-    assert found[2049, 1] is found[257, 200] is None
 
 
 @pytest.mark.skipif(not wp.is_cuda_available(), reason="tiles are of CUDA")

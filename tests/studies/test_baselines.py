@@ -61,15 +61,6 @@ def test_inverse_filter_solves_the_normal_equations(settled_solver):
     np.testing.assert_allclose(inverse_filter(settled_solver, transfer), solution / np.abs(solution).max(), rtol=1e-9)
 
 
-def test_a_common_frequency_of_all_actuators_overrides_that_of_the_drive(settled_solver):
-    made, reference = settled_solver.scene, transfer_functions(settled_solver)
-    grid = made.grid.model_dump() | {"time_step": settled_solver.specialized.scheme.time_step}
-    actuators = [actuator.model_dump() | {"frequency": FREQUENCY} for actuator in made.actuators]
-    named = made.with_tables(drive={"frequency": 100.0}, actuators=actuators, grid=grid)
-    other = transfer_functions(PlateSolver(named, "cpu"))
-    np.testing.assert_allclose(other, reference, atol=1e-9 * np.abs(reference).max())
-
-
 @pytest.mark.parametrize(
     ("tables", "reason"),
     [

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from support.inline_pool import InlinePool
 from support.scenes import scene_of
 from support.searches import assert_same_results
 from warp_plate import Scene, localize
@@ -60,15 +59,6 @@ def test_the_seed_determines_every_bit(device, path):
     assert not np.array_equal(first.history["best"], other.history["best"])
 
 
-def test_both_evaluators_find_the_same():
-    scene = scene_of(damping=88.5, search=SEARCH)
-    direct, response = (
-        localize(scene, device="cpu", evaluator=name, estimate=False) for name in ("direct", "response")
-    )
-    np.testing.assert_allclose(direct.history["best"], response.history["best"], rtol=1e-9)
-    np.testing.assert_allclose(direct.cases["best"].phasors, response.cases["best"].phasors, rtol=1e-6)
-
-
 @pytest.mark.parametrize("preset", ["paper", pytest.param("paper-supported", marks=pytest.mark.slow)])
 def test_the_paper_s_search_comes_close_to_the_bound(preset):
     """Within 0.002 of the bound for at least 9 of 10 seeds."""
@@ -83,10 +73,6 @@ def test_the_paper_s_search_comes_close_to_the_bound(preset):
     assert {result.evaluations for result in results} == {1600}
     assert results[0].cases["equal"].localization_factor == pytest.approx(0.25, abs=1e-5)
     assert results[0].cases["single"].localization_factor == pytest.approx(0.6367, abs=0.0005)
-
-
-def test_workers_without_plates_are_said_to_be_unused():
-    assert "unused" in localize(PANEL, device="cpu", evaluator="response", estimate=False, pool=InlinePool()).device
 
 
 def test_one_actuator_leaves_nothing_to_search():

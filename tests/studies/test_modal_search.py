@@ -92,16 +92,6 @@ def test_robust_search_by_modes_is_the_limit_of_its_simulated_matrices():
     assert losses[0] == pytest.approx(losses[1], abs=3e-3)
 
 
-def test_a_weak_amplifier_costs_no_localization():
-    """A limit had turned the exact method off: 0.0525 instead of 0.0583 on a panel of aluminium."""
-    free, limited = (
-        localize(paper(search=search), device="cpu", estimate=False).cases["best"]
-        for search in ({}, {"limits": {"magnitude": 0.5}})
-    )
-    assert limited.localization_factor == pytest.approx(free.localization_factor, rel=1e-9)
-    assert np.abs(limited.phasors).max() == pytest.approx(0.5)
-
-
 @pytest.mark.parametrize(
     ("tables", "key"),
     [

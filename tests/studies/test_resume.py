@@ -53,7 +53,6 @@ def test_interrupted_between_ask_and_tell(tmp_path):
 
 
 def test_the_chosen_grid_is_kept(tmp_path):
-    """It is in the checkpoint, and serves all frequencies of the search."""
     search = {**SEARCH["search"], "frequency": {"range": [100.0, 400.0]}}
     written = scene_of(damping=88.5, search=search).model_copy(update={"grid": Grid(accuracy=0.3)})
     options = {"device": "cpu", "evaluator": "direct"}

@@ -14,9 +14,7 @@ from warp_plate.problem.problem import make_problem
 from warp_plate.problem.uncertainty import apply_measure
 from warp_plate.resolve import resolve
 from warp_plate.result.model import load_result, save_result
-from warp_plate.scene.errors import SceneError
 from warp_plate.studies.localize import localize, resume
-from warp_plate.studies.searches import find_nominal_position
 
 TOLERANCES = {"young_modulus": 0.15, "gain": 0.1, "place": 0.004, "scenarios": 3}
 
@@ -64,10 +62,7 @@ def test_losses_are_the_measure_over_scenarios_and_exceed_the_bound(measure, ran
 
 @pytest.mark.parametrize(
     "scene",
-    [
-        robust(search={"position": {}, "phase": {}}),
-        robust({"damping": {"viscous": 20.0}, "stretching": {}}),
-    ],
+    [robust(search={"position": {}, "phase": {}}), robust({"damping": {"viscous": 20.0}, "stretching": {}})],
     ids=["positions", "stretching"],
 )
 def test_what_is_not_quadratic_is_simulated(scene):
@@ -83,7 +78,6 @@ def test_what_is_not_quadratic_is_simulated(scene):
 
 
 def test_an_interrupted_search_resumes_bit_identically(tmp_path):
-    """The resumed result holds the comparison, and so does its file."""
     scene = robust(precision="float32", fresh=4)
     full = localize(scene, source="mine", device="cpu", estimate=False)
     cut, checkpoint = interrupted_search(tmp_path, scene, device="cpu", after=5)
@@ -128,17 +122,3 @@ def test_the_nominal_drive_of_a_robust_search_by_modes_is_that_of_a_plain_search
     assert found.cases["nominal"].localization_factor == pytest.approx(plain.cases["best"].localization_factor)
     robust_drive, nominal_drive = found.robust.rows()["searched"]
     assert robust_drive >= nominal_drive
-
-
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), SceneError("no places were found")], ids=["Ctrl-C", "refusal"])
-def test_a_nominal_search_that_ends_early_leaves_the_robust_result(error):
-    """There is nothing to compare it with then."""
-
-    class Ending:
-        scenario_losses = "some"
-
-        @property
-        def nominal(self):
-            raise error
-
-    assert find_nominal_position(Ending(), 0) is None

@@ -1,7 +1,6 @@
 """Small searches for each kind of design variable, from the scene to the files."""
 
 import json
-import math
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,7 @@ from warp_plate.result.export import make_drive_signal
 from warp_plate.result.model import save_result
 from warp_plate.solve.response import largest_ratio, measure_response
 from warp_plate.studies.simulate import simulate
-from warp_plate.studies.spectrum import factors_over, resonances
+from warp_plate.studies.spectrum import factors_over
 
 BURST = {"frequency": 290.0, "burst": {"duration": 0.004, "ramp": 0.001}}
 SEARCHES = {
@@ -79,19 +78,6 @@ def test_an_interrupted_search_resumes_bit_identically(tmp_path):
     assert_same_results(
         resume(checkpoint, estimate=False), localize(scene, source="mine", device="cpu", estimate=False)
     )
-
-
-def test_history_holds_the_weighted_sum_of_other_objectives():
-    scene = small_search("magnitude")
-    objectives = [{"kind": "velocity", "weight": 1e3}, {"kind": "displacement", "weight": 1e5}]
-    scene = scene.with_tables(search={**scene.search.model_dump(), "objectives": objectives})
-    direct, by_matrices = (
-        localize(scene, device="cpu", evaluator=name, estimate=False) for name in ("direct", "response")
-    )
-    assert direct.bound is None
-    assert not direct.only_localization
-    np.testing.assert_allclose(direct.history["best"], by_matrices.history["best"], rtol=1e-3)
-    assert direct.history["best"][0] > 0
 
 
 @pytest.fixture
@@ -180,16 +166,6 @@ def test_the_spectrum_equals_scenes_of_one_frequency_each():
         factors = energy[:, 1] / energy[:, 0]
         assert found["equal"][index] == pytest.approx(factors[0], rel=1e-9)
         assert found["single"][index] == pytest.approx(factors[1:].max(), rel=1e-9)
-
-
-def test_resonances_are_the_natural_frequencies_in_the_range():
-    """Those of a supported plate are (π/2)√(D/ρH)(m²/a² + n²/b²)."""
-    scene = small_search("frequency", size=(0.26, 0.2), edges=("supported",) * 4, modal_density=1.0)
-    plate, waves = scene.plate, np.arange(1, 12)
-    squares = (waves / plate.size[0]) ** 2 + (waves[:, None] / plate.size[1]) ** 2
-    frequencies = np.sort(math.pi / 2 * math.sqrt(plate.rigidity / plate.density / plate.thickness) * squares.ravel())
-    low, high = frequencies[2] - 1, frequencies[30] + 1
-    np.testing.assert_allclose(resonances(scene, low, high), frequencies[2:31], rtol=1e-6)
 
 
 def test_a_search_without_any_finite_plate_says_so(write_scene, command):

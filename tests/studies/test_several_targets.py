@@ -44,7 +44,6 @@ def whole():
 
 
 def test_each_search_equals_that_of_a_single_target(whole):
-    """Bit-identical drives, displacements, bounds and histories."""
     scene = panel_of_targets()
     assert list(whole.cases) == ["equal", "single", "best", "best left", "best three corners"]
     assert (whole.evaluations, whole.bound, whole.scene.target) == (216, whole.target_searches[0].bound, scene.target)
@@ -70,17 +69,6 @@ def test_crosstalk_is_the_share_of_each_target_under_each_drive(whole):
     for row, case in enumerate(target_cases(scene).values()):
         assert shares[row, row] == whole.cases[case].localization_factor
     np.testing.assert_allclose(relative_to_own(shares), 10 * np.log10(shares / np.diag(shares)[:, None]), atol=1e-12)
-
-
-@pytest.mark.parametrize(("kind", "measured"), [("uniformity", 3), ("displacement", 2)])
-def test_gram_matrices_are_measured_once(kind, measured):
-    """Once more for displacements; for each target if an objective has further regions."""
-    limits = {"magnitude": 2.0} if kind == "displacement" else {}
-    scene = panel_of_targets(search={**SEARCH, "objectives": [{"kind": kind}], "limits": limits}, nodes=(17, 17))
-    several = localize(scene, source="mine", device="cpu", evaluator="response", estimate=False)
-    assert several.node_steps == 15 * 15 * make_scheme(several.scene).steps * (21 * measured + 3 * 3)
-    single = localize(single_target(scene, 2), source="mine", device="cpu", evaluator="response", estimate=False)
-    np.testing.assert_array_equal(several.cases["best three corners"].phasors, single.cases["best"].phasors)
 
 
 @pytest.mark.parametrize(("count", "index", "iterations"), [(9, 0, 9), (25, 2, 7)])

@@ -6,9 +6,6 @@ import numpy as np
 import pytest
 
 from support.scenes import scene_of
-from warp_plate import SceneError
-from warp_plate.modal.energies import ModalEnergies
-from warp_plate.modal.modes import solve_modes
 from warp_plate.studies.simulate import simulate
 
 BURST = {"frequency": 290.0, "burst": {"start": 0.001, "duration": 0.008, "ramp": 0.003}}
@@ -43,26 +40,3 @@ def test_loss_factor_is_simulated_by_modes_without_asking():
     basis = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     fitted = basis @ np.linalg.lstsq(basis, trace, rcond=None)[0]
     assert np.allclose(fitted, trace, rtol=0, atol=1e-5 * np.abs(trace).max())
-
-
-def test_moving_load_presses_beside_the_actuators():
-    load = {"force": 0.01, "start": (0.0, 0.05), "velocity": (12.0, 3.0), "size": 0.02}
-    scene = scene_of(effects={"damping": {"viscous": 88.0}, "moving_load": load})
-    result = simulate(scene, device="cpu", path="modal", drive="equal", estimate=False)
-    plate = solve_modes(scene)
-    regions = [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)]
-    expected = ModalEnergies(plate, regions).scene_values(np.array([[1, 1, 1], [0, 0, 0]]))
-    assert list(result.cases["drive"].energy.values()) == pytest.approx(expected[0], rel=1e-9)
-    assert (expected[1] > 1e-3 * expected[0]).all()
-
-
-def test_a_patch_beside_an_edge_needs_no_node():
-    """Within the cell at a clamped edge; time steps refuse it."""
-    patch = (0.1, 0.101, 0.0001, 0.0011)
-    scene = scene_of(actuators=[patch], damping=88.0)
-    energy = simulate(scene, device="cpu", path="modal", estimate=False).cases["drive"].energy
-    plate, phasors = solve_modes(scene), np.ones((1, 1), dtype=complex)
-    expected = ModalEnergies(plate, [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)]).scene_values(phasors)
-    assert np.allclose(list(energy.values()), expected[0], rtol=1e-3, atol=0)
-    with pytest.raises(SceneError, match=r"^actuators\[0\]\.area"):
-        simulate(scene, device="cpu", estimate=False)

@@ -5,9 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from support.inline_pool import InlinePool, KilledWorker
+from support.inline_pool import InlinePool
 from support.scenes import scene_of
-from support.searches import stop_after
 from warp_plate import SceneError, load_sweep, sweep
 from warp_plate.cluster.tasks import run_task
 from warp_plate.modal.continuous_modes import continuous_modes
@@ -16,14 +15,7 @@ from warp_plate.scene.vary import make_plan, parse_vary
 from warp_plate.studies.frequency_response import frf, respond_to_drive
 from warp_plate.studies.localize import localize
 from warp_plate.studies.simulate import simulate
-from warp_plate.studies.sweep import (
-    SweepRequest,
-    choose_evaluator,
-    resume_sweep,
-    run_sweep,
-    save_finished,
-    start_sweep,
-)
+from warp_plate.studies.sweep import SweepRequest, choose_evaluator, resume_sweep, run_sweep, save_finished, start_sweep
 from warp_plate.studies.sweep_points import QUANTITIES, run_here, run_on_pool, run_point
 from warp_plate.studies.unfinished import CheckpointFile
 
@@ -178,68 +170,6 @@ def test_workers_are_sent_the_files_that_vary(tmp_path):
     assert here.reasons == away.reasons
     assert "must be 'clamped', 'supported', 'free'" in here.reasons[1]
     assert "'c.csv': holds no numbers" in here.reasons[4]
-
-
-class Killing(InlinePool):
-    """A pool whose worker ends under half of the tasks, and under those of one frequency always."""
-
-    def __init__(self, random, frequency):
-        super().__init__()
-        self.random, self.frequency, self.killed, self.met = random, frequency, 0, set()
-
-    def run(self, function, argument):
-        first = id(argument) not in self.met
-        self.met.add(id(argument))
-        if argument.values["drive.frequency"] == self.frequency or (first and self.random.random() < 0.5):
-            self.killed += 1
-            raise KilledWorker
-        return super().run(function, argument)
-
-
-def test_points_whose_workers_end_are_tried_again_and_then_given_up(swept_plate, random, tmp_path):
-    """The workers have the files that the scene names."""
-    path = tmp_path / "thick.csv"
-    path.write_text("1.0,1.1\n", encoding="utf-8")
-    varied = swept_plate.with_tables(effects={"variation": {"thickness": "thick.csv"}}).in_folder(tmp_path)
-    plan = plan_of(varied, "drive.frequency=200:300:6", "plate.thickness=5e-4,0.1")
-    start, pool = start_sweep(SweepRequest(varied, vary=plan, what="modes"), "cpu"), Killing(random, 220.0)
-    here, there = run_sweep(start), run_sweep(start, pool=pool)
-    lost = plan.points[:, 0] == 220.0
-    assert lost.sum() == 2
-    assert pool.killed >= 2 * 3
-    assert there.devices_used == here.devices_used
-    np.testing.assert_array_equal(there.values["frequency"][~lost], here.values["frequency"][~lost])
-    np.testing.assert_array_equal(there.status[~lost], here.status[~lost])
-    for point, reason in there.reasons.items():
-        given_up = "given up after 3 attempts: its worker ended"
-        assert reason == (given_up if lost[point] else here.reasons[point])
-
-
-class Away(InlinePool):
-    """A worker with another kind of processor than this process has."""
-
-    def __init__(self, processor="A GPU"):
-        super().__init__()
-        self.processor = processor
-
-    def run(self, function, argument):
-        result = super().run(function, argument)
-        return result._replace(device="cuda:0", worker={**result.worker, "processor": self.processor})
-
-
-def test_processors_of_workers_are_kept(swept_plate, tmp_path):
-    file = tmp_path / "a.h5"
-    start = start_sweep(SweepRequest(swept_plate, vary=["drive.frequency=200:300:4"], what="check"))
-    with pytest.raises(KeyboardInterrupt):
-        run_sweep(start, stop_after(1), CheckpointFile(file, math.inf), Away())
-    half = load_sweep(file)
-    assert (half.device, half.processor, half.earlier_devices) == ("cuda:0", "A GPU", "")
-    assert half.progress == "1 of 4 points"
-    assert run_sweep(resume_sweep(half, on_workers=True), pool=Away()).devices_used == "cuda:0 (A GPU)"
-    full = run_sweep(resume_sweep(half, start.device))
-    used = f"cuda:0 (A GPU), then {start.device} ({start.processor})"
-    assert load_sweep(save_sweep(full, file)).devices_used == used
-    assert resume_sweep(full, "cuda:99") is full  # nothing is left to run
 
 
 @pytest.mark.parametrize("error", [RuntimeError("Failed to allocate 9 bytes\non device 'cuda:0'"), MemoryError("9")])

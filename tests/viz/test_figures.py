@@ -21,7 +21,6 @@ from warp_plate.result.case import Case
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.viz import availability
-from warp_plate.viz.fields import ColourOptions
 from warp_plate.viz.plots.plan import place_names
 from warp_plate.viz.plots.search import plot_history
 
@@ -78,16 +77,6 @@ def test_all_pictures_that_a_result_holds(paper_run, drawing, tmp_path):
             # Nothing is cut off at the sides.
             assert (picture[panel][70:, :5] > 250).all()
     assert (picture[[0, 1, 2, -3, -2, -1]] > 250).all()
-
-
-def test_surfaces_may_share_their_limits(paper_run, drawing, tmp_path):
-    """Then weak rows are nearly grey."""
-    cases = {name: replace(case, displacement=case.displacement[:1]) for name, case in paper_run.cases.items()}
-    first = replace(paper_run, times=paper_run.times[:1], cases=cases)
-    viz.draw_surfaces(first, tmp_path / "common.png", ColourOptions("bwr", "common"))
-    picture = pixels(tmp_path / "common.png")
-    red = [(row[..., 0] - row[..., 2] > 100).sum() for row in np.split(picture[:, :700], 3)]
-    assert red[2] > 1000 > 100 > red[0]  # the best drive is the last row
 
 
 def test_the_best_never_falls_and_infinite_means_are_gaps(paper_run):
@@ -155,7 +144,6 @@ def test_missing_packages_are_named(paper_run, monkeypatch, new_trial, tmp_path)
 
 
 def test_off_screen_drawing_is_quiet_and_loads_libraries_when_needed(drawing):
-    """Not on import; neither does it load the solver."""
     code = """
 import sys
 import warp_plate.viz, warp_plate.viz.pictures

@@ -103,8 +103,8 @@ def holds(page, condition):
 
 
 def canvas(page, plate=1):
-    """The pixels of a plate's canvas."""
-    holds(page, "!player.asked")
+    """The pixels of a plate's canvas, when all that was asked for is drawn and shown."""
+    page.evaluate("new Promise((shown) => requestAnimationFrame(() => requestAnimationFrame(shown)))")
     return pixels(io.BytesIO(page.locator("#plates canvas").nth(plate).screenshot()))
 
 
@@ -112,6 +112,11 @@ def redness(picture):
     """The number of red pixels less that of blue ones."""
     difference = picture[..., 0] - picture[..., 2]
     return int((difference > 60).sum() - (difference < -60).sum())
+
+
+def top_of_red(picture):
+    """The first row with a red pixel."""
+    return np.argwhere(picture[..., 0] - picture[..., 2] > 100)[:, 0].min()
 
 
 def test_playing_stepping_turning_and_heights(opened):
@@ -128,33 +133,30 @@ def test_playing_stepping_turning_and_heights(opened):
     assert "clamped" in page.inner_text("#key")
 
     drag(page, "#plates canvas", 80, 30)
+    until(lambda: (canvas(page) != before).any(axis=-1).mean() > 0.05)
     turned = canvas(page)
-    assert (turned != before).any(axis=-1).mean() > 0.05
     page.mouse.wheel(0, 600)
     holds(page, "camera.zoom < 0.9")
     # Zoomed out, less of the picture is not white.
-    assert (canvas(page).min(axis=-1) < 240).sum() < 0.8 * (turned.min(axis=-1) < 240).sum()
+    until(lambda: (canvas(page).min(axis=-1) < 240).sum() < 0.8 * (turned.min(axis=-1) < 240).sum())
     page.locator("#plates canvas").last.dblclick()
-    holds(page, "camera.zoom === 1")
-    assert (canvas(page) == before).all()
+    until(lambda: (canvas(page) == before).all())
 
     factor = page.evaluate("factor()")
     page.locator("#heights").fill("1")
     assert page.evaluate("factor()") == pytest.approx(2 * factor, rel=0.01)
     holds(page, "document.getElementById('factor').textContent === `× ${short(factor())}`")
     # The crest covers more of the plate behind it, and rises towards its back corner.
-    red = [np.argwhere(picture[..., 0] - picture[..., 2] > 100)[:, 0].min() for picture in (before, canvas(page))]
-    assert red[1] < red[0] - 5
+    until(lambda: top_of_red(canvas(page)) < top_of_red(before) - 5)
 
     page.keyboard.press("ArrowRight")
-    assert page.evaluate("player.frame") == 1
+    holds(page, "player.frame === 1")
     holds(page, "document.querySelectorAll('.heading')[1].textContent.includes('t = 0.0005 s')")
     page.locator("#time").fill("5")
-    assert redness(canvas(page)) < -1000
+    until(lambda: redness(canvas(page)) < -1000)
     assert "localization factor 50.00 %" in page.locator(".heading").nth(1).inner_text()
     page.click("#play")
-    holds(page, "player.frame !== 5")
-    assert page.inner_text("#play") == "Pause"
+    holds(page, "player.frame !== 5 && document.getElementById('play').textContent === 'Pause'")
     page.keyboard.press("Space")
     holds(page, "!player.playing")
 

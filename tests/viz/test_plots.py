@@ -22,12 +22,7 @@ from warp_plate.studies.sweep import SweepRequest, start_sweep
 from warp_plate.viz.annotations import GRID
 from warp_plate.viz.plots.frame import figure, number_log_axis
 from warp_plate.viz.plots.plan import draw_crosstalk
-from warp_plate.viz.plots.responses import (
-    MOST_RESPONSES,
-    draw_frequency_response,
-    draw_mode_fit,
-    draw_response_fit,
-)
+from warp_plate.viz.plots.responses import MOST_RESPONSES, draw_frequency_response, draw_mode_fit, draw_response_fit
 from warp_plate.viz.plots.search import draw_history, draw_spectrum
 from warp_plate.viz.plots.sweep import LINE_COLOURS, REFUSED_GREY, REFUSED_TICK, cell_edges, draw_sweep
 

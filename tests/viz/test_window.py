@@ -92,7 +92,6 @@ def test_without_a_display_other_commands_are_named(result_file, monkeypatch, co
 
 @pytest.mark.slow
 def test_the_window_opens_plays_and_closes(display, result_file, tmp_path, monkeypatch):
-    """The window responds to real keys; Ctrl-C closes it too."""
     from PIL import ImageGrab
 
     monkeypatch.setenv("DISPLAY", display)
