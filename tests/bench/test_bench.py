@@ -109,12 +109,13 @@ def test_kinds_of_plates_stay_stable(kind, operations):
 
 
 def test_large_and_unfit_cases_are_skipped(bench):
-    status, out, err = bench(*SMALL, "--plates", "2,1000000000", "--path", "streaming", "--no-pictures")
-    assert (status, err, "streaming" in out) == (0, "", True)
-    assert "1000000000 × 9², plain: skipped: needs" in " ".join(out.split())
+    large = ("--device", "cpu", "--nodes", "105", "--plates", "100000", "--path", "streaming")
+    status, out, err = bench(*large, "--no-pictures")
+    assert (status, err) == (0, "")
+    assert "100000 × 105², plain: skipped: needs" in " ".join(out.split())
     assert out.splitlines()[-1] == "wrote bench.json"
     rows = json.loads(Path("bench.json").read_text(encoding="utf-8"))["rows"]
-    assert [one["status"].partition(":")[0] for one in rows] == ["measured", "skipped"]
+    assert all(one["status"].startswith("skipped: needs") for one in rows)
     [unfit] = measure_all([BenchCase("cpu", "float32", 9, 2, "strips")], HASTE).rows
     assert unfit.status.startswith("skipped: path = 'strips'")
     assert unfit.seconds is unfit.share is None
