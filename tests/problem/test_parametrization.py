@@ -24,7 +24,7 @@ CHIRP = {"frequency": 290.0, "chirp": {"end_frequency": 400.0, "duration": 0.01}
 ELECTROSTATIC = {"frequency": 290.0, "electrostatic": {"gain": 1.0}}
 SIGNAL = {"frequency": 290.0, "signal": {"file": "a.csv", "rate": 2e4}}
 EQUAL = {"limits": {"equal_magnitudes": True}}
-STRETCHING = {"effects": {"stretching": {}}}
+STRETCHING, STEADY = {"effects": {"stretching": {}}}, {"effects": {"loss_factor": {"eta": 0.02}}}
 NARROW = [(0.05, 0.08, 0.05, 0.08), (0.1, 0.13, 0.1, 0.13)]
 
 
@@ -107,8 +107,9 @@ def test_a_patch_stays_whole_within_its_area():
     assert flat.space.names == ("x of 0",)
 
 
-PHASES, DELAY = ("phase of 1", "phase of 2"), {"delay": {"range": [0, 0.005]}}
-MAGNITUDE = {"magnitude": {"range": [0, 5]}, **EQUAL}
+PHASES, DELAY = ("phase of 0", "phase of 1", "phase of 2"), {"delay": {"range": [0, 0.005]}}
+MAGNITUDE, VELOCITY = {"magnitude": {"range": [0, 5]}, **EQUAL}, {"objectives": [{"kind": "velocity"}]}
+MAGNITUDES = ("magnitude of 1", "magnitude of 2")
 
 
 @pytest.mark.parametrize(
@@ -117,15 +118,20 @@ MAGNITUDE = {"magnitude": {"range": [0, 5]}, **EQUAL}
         ({"frequency": {"range": [200, 400]}}, {}, ("frequency",)),
         ({"frequency": {"range": [200, 400], "actuators": ["2", "1"]}}, {}, ("frequency of 1, 2",)),
         ({"phase": {}}, {}, PHASES),
-        ({"phase": {}, **DELAY}, {}, ("phase of 0", *PHASES, "delay")),
+        ({"phase": {}}, STEADY, PHASES[1:]),
+        ({"phase": {}, **DELAY}, {}, (*PHASES, "delay")),
         ({"phase": {}, **MAGNITUDE}, {}, PHASES),
         (EQUAL, {}, PHASES),
+        (EQUAL, STEADY, PHASES[1:]),
         (MAGNITUDE, STRETCHING, ("magnitude",)),
-        ({**MAGNITUDE, "objectives": [{"kind": "velocity"}]}, {}, ("magnitude",)),
+        ({**MAGNITUDE, **VELOCITY}, {}, ("magnitude",)),
+        ({"objectives": [{"kind": "contrast"}]}, {}, (*MAGNITUDES, *PHASES[1:])),
+        ({**VELOCITY, "limits": {"power": 1}}, {}, (*MAGNITUDES, *PHASES)),
+        ({**VELOCITY, "limits": {"power": 1}}, STEADY, (*MAGNITUDES, *PHASES[1:])),
     ],
 )
 def test_shared_variables_and_those_that_change_nothing(search, tables, names):
-    """A common phase of a steady motion and a common magnitude of a linear one are fixed."""
+    """A common phase of steady motion, or of the paper's ratio, and a common linear magnitude are fixed."""
     parametrization = parametrized(search, **tables)
     assert parametrization.space.names == names
     if names == ("magnitude",):
@@ -172,7 +178,7 @@ COARSE = {"nodes": (9, 9), "time_step": 1e-4}
         ({"position": {"area": [0, 0.03, 0, 0.2], "actuators": ["1"]}}, {"actuators": NARROW}, ["move it there"]),
         (TO_400, {"drive": CHIRP}, ["search.frequency", "drive.chirp"]),
         (TO_400, {"drive": SIGNAL}, ["search.frequency", "drive.signal"]),
-        ({"phase": {}}, {"actuators": NARROW[:1]}, ["search: ", "[search.frequency]"]),
+        ({"phase": {}}, {"actuators": NARROW[:1], **STEADY}, ["search: ", "[search.frequency]"]),
         ({**EQUAL, "magnitude": {"range": [0, 1], "actuators": ["1"]}}, {}, ["search.magnitude.actuators", "equal_"]),
         ({**EQUAL, "phase": {}}, {"magnitudes": (1, 2, 3)}, ["equal_magnitudes", "from 1 to 3"]),
         ({"phase": {}}, {"magnitudes": (0, 0, 0)}, ["all 0", "[search.magnitude]"]),
@@ -242,7 +248,7 @@ def test_designs_scenes_and_positions_agree(search):
 
 
 def test_drives_are_scaled_where_only_ratios_matter_and_clipped_elsewhere():
-    position = np.array([[4.0, -0.9, 0.0, 0.0]])
+    position = np.array([[4.0, -0.9, 0.0, 0.0, 0.0]])
     small = parametrized({"limits": {"magnitude": 0.5}}).designs(position).drives
     assert np.allclose(small, [[0.125, 0.5, -0.1125]], rtol=1e-14)
     powered = parametrized({"limits": {"power": 4.0}}).designs(position).drives

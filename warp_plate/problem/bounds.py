@@ -83,7 +83,10 @@ class AllowedDrives:
 
 
 def allowed_drives(parametrization: Parametrization) -> AllowedDrives:
-    """Return a set of drives that holds all those of the search's positions."""
+    """Return a set of drives that holds all those of the search's positions.
+
+    Unless the motion is steady, the first phase is free even where the source paper's search holds it at 0.
+    """
     scene, unit = parametrization.scene, parametrization.unit
     tables, limits, equal = has_design_tables(scene), scene.search.limits, False
     fixed = np.array([actuator.magnitude if tables else unit for actuator in scene.actuators])
@@ -97,6 +100,8 @@ def allowed_drives(parametrization: Parametrization) -> AllowedDrives:
         elif variable.kind == "phase":
             phase[group] = np.nan
     phase = np.where(fixed < 0, phase + math.pi, phase)
+    if not (tables or scene.steady):
+        phase[0] = math.nan
     if only_ratios(scene):  # a drive that is too large is scaled down, and has the same ratios
         free = (lower == -math.inf) & (upper == math.inf)
         if free.sum() == len(free) - 1:  # a single fixed magnitude sets the size of the drive

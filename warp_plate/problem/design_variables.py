@@ -22,7 +22,7 @@ from warp_plate.quantities.region_quantities import REGION_QUANTITIES
 from warp_plate.resolve import at_highest_frequency
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.scene.search import FreeDelay, FreeFrequency, FreeMagnitude, FreePhase, FreePosition, Search
+from warp_plate.scene.search import FreeDelay, FreeFrequency, FreeMagnitude, FreePhase, FreePosition, Limits, Search
 
 # The range in which the source paper draws its first positions.
 PAPER_RANGE = (-2.0, 2.0)
@@ -97,9 +97,9 @@ class Phase(DesignVariable):
 
     @classmethod
     def of_table(cls, scene: Scene, table: FreePhase) -> Iterator[Self]:
-        """Yield phases: of all that the table names, or of all but the first where a common one changes nothing."""
+        """Yield phases: of all that the table names, but for the first where a common one only shifts the motion."""
         named = _named_actuators(scene, "phase")
-        if len(named) == len(scene.actuators) and not _common_phase_counts(scene):
+        if scene.steady and len(named) == len(scene.actuators):
             named = named[1:]
         for actuator in named:
             fixed, period = scene.actuators[actuator].phase, 2 * math.pi
@@ -245,20 +245,19 @@ def _paper_variables(scene: Scene) -> Iterator[DesignVariable]:
     others = range(1, len(scene.actuators))
     if not search.limits.equal_magnitudes:
         yield from (Magnitude.of_group(scene, "magnitude", (actuator,), 1.0, PAPER_RANGE) for actuator in others)
-    phases = range(len(scene.actuators)) if search.method == "exact" and _common_phase_counts(scene) else others
+    phases = others if _holds_first_phase(scene) else range(len(scene.actuators))
     yield from (Phase.of_group(scene, "phase", (actuator,), 0.0, PAPER_RANGE) for actuator in phases)
 
 
-def _common_phase_counts(scene: Scene) -> bool:
-    """Return whether a phase that all actuators have in common is searched; it shifts a steady motion in time.
+def _holds_first_phase(scene: Scene) -> bool:
+    """Return whether the source paper's search holds the first phase at 0.
 
-    It counts for bursts, sweeps, files and moving loads, and for tones from rest where drives are found exactly. Other
-    searches for drives of a tone take the motion for steady, as the source paper does.
+    A common phase only shifts a steady motion in time. While start-up motion is left in the window it counts; ratios
+    without limits are searched as in the paper even so.
     """
-    if scene.drive.waveform_key or scene.effects.travelling:
-        return True
     search = scene.search
-    return not scene.steady and bool(search.method == "exact" or search.frequency or search.position)
+    ratios = all(REGION_QUANTITIES[objective.kind].is_ratio for objective in search.objectives)
+    return scene.steady or (search.method != "exact" and ratios and search.limits == Limits())
 
 
 def _named_actuators(scene: Scene, table: str) -> tuple[int, ...]:

@@ -3,8 +3,9 @@
 Without a table that names design variables the search is the source paper's (section II.C of Jo, Yang and Shin, 2024):
 a position is w₂ ... w_M, φ₂ ... φ_M with w₁ = 1 and φ₁ = 0, first drawn from −2 ... 2 and without limits, because a
 common factor does not change the localization factor, nor does a common phase once the plate vibrates steadily (in the
-scene ``paper`` what is left of the start moves it by 4e-5). With such tables, the variables have the limits that they
-give, in the scene's own units, and the rest stays as the scene has it. Z = w exp(−iφ) either way.
+scene ``paper`` what is left of the start moves it by 4e-5). With limits, and for velocities, φ₁ is searched too unless
+the motion is steady. With tables, the variables have the limits that they give, in the scene's own units, and the rest
+stays as the scene has it. Z = w exp(−iφ) either way.
 """
 
 from __future__ import annotations

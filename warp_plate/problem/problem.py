@@ -247,7 +247,7 @@ class Problem:
 
     @cached_property
     def loss_bound(self) -> Bound | None:
-        """Proved lower bound of the loss; None if none is known."""
+        """Proved lower bound of the loss of all permitted drives; None if none is known."""
         if self.scenario_losses is None:
             return self._nominal_loss_bound
         # No drive, the same for all panels, has a smaller loss than the measure of each panel's own bound.
