@@ -50,7 +50,8 @@ FORBIDDEN_MODULES = {
 }  # fmt: skip
 # The explorer serves a page on 127.0.0.1, reads its key, and opens it; others start fixed commands without a shell.
 ALLOWED = {
-    "viz/explorer_page.py": {"asyncio", "socket", "urllib"},
+    "viz/explorer_page.py": {"asyncio", "socket"},
+    "viz/explorer_access.py": {"socket", "urllib"},
     "warp_plate/cli/explore.py": {"webbrowser"},
     "viz/availability.py": {"subprocess"},
 }  # fmt: skip

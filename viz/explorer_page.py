@@ -1,8 +1,6 @@
 """The explorer as a web page: pictures are drawn here and sent, sliders and buttons run in the browser.
 
-All that the page loads comes from this server. Requests must name this machine, and sockets bring the secret of this
-run, which is in the printed address. The browser sends that address as the referrer of the page's first request, which
-asks where the socket is. This avoids a cookie, which would be sent to other servers at this address as well.
+All that the page loads comes from this server; ``explorer_access`` says who may use it.
 """
 
 from __future__ import annotations
@@ -10,7 +8,6 @@ from __future__ import annotations
 import asyncio
 import errno
 import importlib.util
-import ipaddress
 import logging
 import math
 import os
@@ -22,16 +19,15 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
-from urllib.parse import parse_qs, urlsplit
 
+from warp_plate.scene.errors import SceneError
 from warp_plate.viz.annotations import in_percent
+from warp_plate.viz.explorer_access import guard, is_number, limit_calls
 from warp_plate.viz.explorer_view import ROW_WEIGHTS, ExplorerView, share_texts
 from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions
 from warp_plate.viz.pictures import make_plotter
 
 if TYPE_CHECKING:
-    from aiohttp import web
-
     from warp_plate.explore.live_model import LiveModel
 
 WEB_EXTRA = "pip install 'warp-plate[web]'"
@@ -59,10 +55,6 @@ NUMBERS = """
 <div style="font-size: 13px">Computed {{ engine }}</div>
 <div style="min-height: 3em; color: #b2182b; font-size: 13px">{{ status }}</div>
 """
-# A browser that takes no data for so long is dropped, as others wait for it [ms].
-PATIENCE = 5000
-# What the page loads beside the files of its server.
-PAGE_NEEDS = "data: blob: 'unsafe-inline' 'unsafe-eval'"
 
 
 def missing_page() -> str | None:
@@ -76,7 +68,8 @@ def serve_page(
 ) -> None:
     """Serve a live model until Ctrl-C, at any free port if it is 0; call ``on_ready`` with the address of the page.
 
-    Raises DrawingUnavailable if VTK cannot draw here, and OSError if the address is in use or not of this machine.
+    Raises DrawingUnavailable if VTK cannot draw here, OSError if the address is in use or not of this machine, and
+    SceneError if the server stops.
     """
     from warp_plate.viz.availability import set_up_renderer
 
@@ -109,9 +102,10 @@ class ExplorerPage:
         self._build()
 
     async def serve(self, host: str, port: int, on_ready: Callable[[str], object]) -> None:
-        """Answer browsers; for the arguments see :func:`serve_page`."""
+        """Answer browsers until the server stops, which is an error; for the arguments see :func:`serve_page`."""
         secret = secrets.token_hex()  # the page sends it in lower case
         self.server.controller.on_server_bind.add(lambda server: guard(server, host, secret))
+        self.server.controller.on_server_bind.add(lambda server: limit_calls(server, self._positions()))
         os.environ["TRAME_ARGS"] = ""  # in place of the command line, which is not trame's
         self.server.cli.set_defaults(authKey=secret, nosignalhandlers=True)
         quiet = {"open_browser": False, "show_connection_info": False, "disable_logging": True}
@@ -122,16 +116,17 @@ class ExplorerPage:
             await asyncio.sleep(0.01)
         on_ready(f"http://{f'[{host}]' if ':' in host else host}:{self.server.port}/?key={secret}")
         try:
-            await self._send_pictures()
+            await self._send_pictures(task)
+            raise SceneError("the page's server has stopped; start explore again")
         finally:
             # Stopping would wait for browsers that are still connected.
             with suppress(asyncio.TimeoutError):
                 await asyncio.wait_for(self.server.stop(), ANSWER_TIMEOUT)
 
-    async def _send_pictures(self) -> None:
-        """Send picture after picture, as fast as the browser takes them."""
+    async def _send_pictures(self, server: asyncio.Task[None]) -> None:
+        """Send picture after picture, as fast as the browser takes them, while the server runs."""
         last, sent_at = time.perf_counter(), -math.inf
-        while True:
+        while not server.done():
             started = time.perf_counter()
             fitted = self._fit()
             changed = self.view.advance(started - last) or fitted
@@ -167,10 +162,8 @@ class ExplorerPage:
 
     def _update(self, state: Any) -> None:
         """Exchange settings and numbers with the state, of which trame sends what has changed."""
-        settings, reading = self.model.settings, self.model.read()
-        state.frequency, state.damping = settings.frequency, settings.damping
-        for index, (magnitude, phase) in enumerate(zip(settings.magnitude, settings.phase, strict=True)):
-            state[f"magnitude_{index}"], state[f"phase_{index}"] = magnitude, phase
+        reading = self.model.read()
+        state.update(self._positions())
         state.factor = in_percent(reading.localization_factor)
         state.bound = "none" if reading.bound is None else in_percent(reading.bound)
         state.energy = f"{reading.energy['plate']:.3g} J"
@@ -178,6 +171,13 @@ class ExplorerPage:
         state.engine = "by modes, without time steps" if self.model.by_modes else "in time steps"
         state.status = self.model.status()
         self.view.playing = bool(state.playing)
+
+    def _positions(self) -> dict[str, float]:
+        """Return the position of every slider by its key in the state."""
+        settings = self.model.settings
+        positions = {"frequency": settings.frequency, "damping": settings.damping}
+        positions |= {f"magnitude_{index}": value for index, value in enumerate(settings.magnitude)}
+        return positions | {f"phase_{index}": value for index, value in enumerate(settings.phase)}
 
     def _build(self) -> None:
         from trame.ui.vuetify3 import VAppLayout
@@ -239,7 +239,7 @@ def _add_slider(label: str, key: str, ends: tuple[float, float], on_change: Call
     from trame.widgets import html, vuetify3
 
     def take(value: object) -> None:
-        if isinstance(value, int | float) and math.isfinite(value):
+        if is_number(value):
             on_change(min(max(float(value), ends[0]), ends[1]))
 
     with html.Div(id=f"slide-{key}"):
@@ -256,52 +256,3 @@ def is_no_connection_error(record: logging.LogRecord) -> bool:
     error = record.exc_info[1] if record.exc_info else sys.exc_info()[1]
     too_many = isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE)
     return not (isinstance(error, ConnectionError) or too_many)
-
-
-def guard(server: Any, host: str, secret: str) -> None:
-    """Let a trame server answer those who have the secret, and refuse what comes from elsewhere."""
-    from aiohttp import web
-
-    def is_secret(text: str) -> bool:
-        return secrets.compare_digest(text.encode(errors="replace"), secret.encode())
-
-    names = {name.lower() for name in ("localhost", host, socket.gethostname(), socket.getfqdn())}
-
-    async def answer(request: web.Request) -> web.Response:
-        if not is_secret(_key_in(request.headers.get("Referer", ""))):
-            raise web.HTTPForbidden
-        return web.json_response({"sessionURL": f"ws://{request.host}/ws?secret={secret}", "secret": secret})
-
-    @web.middleware
-    async def check(request: web.Request, handler: Any) -> web.StreamResponse:
-        name, origin = request.url.host or "", request.headers.get("Origin")
-        if not (name.lower() in names or _is_address(name)) or origin not in (None, f"http://{request.host}"):
-            raise web.HTTPForbidden
-        if request.path == "/ws":
-            if not is_secret(request.query.get("secret", "")) or not web.WebSocketResponse().can_prepare(request).ok:
-                raise web.HTTPForbidden
-            # Drop a connection that accepts no data, so that others need not wait for it (Linux only).
-            connection = request.get_extra_info("socket")
-            if connection is not None and hasattr(socket, "TCP_USER_TIMEOUT"):
-                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, PATIENCE)
-        response: web.StreamResponse = await handler(request)
-        # The page's script would take any server's address, of a socket too, from a link to the page.
-        response.headers["Content-Security-Policy"] = f"default-src 'self' ws://{request.host} {PAGE_NEEDS}"
-        return response
-
-    server.app.middlewares.append(check)
-    server.app.router.add_post("/paraview/", answer)
-
-
-def _key_in(address: str) -> str:
-    """Return the secret that a page's address holds, or nothing."""
-    with suppress(ValueError):
-        return parse_qs(urlsplit(address).query).get("key", [""])[0]
-    return ""
-
-
-def _is_address(name: str) -> bool:
-    """Return whether a host is an IP address, which no other site's name can stand for."""
-    with suppress(ValueError):
-        return bool(ipaddress.ip_address(name))
-    return False

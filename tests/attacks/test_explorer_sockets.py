@@ -18,15 +18,33 @@ from support.sockets import PATIENCE, answers_to, ask, call, session
 
 aiohttp = pytest.importorskip("aiohttp")
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGINT to send to one process")
-FILES = 200
+FILES, VIEW = 200, "1"
 ESCAPES = "\x1b[2J\x1b]0;title\x07"
 METHODS = [
     "trame.state.get",
     "trame.state.update",
     "trame.trigger",
+    "trame.lifecycle.update",
     "viewport.image.push",
+    "viewport.image.push.quality",
+    "viewport.mouse.interaction",
     "application.exit",
+    "application.exit.later",
     "a" * 300,
+]
+# Calls that would end the page, or change what later viewers see, and calls that no page makes.
+HARMFUL = [
+    ("viewport.image.push.observer.add", VIEW),
+    *(("trame.state.update", [{"key": key, "value": "{{ 1 + 1 }}"}]) for key in ("title", "magnitude_1", "playing")),
+    *(("trame.state.update", [{"key": f"trame__{key}", "value": "a"}]) for key in ("template_main", "title")),
+    *(("viewport.image.push.original.size", VIEW, *size) for size in (("a", None), (2**40, -5), (math.nan, 16))),
+    *(("viewport.image.push.quality", VIEW, *quality) for quality in ((math.nan, 1), (85, "a"), (0, 1e300))),
+    ("viewport.mouse.interaction", {"view": VIEW, "action": "down", "x": math.nan}),
+    ("trame.lifecycle.update", "server_bind"),
+    ("viewport.image.animation.fps.max", "a"),
+    ("application.exit.later", 0),
+    ("application.exit",),
+    ("viewport.image.push.original.size", VIEW, 300, 300),
 ]
 VALUES = (
     st.none() | st.integers(-(2**63), 2**63) | st.floats() | st.binary(max_size=9) | st.lists(st.text(), max_size=3)
@@ -159,10 +177,37 @@ def test_sliders_take_only_numbers_within_their_ends(served):
     asyncio.run(asyncio.wait_for(talk(), PATIENCE))
 
 
+def test_viewers_can_neither_end_the_page_nor_change_it(served):
+    """They see the plate and move the sliders; the next viewer gets the same page, and new pictures."""
+    address, secret = session(served)
+
+    async def state(opened):
+        return (await answers_to(opened, call("trame.state.get")))["result"]["state"]
+
+    async def talk():
+        async with aiohttp.ClientSession() as client:
+            async with client.ws_connect(address) as opened:
+                await greet(opened, secret)
+                before = await state(opened)
+                for harmful in HARMFUL:
+                    await answers_to(opened, call(*harmful))
+            async with client.ws_connect(address) as other:
+                await greet(other, secret)
+                after = await state(other)
+                while (later := await state(other))["picture"] == after["picture"]:
+                    await asyncio.sleep(0.02)
+        assert later == {**before, "picture": later["picture"]}
+
+    asyncio.run(asyncio.wait_for(talk(), PATIENCE))
+
+
 @st.composite
 def messages(draw):
     """A message of wslink, of any method and arguments, or nearly one."""
-    names = st.sampled_from([{"key": "magnitude_1", "value": 1}, "trigger__1", "trigger__9", ESCAPES, "1"]) | VALUES
+    keys = ("magnitude_1", "title", "playing", "trame__template_main")
+    changes = [{"key": key, "value": draw(VALUES)} for key in keys]
+    event = {"view": VIEW, "action": "down", "buttonLeft": 1, "x": draw(VALUES), "y": 0.5}
+    names = st.sampled_from([changes, "trigger__1", "trigger__9", ESCAPES, VIEW, event, 0.0]) | VALUES
     content = call(draw(st.sampled_from(METHODS)), *draw(st.lists(names, max_size=3)), rpc=draw(st.text(max_size=4)))
     if draw(st.integers(0, 3)):
         return content
@@ -188,5 +233,7 @@ def test_any_messages(sent, served):
                 await greet(other, secret)
                 state = (await answers_to(other, call("trame.state.get")))["result"]["state"]
                 assert all(math.isfinite(state[f"magnitude_{index}"]) for index in range(3))
+                assert state["title"] == "warp-plate explore"
+                assert "magnitude_1" in state["trame__template_main"]
 
     asyncio.run(asyncio.wait_for(talk(), PATIENCE))

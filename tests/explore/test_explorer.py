@@ -1,6 +1,7 @@
 """The explorer: its unit responses and live model show at once what plates do when they are run; its picture as data;
 refusals."""
 
+import asyncio
 import math
 import threading
 import time
@@ -318,6 +319,18 @@ def test_the_swarm_is_drawn(view, model):
     charts.show(SwarmSnapshot(np.ones((4, 3), complex), nothing, nothing[:1], None, iterations=5), None)
     assert [plot.visible for plot in charts.plane.plots("scatter")] == [True, False, True, False]
     assert not next(iter(charts.history.plots("line"))).visible
+
+
+def test_a_server_that_stops_is_an_error(model, drawing):
+    if explorer_page.missing_page():
+        pytest.skip("the page cannot be served here")
+    from trame.app import get_server
+
+    def stop(address):
+        asyncio.get_running_loop().create_task(get_server(explorer_page.TITLE).stop())
+
+    with pytest.raises(SceneError, match="the page's server has stopped"):
+        explorer_page.serve_page(model, "127.0.0.1", 0, stop)
 
 
 def test_refusals_name_the_library_the_port_or_the_device(write_scene, monkeypatch, command, drawing):
