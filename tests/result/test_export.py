@@ -142,6 +142,15 @@ def test_a_wav_of_24_bits_reads_back_as_a_signal(oblong, tmp_path):
     assert len(content) % 2 == 0
 
 
+def test_names_in_csv_are_one_line_of_texts(oblong, tmp_path):
+    signal = make_drive_signal(oblong.scene, oblong.cases["best"], 8000, 0.02)
+    signal = replace(signal, names=("a\rb\n\tc", "@SUM(1)", "-1"))
+    heading, read = read_csv(*write_drive_csv(signal, tmp_path / "drive.csv"))
+    assert [name.partition(" [")[0] for name in heading] == ["time", r"a\rb\n\tc", "'@SUM(1)", "'-1"]
+    assert read.shape == (signal.samples, 4)
+    assert len((tmp_path / "drive.csv").read_text(encoding="utf-8").splitlines()) == 1 + signal.samples
+
+
 def test_a_drive_csv_plays_the_drive(oblong, tmp_path):
     case = oblong.cases["best"]
     signal = make_drive_signal(oblong.scene, case, 10_000, 0.1)

@@ -1,6 +1,7 @@
 """Frequency responses: against Navier's series, reciprocity, derivatives, peaks however sharp, and their files."""
 
 import csv
+from dataclasses import replace
 import math
 from pathlib import Path
 
@@ -237,7 +238,7 @@ def test_xarray_opens_the_hdf5_file(response, tmp_path):
 def test_pyuff_reads_the_universal_file(response, tmp_path):
     """Units, nodes and functions, bit by bit; the header states the bytes of three doubles a frequency."""
     pyuff = pytest.importorskip("pyuff")
-    write_uff(response, path := tmp_path / "a.uff")
+    write_uff(replace(response, title="a title\n    -1\rof lines"), path := tmp_path / "a.uff")
     file = pyuff.UFF(str(path))
     assert file.get_set_types().tolist() == [164, 15, 58, 58, 58, 58]
     _, nodes, *functions = file.read_sets()
@@ -251,4 +252,5 @@ def test_pyuff_reads_the_universal_file(response, tmp_path):
         codes = (function[f"{name}_type"] for name in ("func", "ordinate_spec_data", "orddenom_spec_data"))
         assert tuple(codes) == (4, 12, 13)
         assert function["n_bytes"] == 24 * len(values)
+        assert function["id2"] == "a title -1 of lines"
     assert [entry.name for entry in Path(tmp_path).iterdir()] == ["a.uff"]

@@ -16,7 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, printable
+
+# First characters of formulas.
+FORMULAS = frozenset("=+-@")
 
 
 @contextmanager
@@ -80,9 +83,14 @@ def write_atomically(content: bytes, path: Path) -> None:
 
 
 def write_table(path: Path, heading: list[str], blocks: Iterable[np.ndarray]) -> list[Path]:
-    """Write blocks of rows as comma-separated UTF-8 text, the first column with 15 digits and the others with 9."""
+    """Write blocks of rows as comma-separated UTF-8 text, the first column with 15 digits and the others with 9.
+
+    Headings are one line of texts: control characters are escaped, and an apostrophe precedes what a spreadsheet would
+    take for a formula.
+    """
+    names = [printable(name).replace("\n", "\\n") for name in heading]
     with atomic_paths(path) as (temporary,), temporary.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerow(heading)
+        csv.writer(file, lineterminator="\n").writerow(f"'{name}" if name[:1] in FORMULAS else name for name in names)
         for block in blocks:
             np.savetxt(file, block, fmt=["%.15g", *["%.9g"] * (block.shape[1] - 1)], delimiter=",")
     return [path]

@@ -191,8 +191,8 @@ def _dataset_58(response: FrequencyResponse, index: int) -> dict[str, Any]:
 
 
 def _ascii(text: str) -> str:
-    """Return text for a file in universal format, which knows ASCII alone."""
-    return text.replace("→", "->").replace("×", "x").encode("ascii", "replace").decode()
+    """Return a line of text for a file in universal format, which knows ASCII alone."""
+    return " ".join(text.split()).replace("→", "->").replace("×", "x").encode("ascii", "replace").decode()
 
 
 def write_hdf5(response: FrequencyResponse, path: Path) -> None:
