@@ -1,8 +1,8 @@
 """Frequency responses: against Navier's series, reciprocity, derivatives, peaks however sharp, and their files."""
 
 import csv
-from dataclasses import replace
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
