@@ -10,6 +10,7 @@ import pytest
 from support.commands import error_of, output_of
 from support.scenes import scene_of
 from warp_plate import PlateSolver, load_result
+from warp_plate.accuracy.configurations import percent
 from warp_plate.analysis.check import check
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
@@ -53,6 +54,10 @@ def test_edges_layers_and_frequencies_in_the_summary(command, write_scene):
     words = " ".join(output_of(command("check", "panel.toml", "--device", "cpu")).split())
     assert "g with layers; left free, bottom on springs, right clamped, top free" in words
     assert "290, 300 Hz, 3 actuators" in words
+
+
+def test_whole_percent():
+    assert [percent(share) for share in (0.99999, 0.00564, 1.234, 0.0)] == ["100 %", "0.56 %", "120 %", "0 %"]
 
 
 def test_frequencies_and_limit():

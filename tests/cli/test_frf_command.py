@@ -67,3 +67,8 @@ def test_wrong_options_are_refused_in_one_line(option, command, damped):
         assert value.strip("٣") in line
         assert option == "--out" or option in line
         assert [path.name for path in Path().iterdir()] == ["panel.toml"]
+
+
+def test_scenes_that_are_not_linear_are_refused(command, write_scene):
+    write_scene(effects={"stretching": {}})
+    assert "effects.stretching" in error_of(command("frf", "panel.toml"))

@@ -59,22 +59,6 @@ def test_motion_passes_through_the_field_at_the_moment(focused):
         focus_motions(focused, span=(0.0, 1.0))
 
 
-def test_inverse_filter_makes_foci_follow_bursts_of_their_own():
-    """Within 1 %, and 30 dB apart, where time reversal hardly tells the foci apart."""
-    edges, patches = ("supported",) * 4, [(x, x + 0.02, y, y + 0.02) for x in (0.02, 0.16) for y in (0.03, 0.14)]
-    table = {**TABLE, "time": 0.03, "rate": 8000, "condition": 1e4, "burst": {"frequency": 300.0, "cycles": 4.0}}
-    found = focus(scene_of(damping=20.0, edges=edges, actuators=patches, focus=table))
-    apart, others = found.methods["inverse_filter"], ~np.eye(2, dtype=bool)
-    assert apart.misfit.max() < 0.01
-    assert apart.crosstalk_db[others].max() < -30
-    assert found.methods["time_reversal"].crosstalk_db[others].max() > -15
-    assert found.methods["time_reversal"].misfit.min() > 0.1
-    since = found.times - 0.03
-    burst = np.cos(600 * math.pi * since) * np.cos(75 * math.pi * since) ** 2 * (np.abs(since) < 4 / 600)
-    for motion, peak in zip(apart.responses[[0, 1], [0, 1]], apart.peak, strict=True):
-        np.testing.assert_allclose(motion / peak, burst, atol=0.02)
-
-
 def test_waveforms_of_another_panel_are_played(focused):
     """Waveforms reach the same on their own panel, less with more damping; the gap is to the optimum of that panel."""
     again = focus(focused.scene, focused)

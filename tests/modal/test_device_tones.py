@@ -8,8 +8,6 @@ from support.scenes import scene_of
 from warp_plate.modal.device_tones import DeviceToneMatrices
 from warp_plate.modal.gram import Means, ToneMatrices, gram_matrices
 from warp_plate.modal.modes import solve_modes
-from warp_plate.modal.solver import ModalSolver
-from warp_plate.plate.designs import Designs, PerPlate
 from warp_plate.solve.devices import find_device
 
 SIZE, PLATES = (0.2, 0.15), 5
@@ -103,16 +101,3 @@ def test_plates_do_not_feel_their_neighbours(random, device, damped_plate):
     kept = [0, 1, 3, 4]
     assert np.array_equal(beside[kept], together[kept])
     assert np.isnan(beside[2]).any()
-
-
-@pytest.mark.skipif(not wp.is_cuda_available(), reason="no CUDA device")
-@pytest.mark.parametrize("name", ["viscous", "steady", "piezo"])
-def test_solvers_of_both_devices_agree(random, name):
-    effects = {"loss_factor": {"eta": 0.02}} if name == "steady" else {"damping": {"viscous": 20.0}}
-    scene, piezo = scene_of(size=SIZE, effects=effects), name == "piezo"
-    scene, varied = patched(scene) if piezo else scene, PerPlate(frequency=True, centre=not piezo)
-    centre = None if piezo else random.uniform(0.05, 0.1, (PLATES, 3, 2))
-    frequency = random.uniform(100, 290, (PLATES, 1)) * np.ones(3)
-    designs = Designs(np.ones((PLATES, 3), dtype=complex), frequency, centre)
-    cpu, cuda = (ModalSolver(scene, device, per_plate=varied).gram_matrices(designs) for device in ("cpu", "cuda:0"))
-    assert np.allclose(cpu, cuda, rtol=0, atol=1e-10 * np.abs(cpu).max())

@@ -163,17 +163,3 @@ def test_without_a_finite_loss_the_swarm_is_drawn_again():
     assert len(np.unique(np.concatenate(seen), axis=0)) == 50
     assert np.all(np.abs(seen) <= 2)
     assert minimize(swarm, sphere).fbest < 0.01
-
-
-def test_of_equal_losses_the_first_particle_leads():
-    """And its position is the result, although another had that loss before."""
-    swarm = swarm_of(2, particles=3, iterations=2)
-    swarm.tell(swarm.ask(), [2.0, 1.0, 1.0])
-    assert swarm.leader == 1
-    second = swarm.ask()
-    swarm.tell(second, [1.0, 1.0, 3.0])
-    assert swarm.leader == 0
-    np.testing.assert_array_equal(swarm.result.xbest, second[0])
-    ring = swarm_of(2, particles=4, ring=True, inertia=0.0)
-    first = step(ring, lambda positions: np.ones(4))
-    np.testing.assert_array_equal(ring.ask(), first)  # each leads itself

@@ -85,15 +85,6 @@ def test_free_plates_agree_by_modes_and_in_time_steps():
     np.testing.assert_allclose(found[1], found[0], rtol=0.03)
 
 
-def test_peaks_of_a_focus_are_per_volt_and_proportional_to_the_moment():
-    table = {"points": [(0.12, 0.1)], "highest": 1000.0, "time": 0.02, "rate": 16000}
-    peaks = [
-        focus(piezo_scene(damping=50.0, focus=table, patch={"d31": value})).methods["one_bit"].peak[0]
-        for value in (-100e-12, -200e-12)
-    ]
-    assert peaks[1] == pytest.approx(2 * peaks[0])
-
-
 def test_electrical_energy_is_that_of_each_rise_of_the_voltage():
     """½ C V² at each change of sign of one-bit waveforms, and ∫ C V dV wherever |V| rises of others."""
     table = {"points": [(0.12, 0.1)], "highest": 1000.0, "time": 0.02, "rate": 16000}

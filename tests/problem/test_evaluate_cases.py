@@ -7,14 +7,10 @@ import re
 import numpy as np
 import pytest
 
-from warp_plate import Scene, load_result, localize
+from warp_plate import load_result, localize
 from warp_plate.problem.objectives import keeps_limit
 from warp_plate.problem.problem import make_problem
 from warp_plate.resolve import resolve
-from warp_plate.result.checkpoint import load_checkpoint
-from warp_plate.result.model import save_result
-from warp_plate.studies.localize import resume
-from warp_plate.studies.unfinished import CheckpointFile
 
 OBJECTIVES = [
     {"kind": "velocity", "weight": 1e4, "rest_limit": 1.0},
@@ -86,23 +82,6 @@ def test_a_limit_that_no_drive_keeps_leaves_no_bound(scene, localize_command):
     assert values["velocity of the rest"] > 1e-7
     assert "bound" not in values
     assert [keeps_limit(1 + beyond, 1.0) for beyond in (1e-6, 1e-4)] == [True, False]
-
-
-def test_searches_for_several_targets_keep_them_in_files_and_checkpoints(scene, tmp_path):
-    targets = [{"name": "a", "disc": (0.06, 0.06, 0.04)}, {"name": "b", "area": (0.1, 0.2, 0.0, 0.2)}]
-    panel = scene(damping=88.5, search=SEARCH)
-    made = Scene.model_validate({**panel.model_dump(), "targets": targets, "target": {"disc": (0.06, 0.06, 0.04)}})
-    kept = CheckpointFile(tmp_path / "a.checkpoint.h5", 0.0, lambda line: None)
-    result = localize(made, device="cpu", estimate=False, checkpoints=kept)
-    values = [search.objective_values for search in result.target_searches]
-    assert values[0]["sum"] != values[1]["sum"]
-    # The last checkpoint is of the search for the second target.
-    checkpoint = load_checkpoint(tmp_path / "a.checkpoint.h5")
-    assert checkpoint.finished_searches[0].objective_values == values[0]
-    again = load_result(save_result(result, tmp_path / "a.h5"))
-    for other in (result, again, resume(checkpoint, estimate=False)):
-        assert other.objective_values == values[0]
-        assert [search.objective_values for search in other.target_searches] == values
 
 
 def test_a_robust_search_has_those_of_the_nominal_plate(scene):

@@ -1,5 +1,7 @@
 """Tiles of large plates on CUDA: cuts, what a tile's own edges spoil, and plans; and the same bits as other paths."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import warp as wp
@@ -9,6 +11,7 @@ from support.scenes import EDGE_MIXES
 from warp_plate import PlateSolver
 from warp_plate.kernels.plans import cut, make_place
 from warp_plate.plate.operator import biharmonic, make_taps
+from warp_plate.solve.cuda import plan_tiles
 
 CUTS = [(33, 2, 4), (33, 5, 4), (257, 7, 16), (97, 40, 16), (40, 2, 16), (17, 3, 12), (9, 30, 8)]
 SIDES = [(sides[0], sides[1]) for sides in EDGE_MIXES[:4]]
@@ -69,6 +72,15 @@ def advance(u, rate, order, steps, stiffness, sides):
         rate -= stiffness * (matrix @ u[inner].ravel()).reshape(rate.shape)
         u[inner] += rate
     return u
+
+
+@pytest.mark.parametrize("order", [2, 4])
+def test_plates_have_at_most_a_tile_for_each_multiprocessor(order):
+    scheme, device = SimpleNamespace(order=order, nodes=(161, 191)), SimpleNamespace(sm_count=132)
+    specialized = SimpleNamespace(scheme=scheme, device=device, real=wp.float32, shared_bytes=99 * 1024)
+    axes, _ = plan_tiles(specialized, 1)
+    assert 1 < axes[0].count * axes[1].count <= 132
+    assert plan_tiles(specialized, 200) is None
 
 
 @pytest.mark.skipif(not wp.is_cuda_available(), reason="tiles are of CUDA")

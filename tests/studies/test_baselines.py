@@ -1,17 +1,13 @@
 """Drives without a search: transfer functions against traces, and the property that defines each drive."""
 
-import json
-
 import numpy as np
 import pytest
 
-from support.commands import output_of
 from support.scenes import scene_of
-from warp_plate import PlateSolver, SceneError, load_result, localize
+from warp_plate import PlateSolver, SceneError, localize
 from warp_plate.plate.weights import REGIONS, region_weights
 from warp_plate.studies.baselines import (
     REGULARISATION,
-    baseline_phasors,
     inverse_filter,
     time_reversal,
     transfer_functions,
@@ -83,17 +79,3 @@ def test_modes_have_the_baselines_of_time_steps():
     stepped, by_modes = (localize(made, evaluator=name, **settings).cases for name in ("direct", "modal"))
     for name in ("time_reversal", "inverse_filter"):
         assert by_modes[name].localization_factor == pytest.approx(stepped[name].localization_factor, rel=1e-2)
-
-
-def test_localize_shows_them_beside_the_drive_found(command, write_scene):
-    search = {"particles": 4, "iterations": 3}
-    write_scene(damping=130.0, window=(0.03, 0.05), search=search, record={"times": [0.04]})
-    options = ("--device", "cpu", "--baselines", "--no-pictures", "--no-estimate", "--json")
-    factors = json.loads(output_of(command("localize", "panel.toml", *options)))["localization_factor"]
-    assert set(factors) == {"equal", "single", "best", "bound", "time_reversal", "inverse_filter"}
-    assert max(value for name, value in factors.items() if name != "bound") <= factors["bound"]
-    result = load_result("panel-localize.h5")
-    for name, phasors in baseline_phasors(PlateSolver(result.scene, "cpu")).items():
-        np.testing.assert_allclose(result.cases[name].phasors, phasors, atol=1e-9)
-        assert result.cases[name].localization_factor == factors[name]
-    assert len({case.displacement.shape for case in result.cases.values()}) == 1

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from support.inline_pool import InlinePool
 from support.scenes import scene_of
 from support.searches import assert_same_results
 from warp_plate import Scene, localize
@@ -73,6 +74,10 @@ def test_the_paper_s_search_comes_close_to_the_bound(preset):
     assert {result.evaluations for result in results} == {1600}
     assert results[0].cases["equal"].localization_factor == pytest.approx(0.25, abs=1e-5)
     assert results[0].cases["single"].localization_factor == pytest.approx(0.6367, abs=0.0005)
+
+
+def test_workers_without_plates_are_said_to_be_unused():
+    assert "unused" in localize(PANEL, device="cpu", evaluator="response", estimate=False, pool=InlinePool()).device
 
 
 def test_one_actuator_leaves_nothing_to_search():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from support.scenes import MATERIAL, scene_of
-from warp_plate import Scene, SceneError, localize, simulate
+from warp_plate import Scene, SceneError, localize
 from warp_plate.modal.gram import Means, gram_matrices
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.optimize.quadratic import real_parts
@@ -92,18 +92,6 @@ def test_robust_search_by_modes_is_the_limit_of_its_simulated_matrices():
     assert losses[0] == pytest.approx(losses[1], abs=3e-3)
 
 
-@pytest.mark.parametrize(
-    ("tables", "key"),
-    [
-        ({"effects": {"moving_load": {"force": 1.0, "start": (0.0, 0.1)}}}, "effects.moving_load"),
-        ({"effects": {"stretching": {}}}, "effects.stretching"),
-    ],
-)
-def test_what_has_no_modes_is_refused_by_name(tables, key):
-    with pytest.raises(SceneError, match=f"^evaluator = 'modal': {key} "):
-        make_problem(resolve(paper(**tables), "cpu", evaluator="modal"))
-
-
 def test_a_search_without_a_method_is_exact_and_by_modes_where_it_can_be():
     """Keys of a swarm, other objectives, limits of ratios, fixed numbers and nonlinear scenes keep the swarm."""
     result = localize(paper(search={}), device="cpu", estimate=False)
@@ -139,16 +127,3 @@ def test_a_spectrum_follows_every_resonance(scene):
     gaps = np.abs(frequencies[:, None] - resonances).min(axis=0)
     np.testing.assert_array_less(gaps, 0.001 * resonances)
     assert found.spectrum["best"].max() <= found.cases["best"].localization_factor + 1e-6
-
-
-def test_all_cases_are_recorded_at_the_times_of_the_result():
-    """The best case has a frequency of its own, of which a quarter period would be another time."""
-    search = {"frequency": {"range": (150, 350)}, "magnitude": {}, "phase": {}, "particles": 4, "iterations": 3}
-    made = scene_of(damping=88.5, search=search, modal_density=0.5)
-    result = localize(made, device="cpu", estimate=False, spectrum=False)
-    assert result.cases["best"].frequency is not None
-    for name in ("equal", "best"):
-        driven = result.driven_scene(result.cases[name]).with_tables(record={"times": tuple(result.times.tolist())})
-        again = simulate(driven, device="cpu", path="modal", estimate=False)
-        stored, expected = result.cases[name].displacement, again.main_case.displacement
-        np.testing.assert_allclose(stored, expected, rtol=0, atol=1e-5 * np.abs(expected).max())

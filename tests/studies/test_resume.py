@@ -9,9 +9,7 @@ from support.inline_pool import InlinePool
 from support.scenes import scene_of
 from support.searches import assert_same_results, interrupted_search
 from warp_plate import localize, resume
-from warp_plate.result.checkpoint import load_checkpoint
 from warp_plate.scene.grid import Grid
-from warp_plate.studies.unfinished import CheckpointFile
 
 SEARCH = {"search": {"particles": 8, "iterations": 9, "seed": 3}, "record": {"points": ((0.1, 0.1),)}}
 
@@ -73,18 +71,3 @@ def test_another_device_and_other_versions_are_kept(tmp_path):
     found = resume(older, estimate=False)
     assert found.device.startswith("cuda:7 (another one), then ")
     assert found.versions == {**checkpoint.versions, "warp": f"0.1, then {checkpoint.versions['warp']}"}
-
-
-@pytest.mark.parametrize(("every", "expected"), [(0.0, [*range(1, 10)]), (np.inf, [])])
-def test_checkpoints_while_a_search_runs(every, expected, tmp_path):
-    """With 0 seconds there is a checkpoint for each iteration."""
-    saved, file = [], CheckpointFile(tmp_path / "a.checkpoint.h5", every)
-
-    def on_progress(done, total, best):
-        if file.path.exists():
-            saved.append(load_checkpoint(file.path).iterations)
-
-    localize(scene_of(**SEARCH), device="cpu", on_progress=on_progress, estimate=False, checkpoints=file)
-    assert saved == expected
-    file.remove()
-    assert not list(tmp_path.iterdir())

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import asdict
+from unittest.mock import MagicMock, PropertyMock
 
 import numpy as np
 import pytest
@@ -14,7 +15,9 @@ from warp_plate.problem.problem import make_problem
 from warp_plate.problem.uncertainty import apply_measure
 from warp_plate.resolve import resolve
 from warp_plate.result.model import load_result, save_result
+from warp_plate.scene.errors import SceneError
 from warp_plate.studies.localize import localize, resume
+from warp_plate.studies.searches import find_nominal_position
 
 TOLERANCES = {"young_modulus": 0.15, "gain": 0.1, "place": 0.004, "scenarios": 3}
 
@@ -58,23 +61,6 @@ def test_losses_are_the_measure_over_scenarios_and_exceed_the_bound(measure, ran
     direct = make_problem(resolve(robust(measure=measure), "cpu", evaluator="direct"))
     assert (direct.quadratic, direct.loss_bound) == (None, None)
     np.testing.assert_allclose(direct.losses(positions), losses, rtol=1e-9)
-
-
-@pytest.mark.parametrize(
-    "scene",
-    [robust(search={"position": {}, "phase": {}}), robust({"damping": {"viscous": 20.0}, "stretching": {}})],
-    ids=["positions", "stretching"],
-)
-def test_what_is_not_quadratic_is_simulated(scene):
-    problem = make_problem(resolve(scene, "cpu"))
-    assert problem.evaluator_name == "direct"
-    space = problem.space
-    positions = np.random.default_rng(0).uniform(space.initial_lower, space.initial_upper, (4, space.dimension))
-    losses = problem.losses_without_clearance(positions)
-    assert np.isfinite(losses).all()
-    by_scenario = problem.scenario_losses.losses(problem.parametrization.designs(positions))
-    assert by_scenario.shape == (4, 3)
-    np.testing.assert_array_equal(losses, by_scenario.mean(axis=1))
 
 
 def test_an_interrupted_search_resumes_bit_identically(tmp_path):
@@ -122,3 +108,10 @@ def test_the_nominal_drive_of_a_robust_search_by_modes_is_that_of_a_plain_search
     assert found.cases["nominal"].localization_factor == pytest.approx(plain.cases["best"].localization_factor)
     robust_drive, nominal_drive = found.robust.rows()["searched"]
     assert robust_drive >= nominal_drive
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), SceneError("no places were found")], ids=["Ctrl-C", "refusal"])
+def test_a_nominal_search_that_ends_early_leaves_nothing_to_compare(error):
+    problem = MagicMock(scenario_losses="some")
+    type(problem).nominal = PropertyMock(side_effect=error)
+    assert find_nominal_position(problem, 0) is None

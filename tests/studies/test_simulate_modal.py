@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from support.scenes import scene_of
+from warp_plate.modal.energies import ModalEnergies
+from warp_plate.modal.modes import solve_modes
 from warp_plate.studies.simulate import simulate
 
 BURST = {"frequency": 290.0, "burst": {"start": 0.001, "duration": 0.008, "ramp": 0.003}}
@@ -40,3 +42,14 @@ def test_loss_factor_is_simulated_by_modes_without_asking():
     basis = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     fitted = basis @ np.linalg.lstsq(basis, trace, rcond=None)[0]
     assert np.allclose(fitted, trace, rtol=0, atol=1e-5 * np.abs(trace).max())
+
+
+def test_moving_load_presses_beside_the_actuators():
+    load = {"force": 0.01, "start": (0.0, 0.05), "velocity": (12.0, 3.0), "size": 0.02}
+    scene = scene_of(effects={"damping": {"viscous": 88.0}, "moving_load": load})
+    result = simulate(scene, device="cpu", path="modal", drive="equal", estimate=False)
+    plate = solve_modes(scene)
+    regions = [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)]
+    expected = ModalEnergies(plate, regions).scene_values(np.array([[1, 1, 1], [0, 0, 0]]))
+    assert list(result.cases["drive"].energy.values()) == pytest.approx(expected[0], rel=1e-9)
+    assert (expected[1] > 1e-3 * expected[0]).all()

@@ -213,13 +213,3 @@ def test_a_result_that_cannot_be_written_leaves_all_points(swept_plate, tmp_path
     assert load_sweep(unfinished.path).finished
     save_finished(found, tmp_path / "c.h5", unfinished, force=True)
     assert load_sweep(tmp_path / "c.h5").finished
-
-
-def test_drives_of_motion_that_begins_are_those_of_localize():
-    """From rest the common phase of all actuators matters, and is searched if no method is named."""
-    scene = scene_of(damping=1.0)
-    plan = plan_of(scene, "effects.damping.viscous=1")
-    point = sweep(scene, plan, "localize", device="cpu", evaluator="modal").values
-    result = localize(scene, device="cpu", evaluator="modal", estimate=False)
-    assert point["best"][0] == pytest.approx(result.cases["best"].localization_factor, rel=1e-9)
-    assert point["best"][0] == pytest.approx(result.bound, rel=1e-6)

@@ -20,7 +20,6 @@ from warp_plate.scene.vary import make_plan, parse_vary
 from warp_plate.studies.frequency_response import frf
 from warp_plate.studies.sweep import SweepRequest, start_sweep
 from warp_plate.viz.annotations import GRID
-from warp_plate.viz.plots.frame import figure, number_log_axis
 from warp_plate.viz.plots.plan import draw_crosstalk
 from warp_plate.viz.plots.responses import MOST_RESPONSES, draw_frequency_response, draw_mode_fit, draw_response_fit
 from warp_plate.viz.plots.search import draw_history, draw_spectrum
@@ -122,20 +121,6 @@ def test_small_localization_factors_fill_a_spectrum(drawn):
     axes = figure.axes[0]
     assert axes.get_ylim()[0] == 0
     assert 0.05 < axes.get_ylim()[1] < 0.06
-
-
-@pytest.mark.parametrize(
-    ("ends", "numbers"),
-    [((0.009, 0.25), ["0.01", "0.02", "0.05", "0.1", "0.2"]), ((195, 410), ["200", "250", "300", "350", "400"])],
-)
-def test_labels_of_a_logarithmic_axis(drawn, ends, numbers):
-    def draw(ends, path):
-        with figure(path, (4, 2)) as made:
-            axes = made.add_subplot()
-            axes.set(xscale="log", xlim=ends, yticks=[])
-            number_log_axis(axes.xaxis)
-
-    assert drawn(draw, ends)[1] == numbers
 
 
 # Fits ---------------------------------------------------------------------------------------------------------

@@ -12,7 +12,6 @@ import pytest
 
 from support.commands import error_of, start_program
 from support.results import motion_of
-from warp_plate.analysis.motion import mode_motions
 from warp_plate.viz.availability import missing_window
 from warp_plate.viz.fields import PictureStyle
 from warp_plate.viz.scene3d import SCALARS
@@ -67,18 +66,6 @@ def test_keys_change_speed_heights_and_fields(window):
     np.testing.assert_allclose(window.plates.plates[1].meshes.surface.point_data[SCALARS], phase.ravel())
     window.next_field()
     assert window.quantity == "displacement"
-
-
-def test_modes_have_periods_instead_of_times_and_no_fields(scene, drawing):
-    modes = mode_motions(scene(), [1, 2, 3, 4])
-    with closing(window_plotter(4, off_screen=True)) as plotter:
-        window = ViewerWindow(plotter, scene(), modes, PictureStyle())
-        window.go(15)
-        window.next_field()
-        assert window.slider.GetRepresentation().GetValue() == 0.25
-        assert (len(window.plates.plates), window.quantity) == (4, "displacement")
-        assert (window.plates.scales[0].clim, window.plates.scales[0].unit) == ((-1.0, 1.0), "")
-        assert window.plates.plates[2].caption.GetInput() == modes[2].name
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only on Linux is there a system without displays")
