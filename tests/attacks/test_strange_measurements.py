@@ -8,16 +8,14 @@ import pytest
 import scipy
 
 from support.commands import error_of
-from warp_plate import SceneError
+from support.scenes import refused
 from warp_plate.fitting.measured_responses import read_responses
 
 FIT = {"fit": {"free": {"plate.young_modulus": (6e8, 2e9)}}}
 
 
 def refusal_of_responses(path):
-    with pytest.raises(SceneError) as caught:
-        read_responses(path, 1)
-    return str(caught.value)
+    return refused(read_responses, path, 1)
 
 
 @pytest.mark.parametrize(

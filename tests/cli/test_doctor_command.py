@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 import warp as wp
 
-from support.commands import output_of
+from support.commands import error_of, output_of
 from warp_plate.cli.doctor import EXTRAS
 from warp_plate.solve import devices
 
@@ -85,9 +85,8 @@ def test_commands_say_once_that_a_gpu_is_not_used(command, machine):
 def test_a_device_that_warp_cannot_compile_for_is_refused(command, machine, monkeypatch):
     machine(found=[PASCAL])
     monkeypatch.setattr(wp, "get_device", {"cuda:1": PASCAL, "cpu": wp.get_device("cpu")}.get)
-    status, _, err = command("check", "paper", "--device", "cuda:1")
-    assert status == 2
-    assert "device = 'cuda:1': GTX 1080 has compute capability 6.1" in err
+    line = error_of(command("check", "paper", "--device", "cuda:1"))
+    assert "device = 'cuda:1': GTX 1080 has compute capability 6.1" in line
 
 
 def test_extras_are_those_of_the_project():

@@ -7,7 +7,7 @@ import pytest
 
 from support.commands import error_of, output_of
 from support.scenes import scene_of
-from warp_plate import PlateSolver, Scene
+from warp_plate import PlateSolver
 from warp_plate.analysis.influence import bare_scene, is_on, measure_effects, names, toggle
 from warp_plate.analysis.warnings import find_warnings, warning_texts
 from warp_plate.cli import output
@@ -17,13 +17,6 @@ from warp_plate.plate.designs import scene_phasors
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.solve.specialize import effect_names
-
-EFFECTS_OF_PRESETS = {
-    "touch-panel": {"edges", "damping", "material_damping", "oscillators"},
-    "cantilever-display": {"edges", "damping", "layers"},
-    "composite-panel": {"damping", "material_damping", "orthotropic"},
-    "large-amplitude": {"damping", "stretching"},
-}
 
 
 def findings(scene, peak=0.0):
@@ -134,13 +127,3 @@ def test_a_plate_that_becomes_non_finite_is_reported_with_the_cause(command, wri
         causes = [line for line in warnings if "grew without bound by t = " in line]
         assert len(causes) == (part == 1)
         assert all(f"{step:.3g} s" in cause for cause in causes)
-
-
-@pytest.mark.parametrize("name", EFFECTS_OF_PRESETS)
-def test_presets_with_effects_are_steady_and_well_resolved(name):
-    scene = Scene.load(name)
-    assert {effect for effect in names() if is_on(scene, effect)} == EFFECTS_OF_PRESETS[name]
-    assert scene.grid.time_step is None
-    found = findings(scene)
-    for number in ("wavelength / thickness", "points a wavelength", "start-up motion left"):
-        assert not found[number].exceeded

@@ -5,8 +5,6 @@ import pytest
 
 from support.scenes import scene_of
 from warp_plate import PlateSolver, SceneError
-from warp_plate.plate.weights import localization_factor
-from warp_plate.problem.parametrization import paper_phasors
 from warp_plate.problem.problem import make_problem
 from warp_plate.resolve import resolve
 from warp_plate.solve.response import measure_response
@@ -21,13 +19,6 @@ def positions(problem, count=6):
 @pytest.fixture(scope="module")
 def problem():
     return make_problem(resolve(scene_of(**SMALL, precision="float32"), "cpu"))
-
-
-def test_losses_are_those_of_the_papers_reading_to_the_last_bit(problem):
-    asked = positions(problem)
-    energy = PlateSolver(problem.scene, "cpu").run(paper_phasors(asked)).energy
-    assert np.array_equal(problem.losses(asked), 1 - localization_factor(energy))
-    assert problem.plates.designs is problem.plates.drives
 
 
 def test_the_bound_and_the_matrices_are_those_of_float64(problem):

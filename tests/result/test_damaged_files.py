@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from support.scenes import scene_of
+from support.scenes import refused, scene_of
 from warp_plate import CheckpointFile, SceneError, load_checkpoint, load_result, localize, resume, save_result
 from warp_plate.result.atomic_io import SEAL_BYTES, atomic_paths, make_seal, write_atomically
 from warp_plate.result.checkpoint import save_checkpoint
@@ -31,9 +31,7 @@ def written_files(tmp_path_factory):
 
 def refusal_of(read, path):
     """Return the one line with which a file is refused."""
-    with pytest.raises(SceneError) as caught:
-        read(path)
-    (line,) = str(caught.value).splitlines()
+    line = refused(read, path)
     assert line.startswith(f"{path}: ")
     return line
 
@@ -87,9 +85,7 @@ def test_a_checkpoint_that_contradicts_itself_is_refused(written_files, tmp_path
         {"format": "swarm 0"},
     ):
         save_checkpoint(replace(checkpoint, search_state={**state, **changes}), path)
-        with pytest.raises(SceneError, match=r"^checkpoint: ") as caught:
-            resume(load_checkpoint(path))
-        assert len(str(caught.value).splitlines()) == 1
+        assert refused(lambda: resume(load_checkpoint(path))).startswith("checkpoint: ")
     for changes, words in (
         ({"evaluator": "guess"}, "evaluator"),
         ({"matrices": np.ones((2, 5, 6))}, "matrices has shape"),

@@ -7,10 +7,10 @@ import h5py
 import numpy as np
 import pytest
 
+from support.scenes import refused
 from warp_plate.result.atomic_io import make_seal
 from warp_plate.result.case import Case
 from warp_plate.result.model import Result, RobustComparison, TargetSearch, load_result, save_result
-from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
 LINKED = ("times", "cases", "cases/best", "cases/best/energy", "objectives/sum", "objectives_of/equal", "searches/0")
@@ -129,9 +129,7 @@ def refusal_after(path, change):
         change(file)
     content = path.read_bytes()
     path.write_bytes(content + make_seal(content))
-    with pytest.raises(SceneError) as caught:
-        load_result(path)
-    (line,) = str(caught.value).splitlines()
+    line = refused(load_result, path)
     assert line.startswith(f"{path}: ")
     return line
 

@@ -2,7 +2,8 @@
 
 import pytest
 
-from warp_plate import Scene, SceneError
+from support.scenes import refused
+from warp_plate import Scene
 
 
 @pytest.mark.parametrize(
@@ -49,6 +50,4 @@ def test_assignments_follow_each_other():
     ],
 )
 def test_wrong_assignments_are_refused_by_name(assignment, said):
-    with pytest.raises(SceneError) as refused:
-        Scene.load("paper", [assignment])
-    assert said in str(refused.value)
+    assert said in refused(Scene.load, "paper", [assignment])
