@@ -16,7 +16,7 @@ class InlinePool(WorkerPool):
     description = "this process"
 
     def __init__(self, device="cpu"):
-        super().__init__(device)
+        self.device = device
         self.block_node_steps = {"cpu": (1.0, 1.0)}  # blocks of the fewest plates
 
     def worker_count(self):

@@ -12,24 +12,22 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from warp_plate.cluster.pool import WorkerPool, WorkersGone
-from warp_plate.cluster.tasks import DEVICE_VARIABLE, run_task
+from warp_plate.cluster.pool import WorkerPool
+from warp_plate.cluster.tasks import DEVICE_VARIABLE
 from warp_plate.interrupts import TERMINAL_SIGNALS
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.vary import counted
 from warp_plate.solve.devices import find_device
 
 if TYPE_CHECKING:
     from distributed import Client, SpecCluster
 
-# Seconds to wait for a scheduler to answer and for a worker to join, and between counts of the workers.
-ANSWER_SECONDS, JOIN_SECONDS, COUNT_SECONDS = 10.0, 60.0, 2.0
+# Seconds that a scheduler has to answer.
+ANSWER_SECONDS = 10.0
 SETTINGS = {
     "distributed.admin.large-graph-warning-threshold": "1 GiB",  # a scene may name large files
     "distributed.scheduler.allowed-failures": 0,  # of a scheduler started here: run_tasks counts attempts
@@ -54,7 +52,7 @@ def open_pool(
         devices: Devices of this machine, such as "cuda:0,cuda:1" or "cpu,cpu"; each has a process.
         cluster: "tcp://host:port" or the path of a scheduler file.
         device: Device of the cluster's workers (default: each one's own choice).
-        log: Called with a line for people: the dashboard's address, and at the end how many tasks were run again.
+        log: Called with a line for people, the dashboard's address.
         answer_seconds: Time that the cluster's scheduler has to answer [s].
 
     Raises:
@@ -63,13 +61,13 @@ def open_pool(
     if devices is not None and cluster is not None:
         raise SceneError("--devices, --cluster: give one of them; workers of a cluster have their devices")
     name = f"--devices {devices}" if cluster is None else f"--cluster {cluster}"
-    pool: DaskPool | None = None
+    pool: WorkerPool | None = None
     try:
         if devices is not None:
             pool = _start_workers(_device_names(devices))
         elif cluster is not None:
             client = _connect(name, _scheduler_address(cluster), answer_seconds)
-            pool = DaskPool(client, name, device or "auto")
+            pool = WorkerPool(client, name, device or "auto")
     except ImportError as error:
         raise SceneError(f"{name}: {error}: pip install 'warp-plate[cluster]'") from None
     if pool is None:
@@ -83,8 +81,6 @@ def open_pool(
         yield pool
     finally:
         pool.close()
-        for reason, count in pool.retried.items():
-            log(f"{counted(count, 'task')} run again: {reason}")
 
 
 def _device_names(text: str) -> list[str]:
@@ -110,63 +106,7 @@ def _scheduler_address(cluster: str) -> str:
         raise SceneError(f"--cluster {cluster}: has no address, so no scheduler wrote it") from None
 
 
-class DaskPool(WorkerPool):
-    """The workers of a Dask scheduler, which may come and go.
-
-    ``name`` is the option that named the workers; ``cluster`` has a scheduler and workers that were started here.
-    """
-
-    def __init__(self, client: Client, name: str, device: str = "auto", cluster: SpecCluster | None = None) -> None:
-        super().__init__(device)
-        self.join_seconds = JOIN_SECONDS
-        self.dashboard: str = client.dashboard_link
-        self._client, self._cluster, self._name = client, cluster, name
-        self._executor = client.get_executor(pure=False, retries=0)
-        assert client.scheduler_comm is not None
-        client.scheduler_comm.interval = 0.001  # Dask waits 10 ms between messages, such as the blocks of two workers
-        self._count = self._most = 0
-        self._next_count, self._seen = 0.0, time.monotonic()
-
-    @property
-    def description(self) -> str:
-        return f"up to {counted(self._most, 'Dask worker')} ({self._name.partition(' ')[2]})"
-
-    def worker_count(self) -> int:
-        """Return the number of the workers' threads, counted now and then."""
-        now = time.monotonic()
-        if self._count and now < self._next_count:
-            return self._count
-        self._count, self._next_count = self._count_threads(), now + COUNT_SECONDS
-        if self._cluster is not None and self._count < self._most:
-            self._cluster.scale(self._most)  # Dask gives up workers that end too often
-        if self._count:
-            self._seen, self._most = now, max(self._most, self._count)
-        elif self._client.status == "closed" or now - self._seen > self.join_seconds:
-            raise WorkersGone(f"{self._name}: the scheduler is gone, or has had no worker for a minute")
-        return self._count
-
-    def submit(self, function: Callable[[Any], Any], argument: Any) -> Future[Any]:
-        future: Future[Any] = self._executor.submit(_run_on_worker, function, argument)
-        return future
-
-    def restart_worker(self, error: BaseException) -> None:
-        if worker := vars(error).get("worker"):
-            self._client.restart_workers([worker], raise_for_error=False)
-
-    def close(self) -> None:
-        """Leave the scheduler; one that was started here ends with its workers."""
-        self._client.close(timeout=1)
-        if self._cluster is not None:
-            self._cluster.close()
-
-    def _count_threads(self) -> int:
-        with suppress(OSError):
-            if self._client.status == "running":
-                return sum(self._client.nthreads().values())
-        return 0
-
-
-def _start_workers(devices: Sequence[str]) -> DaskPool:
+def _start_workers(devices: Sequence[str]) -> WorkerPool:
     """Start a scheduler and a worker for each device; who connects needs this run's certificate."""
     from dask import config
     from distributed import Nanny, Scheduler, Security, SpecCluster
@@ -192,7 +132,7 @@ def _start_workers(devices: Sequence[str]) -> DaskPool:
             cluster = SpecCluster(workers, scheduler, security=security, silence_logs=logging.CRITICAL)
     except Exception as error:  # Dask raises that of its worker, of whatever kind
         raise SceneError(f"{name}: workers cannot start: {_first_line(error)}") from None
-    return DaskPool(_connect(name, cluster), name, cluster=cluster)
+    return WorkerPool(_connect(name, cluster), name, cluster=cluster)
 
 
 def _connect(name: str, scheduler: str | SpecCluster, answer_seconds: float = ANSWER_SECONDS) -> Client:
@@ -216,18 +156,6 @@ def _connect(name: str, scheduler: str | SpecCluster, answer_seconds: float = AN
         return ClosedIfRefused(scheduler, timeout=answer_seconds, set_as_default=False)
     except Exception as error:  # Dask raises a different one for each scheme of an address
         raise SceneError(f"{name}: no scheduler answers there: {_first_line(error)}") from None
-
-
-def _run_on_worker(function: Callable[[Any], Any], argument: Any) -> Any:
-    """Run a task; an error names the worker if that can be restarted."""
-    from distributed import get_worker
-
-    try:
-        return run_task(function, argument)
-    except Exception as error:
-        if get_worker().nanny:
-            vars(error)["worker"] = get_worker().address
-        raise
 
 
 def _first_line(error: Exception) -> str:

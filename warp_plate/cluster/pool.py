@@ -1,15 +1,22 @@
 """A pool of workers, and how tasks run on it: repeated if a worker ended or its memory was short."""
 
+from __future__ import annotations
+
 import time
-from abc import ABC, abstractmethod
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from warp_plate.cluster.tasks import run_task
 from warp_plate.interrupts import check_interrupt
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.vary import counted
+
+if TYPE_CHECKING:
+    from distributed import Client, SpecCluster
 
 # The least and the most node-steps of a block. On a CPU 0.01 and 0.1 s of a core; on a GPU what fills an H200 once
 # (2112 plates of the paper's scene), and 16 times that.
@@ -18,43 +25,89 @@ BLOCK_NODE_STEPS = {"cpu": (1e8, 8e8), "cuda": (1.65e9, 2.64e10)}
 ATTEMPTS = 3
 # Tasks queued for each worker, so that it need not wait for the next one.
 TASKS_PER_WORKER = 2
-# Seconds between checks for Ctrl-C and for workers that came or went.
-POLL_SECONDS = 0.2
+# Seconds between checks for Ctrl-C, between counts of the workers, and to wait for a worker to join.
+POLL_SECONDS, COUNT_SECONDS, JOIN_SECONDS = 0.2, 2.0, 60.0
 
 
 class WorkersGone(SceneError):
     """No worker is left and none will come; unfinished work can be continued later."""
 
 
-class WorkerPool(ABC):
-    """Workers that run functions of one argument."""
+class WorkerPool:
+    """The workers of a Dask scheduler, which run functions of one argument, and may come and go.
 
-    def __init__(self, device: str = "auto") -> None:
-        self.device = device  # on which workers run plates; "auto" for each worker's own choice
-        self.block_node_steps = dict(BLOCK_NODE_STEPS)  # least and most work in a block of plates, by kind of device
-        # Called with (tasks done, tasks in all) while ``run_tasks`` runs
-        self.on_progress: Callable[[int, int], object] | None = None
-        self.retried: Counter[str] = Counter()  # tasks that were run again, by the reason
+    Attributes:
+        device: Device on which workers run plates; "auto" for each one's own choice.
+        block_node_steps: Least and most work in a block of plates, by kind of device.
+        on_progress: Called with (tasks done, tasks in all) while :func:`run_tasks` runs.
+    """
+
+    on_progress: Callable[[int, int], object] | None = None
+
+    def __init__(self, client: Client, name: str, device: str = "auto", cluster: SpecCluster | None = None) -> None:
+        """``name`` is the option that named the workers; ``cluster`` has a scheduler and workers started here."""
+        self.device, self.block_node_steps = device, dict(BLOCK_NODE_STEPS)
+        self.join_seconds = JOIN_SECONDS
+        self.dashboard: str = client.dashboard_link
+        self._client, self._cluster, self._name = client, cluster, name
+        self._executor = client.get_executor(pure=False, retries=0)
+        assert client.scheduler_comm is not None
+        client.scheduler_comm.interval = 0.001  # Dask waits 10 ms between messages, such as the blocks of two workers
+        self._count = self._most = 0
+        self._next_count, self._seen = 0.0, time.monotonic()
 
     @property
-    @abstractmethod
     def description(self) -> str:
         """The workers in a few words."""
+        return f"up to {counted(self._most, 'Dask worker')} ({self._name.partition(' ')[2]})"
 
-    @abstractmethod
     def worker_count(self) -> int:
-        """Return the number of tasks that can run at once, or raise ``WorkersGone`` if no worker is left."""
+        """Return the number of the workers' threads, counted now and then; raise ``WorkersGone`` if none is left."""
+        now = time.monotonic()
+        if self._count and now < self._next_count:
+            return self._count
+        self._count, self._next_count = self._count_threads(), now + COUNT_SECONDS
+        if self._cluster is not None and self._count < self._most:
+            self._cluster.scale(self._most)  # Dask gives up workers that end too often
+        if self._count:
+            self._seen, self._most = now, max(self._most, self._count)
+        elif self._client.status == "closed" or now - self._seen > self.join_seconds:
+            raise WorkersGone(f"{self._name}: the scheduler is gone, or has had no worker for a minute")
+        return self._count
 
-    @abstractmethod
     def submit(self, function: Callable[[Any], Any], argument: Any) -> Future[Any]:
         """Give a task to a worker, where it waits until the worker is done with others."""
+        future: Future[Any] = self._executor.submit(_run_on_worker, function, argument)
+        return future
 
-    def restart_worker(self, error: BaseException) -> None:  # noqa: B027
+    def restart_worker(self, error: BaseException) -> None:
         """Restart the worker on which an error of the program was raised, after which CUDA may be unusable."""
+        if worker := vars(error).get("worker"):
+            self._client.restart_workers([worker], raise_for_error=False)
 
-    @abstractmethod
     def close(self) -> None:
-        """End the workers that this pool started, even if they are busy."""
+        """Leave the scheduler; one that was started here ends with its workers, even if they are busy."""
+        self._client.close(timeout=1)
+        if self._cluster is not None:
+            self._cluster.close()
+
+    def _count_threads(self) -> int:
+        with suppress(OSError):
+            if self._client.status == "running":
+                return sum(self._client.nthreads().values())
+        return 0
+
+
+def _run_on_worker(function: Callable[[Any], Any], argument: Any) -> Any:
+    """Run a task; an error names the worker if that can be restarted."""
+    from distributed import get_worker
+
+    try:
+        return run_task(function, argument)
+    except Exception as error:
+        if get_worker().nanny:
+            vars(error)["worker"] = get_worker().address
+        raise
 
 
 @dataclass(eq=False)
@@ -133,5 +186,4 @@ def _outcome(pool: WorkerPool, task: Task, future: Future[Any]) -> Outcome | Non
     task.attempts += 1
     if task.attempts == ATTEMPTS:
         return Outcome(failure=f"given up after {ATTEMPTS} attempts: {reason}")
-    pool.retried[reason] += 1
     return None
