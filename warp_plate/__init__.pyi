@@ -9,7 +9,6 @@ from .analysis.motion import motion as motion
 from .effects.edges import Edges as Edges
 from .effects.table import Effects as Effects
 from .fitting.fit import fit as fit
-from .fitting.plan_measurement import plan_measurement as plan_measurement
 from .focusing.focus import focus as focus
 from .modal.continuous_modes import modes as modes
 from .notebook import plot as plot

@@ -28,7 +28,6 @@ COMMANDS = {
     "accuracy": ("accuracy", "Measure error against run time, and recommend grids for errors from 10 % to 0.1 %."),
     "modes": ("modes", "Show natural frequencies, damping and shapes of a plate with its linear effects."),
     "fit": ("measurement", "Fit properties of a panel to measured natural frequencies or frequency responses."),
-    "plan-measurement": ("measurement", "Choose the actuator and the sensor places that best determine [fit.free]."),
     "verify": ("measurement", "Compare velocities measured under a drive with those that its result predicts."),
     "frf": ("frf", "Show frequency responses of a linear plate, and the best localization at each frequency."),
     "focus": ("focus", "Compute a waveform for each actuator that moves the plate at a point and a moment."),

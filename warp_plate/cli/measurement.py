@@ -1,4 +1,4 @@
-"""``warp-plate fit``, ``plan-measurement`` and ``verify``: a panel's measurements and its scene."""
+"""``warp-plate fit`` and ``verify``: a panel's measurements and its scene."""
 
 from __future__ import annotations
 
@@ -15,12 +15,10 @@ from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
     from warp_plate.fitting.fit import ModeFit, ResponseFit
-    from warp_plate.fitting.plan_measurement import MeasurementPlan
-    from warp_plate.scene.model import Scene
     from warp_plate.studies.verify import Verification
 
-# First words of the files; correlations that are reported.
-FITTED, PLANNED, STRONG = "# Fitted by warp-plate", "# Planned by warp-plate", 0.9
+# First words of the file; correlations that are reported.
+FITTED, STRONG = "# Fitted by warp-plate", 0.9
 
 
 def fit(
@@ -48,28 +46,18 @@ def fit(
         .csv with the table [fit.signals]. May be repeated, for files with as many responses each.
     """
     from warp_plate.fitting.fit import fit as fit_files
+    from warp_plate.result.atomic_io import write_atomically
 
     target = files.target(scene, ".fitted.toml", holds=FITTED)
     loaded, scene = changes.load(scene)
-    _check_folder(loaded, target)
+    if loaded.folder is not None and loaded.folder.resolve() != target.parent.resolve():
+        raise SceneError(f"--out {target}: the scene names files in {loaded.folder}; write there")
     with output.scene_errors(scene):
         fitted = fit_files(loaded, data)
-    _write_scene(fitted.scene, target, f"{FITTED} to {', '.join(repr(path.name) for path in data)}")
+    heading = f"{FITTED} to {', '.join(repr(path.name) for path in data)}"
+    write_atomically(f"{heading}\n{fitted.scene.to_toml()}".encode(), target)
     drawn, missing = _draw(fitted, target) if files.pictures else ([], None)
     output.report(files.json, _fit_as_json, _print_fit, scene, fitted, written=([target, *drawn], missing))
-
-
-def _check_folder(scene: Scene, target: Path) -> None:
-    """Refuse to write a scene away from the files that it names."""
-    if scene.folder is not None and scene.folder.resolve() != target.parent.resolve():
-        raise SceneError(f"--out {target}: the scene names files in {scene.folder}; write there")
-
-
-def _write_scene(scene: Scene, target: Path, heading: str) -> None:
-    from warp_plate.result.atomic_io import atomic_paths
-
-    with atomic_paths(target) as (temporary,):
-        temporary.write_text(f"{heading}\n{scene.to_toml()}", encoding="utf-8")
 
 
 def _draw(fitted: ModeFit | ResponseFit, target: Path) -> output.Drawn:
@@ -125,14 +113,14 @@ def _print_fit(name: str, fitted: ModeFit | ResponseFit, console: Console) -> No
         console.print(f"! {line}")
 
 
-def _print_properties(estimated: ModeFit | ResponseFit | MeasurementPlan, console: Console) -> None:
+def _print_properties(fitted: ModeFit | ResponseFit, console: Console) -> None:
     """Print the values of the free properties with their intervals."""
     from warp_plate.scene.keys import unit_of
 
     headings = ["number", "unit", "value", "95 % from", "to"]
     rows = []
-    for key, *values in zip(estimated.keys, estimated.values, estimated.low, estimated.high, strict=True):
-        rows.append([key, unit_of(estimated.scene, key), *(output.number_text(value, ".5g") for value in values)])
+    for key, *values in zip(fitted.keys, fitted.values, fitted.low, fitted.high, strict=True):
+        rows.append([key, unit_of(fitted.scene, key), *(output.number_text(value, ".5g") for value in values)])
     output.print_rows(console, headings, rows, "")
 
 
@@ -153,61 +141,6 @@ def _remarks(fitted: ModeFit | ResponseFit) -> list[str]:
         value = fitted.correlations[first, second]
         lines.append(f"{fitted.keys[first]} and {fitted.keys[second]}: their errors are correlated by {value:+.3f}")
     return lines
-
-
-def plan_measurement(
-    scene: options.SceneName,
-    /,
-    *,
-    sensors: options.PositiveInteger = 4,
-    noise: float = 0.02,
-    changes: options.SceneChanges = options.SceneChanges(),
-    files: options.FileOptions = options.FileOptions(),
-) -> None:
-    """Plan a measurement: choose the actuator and the sensor places that best determine the keys of [fit.free].
-
-    The plan is D-optimal: it minimises the product of the widths of all intervals. The scene is written with a table
-    [[measurement]] for each sensor, ready for warp-plate fit, as SCENE.plan.toml.
-
-    Parameters
-    ----------
-    sensors
-        Number of accelerometers.
-    noise
-        Standard deviation of measured responses relative to each, such as 0.02.
-    """
-    if not 1e-9 <= noise <= 1:
-        raise SceneError(f"--noise {noise:g}: must be from 1e-9 to 1, such as 0.02")
-    from warp_plate.fitting.plan_measurement import plan_measurement as make_plan
-
-    target = files.target(scene, ".plan.toml", holds=PLANNED)
-    loaded, scene = changes.load(scene)
-    _check_folder(loaded, target)
-    with output.scene_errors(scene):
-        plan = make_plan(loaded, sensors, noise)
-    _write_scene(plan.scene, target, PLANNED)
-    output.report(files.json, _plan_as_json, _print_plan, scene, plan, written=([target], None))
-
-
-def _plan_as_json(name: str, plan: MeasurementPlan) -> dict[str, object]:
-    rows = zip(plan.keys, plan.values, plan.low, plan.high, strict=True)
-    return {
-        **output.attributes(plan, "actuator", "points"),
-        "range": plan.frequencies[[0, -1]],
-        "parameters": {key: dict(zip(("value", "low", "high"), row, strict=True)) for key, *row in rows},
-        **output.attributes(plan, "random", "actuators"),
-    }
-
-
-def _print_plan(name: str, plan: MeasurementPlan, console: Console) -> None:
-    low, high = plan.frequencies[[0, -1]]
-    console.print(f"{plan.scene.title or name}: drive {plan.actuator!r} from {low:.4g} to {high:.4g} Hz\n")
-    places = ((number, *point) for number, point in enumerate(plan.points, 1))
-    output.print_table(console, "sensor | x (m) | y (m)", "{0} | {1:.4g} | {2:.4g}", places, "")
-    _print_properties(plan, console)
-    console.print(f"Random places: intervals {plan.random:.3g} times as wide.")
-    for other, times in plan.actuators.items():
-        console.print(f"Driving {other!r}: {times:.3g} times as wide.")
 
 
 def verify(

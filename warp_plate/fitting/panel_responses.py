@@ -48,7 +48,9 @@ class PanelResponses:
             linear_part(scene), frequencies[-1], density=density, improve=not coarse, most=MOST_MODES, key=key
         )
         if not plate.loss_factors.any():
-            raise undamped_error()
+            raise SceneError(
+                "effects: responses of a panel without damping are not finite; write [effects.modal_damping]"
+            )
         self._plate, self._omega, self._measured, self._coarse = plate, 2 * np.pi * frequencies, measured, coarse
         coupled = int((plate.frequencies <= REACH * frequencies[-1]).sum()) + (FURTHER if coarse else FURTHER_OF_FULL)
         squares = plate.angular_frequencies**2
@@ -166,11 +168,6 @@ class _Loads:
     def pick(self, displacements: np.ndarray) -> np.ndarray:
         """Return (measurements, n) of (n, measurements, forces), for the force of each measurement."""
         return displacements[:, range(len(self._driven)), self._driven].T
-
-
-def undamped_error() -> SceneError:
-    """Return the error for a panel whose responses are not finite."""
-    return SceneError("effects: responses of a panel without damping are not finite; write [effects.modal_damping]")
 
 
 def _galerkin_like(galerkin: Galerkin, scene: Scene) -> Galerkin:
