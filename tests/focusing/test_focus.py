@@ -34,6 +34,8 @@ def test_the_optimum_is_best_and_says_what_limits_it(focused):
     for name, method in focused.methods.items():
         assert (method.energy <= 0.02 * (1 + 1e-9)).all()
         assert np.abs(method.waveforms).max() <= 0.8 * (1 + 1e-9)
+        at_moment = method.responses[..., round(0.02 * TABLE["rate"]) - 1]
+        np.testing.assert_allclose(np.diag(at_moment), method.peak, rtol=1e-9)
         if name != "inverse_filter":  # where waveforms focus, little moves more at other times
             assert (np.diag(method.crosstalk_db) < 0.1).all()
 
