@@ -86,12 +86,6 @@ def pytest_pyfunc_call(pyfuncitem):
 
 
 @pytest.fixture(scope="session")
-def hour(pytestconfig):
-    """Whether attacks take an hour instead of a minute."""
-    return is_hour(pytestconfig)
-
-
-@pytest.fixture(scope="session")
 def display():
     """The name of a virtual X display, for tests that press keys and drag the mouse by xdotool."""
     lacking = [program for program in ("Xvfb", "xdotool") if shutil.which(program) is None]
