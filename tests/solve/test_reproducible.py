@@ -1,13 +1,21 @@
-"""Same scene, seed and device: the same bits of a search in any process, on any number of threads."""
+"""Same scene, seed and device: the same bits in any process, on any number of threads, and in threads that share a
+solver."""
 
+import copy
 import os
+import pickle
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+
+import numpy as np
+import pytest
 
 from support.oracle import FOUR_EDGES, LINEAR
 from support.searches import digest
-from warp_plate import localize
+from warp_plate import PlateSolver, localize
+from warp_plate.modal.solver import ModalSolver
 
 ONCE = """
 from support.searches import digest
@@ -28,3 +36,28 @@ def test_in_another_process(tmp_path, scene):
     environment = {**os.environ, **threads, "PYTHONPATH": path}
     answer = subprocess.check_output([sys.executable, "-c", ONCE], cwd=tmp_path, text=True, env=environment)
     assert answer.split() == [digest(localize(made, device="cpu", evaluator="response", estimate=False))]
+
+
+def test_threads_that_share_a_solver(device, path, scene, phasors):
+    """They run plates and step others by hand at the same time."""
+    made = scene(damping=88.5, precision="float32")
+    solver = PlateSolver(made, device, path)
+    batches = [phasors(plates, len(made.actuators)) for plates in (4, 5, 33)]
+    expected = [solver.run(drives).energy for drives in batches]
+    solver.setup(batches[0])
+    with ThreadPoolExecutor(len(batches)) as threads:
+        runs = [threads.submit(lambda at: solver.run(batches[at]).energy, at) for at in [0, 1, 2] * 40]
+        while solver.time < 0.9 * made.window.end:
+            solver.step(3)
+    for index, run in enumerate(runs):
+        np.testing.assert_array_equal(run.result(), expected[index % 3])
+    solver.step(solver.scheme.steps)
+    np.testing.assert_array_equal(solver.energy, expected[0])
+
+
+@pytest.mark.parametrize("solver_class", [PlateSolver, ModalSolver])
+def test_solvers_are_neither_pickled_nor_copied(solver_class, scene):
+    solver = solver_class(scene(), "cpu")
+    for duplicate in (pickle.dumps, copy.copy, copy.deepcopy):
+        with pytest.raises(TypeError, match=f"{solver_class.__name__}, .* make it again from its scene"):
+            duplicate(solver)

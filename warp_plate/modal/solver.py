@@ -36,7 +36,7 @@ from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.response import Response
 from warp_plate.solve.run import Progress, Run
-from warp_plate.solve.solver import Drives
+from warp_plate.solve.solver import Drives, refuse_pickling
 from warp_plate.solve.specialize import Quantity
 
 # Path of a solver that takes no time steps.
@@ -129,6 +129,8 @@ class ModalSolver:
         highest = max(highest_frequency(self.scene), searched.range[1] if searched is not None else 0.0)
         self.plate: ModalPlate = solve_modes(self.scene, highest)
         self.compile_seconds = time.perf_counter() - started
+
+    __reduce__ = refuse_pickling
 
     @property
     def scene(self) -> Scene:

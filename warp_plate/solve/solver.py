@@ -1,7 +1,10 @@
 """Time stepping of any number of plates of one scene, each under its own drives."""
 
+import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
+from typing import Any, Concatenate, NoReturn, ParamSpec, TypeVar
 
 import numpy as np
 import warp as wp
@@ -29,6 +32,27 @@ from warp_plate.solve.state import State
 
 Drives = np.ndarray | Sequence[Sequence[complex]] | tuple[np.ndarray, np.ndarray] | Designs
 
+P = ParamSpec("P")
+T = TypeVar("T")
+# Locks of CUDA devices by alias: all solvers of one queue their work on the same stream.
+_DEVICE_LOCKS: dict[str, Any] = {}
+
+
+def _one_at_a_time(method: Callable[Concatenate["PlateSolver", P], T]) -> Callable[Concatenate["PlateSolver", P], T]:
+    """Let a method wait until no other thread uses the arrays of its solver, on CUDA those of the device's solvers."""
+
+    @wraps(method)
+    def alone(solver: "PlateSolver", /, *arguments: P.args, **options: P.kwargs) -> T:
+        with solver._lock:
+            return method(solver, *arguments, **options)
+
+    return alone
+
+
+def refuse_pickling(solver: object) -> NoReturn:
+    """Raise a TypeError that says what to do instead; for ``__reduce__``, which copies use too."""
+    raise TypeError(f"cannot pickle or copy a {type(solver).__name__}, which is compiled; make it again from its scene")
+
 
 class PlateSolver:
     """A scene compiled for a device.
@@ -43,7 +67,7 @@ class PlateSolver:
             print(solver.time, np.abs(solver.displacement).max(axis=(1, 2)))
 
     Such steps give bit-identical displacements to :meth:`run`, and on the CPU bit-identical energies.
-    A run neither uses nor changes plates that were set up.
+    A run neither uses nor changes plates that were set up. Threads may share a solver: they wait for each other.
 
     Args:
         scene: The scene, or its discretization, whose ``per_plate`` and ``allow_unstable`` then hold.
@@ -93,6 +117,9 @@ class PlateSolver:
         if chunk is not None and chunk < 1:
             raise SceneError(f"chunk = {chunk}: must be at least 1 plate")
         self.device = find_device(device)
+        self._lock = threading.RLock()
+        if self.device.is_cuda:
+            self._lock = _DEVICE_LOCKS.setdefault(self.device.alias, self._lock)
         discretization = discretize(scene, per_plate, allow_unstable) if isinstance(scene, Scene) else scene
         self.scene = discretization.scene
         self.scene.check_stepped()
@@ -107,6 +134,8 @@ class PlateSolver:
         self.node_steps = 0
         self.compile_seconds = time.perf_counter() - started
 
+    __reduce__ = refuse_pickling
+
     @property
     def effects(self) -> tuple[str, ...]:
         """Names of the effects in the compiled kernel."""
@@ -117,6 +146,7 @@ class PlateSolver:
         reason = why_streaming(self.specialized, traced)
         return f"streaming ({reason})" if reason else self.path
 
+    @_one_at_a_time
     def run(
         self,
         drives: Drives,
@@ -178,6 +208,7 @@ class PlateSolver:
         self.node_steps += run.node_steps
         return run
 
+    @_one_at_a_time
     def run_on_device(self, drives: object) -> wp.array:
         """Simulate plates as :meth:`run` does, under drives and with energies in arrays of this device.
 
@@ -206,6 +237,7 @@ class PlateSolver:
         self.node_steps += len(pairs) * self.node_steps_per_plate
         return energy
 
+    @_one_at_a_time
     def setup(self, drives: Drives) -> None:
         """Put plates at rest under their loads, given as to :meth:`run`, to be stepped and read by hand."""
         if self.specialized.quantity == "displacement":
@@ -214,6 +246,7 @@ class PlateSolver:
         self._batch = Batch(self.compiled, State(self.specialized, max(1, len(phasors))), len(phasors))
         self._batch.load(phasors, values)
 
+    @_one_at_a_time
     def step(self, count: int = 1) -> None:
         """Take the plates that were set up ``count`` time steps further, at most to the end of the window.
 
@@ -228,16 +261,19 @@ class PlateSolver:
         return self._stepped.step * self.scheme.time_step
 
     @property
+    @_one_at_a_time
     def displacement(self) -> np.ndarray:
         """(plates, ny, nx) displacement at ``time`` [m]."""
         return self._stepped.displacement
 
     @property
+    @_one_at_a_time
     def velocity(self) -> np.ndarray:
         """(plates, ny, nx) velocity half a step before ``time`` [m/s]."""
         return self._stepped.velocity
 
     @property
+    @_one_at_a_time
     def energy(self) -> np.ndarray:
         """(plates, regions) sum of the kinetic energies [J] of the window's steps so far over their final number.
 
