@@ -2,6 +2,8 @@
 
 import os
 from dataclasses import replace
+from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -58,7 +60,7 @@ def test_a_changed_file_is_refused(kind, written_files, tmp_path, random):
 
 
 @pytest.mark.parametrize("kind", ["checkpoint", "result"])
-def test_other_files_are_refused(kind, written_files, tmp_path, random):
+def test_other_files_are_refused(kind, written_files, tmp_path, random, monkeypatch):
     _, read = written_files[kind]
     path, noise = tmp_path / "a.h5", random.bytes(5000)
     for content in (b"", b"plate", noise, noise + make_seal(noise), make_seal(b"")):
@@ -71,6 +73,10 @@ def test_other_files_are_refused(kind, written_files, tmp_path, random):
     if hasattr(os, "mkfifo"):
         os.mkfifo(tmp_path / "pipe.h5")
         refusal_of(read, tmp_path / "pipe.h5")
+        (tmp_path / "loop.h5").symlink_to(tmp_path / "loop.h5")
+        assert "cannot be read: Too many levels" in refusal_of(read, tmp_path / "loop.h5")
+    monkeypatch.setattr(Path, "read_bytes", Mock(side_effect=PermissionError(13, "Permission denied")))
+    assert refusal_of(read, path) == f"{path}: cannot be read: Permission denied"
 
 
 def test_a_checkpoint_that_contradicts_itself_is_refused(written_files, tmp_path):

@@ -283,6 +283,8 @@ def writing_problem(path: Path) -> str:
     if os.path.exists(path) and not os.path.isfile(path):
         return "is a pipe or a device; --json prints results"
     path = Path(os.path.realpath(path)) if os.path.islink(path) else path
+    if os.path.islink(path):
+        return "is a link that leads to itself"
     if not os.path.isdir(path.parent):
         return f"no such folder: {path.parent}"
     if not os.access(path.parent, os.W_OK):

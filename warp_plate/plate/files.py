@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import os
 import re
 from collections.abc import Iterator
 from functools import lru_cache
@@ -29,16 +30,16 @@ def read_beside(key: str, name: str, folder: Path | None) -> bytes:
     if folder is None:
         raise SceneError(f"{head}: this scene was not read from a file, so its folder is unknown; give one")
     try:
-        path = (folder / name).resolve()
+        path = Path(os.path.realpath(folder / name))
         if path.parent != folder.resolve():
             raise SceneError(f"{head}: leads out of the scene's folder; put a copy of the file there")
-        if not path.is_file():
+        if not path.is_file() and not path.is_symlink():  # one that leads to itself cannot be read
             raise SceneError(f"{head}: no such file beside the scene file")
         if path.stat().st_size > MOST_BYTES:
             raise SceneError(f"{head}: {path.stat().st_size} bytes; at most {MOST_BYTES} are read")
         return path.read_bytes()
-    except (OSError, RuntimeError) as error:
-        raise SceneError(f"{head}: cannot be read: {type(error).__name__}") from None
+    except OSError as error:
+        raise SceneError(f"{head}: cannot be read: {error.strerror}") from None
 
 
 def named_files(scene: Scene) -> dict[str, str]:

@@ -108,11 +108,15 @@ def check_seal(path: Path) -> None:
     """Verify that a file is as it was sealed.
 
     Raises:
-        SceneError: it is cut short, changed, not sealed, or a folder or device.
-        OSError: it cannot be read.
+        SceneError: it is missing, cannot be read, is cut short, changed, not sealed, or a folder or device.
     """
-    if path.exists() and not path.is_file():  # reading from a pipe may never end
-        raise SceneError(f"{path}: is no file")
-    content = memoryview(path.read_bytes())
+    try:
+        if path.exists() and not path.is_file():  # reading from a pipe may never end
+            raise SceneError(f"{path}: is no file")
+        content = memoryview(path.read_bytes())
+    except FileNotFoundError:
+        raise SceneError(f"{path}: no such file") from None
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be read: {error.strerror}") from None
     if content[-SEAL_BYTES:] != make_seal(content[:-SEAL_BYTES]):
         raise SceneError(f"{path}: damaged: no valid checksum; it was cut short, or changed or made by another program")

@@ -52,8 +52,6 @@ class FileFormat:
                         f"{path}: {actual}not a {self.kind} of warp-plate (no attribute format = {expected!r})"
                     )
                 yield file
-        except FileNotFoundError:
-            raise SceneError(f"{path}: no such file") from None
         except SceneError as error:
             line = str(error)
             raise SceneError(line if line.startswith(str(path)) else f"{path}: damaged: {line}") from None
