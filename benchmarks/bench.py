@@ -9,7 +9,7 @@ import argparse
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, get_args
 
 from step_rates.cases import Kind, all_devices, make_cases
 from step_rates.measure import FULL, QUICK, BenchReport, BenchRow, measure_all
@@ -22,11 +22,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 PRECISIONS = ("float32", "float64")
-HEADINGS = "plate | path | nodes | plates | ns | 10⁹/s | swarm (s) | KiB | of limit"
-CELLS = (
-    "{kind} | {path} | {nodes} | {plates} | {nanoseconds_per_node_step:.3g} | {rate:.4g} | {swarm_seconds:.3g} | "
-    "{kibibytes:.0f} | {percent:.0f} % {limit}"
-)
+HEADINGS = ("plate", "path", "nodes", "plates", "ns", "10⁹/s", "swarm (s)", "KiB", "of limit")
 LEGEND = (
     "ns, 10⁹/s: nanoseconds per node-step, and node-steps per second. swarm: all plates over the paper's 1250 steps. "
     "KiB: device memory per plate. of limit: share of the copy bandwidth at the least number of bytes that one launch "
@@ -104,7 +100,7 @@ def print_report(report: BenchReport, console: Console) -> None:
         rows = (row for row in report.rows if row.measured and (row.device, row.precision) == (device, precision))
         after = f"limits: copying {copied:.4g} GB/s, arithmetic {arithmetic:.4g} GFLOP/s\n"
         title = f"{report.machine['devices'][device]}, {precision}"
-        output.print_table(console, HEADINGS, CELLS, map(_record, rows), after, title=title)
+        output.print_rows(console, HEADINGS, list(map(_cells, rows)), after, title=title)
     if groups:
         console.print(LEGEND)
     for row in report.rows:
@@ -114,11 +110,12 @@ def print_report(report: BenchReport, console: Console) -> None:
         console.print("Interrupted by Ctrl-C; measurements up to then are shown.")
 
 
-def _record(row: BenchRow) -> dict[str, Any]:
-    """Return the values of the columns of a measured row."""
-    rate, bytes_per_plate = row.node_steps_per_second or 0, row.bytes_per_plate or 0
-    derived = {"rate": rate / 1e9, "kibibytes": bytes_per_plate / 1024, "percent": 100 * (row.share or 0)}
-    return {**asdict(row), **derived}
+def _cells(row: BenchRow) -> list[str]:
+    """Return the texts of the columns of a measured row."""
+    numbers = ((row.nanoseconds_per_node_step, ".3g"), ((row.node_steps_per_second or 0) / 1e9, ".4g"))
+    numbers += ((row.swarm_seconds, ".3g"), ((row.bytes_per_plate or 0) / 1024, ".0f"))
+    share = f"{100 * (row.share or 0):.0f} % {row.limit}"
+    return [row.kind, row.path, f"{row.nodes}", f"{row.plates}", *(output.number_text(*n) for n in numbers), share]
 
 
 if __name__ == "__main__":

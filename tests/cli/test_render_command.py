@@ -99,13 +99,13 @@ def test_invalid_options_are_named(render, tmp_path):
         ("--limits own", "limits = 'own': must be common, each, or a number above 0"),
         ("--limits 0", "limits = 0: must be common, each, or a number above 0"),
         ("--limits 3 --field phase", "limits = 3: phase lag has limits of its own; leave them out"),
-        ("--case worst", "--case worst: "),
+        ("--case worst", "--case 'worst': must be one of"),
         ("--frames 1", "Must be >= 2."),
         ("--modes 40", "Must be <= 6."),
         ("--modes 2 --field phase", "--field phase: mode shapes have displacements only"),
-        ("--time 7", "time = 7: must be from 0 to 0.012 s"),
-        ("--time 0.001 --start 0.01", "time = 0.001: must lie between start and end, 0.01 and 0.012 s"),
-        ("--start 0.01 --end 7", "start = 0.01, end = 7: must lie within the run"),
+        ("--time 7", "--time 7: must be from 0 to 0.012 s"),
+        ("--time 0.001 --start 0.01", "--time 0.001: must lie between start and end, 0.01 and 0.012 s"),
+        ("--start 0.01 --end 7", "--start 0.01, --end 7: must lie within the run"),
     ):
         out = [] if "--out" in options else ["--out", "a.html"]
         assert complaint in error_of(render(*options.split(), *out))

@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     from warp_plate.accuracy.measure import AccuracyRow
     from warp_plate.accuracy.report import AccuracyReport
 
-HEADINGS = "single | bound | error % | u % | a plate | "
-CELLS = "{localization_factor:.4f} | {bound:.4f} | {error} | {error_displacement} | {seconds} | {front}"
+HEADINGS = ("single", "bound", "error %", "u %", "a plate", "")
 BY_MODES = "modes, without a grid"
 ACCURACY_LEGEND = (
     "single, bound: localization factor of the best single actuator, and the largest that any drive can have. error: "
@@ -73,11 +72,9 @@ def _print_accuracy(report: AccuracyReport, device: str, console: Console) -> No
     console.print(f"{report.scene} on {device}\n")
     measured = [(index, row) for index, row in enumerate(report.rows) if row.measured]
     for kind in dict.fromkeys(_kind(row) for _, row in measured):
-        headings, cells = "nodes | Δt (s) | precision | ", "{size} | {time_step:.2g} | {precision} | "
-        if kind == BY_MODES:
-            headings, cells = "functions | ", "{size} | "
-        records = [_record(report, index) for index, row in measured if _kind(row) == kind]
-        output.print_table(console, headings + HEADINGS, cells + CELLS, records, "", title=kind)
+        headings = ("functions",) if kind == BY_MODES else ("nodes", "Δt (s)", "precision")
+        rows = [_cells(report, index) for index, row in measured if _kind(row) == kind]
+        output.print_rows(console, (*headings, *HEADINGS), rows, "", title=kind)
     console.print(ACCURACY_LEGEND + "\n")
     console.print(
         f"Reference ({reference.kind}): best single actuator {reference.localization_factors['single']:.5f}, bound "
@@ -85,9 +82,10 @@ def _print_accuracy(report: AccuracyReport, device: str, console: Console) -> No
     )
     laws = [law for law in report.laws if law.family != "modal"]  # modes converge faster than any power
     if laws:
-        headings = "measured laws | error ∝ h^ | u ∝ h^ | s ∝ n^"
-        powers = "{order:.2f} | {order_displacement:.2f} | {cost_exponent:.2f}"
-        output.print_table(console, headings, "{family} | " + powers, map(vars, laws), "")
+        columns = ("measured laws", "error ∝ h^", "u ∝ h^", "s ∝ n^")
+        powers = ("order", "order_displacement", "cost_exponent")
+        cells = [[law.family, *(output.number_text(getattr(law, name), ".2f") for name in powers)] for law in laws]
+        output.print_rows(console, columns, cells, "")
     _print_recommendations(report, console)
     left_out = [row for row in report.rows if not row.measured]
     for row in (row for row in left_out if not row.status.startswith("skipped")):
@@ -138,17 +136,19 @@ def error_text(error: float | None, floor: float) -> str:
     return text.removesuffix(" %")
 
 
-def _record(report: AccuracyReport, index: int) -> dict[str, object]:
-    """Return a measured row with the texts of its cells."""
+def _cells(report: AccuracyReport, index: int) -> list[str]:
+    """Return the texts of the cells of a measured row."""
     from warp_plate.accuracy.configurations import seconds_text
     from warp_plate.accuracy.report import displacement_floor
 
     row, uncertainty = report.rows[index], report.reference.uncertainty
-    return {
-        **vars(row),
-        "size": _size(row),
-        "error": error_text(row.error, uncertainty),
-        "error_displacement": error_text(row.error_displacement, displacement_floor(uncertainty)),
-        "seconds": seconds_text(row.seconds_per_plate or 0.0),
-        "front": "*" if index in report.front else "",
-    }
+    step = [] if row.load == "modal" else [output.number_text(row.time_step, ".2g"), row.precision]
+    return [
+        _size(row),
+        *step,
+        *(output.number_text(value, ".4f") for value in (row.localization_factor, row.bound)),
+        error_text(row.error, uncertainty),
+        error_text(row.error_displacement, displacement_floor(uncertainty)),
+        seconds_text(row.seconds_per_plate or 0.0),
+        "*" if index in report.front else "",
+    ]

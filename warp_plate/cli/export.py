@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any, Literal
 from cyclopts import Parameter
 
 from warp_plate.cli import options, output
-from warp_plate.cli.render import FrameOptions, span_of
+from warp_plate.cli.render import FRAME_ARGUMENTS, FrameOptions, span_of
 from warp_plate.scene.errors import SceneError, printable
 
 Format = Literal["vtkhdf", "traces-csv", "drive-wav", "drive-csv"]
@@ -92,14 +91,8 @@ def export(
         loaded = load_result(result)
         span = span_of(shown, loaded.scene.window.end)
     given |= {name: value for name in ("frames", "device") if (value := getattr(shown, name)) is not None}
-    with output.progress_bar("simulating", shown=not json) as show:
-        try:
-            exported = export_result(loaded, target, to, cases=shown.case or (), span=span, progress=show, **given)
-        except SceneError as error:
-            if str(error).startswith(f"{target}:"):
-                raise
-            message = re.sub(r"^(case|start|frames) = ", r"--\1 ", str(error)).replace(", end = ", ", --end ", 1)
-            raise SceneError(message if message.startswith("--") else f"{result}: {error}") from None
+    with output.scene_errors(result, **FRAME_ARGUMENTS), output.progress_bar("simulating", shown=not json) as show:
+        exported = export_result(loaded, target, to, cases=shown.case or (), span=span, progress=show, **given)
     answer = {"result": result, "to": to, **exported.contents, "files": exported.files}
     output.report(json, lambda: answer, lambda _: _print(exported.files, to, exported.contents))
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
 FIGURES: tuple[str, ...] = ("peak", "focus_area", "contrast_db", "energy", "gap", "limits")
 FIGURES += ("crosstalk_db", "misfit", "electrical_energy")
-HEADINGS = "peak ({unit}) | area (mm²) | contrast (dB) | energy | gap | limited by"
-CELLS = "{name} | {peak:.4g} | {area:.4g} | {contrast_db:.1f} | {energy:.4g} | {gap:.2g} | {limits}"
 
 
 def focus(
@@ -85,12 +83,14 @@ def _print(name: str, result: FocusResult, console: Console) -> None:
         f"waveforms of {samples} samples, {result.modes} modes up to {wish.highest:g} Hz\n"
     )
     for index, (x, y) in enumerate(wish.points):
-        records = []
+        rows = []
         for method, reached in result.methods.items():
-            record = {key: getattr(reached, key)[index] for key in ("peak", "contrast_db", "energy", "limits")}
-            record |= {"name": method.replace("_", " "), "area": 1e6 * reached.focus_area[index]}
-            records.append(record | {"gap": max(reached.gap[index], 0)})
-        output.print_table(console, f"at {x:g},{y:g} | {HEADINGS.format(unit=result.unit)}", CELLS, records, "")
+            numbers = (reached.peak, 1e6 * reached.focus_area, reached.contrast_db, reached.energy, reached.gap.clip(0))
+            digits = (".4g", ".4g", ".1f", ".4g", ".2g")
+            cells = [output.number_text(of[index], form) for of, form in zip(numbers, digits, strict=True)]
+            rows.append([method.replace("_", " "), *cells, reached.limits[index]])
+        headings = (f"at {x:g},{y:g}", f"peak ({result.unit})", "area (mm²)", "contrast (dB)", "energy", "gap")
+        output.print_rows(console, (*headings, "limited by"), rows, "")
     console.print(
         f"Energy in ({result.scene.drive_unit})²·s. Gap: relative distance of the peak from the bound of all waveforms."
     )

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 PICTURES = (".png", ".svg", ".pdf")
 ResponseFormat = Literal["csv", "uff", "hdf5"]
 NUMBER = r"[-+]?(?:[0-9]{1,30}\.?[0-9]{0,30}|\.[0-9]{1,30})(?:[eE][-+]?[0-9]{1,2})?"
+POINT = f"{NUMBER},{NUMBER}"
 MOST_ROWS = 20
 
 
@@ -69,7 +70,6 @@ def frf(
         (needs the extra uff); hdf5, which xarray opens. The ending of --out (.csv, .uff, .h5) acts as --to.
     """
     from warp_plate.result.frequency_response import WRITERS, missing_uff
-    from warp_plate.studies.frequency_response import check_on_plate
     from warp_plate.studies.frequency_response import frf as compute
 
     by_ending = {ending: name for name, (ending, _) in WRITERS.items()}
@@ -77,41 +77,26 @@ def frf(
     formats = [*(to or ()), *([by_ending[target.suffix.lower()]] if target.suffix.lower() in by_ending else ())]
     if "uff" in formats and (problem := missing_uff()) is not None:
         raise SceneError(f"--to uff: {problem}")
-    points = [_point("--at", text) for text in responses.at or ()]
+    points = [_point(text) for text in responses.at or ()]
     limits = None if responses.range is None else _range(responses.range)
     if "hdf5" in formats:
         output.check_overwriting(target.with_suffix(".h5"), "a frequency response", files.force)
     loaded, scene = changes.load(scene)
-    sources = [_source(loaded, text) for text in responses.inputs or ()]
-    check_on_plate(loaded, points, "--at")
-    check_on_plate(loaded, sources, "--from")
-    with output.scene_errors(scene):
-        try:
-            response = compute(loaded, sources, points, limits, responses.quantity)
-        except SceneError as error:
-            if limits is None or not str(error).startswith("drive.frequency: "):
-                raise
-            raise SceneError(f"--range {responses.range}: {str(error).partition(': ')[2]}") from None
+    names = {actuator.name for actuator in loaded.actuators}
+    sources = [
+        text if text in names or not re.fullmatch(POINT, text) else _point(text) for text in responses.inputs or ()
+    ]
+    with output.scene_errors(scene, inputs="from", points="at", frequency_range="range"):
+        response = compute(loaded, sources, points, limits, responses.quantity)
     written = _write(response, target, formats, files.pictures)
     output.report(files.json, _as_json, _print, scene, loaded, response, written=written)
 
 
-def _point(option: str, text: str) -> tuple[float, float]:
-    """Return the point of an option."""
-    if re.fullmatch(f"{NUMBER},{NUMBER}", text) is None:
-        raise SceneError(f"{option} {text}: must be X,Y in metres, such as 0.05,0.1")
+def _point(text: str) -> tuple[float, float]:
+    if re.fullmatch(POINT, text) is None:
+        raise SceneError(f"--at {text}: must be X,Y in metres, such as 0.05,0.1")
     x, y = map(float, text.split(","))
     return x, y
-
-
-def _source(scene: Scene, text: str) -> str | tuple[float, float]:
-    """Return the actuator's name or the point of ``--from``."""
-    names = [actuator.name for actuator in scene.actuators]
-    if text in names:
-        return text
-    if re.fullmatch(f"{NUMBER},{NUMBER}", text) is None:
-        raise SceneError(f"--from {text}: is neither an actuator ({', '.join(names)}) nor X,Y in metres")
-    return _point("--from", text)
 
 
 def _range(text: str) -> tuple[float, float]:
@@ -166,9 +151,9 @@ def _print(name: str, scene: Scene, response: FrequencyResponse, console: Consol
     for label, values in list(zip(response.labels, response.responses, strict=True))[:MOST_ROWS]:
         at = int(np.abs(values).argmax())
         phase = np.degrees(np.angle(values[at]))
-        peaks.append({"label": label, "size": abs(values[at]), "frequency": response.frequencies[at], "phase": phase})
-    headings = f"response | largest ({response.unit}) | at (Hz) | phase (°)"
-    output.print_table(console, headings, "{label} | {size:.4g} | {frequency:.6g} | {phase:.1f}", peaks)
+        numbers = ((abs(values[at]), ".4g"), (response.frequencies[at], ".6g"), (phase, ".1f"))
+        peaks.append([label, *(output.number_text(*number) for number in numbers)])
+    output.print_rows(console, ("response", f"largest ({response.unit})", "at (Hz)", "phase (°)"), peaks)
     if len(response.labels) > MOST_ROWS:
         console.print(f"and {len(response.labels) - MOST_ROWS} more, in the files of --to and in --json")
     best = int(np.nanargmax(response.bound))

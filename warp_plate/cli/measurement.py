@@ -97,18 +97,21 @@ def _print_fit(name: str, fitted: ModeFit | ResponseFit, console: Console) -> No
     console.print(f"{fitted.scene.title or name}\n")
     _print_properties(fitted, console)
     if isinstance(fitted, ResponseFit):
-        headings, cells = "response | rms error (dB) | rms error (°)", "{0} → {1:g},{2:g} | {3:.2g} | {4:.2g}"
-        rows = [
-            (at.actuator or "{:g},{:g}".format(*at.force_at or ()), *at.point, *errors)
-            for at, *errors in zip(fitted.scene.measurement, fitted.rms_decibels, fitted.rms_degrees, strict=True)
+        driven = (at.actuator or "{:g},{:g}".format(*at.force_at or ()) for at in fitted.scene.measurement)
+        names = [
+            f"{name} → {at.point[0]:g},{at.point[1]:g}"
+            for name, at in zip(driven, fitted.scene.measurement, strict=True)
         ]
+        columns = {"rms error (dB)": (fitted.rms_decibels, ".2g"), "rms error (°)": (fitted.rms_degrees, ".2g")}
     else:
-        headings, cells = "mode | measured (Hz) | fitted (Hz) | error (%)", "{0} | {1:.6g} | {2:.6g} | {3:.2g}"
+        names = [str(number) for number in fitted.numbers]
+        columns = {"measured (Hz)": (fitted.measured.frequencies, ".6g"), "fitted (Hz)": (fitted.frequencies, ".6g")}
+        columns["error (%)"] = 100 * fitted.errors, ".2g"
         if np.isfinite(fitted.measured.damping).any():
-            headings, cells = f"{headings} | damping measured | fitted", cells + " | {4:.3g} | {5:.3g}"
-        columns = (fitted.numbers, fitted.measured.frequencies, fitted.frequencies, 100 * fitted.errors)
-        rows = list(zip(*columns, fitted.measured.damping, fitted.damping, strict=True))
-    output.print_table(console, headings, cells, rows)
+            columns |= {"damping measured": (fitted.measured.damping, ".3g"), "fitted": (fitted.damping, ".3g")}
+    cells = [[output.number_text(value, digits) for value in values] for values, digits in columns.values()]
+    kind = "response" if isinstance(fitted, ResponseFit) else "mode"
+    output.print_rows(console, (kind, *columns), list(zip(names, *cells, strict=True)))
     for line in _remarks(fitted):
         console.print(f"! {line}")
 

@@ -13,7 +13,6 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from json import dumps
 from pathlib import Path
-from string import Formatter
 from typing import TYPE_CHECKING, Any, Literal
 
 from rich.console import Console
@@ -126,23 +125,6 @@ def attributes(data: object, *names: str) -> dict[str, Any]:
     return {name: getattr(data, name) for name in names}
 
 
-def print_table(
-    console: Console, headings: str, cells: str, records: Iterable[Any], *after: str, title: str | None = None
-) -> None:
-    """Print a table of records, such as those of the JSON output; see :func:`print_rows`.
-
-    Args:
-        headings: Such as "actuator | peak (m)".
-        cells: Templates such as "{name} | {peak:.4g}" for mappings, "{0} | {1:.4g}" for tuples.
-    """
-    rows = []
-    for record in records:
-        named = record if isinstance(record, Mapping) else {}
-        numbered = record if isinstance(record, tuple) else ()
-        rows.append([_CELLS.vformat(cell, numbered, named) for cell in cells.split(" | ")])
-    print_rows(console, headings.split(" | "), rows, *after, title=title)
-
-
 def print_rows(
     console: Console,
     headings: Sequence[str],
@@ -180,16 +162,6 @@ def number_text(value: object, digits: str, unit: str = "") -> str:
     return "none" if missing else f"{value:{digits}}{unit}"
 
 
-class _Cells(Formatter):
-    """Fills the templates of cells."""
-
-    def format_field(self, value: object, format_spec: str) -> str:
-        return number_text(value, format_spec)
-
-
-_CELLS = _Cells()
-
-
 @contextmanager
 def progress_bar(label: str, shown: bool, scene: Scene | None = None, last: str = "") -> Iterator[Callable[..., None]]:
     """Show a progress bar if standard error is a terminal; yield a function of (done, total, note) that updates it.
@@ -217,17 +189,25 @@ def progress_bar(label: str, shown: bool, scene: Scene | None = None, last: str 
 
 
 @contextmanager
-def scene_errors(source: str | None) -> Iterator[None]:
-    """Prefix errors that begin with a key of the scene with the scene's file."""
+def scene_errors(source: object, **options: str) -> Iterator[None]:
+    """Prefix errors that begin with a key of the scene with its file, ``source``; in errors that begin with an argument
+    of a function, ``NAME = value``, write the option that ``options`` name for it, ``--OPTION value``."""
     from warp_plate.scene.model import Scene
 
     try:
         yield
     except SceneError as error:
-        key = re.match(r"\w*", str(error))
-        if source is None or key is None or key[0] not in Scene.model_fields:
+        message = str(error)
+        key = re.split(r"\W", message, maxsplit=1)[0]
+        if key in options and message.startswith(f"{key} = "):
+            raise SceneError(re.sub(r"(?<![\w.])(\w+) = ", lambda name: _option(name, options), message)) from None
+        if source is None or key not in Scene.model_fields or message.startswith(f"{source}:"):
             raise
         raise SceneError(f"{source}: {error}") from None
+
+
+def _option(name: re.Match[str], options: Mapping[str, str]) -> str:
+    return f"--{options[name[1]]} " if name[1] in options else name[0]
 
 
 def output_file(out: Path | None, default: str, endings: Sequence[str] = ()) -> Path:

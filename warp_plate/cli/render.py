@@ -14,7 +14,6 @@ from warp_plate.cli import options, output
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
-    from warp_plate.result.case import Case
     from warp_plate.result.model import Result
     from warp_plate.result.motion import Motion
     from warp_plate.scene.model import Scene
@@ -24,6 +23,8 @@ if TYPE_CHECKING:
 ENDINGS = (".png", ".svg", ".pdf", ".gif", ".mp4", ".html")
 # Limits of the frames a second, and the shortest time in which a period is played [s].
 RATES, PERIOD_SECONDS = (1, 120), 1.4
+# Options of the arguments that errors name.
+FRAME_ARGUMENTS = {name: name for name in ("case", "start", "end", "frames", "time", "device")}
 
 
 @Parameter(name="*")
@@ -122,7 +123,8 @@ def view(
             f"no window can be opened: {problem}; write pictures, movies or a page with 'warp-plate render {result}'"
             ", or look in a browser with 'warp-plate explore SCENE'"
         )
-    motions = select_motions(loaded, result, frames, playback, quiet=False)
+    with output.scene_errors(result, **FRAME_ARGUMENTS):
+        motions = select_motions(loaded, frames, playback, quiet=False)
     from warp_plate.viz.window import open_window
 
     open_window(loaded.scene, motions, playback.style(motions, chosen))
@@ -161,14 +163,14 @@ def render(
     for target in targets:  # before anything is simulated
         if (problem := missing_library(target, picture.plan)) is not None:
             raise SceneError(problem)
-    if describe_file(result) == "a focus":
-        scene, motions = select_focus_motions(result, shown, playback)
-    else:
-        loaded = load_result(result)
-        scene = loaded.scene
-        motions = select_motions(loaded, result, frames_around(loaded, picture.time, shown), playback, json)
     time = picture.time
-    frame = largest_frame(motions, playback.field) if time is None else frame_at(motions[0], time)
+    with output.scene_errors(result, **FRAME_ARGUMENTS):
+        if describe_file(result) == "a focus":
+            scene, motions = select_focus_motions(result, shown, playback)
+        else:
+            loaded = load_result(result)
+            scene, motions = loaded.scene, select_motions(loaded, frames_around(loaded, time, shown), playback, json)
+        frame = largest_frame(motions, playback.field) if time is None else frame_at(motions[0], time)
     style = playback.style(motions, colours.chosen(), width=picture.width, plan=picture.plan)
     files: list[Path] = []
     try:
@@ -193,23 +195,19 @@ def frames_around(result: Result, time: float | None, shown: FrameOptions) -> Fr
     return replace(shown, start=start, end=end)
 
 
-def select_motions(
-    result: Result, file: Path, shown: FrameOptions, playback: PlaybackOptions, quiet: bool
-) -> list[Motion]:
-    """Return the motions of a result to show; errors name its file."""
+def select_motions(result: Result, shown: FrameOptions, playback: PlaybackOptions, quiet: bool) -> list[Motion]:
+    """Return the motions of a result to show."""
     from warp_plate.analysis.motion import FRAMES_A_PERIOD, mode_motions, motions
+    from warp_plate.viz.annotations import ordered_cases
 
     if playback.modes:
         if playback.field != "displacement":
             raise SceneError(f"--field {playback.field}: mode shapes have displacements only; leave out --modes")
         return mode_motions(result.scene, range(1, playback.modes + 1), shown.frames or FRAMES_A_PERIOD)
     span = span_of(shown, result.scene.window.end)
-    cases = select_cases(result, file, shown.case)
+    cases = result.select_cases(shown.case or list(ordered_cases(result)))
     with output.progress_bar("simulating", shown=not quiet) as show:
-        try:
-            return motions(result.scene, cases, span, shown.frames, shown.device or "auto", show)
-        except SceneError as error:
-            raise SceneError(f"{file}: {error}") from None
+        return motions(result.scene, cases, span, shown.frames, shown.device or "auto", show)
 
 
 def span_of(shown: FrameOptions, end: float) -> tuple[float, float] | None:
@@ -228,18 +226,4 @@ def select_focus_motions(file: Path, shown: FrameOptions, playback: PlaybackOpti
         raise SceneError(f"--modes {playback.modes}: {file} holds waveforms; leave it out")
     result = load_focus(file)
     span = span_of(shown, float(result.times[-1]))
-    try:
-        return result.scene, focus_motions(result, shown.case or (), span, shown.frames or FRAMES)
-    except SceneError as error:
-        raise SceneError(f"{file}: {error}") from None
-
-
-def select_cases(result: Result, file: Path, names: Sequence[str] | None) -> dict[str, Case]:
-    """Return the named cases of a result, or all if no name is given, in the order in which they are shown."""
-    from warp_plate.viz.annotations import ordered_cases
-
-    cases = ordered_cases(result)
-    for name in names or ():
-        if name not in cases:
-            raise SceneError(f"--case {name}: {file} holds {', '.join(cases)}")
-    return {name: cases[name] for name in names or cases}
+    return result.scene, focus_motions(result, shown.case or (), span, shown.frames or FRAMES)

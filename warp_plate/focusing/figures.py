@@ -145,7 +145,7 @@ def focus_motions(
     table, names = result.scene.focus, list(methods or result.methods)
     assert table is not None
     if unknown := [name for name in names if name not in result.methods]:
-        raise SceneError(f"case {unknown[0]}: there are {', '.join(result.methods)}")
+        raise SceneError(f"case = {unknown[0]!r}: must be one of {', '.join(result.methods)}")
     recorded, moment = result.times.size, table.moment
     responses = HeldResponses.of_scene(result.scene, recorded, velocity=False)
     plate = responses.plate

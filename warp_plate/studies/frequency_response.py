@@ -57,9 +57,10 @@ def frf(
     inputs = inputs or [actuator.name for actuator in scene.actuators]
     points = points or scene.record.points or target_middles(scene)
     check_linear(scene, frequency_range)
-    check_on_plate(scene, [*points, *inputs])
+    _check_on_plate(scene, "points", points)
+    _check_on_plate(scene, "inputs", inputs)
     low, high = frequency_range or default_range(scene)
-    plate = solve_modes(scene, high)
+    plate = solve_modes(scene, high, key=f"frequency_range = {low:g}:{high:g}" if frequency_range else None)
     places, forces = input_forces(plate, inputs)
     frequencies = adaptive_frequencies(*plate.resonances, low, high)
     responses, factor, bound, velocity = _responses(plate, frequencies, forces, plate.at_points(points))
@@ -111,12 +112,12 @@ def target_middles(scene: Scene) -> list[Point]:
     return list(dict.fromkeys(middles))
 
 
-def check_on_plate(scene: Scene, places: Sequence[str | Point], label: str = "point") -> None:
-    """Raise a SceneError, which begins with the label, unless all places but names are points on the plate."""
+def _check_on_plate(scene: Scene, argument: str, places: Sequence[str | Point]) -> None:
+    """Raise a SceneError, which names the argument, unless all places but names are points on the plate."""
     width, height = scene.plate.size
     for x, y in (place for place in places if not isinstance(place, str)):
         if not (0 <= x <= width and 0 <= y <= height):
-            raise SceneError(f"{label} {x:g},{y:g}: is off the plate of {width:g} × {height:g} m")
+            raise SceneError(f"{argument} = {x:g},{y:g}: is off the plate of {width:g} × {height:g} m")
 
 
 def check_linear(scene: Scene, frequency_range: tuple[float, float] | None) -> None:
@@ -125,7 +126,8 @@ def check_linear(scene: Scene, frequency_range: tuple[float, float] | None) -> N
         raise SceneError(f"{scene.nonlinear_table}: frequency responses are those of a linear plate without it")
     low, high = frequency_range or (1.0, 2.0)
     if not 0 < low < high < np.inf:
-        raise SceneError(f"range {low:g}:{high:g}: must be two positive frequencies in hertz, the lower one first")
+        what = "must be two positive frequencies in hertz, the lower one first"
+        raise SceneError(f"frequency_range = {low:g}:{high:g}: {what}")
 
 
 def input_forces(plate: ModalPlate, inputs: Sequence[str | Point]) -> tuple[np.ndarray, np.ndarray]:
@@ -140,7 +142,7 @@ def input_forces(plate: ModalPlate, inputs: Sequence[str | Point]) -> tuple[np.n
             columns.append(plate.at_points([name])[:, 0])
             continue
         if name not in areas:
-            raise SceneError(f"{name!r}: no actuator has this name; there are {', '.join(areas)}")
+            raise SceneError(f"inputs = {name}: is neither a point nor an actuator; there are {', '.join(areas)}")
         x0, x1, y0, y1 = areas[name]
         places.append(((x0 + x1) / 2, (y0 + y1) / 2))
         columns.append(plate.patch_forces([areas[name]])[:, 0] / ((x1 - x0) * (y1 - y0)))
