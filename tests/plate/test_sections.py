@@ -156,6 +156,9 @@ def test_tables_are_bounded_and_kept_unchanged(tmp_path):
     assert not read_table("key", "a.csv", tmp_path, 0, 9).flags.writeable
     with pytest.raises(ValueError, match=r"^4194305 rows; at most 4194304 are read$"):
         read_numbers(b"1\n" * (2**22 + 1))
+    for cell in (b"", b"a", b"1"):
+        with pytest.raises(ValueError, match=r"^65537 columns; at most 65536 are read$"):
+            read_numbers(b";".join([cell] * (2**16 + 1)))
 
 
 @pytest.mark.parametrize(

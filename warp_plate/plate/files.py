@@ -15,7 +15,7 @@ import numpy as np
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
-MOST_BYTES, MOST_ROWS = 2**27, 2**22
+MOST_BYTES, MOST_ROWS, MOST_COLUMNS = 2**27, 2**22, 2**16
 # Tables cached after they are read.
 MOST_TABLES = 4
 
@@ -79,7 +79,7 @@ def read_numbers(data: bytes) -> np.ndarray:
     without numbers, empty lines and lines that begin with # are skipped.
 
     Raises:
-        ValueError: The text is not UTF-8, a cell is no number, rows differ in length, or there are more than MOST_ROWS.
+        ValueError: The text is not UTF-8, a cell is no number, rows differ in length, or there are too many.
     """
     return _read_rows(data)[0]
 
@@ -93,6 +93,8 @@ def _read_rows(data: bytes) -> tuple[np.ndarray, list[int]]:
     except UnicodeDecodeError:
         raise ValueError("not UTF-8 text") from None
     lines = [(at, line) for at, line in enumerate(text, 1) if line.strip() and not line.lstrip().startswith("#")]
+    if lines and (columns := 1 + max(map(lines[0][1].count, ",;\t"))) > MOST_COLUMNS:
+        raise ValueError(f"{columns} columns; at most {MOST_COLUMNS} are read")
     if lines and not any(map(_is_number, re.split("[,;\t]", lines[0][1]))):
         del lines[0]
     if not lines:
