@@ -23,7 +23,7 @@ LEFT_OUT, PROGRAMS = ("view", "explore"), ("--devices", "--cluster")
 ROOM = 6 * 2**30
 # Commands that take a result file; options without a word.
 RESULTS = ("render", "export", "verify")
-FLAGS = ("--json", "--force", "--estimate", "--spectrum", "--pictures", "--allow-unstable", "--grid", "--modes")
+FLAGS = ("--json", "--force", "--estimate", "--spectrum", "--pictures", "--allow-unstable", "--modes")
 FILES = ("run.h5", "focus.h5", "sweep.h5", "frf.h5", "modes.csv", "responses.csv", "velocities.csv")
 WRONG = ("none", "", "-", ".", "text.h5", "\x1b[2J.toml", "caf\udce9.toml", "a\nb", "folder", "/dev/zero")
 RIGHT = ("panel.toml", "fit.toml", "sensor.toml", "focus.toml", "piezo.toml")

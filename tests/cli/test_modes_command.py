@@ -1,7 +1,6 @@
-"""``warp-plate modes``: its table, JSON and picture, and the grid of ``--accuracy``."""
+"""``warp-plate modes``: its table, JSON and picture, and shapes beside those of a grid."""
 
 import json
-import math
 from pathlib import Path
 
 import numpy as np
@@ -57,38 +56,6 @@ def test_json_table_and_picture(command, write_scene):
     assert "lobes x × y" in out
     assert "The plate is driven at up to 290 Hz, above these; --count 8 shows more." in out
     assert sorted(path.name for path in Path().iterdir()) == ["m.svg", "panel.toml"]
-
-
-def test_modes_of_the_grid_and_their_errors(command, write_scene):
-    tables = {"foundation": EFFECTS["foundation"], "stretching": {}}
-    made = write_scene(nodes=(19, 15), size=(0.3, 0.2), edges=("supported",) * 4, effects=tables)
-    expected, exact = natural_modes(made, 5), continuous_modes(made, 5).frequencies
-    options = ("modes", "panel.toml", "--grid", "--count", 5, "--no-pictures")
-    record = json.loads(output_of(command(*options, "--json")))
-    assert record["frequencies"] == pytest.approx(expected.frequencies.tolist())
-    assert record["frequencies_stepped"] == pytest.approx(expected.stepped.tolist())
-    assert record["errors"] == pytest.approx((expected.frequencies / exact - 1).tolist())
-    assert (record["nodes"], record["order"]) == ([19, 15], 2)
-    assert record["left_out"] == ["damping of the foundation", "stretching"]
-    out = output_of(command(*options))
-    for part in ("19 × 15 nodes", *(f"{frequency:.2f}" for frequency in expected.frequencies)):
-        assert part in out
-
-
-def test_a_grid_is_chosen_by_accuracy_without_the_damping_that_time_steps_refuse(command, write_scene, panel):
-    effects = {**panel.effects.model_dump(), "loss_factor": {"eta": 0.01}, "modal_damping": {"ratio": 0.01}}
-    records = []
-    for made in (panel, panel.with_tables(effects=effects)):
-        write_scene(made)
-        answer = command("modes", "panel.toml", "--grid", "--accuracy", "20%", "--count", 2, "--json", "--no-pictures")
-        records.append(json.loads(output_of(answer)))
-    plain, damped = records
-    assert damped["left_out"] == ["damping", "loss factor", "modal damping"]
-    assert (damped["nodes"], damped["frequencies"]) == (plain["nodes"], plain["frequencies"])
-    assert (plain["nodes"], plain["order"]) != ([27, 27], 2)
-    # π²κ(m² + n²)/2πa², κ = 0.1530 m²/s, a = 0.2 m.
-    exact = np.array([2, 5]) * math.pi / 2 * math.sqrt(1e9 * 5e-4**2 / 12 / (1 - 0.33**2) / 1000) / 0.04
-    np.testing.assert_allclose(plain["frequencies"], exact, rtol=0.05)
 
 
 def test_shapes_and_motions_are_those_of_a_fine_grid(scene):

@@ -6,8 +6,6 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any, get_args
 
-import numpy as np
-
 from warp_plate.effects.damping import Damping
 from warp_plate.effects.effect import Effect, Panel, Term, rows_of
 from warp_plate.effects.foundation import Foundation
@@ -70,18 +68,6 @@ class Effects(Table):
         if self.damping is not None:
             names["damping"] = f"viscous damping ({self.damping.scheme})"
         return list(names.values())
-
-    def damping_names(self, plate: Panel) -> list[str]:
-        """Names of the damping of the scene, which natural modes without losses leave out."""
-        names = []
-        for name, value in self:
-            terms = [term for _, row in rows_of(value) for term in row.terms(plate)]
-            roles = {term.role for term in terms}
-            if any(np.any(term.coefficient) for term in terms if term.role in ("damping", "hysteretic")):
-                shown = name.replace("_", " ")
-                article = "" if isinstance(value, tuple) else "the "
-                names.append(shown if "stiffness" not in roles else f"damping of {article}{shown}")
-        return names
 
     def first(self, condition: Callable[[Effect], object]) -> str | None:
         """Return the key of the first effect that meets a condition, without its index; None if none does."""
