@@ -57,6 +57,12 @@ def interrupt_on_termination() -> None:
             signal.signal(number, signal.default_int_handler)
 
 
+def ignore_interrupts() -> None:
+    """Ignore Ctrl-C, SIGTERM and SIGHUP for good, when a command is done and only Python has to end."""
+    for number in END_SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+
+
 def remember_lost_interrupts() -> None:
     """Let ``check_interrupt`` raise again a KeyboardInterrupt that Python could only report, as in ``__del__``."""
     report = sys.unraisablehook

@@ -15,7 +15,7 @@ import pytest
 from support.commands import output_of, until
 from support.commands import start_program as start
 from support.scenes import scene_of
-from warp_plate import PlateSolver, load_checkpoint, load_result
+from warp_plate import PlateSolver, __version__, load_checkpoint, load_result
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot send SIGINT to one process")
 QUICK = ["--device", "cpu", "--no-pictures", "--no-estimate"]
@@ -121,6 +121,26 @@ def test_a_command_that_starts_ends_in_one_line(module, endless):
     status, out, err, _ = end(start("-c", STARTING.format(module=module), "localize", "panel.toml", *QUICK))
     assert (status, out, err) == (130, "", "warp-plate: interrupted\n")
     assert [path.name for path in Path().iterdir()] == ["panel.toml"]
+
+
+# Sends a signal when the modules of a command that is done are cleared.
+ENDING = """
+import os, signal, sys
+from warp_plate.cli.main import main
+
+class Late:
+    def __del__(self, kill=os.kill, arguments=(os.getpid(), signal.{number})):
+        kill(*arguments)
+
+sys.late = Late()
+main(sys.argv[1:])
+"""
+
+
+@pytest.mark.parametrize("number", ["SIGTERM", "SIGINT", "SIGHUP"])
+def test_a_command_that_is_done_keeps_its_status(number):
+    status, out, err, _ = end(start("-c", ENDING.format(number=number), "--version"))
+    assert (status, out, err) == (0, f"{__version__}\n", "")
 
 
 @pytest.mark.parametrize("target", ["warp_plate.result.model.save_result", "matplotlib.figure.Figure.savefig"])

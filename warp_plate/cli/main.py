@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import io
 import logging
 import os
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from warp_plate._version import __version__
 from warp_plate.cli import log
-from warp_plate.interrupts import interrupt_on_termination, remember_lost_interrupts
+from warp_plate.interrupts import ignore_interrupts, interrupt_on_termination, remember_lost_interrupts
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
@@ -105,6 +106,9 @@ def main(arguments: list[str] | None = None) -> None:
         _discard_output()
         log(f"{error.strerror or error}{f': {error.filename}' if error.filename else ''}")
         sys.exit(2)
+    finally:  # the status stands when the process ends, not before: main may be called by another program
+        atexit.unregister(ignore_interrupts)
+        atexit.register(ignore_interrupts)
 
 
 def _run(words: list[str]) -> None:
