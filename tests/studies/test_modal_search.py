@@ -93,7 +93,7 @@ def test_robust_search_by_modes_is_the_limit_of_its_simulated_matrices():
 
 
 def test_a_search_without_a_method_is_exact_and_by_modes_where_it_can_be():
-    """Keys of a swarm, other objectives, limits of ratios, fixed numbers and nonlinear scenes keep the swarm."""
+    """Limits, fixed numbers and velocities take descents; keys of a swarm, sums and nonlinear scenes take a swarm."""
     result = localize(paper(search={}), device="cpu", estimate=False)
     assert (result.evaluator, result.scene.search.method) == ("modal", "exact")
     assert result.bound == pytest.approx(0.654001, rel=1e-5)
@@ -102,12 +102,15 @@ def test_a_search_without_a_method_is_exact_and_by_modes_where_it_can_be():
     chirp = {"frequency": 290.0, "chirp": {"end_frequency": 300.0, "duration": 0.1}}
     for tables, method in (
         ({"search": {"particles": 30}}, "pso"),
-        ({"search": {"objectives": [{"kind": "contrast"}]}}, "pso"),
+        ({"search": {"objectives": [{"kind": "contrast"}]}}, "exact"),
+        ({"search": {"objectives": [{"kind": "uniformity"}]}}, "pso"),
+        ({"search": {"objectives": [{"kind": "velocity"}], "limits": {"power": 1.0}}}, "gradient"),
+        ({"search": {"objectives": [{}, {"kind": "contrast"}]}}, "pso"),
         ({"search": {}, "effects": {"stretching": {}}}, "pso"),
         ({"search": {"method": "ring"}}, "ring"),
-        ({"search": {"limits": {"equal_magnitudes": True}}}, "pso"),
-        ({"search": {"magnitude": {"range": (0.5, 2.0)}, "phase": {}}}, "pso"),
-        ({"search": {"phase": {}}}, "pso"),
+        ({"search": {"limits": {"equal_magnitudes": True}}}, "gradient"),
+        ({"search": {"magnitude": {"range": (0.5, 2.0)}, "phase": {}}}, "gradient"),
+        ({"search": {"phase": {}}}, "gradient"),
         ({"search": {**FREE_DRIVES, "frequency": {"range": (200.0, 300.0)}}}, "pso"),
         ({"search": {}, "drive": chirp}, "exact"),
         ({"search": FREE_DRIVES}, "exact"),

@@ -74,7 +74,7 @@ SEARCH = {"particles": 6, "iterations": 8}
 @pytest.mark.parametrize(
     ("tables", "evaluator"),
     [
-        ({"search": {**SEARCH, "limits": {"equal_magnitudes": True}}}, "response"),
+        ({"search": {**SEARCH, "method": "gradient", "limits": {"equal_magnitudes": True}}}, "response"),
         ({"effects": {"stretching": {}}, "search": SEARCH}, "direct"),
         ({"actuators": [(0.03, 0.06, 0.03, 0.06)]}, "response"),
         ({"search": {**SEARCH, "robust": {"thickness": 0.05, "scenarios": 2, "fresh": 1}}}, "response"),

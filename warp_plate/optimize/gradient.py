@@ -46,8 +46,10 @@ class GradientSearch(Optimizer):
     FORMAT = "gradient 2"
     STATE = ("random", "base", "loss", "slope", "inverse", "direction", "step", "tries", "restarts_left")
 
-    def __init__(self, space: SearchSpace, slopes: Slopes | None, settings: SearchSettings) -> None:
-        """Draw the first places; raises MethodError without slopes."""
+    def __init__(
+        self, space: SearchSpace, slopes: Slopes | None, settings: SearchSettings, start: np.ndarray | None = None
+    ) -> None:
+        """Draw the first places, of which ``start`` (dimension,) is one; raises MethodError without slopes."""
         super().__init__(space, settings)
         if slopes is None:
             raise MethodError("needs the slopes of energies, which time steps do not have; write 'cma'")
@@ -60,6 +62,8 @@ class GradientSearch(Optimizer):
         self.loss, self.step, self.tries = np.full(starts, np.inf), np.ones(starts), np.zeros(starts)
         self.restarts_left = np.full(starts, float(settings.restarts))
         self._draw(np.arange(starts))
+        if start is not None:
+            self.base[0] = space.to_unit(start)
 
     def stop(self) -> dict[str, int]:
         """Return {"evaluations": number}, {"converged": descents}, {"stall": iterations}, or nothing to go on."""

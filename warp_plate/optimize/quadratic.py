@@ -1,4 +1,4 @@
-"""Losses that follow from energies that are quadratic forms of the drive: their slopes, and the largest ratio of two.
+"""Losses that follow from energies that are quadratic forms of the drive: their slopes, and the best drive.
 
 With z = (Re Z₁ ... Re Z_M, −Im Z₁ ... −Im Z_M) of the phasors Z, E_r = zᵀ A_r z and loss = L(E), position by position,
 
@@ -10,7 +10,8 @@ L and z(x) are formulas without any plate in them: their own derivatives are tak
 zᵀA z / zᵀB z has its maximum, the largest λ of A z = λ B z, at a z that may be scaled as one likes. If all magnitudes
 and phases are free up to a common factor, that z is a position. It is evaluated, and rejected if a limit, a range or a
 fixed value keeps it from reaching λ. z is sought among the drives that positions can represent, so that a first phase
-fixed at 0 costs as little as possible.
+fixed at 0 costs as little as possible. Other losses, and drives under limits, have the optimum of ``problem.bounds``
+where that is known.
 """
 
 from __future__ import annotations
@@ -42,6 +43,9 @@ class Quadratic:
     losses_of: Callable[[np.ndarray], np.ndarray]  # function from energies (n, regions) to losses (n,)
     # indices of two regions where the loss is 1 − E_first / E_second and nothing else; None for other losses
     ratio: tuple[int, int] | None = None
+    # function that returns the phasors (M,) of the best permitted drive that is known without a search, None without
+    # one, and whether no drive has less loss; None for other problems
+    optimum: Callable[[], tuple[np.ndarray | None, bool]] | None = None
 
     def energies(self, positions: np.ndarray) -> np.ndarray:
         """Return the energies (n, regions) of positions (n, dimension)."""
@@ -127,23 +131,47 @@ class ExactSearch(Optimizer):
 
 
 def best_position(space: SearchSpace, problem: Quadratic | None) -> np.ndarray:
-    """Return the position (dimension,) with the largest ratio, or raise a MethodError that names another method."""
+    """Return the position (dimension,) with the least loss, or raise a MethodError that names another method."""
     if problem is None:
         raise MethodError("needs energies that are quadratic forms of the drives; write 'cma'")
+    position = _eigen_position(space, problem)
+    if position is not None:
+        return position
+    position, attained = _optimum_position(problem)
+    if position is None or not attained:
+        raise MethodError("no drive within the ranges and limits is known to reach the bound; write 'gradient'")
+    return position
+
+
+def starting_position(space: SearchSpace, problem: Quadratic) -> np.ndarray | None:
+    """Return the best position (dimension,) that is known without a search; None where descents need none, or none is
+    known."""
+    return _optimum_position(problem)[0] if _eigen_position(space, problem) is None else None
+
+
+def _optimum_position(problem: Quadratic) -> tuple[np.ndarray | None, bool]:
+    """Return the position (dimension,) of the problem's optimum, if it is known, and whether it has the least loss."""
+    phasors, attained = (None, False) if problem.optimum is None else problem.optimum()
+    if phasors is None:
+        return None, False
+    position = problem.positions(phasors[None])[0]
+    loss = problem.losses_of(quadratic_forms(problem.matrices, phasors[None]))[0]
+    near = problem.losses(position[None])[0] <= loss + NEAR * abs(loss)
+    return position, bool(attained and near)
+
+
+def _eigen_position(space: SearchSpace, problem: Quadratic) -> np.ndarray | None:
+    """Return the position (dimension,) with the largest ratio; None for other losses, and where a range, a limit or a
+    fixed number keeps the drive from it."""
     if problem.ratio is None:
-        raise MethodError("is for the localization factor alone; write 'gradient'")
+        return None
     first, second = problem.ratio
     ratio, phasors = _eigen_phasors(space, problem, *problem.matrices[[first, second]])
     position = problem.positions(_scaled(space, problem, phasors)[None])[0]
     energy = problem.energies(position[None])[0]
     with np.errstate(invalid="ignore", divide="ignore"):
         reached = energy[first] / energy[second]
-    if not reached >= ratio * (1 - NEAR):
-        raise MethodError(
-            "a range, a limit or a fixed number keeps the drive from the eigen-solution, which has a localization "
-            f"factor of {ratio:.6g}; write 'gradient'"
-        )
-    return position
+    return position if reached >= ratio * (1 - NEAR) else None
 
 
 def _eigen_phasors(

@@ -1,9 +1,4 @@
-"""The drives that a search may choose, the best of them for each design, and upper bounds over all of them.
-
-Where the drive is linear and free, the largest localization factor that a design can have is the largest eigenvalue of
-its Gram matrices, and the best drive is the eigenvector. A search of places, frequencies or delays then varies these
-alone, and the drive is eliminated exactly in each evaluation (variable projection: G. H. Golub and V. Pereyra, SIAM J.
-Numer. Anal. 10, 1973, pp. 413-432).
+"""Upper bounds over all drives that a search may choose.
 
 With z as in ``optimize.quadratic``, energies are zᵀA z, and limits on drives are limits on the |z_k|² of the actuators,
 on their sum (power) or on the energy elsewhere: all of them quadratic forms. Without limits the largest ratio is an
@@ -22,16 +17,17 @@ drive reaches all bounds: with several objectives it is called "bound only".
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from warp_plate.optimize.quadratic import quadratic_forms, real_parts
+from warp_plate.optimize.quadratic import quadratic_forms
 from warp_plate.plate.designs import Designs
 from warp_plate.plate.weights import localization_factor
-from warp_plate.problem.design_variables import has_design_tables, only_ratios
+from warp_plate.problem.allowed_drives import AllowedDrives, allowed_drives, best_allowed
+from warp_plate.problem.local_maximum import local_maximum
 from warp_plate.problem.objectives import Objectives
 from warp_plate.problem.parametrization import Parametrization
 from warp_plate.problem.semidefinite import ROUNDING, least_majorant
@@ -43,103 +39,10 @@ from warp_plate.solve.response import Response, largest_ratio
 NEAR = 1e-6
 # Largest number of actuators for which multipliers are computed: their cost grows as the fourth power.
 MOST_ACTUATORS = 40
-# Factors tried for the drive that the multipliers suggest, which is scaled to a largest magnitude of one.
-SCALES = np.geomspace(1e-3, 1e3, 241)
+# Points from which drives under limits are sought, and the part of a limited energy by which they stay below it, so
+# that the rounding of a run does not carry them over the limit.
+STARTS, INSIDE = 8, 5e-7
 MULTIPLIERS = "the dual of the semidefinite relaxation under the drive's limits"
-
-
-@dataclass(frozen=True)
-class AllowedDrives:
-    """A set of drives; magnitudes are in the unit of drives."""
-
-    lower: np.ndarray  # (actuators,) least magnitudes; −∞ where a magnitude may be of any sign
-    upper: np.ndarray  # (actuators,) largest magnitudes; ``lower`` where they are fixed
-    phase: np.ndarray  # (actuators,) fixed phases [rad]; NaN where a phase is searched
-    power: float = math.inf  # largest Σ magnitude²
-    equal: bool = False  # all magnitudes are the same
-    contains_forbidden: bool = False  # true if it has drives that are not allowed; one of them may attain the bound
-
-    @property
-    def limits_ratios(self) -> bool:
-        """True if some drives have no allowed multiple, so that the limits restrict ratios of energies too."""
-        return self.equal or bool((self.lower > 0).any())
-
-    @property
-    def free(self) -> bool:
-        """True if every drive, up to a common phase, has a multiple that is allowed."""
-        sizes = (self.lower <= 0).all() and (self.upper > 0).all() and not self.equal
-        return bool(sizes and np.isnan(self.phase[1:]).all())
-
-    def basis(self) -> np.ndarray:
-        """Return (2M, parameters): z = basis @ parameters are the drives of the fixed phases.
-
-        An actuator has two parameters where its phase is searched, one where it is fixed, none where it must be off.
-        """
-        columns = []
-        for unit, phase, most in zip(np.eye(len(self.phase)), self.phase, self.upper, strict=True):
-            parts = [(1.0, 0.0), (0.0, 1.0)] if math.isnan(phase) else [(math.cos(phase), math.sin(phase))]
-            columns += [np.kron(part, unit) for part in parts if most > 0]
-        return np.array(columns).T.reshape(2 * len(self.phase), -1)
-
-
-def allowed_drives(parametrization: Parametrization) -> AllowedDrives:
-    """Return a set of drives that holds all those of the search's positions.
-
-    Unless the motion is steady, the first phase is free even where the source paper's search holds it at 0.
-    """
-    scene, unit = parametrization.scene, parametrization.unit
-    tables, limits, equal = has_design_tables(scene), scene.search.limits, False
-    fixed = np.array([actuator.magnitude if tables else unit for actuator in scene.actuators])
-    phase = np.array([actuator.phase if tables else 0.0 for actuator in scene.actuators])
-    lower, upper = np.abs(fixed), np.abs(fixed)
-    for variable in parametrization.variables:
-        group = list(variable.actuators)
-        if variable.kind == "magnitude":
-            lower[group], upper[group], fixed[group] = unit * variable.lower, unit * variable.upper, 0.0
-            equal |= len(group) == len(fixed) > 1
-        elif variable.kind == "phase":
-            phase[group] = np.nan
-    phase = np.where(fixed < 0, phase + math.pi, phase)
-    if not (tables or scene.steady):
-        phase[0] = math.nan
-    if only_ratios(scene):  # a drive that is too large is scaled down, and has the same ratios
-        free = (lower == -math.inf) & (upper == math.inf)
-        if free.sum() == len(free) - 1:  # a single fixed magnitude sets the size of the drive
-            lower, upper = np.full_like(lower, -math.inf), np.full_like(upper, math.inf)
-        return AllowedDrives(lower, upper, phase, equal=equal)
-    if limits.magnitude is not None:
-        lower, upper = np.minimum(lower, limits.magnitude), np.minimum(upper, limits.magnitude)
-    if limits.power is None:
-        return AllowedDrives(lower, upper, phase, equal=equal)
-    # Scaling a drive down to the power limit may take a magnitude below its range, so the lower ends are dropped.
-    dropped = bool((lower > 0).any())
-    return AllowedDrives(np.minimum(lower, 0.0), upper, phase, limits.power, equal, contains_forbidden=dropped)
-
-
-def has_free_drives(parametrization: Parametrization, objectives: Objectives) -> bool:
-    """Return whether each design may have its best drive: only the ratio of energies matters, and magnitudes and phases
-    are free up to a common factor."""
-    if not parametrization.scene.linear or parametrization.only_drives:
-        return False
-    # Where all objectives grow with the localization factor, so does their sum.
-    grows = all(REGION_QUANTITIES[term.kind].bounded_by == "localization" for term in objectives.terms)
-    ratio = grows and not objectives.limits
-    return ratio and allowed_drives(parametrization).free
-
-
-def best_drives(parametrization: Parametrization, designs: Designs, matrices: np.ndarray) -> tuple[Designs, np.ndarray]:
-    """Return designs with their best drives, and the energies (n, regions) [J] under these.
-
-    The drives are as large as their ranges allow. ``matrices``: (n, regions, 2M, 2M) Gram matrices of the designs.
-    """
-    allowed = allowed_drives(parametrization)
-    basis = allowed.basis()
-    real, imaginary = np.split(largest_ratio(basis.T @ matrices @ basis)[1] @ basis.T, 2, axis=1)
-    phasors = real - 1j * imaginary
-    upper = np.where(np.isfinite(allowed.upper), allowed.upper, parametrization.unit)
-    phasors = np.asarray(phasors / np.abs(phasors / upper).max(axis=1, keepdims=True))
-    columns = real_parts(phasors)[:, None, :, None]
-    return replace(designs, drives=phasors), (columns.mT @ matrices @ columns)[:, :, 0, 0]
 
 
 @dataclass(frozen=True)
@@ -152,14 +55,16 @@ class Bound:
     value: float  # in the unit of the bounded quantity
     kind: Literal["attained", "bound only"]
     sentence: str  # reason, for people
+    drive: np.ndarray | None = None  # (actuators,) phasors of the best permitted drive that is known
 
 
 def bound_localization(
-    response: Response, allowed: AllowedDrives, most_actuators: int = MOST_ACTUATORS
+    response: Response, allowed: AllowedDrives, most_actuators: int = MOST_ACTUATORS, attain: bool = True
 ) -> Bound | None:
     """Return the bound of the localization factor in a linear scene; None where no drive moves the plate.
 
-    With limits and more than ``most_actuators`` actuators it is the eigenvalue of the drives without limits.
+    With limits and more than ``most_actuators`` actuators it is the eigenvalue of the drives without limits. Without
+    ``attain``, no drive under limits is sought that attains it.
     """
     plate, basis = response.matrices[PLATE], allowed.basis()
     reduced = basis.T @ response.matrices @ basis
@@ -171,41 +76,55 @@ def bound_localization(
     def ratio(drives: np.ndarray) -> np.ndarray:
         return localization_factor(response.energy(drives))
 
-    reached = _best_allowed(ratio, basis @ parameters, allowed)
-    bound = _bound(value, reached, "the largest eigenvalue of the energies' matrices")
+    nearest = best_allowed(ratio, basis @ parameters, allowed)
+    bound = _bound(value, [nearest], "the largest eigenvalue of the energies' matrices")
     if bound.kind == "bound only" and allowed.limits_ratios and len(allowed.phase) <= most_actuators:
-        limits = [(plate, 0.0, 1.0, False), *_magnitude_limits(allowed)]
-        least, nearest = _majorant(response.matrices[TARGET], limits, basis, np.diag(plate))
+        limits = _magnitude_limits(allowed)
+        least, starts = _majorant(response.matrices[TARGET], [(plate, 0.0, 1.0, False), *limits], basis, np.diag(plate))
         if least < value:
-            return _bound(least, _best_allowed(ratio, nearest, allowed), MULTIPLIERS)
+            starts = starts if attain else starts[:0]
+            ascents = _ascents(response.matrices[TARGET], plate, limits, allowed, np.diag(plate), starts)
+            return _bound(least, (best_allowed(ratio, z, allowed) for z in ascents), MULTIPLIERS)
     return bound
 
 
 def bound_energy(
-    matrix: np.ndarray, allowed: AllowedDrives, others: Sequence[tuple[np.ndarray, float]] = ()
+    matrix: np.ndarray,
+    allowed: AllowedDrives,
+    others: Sequence[tuple[np.ndarray, float]] = (),
+    attain: bool = True,
 ) -> Bound | None:
     """Return the bound of zᵀ matrix z; None where nothing limits it.
 
-    ``others``: further matrices and the largest values of their forms.
+    ``others``: further matrices and the largest values of their forms. ``attain``: see :func:`bound_localization`.
     """
     basis = allowed.basis()
     if not basis.shape[1] or len(allowed.phase) > MOST_ACTUATORS:
         return None
     forms, largest = np.array([matrix, *(other for other, _ in others)]), [value for _, value in others]
-    limits = [(other, -value, 0.0, False) for other, value in others]
-    limits = [(np.zeros_like(matrix), 1.0, 1.0, True), *limits, *_magnitude_limits(allowed)]
-    least, nearest = _majorant(matrix, limits, basis, np.diag(matrix) + sum(map(np.diag, forms[1:])))
+    limits = [*((other, -value, 0.0, False) for other, value in others), *_magnitude_limits(allowed)]
+    size = np.diag(matrix) + sum(map(np.diag, forms[1:]))
+    least, starts = _majorant(matrix, [(np.zeros_like(matrix), 1.0, 1.0, True), *limits], basis, size)
     if not math.isfinite(least):
         return None
+    scalable = not (allowed.lower > 0).any()
+
+    def over(drives: np.ndarray) -> np.ndarray:
+        return (quadratic_forms(forms, drives)[:, 1:] / largest).max(axis=1, initial=0.0) / (1 - INSIDE)
 
     def energy(drives: np.ndarray) -> np.ndarray:
-        energies = quadratic_forms(forms, drives)
-        over = (energies[:, 1:] / largest).max(axis=1, initial=1.0)
-        if not (allowed.lower > 0).any():  # scaled down to the other limits
-            return energies[:, 0] / over
-        return np.where(over <= 1 + 1e-12, energies[:, 0], -np.inf)
+        excess, energies = np.maximum(over(drives), 1.0), quadratic_forms(forms[:1], drives)[:, 0]
+        if scalable:  # scaled down to the other limits
+            return energies / excess
+        return np.where(excess <= 1 + INSIDE / 2, energies, -np.inf)
 
-    return _bound(least, _best_allowed(energy, nearest, allowed), MULTIPLIERS)
+    def reached(z: np.ndarray) -> tuple[float, np.ndarray]:
+        value, drive = best_allowed(energy, z, allowed)
+        return value, drive / math.sqrt(max(float(over(drive[None])[0]), 1.0)) if scalable else drive
+
+    inside = [(other, (INSIDE - 1) * value, 0.0, False) for other, value in others] + limits[len(others) :]
+    ascents = _ascents(matrix, None, inside, allowed, size, starts if attain else starts[:0])
+    return _bound(least, map(reached, ascents), MULTIPLIERS)
 
 
 def bound_loss(
@@ -213,11 +132,13 @@ def bound_loss(
     objectives: Objectives,
     response: Response | None,
     displacement: Response | None = None,
+    *,
+    attain: bool = True,
 ) -> Bound | None:
     """Return the lower bound of a search's loss; None where none is claimed.
 
     ``response`` has the energies of all drives, ``displacement`` those of ½ ∫ ρH u² dA for objectives that need them;
-    None where they are not quadratic forms.
+    None where they are not quadratic forms. ``attain``: see :func:`bound_localization`.
     """
     if response is None or not parametrization.quadratic:
         return None
@@ -228,7 +149,8 @@ def bound_loss(
         for term in terms
         if term.rest_limit is not None and (form := forms[term.kind]) is not None
     ]
-    bounds = [_bound_value(term, objectives, allowed, response, forms.get(term.kind), rests) for term in terms]
+    attain &= len(terms) == 1
+    bounds = [_bound_value(term, objectives, allowed, response, forms.get(term.kind), rests, attain) for term in terms]
     proved = [bound for bound in bounds if bound is not None]
     if len(proved) < len(terms):
         return None
@@ -236,10 +158,19 @@ def bound_loss(
     total += objectives.only_localization
     if len(terms) > 1:
         return Bound(total, "bound only", "the sum of what each objective alone could reach")
-    if allowed.contains_forbidden:  # the drive that reaches it need not be one of the search's
+    bound = replace(proved[0], value=total)
+    if allowed.contains_forbidden and not _is_searched(bound.drive, parametrization):
         sentence = "the most that any drive of this power and these largest magnitudes has; ranges may keep it lower"
-        return Bound(total, "bound only", sentence)
-    return replace(proved[0], value=total)
+        return replace(bound, kind="bound only", sentence=sentence)
+    return bound
+
+
+def _is_searched(drive: np.ndarray | None, parametrization: Parametrization) -> bool:
+    """Return whether a position of the search has a drive (actuators,)."""
+    if drive is None:
+        return False
+    again = parametrization.designs(parametrization.positions_of(Designs(drive[None]))).drives[0]
+    return bool(np.abs(again - drive).max() <= NEAR / 2 * np.abs(drive).max())
 
 
 def _bound_value(
@@ -249,6 +180,7 @@ def _bound_value(
     response: Response,
     form: Response | None,
     rests: Sequence[tuple[np.ndarray, float]],
+    attain: bool,
 ) -> Bound | None:
     """Return the bound of an objective's value, in its own unit."""
     quantity, sentence = REGION_QUANTITIES[term.kind], ""
@@ -256,16 +188,17 @@ def _bound_value(
         return Bound(quantity.largest, "bound only", f"a {term.kind} is at most {quantity.largest:g} by its definition")
     bound, plate = None, math.nan
     if quantity.bounded_by == "localization":
-        bound, plate = bound_localization(response, allowed), 1.0
+        bound, plate = bound_localization(response, allowed, attain=attain), 1.0
         if term.kind != "localization":
             sentence = f"{term.kind} grows with the localization factor, and of that "
     elif quantity.bounded_by == "energy" and form is not None:
-        bound = bound_energy(form.matrices[TARGET], allowed, rests)
+        bound = bound_energy(form.matrices[TARGET], allowed, rests, attain)
     if bound is None:
         return None
     energy = np.full((1, 2), plate)
     energy[:, TARGET] = bound.value
-    return Bound(float(quantity.evaluate(energy, objectives.sizes)[0]), bound.kind, sentence + bound.sentence)
+    value = float(quantity.evaluate(energy, objectives.sizes)[0])
+    return replace(bound, value=value, sentence=sentence + bound.sentence)
 
 
 # A limit zᵀ matrix z + entry · τ² ≤ (or =) constant, with τ one more number beside z: matrix, entry, constant, and
@@ -294,13 +227,12 @@ def _magnitude_limits(allowed: AllowedDrives) -> list[_Limit]:
 def _majorant(
     objective: np.ndarray, limits: Sequence[_Limit], basis: np.ndarray, sizes: np.ndarray
 ) -> tuple[float, np.ndarray]:
-    """Return the bound of zᵀ objective z, and the z (2M,) at which its multipliers point.
+    """Return the bound of zᵀ objective z, and some z (STARTS, 2M) at which its multipliers point.
 
-    z is zero if the slack's smallest eigenvector has only a τ component, or if no multipliers were found. Actuators of
-    very different size are scaled by the ``sizes`` (2M,), the energies of unit drives.
+    There are none if no multipliers were found. Actuators of very different size are scaled by the ``sizes`` (2M,), the
+    energies of unit drives.
     """
-    sizes = np.where(sizes > 0, sizes, 1.0)
-    scaled = basis / np.sqrt((basis**2 * sizes[:, None]).sum(axis=0))
+    scaled = basis / _norms(basis, sizes)
     matrices, entries, constants, equations = map(np.array, zip(*limits, strict=True))
     lifted = int(entries.any())
     wide, padded = np.pad(scaled, (0, lifted)), np.array([np.pad(form, (0, lifted)) for form in (objective, *matrices)])
@@ -312,45 +244,48 @@ def _majorant(
     reduced = wide.T @ padded @ wide
     least, slack = least_majorant(reduced[0], reduced[1:], constants, equations)
     if not math.isfinite(least) or not slack.any():
-        return least, np.zeros(len(basis))
-    return least, scaled @ np.linalg.eigh(slack)[1][: basis.shape[1], 0]
+        return least, np.empty((0, len(basis)))
+    # The smallest eigenvector, and points that vary as the relaxation's z zᵀ, the inverse of the slack, does.
+    values, vectors = np.linalg.eigh(slack)
+    drawn = np.random.default_rng(0).normal(size=(len(values), STARTS)) / np.sqrt(np.maximum(values, ROUNDING))[:, None]
+    drawn[:, 0] = np.eye(len(values))[0]
+    return least, (scaled @ (vectors @ drawn)[: basis.shape[1]]).T
 
 
-def _best_allowed(quantity: Callable[[np.ndarray], np.ndarray], z: np.ndarray, allowed: AllowedDrives) -> float:
-    """Return the largest quantity of the drives near ±z, (2M,), that keep the limits; −∞ if none does."""
-    if not z.any():
-        return -math.inf
-    magnitudes = [*allowed.lower, *allowed.upper, math.sqrt(allowed.power / len(allowed.phase))]
-    typical, best = max((value for value in magnitudes if 0 < value < math.inf), default=1.0), -math.inf
-    for real, imaginary in (np.split(z, 2), np.split(-z, 2)):
-        phasors = real - 1j * imaginary
-        held = ~np.isnan(allowed.phase)
-        phase = np.where(held, np.nan_to_num(allowed.phase), -np.angle(phasors))
-        sizes = np.where(held, (phasors * np.exp(1j * phase)).real, np.abs(phasors))
-        tried = _within_limits(SCALES[:, None] * sizes / np.abs(sizes).max() * typical, allowed)
-        if tried.size:
-            best = max(best, float(np.nanmax(np.append(quantity(tried * np.exp(-1j * phase)), -math.inf))))
-    return best
+def _norms(basis: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """Return the roots (parameters,) of the columns' ``sizes`` (2M,), so that actuators of any strength count alike."""
+    return np.asarray(np.sqrt((basis**2 * np.where(sizes > 0, sizes, 1.0)[:, None]).sum(axis=0)))
 
 
-def _within_limits(sizes: np.ndarray, allowed: AllowedDrives) -> np.ndarray:
-    """Return those of the magnitudes ``sizes`` (tried, actuators) that keep the limits, made equal, clipped and scaled
-    to the power first."""
-    if allowed.equal:
-        sizes = np.where(sizes < 0, -1, 1) * np.abs(sizes).mean(axis=1, keepdims=True)
-    lower = np.maximum(allowed.lower, -allowed.upper)
-    sizes = np.concatenate([sizes, np.clip(sizes, lower, allowed.upper)])
-    power = (sizes**2).sum(axis=1, keepdims=True)
-    sizes = sizes * np.sqrt(np.minimum(1.0, allowed.power / np.where(power > 0, power, 1.0)))
-    low, high = lower - 1e-12 * np.abs(lower), allowed.upper + 1e-12 * np.abs(allowed.upper)
-    within = ((sizes >= low) & (sizes <= high)).all(axis=1)
-    if allowed.equal:
-        within &= np.ptp(np.abs(sizes), axis=1) <= 1e-12 * np.abs(sizes).max(axis=1)
-    return sizes[within]
+def _ascents(
+    numerator: np.ndarray,
+    denominator: np.ndarray | None,
+    limits: Sequence[_Limit],
+    allowed: AllowedDrives,
+    sizes: np.ndarray,
+    starts: np.ndarray,
+) -> Iterator[np.ndarray]:
+    """Yield the first of the starts (n, 2M), then the z (2M,) to which ascents from all of them lead."""
+    yield from starts[:1]
+    basis = allowed.basis()
+    norms = _norms(basis, sizes)
+    scaled = basis / norms
+    reduced = [(scaled.T @ form @ scaled, entry, equation) for form, entry, _, equation in limits]
+    top, bottom = (None if form is None else scaled.T @ form @ scaled for form in (numerator, denominator))
+    assert top is not None
+    # With a fixed phase, a magnitude is one number, which may not become negative.
+    actuator = np.abs(basis).argmax(axis=0) % len(allowed.phase)
+    least = np.where(np.isnan(allowed.phase), -math.inf, allowed.lower)[actuator]
+    for z in starts:
+        yield scaled @ local_maximum(top, bottom, reduced, least * norms, norms * (basis.T @ z))
 
 
-def _bound(value: float, reached: float, reason: str) -> Bound:
-    """Return an upper bound, attained if the value ``reached`` by a drive comes within NEAR of it."""
-    if reached >= value * (1 - NEAR):
-        return Bound(value, "attained", f"{reason}, which a drive reaches")
-    return Bound(value, "bound only", f"{reason}; no drive that keeps all limits is known to reach it")
+def _bound(value: float, drives: Iterable[tuple[float, np.ndarray]], reason: str) -> Bound:
+    """Return an upper bound, attained if one of the drives, which come with their values, is within NEAR of it."""
+    best, drive = -math.inf, None
+    for reached, phasors in drives:
+        if reached > best:
+            best, drive = reached, phasors
+        if best >= value * (1 - NEAR):
+            return Bound(value, "attained", f"{reason}, which a drive reaches", drive)
+    return Bound(value, "bound only", f"{reason}; no drive that keeps all limits is known to reach it", drive)

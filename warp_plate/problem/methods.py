@@ -9,11 +9,12 @@ from warp_plate.optimize.cma_es import CovarianceSearch
 from warp_plate.optimize.gradient import GradientSearch, Slopes
 from warp_plate.optimize.optimizer import MethodError, Optimizer, SearchSettings, SearchSpace
 from warp_plate.optimize.pso import Swarm, SwarmSettings
-from warp_plate.optimize.quadratic import ExactSearch, Quadratic
+from warp_plate.optimize.quadratic import ExactSearch, Quadratic, starting_position
 from warp_plate.plate.memory import refuse_beyond_memory
-from warp_plate.problem.bounds import allowed_drives
+from warp_plate.problem.allowed_drives import allowed_drives
 from warp_plate.problem.objectives import loss_scale
 from warp_plate.problem.parametrization import parametrization_of
+from warp_plate.quantities.region_quantities import REGION_QUANTITIES
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Search
@@ -54,10 +55,11 @@ def make_optimizer(
         entry_bytes = NUMBER_BYTES + (MATRIX_BYTES * dimension if method == "gradient" else 0.0)
         what = f"search.particles = {search.particles} with {dimension} numbers each"
         refuse_beyond_memory(search.particles * (entry_bytes * dimension + PARTICLE_BYTES), what)
+    start = starting_position(space, problem) if method == "gradient" and problem is not None else None
     makers: dict[str, Callable[[], Optimizer]] = {
         "exact": lambda: ExactSearch(space, problem),
         "cma": lambda: CovarianceSearch(space, _settings(search, seed)),
-        "gradient": lambda: GradientSearch(space, slopes, _settings(search, seed)),
+        "gradient": lambda: GradientSearch(space, slopes, _settings(search, seed), start),
     }
     try:
         optimizer = makers.get(method, lambda: Swarm(space, swarm_settings(search, seed)))()
@@ -84,12 +86,14 @@ def with_method(scene: Scene) -> Scene:
     search = scene.search
     if search.method is not None:
         return scene
-    plain = all(getattr(search, key) == Search.model_fields[key].default for key in (*READ_BY, "objectives", "robust"))
+    plain = all(getattr(search, key) == Search.model_fields[key].default for key in (*READ_BY, "robust"))
+    bounded_by = REGION_QUANTITIES[search.objectives[0].kind].bounded_by if len(search.objectives) == 1 else None
     method = "pso"
-    if plain and scene.linear and len(scene.actuators) > 1:
+    if plain and bounded_by is not None and scene.linear and len(scene.actuators) > 1:
         parametrization = parametrization_of(scene)
-        if parametrization.only_drives and allowed_drives(parametrization).free:
-            method = "exact"
+        if parametrization.only_drives:
+            free = bounded_by == "localization" and allowed_drives(parametrization).free
+            method = "exact" if free else "gradient"
     return scene.model_copy(update={"search": search.model_copy(update={"method": method})})
 
 

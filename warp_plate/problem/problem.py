@@ -25,7 +25,8 @@ from warp_plate.optimize.optimizer import SearchSpace
 from warp_plate.optimize.quadratic import Quadratic, slopes_by_drive, slopes_by_energy
 from warp_plate.plate.designs import Designs
 from warp_plate.plate.memory import refuse_beyond_memory
-from warp_plate.problem.bounds import Bound, best_drives, bound_loss, has_free_drives
+from warp_plate.problem.allowed_drives import best_drives, has_free_drives
+from warp_plate.problem.bounds import Bound, bound_loss
 from warp_plate.problem.design_variables import DesignVariable, has_design_tables, with_common_step
 from warp_plate.problem.objectives import Objectives, keeps_limit, make_objectives
 from warp_plate.problem.parametrization import Clearance, Parametrization, parametrization_of
@@ -64,7 +65,7 @@ class Problem:
     pool: WorkerPool | None  # workers that run batches; None if this process does
     # losses over the scenarios of a robust search; None for other searches
     scenario_losses: ScenarioLosses | None = None
-    # True if each design has its best drive, so that positions hold no magnitudes and phases, see :mod:`bounds`
+    # True if each design has its best drive, so that positions hold no magnitudes and phases, see :mod:`allowed_drives`
     projected: bool = False
 
     @property
@@ -190,7 +191,12 @@ class Problem:
             positions=lambda phasors: self.parametrization.positions_of(Designs(phasors)),
             losses_of=losses_of,
             ratio=(TARGET, PLATE) if scenario_losses is None and self.objectives.only_localization else None,
+            optimum=self._optimum if scenario_losses is None else None,
         )
+
+    def _optimum(self) -> tuple[np.ndarray | None, bool]:
+        bound = self._nominal_loss_bound
+        return (None, False) if bound is None else (bound.drive, bound.kind == "attained")
 
     @property
     def slopes(self) -> Slopes | None:
@@ -251,7 +257,8 @@ class Problem:
         if self.scenario_losses is None:
             return self._nominal_loss_bound
         # No drive, the same for all panels, has a smaller loss than the measure of each panel's own bound.
-        bounds = [bound_loss(self.parametrization, *forms) for forms in self.scenario_losses.quadratic_forms()]
+        forms = self.scenario_losses.quadratic_forms()
+        bounds = [bound_loss(self.parametrization, *of_scenario, attain=False) for of_scenario in forms]
         values = [bound.value for bound in bounds if bound is not None]
         if not values or None in bounds:
             return None

@@ -11,7 +11,8 @@ from warp_plate.modal.poles import adaptive_frequencies
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.plate.designs import Designs, per_plate_of
 from warp_plate.plate.weights import localization_factor
-from warp_plate.problem.bounds import allowed_drives, bound_localization
+from warp_plate.problem.allowed_drives import allowed_drives
+from warp_plate.problem.bounds import bound_localization
 from warp_plate.problem.parametrization import Parametrization, parametrization_of
 from warp_plate.problem.problem import Problem
 from warp_plate.resolve import Resolved
