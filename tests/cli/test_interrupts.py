@@ -42,6 +42,13 @@ def end(process):
     return process.returncode, out, err, time.monotonic() - started
 
 
+def test_programs_of_tests_that_run_in_the_background_can_be_interrupted():
+    """Tests ignore Ctrl-C if a shell or cron has started them there, and what they start would inherit it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    process = start("-c", "import signal; print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)")
+    assert end(process)[:3] == (0, "True\n", "")
+
+
 @pytest.mark.parametrize("number", ["SIGTERM", pytest.param("SIGINT", marks=pytest.mark.slow)])
 def test_a_search_ends_with_its_best_and_a_checkpoint(number, endless):
     file = Path("panel-localize.checkpoint.h5")
@@ -86,6 +93,7 @@ def test_a_closed_terminal_leaves_result_and_checkpoint(endless):
     pty = pytest.importorskip("pty")
     child, terminal = pty.fork()
     if child == 0:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)  # which nohup ignores
         os.execv(
             sys.executable,
             [sys.executable, "-m", "warp_plate", "localize", "panel.toml", *QUICK, "--checkpoint-every", "0"],

@@ -390,7 +390,7 @@ def test_no_scheduler_is_one_line(tmp_path):
 
 def start(*words):
     """Start a program of Dask's, as ``dask scheduler`` and ``dask worker`` are."""
-    return subprocess.Popen([sys.executable, "-m", *words, "--host", "127.0.0.1"], stderr=subprocess.DEVNULL)
+    return start_program("-m", *words, "--host", "127.0.0.1", stdout=None, stderr=subprocess.DEVNULL)
 
 
 @pytest.mark.slow

@@ -1,9 +1,13 @@
 """Commands: what they write, and programs of their own."""
 
+import atexit
+import signal
 import subprocess
 import sys
 import time
 import unicodedata
+
+from warp_plate.interrupts import TERMINAL_SIGNALS
 
 
 def output_of(answer):
@@ -24,9 +28,19 @@ def error_of(answer):
 
 
 def start_program(*arguments, **options):
-    """Start Python with arguments such as ``-m warp_plate``; its standard output and error are pipes."""
+    """Start Python with arguments such as ``-m warp_plate``; its standard output and error are pipes.
+
+    It ends with the tests at the latest, and Ctrl-C ends it even where they ignore it, as in the background.
+    """
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    return subprocess.Popen([sys.executable, *map(str, arguments)], **{**pipes, **options})
+    before = {number: signal.signal(number, signal.default_int_handler) for number in TERMINAL_SIGNALS}
+    try:
+        process = subprocess.Popen([sys.executable, *map(str, arguments)], **{**pipes, **options})
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    atexit.register(process.kill)
+    return process
 
 
 def until(condition, patience=60.0):
