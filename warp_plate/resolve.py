@@ -21,6 +21,7 @@ from warp_plate.accuracy.configurations import configuration_of, longest_time_st
 from warp_plate.accuracy.reference_solution import MoreFunctions
 from warp_plate.cluster.evaluator import Evaluator, make_evaluator
 from warp_plate.cluster.pool import WorkerPool
+from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.solver import MODAL, ModalGrid, ModalSolver
 from warp_plate.plate.designs import NO_PER_PLATE, PerPlate
 from warp_plate.plate.scheme import MOST_STEPS, STEPS_A_PERIOD, Discretization, discretize
@@ -58,7 +59,7 @@ class Resolved:
     # Accuracy asked for, expected error, and reason for the choice; empty if the scene has a grid
     accuracy: Mapping[str, Any] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)  # Time that the choice took, under "choose"
-    reference: MoreFunctions | None = None  # More functions that the choice compared modes with
+    reference: MoreFunctions | None = None  # Modes that were chosen, and more functions that they were compared with
     allow_unstable: bool = False  # True if a time step above the stability limit is accepted
 
     @property
@@ -87,8 +88,13 @@ class Resolved:
         grid = self.grid if grid is None else grid
         if isinstance(grid, ModalGrid):
             options.pop("memory_share", None)
-            return ModalSolver(grid, self.device, **options)
+            return ModalSolver(grid, self.device, plate=self._modes_of(grid.scene), **options)
         return PlateSolver(grid, self.device, self.path, **options)
+
+    def _modes_of(self, scene: Scene) -> ModalPlate | None:
+        """Return the modes of a scene if the choice of the engine has solved for them."""
+        taken = None if self.reference is None else self.reference.taken
+        return taken if taken is not None and taken.scene == scene and scene.search.frequency is None else None
 
     def plates(self, grid: Discretization | ModalGrid, pool: WorkerPool | None = None, **options: Any) -> Evaluator:
         """Return the evaluator of a grid, whose time steps run on the workers of a pool; see :meth:`solver`."""

@@ -28,11 +28,14 @@ from warp_plate.accuracy.configurations import (
     waves_along,
 )
 from warp_plate.accuracy.reference_solution import (
+    FINER,
     MoreFunctions,
     ReferenceSolution,
-    compare_with_more_functions,
+    error_of,
     find_reference_solution,
+    largest_change,
     seconds_of_modes,
+    solve_response,
     usual_drives,
 )
 from warp_plate.plate.stability_limit import needs_moment_form
@@ -103,18 +106,19 @@ def _choose_modes(scene: Scene, accuracy: float, phasors: np.ndarray | None, alo
         gridded = scene.model_copy(update={"grid": Grid(modal_density=density)})
         try:
             refuse_many_modes(gridded)
-            compared = compare_with_more_functions(gridded)
+            (taken, response), (finer, expected) = (solve_response(gridded, factor) for factor in (1.0, FINER))
         except SceneError:  # of a higher density: too many functions
             if alone and density == MODAL_DENSITIES[0]:
                 raise
             break
-        error = compared.error(usual_drives(compared.finer) if phasors is None else phasors)
+        observed = np.empty((0, len(scene.actuators))) if phasors is None else phasors
+        error = error_of(largest_change(observed, expected, [response]))
         if error <= accuracy:
             reason = f"modes, for errors of at most {percent(error)}, asked {percent(accuracy)}"
             more = "" if density == 1 else f", with {density:g} times as many functions along each side"
-            return Choice(gridded, error, reason + more, compared)
+            return Choice(gridded, error, reason + more, MoreFunctions(taken, finer, expected))
         least = min(least, error)
-        if seconds_of_modes(compared.plate) > DENSER_SECONDS:
+        if seconds_of_modes(finer) > DENSER_SECONDS:
             break
     if alone:
         raise SceneError(f"accuracy = {accuracy:g}: modes have errors of up to {least:.2g}; {_advice(least)}")

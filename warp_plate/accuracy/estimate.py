@@ -25,18 +25,22 @@ from warp_plate.accuracy.configurations import (
     two_digits,
 )
 from warp_plate.accuracy.reference_solution import (
+    FINER,
     MoreFunctions,
     ReferenceSolution,
-    compare_with_more_functions,
     displacement_errors,
     error_of,
     find_reference_solution,
+    largest_change,
     refine_until,
+    solve_response,
 )
 from warp_plate.accuracy.richardson import STEPPED_SECONDS, Extrapolation, extrapolate_drives
 from warp_plate.plate.scheme import make_scheme
+from warp_plate.plate.weights import localization_factor
 from warp_plate.scene.model import Scene
 from warp_plate.solve.response import Response
+from warp_plate.solve.run import Run
 
 # Nominal time of the reference [s]. It does not depend on the run's time, so the same run has the same error bar.
 REFERENCE_SECONDS = 1.0
@@ -46,7 +50,7 @@ ROUNDING = {"float32": 1e-6, "float64": 1e-13}
 # uncertainty above this.
 GOOD_ENOUGH = 0.1
 # Largest and smallest relative uncertainty that a reference is refined to, whatever the run's error.
-LOOSEST, TIGHTEST = 0.02, 1e-4
+LOOSEST, TIGHTEST = 0.02, 2e-4
 # Tolerances of which the first that the run exceeds gets a price.
 TOLERANCES = (0.01, 0.001)
 # Fraction of the tolerance that the grid of the price is to keep.
@@ -173,37 +177,29 @@ def estimate(
     )
 
 
-def estimate_modal(
-    scene: Scene,
-    phasors: np.ndarray,
-    localization_factors: np.ndarray,
-    times: Sequence[float] | np.ndarray = (),
-    displacement: np.ndarray | None = None,
-    compared: MoreFunctions | None = None,
-) -> Estimate:
-    """Estimate the errors of results by modes from their change with more functions, see :func:`estimate`."""
-    if not scene.linear:  # a moving load, which more functions would take too long for
-        by_grids = estimate(scene, phasors, localization_factors)
+def estimate_modal(scene: Scene, phasors: np.ndarray, run: Run, compared: MoreFunctions | None = None) -> Estimate:
+    """Estimate the errors of a run of (drives, actuators) phasors by modes from its change with more functions."""
+    computed, phasors = localization_factor(run.energy), np.asarray(phasors, dtype=complex)
+    if run.matrices is None:  # under a moving load, which more functions would take too long for
+        by_grids = estimate(scene, phasors, computed)
         return replace(by_grids, numerics=MODES, price=None)
     started = time.perf_counter()
-    computed, phasors = np.asarray(localization_factors, dtype=float), np.asarray(phasors, dtype=complex)
     moving = _moving(scene, phasors, computed)
     if not moving.any():
         return _no_estimate(MODES, computed)
-    compared = compared or compare_with_more_functions(scene)
-    references, of_displacement, change = (np.full(computed.shape, math.nan) for _ in range(3))
-    references[moving] = compared.finer.localization_factors(phasors[moving])
-    change[moving] = compared.changes(phasors[moving])
-    change = np.maximum(change, np.abs(computed / references - 1))
-    if displacement is not None and len(times):
-        moved = displacement_errors(compared.plate, phasors[moving], times, scene, displacement[moving])
-        of_displacement[moving] = error_of(moved)
+    plate, response = (compared.finer, compared.response) if compared else solve_response(scene, FINER)
+    change = largest_change(phasors[moving], response, [Response(run.matrices)])
+    references, of_displacement = np.full((2, *computed.shape), math.nan)
+    references[moving] = response.localization_factors(phasors[moving])
+    if run.times.size:
+        changes = displacement_errors(plate, phasors[moving], run.times, scene, run.displacement[moving])
+        of_displacement[moving] = error_of(changes)
     return Estimate(
         numerics=MODES,
         localization_factors=computed,
         references=references,
-        uncertainty=float(np.nanmax(error_of(change) - change)),
-        errors=error_of(change),
+        uncertainty=error_of(change) - change,
+        errors=np.where(moving, error_of(change), math.nan),
         kind=MORE_FUNCTIONS,
         seconds=time.perf_counter() - started,
         price=None,
@@ -230,7 +226,7 @@ def _reference(
     def wanted_of(response: Response) -> float:
         return wanted(response.localization_factors(phasors))
 
-    reference = find_reference_solution(scene, device, wanted_of, REFERENCE_SECONDS, phasors, only=True)
+    reference = find_reference_solution(scene, device, wanted_of, REFERENCE_SECONDS, phasors)
     return reference, reference.response.localization_factors(phasors)
 
 

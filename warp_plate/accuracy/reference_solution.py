@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Literal, TypeVar
+from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -23,21 +23,19 @@ from warp_plate.modal.gram import Means, gram_matrices
 from warp_plate.modal.modes import ModalPlate, solve_modes
 from warp_plate.modal.motion import fields
 from warp_plate.plate.signals import actuator_frequencies, highest_frequency
+from warp_plate.plate.weights import REGIONS, localization_factor
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.response import Response, measure_response, unit_drives
 from warp_plate.solve.solver import PlateSolver
 
-# Densities of the functions, see ``solve_modes``.
-DENSITIES = (0.5, 0.7, 1.0, 1.4)
+# Densities of the functions, see ``solve_modes``, and that of the functions that results by modes are compared with.
+DENSITIES, FINER = (0.7, 1.0, 1.4), 1.4
 # Nominal time per unknown and per square of a mode [s], as on two cores.
 MODAL_SECONDS = 1e-9
-# Error of a reference by modes in last changes: a safety factor, since undamped high modes do not decay.
-MODAL_FACTOR = 4.0
-# At least this many times the change before it, since two refinements may agree by chance.
-BEFORE_FACTOR = 0.25
-# Least error of results by modes, whatever the functions: modes are left out, and loads jump between knots.
-LEAST_ERROR = 1e-4
+# Error of results by modes: so many times their largest change between two densities with a ratio of 1.4, and this
+# besides, since modes are left out, and loads jump between knots.
+CHANGE_FACTOR, LEAST_ERROR = 3.0, 1e-4
 # Least phase [rad] by which drive and mode differ at the end of the run: energies lose its square in digits.
 NEAREST_RESONANCE = 1e-4
 
@@ -81,6 +79,7 @@ class ReferenceSolution:
 
 
 Refinement = TypeVar("Refinement", ReferenceSolution, Extrapolation)
+Value = TypeVar("Value", float, np.ndarray)
 
 
 def best_single(response: Response) -> np.ndarray:
@@ -96,23 +95,30 @@ def usual_drives(response: Response) -> np.ndarray:
     return np.array([best_single(response), best, np.ones(best.size)])
 
 
+class MoreFunctions(NamedTuple):
+    """The modes that are taken for a scene, and more functions that their results are compared with."""
+
+    taken: ModalPlate  # modes that are taken
+    finer: ModalPlate  # modes by FINER times as many functions along each side
+    response: Response  # response by these
+
+
 def find_reference_solution(
     scene: Scene,
     device: str,
-    wanted: float | Callable[[Response], float] = 1e-4,
+    wanted: float | Callable[[Response], float] = 2 * LEAST_ERROR,
     seconds: float = 60.0,
     phasors: np.ndarray | None = None,
-    only: bool = False,
 ) -> ReferenceSolution:
     """Refine a reference, by modes where they can be, until its uncertainty is as wanted or its time is used up.
 
     ``wanted`` is an uncertainty, or a function of the response that returns one. It applies to the bound, the usual
-    drives and ``phasors`` (drives, actuators), or ``only`` to the latter. Times are nominal [s].
+    drives and ``phasors`` (drives, actuators). Times are nominal [s].
     """
     if not scene.linear:
         raise SceneError(f"{scene.nonlinear_table}: not linear in the drives; accuracy needs a linear scene")
     observed = np.empty((0, len(scene.actuators))) if phasors is None else phasors
-    refinements = _refinements(scene, device, partial(largest_change, observed, only))
+    refinements = _refinements(scene, device, partial(largest_change, observed))
     return refine_until(refinements, lambda last: wanted(last.response) if callable(wanted) else wanted, seconds)
 
 
@@ -133,9 +139,9 @@ def refine_until(
     return last
 
 
-def solve_response(scene: Scene, density: float, higher: float = 1.0) -> tuple[ModalPlate, Response]:
-    """Return modes and Gram matrices of plate and target, up to ``higher`` times the frequencies of the drive."""
-    plate = solve_modes(scene, highest=density * higher * highest_frequency(scene), density=density)
+def solve_response(scene: Scene, density: float) -> tuple[ModalPlate, Response]:
+    """Return modes by functions of a density, see :func:`solve_modes`, and Gram matrices of plate and target."""
+    plate = solve_modes(scene, highest=density * highest_frequency(scene), density=density)
     frequencies, loss = actuator_frequencies(scene), np.diag(plate.damping)[:, None] / 2
     apart = np.hypot(2 * math.pi * (plate.frequencies[:, None] - frequencies), loss).min()
     if not scene.steady and apart * scene.window.end < NEAREST_RESONANCE:  # mode and drive would cancel
@@ -150,15 +156,26 @@ def seconds_of_modes(plate: ModalPlate) -> float:
     return MODAL_SECONDS * len(plate.vectors) * len(plate.frequencies) ** 2
 
 
-def largest_change(phasors: np.ndarray, only: bool, response: Response, others: Sequence[Response]) -> float:
-    """Return the largest relative difference of the observed quantities from those of other responses."""
-    if not only:
-        phasors = np.concatenate([usual_drives(response), phasors])
+def largest_change(phasors: np.ndarray, response: Response, others: Sequence[Response]) -> float:
+    """Return the largest relative difference from other responses, of the bound and of the localization factors and
+    energies of the usual drives and of ``phasors`` (drives, actuators).
 
-    changes = [_changes(phasors, response, other).max() for other in others]
-    if not only:
-        changes += [abs(other.bound() / response.bound() - 1) for other in others]
-    return float(max(changes))
+    That of a single drive may be small by chance.
+    """
+    drives = np.concatenate([usual_drives(response), phasors])
+
+    def results(of: Response) -> np.ndarray:
+        energy = of.energy(drives)[:, : len(REGIONS)]
+        return np.concatenate([[of.bound()], localization_factor(energy), energy.ravel()])
+
+    expected = results(response)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(max(np.nanmax(np.abs(results(other) / expected - 1), initial=0.0) for other in others))
+
+
+def error_of(change: Value) -> Value:
+    """Return the error of results by modes, for their change between two densities with a ratio of 1.4."""
+    return CHANGE_FACTOR * change + LEAST_ERROR
 
 
 def _refinements(scene: Scene, device: str, change: Change) -> Iterator[ReferenceSolution]:
@@ -176,19 +193,16 @@ def _refinements(scene: Scene, device: str, change: Change) -> Iterator[Referenc
 
 def _by_modes(scene: Scene, change: Change) -> Iterator[ReferenceSolution]:
     refuse_many_modes(scene)
-    responses: list[Response] = []
+    before: list[Response] = []
     for density, following in zip(DENSITIES, (*DENSITIES[1:], math.inf), strict=True):
         try:
             plate, response = solve_response(scene, density)
         except SceneError:
-            if responses:  # too many functions
+            if before:  # too many functions
                 return
             raise
-        uncertainty = math.inf
-        if len(responses) > 1:
-            last, before = change(response, responses[-1:]), change(responses[-1], responses[-2:-1])
-            uncertainty = max(MODAL_FACTOR * last, BEFORE_FACTOR * before, LEAST_ERROR)
-        responses.append(response)
+        uncertainty = error_of(change(response, before)) if before else math.inf
+        before = [response]
         seconds = seconds_of_modes(plate)
         next_seconds = seconds * (following / density) ** 6  # unknowns and modes grow as the square
         yield ReferenceSolution("modal", response, uncertainty, seconds, next_seconds, plate=plate, density=density)
@@ -224,49 +238,3 @@ def grid_lines(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Return (nx,) and (ny,) coordinates of the nodes [m]."""
     (width, height), (nx, ny) = scene.plate.size, scene.grid.nodes
     return np.linspace(0, width, nx), np.linspace(0, height, ny)
-
-
-# Modes are compared with those of a higher density, up to a frequency that is higher by another factor. Errors are at
-# most so many times the change, which holds where they fall as density^-1.3 or faster, and LEAST_ERROR besides, for
-# free motion that is left out.
-FINER, HIGHER, CHANGE_FACTOR = 1.2, 2.0, 5.0
-# They are at least this part of the change from fewer functions, since two densities may agree by chance.
-COARSER, COARSER_FACTOR = 0.7, 0.3
-
-
-@dataclass(frozen=True)
-class MoreFunctions:
-    """Responses of a scene by the modes that are taken, by more and by fewer of them."""
-
-    plate: ModalPlate  # modes of more functions
-    response: Response  # response by the modes that are taken
-    finer: Response  # response by those of more functions
-    coarser: Response  # response by those of fewer functions
-
-    def changes(self, phasors: np.ndarray) -> np.ndarray:
-        """Return the relative changes (drives,) of the results of drives (drives, actuators)."""
-        after = _changes(phasors, self.finer, self.response)
-        return np.maximum(after, COARSER_FACTOR / CHANGE_FACTOR * _changes(phasors, self.response, self.coarser))
-
-    def error(self, phasors: np.ndarray) -> float:
-        """Return the largest error of drives (drives, actuators)."""
-        return float(error_of(self.changes(phasors)).max())
-
-
-def compare_with_more_functions(scene: Scene) -> MoreFunctions:
-    """Solve for the modes that are taken, for more and for fewer of them."""
-    (_, response), (plate, finer) = solve_response(scene, 1.0), solve_response(scene, FINER, HIGHER)
-    return MoreFunctions(plate, response, finer, solve_response(scene, COARSER)[1])
-
-
-def _changes(phasors: np.ndarray, finer: Response, coarser: Response) -> np.ndarray:
-    """Return the largest relative changes (drives,) of the localization factors and the energies of drives."""
-    results = [np.column_stack([of.localization_factors(phasors), of.energy(phasors)]) for of in (finer, coarser)]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        largest: np.ndarray = np.nanmax(np.abs(results[1] / results[0] - 1), axis=1, initial=0)
-    return largest
-
-
-def error_of(change: np.ndarray) -> np.ndarray:
-    """Return the error bar for a change with more functions."""
-    return CHANGE_FACTOR * change + LEAST_ERROR

@@ -107,7 +107,7 @@ def measure_accuracy(
     """
     scene = Scene.load(scene)
     started = time.perf_counter()
-    reference = find_reference_solution(scene, device, LEAST_ERROR, REFERENCE_SHARE * budget)
+    reference = find_reference_solution(scene, device, 2 * LEAST_ERROR, REFERENCE_SHARE * budget)
     points: list[float | Configuration | None] = [None]  # densities of functions, and grids; None for that of the scene
     if scene.grid.accuracy is not None:
         scene, points = scene.model_copy(update={"grid": Grid()}), []

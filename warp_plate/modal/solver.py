@@ -98,6 +98,7 @@ class ModalSolver:
         scene: Scene, or its grid.
         device: Device of batches of designs under tones; everything else is computed on the CPU.
         areas, per_plate, quantity: See :class:`PlateSolver`.
+        plate: Modes of the scene's plate, if they have been solved for.
 
     Attributes:
         discretization: Grid of displacements and traces.
@@ -120,6 +121,7 @@ class ModalSolver:
         areas: Mapping[str, Region] = NO_AREAS,
         per_plate: PerPlate = NO_PER_PLATE,
         quantity: Quantity = "velocity",
+        plate: ModalPlate | None = None,
     ) -> None:
         started = time.perf_counter()
         self.device, self.quantity = find_device(device), quantity
@@ -127,7 +129,7 @@ class ModalSolver:
         self._areas = areas
         searched = self.scene.search.frequency
         highest = max(highest_frequency(self.scene), searched.range[1] if searched is not None else 0.0)
-        self.plate: ModalPlate = solve_modes(self.scene, highest)
+        self.plate: ModalPlate = plate or solve_modes(self.scene, highest)
         self.compile_seconds = time.perf_counter() - started
 
     __reduce__ = refuse_pickling
@@ -193,6 +195,7 @@ class ModalSolver:
             times=np.asarray(times, dtype=float),
             peak=peak,
             outline_peak=outline_peak,
+            matrices=self.response.matrices if self.scene.linear and designs.only_drives else None,
             trace=trace,
             trace_times=trace_times,
             node_steps=0,

@@ -63,6 +63,8 @@ class Run:
     # Fault of each faulty plate, and the time at which it was found to grow without
     # bound [s], NaN if it was not
     faults: Faults
+    # (regions, 2M, 2M) matrices that the energies are quadratic forms of, see ``Response``; None by time steps
+    matrices: np.ndarray | None = None
     outline_peak: np.ndarray | None = None  # (plates,) the same as ``peak`` on the target's outline; None by time steps
 
     @property

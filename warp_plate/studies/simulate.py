@@ -121,7 +121,7 @@ def estimate_error(resolved: Resolved, phasors: Mapping[str, np.ndarray], run: R
     scene, drives, factors = resolved.scene, np.array(list(phasors.values())), localization_factor(run.energy)
     try:
         if resolved.by_modes:
-            result = estimate_modal(scene, drives, factors, run.times, run.displacement, resolved.reference)
+            result = estimate_modal(scene, drives, run, resolved.reference)
         else:
             of_run = resolved.device, run.times, run.displacement
             result = estimate(scene, drives, factors, *of_run, time_step=resolved.grid.time_step)
