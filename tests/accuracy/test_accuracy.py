@@ -1,6 +1,7 @@
 """Reference solutions, configurations, measured rows, fits, chosen grids and error bars."""
 
 import math
+import re
 from dataclasses import replace
 from functools import partial
 
@@ -223,8 +224,17 @@ def test_accuracies_out_of_reach_are_refused(panel):
     long = panel.model_copy(update={"window": Window(start=0.0, end=1e6)})
     with pytest.raises(SceneError, match=r"^accuracy = 0\.1: out of reach"):
         choose(long, 0.1, "cpu")
-    with pytest.raises(SceneError, match=r"^accuracy = 0\.0001: the reference solution.*ask for \S+ or more$"):
+    with pytest.raises(SceneError, match=r"^accuracy = 0\.0001: the solution.*ask for \S+ or more$"):
         choose(panel, 1e-4, "cpu")
+
+
+def test_a_refusal_names_the_least_error_of_grids_and_modes(panel):
+    """Modes have 2e-4; a grid needs a reference that is better than the accuracy by a factor of two."""
+    with pytest.raises(SceneError) as refusal:
+        choose(panel, 1e-5, "cpu", engine="any")
+    known, possible = map(float, re.findall(r"known to (\S+) only; ask for (\S+) or more", str(refusal.value))[0])
+    assert possible <= 1.1 * known
+    assert choose(panel, possible, "cpu", engine="any").by_modes
 
 
 def test_coarse_grids_of_the_moment_form_are_tried(panel):

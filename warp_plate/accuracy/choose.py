@@ -92,15 +92,17 @@ def choose(
     ignored, and damping is centred in time.
     """
     find_device(device)
+    least = math.inf
     if engine != "steps" and scene.linear:
         by_modes = _choose_modes(scene, accuracy, phasors, alone=engine == "modes")
-        if by_modes is not None:
+        if isinstance(by_modes, Choice):
             return by_modes
-    return _choose_grid(scene, accuracy, device, phasors)
+        least = by_modes
+    return _choose_grid(scene, accuracy, device, phasors, least)
 
 
-def _choose_modes(scene: Scene, accuracy: float, phasors: np.ndarray | None, alone: bool) -> Choice | None:
-    """Return the choice of modes; where they do not keep the accuracy None, or a SceneError if they are to."""
+def _choose_modes(scene: Scene, accuracy: float, phasors: np.ndarray | None, alone: bool) -> Choice | float:
+    """Return the choice of modes; where they do not keep the accuracy their error, or a SceneError if they are to."""
     least = math.inf
     for density in MODAL_DENSITIES:
         gridded = scene.model_copy(update={"grid": Grid(modal_density=density)})
@@ -122,18 +124,19 @@ def _choose_modes(scene: Scene, accuracy: float, phasors: np.ndarray | None, alo
             break
     if alone:
         raise SceneError(f"accuracy = {accuracy:g}: modes have errors of up to {least:.2g}; {_advice(least)}")
-    return None
+    return least
 
 
-def _choose_grid(scene: Scene, accuracy: float, device: str, phasors: np.ndarray | None) -> Choice:
-    """Return the choice of a grid."""
+def _choose_grid(scene: Scene, accuracy: float, device: str, phasors: np.ndarray | None, of_modes: float) -> Choice:
+    """Return the choice of a grid, where modes have an error of at least ``of_modes``."""
     wanted = REFERENCE_SHARE * accuracy
     reference = find_reference_solution(scene, device, wanted, REFERENCE_SECONDS, phasors)
     uncertainty = reference.uncertainty
     if not uncertainty <= accuracy / 2:
+        known = min(uncertainty, of_modes)
         raise SceneError(
-            f"accuracy = {accuracy:g}: the reference solution of this scene is known to {uncertainty:.2g} only; "
-            f"{_advice(2 * uncertainty)}"
+            f"accuracy = {accuracy:g}: the solution of this scene is known to {known:.2g} only; "
+            f"{_advice(min(2 * uncertainty, of_modes))}"
         )
     drives = usual_drives(reference.response)
     if phasors is not None:
@@ -143,7 +146,8 @@ def _choose_grid(scene: Scene, accuracy: float, device: str, phasors: np.ndarray
     if grid is None:
         raise SceneError(
             f"accuracy = {accuracy:g}: out of reach for this scene: the error is {error:.2g} on the finest grid, and "
-            f"finer grids would take the trials beyond {MOST_NODE_STEPS:.0e} node-steps; ask for a larger error"
+            f"finer grids would take the trials beyond {MOST_NODE_STEPS:.0e} node-steps; "
+            f"{_advice(min((error + uncertainty) / SEARCH_SHARE, of_modes))}"
         )
     rounded = _error_with_rounding(scene, reference, drives, device, grid)
     if rounded + uncertainty <= accuracy:
