@@ -1,12 +1,14 @@
 """``warp-plate modes``: its table, JSON and picture, and shapes beside those of a grid."""
 
 import json
+import os
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
-from support.commands import output_of
+from support.commands import error_of, output_of
 from warp_plate.modal.continuous_modes import continuous_modes
 from warp_plate.plate.modes import natural_modes
 from warp_plate.viz.plots.modes import draw_modes, frequency_text, nodal_field, refined
@@ -56,6 +58,16 @@ def test_json_table_and_picture(command, write_scene):
     assert "lobes x × y" in out
     assert "The plate is driven at up to 290 Hz, above these; --count 8 shows more." in out
     assert sorted(path.name for path in Path().iterdir()) == ["m.svg", "panel.toml"]
+
+
+@pytest.mark.parametrize("line", ["modes panel.toml", "frf panel.toml --range 20:200"])
+def test_a_picture_that_out_names_and_no_disk_has_room_for(line, command, write_scene, monkeypatch):
+    pytest.importorskip("matplotlib")
+    write_scene(nodes=(9, 9))
+    monkeypatch.setattr(os, "replace", Mock(side_effect=OSError(28, "No space left on device")))
+    written = error_of(command(*line.split(), "--out", "m.png"))
+    assert written == "warp-plate: --out m.png: cannot be written: No space left on device\n"
+    assert not Path("m.png").exists()
 
 
 def test_shapes_and_motions_are_those_of_a_fine_grid(scene):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_plate.result.atomic_io import atomic_path
+from warp_plate.result.atomic_io import atomic_paths
 from warp_plate.scene.errors import printable
 from warp_plate.viz.availability import DrawingUnavailable, missing_plots
 from warp_plate.viz.fields import SUPERSCRIPTS, unit_with_prefix
@@ -66,7 +66,7 @@ def save_plots(
     written = []
     try:
         for target in map(path.with_suffix, endings):
-            with atomic_path(target) as temporary:
+            with atomic_paths(target) as (temporary,):
                 draw(temporary)
             written.append(target)
     except (ValueError, OSError, DrawingUnavailable) as error:

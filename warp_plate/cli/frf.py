@@ -88,7 +88,7 @@ def frf(
     ]
     with output.scene_errors(scene, inputs="from", points="at", frequency_range="range"):
         response = compute(loaded, sources, points, limits, responses.quantity)
-    written = _write(response, target, formats, files.pictures)
+    written = files.check_drawn(target, _write(response, target, formats, files.pictures))
     output.report(files.json, _as_json, _print, scene, loaded, response, written=written)
 
 

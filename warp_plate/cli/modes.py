@@ -51,7 +51,7 @@ def modes(
 
         colours = options.ColourChoice(colormap).chosen()
         draw = partial(draw_modes, loaded, natural.frequencies, natural.shapes, colours=colours)
-        written = save_plots(draw, target, [target.suffix])
+        written = files.check_drawn(target, save_plots(draw, target, [target.suffix]))
     output.report(files.json, _as_json, _print, scene, loaded, natural, left_out, written=written)
 
 

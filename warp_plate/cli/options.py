@@ -174,6 +174,12 @@ class FileOptions:
             output.check_overwriting(path, holds, self.force)
         return path
 
+    def check_drawn(self, path: Path, drawn: output.Drawn) -> output.Drawn:
+        """Return what was drawn, or raise a SceneError if that lacks the picture ``path`` that ``--out`` names."""
+        if self.out is not None and self.pictures and path not in drawn[0]:
+            raise SceneError(f"--out {path}: {str(drawn[1]).removeprefix(f'no plot: {path}: ')}")
+        return drawn
+
 
 @Parameter(name="*")
 @dataclass(frozen=True)
