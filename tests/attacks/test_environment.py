@@ -84,6 +84,16 @@ def test_libraries_that_do_not_fit_in_a_limit_of_memory(limit, write_scene):
     assert not Path("panel-simulate.h5").exists()
 
 
+@pytest.mark.slow
+def test_a_home_where_matplotlib_can_keep_nothing(write_scene):
+    write_scene(damping=88.5)
+    line = [sys.executable, "-m", "warp_plate", "modes", "panel.toml", "--out", "m.svg"]
+    unusable = {"MPLCONFIGDIR": str(Path("panel.toml").resolve() / "inside"), "MPLBACKEND": "none"}
+    run = subprocess.run(line, capture_output=True, text=True, env={**os.environ, **unusable})
+    assert (run.returncode, run.stderr) == (0, "")
+    assert Path("m.svg").exists()
+
+
 FORKED = """
 import os, signal, time
 import numpy as np

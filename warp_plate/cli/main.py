@@ -56,6 +56,7 @@ def application() -> cyclopts.App:
     import cyclopts  # slow
 
     logging.getLogger("warp_plate").addHandler(_OneLine())
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it warns of folders where it cannot keep fonts
     app = cyclopts.App(
         name="warp-plate",
         help="Simulate thin vibrating panels, thousands at once, and find drives that move only a chosen part of a "
