@@ -47,7 +47,6 @@ def scene_html(scene: Scene) -> str:
 def result_html(result: Result) -> str:
     """Return localization factors, motion, drive and cost as the commands print them, and a picture of the plate."""
     from warp_plate.cli import output, tables
-    from warp_plate.result.model import BOUND_DESCRIPTIONS
     from warp_plate.viz.annotations import case_label, in_percent, ordered_cases
     from warp_plate.viz.availability import missing_plots, missing_renderer
     from warp_plate.viz.pictures import draw_history, draw_surfaces
@@ -59,7 +58,7 @@ def result_html(result: Result) -> str:
         console.print("Interrupted by Ctrl-C: the best so far is shown.")
     factors = [(case_label(name, scene), in_percent(case.localization_factor)) for name, case in cases.items()]
     if result.bound is not None:
-        factors.append((BOUND_DESCRIPTIONS[result.bound_kind], in_percent(result.bound)))
+        factors.append((result.bound_description, in_percent(result.bound)))
     output.print_rows(console, ("drive", "localization factor"), factors, "")
     tables.print_motion(cases, scene, console)
     if result.command == "localize":

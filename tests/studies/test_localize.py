@@ -54,6 +54,21 @@ def test_contents_of_a_result(device, path, evaluator):
     assert result.node_steps == 11 * 11 * make_scheme(scene).steps * plates
 
 
+@pytest.mark.parametrize("search", [{}, {"phase": {}, "limits": {"equal_magnitudes": True}}])
+def test_the_bound_has_the_error_bar_of_its_drives(search):
+    """That of the plate lies within the bar; without one, the bound is called one of this grid."""
+    scene = scene_of(damping=88.5, search={"method": "exact", **search})
+    result = localize(scene, device="cpu")
+    expected = localize(scene, device="cpu", evaluator="modal", estimate=False)
+    estimated = result.accuracy["estimate"]["bound"]
+    low, high = estimated["interval"]
+    assert low <= expected.bound <= high
+    assert 0.01 < abs(result.bound / expected.bound - 1) <= estimated["error"] < 0.5
+    assert f"bound {result.bound:.2f}" in estimated["line"]
+    assert result.bound_description.endswith(("from these places", "permitted drives"))
+    assert expected.bound_description.endswith(", by these modes")
+
+
 def test_the_seed_determines_every_bit(device, path):
     first, again, other = (localize(PANEL, device=device, seed=seed, path=path, estimate=False) for seed in (5, 5, 6))
     assert_same_results(first, again)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -81,6 +81,22 @@ class Estimate:
     seconds: float  # time that the estimate took [s]
     price: Price | None  # price of the next better tolerance; None if the run keeps all
     displacement_errors: np.ndarray  # (drives,) relative L2 errors over plate and recorded times; NaN if not known
+    response: Response | None = None  # accurate Gram matrices; None in a scene that is not linear
+
+    def of_bound(self, computed: float, bound: Callable[[Response], float | None]) -> Estimate | None:
+        """Return the same for a computed bound, which is a function of Gram matrices; None if it has no error."""
+        expected = None if self.response is None else bound(self.response)
+        if expected is None:
+            return None
+        values, references = np.array([[computed], [expected]])
+        return replace(
+            self,
+            localization_factors=values,
+            references=references,
+            errors=np.abs(values / references - 1) + self.uncertainty,
+            price=None,
+            displacement_errors=np.array([math.nan]),
+        )
 
     @property
     def intervals(self) -> np.ndarray:
@@ -92,13 +108,13 @@ class Estimate:
         """Largest relative error of all drives."""
         return float(np.nanmax(self.errors)) if np.isfinite(self.errors).any() else math.nan
 
-    def line(self, drive: int = -1) -> str:
+    def line(self, drive: int = -1, quantity: str = "localization factor") -> str:
         """Return the localization factor of a drive with its error bar, and the price of a better one, for people."""
         value, true = float(self.localization_factors[drive]), float(self.references[drive])
         bar, displacement = float(self.errors[drive]) * true, float(self.displacement_errors[drive])
         if not math.isfinite(bar):
             return f"{self.numerics}: no error estimate (the plate is at rest)"
-        text = f"{self.numerics}: localization factor {_with_bar(value, bar)}"
+        text = f"{self.numerics}: {quantity} {_with_bar(value, bar)}"
         if self.kind == MORE_FUNCTIONS:
             text += " at most"
         elif self.uncertainty > GOOD_ENOUGH and self.uncertainty * true > bar / 2:
@@ -174,6 +190,7 @@ def estimate(
         seconds=time.perf_counter() - started,
         price=price,
         displacement_errors=of_displacement,
+        response=reference.response if isinstance(reference, ReferenceSolution) else None,
     )
 
 
@@ -204,6 +221,7 @@ def estimate_modal(scene: Scene, phasors: np.ndarray, run: Run, compared: MoreFu
         seconds=time.perf_counter() - started,
         price=None,
         displacement_errors=of_displacement,
+        response=response,
     )
 
 

@@ -238,7 +238,6 @@ def _print(elapsed: float | None, result: warp_plate.Result, console: Console) -
 def _print_factors(result: warp_plate.Result, console: Console) -> None:
     """Print the localization factors, with the published ones of the paper's scene."""
     from warp_plate.result.case import only_actuator
-    from warp_plate.result.model import BOUND_DESCRIPTIONS
 
     published = PUBLISHED if result.source == "paper" else {}
     target = f", target {result.scene.targets[0].name}" if result.target_searches else ""
@@ -253,7 +252,7 @@ def _print_factors(result: warp_plate.Result, console: Console) -> None:
     searched = [name for name in ("frequency", "position", "delay") if getattr(search, name) is not None]
     none = f"none: {' and '.join(searched)} searched" if searched else "none"
     bound = none if result.bound is None else f"{result.bound:.4f}"
-    rows.append([BOUND_DESCRIPTIONS["" if result.bound is None else result.bound_kind], bound, ""])
+    rows.append([result.bound_description, bound, ""])
     headings = [f"localization factor{target}", "this run", "published" if published else ""]
     output.print_rows(console, headings, rows, "")
 

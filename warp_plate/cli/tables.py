@@ -127,7 +127,8 @@ def print_objectives(result: Result, console: Console) -> None:
     lines.append(("sum", "weighted sum", "", None))
     if any("bound" in values for values in values_of):
         kinds = [search.bound_kind for search in searches]
-        lines.append(("bound", f"{'bound only' if 'bound only' in kinds else 'bound'} of the sum", "", None))
+        bounded = "bound only" if "bound only" in kinds else "bound"
+        lines.append(("bound", f"{bounded} of the sum, {result.scope}", "", None))
     rows, exceeded = [], []
     for key, label, weight, limit in lines:
         cells = [output.number_text(values.get(key), ".4g") for values in values_of]
@@ -157,7 +158,7 @@ def print_crosstalk(result: Result, console: Console) -> None:
         bound = result.target_searches[row].bound if row < len(result.target_searches) else None
         rows.append([name, *cells, output.number_text(bound, ".4f")])
     title = "Crosstalk: share of the plate's kinetic energy in"
-    output.print_rows(console, ["drive for", *names, "bound"], rows, "", title=title)
+    output.print_rows(console, ["drive for", *names, f"bound {result.scope}"], rows, "", title=title)
 
 
 def crosstalk_json(result: Result) -> dict[str, object] | None:
@@ -194,7 +195,7 @@ def print_robust(result: Result, console: Console) -> None:
         measure = f" ({compared.measure} of {compared.scenarios})" if key == "searched" else ""
         rows.append([ROBUST_ROWS[key] + measure, *(f"{value:.4f}" for value in values)])
     if compared.bound is not None:
-        rows.append(["bound for the search's scenarios", f"{compared.bound:.4f}", ""])
+        rows.append([f"bound for the search's scenarios, {result.scope}", f"{compared.bound:.4f}", ""])
     if compared.failed.any():
         rows.append(["plates that failed", *map(str, compared.failed.tolist())])
     console.print(f"Over {compared.validation.shape[1]} fresh scenarios, which neither search has used:")
@@ -255,7 +256,10 @@ def print_cost(result: Result, console: Console, start: str = "", elapsed: float
         stages = ", ".join(f"{value:.2f} s {text}" for text, value in spent.items())
         console.print(f"{elapsed:.2f} s in all: {stages}.")
     if "estimate" in result.accuracy:
-        console.print(result.accuracy["estimate"]["line"])
+        estimate = result.accuracy["estimate"]
+        for part in (estimate, estimate.get("bound", {})):
+            if "line" in part:
+                console.print(part["line"])
     for sentence in warnings_of(result):
         console.print(f"! {sentence}")
 

@@ -279,6 +279,13 @@ class Problem:
             return None
         return 1 - bound.value if self._limited else self.response.bound()
 
+    def bound_by(self, response: Response) -> float | None:
+        """Return ``bound`` by other Gram matrices of plate and target."""
+        if not self._limited:
+            return response.bound()
+        bound = bound_loss(self.parametrization, self.objectives, response, attain=False)
+        return None if bound is None else 1 - bound.value
+
     @property
     def bound_kind(self) -> BoundKind:
         """Kind of ``bound``, or of the bound of the objectives' sum."""

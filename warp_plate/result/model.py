@@ -201,6 +201,18 @@ class Result:
         return self.scene.search.objectives == (Objective(),)
 
     @property
+    def scope(self) -> str:
+        """Numerics within which values without an error bar hold, for people."""
+        return "by these modes" if self.by_modes else "on this grid"
+
+    @property
+    def bound_description(self) -> str:
+        """Kind of the bound, with its scope if its error is not known, for people."""
+        text = BOUND_DESCRIPTIONS["" if self.bound is None else self.bound_kind]
+        known = self.bound is None or "bound" in self.accuracy.get("estimate", {})
+        return text if known else f"{text}, {self.scope}"
+
+    @property
     def by_modes(self) -> bool:
         """True if the result comes from the modes of the plate, without time steps."""
         return self.path.startswith("modal")

@@ -265,7 +265,9 @@ def _optional_parts(
     if estimate:
         with optional_part(seconds, "estimate"):
             simulated = problem.resolved.with_scene(evaluated.scene)
-            fields["accuracy"] = {**end.accuracy} | estimate_error(simulated, evaluated.phasors, evaluated.run)
+            run, bound = evaluated.run, end.finished_searches[0].bound
+            estimated = estimate_error(simulated, evaluated.phasors, run, bound, problem.bound_by)
+            fields["accuracy"] = {**end.accuracy} | estimated
     if baselines:
         with optional_part(seconds, "baselines"):
             unsearched, steps = baseline_cases(problem)

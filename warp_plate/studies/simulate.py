@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from warp_plate.result.case import target_regions
 from warp_plate.result.model import Result, load_result
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene, SceneSource
+from warp_plate.solve.response import Response
 from warp_plate.solve.run import Progress, Run, run_with_peaks
 from warp_plate.studies.unfinished import device_name, run_fields, versions
 
@@ -116,8 +117,15 @@ def phasors_from_file(name: str, scene: Scene) -> np.ndarray:
     return phasors
 
 
-def estimate_error(resolved: Resolved, phasors: Mapping[str, np.ndarray], run: Run) -> dict[str, Any]:
-    """Estimate the errors of a run of the named drives; return them as entry "estimate" of ``Result.accuracy``."""
+def estimate_error(
+    resolved: Resolved,
+    phasors: Mapping[str, np.ndarray],
+    run: Run,
+    bound: float | None = None,
+    bound_by: Callable[[Response], float | None] = lambda response: None,
+) -> dict[str, Any]:
+    """Estimate the errors of a run of the named drives, and of a bound, which is a function of Gram matrices; return
+    them as entry "estimate" of ``Result.accuracy``."""
     scene, drives, factors = resolved.scene, np.array(list(phasors.values())), localization_factor(run.energy)
     try:
         if resolved.by_modes:
@@ -127,4 +135,9 @@ def estimate_error(resolved: Resolved, phasors: Mapping[str, np.ndarray], run: R
             result = estimate(scene, drives, factors, *of_run, time_step=resolved.grid.time_step)
     except SceneError as error:
         return {"estimate": {"cases": list(phasors), "line": f"no error estimate: {error}"}}
-    return {"estimate": {"cases": list(phasors), **result.as_json(), "line": result.line()}}
+    fields = {"cases": list(phasors), **result.as_json(), "line": result.line()}
+    of_bound = None if bound is None else result.of_bound(bound, bound_by)
+    if of_bound is not None:
+        (interval,) = of_bound.intervals.tolist()
+        fields["bound"] = {"error": of_bound.error, "interval": interval, "line": of_bound.line(quantity="bound")}
+    return {"estimate": fields}
