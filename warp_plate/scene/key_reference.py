@@ -54,7 +54,7 @@ def _collect(schema: dict[str, Any], path: str, name: str, repeated: bool, headi
     """Add the heading of a table of the schema, and those of all tables in it."""
     headings.setdefault(name, []).append(f"[[{path}]]" if repeated else f"[{path}]" if path else "Top level")
     for key, field in _definition(schema, name)["properties"].items():
-        inner = [field, field.get("items", {}), *field.get("anyOf", [])]
+        inner = [field, field.get("items", {}), *field.get("anyOf", []), *field.get("oneOf", [])]
         for table in (entry["$ref"].rpartition("/")[2] for entry in inner if "$ref" in entry):
             _collect(schema, f"{path}.{key}".strip("."), table, "items" in field, headings)
 

@@ -210,6 +210,8 @@ def _check_tables(scene: SceneTables) -> None:
     if scene.fit is not None:
         _check_free_keys(scene, list(scene.fit.free))
     _check_focus(scene)
+    if scene.specification is not None:
+        scene.specification.check([target.name for target in scene.targets], scene.plate.size, scene.piezo)
     for index, time in enumerate(scene.record.times):
         if time > scene.window.end * (1 + 1e-9):
             limit = f"window.end = {scene.window.end:g} s"

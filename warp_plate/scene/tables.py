@@ -17,6 +17,7 @@ from warp_plate.scene.fit import Fit, Measurement
 from warp_plate.scene.focus import Focus
 from warp_plate.scene.grid import DEFAULT_ACCURACY, Grid, Record, Window
 from warp_plate.scene.search import Search
+from warp_plate.scene.specification import Specification
 from warp_plate.scene.target import NamedTarget, Target
 
 
@@ -71,6 +72,7 @@ class SceneTables(Table):
     record: Record = Record()
     effects: Effects = Effects()
     search: Search = Search()
+    specification: Specification | None = None
     focus: Focus | None = None
     fit: Fit | None = None
     measurement: tuple[Measurement, ...] = ()

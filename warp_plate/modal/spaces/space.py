@@ -73,6 +73,9 @@ class FunctionSpace(Protocol):
     def at_points(self, points: Sequence[tuple[float, float]] | np.ndarray) -> np.ndarray:
         """Return (points, unknowns) values at points (x, y) [m]."""
 
+    def sums_at_points(self, coefficients: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Return (n, points) values of sums of functions (n, unknowns) at points (points, 2) [m]."""
+
     def on_grid(self, coefficients: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return (..., ny, nx) values of sums of functions (..., unknowns) on the grid of x and y [m]."""
 

@@ -1,0 +1,214 @@
+"""Drives that keep wanted and allowed levels: second-order cone programs, and the proof of what no drive can do.
+
+A drive z (inputs,) is a vector of complex amplitudes, each as a part of what its actuator may have. With rows g and
+blocks of rows G of the plate's response, in units of what is wanted or allowed, find the drive of the least scale s for
+
+    Re(g z) ≥ 1,     ‖G z‖ ≤ s (scaled blocks),     ‖G z‖ ≤ 1 (other blocks),     |z_k| ≤ s or 1.
+
+Any multipliers λ ≥ 0 and m with Σ λ g = Σ mᴴ G prove that no drive has a smaller scale than
+
+    (Σ λ − Σ_others ‖m‖) / Σ_scaled ‖m‖ ≤ s,
+
+since Σ λ ≤ Re(Σ λ g z) = Re(Σ mᴴ G z) ≤ Σ ‖m‖ ‖G z‖ (S. Boyd and L. Vandenberghe, Convex Optimization, chapter 5).
+Those of the solver are made exact by the rows of the single actuators, which absorb its rounding.
+
+A wanted mean square, ‖R z‖ ≥ 1, is not convex. Its relaxation, Z ⪰ 0 in place of z zᴴ, has a bound, proved by
+Σ ν GᴴG − Σ λ RᴴR ⪰ 0; drives come from Re(dᴴR z) ≥ 1 with d = R z₀/‖R z₀‖, which implies ‖R z‖ ≥ 1 and is true
+of z₀ (T. Lipp and S. Boyd, Optim. Eng. 17, 2016, pp. 263-287).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import clarabel
+import numpy as np
+import scipy
+
+TOLERANCE = 1e-10
+INFEASIBLE = (clarabel.SolverStatus.PrimalInfeasible, clarabel.SolverStatus.AlmostPrimalInfeasible)
+# Steps of the drive's phases in a problem that is not convex, and the relative gain below which they end.
+STEPS, GAIN = 60, 1e-7
+
+
+@dataclass(frozen=True)
+class Block:
+    """Blocks of rows whose norms are limited."""
+
+    rows: np.ndarray  # (blocks, rows, inputs) in units of what is allowed
+    scaled: bool = False  # true if s is allowed instead of 1
+
+
+@dataclass(frozen=True)
+class LeastScale:
+    """The least scale of a program."""
+
+    scale: float  # s; infinite if no scale helps
+    bound: float  # proved lower bound of s
+    drive: np.ndarray  # (inputs,) complex amplitudes; NaN where there is none
+    wanted: np.ndarray  # (wanted,) multipliers λ
+    allowed: tuple[np.ndarray, ...]  # (blocks,) multipliers ‖m‖ of each entry of the blocks, those of actuators first
+
+
+def least_scale(wanted: np.ndarray, blocks: Sequence[Block], actuators_scaled: bool = False) -> LeastScale:
+    """Return the least scale for the wanted rows g (wanted, inputs), and blocks."""
+    inputs = wanted.shape[1]
+    every = (Block(np.eye(inputs, dtype=complex)[:, None, :], actuators_scaled), *blocks)
+    matrix, limits, cones = [-_real_parts(wanted)], [-np.ones(len(wanted))], [clarabel.NonnegativeConeT(len(wanted))]
+    for block in every:
+        count, rows, _ = block.rows.shape
+        real = np.stack([_real_parts(block.rows), _real_parts(-1j * block.rows)], axis=2)
+        part = np.zeros((count, 1 + 2 * rows, 2 * inputs + 1))
+        part[:, 1:, :-1] = -real[..., :-1].reshape(count, 2 * rows, 2 * inputs)
+        part[:, 0, -1] = -1.0 if block.scaled else 0.0
+        limit = np.zeros((count, 1 + 2 * rows))
+        limit[:, 0] = 0.0 if block.scaled else 1.0
+        matrix.append(part.reshape(-1, 2 * inputs + 1))
+        limits.append(limit.ravel())
+        cones += [clarabel.SecondOrderConeT(1 + 2 * rows)] * count
+    cost = np.zeros(2 * inputs + 1)
+    cost[-1] = 1.0
+    solution = _solve(cost, np.concatenate(matrix), np.concatenate(limits), cones)
+    multipliers = np.array(solution.z)
+    wanted_by = np.maximum(multipliers[: len(wanted)], 0)
+    bound, allowed = _proof(wanted, wanted_by, every, multipliers[len(wanted) :])
+    x = np.array(solution.x)
+    drive = x[:inputs] + 1j * x[inputs:-1]
+    if solution.status in INFEASIBLE:
+        return LeastScale(math.inf, bound, np.full(inputs, np.nan), wanted_by, allowed)
+    return LeastScale(float(x[-1]), bound, drive, wanted_by, allowed)
+
+
+def _proof(
+    wanted: np.ndarray, wanted_by: np.ndarray, blocks: Sequence[Block], multipliers: np.ndarray
+) -> tuple[float, tuple[np.ndarray, ...]]:
+    """Return the bound that multipliers prove after their repair, and the norms of those of the blocks."""
+    rest, place, vectors = wanted_by @ wanted, 0, []
+    for block in blocks:
+        count, rows, _ = block.rows.shape
+        part = multipliers[place : place + count * (1 + 2 * rows)].reshape(count, 1 + 2 * rows)[:, 1:]
+        vector = -(part[:, :rows] - 1j * part[:, rows:])
+        rest = rest - np.einsum("br,bri->i", vector, block.rows)
+        vectors.append(vector)
+        place += count * (1 + 2 * rows)
+    vectors[0] = vectors[0] + rest[:, None]
+    norms = tuple(np.linalg.norm(vector, axis=1) for vector in vectors)
+    scaled = sum(norm.sum() for norm, block in zip(norms, blocks, strict=True) if block.scaled)
+    others = sum(norm.sum() for norm, block in zip(norms, blocks, strict=True) if not block.scaled)
+    proved = wanted_by.sum() - others
+    return (float(proved / scaled) if scaled > 0 and proved > 0 else 0.0), norms
+
+
+def _real_parts(rows: np.ndarray) -> np.ndarray:
+    """Return (..., 2 inputs + 1) coefficients of Re(rows z) over the real parts, imaginary parts and the scale."""
+    return np.concatenate([rows.real, -rows.imag, np.zeros((*rows.shape[:-1], 1))], axis=-1)
+
+
+def _solve(cost: np.ndarray, matrix: np.ndarray, limits: np.ndarray, cones: list[Any]) -> Any:
+    """Return Clarabel's solution of: minimise cost · x, limits − matrix x in the cones."""
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = TOLERANCE
+    sparse = scipy.sparse.csc_matrix
+    return clarabel.DefaultSolver(sparse((cost.size, cost.size)), cost, sparse(matrix), limits, cones, settings).solve()
+
+
+def least_scale_of_squares(
+    wanted: np.ndarray, squares: Sequence[np.ndarray], blocks: Sequence[Block], actuators_scaled: bool = False
+) -> LeastScale:
+    """Return the least scale that a search attains where mean squares ‖R z‖ ≥ 1 are wanted too, by their factors R
+    (rows, inputs) in ``squares``; its ``bound`` is that of the relaxation."""
+    if not squares:
+        return least_scale(wanted, blocks, actuators_scaled)
+    bound, starts = _relaxed(wanted, squares, blocks, actuators_scaled)
+    best = LeastScale(math.inf, bound, np.full(wanted.shape[1], np.nan), np.zeros(len(wanted)), ())
+    for start in starts:
+        found = _ascend(wanted, squares, blocks, actuators_scaled, start)
+        if found.scale < best.scale:
+            best = found
+    return replace(best, bound=min(bound, best.scale))
+
+
+def _ascend(
+    wanted: np.ndarray, squares: Sequence[np.ndarray], blocks: Sequence[Block], actuators_scaled: bool, z: np.ndarray
+) -> LeastScale:
+    """Return the result of the convex programs that follow one another from a drive z."""
+    best = LeastScale(math.inf, 0.0, z, np.zeros(len(wanted)), ())
+    for _ in range(STEPS):
+        images = [factor @ best.drive for factor in squares]
+        rows = [
+            image.conj() @ factor / np.linalg.norm(image)
+            for image, factor in zip(images, squares, strict=True)
+            if image.any()
+        ]
+        following = least_scale(np.vstack([wanted, *rows]), blocks, actuators_scaled)
+        if not following.scale < best.scale * (1 - GAIN):
+            return following if following.scale < best.scale else best
+        best = following
+    return best
+
+
+def _relaxed(
+    wanted: np.ndarray, squares: Sequence[np.ndarray], blocks: Sequence[Block], actuators_scaled: bool
+) -> tuple[float, list[np.ndarray]]:
+    """Return the bound of the relaxation, and drives to start a search from: the eigenvectors of its Z.
+
+    A wanted Re(g z) ≥ 1 is relaxed to |g z| ≥ 1.
+    """
+    inputs = wanted.shape[1]
+    factors = [*(row[None] for row in wanted), *squares]
+    units = Block(np.eye(inputs, dtype=complex)[:, None, :], actuators_scaled)
+    limited = [(rows, block.scaled) for block in (units, *blocks) for rows in block.rows]
+    least, most = ([_real_form(factor) for factor in some] for some in (factors, [rows for rows, _ in limited]))
+    scaled = np.array([scaled for _, scaled in limited])
+    size = 2 * inputs
+    entries = size * (size + 1) // 2
+    # Rows of the constraints: −tr(R Z) ≤ −1, tr(G Z) − σ·scaled ≤ 1 − scaled, Z ⪰ 0, with σ = s².
+    matrix = np.zeros((len(least) + len(most), entries + 1))
+    matrix[: len(least), :-1] = [-_triangle(form) for form in least]
+    matrix[len(least) :, :-1] = [_triangle(form) for form in most]
+    matrix[len(least) :, -1] = -scaled.astype(float)
+    limits = np.concatenate([-np.ones(len(least)), 1.0 - scaled])
+    cone = np.hstack([-np.eye(entries), np.zeros((entries, 1))])
+    cost = np.zeros(entries + 1)
+    cost[-1] = 1.0
+    cones = [clarabel.NonnegativeConeT(len(limits)), clarabel.PSDTriangleConeT(size)]
+    solution = _solve(cost, np.vstack([matrix, cone]), np.concatenate([limits, np.zeros(entries)]), cones)
+    multipliers = np.maximum(np.array(solution.z)[: len(limits)], 0)
+    of_least, of_most = multipliers[: len(least)], multipliers[len(least) :]
+    slack = np.tensordot(of_most, most, 1) - np.tensordot(of_least, least, 1)
+    of_most[:inputs] += max(0.0, -float(np.linalg.eigvalsh(slack)[0]))  # Σ ν GᴴG − Σ λ RᴴR ⪰ 0 exactly
+    proved, below = of_least.sum() - of_most[~scaled].sum(), of_most[scaled].sum()
+    bound = math.sqrt(proved / below) if proved > 0 and below > 0 else 0.0
+    if solution.status in INFEASIBLE:
+        return bound, []
+    values, vectors = np.linalg.eigh(_square(np.array(solution.x)[:-1], size))
+    drives = [(vectors[:inputs, k] + 1j * vectors[inputs:, k]) * math.sqrt(max(values[k], 0)) for k in (-1, -3)]
+    return bound, [drive for drive in (*drives, sum(drives)) if np.abs(drive).any()]
+
+
+def _real_form(factor: np.ndarray) -> np.ndarray:
+    """Return the real symmetric matrix of ‖factor z‖² over the real and imaginary parts of z."""
+    form = factor.conj().T @ factor
+    return np.block([[form.real, -form.imag], [form.imag, form.real]])
+
+
+def _triangle(form: np.ndarray) -> np.ndarray:
+    """Return the upper triangle by columns of a symmetric matrix, scaled so that products are traces."""
+    rows, columns = np.triu_indices(len(form))
+    order = np.lexsort((rows, columns))
+    rows, columns = rows[order], columns[order]
+    return form[rows, columns] * np.where(rows == columns, 1.0, math.sqrt(2))
+
+
+def _square(triangle: np.ndarray, size: int) -> np.ndarray:
+    """Return the symmetric matrix of :func:`_triangle`."""
+    rows, columns = np.triu_indices(size)
+    order = np.lexsort((rows, columns))
+    rows, columns = rows[order], columns[order]
+    matrix = np.zeros((size, size))
+    matrix[rows, columns] = triangle / np.where(rows == columns, 1.0, math.sqrt(2))
+    return matrix + np.triu(matrix, 1).T

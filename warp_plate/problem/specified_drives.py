@@ -1,0 +1,379 @@
+"""Drives that meet a specification at one frequency, the best of them, and what no drive can do.
+
+Everything is a peak acceleration [m/s²] of steady motion, linear in the drive z, whose parts are what each actuator may
+have: a(x, y) = h(x, y) z. Points of targets and of the rest are added where a drive falls short of what is wanted or
+passes what is allowed, between the points of any grid (``worst_points``), until nothing does. A program over some
+points allows more than the specification, so that its bound is one of the specification.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from typing import Literal
+
+import numpy as np
+import shapely
+
+from warp_plate.modal.modes import ModalPlate
+from warp_plate.optimize.cones import Block, LeastScale, least_scale_of_squares
+from warp_plate.problem.worst_points import Region, Values, make_region, shape_of
+from warp_plate.scene.specification import Allowance, Level, Specification
+
+# An aim or a rest, by its index.
+Key = tuple[Literal["aim", "rest"], int]
+# What a program scales: the levels elsewhere, the limits of the actuators, or these without any level elsewhere.
+Scaled = Literal["elsewhere", "actuators", "actuators alone"]
+# Largest violation between the points of a program, and its rounds of added points.
+TOLERANCE, ROUNDS = 1e-8, 60
+# Programs ask for this much more than the specification, so that their rounding does not violate it.
+MARGIN = 2e-8
+# Samples along a bending wave, along the longer side of the plate, and along a side of a target, at least.
+PER_WAVE, PER_PLATE, PER_TARGET = 24, 80, 9
+FIRST = 16  # samples of a region that programs begin with
+CORNERS = 64  # corners of a quarter of the rounded corners of a guard
+
+
+@dataclass(frozen=True)
+class Aim:
+    """A level wanted in a target."""
+
+    name: str  # name of the target
+    level: Level
+    region: Region
+
+
+@dataclass(frozen=True)
+class Rest:
+    """A level allowed in the rest of the plate."""
+
+    name: str
+    allowance: Allowance
+    region: Region
+
+
+@dataclass(frozen=True)
+class Extremes:
+    """Peak accelerations in a region [m/s²]."""
+
+    worst: float  # largest
+    mean: float  # root mean square over the region, by mass
+    weakest: float  # smallest
+    worst_at: tuple[float, ...]  # point x, y [m] of the largest
+    weakest_at: tuple[float, ...]  # point x, y [m] of the smallest
+
+
+@dataclass(frozen=True)
+class Requirements:
+    """A specification over the regions of a plate."""
+
+    specification: Specification
+    aims: tuple[Aim, ...]
+    rests: tuple[Rest, ...]
+
+    def wanted(self, frequency: float) -> np.ndarray:
+        """Return the (aims,) wanted peak accelerations [m/s²] at a frequency [Hz]."""
+        return np.array([aim.level.peak_acceleration(frequency) for aim in self.aims])
+
+    def allowed(self, frequency: float) -> np.ndarray:
+        """Return the (rests,) allowed peak accelerations [m/s²] at a frequency [Hz]."""
+        least = self.wanted(frequency).min()
+        return np.array(
+            [
+                rest.allowance.peak_acceleration(frequency)
+                if rest.allowance.relative_db is None
+                else least * 10 ** (rest.allowance.relative_db / 20)
+                for rest in self.rests
+            ]
+        )
+
+
+def make_requirements(plate: ModalPlate) -> Requirements:
+    """Return the requirements of a scene's specification over the regions of its plate.
+
+    Raises:
+        SceneError: A region is empty, or a mask.
+    """
+    scene = plate.scene
+    specification, keys = scene.specification, scene.targets_by_key
+    assert specification is not None
+    longer = max(scene.plate.size)
+    spacing = min(longer / PER_PLATE, _wavelength(plate) / PER_WAVE)
+    shapes = {key: shape_of(key, target) for key, target in keys.items()}
+    names = {row.name: f"targets[{index}]" for index, row in enumerate(scene.targets)}
+    labels = {key: name for name, key in names.items()} | {"target": "target"}
+    aims = []
+    for level in specification.levels:
+        key = next(iter(keys)) if level.target is None else names[level.target]
+        x0, y0, x1, y1 = shapes[key].bounds
+        fine = min(spacing, max(x1 - x0, y1 - y0) / PER_TARGET)
+        aims.append(Aim(labels[key], level, make_region(plate, shapes[key], fine, PER_TARGET)))
+    kept = [shapes[_key_of(aim, labels)] for aim in aims]
+    guarded = shapely.union_all([shapely.buffer(shape, specification.guard, quad_segs=CORNERS) for shape in kept])
+    rests = []
+    for allowance in specification.allowances:
+        x0, x1, y0, y1 = allowance.area or (0.0, scene.plate.size[0], 0.0, scene.plate.size[1])
+        shape = shapely.difference(shapely.box(x0, y0, x1, y1), guarded)
+        name = "elsewhere" if allowance.area is None else f"x {x0:g} to {x1:g}, y {y0:g} to {y1:g} m"
+        rests.append(Rest(name, allowance, make_region(plate, shape, spacing)))
+    return Requirements(specification, tuple(aims), tuple(rests))
+
+
+def _key_of(aim: Aim, labels: dict[str, str]) -> str:
+    return next(key for key, name in labels.items() if name == aim.name)
+
+
+def _wavelength(plate: ModalPlate) -> float:
+    """Return the bending wavelength [m] at the highest frequency of a plate's responses, of an even plate of its mass
+    and stiffness."""
+    panel = plate.scene.plate
+    speed = math.sqrt(panel.rigidity / (panel.density * panel.thickness))
+    return 2 * math.pi * math.sqrt(speed / (2 * math.pi * plate.highest))
+
+
+@dataclass
+class Tone:
+    """Drives of a plate at one frequency; points that programs added stay for later ones."""
+
+    plate: ModalPlate
+    requirements: Requirements
+    frequency: float  # [Hz]
+    largest: np.ndarray  # (actuators,) largest magnitudes, in the unit of the scene's drives
+    rotation: float = 0.0  # phase lag [rad] of the targets' motion whose phase is 0
+    points: dict[Key, np.ndarray] = field(default_factory=dict)  # points of aims and rests in programs
+
+    @cached_property
+    def _amplitudes(self) -> np.ndarray:
+        """(modes, actuators) modal accelerations [√kg·m/s²] of the actuators' largest drives."""
+        plate, omega, forces = self.plate, self._omega, self.plate.actuator_forces() * self.largest
+        if plate.proportional:
+            return -(omega**2) * plate.respond(np.array([self.frequency]), forces)[0]
+        # One solution takes less time than the poles of all modes.
+        stiffness = np.diag(plate.angular_frequencies**2 - omega**2) + 1j * (omega * plate.damping + plate.hysteretic)
+        return np.asarray(-(omega**2) * np.linalg.solve(stiffness, forces))
+
+    @property
+    def _omega(self) -> float:
+        return 2 * math.pi * self.frequency
+
+    @cached_property
+    def _coefficients(self) -> np.ndarray:
+        """(unknowns, actuators) the same of the functions of the space [m/s²]."""
+        return self.plate.vectors[: self.plate.space.unknowns] @ self._amplitudes
+
+    def rows(self, points: np.ndarray) -> np.ndarray:
+        """Return (points, actuators) accelerations at points (points, 2) [m] under the actuators' largest drives."""
+        return self._at_points(self._coefficients, points)
+
+    def _at_points(self, coefficients: np.ndarray, points: np.ndarray) -> np.ndarray:
+        parts = np.concatenate([coefficients.real, coefficients.imag], axis=1)
+        real, imaginary = np.split(self.plate.space.sums_at_points(parts.T, points).T, 2, axis=1)
+        return np.asarray(real + 1j * imaginary)
+
+    def field(self, drive: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return the (ny, nx) complex acceleration [m/s²] under a drive on the grid of x and y [m]."""
+        whole = self._coefficients @ drive
+        real, imaginary = self.plate.space.on_grid(np.stack([whole.real, whole.imag]), x, y)
+        return np.asarray(real + 1j * imaginary)
+
+    def mean_factor(self, region: Region) -> np.ndarray:
+        """Return the factor R (rows, actuators): ‖R z‖ is the root mean square [m/s²] over a region, by mass."""
+        return _factor(self._coefficients.conj().T @ (region.mean_matrix @ self._coefficients))
+
+    @cached_property
+    def power_factor(self) -> np.ndarray:
+        """(rows, actuators) factor of the mean mechanical power [W] of all actuators."""
+        forces = self.plate.actuator_forces() * self.largest
+        velocity = self._amplitudes / (1j * self._omega)
+        admittance = forces.T @ velocity
+        return _factor((admittance + admittance.conj().T) / 4)
+
+    @cached_property
+    def wanted(self) -> np.ndarray:
+        """(aims,) wanted peak accelerations [m/s²]."""
+        return self.requirements.wanted(self.frequency)
+
+    @cached_property
+    def allowed(self) -> np.ndarray:
+        """(rests,) allowed peak accelerations [m/s²]."""
+        return self.requirements.allowed(self.frequency)
+
+    def solve(self, scaled: Scaled, level: float = 1.0, between: bool = True) -> LeastScale:
+        """Return the least scale for this tone alone, see :func:`solve_together`."""
+        return solve_together([self], scaled, level, between)
+
+    def program(self, scaled: Scaled, level: float) -> tuple[np.ndarray, list[np.ndarray], list[Block]]:
+        """Return the wanted rows (rows, actuators), the factors of wanted mean squares and the limited blocks."""
+        wanted, squares = [np.empty((0, len(self.largest)), dtype=complex)], []
+        for index, aim in enumerate(self.requirements.aims):
+            unit = level * self.wanted[index] * (1 + MARGIN)
+            if aim.level.measure == "mean":
+                squares.append(self.mean_factor(aim.region) / unit)
+                continue
+            rows = self.rows(self._points(("aim", index), aim.region)) / unit
+            if aim.level.phase == "free":
+                squares += list(rows[:, None])
+            else:
+                wanted.append(np.exp(1j * (aim.level.phase + self.rotation)) * rows)
+        rests = [] if scaled == "actuators alone" else self._rests()
+        blocks = [Block(rows / self._unit(index, level), scaled == "elsewhere") for index, rows in rests]
+        if (power := self.requirements.specification.limits.power) is not None:
+            blocks.append(Block(self.power_factor[None] / math.sqrt(power), scaled != "elsewhere"))
+        return np.concatenate(wanted), squares, blocks
+
+    def _rests(self) -> list[tuple[int, np.ndarray]]:
+        """Return the rows (blocks, rows, actuators) of each rest, with its index."""
+        blocks = []
+        for index, rest in enumerate(self.requirements.rests):
+            if rest.allowance.measure == "mean":
+                blocks.append((index, self.mean_factor(rest.region)[None]))
+            else:
+                blocks.append((index, self.rows(self._points(("rest", index), rest.region))[:, None]))
+        return blocks
+
+    def _unit(self, index: int, level: float) -> float:
+        """Return what is allowed of a rest; relative levels follow the targets'."""
+        relative = self.requirements.rests[index].allowance.relative_db is not None
+        return float(self.allowed[index] * (level if relative else 1.0) * (1 - MARGIN))
+
+    def _phase(self, aim: Aim) -> float | Literal["free"]:
+        return "free" if aim.level.phase == "free" else aim.level.phase + self.rotation
+
+    def _points(self, key: Key, region: Region) -> np.ndarray:
+        """Return the points of a region that programs have so far: at first some of its samples."""
+        if key not in self.points:
+            self.points[key] = region.samples[:: max(1, len(region.samples) // FIRST)]
+        return self.points[key]
+
+    def add_points(self, result: LeastScale, scaled: Scaled, level: float, between: bool) -> bool:
+        """Add samples, or points between them, at which a drive falls short or passes its scale; return whether there
+        are any."""
+        added, scale = False, result.scale if scaled == "elsewhere" else 1.0
+        for index, aim in enumerate(self.requirements.aims):
+            if aim.level.measure == "weakest":
+                measure = partial(_shortfall, level * self.wanted[index], self._phase(aim))
+                added |= self._add(("aim", index), aim.region, result.drive, measure, 0.0, between)
+        for index, rest in enumerate(self.requirements.rests if scaled != "actuators alone" else ()):
+            if rest.allowance.measure == "worst":
+                measure = partial(_size, self._unit(index, level))
+                added |= self._add(("rest", index), rest.region, result.drive, measure, scale, between)
+        return added
+
+    def _add(
+        self, key: Key, region: Region, drive: np.ndarray, measure: Values, limit: float, between: bool
+    ) -> bool:
+        """Add the points of a region where a measure of the acceleration passes a limit."""
+        peaks = self._peaks(region, drive, measure, between)
+        beyond = peaks[measure(self.rows(peaks) @ drive) > limit + TOLERANCE * max(1.0, limit)]
+        self.points[key] = np.concatenate([self.points[key], beyond])
+        return len(beyond) > 0
+
+    def _peaks(self, region: Region, drive: np.ndarray, measure: Values, between: bool = True) -> np.ndarray:
+        """Return points (points, 2) [m] where a measure of the acceleration under a drive is largest."""
+        if id(region) not in self._samples:
+            self._samples[id(region)] = self.rows(region.samples)
+        levels, whole = measure(self._samples[id(region)] @ drive), (self._coefficients @ drive)[:, None]
+        values = (lambda points: measure(self._at_points(whole, points)[:, 0])) if between else None
+        return region.peaks(levels, values)
+
+    @cached_property
+    def _samples(self) -> dict[int, np.ndarray]:
+        """Rows (samples, actuators) of regions by their identity."""
+        return {}
+
+    def rotated(self, drive: np.ndarray) -> Tone:
+        """Return the tone with the rotation at which a drive moves the first target that has a phase; its points are
+        shared."""
+        for index, aim in enumerate(self.requirements.aims):
+            if aim.level.measure == "weakest" and aim.level.phase != "free":
+                motion = (self.rows(self._points(("aim", index), aim.region)) @ drive).mean()
+                return replace(self, rotation=float(-np.angle(motion) - aim.level.phase))
+        return self
+
+    def binding(self, result: LeastScale) -> list[tuple[str, float]]:
+        """Return what the proof of a program of this tone alone rests on, in words, with its part of the proof."""
+        named, place = [], 0
+        fixed = [row for row in enumerate(self.requirements.aims) if self._is_fixed(row[1])]
+        others = [row for row in enumerate(self.requirements.aims) if not self._is_fixed(row[1])]
+        for index, aim in (*fixed, *others):
+            count = 1 if aim.level.measure == "mean" else len(self.points["aim", index])
+            part = result.wanted[place : place + count]
+            at = "" if aim.level.measure == "mean" or not len(part) else _at(self.points["aim", index][part.argmax()])
+            named.append((f"{aim.level.text} in {aim.name}{at}", float(part.sum())))
+            place += count
+        for index, (rest, part) in enumerate(zip(self.requirements.rests, result.allowed[1:], strict=False)):
+            at = _at(self.points["rest", index][part.argmax()]) if rest.allowance.measure == "worst" else " in the mean"
+            named.append((f"{rest.allowance.text} {rest.name}{at}", float(part.sum())))
+        parts = result.allowed[0].tolist() if result.allowed else []
+        return named + list(zip([actuator.name for actuator in self.plate.scene.actuators], parts, strict=False))
+
+    def _is_fixed(self, aim: Aim) -> bool:
+        return aim.level.measure == "weakest" and aim.level.phase != "free"
+
+    def extremes(self, drive: np.ndarray) -> dict[str, Extremes]:
+        """Return the peak accelerations in all regions under a drive, by the names of the regions."""
+        regions: dict[str, Region] = {aim.name: aim.region for aim in self.requirements.aims}
+        regions |= {rest.name: rest.region for rest in self.requirements.rests}
+        extremes = {}
+        for name, region in regions.items():
+            ends = []
+            for sign in (1.0, -1.0):
+                peaks = self._peaks(region, drive, partial(_size, sign))
+                sizes = np.abs(self.rows(peaks) @ drive)
+                at = int(np.argmax(sign * sizes))
+                ends.append((float(sizes[at]), tuple(peaks[at].tolist())))
+            (worst, worst_at), (weakest, weakest_at) = ends
+            mean = float(np.linalg.norm(self.mean_factor(region) @ drive))
+            extremes[name] = Extremes(worst, mean, weakest, worst_at, weakest_at)
+        return extremes
+
+
+def solve_together(tones: Sequence[Tone], scaled: Scaled, level: float = 1.0, between: bool = True) -> LeastScale:
+    """Return the least scale, for the wanted levels or a multiple of them, that one drive needs for all tones.
+
+    Args:
+        tones: Tones with the same actuators.
+        scaled: What is scaled. The bound holds for each tone's
+            ``rotation``, which does not matter to one tone alone.
+        level: Multiple of the wanted levels.
+        between: Let the drive keep its scale between the samples of the regions too, not only at these.
+    """
+    refined = False
+    for _ in range(ROUNDS):
+        parts = [tone.program(scaled, level) for tone in tones]
+        wanted = np.concatenate([part[0] for part in parts])
+        squares, blocks = ([item for part in parts for item in part[index]] for index in (1, 2))
+        result = least_scale_of_squares(wanted, squares, blocks, scaled != "elsewhere")
+        if not np.isfinite(result.drive).all():
+            break
+        added = [tone.add_points(result, scaled, level, refined) for tone in tones]
+        if not any(added):
+            if refined or not between:
+                break
+            refined = True
+    return result
+
+
+def _at(point: np.ndarray) -> str:
+    return f" at ({point[0]:.4g}, {point[1]:.4g}) m"
+
+
+def _size(unit: float, acceleration: np.ndarray) -> np.ndarray:
+    """Return the sizes of complex accelerations in a unit [m/s²]."""
+    return np.asarray(np.abs(acceleration) / unit)
+
+
+def _shortfall(unit: float, phase: float | Literal["free"], acceleration: np.ndarray) -> np.ndarray:
+    """Return by how much complex accelerations at a phase lag [rad] fall short of a unit [m/s²]."""
+    if phase == "free":
+        return np.asarray(1 - np.abs(acceleration) / unit)
+    return np.asarray(1 - (np.exp(1j * phase) * acceleration).real / unit)
+
+
+def _factor(matrix: np.ndarray) -> np.ndarray:
+    """Return R (rows, n) with RᴴR the part of a Hermitian matrix (n, n) that is not negative."""
+    values, vectors = np.linalg.eigh((matrix + matrix.conj().T) / 2)
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0))).conj().T)
+

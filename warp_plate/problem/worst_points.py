@@ -1,0 +1,159 @@
+"""Points of a region of the plate at which a field is largest, between the points of any grid.
+
+A region is sampled inside and along its outlines. From each sample that exceeds its neighbours the search steps to the
+best of eight neighbours, or of two along an outline, and halves its steps where none is better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import shapely
+
+from warp_plate.modal.modes import ModalPlate
+from warp_plate.modal.spaces.space import Matrix
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.target import Target
+
+# Corners of a disc or of a quarter of a rounded corner; halvings of the steps; most points that are returned.
+CORNERS, HALVINGS, MOST = 256, 13, 12
+# Width of a seam [of the longer side] within which points count as those of a region.
+SEAM = 1e-9
+Values = Callable[[np.ndarray], np.ndarray]
+NEIGHBOURS = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)], dtype=float)
+
+
+def shape_of(key: str, target: Target) -> shapely.Geometry:
+    """Return the shape of a target [m]; SceneError, naming its ``key``, if it is a mask."""
+    corners = target.corners(CORNERS)
+    if corners is None:
+        raise SceneError(f"{key}.mask: a specification takes an area, a disc or a polygon")
+    return shapely.Polygon(corners)
+
+
+@dataclass(frozen=True)
+class Region:
+    """A part of the plate with its samples."""
+
+    shape: shapely.Geometry  # its shape [m], wider by the seam
+    plate: ModalPlate  # the plate
+    x: np.ndarray  # (nx,) [m]
+    y: np.ndarray  # (ny,) [m]
+    inside: np.ndarray  # (ny, nx) true for grid points of the region
+    lines: tuple[np.ndarray, ...]  # (points, 2) samples along its closed outlines [m], corners included
+
+    @cached_property
+    def samples(self) -> np.ndarray:
+        """(samples, 2) points [m]: those of the grid, then those of the lines."""
+        return np.concatenate([self._grid[self.inside], *self.lines])
+
+    @cached_property
+    def mean_matrix(self) -> Matrix:
+        """(unknowns, unknowns) matrix of the mean square over the region, by mass."""
+        outlines = []
+        for polygon in shapely.get_parts(self.shape):
+            for sign, ring in ((1, polygon.exterior), *((-1, ring) for ring in polygon.interiors)):
+                corners = tuple(map(tuple, shapely.get_coordinates(ring)[:-1]))
+                target = Target.model_construct(area=None, disc=None, mask=None, polygon=corners)
+                outlines.append(sign * self.plate.space.region_matrix(target))
+        density = self.plate.space.density(self.x, self.y)[self.inside].mean()
+        return Matrix(sum(outlines[1:], start=outlines[0]) / (density * self.shape.area))
+
+    @cached_property
+    def _grid(self) -> np.ndarray:
+        return np.stack(np.meshgrid(self.x, self.y), axis=-1)
+
+    def peaks(self, levels: np.ndarray, values: Values | None = None) -> np.ndarray:
+        """Return up to MOST points (points, 2) [m] of the largest maxima of a field, in any order.
+
+        Args:
+            levels: (samples,) field at the samples, at which it is compared with the neighbours.
+            values: Function from points (points, 2) [m] to the field (points,), by which the points are moved to the
+                maxima between samples (default: they stay).
+        """
+        parts = np.split(levels, np.cumsum([self.inside.sum(), *map(len, self.lines)])[:-1])
+        maxima = [self._grid_maxima(parts[0]), *map(_line_maxima, parts[1:])]
+        least = np.sort(np.concatenate([part[at] for part, at in zip(parts, maxima, strict=True)]))[-MOST:][0]
+        inside, *along = (at[part[at] >= least] for part, at in zip(parts, maxima, strict=True))
+        grid = self._grid[self.inside][inside]
+        if values is None:
+            return np.concatenate([grid, *(line[at] for line, at in zip(self.lines, along, strict=True))])
+        lines = [_climb_along(line, at, values) for line, at in zip(self.lines, along, strict=True)]
+        return np.concatenate([self._climb(grid, values), *lines])
+
+    def _grid_maxima(self, levels: np.ndarray) -> np.ndarray:
+        """Return the indices of grid points inside that no neighbour exceeds."""
+        field = np.full(self.inside.shape, -np.inf)
+        field[self.inside] = levels
+        around = np.pad(field, 1, constant_values=-np.inf)
+        rows, columns = field.shape
+        neighbours = [around[1 + i : 1 + i + rows, 1 + j : 1 + j + columns] for i, j in NEIGHBOURS.astype(int)]
+        return np.flatnonzero((field >= np.max(neighbours, axis=0))[self.inside])
+
+    def _climb(self, points: np.ndarray, values: Values) -> np.ndarray:
+        """Return the maxima (points, 2) near points of the grid."""
+        steps = np.array([_spacing(self.x), _spacing(self.y)])
+        for _ in range(HALVINGS if len(points) else 0):
+            around = np.clip(points[:, None] + NEIGHBOURS * steps / 2, (0.0, 0.0), self.plate.scene.plate.size)
+            allowed = shapely.contains_xy(self.shape, *around.reshape(-1, 2).T).reshape(around.shape[:2])
+            allowed[:, len(NEIGHBOURS) // 2] = True  # the point itself
+            levels = np.where(allowed, values(around.reshape(-1, 2)).reshape(allowed.shape), -np.inf)
+            points, steps = around[np.arange(len(points)), levels.argmax(axis=1)], steps / 2
+        return points
+
+
+def _line_maxima(levels: np.ndarray) -> np.ndarray:
+    """Return the indices of samples of a closed line that no neighbour exceeds."""
+    return np.flatnonzero((levels >= np.roll(levels, 1)) & (levels >= np.roll(levels, -1)))
+
+
+def _climb_along(line: np.ndarray, indices: np.ndarray, values: Values) -> np.ndarray:
+    """Return the maxima (points, 2) near samples of a closed line (samples, 2)."""
+    closed = np.concatenate([line, line[:1]])
+    length = np.concatenate([[0.0], np.hypot(*np.diff(closed, axis=0).T).cumsum()])
+    place, step = length[indices], np.diff(length).max(initial=0.0)
+
+    def at(place: np.ndarray) -> np.ndarray:
+        return np.stack([np.interp(place % length[-1], length, closed[:, axis]) for axis in (0, 1)], axis=-1)
+
+    for _ in range(HALVINGS if len(place) else 0):
+        around = place[:, None] + np.array([0.0, -0.5, 0.5]) * step
+        levels = values(at(around).reshape(-1, 2)).reshape(around.shape)
+        place, step = around[np.arange(len(place)), levels.argmax(axis=1)], step / 2
+    return at(place)
+
+
+def _spacing(positions: np.ndarray) -> float:
+    return float(positions[1] - positions[0]) if len(positions) > 1 else 0.0
+
+
+def make_region(plate: ModalPlate, shape: shapely.Geometry, spacing: float, fewest: int = 2) -> Region:
+    """Return a region with samples at most ``spacing`` [m] apart, at least ``fewest`` along each side of its box.
+
+    Raises:
+        SceneError: The region is empty.
+    """
+    size = plate.scene.plate.size
+    board = shapely.box(0.0, 0.0, *size)
+    shape = shapely.intersection(shape, board)
+    if shape.is_empty or shape.area <= 0:
+        raise SceneError("specification.guard: leaves nothing of the plate outside the targets; write a narrower one")
+    x0, y0, x1, y1 = shape.bounds
+    x, y = (
+        np.linspace(low, high, max(fewest, int(np.ceil((high - low) / spacing)) + 1))
+        for low, high in ((x0, x1), (y0, y1))
+    )
+    lines = []
+    for polygon in shapely.get_parts(shape):
+        if polygon.geom_type != "Polygon":
+            continue
+        for ring in (polygon.exterior, *polygon.interiors):
+            step = min(spacing, ring.length / (4 * fewest))
+            lines.append(shapely.get_coordinates(shapely.segmentize(ring, step))[:-1])
+    seamed = shapely.buffer(shape, SEAM * max(size))
+    shapely.prepare(seamed)
+    inside = shapely.contains_xy(seamed, *np.meshgrid(x, y))
+    return Region(seamed, plate, x, y, inside, tuple(lines))

@@ -1,0 +1,88 @@
+"""The answer to a specification: a drive that meets it, or what is in its way."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from warp_plate.scene.model import Scene
+
+
+@dataclass(frozen=True)
+class RegionLevels:
+    """Peak accelerations of a region [m/s²] under the drive."""
+
+    name: str  # name of a target, "elsewhere" or the rectangle of an allowance
+    worst: float  # largest
+    mean: float  # root mean square over the region, by mass
+    weakest: float  # smallest
+    worst_at: tuple[float, ...]  # point x, y [m] of the largest
+    weakest_at: tuple[float, ...]  # point x, y [m] of the smallest
+
+
+@dataclass(frozen=True)
+class Margin:
+    """How far a requirement is kept."""
+
+    requirement: str
+    wanted: float  # limit, in ``unit``
+    reached: float  # value under the drive, in ``unit``
+    unit: str
+    margin_db: float  # at least 0 if it is kept
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """One case of the tolerances."""
+
+    changes: Mapping[str, float]  # factors of the scene's numbers by key
+    nominal_level: float  # reached over wanted level of the worst target, under the drive of the nominal scene
+    nominal_db: float  # contrast of that drive [dB]
+    robust_level: float  # the same of the one drive for all cases
+    robust_db: float
+    best_db: float  # contrast of the best drive for this case alone [dB]
+
+
+@dataclass(frozen=True, eq=False)
+class SpecifiedDrive:
+    """A drive for a specification, and what is known of all others.
+
+    ``contrast_db`` is the level elsewhere over the level of the targets, by the measures of the specification: -14 says
+    that all else moves 14 dB less.
+    """
+
+    scene: Scene
+    feasible: bool  # true if the drive meets the specification
+    proved: bool  # true if it does, or if it is proved that none does at the frequencies that were tried
+    frequency: float  # frequency of the drive [Hz]
+    drive: np.ndarray  # (actuators,) complex amplitudes, in ``unit``; NaN if no drive reaches the levels
+    limits: np.ndarray  # (actuators,) largest amplitudes, in ``unit``
+    unit: str  # "N" or "V"
+    levels: Sequence[RegionLevels]
+    margins: Sequence[Margin]
+    contrast_db: float  # least contrast that the levels and limits allow [dB]; NaN without levels elsewhere
+    bound_db: float  # proved lower bound of it [dB]
+    interval: tuple[float, float]  # contrast of the drive with its numerical error [dB]; level / wanted without a rest
+    effort: float  # least multiple of the limits that meets the specification; infinite if none does
+    largest_level: float  # largest multiple of the wanted levels that the limits allow
+    obstacles: Sequence[str]  # what is in the way, in sentences
+    gains: np.ndarray  # (actuators,) dB that the contrast falls for each unit of an actuator's limit
+    frequencies: np.ndarray  # (n,) frequencies that were tried [Hz]
+    contrasts: np.ndarray  # (n,) least contrast at each [dB]; NaN where the levels are not reached
+    efforts: np.ndarray  # (n,) least multiple of the limits that reaches the levels at each
+    pareto_levels: np.ndarray  # (m,) multiples of the wanted levels
+    pareto_contrasts: np.ndarray  # (m,) least contrast at each [dB]
+    field_db: np.ndarray  # (ny, nx) acceleration over the weakest level wanted [dB]
+    scatter: Sequence[Scatter]
+    notes: Sequence[str]  # what should be known of the answer, in sentences
+
+    @property
+    def robust(self) -> bool:
+        """True if one drive meets the specification in all cases of the tolerances."""
+        return all(case.robust_level >= 1 - 1e-6 for case in self.scatter)
+
+    def __repr__(self) -> str:
+        word = "feasible" if self.feasible else "infeasible" if self.proved else "not met"
+        return f"<SpecifiedDrive {word} at {self.frequency:g} Hz, contrast {self.contrast_db:.2f} dB>"

@@ -1,0 +1,182 @@
+"""The table ``[specification]``: the levels that targets must reach, and those that are allowed elsewhere."""
+
+import math
+from collections.abc import Sequence
+from typing import Annotated, Literal, Self
+
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from warp_plate.scene.fields import Area, Flag, Moderate, Name, NotNegative, Positive, Table, Unit, check_area
+
+STANDARD_GRAVITY = 9.80665  # m/s²
+# Keys of a level, and the power of the angular frequency by which their peak becomes an acceleration [m/s²].
+LEVEL_KEYS = {"acceleration_g": 0, "acceleration": 0, "velocity": 1, "displacement": 2}
+MOST_TOLERANCES = 4
+_IS_LIST = Discriminator(lambda value: "several" if isinstance(value, list | tuple) else "one")
+_IS_WORD = Discriminator(lambda value: "word" if isinstance(value, str) else "number")
+
+
+class _Motion(Table):
+    """A level of motion, given by one of its keys."""
+
+    acceleration_g: Annotated[Positive | None, Unit("g"), Field(examples=[1.0])] = None
+    """Acceleration in units of 9.80665 m/s²."""
+    acceleration: Annotated[Positive | None, Unit("m/s²"), Field(examples=[5.0])] = None
+    """Acceleration."""
+    velocity: Annotated[Positive | None, Unit("m/s"), Field(examples=[2e-3])] = None
+    """Velocity."""
+    displacement: Annotated[Positive | None, Unit("m"), Field(examples=[1e-6])] = None
+    """Displacement."""
+    rms: Annotated[Flag, Field(examples=[True])] = False
+    """True if the level is the root mean square over time; false if it is the peak."""
+
+    def _given(self) -> list[str]:
+        return [key for key in LEVEL_KEYS if getattr(self, key) is not None]
+
+    def peak_acceleration(self, frequency: float) -> float:
+        """Return the level as the peak of an acceleration [m/s²] at a frequency [Hz]."""
+        (key,) = self._given()
+        unit = STANDARD_GRAVITY if key == "acceleration_g" else 1.0
+        peak = getattr(self, key) * unit * (2 * math.pi * frequency) ** LEVEL_KEYS[key]
+        return float(peak * (math.sqrt(2) if self.rms else 1.0))
+
+
+    @property
+    def text(self) -> str:
+        """The level with its unit, for people."""
+        (key,) = self._given()
+        unit = {"acceleration_g": "g", "acceleration": "m/s²", "velocity": "m/s", "displacement": "m"}[key]
+        return f"{getattr(self, key):g} {unit} {'rms' if self.rms else 'peak'}"
+
+
+class Level(_Motion):
+    """A level that a target must reach."""
+
+    target: Annotated[Name | None, Field(examples=["left thumb"])] = None
+    """Name of one of ``[[targets]]`` (default: ``[target]``, or the first of them)."""
+    measure: Annotated[Literal["weakest", "mean"], Field(examples=["mean"])] = "weakest"
+    """Where the level is reached: at every point of the target, or as the root mean square over the target."""
+    phase: Annotated[
+        Annotated[Moderate, Tag("number")] | Annotated[Literal["free"], Tag("word")],
+        _IS_WORD,
+        Unit("rad"),
+        Field(examples=[3.14]),
+    ] = 0.0
+    """Phase lag of the motion of all points of the target, relative to other targets; "free" for any phase at each
+    point. Of a mean, phases are free."""
+
+    @model_validator(mode="after")
+    def _one_quantity(self) -> Self:
+        _check_given(self._given(), list(LEVEL_KEYS))
+        return self
+
+
+class Allowance(_Motion):
+    """A level that must not be exceeded outside the targets and their guard."""
+
+    area: Annotated[Area | None, Field(examples=[[0.0, 0.05, 0.0, 0.13]])] = None
+    """Rectangle x0, x1, y0, y1 where the level holds (default: the plate)."""
+    relative_db: Annotated[Annotated[float, Field(ge=-200, le=200)] | None, Unit("dB"), Field(examples=[-10.0])] = None
+    """Level relative to the lowest level of the targets, such as -10 for 10 dB less."""
+    measure: Annotated[Literal["worst", "mean"], Field(examples=["mean"])] = "worst"
+    """Where the level holds: at every point, or as the root mean square over the area."""
+
+    @property
+    def text(self) -> str:
+        return super().text if self.relative_db is None else f"{self.relative_db:g} dB"
+
+    @model_validator(mode="after")
+    def _one_quantity(self) -> Self:
+        given = [*self._given(), *(["relative_db"] if self.relative_db is not None else [])]
+        _check_given(given, ["relative_db", *LEVEL_KEYS])
+        if self.relative_db is not None and self.rms:
+            raise ValueError("rms: true, but relative_db compares levels of one kind; delete it")
+        return self
+
+
+class DriveLimits(Table):
+    """Limits of the actuators in place of their own magnitudes or forces."""
+
+    force: Annotated[Positive | None, Unit("N"), Field(examples=[0.5])] = None
+    """Largest peak of the force of each actuator."""
+    voltage: Annotated[Positive | None, Unit("V"), Field(examples=[100.0])] = None
+    """Largest peak of the voltage of each piezo patch."""
+    power: Annotated[Positive | None, Unit("W"), Field(examples=[0.01])] = None
+    """Largest mean mechanical power of all actuators together."""
+
+
+class Specification(Table):
+    """What a drive must do: levels in the targets, levels elsewhere and limits of the actuators, for steady tones."""
+
+    frequency: Annotated[
+        Annotated[Annotated[Positive, Tag("one")] | Annotated[tuple[Positive, Positive], Tag("several")], _IS_LIST]
+        | None,
+        Unit("Hz"),
+        Field(examples=[[180.0, 250.0]]),
+    ] = None
+    """Frequency, or lowest and highest frequency (default: that of the drive)."""
+    band: Annotated[Flag, Field(examples=[True])] = False
+    """True if every frequency of the range must have a drive; false if the best one is sought."""
+    guard: Annotated[NotNegative, Unit("m"), Field(examples=[0.02])] = 0.0
+    """Width of the rim around targets that belongs neither to them nor to the rest."""
+    level: Annotated[
+        Annotated[Level, Tag("one")]
+        | Annotated[tuple[Level, ...], Field(min_length=1, max_length=64), Tag("several")],
+        _IS_LIST,
+    ]
+    elsewhere: Annotated[
+        Annotated[Allowance, Tag("one")] | Annotated[tuple[Allowance, ...], Field(max_length=64), Tag("several")],
+        _IS_LIST,
+    ] = ()
+    limits: DriveLimits = DriveLimits()
+    tolerance: Annotated[
+        dict[str, Annotated[float, Field(gt=0, lt=1)]],
+        Unit("1"),
+        Field(default_factory=dict, examples=[{"plate.thickness": 0.05}]),
+    ]
+    """Relative tolerances of numbers of the scene, by their keys."""
+
+    @property
+    def levels(self) -> Sequence[Level]:
+        """Levels of the targets."""
+        return (self.level,) if isinstance(self.level, Level) else self.level
+
+    @property
+    def allowances(self) -> Sequence[Allowance]:
+        """Levels that are allowed elsewhere."""
+        return (self.elsewhere,) if isinstance(self.elsewhere, Allowance) else self.elsewhere
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if isinstance(self.frequency, tuple) and not self.frequency[0] < self.frequency[1]:
+            raise ValueError(f"frequency: {list(self.frequency)}: write the lower frequency first")
+        if self.band and not isinstance(self.frequency, tuple):
+            raise ValueError("band: true, but frequency is no range; write frequency = [LOW, HIGH]")
+        targets = [level.target for level in self.levels]
+        for index, target in enumerate(targets):
+            if target in targets[:index]:
+                raise ValueError(f"level[{index}].target: {target or 'the default'} has a level already")
+        if len(self.tolerance) > MOST_TOLERANCES:
+            raise ValueError(f"tolerance: {len(self.tolerance)} keys; at most {MOST_TOLERANCES} are varied together")
+        return self
+
+    def check(self, targets: Sequence[str], size: tuple[float, float], piezo: bool) -> None:
+        """Raise ValueError, naming the key, unless the specification fits a scene's targets, plate and actuators."""
+        for index, level in enumerate(self.levels):
+            if level.target is not None and level.target not in targets:
+                there = f"the targets are {', '.join(targets)}" if targets else "there are no [[targets]]"
+                raise ValueError(f"specification.level[{index}].target: {level.target!r}: {there}")
+        for index, allowance in enumerate(self.allowances):
+            if allowance.area is not None:
+                check_area(f"specification.elsewhere[{index}].area", allowance.area, size)
+        wrong, right = ("force", "voltage") if piezo else ("voltage", "force")
+        if getattr(self.limits, wrong) is not None:
+            kind = "piezo patches" if piezo else "actuators that press"
+            raise ValueError(f"specification.limits.{wrong}: not of {kind}; write {right}")
+
+
+def _check_given(given: list[str], keys: list[str]) -> None:
+    if not given:
+        raise ValueError(f"{keys[0]}: no level is given; write one of {', '.join(keys)}")
+    if len(given) > 1:
+        raise ValueError(f"{given[1]}: {given[0]} is given too; write one of them")

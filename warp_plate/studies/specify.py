@@ -1,0 +1,303 @@
+"""The drive that meets a scene's specification, or the proof that none does."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from warp_plate.interrupts import check_interrupt
+from warp_plate.modal.modes import ModalPlate, solve_modes
+from warp_plate.optimize.cones import LeastScale
+from warp_plate.problem.specified_drives import Scaled, Tone, make_requirements, solve_together
+from warp_plate.result.specified import Margin, RegionLevels, Scatter, SpecifiedDrive
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.keys import resolved_key, value_of
+from warp_plate.scene.model import Scene, SceneSource
+from warp_plate.scene.specification import Specification
+from warp_plate.studies.frequency_response import check_linear
+
+# Frequencies of a range that are tried, besides resonances, and the relative accuracy of the best one.
+TRIED, FREQUENCY_ACCURACY = 24, 1e-5
+# Multiples of the wanted levels on the curve of level against contrast.
+PARETO = np.geomspace(1 / 8, 8, 13)
+# Relative violation that counts as none; part of a certificate above which a requirement is named.
+NOTHING, NAMED = 1e-6, 0.02
+# Density of the splines that errors are estimated with, and the multiple of the difference that counts.
+FINER, SAFETY = 1.3, 2.0
+# Points of the map along the longer side of the plate.
+MAP_POINTS = 161
+# Rounds of a drive for all cases of the tolerances.
+ROTATIONS = 12
+
+
+def specify(
+    scene: SceneSource, tolerances: bool = True, on_progress: Callable[[int, int], object] | None = None
+) -> SpecifiedDrive:
+    """Return the drive that meets a scene's ``[specification]`` best, and what no drive can do.
+
+    The drive has the least contrast of the levels elsewhere; without any, the least part of the actuators' limits.
+
+    Args:
+        scene: Linear scene with a specification; its motion is steady.
+        tolerances: Also find one drive for all cases of ``specification.tolerance``.
+        on_progress: Function of the number of frequencies done and their total.
+
+    Raises:
+        SceneError: The scene has no specification, is not linear, or a region of the specification is empty.
+    """
+    scene = Scene.load(scene)
+    specification = scene.specification
+    if specification is None:
+        raise SceneError("specification: is missing; write for example [specification] level = { acceleration_g = 1 }")
+    check_linear(scene, None)
+    low, high = _range(scene, specification)
+    plate = solve_modes(scene, high, key="specification.frequency")
+    largest = _largest_drives(scene, specification)
+    requirements = make_requirements(plate)
+    scaled: Scaled = "elsewhere" if requirements.rests else "actuators"
+    frequencies = _frequencies(plate, low, high)
+    tones, scales = [], []
+    for done, frequency in enumerate(frequencies):
+        check_interrupt()
+        tones.append(Tone(plate, requirements, float(frequency), largest))
+        scales.append(tones[-1].solve(scaled, between=False))
+        if on_progress is not None:
+            on_progress(done + 1, len(frequencies))
+    chosen = (max if specification.band else min)(range(len(tones)), key=lambda k: _order(tones[k], scales[k]))
+    tone = tones[chosen]
+    if not specification.band and 0 < chosen < len(tones) - 1:
+        tone = _between(tone, scaled, frequencies[chosen - 1], frequencies[chosen + 1])
+    result = tone.solve(scaled)
+    answer = _answer(tone, scaled, result, scales, frequencies)
+    notes = list(answer.notes)
+    if len(frequencies) > 1 and not specification.band and tone.frequency in (low, high):
+        notes.append(f"the best frequency, {tone.frequency:g} Hz, is an end of the range; a wider one may be better")
+    answer = replace(answer, notes=notes)
+    if specification.tolerance and tolerances:
+        answer = replace(answer, scatter=_scatter(tone, scaled, result))
+    return answer
+
+
+def _range(scene: Scene, specification: Specification) -> tuple[float, float]:
+    frequency = specification.frequency or scene.drive.frequency
+    return frequency if isinstance(frequency, tuple) else (frequency, frequency)
+
+
+def _largest_drives(scene: Scene, specification: Specification) -> np.ndarray:
+    """Return the (actuators,) largest magnitudes, in the unit of the scene's drives."""
+    limits, largest = specification.limits, []
+    for index, actuator in enumerate(scene.actuators):
+        x0, x1, y0, y1 = actuator.area
+        limit = abs(actuator.magnitude)
+        if scene.piezo and limits.voltage is not None:
+            limit = limits.voltage
+        elif limits.force is not None:
+            limit = limits.force / ((x1 - x0) * (y1 - y0))
+        if limit == 0:
+            key = f"actuators[{index}].{actuator.amplitude_key} = 0"
+            raise SceneError(f"{key}: allows no drive; raise it, or write specification.limits")
+        largest.append(limit)
+    return np.array(largest)
+
+
+def _frequencies(plate: ModalPlate, low: float, high: float) -> np.ndarray:
+    """Return the frequencies [Hz] to try: evenly spaced ones, the resonances and places beside these."""
+    if low == high:
+        return np.array([low])
+    centres, widths = plate.resonances
+    beside = np.concatenate([centres + shift * widths for shift in (-2, -1, 0, 1, 2)])
+    beside = beside[(beside > low) & (beside < high)]
+    return np.unique(np.concatenate([np.geomspace(low, high, TRIED), beside]))
+
+
+def _order(tone: Tone, result: LeastScale) -> tuple[bool, float]:
+    """Return a key that sorts frequencies, the best first: by scale, or by effort where the levels are not reached."""
+    if math.isfinite(result.scale):
+        return False, result.scale
+    return True, tone.solve("actuators alone", between=False).scale
+
+
+def _between(tone: Tone, scaled: Scaled, low: float, high: float) -> Tone:
+    """Return the tone of the best frequency between two that enclose a tone's."""
+    from scipy.optimize import minimize_scalar
+
+    def scale(frequency: float) -> float:
+        check_interrupt()
+        return replace(tone, frequency=float(frequency)).solve(scaled, between=False).scale
+
+    options = {"xatol": FREQUENCY_ACCURACY * high, "maxiter": 30}
+    best = minimize_scalar(scale, bounds=(low, high), method="bounded", options=options)
+    return replace(tone, frequency=float(best.x)) if best.fun < scale(tone.frequency) else tone
+
+
+def _answer(
+    tone: Tone, scaled: Scaled, result: LeastScale, scales: Sequence[LeastScale], frequencies: np.ndarray
+) -> SpecifiedDrive:
+    """Return the answer at the frequency of a tone, without cases of tolerances."""
+    scene, rests = tone.plate.scene, tone.requirements.rests
+    binding, reached = tone.binding(result), math.isfinite(result.scale)
+    limits, feasible = tone.largest * _unit_factors(scene), reached and result.scale <= 1 + NOTHING
+    whole, effort = tone.solve("actuators alone"), tone.solve("actuators") if rests else result
+    drive = result.drive if reached else whole.drive / whole.scale
+    contrast, bound = (_contrast(tone, scale) for scale in (result.scale, result.bound))
+    pareto = [(level, tone.solve(scaled, level, between=False)) for level in PARETO] if rests else []
+    obstacles = [] if feasible else _obstacles(tone, binding, result, effort, whole)
+    return SpecifiedDrive(
+        scene=scene,
+        feasible=feasible,
+        proved=feasible or result.bound > 1,
+        frequency=tone.frequency,
+        drive=drive * limits,
+        limits=limits,
+        unit="V" if scene.piezo else "N",
+        levels=[RegionLevels(name, **vars(levels)) for name, levels in tone.extremes(drive).items()],
+        margins=_margins(tone, drive, limits),
+        contrast_db=contrast,
+        bound_db=bound,
+        interval=_interval(tone, drive),
+        effort=effort.scale,
+        largest_level=1 / whole.scale,
+        obstacles=obstacles,
+        gains=_gains(result, limits) if rests and reached else np.full(len(limits), np.nan),
+        frequencies=frequencies,
+        contrasts=np.array([_contrast(tone, one.scale) for one in scales]),
+        efforts=np.array([math.nan if rests else one.scale for one in scales]),
+        pareto_levels=np.array([level for level, _ in pareto]),
+        pareto_contrasts=np.array([_contrast(tone, one.scale) for _, one in pareto]),
+        field_db=_field(tone, drive),
+        scatter=(),
+        notes=[],
+    )
+
+
+def _contrast(tone: Tone, scale: float) -> float:
+    """Return the contrast [dB] of a scale of the levels elsewhere: that of the loosest of them."""
+    if not tone.requirements.rests or not math.isfinite(scale):
+        return math.nan
+    return _decibels(scale * tone.allowed.max() / tone.wanted.min())
+
+
+def _decibels(ratio: float) -> float:
+    return 20 * math.log10(ratio) if ratio > 0 else -math.inf
+
+
+def _unit_factors(scene: Scene) -> np.ndarray:
+    """Return the (actuators,) forces [N] or voltages [V] of unit magnitudes."""
+    if scene.piezo:
+        return np.ones(len(scene.actuators))
+    areas = np.array([actuator.area for actuator in scene.actuators])
+    return np.asarray((areas[:, 1] - areas[:, 0]) * (areas[:, 3] - areas[:, 2]))
+
+
+def _reached(tone: Tone, drive: np.ndarray) -> tuple[list[float], list[float]]:
+    """Return the levels under a drive over those wanted, by aim, and over those allowed, by rest."""
+    extremes = tone.extremes(drive)
+    aims, rests = tone.requirements.aims, tone.requirements.rests
+    in_aims = [getattr(extremes[aim.name], aim.level.measure) for aim in aims]
+    in_rests = [getattr(extremes[rest.name], rest.allowance.measure) for rest in rests]
+    return (np.array(in_aims) / tone.wanted).tolist(), (np.array(in_rests) / tone.allowed).tolist()
+
+
+def _margins(tone: Tone, drive: np.ndarray, limits: np.ndarray) -> list[Margin]:
+    in_aims, in_rests = _reached(tone, drive)
+    margins = []
+    for aim, wanted, ratio in zip(tone.requirements.aims, tone.wanted.tolist(), in_aims, strict=True):
+        name = f"{aim.name}, {aim.level.measure} point".replace("mean point", "mean")
+        margins.append(Margin(name, wanted, wanted * ratio, "m/s²", _decibels(ratio)))
+    for rest, allowed, ratio in zip(tone.requirements.rests, tone.allowed.tolist(), in_rests, strict=True):
+        name = f"{rest.name}, {rest.allowance.measure} point".replace("mean point", "mean")
+        margins.append(Margin(name, allowed, allowed * ratio, "m/s²", -_decibels(ratio)))
+    unit = "V" if tone.plate.scene.piezo else "N"
+    for actuator, limit, part in zip(tone.plate.scene.actuators, limits.tolist(), np.abs(drive).tolist(), strict=True):
+        margins.append(Margin(actuator.name, limit, limit * part, unit, -_decibels(part)))
+    if (power := tone.requirements.specification.limits.power) is not None:
+        spent = float(np.linalg.norm(tone.power_factor @ drive) ** 2)
+        margins.append(Margin("power", power, spent, "W", -_decibels(spent / power) / 2))
+    return margins
+
+
+def _interval(tone: Tone, drive: np.ndarray) -> tuple[float, float]:
+    """Return the contrast [dB] of a drive, or its least level over the wanted one, with its numerical error."""
+    finer = solve_modes(tone.plate.scene, tone.plate.highest / tone.plate.scene.grid.modal_density, density=FINER)
+    values = []
+    for plate in (tone.plate, finer):
+        same = replace(tone, plate=plate, requirements=make_requirements(plate), points={})
+        in_aims, in_rests = _reached(same, drive)
+        values.append(_contrast(same, max(in_rests) / min(in_aims)) if in_rests else min(in_aims))
+    half = SAFETY * abs(values[1] - values[0])
+    return values[0] - half, values[0] + half
+
+
+def _gains(result: LeastScale, limits: np.ndarray) -> np.ndarray:
+    """Return the (actuators,) decibels by which the contrast falls for each unit of an actuator's limit, from the
+    multipliers."""
+    scaled = sum(part.sum() for part in result.allowed[1:])
+    return np.asarray(20 / math.log(10) * result.allowed[0] / (scaled * result.scale) / limits)
+
+
+def _obstacles(
+    tone: Tone, binding: Sequence[tuple[str, float]], result: LeastScale, effort: LeastScale, whole: LeastScale
+) -> list[str]:
+    """Return sentences on what excludes each other, and what would do."""
+    total = sum(part for _, part in binding) or 1.0
+    unit, limits = "V" if tone.plate.scene.piezo else "N", tone.largest * _unit_factors(tone.plate.scene)
+    names = {actuator.name: limit for actuator, limit in zip(tone.plate.scene.actuators, limits, strict=True)}
+    named = [
+        f"{names[text]:.3g} {unit} at {text}" if text in names else text
+        for text, part in sorted(binding, key=lambda row: -row[1])
+        if part > NAMED * total
+    ]
+    sentences = []
+    if named:
+        proved = "exclude each other" if result.bound > 1 else "were not met together"
+        sentences.append(f"{', '.join(named[:-1])} and {named[-1]} {proved}" if len(named) > 1 else f"{named[0]} fails")
+    if math.isfinite(effort.scale):
+        sentences.append(f"{effort.scale:.3g} times the limits would do, {effort.scale * limits.max():.3g} {unit}")
+    elif tone.requirements.rests and math.isfinite(result.scale):
+        sentences.append(f"larger limits alone do not help; the contrast is {_contrast(tone, result.scale):.2f} dB")
+    if not math.isfinite(result.scale):
+        sentences.append(f"the limits allow {1 / whole.scale:.3g} of the wanted level")
+    return sentences
+
+
+def _field(tone: Tone, drive: np.ndarray) -> np.ndarray:
+    """Return the (ny, nx) acceleration under a drive over the least wanted level [dB]."""
+    size = tone.plate.scene.plate.size
+    x, y = (np.linspace(0, side, max(9, round(MAP_POINTS * side / max(size)))) for side in size)
+    with np.errstate(divide="ignore"):
+        return np.asarray(20 * np.log10(np.abs(tone.field(drive, x, y)) / tone.wanted.min()))
+
+
+def _scatter(tone: Tone, scaled: Scaled, nominal: LeastScale) -> list[Scatter]:
+    """Return all cases of the tolerances, with one drive for all of them, the nominal and the best ones."""
+    scene, specification = tone.plate.scene, tone.requirements.specification
+    keys = {resolved_key(scene, key): part for key, part in specification.tolerance.items()}
+    cases = [dict(zip(keys, signs, strict=True)) for signs in itertools.product((-1, 0, 1), repeat=len(keys))]
+    factors = [{key: 1 + sign * keys[key] for key, sign in case.items()} for case in cases]
+    tones = []
+    for case in factors:
+        check_interrupt()
+        varied = scene.with_values({key: float(value_of(scene, key)) * factor for key, factor in case.items()})
+        plate = solve_modes(varied, tone.frequency)
+        tones.append(replace(tone, plate=plate, requirements=make_requirements(plate), points={}))
+    robust = nominal
+    drive = nominal.drive
+    for _ in range(ROTATIONS):
+        rotated = [one.rotated(drive) for one in tones]
+        following = solve_together(rotated, scaled)
+        stalled = robust is not nominal and following.scale > robust.scale * (1 - 1e-4)
+        if stalled or not math.isfinite(following.scale):
+            break
+        robust, drive = following, following.drive
+    rows = []
+    for one, case in zip(tones, factors, strict=True):
+        best, levels = one.solve(scaled), []
+        for some in (nominal.drive, robust.drive):
+            in_aims, in_rests = _reached(one, some)
+            levels += [min(in_aims), _contrast(one, max(in_rests) / min(in_aims)) if in_rests else math.nan]
+        rows.append(Scatter(case, *levels, best_db=_contrast(one, best.scale)))
+    return rows
