@@ -62,11 +62,11 @@ def draw_plan(scene: Scene, motions: Sequence[Motion], path: Path, style: Pictur
         for index, (axes, motion, scale, values) in enumerate(zip(panels, motions, scales, fields, strict=True)):
             caption = frame_caption(motion, frame, scene)
             draw_field(axes, scene, values[frame % len(values)], scale)
-            _draw_outlines(axes, motion.scene or scene)
+            draw_parts(axes, motion.scene or scene)
             # Captions of constant fields have no time.
             time = r"\n\1" if len(values) > 1 else ""
             axes.set_title(re.sub(", (t = .*)", time, caption), fontsize=8, pad=6)
-            _label_sides(axes, scene, index + columns >= len(motions), index % columns == 0)
+            label_sides(axes, scene, index + columns >= len(motions), index % columns == 0)
             if style.colours.separate:
                 _add_bar(fig, scale, axes)
         if not style.colours.separate:
@@ -88,8 +88,8 @@ def draw_layout(scene: Scene, path: Path) -> None:
             draw_outline(axes, attachment.area, OSCILLATOR)
         if attachments(scene.terms):
             handles.append(line_handle("oscillator", color=OSCILLATOR, linewidth=0.9))
-        _draw_outlines(axes, scene)
-        _label_sides(axes, scene)
+        draw_parts(axes, scene)
+        label_sides(axes, scene)
         fig.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=7)
 
 
@@ -165,7 +165,7 @@ def draw_field(axes: Axes, scene: Scene, values: np.ndarray, scale: DrawingScale
     axes.imshow(colours, origin="lower", extent=extent, interpolation="bilinear")
 
 
-def _draw_outlines(axes: Axes, scene: Scene) -> None:
+def draw_parts(axes: Axes, scene: Scene) -> None:
     """Draw actuators, with their names if these fit, targets and edges."""
     for actuator in scene.actuators:
         draw_outline(axes, actuator.area, INK)
@@ -181,7 +181,7 @@ def _draw_outlines(axes: Axes, scene: Scene) -> None:
     draw_edges(axes, scene)
 
 
-def _label_sides(axes: Axes, scene: Scene, bottom: bool = True, left: bool = True) -> None:
+def label_sides(axes: Axes, scene: Scene, bottom: bool = True, left: bool = True) -> None:
     """Put round ticks on the lower and left sides, in mm for small plates; name the axes as asked."""
     from matplotlib.ticker import MaxNLocator
 

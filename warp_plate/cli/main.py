@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 # The module of each command, which is imported when the command runs, and the command's line in ``warp-plate --help``.
 COMMANDS = {
     "localize": ("localize", "Search for the drive that puts most of the plate's kinetic energy into the target."),
+    "specify": ("specify", "Find the drive that meets wanted and allowed levels, or prove that none does."),
     "sweep": ("sweep", "Compute the results of one command over many scenes that differ in some keys."),
     "simulate": ("simulate", "Run one plate under one drive."),
     "check": ("check", "Show what a scene is, warnings about it, and the numerics of its run."),

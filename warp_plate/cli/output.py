@@ -101,23 +101,24 @@ def report(
     """
     files, missing = written or ([], None)
     if json:
-        print(dumps(_json_value({**as_json(*results), **({"files": files} if written else {})}), indent=2))
+        print(dumps(json_value({**as_json(*results), **({"files": files} if written else {})}), indent=2))
         return
     show(*results, console())
     for line in (*(f"wrote {file}" for file in files), *([missing] if missing else [])):
         print(printable(line))
 
 
-def _json_value(value: Any) -> object:
+def json_value(value: Any) -> Any:
+    """Return a value as JSON has it: arrays as lists, paths as texts, null for numbers that are not finite."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):
-        return {key: _json_value(item) for key, item in value.items()}
+        return {key: json_value(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_json_value(item) for item in value]
+        return [json_value(item) for item in value]
     if isinstance(value, Path):
         return str(value)
-    return _json_value(value.tolist()) if hasattr(value, "tolist") else value  # arrays and numbers of NumPy
+    return json_value(value.tolist()) if hasattr(value, "tolist") else value  # arrays and numbers of NumPy
 
 
 def attributes(data: object, *names: str) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warp_plate.result.case import scene_with
 from warp_plate.scene.model import Scene
 
 
@@ -74,9 +75,31 @@ class SpecifiedDrive:
     efforts: np.ndarray  # (n,) least multiple of the limits that reaches the levels at each
     pareto_levels: np.ndarray  # (m,) multiples of the wanted levels
     pareto_contrasts: np.ndarray  # (m,) least contrast at each [dB]
-    field_db: np.ndarray  # (ny, nx) acceleration over the weakest level wanted [dB]
+    field_db: np.ndarray  # (ny, nx) acceleration over the least wanted level [dB]
+    guard: Sequence[np.ndarray]  # closed outlines (points, 2) [m] of where levels elsewhere hold
     scatter: Sequence[Scatter]
     notes: Sequence[str]  # what should be known of the answer, in sentences
+
+    @property
+    def peaks(self) -> dict[str, float]:
+        """Peak forces [N] or voltages [V] by the names of the actuators."""
+        return dict(zip(self._names, np.abs(self.drive).tolist(), strict=True))
+
+    @property
+    def phases(self) -> dict[str, float]:
+        """Phase lags [rad], -π to π, by the names of the actuators."""
+        return dict(zip(self._names, (-np.angle(self.drive)).tolist(), strict=True))
+
+    @property
+    def _names(self) -> list[str]:
+        return [actuator.name for actuator in self.scene.actuators]
+
+    def driven_scene(self) -> Scene:
+        """Return the scene with the drive and its frequency."""
+        areas = np.array([actuator.area for actuator in self.scene.actuators])
+        sizes = 1.0 if self.unit == "V" else (areas[:, 1] - areas[:, 0]) * (areas[:, 3] - areas[:, 2])
+        scene = self.scene.replace("drive.frequency", self.frequency)
+        return scene_with(scene, np.abs(self.drive) / sizes, -np.angle(self.drive))
 
     @property
     def robust(self) -> bool:

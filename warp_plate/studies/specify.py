@@ -169,6 +169,7 @@ def _answer(
         pareto_levels=np.array([level for level, _ in pareto]),
         pareto_contrasts=np.array([_contrast(tone, one.scale) for _, one in pareto]),
         field_db=_field(tone, drive),
+        guard=[line for rest in rests for line in rest.region.lines],
         scatter=(),
         notes=[],
     )

@@ -1,0 +1,101 @@
+"""Plot of the answer to a specification: map of levels, drive against its limits, frequencies and trade-off."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warp_plate.result.specified import SpecifiedDrive
+from warp_plate.viz.annotations import GRID, INK, shortened
+from warp_plate.viz.fields import colour_map
+from warp_plate.viz.plots.frame import figure
+from warp_plate.viz.plots.plan import draw_parts, drawn_size, label_sides
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# Longer side of the plate [inch]; lowest level of the map [dB]; colours.
+LENGTH, LOWEST = 5.0, -40.0
+MET, MISSED, LIMIT = "#1b7837", "#b2182b", "#b2182b"
+
+
+def draw_specified(answer: SpecifiedDrive, path: str | Path) -> None:
+    """Draw the answer to a specification."""
+    width, height = drawn_size(answer.scene, LENGTH)
+    spectrum, pareto = len(answer.frequencies) > 1, answer.pareto_levels.size > 0
+    lower = [draw for draw, shown in ((_draw_spectrum, spectrum), (_draw_pareto, pareto)) if shown]
+    with figure(path, (max(width + 2.8, 7.2), height + 1.2 + 2.2 * bool(lower)), font_size=9) as fig:
+        rows = fig.subfigures(1 + bool(lower), 1, height_ratios=[height + 1.0, 2.2][: 1 + bool(lower)], squeeze=False)
+        field, drive = rows[0, 0].subplots(1, 2, width_ratios=[width, 1.9])
+        _draw_map(answer, field)
+        _draw_drive(answer, drive)
+        if lower:
+            for axes, draw in zip(np.atleast_1d(rows[1, 0].subplots(1, len(lower))), lower, strict=True):
+                draw(answer, axes)
+                axes.grid(True, color=GRID, linewidth=0.4, alpha=0.4)
+        words = "met" if answer.feasible else "not met" if not answer.proved else "cannot be met"
+        colour = MET if answer.feasible else MISSED
+        title = f"{answer.scene.title or 'Specification'}: {words}, {answer.frequency:.5g} Hz"
+        fig.suptitle(title, fontsize=11, color=colour)
+
+
+def _draw_map(answer: SpecifiedDrive, axes: Axes) -> None:
+    (width, height), levels = answer.scene.plate.size, np.maximum(answer.field_db, LOWEST)
+    image = axes.imshow(
+        levels, cmap=colour_map("cividis"), vmin=LOWEST, vmax=max(0.0, float(levels.max())), origin="lower",
+        extent=(0.0, width, 0.0, height), interpolation="bilinear",
+    )  # fmt: skip
+    for line in answer.guard:
+        closed = np.concatenate([line, line[:1]])
+        axes.plot(*closed.T, color="white", linewidth=1.0, linestyle="--")
+    draw_parts(axes, answer.scene)
+    label_sides(axes, answer.scene)
+    bar = axes.figure.colorbar(image, ax=axes, orientation="horizontal", aspect=30, shrink=0.8)
+    bar.set_label("peak acceleration over the level wanted [dB]")
+
+
+def _draw_drive(answer: SpecifiedDrive, axes: Axes) -> None:
+    names, peaks = [shortened(name) for name in answer.peaks], np.abs(answer.drive)
+    places = np.arange(len(names))[::-1]
+    axes.barh(places, answer.limits, color="none", edgecolor=LIMIT, linewidth=0.9, label="limit")
+    axes.barh(places, peaks, color="#3182bd", height=0.55, label="drive")
+    for place, phase in zip(places, answer.phases.values(), strict=True):
+        text = f"{np.degrees(phase):.0f}°".replace("-", "−")
+        axes.annotate(text, (1.02, place), xycoords=("axes fraction", "data"), va="center", fontsize=8, color=INK)
+    axes.set(yticks=places, yticklabels=names, xlabel=f"peak [{answer.unit}], phase lag at the right")
+    axes.legend(fontsize=8, loc="lower right")
+
+
+def _draw_spectrum(answer: SpecifiedDrive, axes: Axes) -> None:
+    """Draw the least contrast at each frequency, or the least limits without a contrast."""
+    x = answer.frequencies
+    if np.isfinite(answer.contrasts).any():
+        axes.plot(x, answer.contrasts, color="#08519c", linewidth=1.4, marker=".", markersize=3)
+        axes.set_ylabel("contrast [dB]")
+        _draw_allowed(answer, axes)
+        axes.plot(answer.frequency, answer.contrast_db, "o", color=INK, markersize=5)
+    else:
+        axes.plot(x, 100 * answer.efforts, color="#08519c", linewidth=1.4)
+        axes.set(yscale="log", ylabel="limits needed [%]")
+    axes.set(xlim=x[[0, -1]], xlabel="frequency [Hz]")
+
+
+def _draw_pareto(answer: SpecifiedDrive, axes: Axes) -> None:
+    axes.plot(answer.pareto_levels, answer.pareto_contrasts, color="#d94801", linewidth=1.4, marker=".", markersize=4)
+    _draw_allowed(answer, axes)
+    axes.axvline(1.0, color=INK, linewidth=0.8, linestyle=":")
+    axes.set(xscale="log", xlabel="level in the target over that wanted", ylabel="least contrast [dB]")
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.set_xticks([0.125, 0.25, 0.5, 1, 2, 4, 8], minor=False)
+    axes.minorticks_off()
+
+
+def _draw_allowed(answer: SpecifiedDrive, axes: Axes) -> None:
+    specification = answer.scene.specification
+    assert specification is not None
+    relative = [row.relative_db for row in specification.allowances if row.relative_db is not None]
+    if relative:
+        axes.axhline(max(relative), color=LIMIT, linewidth=1.0, linestyle="--", label="allowed")
+        axes.legend(fontsize=8)

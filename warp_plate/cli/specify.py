@@ -1,0 +1,130 @@
+"""``warp-plate specify SCENE``: the drive that meets a specification, or what is in its way."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+from rich.console import Console
+
+from warp_plate.cli import options, output
+
+if TYPE_CHECKING:
+    from warp_plate.result.specified import SpecifiedDrive
+
+BEST = ".best.toml"
+HEAD = "# Found by: warp-plate specify {scene}\n# Run it by: warp-plate simulate {file} --path modal\n"
+
+
+def specify(
+    scene: options.SceneName,
+    /,
+    *,
+    changes: options.SceneChanges = options.SceneChanges(),
+    tolerances: Annotated[bool, Parameter(help="Also find one drive for all cases of the tolerances.")] = True,
+    files: options.FileOptions = options.FileOptions(),
+) -> None:
+    """Find the drive that meets the levels of [specification], or prove that none does.
+
+    Levels in targets and elsewhere hold at every point, in steady motion. The answer has forces, margins of all
+    requirements, what is in the way, and what larger limits would do; it is written to a .json file with a picture,
+    and the drive as OUT.best.toml, which simulate runs.
+    """
+    import warp_plate
+    from warp_plate.result.atomic_io import write_atomically
+    from warp_plate.scene.errors import printable
+    from warp_plate.viz.plots.specified import draw_specified
+
+    target = files.target(scene, "-specify.json", "measurements with contrast_db")
+    best = target.with_suffix(BEST)
+    output.check_overwriting(best, "# Found by: warp-plate specify", files.force)
+    loaded, scene = changes.load(scene)
+    with output.scene_errors(scene), output.progress_bar("frequencies", shown=not files.json) as show:
+        answer = warp_plate.specify(loaded, tolerances, on_progress=show)
+    record = _as_json(scene, answer)
+    draw = partial(draw_specified, answer)
+    written, missing = output.write_measurements(target, record, lambda _, path: draw(path), files.pictures)
+    head = printable(HEAD.format(scene=scene, file=best.name))
+    write_atomically((head + answer.driven_scene().to_toml()).encode(), best)
+    output.report(files.json, lambda: record, partial(_print, scene, answer), written=([*written, best], missing))
+
+
+def _as_json(source: str, answer: SpecifiedDrive) -> dict[str, object]:
+    names = ("feasible", "proved", "frequency", "contrast_db", "bound_db", "interval", "effort", "largest_level")
+    driven = "voltages" if answer.unit == "V" else "forces"
+    record = {
+        "scene": source,
+        **output.attributes(answer, *names),
+        driven: answer.peaks,
+        "phases": answer.phases,
+        "levels": {row.name: {key: value for key, value in vars(row).items() if key != "name"} for row in answer.levels},
+        "margins": [vars(row) for row in answer.margins],
+        "obstacles": answer.obstacles,
+        "gains_db": dict(zip(answer.peaks, answer.gains.tolist(), strict=True)),
+        "spectrum": output.attributes(answer, "frequencies", "contrasts", "efforts"),
+        "pareto": {"levels": answer.pareto_levels, "contrasts": answer.pareto_contrasts},
+        "tolerances": [vars(row) for row in answer.scatter],
+        "robust": answer.robust if answer.scatter else None,
+        "notes": answer.notes,
+    }
+    return output.json_value(record)
+
+
+def _print(source: str, answer: SpecifiedDrive, console: Console) -> None:
+    met = "meets the specification" if answer.feasible else "no drive meets the specification"
+    if not answer.feasible and not answer.proved:
+        met = "no drive was found that meets the specification; it is not proved that there is none"
+    console.print(f"{answer.scene.title or source}: at {answer.frequency:.6g} Hz {'a drive ' * answer.feasible}{met}\n")
+    unit = answer.unit
+    rows = [
+        {"name": name, "peak": peak, "phase": math.degrees(answer.phases[name]), "limit": limit, "gain": gain}
+        for (name, peak), limit, gain in zip(
+            answer.peaks.items(), answer.limits.tolist(), answer.gains.tolist(), strict=True
+        )
+    ]
+    headings = f"actuator | peak ({unit}) | phase lag (°) | limit ({unit})"
+    cells = "{name} | {peak:.4g} | {phase:.1f} | {limit:.4g}"
+    output.print_table(console, headings, cells, rows, "")
+    _print_levels(answer, console)
+    headings, cells = "requirement | limit | reached | unit | margin (dB)", "{requirement} | {wanted:.4g} | {reached:.4g}"
+    output.print_table(console, headings, cells + " | {unit} | {margin_db:+.2f}", [vars(row) for row in answer.margins], "")
+    if math.isfinite(answer.contrast_db):
+        low, high = answer.interval
+        console.print(
+            f"Contrast, elsewhere over target: {answer.contrast_db:.2f} dB, with the numerical error {low:.3f} to "
+            f"{high:.3f} dB; no drive within the limits has less than {answer.bound_db:.2f} dB."
+        )
+    if answer.feasible:
+        console.print(f"The least limits that would do: {100 * answer.effort:.3g} % of those given.")
+    for sentence in answer.obstacles:
+        console.print(f"! {sentence[:1].upper()}{sentence[1:]}.")
+    if answer.scatter:
+        _print_tolerances(answer, console)
+    for sentence in answer.notes:
+        console.print(f"! {sentence[:1].upper()}{sentence[1:]}.")
+
+
+def _print_levels(answer: SpecifiedDrive, console: Console) -> None:
+    """Print the levels of all regions as peaks in g and µm."""
+    omega, rows = 2 * math.pi * answer.frequency, []
+    for row in answer.levels:
+        values = [value / 9.80665 for value in (row.weakest, row.mean, row.worst)]
+        micrometres = [1e6 * value / omega**2 for value in (row.weakest, row.mean, row.worst)]
+        rows.append((row.name, *values, *micrometres))
+    headings = "peaks | weakest (g) | mean (g) | worst (g) | weakest (µm) | mean (µm) | worst (µm)"
+    output.print_table(console, headings, "{0} | {1:.4g} | {2:.4g} | {3:.4g} | {4:.4g} | {5:.4g} | {6:.4g}", rows, "")
+
+
+def _print_tolerances(answer: SpecifiedDrive, console: Console) -> None:
+    """Print the cases of the tolerances: the nominal drive, one drive for all, and the best of each."""
+    rows = []
+    for case in answer.scatter:
+        changes = ", ".join(f"{key} × {factor:g}" for key, factor in case.changes.items())
+        values = (case.nominal_level, case.nominal_db, case.robust_level, case.robust_db, case.best_db)
+        rows.append((changes, *values))
+    headings = "case | nominal drive: level | contrast (dB) | one drive for all: level | contrast (dB) | retuned (dB)"
+    cells = "{0} | {1:.3f} | {2:.2f} | {3:.3f} | {4:.2f} | {5:.2f}"
+    output.print_table(console, headings, cells, rows, "", title="Tolerances (levels over those wanted)")
