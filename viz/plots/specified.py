@@ -62,10 +62,10 @@ def _draw_drive(answer: SpecifiedDrive, axes: Axes) -> None:
     axes.barh(places, answer.limits, color="none", edgecolor=LIMIT, linewidth=0.9, label="limit")
     axes.barh(places, peaks, color="#3182bd", height=0.55, label="drive")
     for place, phase in zip(places, answer.phases.values(), strict=True):
-        text = f"{np.degrees(phase):.0f}°".replace("-", "−")
+        text = f"{round(np.degrees(phase)) or 0}°".replace("-", "−")
         axes.annotate(text, (1.02, place), xycoords=("axes fraction", "data"), va="center", fontsize=8, color=INK)
     axes.set(yticks=places, yticklabels=names, xlabel=f"peak [{answer.unit}], phase lag at the right")
-    axes.legend(fontsize=8, loc="lower right")
+    axes.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
 
 
 def _draw_spectrum(answer: SpecifiedDrive, axes: Axes) -> None:

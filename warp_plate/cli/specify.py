@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
@@ -16,6 +15,7 @@ if TYPE_CHECKING:
     from warp_plate.result.specified import SpecifiedDrive
 
 BEST = ".best.toml"
+LEVELS = ("worst", "mean", "weakest", "worst_at", "weakest_at")
 HEAD = "# Found by: warp-plate specify {scene}\n# Run it by: warp-plate simulate {file} --path modal\n"
 
 
@@ -60,7 +60,7 @@ def _as_json(source: str, answer: SpecifiedDrive) -> dict[str, object]:
         **output.attributes(answer, *names),
         driven: answer.peaks,
         "phases": answer.phases,
-        "levels": {row.name: {key: value for key, value in vars(row).items() if key != "name"} for row in answer.levels},
+        "levels": {row.name: output.attributes(row, *LEVELS) for row in answer.levels},
         "margins": [vars(row) for row in answer.margins],
         "obstacles": answer.obstacles,
         "gains_db": dict(zip(answer.peaks, answer.gains.tolist(), strict=True)),
@@ -89,8 +89,9 @@ def _print(source: str, answer: SpecifiedDrive, console: Console) -> None:
     cells = "{name} | {peak:.4g} | {phase:.1f} | {limit:.4g}"
     output.print_table(console, headings, cells, rows, "")
     _print_levels(answer, console)
-    headings, cells = "requirement | limit | reached | unit | margin (dB)", "{requirement} | {wanted:.4g} | {reached:.4g}"
-    output.print_table(console, headings, cells + " | {unit} | {margin_db:+.2f}", [vars(row) for row in answer.margins], "")
+    cells = "{requirement} | {wanted:.4g} | {reached:.4g} | {unit} | {margin_db:+.2f}"
+    margins = [vars(row) for row in answer.margins]
+    output.print_table(console, "requirement | limit | reached | unit | margin (dB)", cells, margins, "")
     if math.isfinite(answer.contrast_db):
         low, high = answer.interval
         console.print(

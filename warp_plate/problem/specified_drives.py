@@ -318,16 +318,31 @@ class Tone:
         regions |= {rest.name: rest.region for rest in self.requirements.rests}
         extremes = {}
         for name, region in regions.items():
-            ends = []
-            for sign in (1.0, -1.0):
-                peaks = self._peaks(region, drive, partial(_size, sign))
-                sizes = np.abs(self.rows(peaks) @ drive)
-                at = int(np.argmax(sign * sizes))
-                ends.append((float(sizes[at]), tuple(peaks[at].tolist())))
-            (worst, worst_at), (weakest, weakest_at) = ends
-            mean = float(np.linalg.norm(self.mean_factor(region) @ drive))
-            extremes[name] = Extremes(worst, mean, weakest, worst_at, weakest_at)
+            (worst, worst_at), (weakest, weakest_at) = (self._end(region, drive, sign) for sign in (1.0, -1.0))
+            extremes[name] = Extremes(worst, self._mean(region, drive), weakest, worst_at, weakest_at)
         return extremes
+
+    def reached(self, drive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the levels under a drive over those wanted (aims,), and over those allowed (rests,)."""
+        aims, rests = self.requirements.aims, self.requirements.rests
+        in_aims = [self._measured(aim.level.measure, aim.region, drive) for aim in aims]
+        in_rests = [self._measured(rest.allowance.measure, rest.region, drive) for rest in rests]
+        return np.array(in_aims) / self.wanted, np.array(in_rests) / self.allowed
+
+    def _measured(self, measure: str, region: Region, drive: np.ndarray) -> float:
+        if measure == "mean":
+            return self._mean(region, drive)
+        return self._end(region, drive, 1.0 if measure == "worst" else -1.0)[0]
+
+    def _mean(self, region: Region, drive: np.ndarray) -> float:
+        return float(np.linalg.norm(self.mean_factor(region) @ drive))
+
+    def _end(self, region: Region, drive: np.ndarray, sign: float) -> tuple[float, tuple[float, ...]]:
+        """Return the largest or, with a negative sign, the smallest acceleration of a region, and its point."""
+        peaks = self._peaks(region, drive, partial(_size, sign))
+        sizes = np.abs(self.rows(peaks) @ drive)
+        at = int(np.argmax(sign * sizes))
+        return float(sizes[at]), tuple(peaks[at].tolist())
 
 
 def solve_together(tones: Sequence[Tone], scaled: Scaled, level: float = 1.0, between: bool = True) -> LeastScale:

@@ -6,7 +6,7 @@ import ast
 import inspect
 import re
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
@@ -159,6 +159,19 @@ PartName = Annotated[Name, AfterValidator(_without("/", "'/'"))]
 def as_kind(value: object, kind: Any) -> Any:
     """Return a value of an annotated kind, or raise a ValueError; an int must be 0 or more, a bool may be 0 or 1."""
     return TypeAdapter(Count if kind is int else kind).validate_python(value, strict=kind is not bool)
+
+
+def flat_keys(table: Any) -> Any:
+    """Return ``{"plate.density": value}`` for ``{"plate": {"density": value}}``, which TOML makes of unquoted keys."""
+
+    def items(table: dict[str, Any], head: str) -> Iterator[tuple[str, Any]]:
+        for key, value in table.items():
+            if isinstance(value, dict):
+                yield from items(value, f"{head}{key}.")
+            else:
+                yield f"{head}{key}", value
+
+    return dict(items(table, "")) if isinstance(table, dict) else table
 
 
 _FILE_NAME = re.compile(r"[^/\\:\x00-\x1f\x7f]+")

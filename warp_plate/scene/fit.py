@@ -1,24 +1,10 @@
 """The tables ``[fit]``, numbers that ``warp-plate fit`` takes from measurements, and ``[[measurement]]``."""
 
-from collections.abc import Iterator
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from warp_plate.scene.fields import Gain, Moderate, Name, Point, Positive, Table, Unit
-
-
-def _flat(free: Any) -> Any:
-    """Return ``{"plate.density": range}`` for ``{"plate": {"density": range}}``, which TOML makes of unquoted keys."""
-
-    def items(table: dict[str, Any], head: str) -> Iterator[tuple[str, Any]]:
-        for key, value in table.items():
-            if isinstance(value, dict):
-                yield from items(value, f"{head}{key}.")
-            else:
-                yield f"{head}{key}", value
-
-    return dict(items(free, "")) if isinstance(free, dict) else free
+from warp_plate.scene.fields import Gain, Moderate, Name, Point, Positive, Table, Unit, flat_keys
 
 
 class Measurement(Table):
@@ -62,7 +48,7 @@ class Fit(Table):
 
     free: Annotated[
         dict[str, tuple[Moderate, Moderate]],
-        BeforeValidator(_flat),
+        BeforeValidator(flat_keys),
         Unit("unit of the key"),
         Field(examples=[{"plate.young_modulus": [6e10, 8e10], "effects.damping.viscous": [10.0, 200.0]}]),
     ]

@@ -35,9 +35,33 @@ _KEY = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*|\[\d{1,9}\])*")
 def scalar_keys(scene: SceneTables) -> dict[str, type]:
     """Return the type, int, float or str, of every key that holds one number or text or is optional and would hold one.
 
-    Of several targets, ``target`` is one, so its keys are left out.
+    The names of ``[links]`` are keys, too. Of several targets, ``target`` is one, so its keys are left out.
     """
-    return {key: kind for key, kind in _numbers_in(scene, "") if not (scene.targets and key.startswith("target."))}
+    kinds = {key: kind for key, kind in _numbers_in(scene, "") if not (scene.targets and key.startswith("target."))}
+    linked = {name: kinds.get(linked_keys(scene, name)[0]) for name in scene.links}
+    return kinds | {name: kind for name, kind in linked.items() if kind is not None}
+
+
+def linked_keys(scene: SceneTables, key: str) -> list[str]:
+    """Return the keys of a link by its name; of any other key, the key alone."""
+    names = {table: [row.name for row in getattr(scene, table)] for table in NAMED}
+    return [_without_names(names, inner) for inner in scene.links[key].keys] if key in scene.links else [key]
+
+
+def check_links(scene: SceneTables) -> None:
+    """Raise ValueError, naming the link, unless every link has keys that hold the same number."""
+    kinds = scalar_keys(scene)
+    for name in scene.links:
+        head = f"links.{name}"
+        if not name.isidentifier() or name in type(scene).model_fields:
+            raise ValueError(f"{head}: write a name of letters, digits and _ that is no table of a scene")
+        for key in linked_keys(scene, name):
+            if kinds.get(key) not in (int, float):
+                raise ValueError(f"{head}.keys: {key}: is not a key of this scene that holds a number")
+        values = {key: value_of(scene, key) for key in linked_keys(scene, name)}
+        if len(set(values.values())) > 1:
+            shown = ", ".join(f"{key} = {value}" for key, value in values.items())
+            raise ValueError(f"{head}.keys: hold different numbers, {shown}; write the same in all of them")
 
 
 def resolved_key(scene: SceneTables, key: str, kinds: Mapping[str, type] | None = None) -> str:
@@ -65,7 +89,7 @@ def resolved_key(scene: SceneTables, key: str, kinds: Mapping[str, type] | None 
 def value_of(scene: SceneTables, key: str) -> Any:
     """Return the value at one of ``scalar_keys``; None if it is optional and absent."""
     value: Any = scene
-    for part in key_parts(key):
+    for part in key_parts(linked_keys(scene, key)[0]):
         value = value[part] if isinstance(part, int) else getattr(value, part)
     return value
 
@@ -74,7 +98,7 @@ def unit_of(scene: SceneTables, key: str) -> str:
     """Return the unit of the number at one of ``scalar_keys``; "1" if it has none."""
     holder: Any = scene
     unit: str | None = None
-    for part in key_parts(key):
+    for part in key_parts(linked_keys(scene, key)[0]):
         if isinstance(part, str):
             field = type(holder).model_fields[part]
             unit = unit_in(field.annotation, field.metadata)
@@ -141,6 +165,11 @@ def assign(tables: dict[str, Any], assignments: Iterable[str]) -> None:
         key = _without_names(names, name.strip())
         if not equals or not _KEY.fullmatch(key):
             raise SceneError(f"--set {assignment}: must be KEY=VALUE, such as drive.frequency=300")
+        links = tables.get("links")
+        if isinstance(links, dict) and isinstance(links.get(key), dict):
+            inner = links[key].get("keys")
+            assign(tables, [f"{other}={text}" for other in inner] if isinstance(inner, list) else [])
+            continue
         *path, last = key_parts(key)
         holder: Any = tables
         for depth, part in enumerate(path):

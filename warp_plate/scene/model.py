@@ -17,7 +17,16 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.explain_errors import explain_error
 from warp_plate.scene.fields import Area, check_area
 from warp_plate.scene.grid import Grid, grid_by_waves
-from warp_plate.scene.keys import ALTERNATIVES, assign, key_parts, resolved_key, scalar_keys
+from warp_plate.scene.keys import (
+    ALTERNATIVES,
+    assign,
+    check_links,
+    key_parts,
+    linked_keys,
+    resolved_key,
+    scalar_keys,
+    value_of,
+)
 from warp_plate.scene.load import dump_toml, parse_toml, read_scene_text
 from warp_plate.scene.tables import SceneTables
 from warp_plate.scene.target import NamedTarget, Target
@@ -151,7 +160,9 @@ class Scene(SceneTables):
             tables["grid"] = {key: value for key, value in tables["grid"].items() if key in changed}
         kinds = scalar_keys(self)
         places = []
-        for key, value in values.items():
+        linked = [(key, inner) for key in values for inner in linked_keys(self, key)]
+        for name, key in linked:
+            value = values[name]
             *path, last = key_parts(key)
             table = reduce(operator.getitem, path, tables)
             whole = kinds[key] is int and isinstance(value, float) and value.is_integer()
@@ -190,6 +201,7 @@ def _check_tables(scene: SceneTables) -> None:
     actuators, size = scene.actuators, scene.plate.size
     _check_areas(scene)
     _check_names("actuators", actuators)
+    check_links(scene)
     for key, target in scene.targets_by_key.items():
         target.check(key, size)
     _check_names("targets", scene.targets)
@@ -212,6 +224,7 @@ def _check_tables(scene: SceneTables) -> None:
     _check_focus(scene)
     if scene.specification is not None:
         scene.specification.check([target.name for target in scene.targets], scene.plate.size, scene.piezo)
+        _check_tolerances(scene, list(scene.specification.tolerance))
     for index, time in enumerate(scene.record.times):
         if time > scene.window.end * (1 + 1e-9):
             limit = f"window.end = {scene.window.end:g} s"
@@ -291,6 +304,18 @@ def _check_focus(scene: SceneTables) -> None:
     focus.check_numbers(focus.samples, len(scene.actuators), "time")
 
 
+def _check_tolerances(scene: SceneTables, names: Sequence[str]) -> None:
+    """Check that keys with tolerances are real numbers of the scene other than 0."""
+    kinds = scalar_keys(scene)
+    for name in names:
+        try:
+            key = resolved_key(scene, name, kinds)
+        except SceneError as error:
+            raise ValueError(f"specification.tolerance: {error}") from None
+        if kinds[key] is not float or not value_of(scene, key):
+            raise ValueError(f"specification.tolerance: {name}: is no real number other than 0")
+
+
 def _check_free_keys(scene: SceneTables, names: Sequence[str]) -> None:
     """Check that the free keys of a fit are different numbers of the scene's panel."""
     kinds, keys = scalar_keys(scene), set()
@@ -299,8 +324,8 @@ def _check_free_keys(scene: SceneTables, names: Sequence[str]) -> None:
             key = resolved_key(scene, name, kinds)
         except SceneError as error:
             raise ValueError(f"fit.free: {error}") from None
-        if kinds[key] is not float or not key.startswith(PANEL):
+        if kinds[key] is not float or not all(inner.startswith(PANEL) for inner in linked_keys(scene, key)):
             raise ValueError(f"fit.free: {name}: is no real number of the panel ({', '.join(PANEL)})")
-        if key in keys:
+        if keys & {*linked_keys(scene, key)}:
             raise ValueError(f"fit.free: {name}: is there twice")
-        keys.add(key)
+        keys |= {*linked_keys(scene, key)}

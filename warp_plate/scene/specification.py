@@ -4,9 +4,20 @@ import math
 from collections.abc import Sequence
 from typing import Annotated, Literal, Self
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
-from warp_plate.scene.fields import Area, Flag, Moderate, Name, NotNegative, Positive, Table, Unit, check_area
+from warp_plate.scene.fields import (
+    Area,
+    Flag,
+    Moderate,
+    Name,
+    NotNegative,
+    Positive,
+    Table,
+    Unit,
+    check_area,
+    flat_keys,
+)
 
 STANDARD_GRAVITY = 9.80665  # m/s²
 # Keys of a level, and the power of the angular frequency by which their peak becomes an acceleration [m/s²].
@@ -131,6 +142,7 @@ class Specification(Table):
     limits: DriveLimits = DriveLimits()
     tolerance: Annotated[
         dict[str, Annotated[float, Field(gt=0, lt=1)]],
+        BeforeValidator(flat_keys),
         Unit("1"),
         Field(default_factory=dict, examples=[{"plate.thickness": 0.05}]),
     ]

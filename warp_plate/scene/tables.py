@@ -16,6 +16,7 @@ from warp_plate.scene.fields import Density, Point, Positive, Table, Text, Unit,
 from warp_plate.scene.fit import Fit, Measurement
 from warp_plate.scene.focus import Focus
 from warp_plate.scene.grid import DEFAULT_ACCURACY, Grid, Record, Window
+from warp_plate.scene.links import Link
 from warp_plate.scene.search import Search
 from warp_plate.scene.specification import Specification
 from warp_plate.scene.target import NamedTarget, Target
@@ -73,6 +74,7 @@ class SceneTables(Table):
     effects: Effects = Effects()
     search: Search = Search()
     specification: Specification | None = None
+    links: Annotated[dict[str, Link], Field(default_factory=dict)]
     focus: Focus | None = None
     fit: Fit | None = None
     measurement: tuple[Measurement, ...] = ()

@@ -194,17 +194,8 @@ def _unit_factors(scene: Scene) -> np.ndarray:
     return np.asarray((areas[:, 1] - areas[:, 0]) * (areas[:, 3] - areas[:, 2]))
 
 
-def _reached(tone: Tone, drive: np.ndarray) -> tuple[list[float], list[float]]:
-    """Return the levels under a drive over those wanted, by aim, and over those allowed, by rest."""
-    extremes = tone.extremes(drive)
-    aims, rests = tone.requirements.aims, tone.requirements.rests
-    in_aims = [getattr(extremes[aim.name], aim.level.measure) for aim in aims]
-    in_rests = [getattr(extremes[rest.name], rest.allowance.measure) for rest in rests]
-    return (np.array(in_aims) / tone.wanted).tolist(), (np.array(in_rests) / tone.allowed).tolist()
-
-
 def _margins(tone: Tone, drive: np.ndarray, limits: np.ndarray) -> list[Margin]:
-    in_aims, in_rests = _reached(tone, drive)
+    in_aims, in_rests = (part.tolist() for part in tone.reached(drive))
     margins = []
     for aim, wanted, ratio in zip(tone.requirements.aims, tone.wanted.tolist(), in_aims, strict=True):
         name = f"{aim.name}, {aim.level.measure} point".replace("mean point", "mean")
@@ -225,10 +216,9 @@ def _interval(tone: Tone, drive: np.ndarray) -> tuple[float, float]:
     """Return the contrast [dB] of a drive, or its least level over the wanted one, with its numerical error."""
     finer = solve_modes(tone.plate.scene, tone.plate.highest / tone.plate.scene.grid.modal_density, density=FINER)
     values = []
-    for plate in (tone.plate, finer):
-        same = replace(tone, plate=plate, requirements=make_requirements(plate), points={})
-        in_aims, in_rests = _reached(same, drive)
-        values.append(_contrast(same, max(in_rests) / min(in_aims)) if in_rests else min(in_aims))
+    for one in (tone, replace(tone, plate=finer, requirements=make_requirements(finer), points={})):
+        in_aims, in_rests = one.reached(drive)
+        values.append(_contrast(one, in_rests.max() / in_aims.min()) if in_rests.size else float(in_aims.min()))
     half = SAFETY * abs(values[1] - values[0])
     return values[0] - half, values[0] + half
 
@@ -298,7 +288,8 @@ def _scatter(tone: Tone, scaled: Scaled, nominal: LeastScale) -> list[Scatter]:
     for one, case in zip(tones, factors, strict=True):
         best, levels = one.solve(scaled), []
         for some in (nominal.drive, robust.drive):
-            in_aims, in_rests = _reached(one, some)
-            levels += [min(in_aims), _contrast(one, max(in_rests) / min(in_aims)) if in_rests else math.nan]
+            in_aims, in_rests = one.reached(some)
+            contrast = _contrast(one, in_rests.max() / in_aims.min()) if in_rests.size else math.nan
+            levels += [float(in_aims.min()), contrast]
         rows.append(Scatter(case, *levels, best_db=_contrast(one, best.scale)))
     return rows
