@@ -187,7 +187,7 @@ def _relaxed(
         return bound, []
     values, vectors = np.linalg.eigh(_square(np.array(solution.x)[:-1], size))
     drives = [(vectors[:inputs, k] + 1j * vectors[inputs:, k]) * math.sqrt(max(values[k], 0)) for k in (-1, -3)]
-    return bound, [drive for drive in (*drives, sum(drives)) if np.abs(drive).any()]
+    return bound, [drive for drive in (*drives, np.sum(drives, axis=0)) if np.abs(drive).any()]
 
 
 def _real_form(factor: np.ndarray) -> np.ndarray:

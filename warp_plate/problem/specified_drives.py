@@ -359,7 +359,7 @@ def solve_together(tones: Sequence[Tone], scaled: Scaled, level: float = 1.0, be
     for _ in range(ROUNDS):
         parts = [tone.program(scaled, level) for tone in tones]
         wanted = np.concatenate([part[0] for part in parts])
-        squares, blocks = ([item for part in parts for item in part[index]] for index in (1, 2))
+        squares, blocks = [item for part in parts for item in part[1]], [item for part in parts for item in part[2]]
         result = least_scale_of_squares(wanted, squares, blocks, scaled != "elsewhere")
         if not np.isfinite(result.drive).all():
             break

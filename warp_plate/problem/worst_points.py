@@ -77,7 +77,7 @@ class Region:
         parts = np.split(levels, np.cumsum([self.inside.sum(), *map(len, self.lines)])[:-1])
         maxima = [self._grid_maxima(parts[0]), *map(_line_maxima, parts[1:])]
         least = np.sort(np.concatenate([part[at] for part, at in zip(parts, maxima, strict=True)]))[-MOST:][0]
-        inside, *along = (at[part[at] >= least] for part, at in zip(parts, maxima, strict=True))
+        inside, *along = [at[part[at] >= least] for part, at in zip(parts, maxima, strict=True)]
         grid = self._grid[self.inside][inside]
         if values is None:
             return np.concatenate([grid, *(line[at] for line, at in zip(self.lines, along, strict=True))])

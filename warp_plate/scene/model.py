@@ -318,7 +318,8 @@ def _check_tolerances(scene: SceneTables, names: Sequence[str]) -> None:
 
 def _check_free_keys(scene: SceneTables, names: Sequence[str]) -> None:
     """Check that the free keys of a fit are different numbers of the scene's panel."""
-    kinds, keys = scalar_keys(scene), set()
+    kinds = scalar_keys(scene)
+    keys: set[str] = set()
     for name in names:
         try:
             key = resolved_key(scene, name, kinds)

@@ -286,10 +286,10 @@ def _scatter(tone: Tone, scaled: Scaled, nominal: LeastScale) -> list[Scatter]:
         robust, drive = following, following.drive
     rows = []
     for one, case in zip(tones, factors, strict=True):
-        best, levels = one.solve(scaled), []
+        levels: list[float] = []
         for some in (nominal.drive, robust.drive):
             in_aims, in_rests = one.reached(some)
             contrast = _contrast(one, in_rests.max() / in_aims.min()) if in_rests.size else math.nan
             levels += [float(in_aims.min()), contrast]
-        rows.append(Scatter(case, *levels, best_db=_contrast(one, best.scale)))
+        rows.append(Scatter(case, *levels, _contrast(one, one.solve(scaled).scale)))
     return rows
