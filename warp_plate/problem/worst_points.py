@@ -77,8 +77,8 @@ class Region:
         parts = np.split(levels, np.cumsum([self.inside.sum(), *map(len, self.lines)])[:-1])
         maxima = [self._grid_maxima(parts[0]), *map(_line_maxima, parts[1:])]
         least = np.sort(np.concatenate([part[at] for part, at in zip(parts, maxima, strict=True)]))[-MOST:][0]
-        inside, *along = [at[part[at] >= least] for part, at in zip(parts, maxima, strict=True)]
-        grid = self._grid[self.inside][inside]
+        chosen = [at[part[at] >= least] for part, at in zip(parts, maxima, strict=True)]
+        grid, along = self._grid[self.inside][chosen[0]], chosen[1:]
         if values is None:
             return np.concatenate([grid, *(line[at] for line, at in zip(self.lines, along, strict=True))])
         lines = [_climb_along(line, at, values) for line, at in zip(self.lines, along, strict=True)]

@@ -217,8 +217,8 @@ def _interval(tone: Tone, drive: np.ndarray) -> tuple[float, float]:
     finer = solve_modes(tone.plate.scene, tone.plate.highest / tone.plate.scene.grid.modal_density, density=FINER)
     values = []
     for one in (tone, replace(tone, plate=finer, requirements=make_requirements(finer), points={})):
-        in_aims, in_rests = one.reached(drive)
-        values.append(_contrast(one, in_rests.max() / in_aims.min()) if in_rests.size else float(in_aims.min()))
+        level, contrast = _level_and_contrast(one, drive)
+        values.append(contrast if one.requirements.rests else level)
     half = SAFETY * abs(values[1] - values[0])
     return values[0] - half, values[0] + half
 
@@ -286,10 +286,14 @@ def _scatter(tone: Tone, scaled: Scaled, nominal: LeastScale) -> list[Scatter]:
         robust, drive = following, following.drive
     rows = []
     for one, case in zip(tones, factors, strict=True):
-        levels: list[float] = []
-        for some in (nominal.drive, robust.drive):
-            in_aims, in_rests = one.reached(some)
-            contrast = _contrast(one, in_rests.max() / in_aims.min()) if in_rests.size else math.nan
-            levels += [float(in_aims.min()), contrast]
-        rows.append(Scatter(case, *levels, _contrast(one, one.solve(scaled).scale)))
+        nominal_level, nominal_db = _level_and_contrast(one, nominal.drive)
+        robust_level, robust_db = _level_and_contrast(one, robust.drive)
+        best = _contrast(one, one.solve(scaled).scale)
+        rows.append(Scatter(case, nominal_level, nominal_db, robust_level, robust_db, best))
     return rows
+
+
+def _level_and_contrast(tone: Tone, drive: np.ndarray) -> tuple[float, float]:
+    """Return the least level under a drive over the wanted one, and the contrast [dB] or NaN."""
+    in_aims, in_rests = tone.reached(drive)
+    return float(in_aims.min()), _contrast(tone, in_rests.max() / in_aims.min()) if in_rests.size else math.nan
