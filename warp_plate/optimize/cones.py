@@ -90,7 +90,7 @@ def _proof(
     for block in blocks:
         count, rows, _ = block.rows.shape
         part = multipliers[place : place + count * (1 + 2 * rows)].reshape(count, 1 + 2 * rows)[:, 1:]
-        vector = -(part[:, :rows] - 1j * part[:, rows:])
+        vector = -(part[:, ::2] - 1j * part[:, 1::2])
         rest = rest - np.einsum("br,bri->i", vector, block.rows)
         vectors.append(vector)
         place += count * (1 + 2 * rows)
@@ -154,17 +154,19 @@ def _ascend(
 def _relaxed(
     wanted: np.ndarray, squares: Sequence[np.ndarray], blocks: Sequence[Block], actuators_scaled: bool
 ) -> tuple[float, list[np.ndarray]]:
-    """Return the bound of the relaxation, and drives to start a search from: the eigenvectors of its Z.
+    """Return the bound of the relaxation, and drives to start a search from.
 
-    A wanted Re(g z) ≥ 1 is relaxed to |g z| ≥ 1.
+    The matrix Z holds 1, the parts of z and their products; wanted rows are linear in its first column.
     """
     inputs = wanted.shape[1]
-    factors = [*(row[None] for row in wanted), *squares]
     units = Block(np.eye(inputs, dtype=complex)[:, None, :], actuators_scaled)
     limited = [(rows, block.scaled) for block in (units, *blocks) for rows in block.rows]
-    least, most = ([_real_form(factor) for factor in some] for some in (factors, [rows for rows, _ in limited]))
-    scaled = np.array([scaled for _, scaled in limited])
-    size = 2 * inputs
+    size = 2 * inputs + 1
+    one = np.zeros((size, size))
+    one[-1, -1] = 1.0
+    least = [*map(_linear_form, wanted), *map(_real_form, squares)]
+    most = [*(_real_form(rows) for rows, _ in limited), one]
+    scaled = np.array([*(scaled for _, scaled in limited), False])
     entries = size * (size + 1) // 2
     # Rows of the constraints: −tr(R Z) ≤ −1, tr(G Z) − σ·scaled ≤ 1 − scaled, Z ⪰ 0, with σ = s².
     matrix = np.zeros((len(least) + len(most), entries + 1))
@@ -180,20 +182,31 @@ def _relaxed(
     multipliers = np.maximum(np.array(solution.z)[: len(limits)], 0)
     of_least, of_most = multipliers[: len(least)], multipliers[len(least) :]
     slack = np.tensordot(of_most, most, 1) - np.tensordot(of_least, least, 1)
-    of_most[:inputs] += max(0.0, -float(np.linalg.eigvalsh(slack)[0]))  # Σ ν GᴴG − Σ λ RᴴR ⪰ 0 exactly
+    excess = max(0.0, -float(np.linalg.eigvalsh(slack)[0]))  # Σ ν GᴴG − Σ λ RᴴR ⪰ 0 exactly
+    of_most[:inputs] += excess
+    of_most[-1] += excess
     proved, below = of_least.sum() - of_most[~scaled].sum(), of_most[scaled].sum()
     bound = math.sqrt(proved / below) if proved > 0 and below > 0 else 0.0
     if solution.status in INFEASIBLE:
         return bound, []
-    values, vectors = np.linalg.eigh(_square(np.array(solution.x)[:-1], size))
-    drives = [(vectors[:inputs, k] + 1j * vectors[inputs:, k]) * math.sqrt(max(values[k], 0)) for k in (-1, -3)]
-    return bound, [drive for drive in (*drives, np.sum(drives, axis=0)) if np.abs(drive).any()]
+    products = _square(np.array(solution.x)[:-1], size)
+    values, vectors = np.linalg.eigh(products[:-1, :-1])
+    scaled_vectors = (vectors * np.sqrt(np.maximum(values, 0))).T[::-1]
+    parts = [products[:-1, -1], *scaled_vectors[:3:2], scaled_vectors[::2].sum(axis=0)]
+    return bound, [part[:inputs] + 1j * part[inputs:] for part in parts if np.abs(part).any()]
 
 
 def _real_form(factor: np.ndarray) -> np.ndarray:
-    """Return the real symmetric matrix of ‖factor z‖² over the real and imaginary parts of z."""
+    """Return the real symmetric matrix of ‖factor z‖² over the real and imaginary parts of z, and 1."""
     form = factor.conj().T @ factor
-    return np.block([[form.real, -form.imag], [form.imag, form.real]])
+    return np.pad(np.block([[form.real, -form.imag], [form.imag, form.real]]), (0, 1))
+
+
+def _linear_form(row: np.ndarray) -> np.ndarray:
+    """Return the symmetric matrix of Re(row z) over the real and imaginary parts of z, and 1."""
+    form = np.zeros((2 * row.size + 1,) * 2)
+    form[-1, :-1] = form[:-1, -1] = np.concatenate([row.real, -row.imag]) / 2
+    return form
 
 
 def _triangle(form: np.ndarray) -> np.ndarray:
