@@ -89,7 +89,7 @@ class Region:
         field = np.full(self.inside.shape, -np.inf)
         field[self.inside] = levels
         around = np.pad(field, 1, constant_values=-np.inf)
-        rows, columns = field.shape
+        rows, columns = len(self.y), len(self.x)
         neighbours = [around[1 + i : 1 + i + rows, 1 + j : 1 + j + columns] for i, j in NEIGHBOURS.astype(int)]
         return np.flatnonzero((field >= np.max(neighbours, axis=0))[self.inside])
 
