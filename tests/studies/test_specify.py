@@ -1,0 +1,180 @@
+"""Specifications: the console's answer, drives checked at fine points by the modes alone, and proofs that hold."""
+
+import math
+
+import numpy as np
+import pytest
+
+import warp_plate
+from warp_plate import Scene, SceneError
+from warp_plate.modal.modes import solve_modes
+
+GRAVITY = 9.80665
+
+
+@pytest.fixture(scope="module")
+def console():
+    return warp_plate.specify("console")
+
+
+def fields(answer, scene=None, points_across=601):
+    """Return the complex acceleration [m/s²] on a grid (x, y), by a direct solution with all modes.
+
+    The drive is that of an answer, on its scene or another one.
+    """
+    scene, omega = scene or answer.scene, 2 * math.pi * answer.frequency
+    plate = solve_modes(scene, answer.frequency)
+    areas = np.array([actuator.area for actuator in scene.actuators])
+    forces = plate.actuator_forces() @ (answer.drive / np.prod(areas[:, 1::2] - areas[:, ::2], axis=1))
+    stiffness = np.diag(plate.angular_frequencies**2 - omega**2) + 1j * (omega * plate.damping + plate.hysteretic)
+    amplitudes = -(omega**2) * np.linalg.solve(stiffness, forces)
+    x, y = (np.linspace(0, side, round(points_across * side / max(scene.plate.size))) for side in scene.plate.size)
+    return x, y, plate.displacement(amplitudes.real, x, y) + 1j * plate.displacement(amplitudes.imag, x, y)
+
+
+def distance(area, x, y):
+    """Return the distance [m] of grid points from a rectangle."""
+    x0, x1, y0, y1 = area
+    beside = np.maximum(np.maximum(x0 - x, x - x1), 0), np.maximum(np.maximum(y0 - y, y - y1), 0)[:, None]
+    return np.hypot(*beside)
+
+
+def test_the_console_moves_its_button_alone(console):
+    """An independent conic solver on points 5 mm apart has -14.37 dB at 250 Hz, an end of the range."""
+    assert console.feasible
+    assert console.frequency == 250
+    assert "end of the range" in console.notes[0]
+    assert -14.4 < console.contrast_db < -13.9
+    assert console.bound_db == pytest.approx(console.contrast_db, abs=1e-4)
+    assert console.interval[0] < console.contrast_db < console.interval[1]
+    assert np.diff(console.interval) < 0.01
+
+
+def test_no_point_between_others_violates_the_specification(console):
+    x, y, field = fields(console)
+    away = distance(console.scene.target.area, x, y)
+    assert field[away == 0].real.min() > GRAVITY * (1 - 1e-6)
+    worst = np.abs(field[away >= 0.06]).max()
+    assert 20 * math.log10(worst / GRAVITY) < console.contrast_db + 1e-5
+
+
+def test_levels_and_margins_are_those_of_the_field(console):
+    x, y, field = fields(console)
+    away = distance(console.scene.target.area, x, y)
+    target, rest = console.levels
+    assert target.worst == pytest.approx(np.abs(field[away == 0]).max(), rel=1e-4)
+    assert rest.worst == pytest.approx(np.abs(field[away >= 0.06]).max(), rel=1e-4)
+    assert rest.mean == pytest.approx(np.sqrt((np.abs(field[away >= 0.06]) ** 2).mean()), rel=0.01)
+    margins = {row.requirement: row.margin_db for row in console.margins}
+    assert margins["elsewhere, worst point"] == pytest.approx(-10 - console.contrast_db, abs=1e-4)
+    assert margins["target, weakest point"] == pytest.approx(0, abs=1e-4)
+    assert margins["A2"] == pytest.approx(20 * math.log10(0.5 / console.peaks["A2"]))
+
+
+def test_the_driven_scene_moves_as_promised(console):
+    """A separate run by modes: the largest displacement of the plate is the target's."""
+    run = warp_plate.simulate(console.driven_scene(), path="modal")
+    largest = console.levels[0].worst / (2 * math.pi * console.frequency) ** 2
+    assert run.peak_displacement == pytest.approx(largest, rel=1e-3)
+
+
+def test_mean_levels_take_the_drive_of_the_largest_contrast():
+    """The drive of the largest share of the energy, 0.104 N at A2 and A5 for 1 g peak in the mean."""
+    level, elsewhere = "{acceleration_g=1.0,measure='mean'}", "{relative_db=0.0,measure='mean'}"
+    keys = {"level": level, "elsewhere": elsewhere, "frequency": "250.0", "guard": "0.0"}
+    scene = Scene.load("console", [f"specification.{key}={value}" for key, value in keys.items()])
+    answer = warp_plate.specify(scene)
+    assert answer.peaks["A2"] == pytest.approx(0.10363, rel=1e-3)
+    assert answer.bound_db == pytest.approx(answer.contrast_db, abs=1e-3)
+
+
+def test_what_cannot_be_is_proved_and_explained():
+    """Without a guard the weakest point inside and the worst outside are neighbours."""
+    scene = Scene.load("console", ["specification.guard=0.0", "specification.frequency=250.0"])
+    answer = warp_plate.specify(scene)
+    assert not answer.feasible
+    assert answer.proved
+    assert abs(answer.contrast_db) < 0.3
+    assert answer.effort == math.inf
+    assert "exclude each other" in answer.obstacles[0]
+    assert "larger limits alone do not help" in answer.obstacles[1]
+
+
+def test_small_limits_name_what_would_do():
+    keys = ["specification.limits.force=0.05", "specification.frequency=250.0"]
+    answer = warp_plate.specify(Scene.load("console", keys))
+    assert not answer.feasible
+    larger = ["specification.frequency=250.0", f"specification.limits.force={0.05 * answer.effort * 1.001}"]
+    assert warp_plate.specify(Scene.load("console", larger)).feasible
+    assert f"{answer.effort:.3g} times the limits would do" in answer.obstacles[-1]
+
+
+def test_levels_beyond_all_limits_name_the_largest():
+    keys = ["specification.limits.force=1e-3", "specification.frequency=215.0"]
+    answer = warp_plate.specify(Scene.load("console", keys))
+    assert math.isnan(answer.contrast_db)
+    assert answer.proved
+    assert answer.largest_level < 1
+    x, y, field = fields(answer)
+    inside = distance(answer.scene.target.area, x, y) == 0
+    assert field[inside].real.min() == pytest.approx(answer.largest_level * GRAVITY, rel=0.01)
+
+
+def test_two_targets_move_at_their_own_levels_and_phases():
+    areas = {"left": [0.05, 0.07, 0.055, 0.075], "right": [0.23, 0.25, 0.055, 0.075]}
+    scene = Scene.load("console")
+    targets = [warp_plate.Target(area=area).model_dump() | {"name": name} for name, area in areas.items()]
+    levels = [
+        {"target": "left", "acceleration": 2.0},
+        {"target": "right", "acceleration": 5.0, "phase": math.pi / 2},
+    ]
+    tables = {"level": levels, "frequency": 380.0}
+    scene = scene.with_tables(targets=targets, target=warp_plate.Target(area=areas["left"]), specification=tables)
+    answer = warp_plate.specify(scene)
+    assert answer.feasible
+    x, y, field = fields(answer)
+    left, right = (field[distance(area, x, y) == 0] for area in areas.values())
+    assert left.real.min() > 2 * (1 - 1e-6)
+    assert (1j * right).real.min() > 5 * (1 - 1e-6)
+    assert answer.effort < 1
+
+
+def test_one_drive_is_sought_for_all_tolerances():
+    keys = ["specification.tolerance={gasket=0.1}", "specification.frequency=215.0"]
+    answer = warp_plate.specify(Scene.load("console", keys))
+    assert [case.changes["gasket"] for case in answer.scatter] == [0.9, 1.0, 1.1]
+    assert min(case.robust_level for case in answer.scatter) > 1 - 1e-6
+    assert max(case.robust_db for case in answer.scatter) < max(case.nominal_db for case in answer.scatter)
+    for case in answer.scatter:
+        assert case.best_db <= case.nominal_db + 1e-3
+    # The nominal drive on a softer gasket, by the modes of that scene.
+    soft = answer.scene.replace("gasket", 0.9 * 2e6)
+    x, y, field = fields(answer, soft)
+    away = distance(soft.target.area, x, y)
+    worst, weakest = np.abs(field[away >= 0.06]).max(), np.abs(field[away == 0]).min()
+    assert 20 * math.log10(worst / weakest) == pytest.approx(answer.scatter[0].nominal_db, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        (["specification.level={}"], "specification.level.acceleration_g: no level is given"),
+        (["specification.level={velocity=1,displacement=2}"], "specification.level.displacement: velocity is given"),
+        (["specification.frequency=[250,180]"], "write the lower frequency first"),
+        (["specification.limits.voltage=3"], "specification.limits.voltage: not of actuators that press; write force"),
+        (["specification.level={velocity=1,target='a'}"], "'a': there are no [[targets]]"),
+        (["specification.tolerance={gaskt=0.1}"], "specification.tolerance: gaskt: is not a key of this scene"),
+        (["specification.guard=1.0"], "specification.guard: leaves nothing of the plate"),
+        (["actuators[0].force=0"], "actuators[0].force = 0: allows no drive"),
+        (["effects.stretching={}"], "effects.stretching"),
+    ],
+)
+def test_bad_specifications_are_refused_in_one_line(keys, words):
+    with pytest.raises(SceneError, match=".*") as refused:
+        warp_plate.specify(Scene.load("console", keys))
+    assert words in str(refused.value)
+
+
+def test_scenes_without_a_specification_are_refused():
+    with pytest.raises(SceneError, match="specification: is missing; write for example"):
+        warp_plate.specify("paper")
