@@ -67,6 +67,7 @@ COMMANDS = {
         "localize places.toml",
         f"render places-localize.h5 {PLAN} --limits each --case single --case best",
     ),
+    "specify-console.png": ("console-specify.png", "specify console"),
     "sweep-paper.png": (
         "paper-sweep.png",
         "sweep paper --vary drive.frequency=200:400:41 effects.damping.viscous=log:10:300:17",

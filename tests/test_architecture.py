@@ -38,6 +38,8 @@ OWNERS = {
     "pyuff": {"result", "fitting"},
     "pydantic": {"scene", "effects"},
     "cma": {"optimize"},
+    "clarabel": {"optimize"},
+    "shapely": {"problem"},
 }
 # Imported only inside functions, so that ``warp-plate --help`` starts quickly.
 LATE = re.compile(r"(scipy\.(signal|stats)|matplotlib|pyvista|vtkmodules|trame|dask|distributed)(\.|$)")
