@@ -168,15 +168,17 @@ def check_modal_tables(effects: Effects, drives: Mapping[str, Any]) -> None:
     nonlinear = {"effects.stretching": effects.stretching, "drive.electrostatic": drives["drive.electrostatic"]}
     transient = {key: table for key, table in drives.items() if key != "drive.electrostatic"}
     transient["effects.moving_load"] = effects.moving_load
+    loss = effects.loss_factor
+    ratio = "" if loss is None or isinstance(loss.eta, tuple) else f" ratio = {loss.eta / 2:g}"
+    causal = f"write [effects.modal_damping]{ratio} instead, as much damping of each mode in any motion"
     for name, others, reason in (
-        ("loss_factor", transient, "a loss factor is defined for steady tones alone"),
-        ("loss_factor", nonlinear, "only a linear plate has it"),
-        ("modal_damping", nonlinear, "only a linear plate has modes"),
+        ("loss_factor", transient, f"a loss factor is defined for steady tones alone; {causal}"),
+        ("loss_factor", nonlinear, "only a linear plate has it; delete it"),
+        ("modal_damping", nonlinear, "only a linear plate has modes; delete it"),
     ):
         other = next((key for key, value in others.items() if value is not None), None)
         if getattr(effects, name) is not None and other is not None:
-            raise ValueError(f"effects.{name}: {reason}; delete it or {other}")
-    loss = effects.loss_factor
+            raise ValueError(f"effects.{name}: {reason}; or delete {other}")
     if effects.modal_damping is not None and loss is not None and isinstance(loss.eta, tuple):
         reason = "effects.loss_factor.eta lists the damping of each mode"
         raise ValueError(f"effects.modal_damping: {reason}; delete one of them")

@@ -4,11 +4,22 @@ Actuator k applies Re(Z_k · carrier_k(t)) · envelope(t), where Z_k is its phas
 and the envelope is one.
 """
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from warp_plate.scene.fields import Flag, Gain, Instant, Moderate, NotNegative, Positive, Table, Unit, check_file_name
+from warp_plate.scene.fields import (
+    LARGEST,
+    Flag,
+    Gain,
+    Instant,
+    Moderate,
+    NotNegative,
+    Positive,
+    Table,
+    Unit,
+    check_file_name,
+)
 
 
 class Burst(Table):
@@ -87,6 +98,8 @@ class Drive(Table):
 
     frequency: Annotated[Positive, Unit("Hz"), Field(examples=[290.0])]
     """Frequency; with ``signal``, the highest frequency of interest in the file, which only limits the time step."""
+    ramp: Annotated[NotNegative, Unit("s"), Field(examples=[0.02])] = 0.0
+    """Duration of a soft start: the drive rises from 0 at t = 0 by half a period of a cosine, then stays."""
     burst: Burst | None = None
     chirp: Chirp | None = None
     signal: SampledSignal | None = None
@@ -98,8 +111,24 @@ class Drive(Table):
             raise ValueError("chirp: drive.signal replaces the carrier, which cannot be swept; delete one of them")
         return self
 
+    @model_validator(mode="after")
+    def _burst_of_ramp(self) -> Self:
+        """Start softly by a burst that no run sees the end of."""
+        if self.ramp:
+            if self.burst is not None:
+                raise ValueError(f"ramp: {self.ramp:g} s, but drive.burst has a ramp of its own; delete one of them")
+            self._derive("burst", Burst(duration=LARGEST, ramp=self.ramp))
+        return self
+
+    @model_serializer(mode="wrap")
+    def _without_derived(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        tables: dict[str, Any] = dump(self)
+        if self.ramp:
+            tables.pop("burst", None)
+        return tables
+
     @property
     def waveform_key(self) -> str | None:
         """First key that makes the drive other than tones from t = 0 on; None if none."""
-        names = ("burst", "chirp", "signal")
-        return next((f"drive.{name}" for name in names if getattr(self, name) is not None), None)
+        names = ("ramp", "burst", "chirp", "signal")
+        return next((f"drive.{name}" for name in names if getattr(self, name)), None)

@@ -211,8 +211,8 @@ def _check_tables(scene: SceneTables) -> None:
         scene.plate.check_thin(layer.thickness, f"effects.layers[{index}].thickness: ")
     _check_piezo(scene)
     _check_drive(scene)
-    drives = ("burst", "chirp", "signal", "electrostatic")
-    check_modal_tables(scene.effects, {f"drive.{name}": getattr(scene.drive, name) for name in drives})
+    drives = ("ramp", "burst", "chirp", "signal", "electrostatic")
+    check_modal_tables(scene.effects, {f"drive.{name}": getattr(scene.drive, name) or None for name in drives})
     scene.search.check_limits([actuator.name for actuator in actuators])
     if scene.search.robust is not None:
         scene.search.robust.check(scene.effects, scene.grid.load)
