@@ -21,7 +21,8 @@ def excess(drive, wanted, blocks, scale, actuators=1.0):
 @pytest.mark.parametrize("rows", [1, 3])
 def test_the_drive_attains_the_bound_of_a_convex_program(rows):
     for _ in range(10):
-        wanted, blocks = 3 * random_rows(2, 4), [Block(random_rows(5, rows, 4), True), Block(0.1 * random_rows(1, 4, 4))]
+        wanted = 3 * random_rows(2, 4)
+        blocks = [Block(random_rows(5, rows, 4), True), Block(0.1 * random_rows(1, 4, 4))]
         result = least_scale(wanted, blocks)
         assert excess(result.drive, wanted, blocks, result.scale) < 1e-7
         assert result.bound == pytest.approx(result.scale, rel=1e-6)

@@ -1,6 +1,7 @@
 """Specifications: the console's answer, drives checked at fine points by the modes alone, and proofs that hold."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -170,9 +171,8 @@ def test_one_drive_is_sought_for_all_tolerances():
     ],
 )
 def test_bad_specifications_are_refused_in_one_line(keys, words):
-    with pytest.raises(SceneError, match=".*") as refused:
+    with pytest.raises(SceneError, match=re.escape(words)):
         warp_plate.specify(Scene.load("console", keys))
-    assert words in str(refused.value)
 
 
 def test_scenes_without_a_specification_are_refused():
