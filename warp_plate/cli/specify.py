@@ -80,18 +80,16 @@ def _print(source: str, answer: SpecifiedDrive, console: Console) -> None:
     console.print(f"{answer.scene.title or source}: at {answer.frequency:.6g} Hz {'a drive ' * answer.feasible}{met}\n")
     unit = answer.unit
     rows = [
-        {"name": name, "peak": peak, "phase": math.degrees(answer.phases[name]), "limit": limit, "gain": gain}
-        for (name, peak), limit, gain in zip(
-            answer.peaks.items(), answer.limits.tolist(), answer.gains.tolist(), strict=True
-        )
+        [name, f"{peak:.4g}", f"{math.degrees(answer.phases[name]):.1f}", f"{limit:.4g}"]
+        for (name, peak), limit in zip(answer.peaks.items(), answer.limits.tolist(), strict=True)
     ]
-    headings = f"actuator | peak ({unit}) | phase lag (°) | limit ({unit})"
-    cells = "{name} | {peak:.4g} | {phase:.1f} | {limit:.4g}"
-    output.print_table(console, headings, cells, rows, "")
+    output.print_rows(console, ["actuator", f"peak ({unit})", "phase lag (°)", f"limit ({unit})"], rows, "")
     _print_levels(answer, console)
-    cells = "{requirement} | {wanted:.4g} | {reached:.4g} | {unit} | {margin_db:+.2f}"
-    margins = [vars(row) for row in answer.margins]
-    output.print_table(console, "requirement | limit | reached | unit | margin (dB)", cells, margins, "")
+    rows = [
+        [row.requirement, f"{row.wanted:.4g}", f"{row.reached:.4g}", row.unit, f"{round(row.margin_db, 2) + 0.0:+.2f}"]
+        for row in answer.margins
+    ]
+    output.print_rows(console, ["requirement", "limit", "reached", "unit", "margin (dB)"], rows, "")
     if math.isfinite(answer.contrast_db):
         low, high = answer.interval
         console.print(
@@ -110,13 +108,16 @@ def _print(source: str, answer: SpecifiedDrive, console: Console) -> None:
 
 def _print_levels(answer: SpecifiedDrive, console: Console) -> None:
     """Print the levels of all regions as peaks in g and µm."""
-    omega, rows = 2 * math.pi * answer.frequency, []
+    from warp_plate.scene.specification import STANDARD_GRAVITY
+
+    micrometres, rows = 1e6 / (2 * math.pi * answer.frequency) ** 2, []
     for row in answer.levels:
-        values = [value / 9.80665 for value in (row.weakest, row.mean, row.worst)]
-        micrometres = [1e6 * value / omega**2 for value in (row.weakest, row.mean, row.worst)]
-        rows.append((row.name, *values, *micrometres))
-    headings = "peaks | weakest (g) | mean (g) | worst (g) | weakest (µm) | mean (µm) | worst (µm)"
-    output.print_table(console, headings, "{0} | {1:.4g} | {2:.4g} | {3:.4g} | {4:.4g} | {5:.4g} | {6:.4g}", rows, "")
+        levels = (row.weakest, row.mean, row.worst)
+        cells = [f"{value * unit:.4g}" for unit in (1 / STANDARD_GRAVITY, micrometres) for value in levels]
+        rows.append([row.name, *cells])
+    measures = ("weakest", "mean", "worst")
+    headings = ["peaks", *(f"{measure} ({unit})" for unit in ("g", "µm") for measure in measures)]
+    output.print_rows(console, headings, rows, "")
 
 
 def _print_tolerances(answer: SpecifiedDrive, console: Console) -> None:
@@ -124,8 +125,8 @@ def _print_tolerances(answer: SpecifiedDrive, console: Console) -> None:
     rows = []
     for case in answer.scatter:
         changes = ", ".join(f"{key} × {factor:g}" for key, factor in case.changes.items())
-        values = (case.nominal_level, case.nominal_db, case.robust_level, case.robust_db, case.best_db)
-        rows.append((changes, *values))
-    headings = "case | nominal drive: level | contrast (dB) | one drive for all: level | contrast (dB) | retuned (dB)"
-    cells = "{0} | {1:.3f} | {2:.2f} | {3:.3f} | {4:.2f} | {5:.2f}"
-    output.print_table(console, headings, cells, rows, "", title="Tolerances (levels over those wanted)")
+        levels = [f"{case.nominal_level:.3f}", f"{case.nominal_db:.2f}", f"{case.robust_level:.3f}"]
+        rows.append([changes, *levels, f"{case.robust_db:.2f}", f"{case.best_db:.2f}"])
+    headings = ["case", "nominal drive: level", "contrast (dB)", "one drive for all: level", "contrast (dB)"]
+    title = "Tolerances (levels over those wanted)"
+    output.print_rows(console, [*headings, "retuned (dB)"], rows, "", title=title)
