@@ -1,0 +1,38 @@
+"""``warp-plate specify``: its table, JSON, picture and scene, and what it refuses."""
+
+import json
+
+from support.commands import error_of, output_of
+from warp_plate import Scene
+
+
+def test_the_answer_is_printed_drawn_and_written(command, tmp_path):
+    out = tmp_path / "button.json"
+    printed = output_of(command("specify", "console", "--set", "specification.frequency=250.0", "--out", str(out)))
+    assert "at 250 Hz a drive meets the specification" in printed
+    assert "elsewhere, worst point" in printed
+    assert out.with_suffix(".png").stat().st_size > 50_000
+    record = json.loads(out.read_text())
+    assert record["feasible"] is True
+    assert list(record["forces"]) == ["A1", "A2", "A3", "A4", "A5", "A6"]
+    best = Scene.load(out.with_suffix(".best.toml"))
+    assert best.drive.frequency == 250
+    assert best.actuators[1].force == record["forces"]["A2"]
+
+
+def test_json_has_what_is_in_the_way(command):
+    changes = ["--set", "specification.frequency=250.0", "--set", "specification.guard=0.0"]
+    record = json.loads(output_of(command("specify", "console", *changes, "--no-pictures", "--json")))
+    assert record["feasible"] is False
+    assert record["proved"] is True
+    assert record["effort"] is None
+    assert record["bound_db"] <= record["contrast_db"]
+    assert "exclude each other" in record["obstacles"][0]
+    assert {"requirement", "wanted", "reached", "unit", "margin_db"} == set(record["margins"][0])
+
+
+def test_scenes_without_a_specification_and_files_of_others_are_refused(command, tmp_path):
+    assert "specification: is missing" in error_of(command("specify", "paper"))
+    other = tmp_path / "paper-specify.json"
+    other.write_text("{}")
+    assert "would be overwritten" in error_of(command("specify", "console", "--out", str(other)))
