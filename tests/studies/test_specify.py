@@ -156,6 +156,11 @@ def test_one_drive_is_sought_for_all_tolerances():
     assert 20 * math.log10(worst / weakest) == pytest.approx(answer.scatter[0].nominal_db, abs=0.1)
 
 
+def test_waveforms_that_are_not_used_are_said():
+    keys = ["specification.frequency=250.0", "effects={modal_damping={ratio=0.01}}", "drive.burst={duration=0.05}"]
+    assert "drive.burst is not used" in warp_plate.specify(Scene.load("console", keys)).notes[0]
+
+
 @pytest.mark.parametrize(
     ("keys", "words"),
     [

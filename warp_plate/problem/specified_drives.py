@@ -20,6 +20,7 @@ import shapely
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.optimize.cones import Block, LeastScale, least_scale_of_squares
 from warp_plate.problem.worst_points import Region, Values, make_region, shape_of
+from warp_plate.scene.errors import SceneError
 from warp_plate.scene.specification import Allowance, Level, Specification
 
 # An aim or a rest, by its index.
@@ -149,7 +150,11 @@ class Tone:
         """(modes, actuators) modal accelerations [√kg·m/s²] of the actuators' largest drives."""
         plate, omega, forces = self.plate, self._omega, self.plate.actuator_forces() * self.largest
         if plate.proportional:
-            return -(omega**2) * plate.respond(np.array([self.frequency]), forces)[0]
+            amplitudes = -(omega**2) * plate.respond(np.array([self.frequency]), forces)[0]
+            if not np.isfinite(amplitudes).all():
+                what = "is a natural frequency of an undamped plate; write damping, or another frequency"
+                raise SceneError(f"specification.frequency: {self.frequency:g} Hz {what}")
+            return amplitudes
         # One solution takes less time than the poles of all modes.
         stiffness = np.diag(plate.angular_frequencies**2 - omega**2) + 1j * (omega * plate.damping + plate.hysteretic)
         return np.asarray(-(omega**2) * np.linalg.solve(stiffness, forces))

@@ -25,7 +25,7 @@ TRIED, FREQUENCY_ACCURACY = 24, 1e-5
 # Multiples of the wanted levels on the curve of level against contrast.
 PARETO = np.geomspace(1 / 8, 8, 13)
 # Relative violation that counts as none; part of a certificate above which a requirement is named.
-NOTHING, NAMED = 1e-6, 0.02
+NOTHING, NAMED = 1e-7, 0.02
 # Density of the splines that errors are estimated with, and the multiple of the difference that counts.
 FINER, SAFETY = 1.3, 2.0
 # Points of the map along the longer side of the plate.
@@ -73,10 +73,7 @@ def specify(
         tone = _between(tone, scaled, frequencies[chosen - 1], frequencies[chosen + 1])
     result = tone.solve(scaled)
     answer = _answer(tone, scaled, result, scales, frequencies)
-    notes = list(answer.notes)
-    if len(frequencies) > 1 and not specification.band and tone.frequency in (low, high):
-        notes.append(f"the best frequency, {tone.frequency:g} Hz, is an end of the range; a wider one may be better")
-    answer = replace(answer, notes=notes)
+    answer = replace(answer, notes=_notes(scene, specification, tone.frequency))
     if specification.tolerance and tolerances:
         answer = replace(answer, scatter=_scatter(tone, scaled, result))
     return answer
@@ -85,6 +82,16 @@ def specify(
 def _range(scene: Scene, specification: Specification) -> tuple[float, float]:
     frequency = specification.frequency or scene.drive.frequency
     return frequency if isinstance(frequency, tuple) else (frequency, frequency)
+
+
+def _notes(scene: Scene, specification: Specification, frequency: float) -> list[str]:
+    """Return what should be known of an answer at a frequency [Hz], in sentences."""
+    notes = []
+    if isinstance(specification.frequency, tuple) and not specification.band and frequency in specification.frequency:
+        notes.append(f"the best frequency, {frequency:g} Hz, is an end of the range; a wider one may be better")
+    if (key := scene.nonperiodic_key) is not None:
+        notes.append(f"{key} is not used: levels are those of steady motion, all actuators at one frequency")
+    return notes
 
 
 def _largest_drives(scene: Scene, specification: Specification) -> np.ndarray:
@@ -108,7 +115,7 @@ def _frequencies(plate: ModalPlate, low: float, high: float) -> np.ndarray:
     """Return the frequencies [Hz] to try: evenly spaced ones, the resonances and places beside these."""
     if low == high:
         return np.array([low])
-    centres, widths = plate.resonances
+    centres, widths = (values[plate.resonances[1] > 0] for values in plate.resonances)
     beside = np.concatenate([centres + shift * widths for shift in (-2, -1, 0, 1, 2)])
     beside = beside[(beside > low) & (beside < high)]
     return np.unique(np.concatenate([np.geomspace(low, high, TRIED), beside]))
@@ -149,7 +156,7 @@ def _answer(
     return SpecifiedDrive(
         scene=scene,
         feasible=feasible,
-        proved=feasible or result.bound > 1,
+        proved=feasible or min(result.bound, *(one.bound for one in scales)) > 1,
         frequency=tone.frequency,
         drive=drive * limits,
         limits=limits,
@@ -171,7 +178,7 @@ def _answer(
         field_db=_field(tone, drive),
         guard=[line for rest in rests for line in rest.region.lines],
         scatter=(),
-        notes=[],
+        notes=(),
     )
 
 
