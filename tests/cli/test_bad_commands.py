@@ -1,13 +1,19 @@
 """Command lines of every kind: a right answer with status 0, or one line and status 2 with nothing written."""
 
 import os
+import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from support.commands import error_of as refused
+from support.commands import start_program
 from warp_plate.cli.output import LONGEST_ENDING
 from warp_plate.plate import memory
+
+with suppress(ImportError):  # Windows
+    import resource
 
 QUICK = ("--device", "cpu", "--no-pictures", "--no-estimate")
 LONG = "y" * 300
@@ -112,6 +118,32 @@ def test_the_longest_file_names(folder_of_files, command):
                   ["export", longest, "--to", "vtkhdf", "--out", "y" * (most + 1) + ".vtkhdf"]):  # fmt: skip
         assert "bytes longer" in refused(command(*words))
     assert files() == before
+
+
+@pytest.mark.parametrize(
+    ("room", "tables", "line"),
+    [
+        (2.0**29, {"search": {"iterations": 10**9}}, "search.iterations = 1000000000 in this search: takes"),
+        (2.0**29, {"search": {"robust": {"scenarios": 99_999, "gain": 0.1}}}, "search.robust.scenarios = 99999 in"),
+        (2.0**28, {"actuators": 400 * [(0.1, 0.15, 0.1, 0.15)]}, "actuators = 400 in this search: takes about"),
+        (2.0**30, {"size": (0.8, 0.8), "search": {"position": {}}}, "plate.size = [0.8, 0.8] in this search: takes"),
+    ],
+)
+def test_searches_beyond_the_memory_name_the_key_to_lower(write_scene, command, monkeypatch, room, tables, line):
+    write_scene(**tables | {"search": {"method": "pso", **tables.get("search", {})}})
+    monkeypatch.setattr(memory, "machine_memory", lambda: room)
+    assert line in refused(command("localize", "panel.toml", *QUICK))
+    assert "lower" in command("check", "panel.toml", "--device", "cpu")[1]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="counts the address space in use by /proc")
+def test_a_limit_of_address_space_counts(write_scene):
+    write_scene(search={"method": "pso", "particles": 10_000_000})
+    words = ("-m", "warp_plate", "localize", "panel.toml", *QUICK)
+    room = 2**32  # of 10^7 particles with 4 numbers each
+    program = start_program(*words, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (room, room)))
+    out, err = program.communicate()
+    assert "search.particles = 10000000" in refused((program.returncode, out, err))
 
 
 def test_more_than_fits_into_memory(folder_of_files, write_scene, command, monkeypatch):

@@ -3,11 +3,12 @@ status."""
 
 import json
 import math
+import sys
 
 import numpy as np
 import pytest
 
-from support.commands import error_of, output_of
+from support.commands import error_of, output_of, start_program
 from support.scenes import scene_of
 from warp_plate import PlateSolver, load_result
 from warp_plate.accuracy.configurations import percent
@@ -15,6 +16,7 @@ from warp_plate.analysis.check import check
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.stability_limit import find_limit
+from warp_plate.problem.search_cost import PROGRAM
 
 
 def test_numbers_and_words_of_the_paper(command):
@@ -28,10 +30,15 @@ def test_numbers_and_words_of_the_paper(command):
     assert found["condition"] == pytest.approx((found["fastest_frequency"] / found["slowest_frequency"]) ** 2)
     assert len(found["warnings"]) == 2
     assert found["mass"] == pytest.approx(0.2 * 0.2 * 0.5e-3 * 1000)
+    run, search = found["run"], found["search"]
+    assert (run["plates"], run["node_steps"]) == (1, 25 * 25 * 1250)
+    assert (search["candidates"], search["plates"]) == (20 * 80, 20 * 80 + 4 * 9)
+    assert search["node_steps"] == search["plates"] * run["node_steps"]
     # Warnings stand together; numbers that pass have a row each, without a sentence.
     text = command("check", "paper", "--device", "cpu")[1]
     words = " ".join(text.split())
-    for part in ("9.63346e-05 s", "1250 steps", "0.851 %", "43.1 a period", "26.5 kB a plate"):
+    parts = ("9.63346e-05 s", "1250 steps", "0.851 %", "43.1 a period", "26.5 kB a plate", "up to 1600 designs")
+    for part in parts:
         assert part in words
     lines = [line.strip() for line in text.splitlines()]
     assert lines[2].split(maxsplit=1) == ["plate", "200 × 200 × 0.5 mm, 20 g; all edges clamped"]
@@ -43,6 +50,43 @@ def test_numbers_and_words_of_the_paper(command):
     assert lines[rows[0]].split() == ["wavelength", "/", "thickness", "115", "≥", "10"]
     passed = [number["name"] for number in found["numbers"] if not number["exceeded"] and number["value"] is not None]
     assert [" ".join(lines[row].split()[:-3]) for row in rows] == passed
+
+
+def test_the_cost_of_searches_that_take_modes_or_are_refused(command, write_scene):
+    def search_of(name):
+        return json.loads(output_of(command("check", f"{name}.toml", "--device", "cpu", "--json")))["search"]
+
+    write_scene(name="modal", search={"method": "pso", "position": {}})
+    write_scene(name="exact")
+    assert (search_of("modal")["candidates"], search_of("modal")["plates"]) == (1600, 0)
+    assert (search_of("exact")["candidates"], search_of("exact")["seconds"]) == (1, None)
+    write_scene(name="refused", search={"method": "pso", "delay": {"range": [0.0, 0.01]}})
+    assert "drive.burst" in search_of("refused")["refused"]
+    assert "refused: " in command("check", "refused.toml", "--device", "cpu")[1]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems count the memory of a process otherwise")
+@pytest.mark.parametrize(
+    "tables",
+    [
+        {"search": {"method": "pso", "particles": 20, "iterations": 2}},
+        {"search": {"method": "pso", "particles": 100_000, "iterations": 1}},
+        {"search": {"method": "pso", "particles": 2000, "iterations": 1, "position": {}}},
+        {"search": {"method": "pso", "iterations": 1}, "actuators": 64 * [(0.1, 0.15, 0.1, 0.15)]},
+    ],
+)
+def test_the_memory_of_a_search_is_about_what_check_says(tables, command, write_scene):
+    write_scene(**tables)
+    said = json.loads(output_of(command("check", "panel.toml", "--device", "cpu", "--json")))["search"]["memory"]
+    options = ("--device", "cpu", "--no-pictures", "--out", "a.h5")
+    code = "import resource, subprocess, sys; subprocess.run(sys.argv[1:], check=True, stdout=2, stderr=2)"
+    code += "; print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)"
+    program = start_program("-c", code, sys.executable, "-m", "warp_plate", "localize", "panel.toml", *options)
+    out, err = program.communicate()
+    assert program.returncode == 0, err
+    taken = 1024 * int(out)
+    assert taken / 2 < PROGRAM + sum(said.values()) < 2 * taken
 
 
 def test_edges_layers_and_frequencies_in_the_summary(command, write_scene):

@@ -48,6 +48,15 @@ def test_the_loss_of_a_position_is_that_of_its_best_drive(name, random):
         )
 
 
+def test_losses_do_not_depend_on_how_many_positions_are_in_memory(random, monkeypatch):
+    problem = make_problem(resolve(projected_search(SEARCHES["frequency and places"]), "cpu"))
+    positions = problem.space.from_unit(random.random((7, problem.space.dimension)))
+    losses = problem.losses(positions)
+    monkeypatch.setattr("warp_plate.problem.problem.DESIGN_NUMBERS", 1)
+    np.testing.assert_allclose(problem.losses(positions), losses, rtol=1e-9)
+    assert problem.losses(positions[:0]).shape == (0,)
+
+
 def response_at(problem, position):
     return ModalSolver(problem.parametrization.scene_of(position)).response.matrices
 

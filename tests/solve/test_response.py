@@ -35,6 +35,17 @@ def test_energies_and_bound_agree_with_plates(device, path, scene, phasors):
     assert localization_factor(solver.run(best[None]).energy)[0] == pytest.approx(response.bound(), abs=1e-9)
 
 
+def test_unit_drives_in_blocks_give_the_same_bits(scene, monkeypatch):
+    solver, reports = PlateSolver(scene(actuators=PATCHES), "cpu"), []
+    whole = measure_response(solver)
+    monkeypatch.setattr("warp_plate.solve.response.BLOCK_NUMBERS", 15)
+    blocks = measure_response(solver, lambda done, total: reports.append((done, total)))
+    np.testing.assert_array_equal(blocks.matrices, whole.matrices)
+    work = 21 * solver.node_steps_per_plate
+    assert reports == sorted(reports)
+    assert (reports[-1], {total for _, total in reports}) == ((work, work), {work})
+
+
 def test_actuators_in_one_place_and_of_unlike_size(scene):
     """Twins make the matrix singular and change no bound; a patch a million times weaker counts as a strong one."""
     tiny = (0.0084, 0.00844, 0.1, 0.1005)  # a sliver of the first inner node's cell

@@ -44,7 +44,7 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.grid import Grid
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device
-from warp_plate.solve.response import in_float64, measure_response, unit_drives
+from warp_plate.solve.response import count_unit_drives, in_float64, measure_response
 from warp_plate.solve.solver import PlateSolver
 
 # Functions of modes along each side that are tried, relative to the default, and the nominal time of a solution after
@@ -169,7 +169,7 @@ def find_grid(
     """Return the coarsest grid within the tolerance and its error; None and the last error if none is within reach."""
     order, error = highest_order(scene), math.inf
     cells = max(FEWEST_CELLS, FEWEST_CELLS_A_WAVE * waves_along(scene))
-    left = MOST_NODE_STEPS / len(unit_drives(len(scene.actuators)))
+    left = MOST_NODE_STEPS / count_unit_drives(len(scene.actuators))
     for _ in range(TRIALS):
         grid = make_configuration(scene, order, nodes_for(scene.plate.size, 1 + cells, order))
         finer = refine(scene, grid, CONFIRMING_FACTOR)
@@ -191,7 +191,7 @@ def error_of_grid(
     scene: Scene, reference: ReferenceSolution, drives: np.ndarray, device: str, configuration: Configuration
 ) -> float:
     """Return the largest relative error of drives (drives, actuators) and of the bound; infinity if there is none."""
-    path = _path_of(scene, len(unit_drives(len(scene.actuators))) * node_steps(scene, configuration), device)
+    path = _path_of(scene, count_unit_drives(len(scene.actuators)) * node_steps(scene, configuration), device)
     try:
         response = measure_response(PlateSolver(in_float64(regrid(scene, configuration)), device, path))
     except SceneError:  # the cells are too large for an actuator

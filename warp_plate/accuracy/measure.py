@@ -34,7 +34,7 @@ from warp_plate.plate.weights import localization_factor
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import cpu_threads, find_device, processor_of
-from warp_plate.solve.response import measure_response, unit_drives
+from warp_plate.solve.response import count_unit_drives, measure_response
 from warp_plate.solve.solver import PlateSolver
 
 # Load of rows of the modal engine, and the densities of functions that are measured.
@@ -107,7 +107,7 @@ def measure(
     try:
         discretization = discretize(gridded)
         scheme = discretization.scheme
-        plates = len(unit_drives(len(scene.actuators))) + 2 + 2 * scene.search.particles
+        plates = count_unit_drives(len(scene.actuators)) + 2 + 2 * scene.search.particles
         plate = nominal_seconds(scene, replace(settings, time_step=scheme.time_step), device)
         row = replace(row, time_step=scheme.time_step, steps=scheme.steps, budgeted=START_SECONDS + plates * plate)
         if row.budgeted > seconds_left:

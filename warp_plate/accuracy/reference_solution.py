@@ -26,7 +26,7 @@ from warp_plate.plate.signals import actuator_frequencies, highest_frequency
 from warp_plate.plate.weights import REGIONS, localization_factor
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.solve.response import Response, measure_response, unit_drives
+from warp_plate.solve.response import Response, count_unit_drives, measure_response
 from warp_plate.solve.solver import PlateSolver
 
 # Densities of the functions, see ``solve_modes``, and that of the functions that results by modes are compared with.
@@ -216,7 +216,7 @@ def by_richardson(scene: Scene, device: str, change: Change) -> Iterator[Referen
 
     for limit in extrapolate(
         scene,
-        plates=len(unit_drives(len(scene.actuators))),
+        plates=count_unit_drives(len(scene.actuators)),
         measure=lambda gridded: measure_response(PlateSolver(gridded, device)).matrices,
         allowed=lambda matrices: np.linalg.eigvalsh(matrices[0]).min() > 0,  # energies are positive
         change=differ,

@@ -8,12 +8,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warp_plate.accuracy.configurations import seconds_text
 from warp_plate.analysis.warnings import Finding, find_warnings, slowest_frequency, wavelengths
 from warp_plate.modal.solver import MODAL
 from warp_plate.plate.bending import mass_matrix
+from warp_plate.plate.memory import memory_room
 from warp_plate.plate.scheme import Scheme, discretize
 from warp_plate.plate.signals import carrier_frequencies, highest_frequency
 from warp_plate.plate.stability_limit import StabilityLimit
+from warp_plate.problem.methods import resolve_search, with_method
+from warp_plate.problem.search_cost import PROGRAM, Cost, cost_of_run, cost_of_search
+from warp_plate.resolve import Resolved
+from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.solve.compiled_scene import choose_path, describe_plan
 from warp_plate.solve.devices import find_device
@@ -51,7 +57,6 @@ class Check:
     # Amplitude of the lowest bending shape, in thicknesses, at which stretching lowers the limit to the time step
     stretching_amplitude: float | None
     bytes_a_plate: int  # device memory of a plate
-    plates: int  # plates of a search
     device: str  # Warp's name of the device
     path: str  # path of the solver
     plan: str  # distribution of plates over the device
@@ -72,7 +77,7 @@ class Check:
         """Time step, its limit, and memory as texts by name; empty for a run by modes."""
         if self.path == MODAL:
             return {}
-        limit, count = self.limit, self.plates
+        limit = self.limit
         shares = sorted(limit.shares.items(), key=lambda share: -share[1])
         causes = ", ".join(f"{name} {100 * share:.3g} %" for name, share in shares if share >= 0.005)
         origin = "shortest wave on the grid, by formula"
@@ -88,8 +93,7 @@ class Check:
             "set by": f"{origin}: {causes}",
             "rounding": f"errors up to {self.rounding:.0e} of the motion; natural frequencies up to "
             f"{self.fastest_frequency:.0f} Hz, condition number {self.condition:.2g}",
-            "memory": f"{_bytes_text(self.bytes_a_plate)} a plate, {_bytes_text(self.bytes_a_plate * count)} for the "
-            f"{count} plates of a search",
+            "memory": f"{bytes_text(self.bytes_a_plate)} a plate",
             "path": f"{self.path}: {self.plan}",
         }
         if (amplitude := self.stretching_amplitude) is not None:
@@ -152,7 +156,6 @@ def check(scene: SceneSource, device: str = "auto", allow_unstable: bool = False
         rounding=float(np.finfo(scene.grid.precision).eps) * limit.frequency / slowest if slowest else math.inf,
         stretching_amplitude=_critical_amplitude(scene, scheme),
         bytes_a_plate=bytes_per_plate(specialized, 4 * len(scene.record.points)),
-        plates=scene.search.particles,
         device=specialized.device.alias,
         path=choose_path(specialized) if steps else MODAL,
         plan=describe_plan(specialized) if steps else "without time steps",
@@ -195,6 +198,42 @@ def _critical_amplitude(scene: Scene, scheme: Scheme) -> float | None:
     return math.sqrt(force / (bending.berger * slopes)) / scene.plate.thickness
 
 
-def _bytes_text(count: float) -> str:
+def bytes_text(count: float) -> str:
+    """Return a number of bytes with a suitable unit: "26.5 kB"."""
     power = min(int(math.log10(count) / 3), 3)
     return f"{count / 1000**power:.3g} {('B', 'kB', 'MB', 'GB')[power]}"
+
+
+def costs_of(written: Scene, resolved: Resolved) -> dict[str, Cost | str]:
+    """Return the costs of the run and of the search of a scene resolved for a check; the reason where it is refused."""
+    costs: dict[str, Cost | str] = {"run": cost_of_run(resolved)}
+    try:
+        # A grid that was chosen for an accuracy serves the search too.
+        searched = resolved.with_scene(with_method(resolved.scene))
+        if written.grid.accuracy is None:
+            searched = resolve_search(written, resolved.device)
+        costs["search"] = cost_of_search(searched)
+    except SceneError as error:
+        costs["search"] = str(error)
+    return costs
+
+
+def cost_text(cost: Cost | str) -> str:
+    """Return a cost for people."""
+    if isinstance(cost, str):
+        return f"refused: {cost}"
+    needed, room, parts = PROGRAM + sum(cost.memory.values()), memory_room(), []
+    if cost.candidates > 1:
+        parts.append(f"up to {cost.candidates} designs")
+    if cost.plates:
+        parts.append(f"{cost.plates} plates in time steps" if cost.plates > 1 else "a plate in time steps")
+        parts.append(f"{cost.node_steps:.2g} node-steps")
+    if cost.seconds is not None:
+        parts.append(f"about {seconds_text(cost.seconds)} of a core")
+    parts.append(f"about {bytes_text(needed)} of memory")
+    largest = max(cost.memory, key=lambda key: cost.memory[key])
+    if needed - PROGRAM > room:
+        parts.append(f"more than the {bytes_text(room)} that may be taken here: lower {largest}")
+    elif cost.memory[largest] > PROGRAM:
+        parts.append(f"most of it by {largest}")
+    return ", ".join(parts)

@@ -24,25 +24,29 @@ def check(
     allow_unstable: options.AllowUnstable = False,
     json: options.Json = False,
 ) -> None:
-    """Show what a scene is, warnings about it, and the numerics of its run: time step and its limit, points per
-    wavelength, condition, memory and stepping path."""
+    """Show what a scene is, warnings about it, the work and memory of its run and of its search, and the numerics: time
+    step and its limit, points per wavelength, condition and stepping path."""
     from warp_plate.analysis.check import check as check_scene
+    from warp_plate.analysis.check import cost_text, costs_of
     from warp_plate.resolve import resolve
 
     loaded, scene = changes.load(scene)
     with output.scene_errors(scene):
-        resolved = resolve(loaded, device, purpose="check")
+        resolved = resolve(loaded, device, purpose="check", allow_unstable=allow_unstable)
         report = check_scene(resolved.scene, device, allow_unstable, resolved.by_modes)
+        costs = costs_of(loaded, resolved)
 
     def show(console: Console) -> None:
         console.print(f"{loaded.title or scene}\n")
-        output.print_lines(console, report.summary.items(), "")
+        of_costs = {name: cost_text(cost) for name, cost in costs.items()}
+        output.print_lines(console, {**report.summary, **of_costs}.items(), "")
         _print_findings(report.findings, console)
         if report.numerics:
             console.print()
             output.print_lines(console, report.numerics.items())
 
-    output.report(json, lambda: {"scene": scene, **report.as_json()}, show)
+    as_json = {name: {"refused": cost} if isinstance(cost, str) else vars(cost) for name, cost in costs.items()}
+    output.report(json, lambda: {"scene": scene, **report.as_json(), **as_json}, show)
 
 
 def effects(

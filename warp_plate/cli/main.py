@@ -126,7 +126,7 @@ def _run(words: list[str]) -> None:
         log(str(error))
         sys.exit(2)
     except MemoryError as error:
-        log(f"out of memory: {error}; use fewer nodes, actuators, record.times or record.points")
+        log(f"out of memory: {error}; use fewer nodes, actuators, particles, record.times or record.points")
         sys.exit(2)
 
 

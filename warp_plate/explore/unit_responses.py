@@ -58,7 +58,7 @@ def unit_responses(
     """
     solver = live_solver(in_float64(scene), device, path)
     response = solver.response if isinstance(solver, ModalSolver) else measure_response(solver, progress)
-    units = unit_drives(len(scene.actuators))[: 2 * len(scene.actuators)]
+    units = unit_drives(len(scene.actuators), slice(2 * len(scene.actuators)))
     motions = steady_motions(solver.run(units, last_period(scene, solver.discretization.time_step)), scene)
     return UnitResponses(
         scene=scene,

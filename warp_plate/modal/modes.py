@@ -19,9 +19,10 @@ import numpy as np
 
 from warp_plate.effects.effect import per_mode
 from warp_plate.modal.assemble import Galerkin, load_integrals, make_galerkin, make_space
-from warp_plate.modal.eigenproblem import bending_energies, solve_eigenproblem
+from warp_plate.modal.eigenproblem import SPARSE, bending_energies, solve_eigenproblem
 from warp_plate.modal.poles import NEGLIGIBLE, CoupledModes, Poles, make_poles
 from warp_plate.modal.spaces.integrals import mean_wave_frequency
+from warp_plate.modal.spaces.knots import DEGREE
 from warp_plate.modal.spaces.space import FunctionSpace
 from warp_plate.plate.signals import highest_frequency
 from warp_plate.scene.errors import SceneError
@@ -254,6 +255,15 @@ def solve_modes(
     elif lost.hysteretic:
         hysteretic = lost.hysteretic * bending_energies(galerkin, squares, vectors, improve)
     return ModalPlate(galerkin, frequencies, vectors, damping, hysteretic, highest)
+
+
+def expected_size(scene: Scene, highest: float, density: float = 1.0) -> tuple[float, float]:
+    """Return about how many functions and modes :func:`solve_modes` takes for responses up to a frequency [Hz]."""
+    finer, wave = scene.grid.modal_density, mean_wave_frequency(scene)
+    sides = _intervals(scene, finer * highest, wave, finer * density)
+    functions, area = math.prod(side + DEGREE for side in sides), math.prod(scene.plate.size)
+    wanted = 1.1 * math.pi / 4 * area * REACH * finer * highest / wave + FURTHER
+    return functions, wanted if wanted * SPARSE < functions else functions
 
 
 def modes_below(scene: SceneSource, highest: float, key: str = "highest frequency") -> ModalPlate:

@@ -15,6 +15,7 @@ from warp_plate.problem.allowed_drives import allowed_drives
 from warp_plate.problem.objectives import loss_scale
 from warp_plate.problem.parametrization import parametrization_of
 from warp_plate.quantities.region_quantities import REGION_QUANTITIES
+from warp_plate.resolve import Resolved, resolve
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Search
@@ -22,8 +23,8 @@ from warp_plate.scene.search import Search
 # A swarm with restarts but without ``stall`` restarts after this many iterations without progress.
 RESTART_AFTER = 20
 # Bytes for each number of a particle: positions, velocities, personal bests, random numbers, drives; for each entry of
-# a descent's inverse Hessian; and for each particle.
-NUMBER_BYTES, MATRIX_BYTES, PARTICLE_BYTES = 120.0, 32.0, 100.0
+# a descent's inverse Hessian; for each particle; and for each iteration.
+NUMBER_BYTES, MATRIX_BYTES, PARTICLE_BYTES, ITERATION_BYTES = 120.0, 32.0, 100.0, 250.0
 
 # The keys of ``[search]`` that not every method reads, and the methods that do; docs/methods.md has the same table.
 _SWARMS = ("pso", "constriction", "ring")
@@ -51,10 +52,7 @@ def make_optimizer(
     if slopes is None and problem is not None:
         slopes = problem.losses_and_slopes
     method, dimension = search.method or "pso", space.dimension
-    if method != "exact":
-        entry_bytes = NUMBER_BYTES + (MATRIX_BYTES * dimension if method == "gradient" else 0.0)
-        what = f"search.particles = {search.particles} with {dimension} numbers each"
-        refuse_beyond_memory(search.particles * (entry_bytes * dimension + PARTICLE_BYTES), what)
+    refuse_many_particles(search, dimension)
     start = starting_position(space, problem) if method == "gradient" and problem is not None else None
     makers: dict[str, Callable[[], Optimizer]] = {
         "exact": lambda: ExactSearch(space, problem),
@@ -68,6 +66,25 @@ def make_optimizer(
     if state is not None:
         optimizer.restore(state)
     return optimizer
+
+
+def optimizer_bytes(search: Search, dimension: int) -> float:
+    """Return the bytes that a method takes for its particles, with their drives and losses."""
+    if search.method == "exact":
+        return 0.0
+    number_bytes = NUMBER_BYTES + (MATRIX_BYTES * dimension if search.method == "gradient" else 0.0)
+    return search.particles * (number_bytes * dimension + PARTICLE_BYTES)
+
+
+def history_bytes(search: Search) -> float:
+    """Return the bytes of the history of a method that runs all iterations; others may stop after few."""
+    return ITERATION_BYTES * search.iterations if search.method in _SWARMS and search.stall is None else 0.0
+
+
+def refuse_many_particles(search: Search, dimension: int) -> None:
+    """Raise a SceneError if the particles of a search take more memory than there is."""
+    if needed := optimizer_bytes(search, dimension):
+        refuse_beyond_memory(needed, f"search.particles = {search.particles} with {dimension} numbers each")
 
 
 def unread_keys(search: Search) -> list[str]:
@@ -95,6 +112,14 @@ def with_method(scene: Scene) -> Scene:
             free = bounded_by == "localization" and allowed_drives(parametrization).free
             method = "exact" if free else "gradient"
     return scene.model_copy(update={"search": search.model_copy(update={"method": method})})
+
+
+def resolve_search(written: Scene, device: str, path: str = "auto", evaluator: str | None = None) -> Resolved:
+    """Return a scene resolved for its search, with a method; SceneError: see :func:`resolve`, or too many particles."""
+    scene = with_method(written)
+    refuse_many_particles(scene.search, len(parametrization_of(scene).variables))
+    exact = written.search.method is None and scene.search.method == "exact"
+    return resolve(scene, device, purpose="exact" if exact else "search", path=path, evaluator=evaluator)
 
 
 def swarm_settings(search: Search, seed: int) -> SwarmSettings:

@@ -24,13 +24,19 @@ from warp_plate.optimize.gradient import Slopes
 from warp_plate.optimize.optimizer import SearchSpace
 from warp_plate.optimize.quadratic import Quadratic, slopes_by_drive, slopes_by_energy
 from warp_plate.plate.designs import Designs
-from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.problem.allowed_drives import best_drives, has_free_drives
 from warp_plate.problem.bounds import Bound, bound_loss
 from warp_plate.problem.design_variables import DesignVariable, has_design_tables, with_common_step
 from warp_plate.problem.objectives import Objectives, keeps_limit, make_objectives
 from warp_plate.problem.parametrization import Clearance, Parametrization, parametrization_of
 from warp_plate.problem.plates import SearchPlates, make_plates
+from warp_plate.problem.search_cost import (
+    DESIGN_NUMBERS,
+    design_numbers,
+    evaluator_of,
+    refuse_search_beyond_memory,
+    search_memory,
+)
 from warp_plate.problem.uncertainty import (
     ScenarioLosses,
     apply_measure,
@@ -138,8 +144,22 @@ class Problem:
 
     def losses(self, positions: np.ndarray) -> np.ndarray:
         """Return the losses (n,) of positions (n, dimension) of ``space``."""
+        block = self._positions_a_block or max(1, len(positions))
+        parts = [positions[first : first + block] for first in range(0, len(positions), block)]
+        return np.concatenate([np.empty(0), *map(self._losses_of_block, parts)])
+
+    def _losses_of_block(self, positions: np.ndarray) -> np.ndarray:
         designs = self.searched.designs(positions)
         return self.clearance.losses(designs, self._losses(designs))
+
+    @property
+    def _positions_a_block(self) -> int | None:
+        """Number of positions whose forces and Gram matrices by modes are in memory at a time; None for time steps,
+        whose plates solvers and workers divide."""
+        solver = self.plates.designs.solver
+        if isinstance(solver, ModalSolver) and not self.parametrization.only_drives:
+            return max(1, DESIGN_NUMBERS // design_numbers(len(self.scene.actuators), *solver.plate.vectors.shape))
+        return None
 
     def losses_without_clearance(self, positions: np.ndarray) -> np.ndarray:
         """Return the losses (n,) of positions (n, dimension) at which actuators may come too near."""
@@ -340,8 +360,8 @@ def make_problem(resolved: Resolved, matrices: np.ndarray | None = None, pool: W
         reason = f"no Gram matrix holds where {', '.join(kinds)} is searched"
         reason = reason if scene.linear else f"{scene.nonlinear_table} is not linear in the drives"
         raise SceneError(f"evaluator = 'response': {reason}; write 'direct'")
-    name = evaluator or ("response" if robust is not None and quadratic else "direct")
-    objectives = make_objectives(resolved.grid)
+    name, objectives = evaluator_of(resolved, parametrization), make_objectives(resolved.grid)
+    refuse_search_beyond_memory(search_memory(parametrization, resolved, objectives), scene)
     plates = make_plates(parametrization, resolved, objectives, name, pool, matrices)
     scenarios = None
     if robust is not None:
@@ -361,8 +381,5 @@ def make_problem(resolved: Resolved, matrices: np.ndarray | None = None, pool: W
 
 def _scenario_losses(resolved: Resolved, robust: Robust, pool: WorkerPool | None, measured: bool) -> ScenarioLosses:
     """Return the losses over the scenarios of a robust search, by Gram matrices if ``measured``, else by simulation."""
-    particles = resolved.scene.search.particles
-    what = f"search.particles = {particles} with search.robust.scenarios = {robust.scenarios}"
-    refuse_beyond_memory(24.0 * particles * robust.scenarios, what)
     drawn = draw_scenarios(resolved.scene, robust.scenarios, robust.seed, stepped=not resolved.by_modes)
     return scenario_responses(drawn, resolved) if measured else simulate_scenarios(drawn, resolved, pool)

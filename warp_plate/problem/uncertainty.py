@@ -65,13 +65,18 @@ def draw_scenarios(
     if robust is None:
         raise SceneError("search.robust: is missing; without it there are no scenarios")
     what = f"search.robust: {count} scenarios of {actuators} actuators"
-    refuse_beyond_memory(count * (SCENE_BYTES + ACTUATOR_BYTES * actuators), what)
+    refuse_beyond_memory(count * scenario_bytes(actuators), what)
     numbers = np.random.default_rng([seed, int(validation)]).random((count, 4 + 3 * actuators))
     scenarios = [_scenario(scene, robust, row) for row in numbers]
     if not stepped or scene.modal_only_key is not None:
         return tuple(scenarios)
     grid = scene.grid.model_copy(update={"time_step": _common_step(scene, scenarios)})
     return tuple(replace(drawn, scene=drawn.scene.model_copy(update={"grid": grid})) for drawn in scenarios)
+
+
+def scenario_bytes(actuators: int) -> float:
+    """Return the bytes of a scenario's scene."""
+    return SCENE_BYTES + ACTUATOR_BYTES * actuators
 
 
 def _patches(scene: Scene) -> np.ndarray:

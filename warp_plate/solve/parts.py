@@ -187,5 +187,10 @@ def plates_that_fit(specialized: Specialized, traced_nodes: int, held: float, me
                 f"{room / 2**30:.3g} GiB of {device.alias} may be taken; use fewer nodes or record.points"
             )
         return int(room / needed)
-    most = max(FEWEST_PLATES, int(SEGMENT_NODE_STEPS["cpu"] / specialized.node_steps_per_plate))
+    most = plates_a_launch(specialized.node_steps_per_plate)
     return max(1, min(most, int(memory_share * CPU_BYTES / needed)))
+
+
+def plates_a_launch(node_steps: float) -> int:
+    """Return the largest number of plates of so many node-steps that are run at once on CPU."""
+    return max(FEWEST_PLATES, int(SEGMENT_NODE_STEPS["cpu"] / node_steps))

@@ -11,12 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from warp_plate.optimize.quadratic import RANK_TOLERANCE, quadratic_forms
-from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.plate.weights import REGIONS, localization_factor
 from warp_plate.scene.grid import Record
 from warp_plate.scene.model import Scene
 from warp_plate.solve.run import Progress
 from warp_plate.solve.solver import PlateSolver
+
+# Numbers of the phasors that are in memory at a time.
+BLOCK_NUMBERS = 2**21
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,18 +46,33 @@ class Response:
         return phasors / np.abs(phasors).max()
 
 
-def unit_drives(actuators: int) -> np.ndarray:
-    """Return (M(2M + 1), actuators) phasors for the polarisation: the 2M units, then their sums two by two."""
-    units = np.concatenate([np.eye(actuators), -1j * np.eye(actuators)])
-    first, second = np.triu_indices(2 * actuators, k=1)
-    return np.concatenate([units, units[first] + units[second]])
+def count_unit_drives(actuators: int) -> int:
+    """Return the number of drives for the polarisation."""
+    return actuators * (2 * actuators + 1)
+
+
+def unit_drives(actuators: int, rows: slice = slice(None)) -> np.ndarray:
+    """Return (M(2M + 1), actuators) phasors for the polarisation, or some rows of them: the 2M units, then their sums
+    two by two."""
+    units = np.concatenate([np.eye(actuators), -1j * np.eye(actuators), np.zeros((1, actuators))])
+    count = 2 * actuators
+    pairs = np.concatenate([[np.arange(count), np.full(count, count)], np.triu_indices(count, k=1)], axis=1)
+    first, second = pairs[:, rows]
+    return units[first] + units[second]
 
 
 def measure_response(solver: PlateSolver, progress: Progress | None = None) -> Response:
     """Simulate the unit drives; ``solver`` should be float64, for the differences of energies lose digits."""
-    actuators = len(solver.scene.actuators)
-    refuse_beyond_memory(100.0 * actuators**3, f"actuators: {actuators}, which makes {2 * actuators**2} unit drives;")
-    return response_of(solver.run(unit_drives(actuators), progress=progress).energy, actuators)
+    actuators, work = len(solver.scene.actuators), solver.node_steps_per_plate
+    count, block, energies = count_unit_drives(actuators), max(1, BLOCK_NUMBERS // actuators), []
+    for first in range(0, count, block):
+
+        def report(done: int, _total: int, before: int = first * work) -> None:
+            if progress is not None:
+                progress(before + done, count * work)
+
+        energies.append(solver.run(unit_drives(actuators, slice(first, first + block)), progress=report).energy)
+    return response_of(np.concatenate(energies), actuators)
 
 
 def in_float64(scene: Scene) -> Scene:

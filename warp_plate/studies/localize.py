@@ -14,10 +14,10 @@ from warp_plate.cluster.pool import WorkerPool
 from warp_plate.modal.solver import MODAL
 from warp_plate.plate.files import digests
 from warp_plate.problem.evaluate_cases import EvaluatedCases, evaluate_cases, evaluate_objectives
-from warp_plate.problem.methods import with_method
+from warp_plate.problem.methods import resolve_search
 from warp_plate.problem.problem import Problem, make_problem
 from warp_plate.problem.uncertainty import draw_scenarios, simulate_scenarios
-from warp_plate.resolve import EvaluatorName, Purpose, resolve
+from warp_plate.resolve import EvaluatorName, resolve
 from warp_plate.result.atomic_io import write_atomically
 from warp_plate.result.case import Case, target_cases
 from warp_plate.result.checkpoint import Checkpoint, load_checkpoint
@@ -90,9 +90,8 @@ def localize(
     seed = written.search.seed if seed is None else seed
     if not 0 <= seed < 2**63:
         raise SceneError(f"seed = {seed}: must be an integer from 0 to 2^63 - 1")
-    files, scene = digests(written), with_method(written)
-    purpose: Purpose = "exact" if written.search.method is None and scene.search.method == "exact" else "search"
-    resolved = resolve(scene, device, purpose=purpose, path=path, evaluator=evaluator)
+    files = digests(written)
+    resolved = resolve_search(written, device, path, evaluator)
     started = time.perf_counter()
     problem = make_problem(resolved, pool=pool)
     initial, compiling = initial_state(problem, seed), problem.compile_seconds

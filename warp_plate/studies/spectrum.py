@@ -19,7 +19,7 @@ from warp_plate.resolve import Resolved
 from warp_plate.result.case import Case
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.solve.response import Response, in_float64, response_of, unit_drives
+from warp_plate.solve.response import Response, count_unit_drives, in_float64, response_of, unit_drives
 from warp_plate.solve.solver import PlateSolver
 
 # Limits of the number of frequencies by time steps, between which their plates cost about as much as the search.
@@ -53,7 +53,7 @@ def spectrum_frequencies(problem: Problem) -> np.ndarray:
     if problem.resolved.by_modes and not allowed_drives(parametrization_of(scene)).limits_ratios:
         plate = solve_modes(scene, search.range[1], key="search.frequency.range")
         return adaptive_frequencies(*plate.resonances, *search.range)
-    evaluations, units = scene.search.particles * scene.search.iterations, len(unit_drives(len(scene.actuators)))
+    evaluations, units = scene.search.particles * scene.search.iterations, count_unit_drives(len(scene.actuators))
     return np.linspace(*search.range, min(MOST, max(FEWEST, evaluations // units)))
 
 
