@@ -48,7 +48,9 @@ def guard(server: Any, host: str, secret: str) -> None:
 
     @web.middleware
     async def check(request: web.Request, handler: Any) -> web.StreamResponse:
-        name, origin = request.url.host or "", request.headers.get("Origin")
+        name, origin = "", request.headers.get("Origin")
+        with suppress(ValueError):  # of a port or characters that no host has
+            name = request.url.host or ""
         if not (name.lower() in names or _is_address(name)) or origin not in (None, f"http://{request.host}"):
             raise web.HTTPForbidden
         if request.path == "/ws":

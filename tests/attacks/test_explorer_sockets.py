@@ -73,6 +73,9 @@ def test_only_the_page_has_the_secret_and_may_open_a_socket(served):
     for referer in ("", page, f"{page}?key=", f"{page}{served[1]}x", f"{page}?key=%ff", "http://[?key=1"):
         with pytest.raises(urllib.error.HTTPError, match="403"):
             ask(served, Referer=referer)
+    for host in ("elsewhere.example", "127.0.0.1:99999", "\xff"):
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            ask(served, Referer=page + served[1], Host=host)
     assert session(served)[1] in served[1]
     request = urllib.request.Request(f"{page}paraview/", b"{}", {"Referer": page + served[1]})
     with urllib.request.urlopen(request, timeout=PATIENCE) as answer:
