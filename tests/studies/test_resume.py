@@ -8,7 +8,7 @@ import pytest
 from support.inline_pool import InlinePool
 from support.scenes import scene_of
 from support.searches import assert_same_results, interrupted_search
-from warp_plate import localize, resume
+from warp_plate import CheckpointFile, localize, resume
 from warp_plate.scene.grid import Grid
 
 SEARCH = {"search": {"particles": 8, "iterations": 9, "seed": 3}, "record": {"points": ((0.1, 0.1),)}}
@@ -25,6 +25,19 @@ def test_bit_identical_from_any_iteration(evaluator, iterations, device, path, t
     np.testing.assert_array_equal(result.history["best"], full.history["best"][:iterations])
     assert result.cases["best"].localization_factor == pytest.approx(result.history["best"][-1], abs=2e-6)
     assert_same_results(resume(checkpoint, estimate=False), full)
+
+
+def test_checkpoints_are_written_when_due_and_removed_with_what_kills_left(tmp_path, monkeypatch):
+    search, written = scene_of(search={"particles": 4, "iterations": 3, "method": "pso"}), []
+    monkeypatch.setattr("warp_plate.studies.unfinished.save_checkpoint", lambda start, path: written.append(path))
+    for every, count in ((0, 4), (np.inf, 0), (30, 0)):  # one before the first iteration
+        file = CheckpointFile(tmp_path / f"{every}.checkpoint.h5", every)
+        localize(search, device="cpu", estimate=False, checkpoints=file)
+        assert written.count(file.path) == count
+    for name in (file.path.name, f".{file.path.name}.1a2b.part.h5", "other.checkpoint.h5"):
+        (tmp_path / name).touch()
+    file.remove()
+    assert [path.name for path in tmp_path.iterdir()] == ["other.checkpoint.h5"]
 
 
 class Interrupted(InlinePool):
