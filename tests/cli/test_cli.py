@@ -147,7 +147,9 @@ def test_as_a_process(command, recorded):
     assert out.startswith("panel.toml")
     assert "200 \\xd7 200" in out
     assert output_of(command("--version")).strip() == warp_plate.__version__
-    assert all(name in output_of(command("--help")) for name in ("localize", "simulate", "init"))
+    assert all(name in output_of(command("--help")) for name in ("localize", "simulate", "init", "130"))
+    output_of(command("--install-completion", "--shell", "bash", "--output", "completion.bash"))
+    assert {"localize", "--checkpoint-every"} <= set(Path("completion.bash").read_text("utf-8").split())
 
 
 def test_standard_output_that_is_closed_or_full(recorded):

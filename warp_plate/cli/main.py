@@ -62,12 +62,15 @@ def application() -> cyclopts.App:
         name="warp-plate",
         help="Simulate thin vibrating panels, thousands at once, and find drives that move only a chosen part of a "
         "panel.",
+        help_epilogue="Exit status: 0 done, 1 an error of doctor or of --install-completion, 2 refused, 130 ended by "
+        "Ctrl-C, SIGTERM or SIGHUP.",
         version=__version__,
         help_format="markdown",
         suppress_keyboard_interrupt=False,
     )
     for name, (module, summary) in COMMANDS.items():
         app.command(f"warp_plate.cli.{module}:{name.replace('-', '_')}", name=name, help=summary)
+    app.register_install_completion_command(add_to_startup=False)
     return app
 
 
