@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from warp_plate import Scene
+from warp_plate import Scene, SceneError
 from warp_plate.analysis.warnings import (
     find_warnings,
     search_warnings,
@@ -102,10 +102,14 @@ def test_values_in_other_units_are_named(key, value, named):
 
 def test_millimetres_written_as_metres_are_asked_about():
     paper = Scene.load("paper")
-    texts = " ".join(warning_texts(scaled(paper, 1000, 1000), 0.0))
+    with pytest.raises(SceneError, match=r"^plate\.size: \[200\.0, 200\.0\] is above 50 m; are lengths in metres\?$"):
+        scaled(paper, 1000, 1000)
+    with pytest.raises(SceneError, match=r"^plate\.thickness: 0\.7 is above 0\.5 m; are lengths in metres\?$"):
+        scaled(paper, 40, 1400)
+    texts = " ".join(warning_texts(scaled(paper, 200, 200), 0.0))
     assert "fewer than 2 points" in texts
     assert "in metres" in texts
-    assert "both in metres?" in " ".join(warning_texts(scaled(paper, 1000, 1), 0.0))
+    assert "both in metres?" in " ".join(warning_texts(scaled(paper, 100, 1), 0.0))
     assert "in metres" not in " ".join(warning_texts(paper, 0.0))
 
 

@@ -57,3 +57,8 @@ def test_functions_take_scenes_and_files(tmp_path):
     assert result.scene == small
     factor = 100 * result.cases["drive"].localization_factor
     assert repr(result) == f"<Result simulate panel: drive {factor:.3g} %>"
+    for error in (KeyError, SceneError):
+        with pytest.raises(error, match=r"^case = 'driv': must be one of drive$"):
+            result.cases["driv"]
+    with pytest.raises(KeyError, match=r"^region = 'rest': must be one of plate, target$"):
+        result.cases["drive"].energy["rest"]

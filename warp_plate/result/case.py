@@ -7,7 +7,7 @@ cases have a region "target NAME" for each target, beside "plate" and the case's
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar, TypeVar
 
 import h5py
 import numpy as np
@@ -62,6 +62,36 @@ class _Energies(Layout):
         return dict(zip(regions, read_array(group, name, (len(regions),)).tolist(), strict=True))
 
 
+class UnknownNameError(SceneError, KeyError):
+    """A name that a result does not have."""
+
+    __str__ = SceneError.__str__
+
+
+T = TypeVar("T")
+
+
+class Named(dict[str, T]):
+    """Values by name; the error of an unknown name lists the names that there are."""
+
+    noun: ClassVar[str]
+
+    def __missing__(self, name: str) -> T:
+        raise UnknownNameError(f"{self.noun} = {name!r}: must be one of {', '.join(self)}")
+
+
+class Cases(Named["Case"]):
+    """Cases by name."""
+
+    noun = "case"
+
+
+class Regions(Named[float]):
+    """Energies by region."""
+
+    noun = "region"
+
+
 @dataclass(frozen=True)
 class RegionMotion:
     """Motion of the (target, rest) of the plate; NaN for a rest that is empty.
@@ -102,6 +132,9 @@ class Case:
     delay: Annotated[np.ndarray | None, Dataset("s", "start of each actuator's burst", ("actuator",))] = None
 
     motion: Annotated[RegionMotion | None, ELSEWHERE] = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "energy", Regions(self.energy))
 
     @property
     def localization_factor(self) -> float:

@@ -18,7 +18,7 @@ import numpy as np
 from warp_plate.plate.designs import scene_with
 from warp_plate.quantities.region_quantities import REGION_QUANTITIES
 from warp_plate.result import import_xarray
-from warp_plate.result.case import Case, case_scene, target_cases, target_regions
+from warp_plate.result.case import Case, Cases, case_scene, target_cases, target_regions
 from warp_plate.result.hdf5 import FileFormat, write_along
 from warp_plate.result.layouts import Counts, Dataset, Datasets, read_fields, write_fields
 from warp_plate.scene.errors import SceneError
@@ -183,6 +183,9 @@ class Result:
     robust: RobustComparison | None = None
     lost_plates: Annotated[Counts, "lost"] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "cases", Cases(self.cases))
+
     def case_scene(self, case: Case) -> Scene:
         """Return :func:`case_scene` of the result's scene."""
         return case_scene(self.scene, case)
@@ -224,9 +227,6 @@ class Result:
 
     def select_cases(self, names: Sequence[str]) -> dict[str, Case]:
         """Return the cases of these names, or raise a SceneError that says which there are."""
-        for name in names:
-            if name not in self.cases:
-                raise SceneError(f"case = {name!r}: must be one of {', '.join(self.cases)}")
         return {name: self.cases[name] for name in names}
 
     @property

@@ -30,6 +30,8 @@ _REQUIREMENTS = {
 }
 # Error types for which the requirement follows from the annotation of the field.
 _SHAPE_ERRORS = ("tuple_type", "too_short", "too_long", "model_type")
+# What a plate cannot have.
+_OUTLINE = re.compile("corner|radius|outline|disc|diameter|shape|polygon|points|mask|hole")
 _NOUNS: dict[Any, str] = {float: "numbers", int: "whole numbers", str: "texts"}
 
 
@@ -135,6 +137,8 @@ def _required_shape(annotation: Any, key: str, context: Mapping[str, str]) -> st
 
 
 def _suggestion(name: str, table: Any) -> str:
+    if _is_table(table) and table.__name__ == "Plate" and _OUTLINE.search(name):
+        return "; plates are rectangles only, write size = [length along x, length along y] (metres)"
     if close := _closest(name, table):
         return f"; did you mean {close!r}?"
     return f"; known here: {', '.join(table.model_fields)}" if _is_table(table) else ""

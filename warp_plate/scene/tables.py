@@ -22,6 +22,10 @@ from warp_plate.scene.specification import Specification
 from warp_plate.scene.target import NamedTarget, Target
 
 
+# Beyond any panel [m]; below most lengths of panels in millimetres.
+LONGEST, THICKEST = 50.0, 0.5
+
+
 class Plate(Table):
     """Geometry and material of the plate."""
 
@@ -43,6 +47,10 @@ class Plate(Table):
 
     @model_validator(mode="after")
     def _thin(self) -> Self:
+        if max(self.size) > LONGEST:
+            raise ValueError(f"size: {list(self.size)} is above {LONGEST:g} m; are lengths in metres?")
+        if self.thickness > THICKEST:
+            raise ValueError(f"thickness: {self.thickness:g} is above {THICKEST:g} m; are lengths in metres?")
         self.check_thin(self.thickness, "thickness: ")
         return self
 
