@@ -41,7 +41,7 @@ def test_assignments_follow_each_other():
     [
         ("drive.frequency", "must be KEY=VALUE"),
         ("=3", "must be KEY=VALUE"),
-        ("drive..frequency=3", "must be KEY=VALUE"),
+        ("drive..frequency=3", "must have a key such as drive.frequency"),
         ("drive.frequency=30O", 'paper: drive.frequency = "30O": must be a number'),
         ("drive.frequenzy=300", "drive.frequenzy: unknown key"),
         ("actuators[7].phase=1", "a list of 4"),

@@ -3,6 +3,9 @@
 import pytest
 
 from warp_plate import Actuator, Drive, Grid, Plate, Scene, SceneError, Target, check, simulate
+from warp_plate.scene.errors import toml_text
+from warp_plate.scene.keys import assign
+from warp_plate.scene.load import parse_toml
 
 GLASS = {"thickness": 0.7e-3, "young_modulus": 72e9, "poisson_ratio": 0.22, "density": 2480}
 
@@ -30,7 +33,12 @@ def test_repr_is_a_short_line():
         (lambda: Plate(size=(0.2, 0.12), **GLASS, densty=1.0), r"^densty: unknown key; did you mean 'density'\?"),
         (lambda: glass_panel(drive={"frequency": -1}), r"^drive\.frequency = -1: must be greater than 0$"),
         (lambda: glass_panel(target=Target(disc=(0.5, 0.06, 0.015))), r"^target.* plate"),
-        (lambda: glass_panel().replace("drive.frequenzy", 300), r"drive\.frequency"),
+        (lambda: setattr(glass_panel().drive, "frequency", 3), r'^drive.*scene\.replace\("drive\.frequency", 3\)'),
+        (lambda: setattr(glass_panel().actuators[1], "phase", 1), r'scene\.replace\("actuators\[0\]\.phase", 1\)'),
+        (lambda: setattr(glass_panel(), "edges", {}), r'^edges: .*scene\.replace\("edges", \.\.\.\)'),
+        (lambda: glass_panel().replace("drive.frequenzy", 300), r"^drive\.frequenzy: unknown key; did you mean"),
+        (lambda: glass_panel().replace("actuators[7].area", None), r"^actuators\[7\]\.area: the scene has a list of 6"),
+        (lambda: glass_panel().replace("edges.left", "held"), r"^edges\.left = \"held\": must be 'clamped'"),
         (lambda: glass_panel().replace("drive.frequency", "fast"), r"^drive\.frequency = \"fast\": must be a number$"),
         (lambda: glass_panel().replace("search.particles", 20.5), r"^search\.particles = 20\.5: must be a whole"),
     ],
@@ -45,6 +53,25 @@ def test_replace_changes_one_key():
     assert changed.drive.frequency == 310
     assert changed == glass_panel(drive=Drive(frequency=310))
     assert glass_panel().replace("actuators.a2.phase", 1.5).actuators[2].phase == 1.5
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("effects.variation", {"density": [[1.0, 1.1], [1.0, 1.0]]}),
+        ("edges.left", "free"),
+        ("edges.left", {"translation": 1e6}),
+        ("actuators[0].area", [0.02, 0.04, 0.02, 0.05]),
+        ("target.area", (0.1, 0.12, 0.03, 0.05)),
+        ("effects.stretching", {}),
+    ],
+)
+def test_replace_takes_whole_tables_as_assignments_do(key, value):
+    scene = glass_panel()
+    tables = {key: part for key, part in parse_toml(scene.to_toml(), "").items() if key != "grid"}
+    assign(tables, [f"{key}={toml_text(value)}"])
+    assert scene.replace(key, value) == Scene.from_tables(tables)
+    assert scene.replace("effects.damping", {"viscous": 9.0}).replace("effects.damping", None) == scene
 
 
 def test_functions_take_scenes_and_files(tmp_path):

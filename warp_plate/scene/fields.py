@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
 
 from pydantic import (
     AfterValidator,
@@ -24,7 +24,7 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, PydanticCustomError
 
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, toml_text
 from warp_plate.scene.explain_errors import explain_error
 
 # Far beyond any panel, yet fourth powers and products of such numbers are still finite.
@@ -60,6 +60,15 @@ class Table(BaseModel):
         # Pydantic then validates the tables of a file without this constructor, and reports their keys in full.
         __init__.__pydantic_base_init__ = True
 
+        def __setattr__(self, name: str, value: object) -> None:
+            try:
+                super().__setattr__(name, value)
+            except ValidationError:
+                key = f"{_place(type(self))}{name}"
+                shown = toml_text(value) if isinstance(value, float | int | str) else "..."
+                use = f'scene.replace("{key}", {shown}) returns a changed scene'
+                raise SceneError(f"{key}: a scene is not changed by assignment; {use}") from None
+
     def _derive(self, key: str, value: object) -> None:
         """Set a key that follows from others, during validation: it does not count as written in the file."""
         self.__dict__[key] = value
@@ -73,6 +82,24 @@ class Table(BaseModel):
             if meaning:
                 entry["description"] = f"{meaning.removesuffix('.')} [{shown_unit(unit)}]" if unit else meaning
         return schema
+
+
+def _place(table: type[Table]) -> str:
+    """Return what stands before the keys of a table: "drive." or "actuators[0].", or "" at the top level."""
+    parents = [Table]
+    for parent in parents:
+        parents += parent.__subclasses__()
+        for name, field in parent.model_fields.items():
+            if table in _types_in(field.annotation):
+                index = "[0]" * (get_origin(field.annotation) is tuple)
+                return f"{_place(parent)}{name}{index}."
+    return ""
+
+
+def _types_in(annotation: Any) -> Iterator[Any]:
+    yield annotation
+    for inner in get_args(annotation):
+        yield from _types_in(inner)
 
 
 def unit_in(annotation: Any, metadata: Iterable[Any] = ()) -> str | None:

@@ -148,37 +148,49 @@ def _listed(keys: list[str]) -> str:
 
 
 def assign(tables: dict[str, Any], assignments: Iterable[str]) -> None:
-    """Put values into the tables of a scene, one ``KEY=VALUE`` after the other; new tables are made as needed.
+    """Put values into the tables of a scene, one ``KEY=VALUE`` after the other; see :func:`put`.
 
-    VALUE is TOML, such as 300, [0.1, 0.2] or {eta = 0.02}; anything else is a text. A key that excludes another one
-    replaces it: ``grid.accuracy`` the rest of the grid, ``force`` ``magnitude``, and each shape of a target the others.
+    VALUE is TOML, such as 300, [0.1, 0.2] or {eta = 0.02}; anything else is a text.
 
     Raises:
         SceneError: it is not KEY=VALUE, or the key does not lead into the tables.
     """
     for assignment in assignments:
-        name, equals, text = assignment.partition("=")
-        rows = {table: tables[table] for table in NAMED if isinstance(tables.get(table), list)}
-        names = {
-            table: [str(row.get("name")) if isinstance(row, dict) else "" for row in rows[table]] for table in rows
-        }
-        key = _without_names(names, name.strip())
-        if not equals or not _KEY.fullmatch(key):
+        key, equals, text = assignment.partition("=")
+        if not equals or not key.strip():
             raise SceneError(f"--set {assignment}: must be KEY=VALUE, such as drive.frequency=300")
-        links = tables.get("links")
-        if isinstance(links, dict) and isinstance(links.get(key), dict):
-            inner = links[key].get("keys")
-            assign(tables, [f"{other}={text}" for other in inner] if isinstance(inner, list) else [])
-            continue
-        *path, last = key_parts(key)
-        holder: Any = tables
-        for depth, part in enumerate(path):
-            holder = _entered(holder, part, {} if isinstance(last, str) or depth < len(path) - 1 else [], assignment)
-        if not (isinstance(last, str) and isinstance(holder, dict)):
-            _check_index(holder, last, assignment)
-        holder[last] = _value(text.strip())
-        for other in _excluded(path, last, holder):
-            holder.pop(other, None)
+        put(tables, key, _value(text.strip()), f"--set {assignment}")
+
+
+def put(tables: dict[str, Any], key: str, value: Any, shown: str) -> None:
+    """Put a value into the tables of a scene; new tables are made as needed.
+
+    A key that excludes another one replaces it: ``grid.accuracy`` the rest of the grid, ``force`` ``magnitude``, and
+    each shape of a target the others.
+
+    Raises:
+        SceneError: the key does not lead into the tables; the message begins with ``shown``.
+    """
+    rows = {table: tables[table] for table in NAMED if isinstance(tables.get(table), list)}
+    names = {table: [str(row.get("name")) if isinstance(row, dict) else "" for row in rows[table]] for table in rows}
+    key = _without_names(names, key.strip())
+    if not _KEY.fullmatch(key):
+        raise SceneError(f"{shown}: must have a key such as drive.frequency or actuators[0].area")
+    links = tables.get("links")
+    if isinstance(links, dict) and isinstance(links.get(key), dict):
+        inner = links[key].get("keys")
+        for other in inner if isinstance(inner, list) else []:
+            put(tables, str(other), value, shown)
+        return
+    *path, last = key_parts(key)
+    holder: Any = tables
+    for depth, part in enumerate(path):
+        holder = _entered(holder, part, {} if isinstance(last, str) or depth < len(path) - 1 else [], shown)
+    if not (isinstance(last, str) and isinstance(holder, dict)):
+        _check_index(holder, last, shown)
+    holder[last] = value
+    for other in _excluded(path, last, holder):
+        holder.pop(other, None)
 
 
 def _without_names(names: Mapping[str, list[str]], key: str) -> str:
@@ -197,24 +209,22 @@ def _value(text: str) -> Any:
         return text
 
 
-def _entered(holder: Any, part: str | int, empty: dict[str, Any] | list[Any], assignment: str) -> Any:
+def _entered(holder: Any, part: str | int, empty: dict[str, Any] | list[Any], shown: str) -> Any:
     """Return what a table or list holds, by default a new table."""
     if isinstance(part, str) and isinstance(holder, dict):
         return holder.setdefault(part, empty)
-    _check_index(holder, part, assignment)
+    _check_index(holder, part, shown)
     return holder[part]
 
 
-def _check_index(holder: Any, part: str | int, assignment: str) -> None:
+def _check_index(holder: Any, part: str | int, shown: str) -> None:
     """Raise SceneError unless a part of a key is an index into a list."""
     if isinstance(holder, list) and isinstance(part, int) and part < len(holder):
         return
     held = (
         f"a list of {len(holder)}" if isinstance(holder, list) else "no list" if isinstance(part, int) else "no table"
     )
-    raise SceneError(
-        f"--set {assignment}: the scene file has {held} before {f'[{part}]' if held[0] == 'a' else part!r}"
-    )
+    raise SceneError(f"{shown}: the scene has {held} before {f'[{part}]' if held[0] == 'a' else part!r}")
 
 
 def _excluded(path: list[str | int], last: str | int, holder: Any) -> list[str]:

@@ -23,6 +23,7 @@ from warp_plate.scene.keys import (
     check_links,
     key_parts,
     linked_keys,
+    put,
     resolved_key,
     scalar_keys,
     value_of,
@@ -131,15 +132,21 @@ class Scene(SceneTables):
         except SceneError as error:
             raise SceneError(f"grid.{error}") from None
 
-    def replace(self, key: str, value: float | str) -> Scene:
-        """Return the scene with another value at a key, or raise a SceneError if there is no such key or value.
+    def replace(self, key: str, value: Any) -> Scene:
+        """Return the scene with another value or table at a key, or raise a SceneError if one of them is wrong.
 
-            >>> Scene.load("paper").replace("drive.frequency", 300).drive.frequency
-            300.0
+            >>> scene = Scene.load("paper").replace("drive.frequency", 300)
+            >>> scene = scene.replace("actuators.lower left.area", (0.03, 0.04, 0.03, 0.04))
+            >>> scene.replace("effects.damping", {"viscous": 50}).effects.damping.viscous
+            50.0
 
-        Keys are written as for ``--vary``, such as ``plate.thickness`` and ``actuators[0].phase``.
+        Keys and what they exclude are those of ``--set``; the value None removes a table.
         """
-        return self.with_values({resolved_key(self, key): value})
+        tables = self._tables()
+        if "grid" not in self.model_fields_set and not key.startswith("grid"):
+            del tables["grid"]
+        put(tables, key, value, key)
+        return Scene.from_tables(tables).in_folder(self._folder)
 
     def with_values(self, values: Mapping[str, float | str]) -> Scene:
         """Return the scene, checked again, with other values at some of ``scalar_keys``; integers where these are kept.
@@ -175,13 +182,18 @@ class Scene(SceneTables):
 
     def to_toml(self) -> str:
         """Return the scene, defaults included, as TOML text that :meth:`parse` reads back."""
-        tables = self.model_dump(exclude_none=True)
+        tables = self._tables()
+        tables |= {key: tables.pop(key) for key in ("targets", "actuators", "measurement")}  # at the end
+        return dump_toml(tables)
+
+    def _tables(self) -> dict[str, Any]:
+        """Return the tables as a file would have them, defaults included."""
+        tables = self.model_dump(mode="json", exclude_none=True)
         if self.grid.accuracy is not None:
             tables["grid"] = {"accuracy": self.grid.accuracy}
         if self.targets and self.target == self.targets[0].unnamed:
             del tables["target"]
-        tables |= {key: tables.pop(key) for key in ("targets", "actuators", "measurement")}  # at the end
-        return dump_toml(tables)
+        return tables
 
     def __repr__(self) -> str:
         width, height = self.plate.size

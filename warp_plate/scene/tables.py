@@ -21,7 +21,6 @@ from warp_plate.scene.search import Search
 from warp_plate.scene.specification import Specification
 from warp_plate.scene.target import NamedTarget, Target
 
-
 # Beyond any panel [m]; below most lengths of panels in millimetres.
 LONGEST, THICKEST = 50.0, 0.5
 
