@@ -34,6 +34,12 @@ def test_repeated_fragments(start, repeated):
     assert len(message) < 1000
 
 
+def test_a_file_longer_than_any_scene(tmp_path):
+    (tmp_path / "a.toml").write_bytes(b"\n" * (2**22 + 1))
+    with pytest.raises(SceneError, match=r"a\.toml: 4194305 bytes; a scene file has at most 4194304"):
+        Scene.load(tmp_path / "a.toml")
+
+
 @pytest.mark.parametrize(
     "before", ['x="""\\"""', 'x="""a\\"""b"""\n', 'x={a="""a"""",', "x='''a'''''\n", 'x=""\n', "#'''\n"]
 )

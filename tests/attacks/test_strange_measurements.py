@@ -10,6 +10,7 @@ import scipy
 from support.commands import error_of
 from support.scenes import refused
 from warp_plate.fitting.measured_responses import read_responses
+from warp_plate.plate.files import read_beside
 
 FIT = {"fit": {"free": {"plate.young_modulus": (6e8, 2e9)}}}
 
@@ -23,6 +24,7 @@ def refusal_of_responses(path):
     [
         ({"frequency": [10 + 5j, 20, 30], "response": [1, 2, 3j]}, "frequency is complex; only response may be"),
         ({"frequency": [10, 20], "response": [1, 2], "coherence": [1j, 1]}, "coherence is complex; only response"),
+        ({"frequency": [10, 20], "response": h5py.SoftLink("/frequency")}, "response is a link"),
         ({"frequency": h5py.Empty("f8"), "response": [1, 2, 3]}, "frequency is not an array of numbers"),
         ({"frequency": [], "response": np.zeros((0, 3))}, "has 0 responses; the scene has 1 tables"),
     ],
@@ -32,6 +34,16 @@ def test_odd_arrays(content, message, tmp_path):
         for name, values in content.items():
             file[name] = values
     assert message in refusal_of_responses(tmp_path / "a.h5")
+
+
+@pytest.mark.parametrize("ending", ["csv", "h5", "mat", "wav"])
+def test_files_that_are_too_large(ending, tmp_path):
+    """A measurement, and a file that a scene names."""
+    with (tmp_path / f"a.{ending}").open("wb") as file:
+        file.truncate(2**27 + 1)
+    refusal = "134217729 bytes; at most 134217728 are read"
+    assert refusal in refusal_of_responses(tmp_path / f"a.{ending}")
+    assert refusal in refused(read_beside, "drive.signal.file", f"a.{ending}", tmp_path)
 
 
 def test_half_precision_is_read_without_warnings(tmp_path):

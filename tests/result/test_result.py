@@ -158,6 +158,7 @@ def replace_member(parent, name, value):
         ("objectives/sum", np.array(True), "objectives/sum is not a dataset of real numbers"),
         ("times", {"shape": (10**12,), "dtype": float}, "more than the file holds"),
         ("times", {"shape": (2,), "dtype": float, "external": [("secret.raw", 0, 16)]}, "kept in another file"),
+        ("times", {"shape": (2,), "dtype": float, "chunks": (1,)}, "times is in chunks"),
         ("robust", np.ones(2), "robust is not a group"), ("times", h5py.SoftLink("/trace_times"), "times is a link"),
         *((name, h5py.ExternalLink("secret.h5", "data"), f"{name} is a link") for name in LINKED),
     ],
@@ -172,7 +173,8 @@ def test_wrong_datasets_are_refused_by_name(full_result, tmp_path, name, values,
     [
         ("command", 7), ("command", None), ("interrupted", 2), ("seed", -1), ("seed", 1.5), ("seed", "3"),
         ("bound_kind", "certain"), ("scene", "title = 3"), ("effects", "[1]"), ("effects", "{}"), ("effects", "["),
-        ("effects", 3), ("seconds", '{"a": "1"}'), ("seconds", "[" * 10**5), ("format", "warp-plate result 3"),
+        ("seed", np.ones(2)), ("effects", 3),
+        ("seconds", '{"a": "1"}'), ("seconds", "[" * 10**5), ("format", "warp-plate result 3"),
     ],
 )  # fmt: skip
 def test_wrong_attributes_are_refused_in_one_line(full_result, tmp_path, name, value):
