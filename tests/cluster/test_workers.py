@@ -18,7 +18,6 @@ from support.inline_pool import InlinePool, KilledWorker
 from support.worker_tasks import doubled, end_worker, process_number
 from support.workers import PLATES, assert_same_history, assert_same_run, random_phasors, small_search
 from warp_plate import CheckpointFile, PlateSolver, SceneError, load_checkpoint, load_result, localize, resume
-from warp_plate.cli.tables import failure_lines
 from warp_plate.cluster.evaluator import make_evaluator
 from warp_plate.cluster.opening import open_pool
 from warp_plate.cluster.pool import Task, WorkersGone, run_tasks
@@ -282,7 +281,7 @@ def test_lost_plates_are_in_the_result(tmp_path, scene, random):
     assert result.evaluations == 2 * PLATES
     assert result.cases["best"].localization_factor > 0
     assert load_result(save_result(result, tmp_path / "panel.h5")).lost_plates == result.lost_plates
-    (line,) = failure_lines(result.lost_plates)
+    (line,) = (line for line in result.warnings if "failed on the workers" in line)
     assert "44 plates" in line
     assert why in line
 

@@ -54,6 +54,7 @@ def test_what_cannot_be_told_apart_is_named(random):
     free = {**MODULI, "plate.density": (500.0, 2000.0), "actuators.0.area[0]": (0.0, 0.05)}
     found = fit_modes(stiff_panel(free=free), measured(random))
     assert found.inseparable == (("plate.young_modulus", "plate.density"), ("actuators[0].area[0]",))
+    assert "plate.young_modulus and plate.density: cannot be distinguished" in found.warnings[0]
     assert np.isnan([*found.low, *found.high]).all()
     assert found.values[0] / found.values[1] == pytest.approx(MODULUS / MATERIAL["density"], rel=5e-3)
 

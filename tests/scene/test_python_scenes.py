@@ -2,7 +2,19 @@
 
 import pytest
 
-from warp_plate import Actuator, Drive, Grid, Plate, Scene, SceneError, Target, check, simulate
+from warp_plate import (
+    Actuator,
+    Drive,
+    Grid,
+    Plate,
+    Scene,
+    SceneError,
+    Target,
+    check,
+    load_result,
+    save_result,
+    simulate,
+)
 from warp_plate.scene.errors import toml_text
 from warp_plate.scene.keys import assign
 from warp_plate.scene.load import parse_toml
@@ -84,6 +96,8 @@ def test_functions_take_scenes_and_files(tmp_path):
     assert result.scene == small
     factor = 100 * result.cases["drive"].localization_factor
     assert repr(result) == f"<Result simulate panel: drive {factor:.3g} %>"
+    assert "take more nodes" in result.warnings[0]
+    assert load_result(save_result(result, tmp_path / "panel.h5")).warnings == result.warnings
     for error in (KeyError, SceneError):
         with pytest.raises(error, match=r"^case = 'driv': must be one of drive$"):
             result.cases["driv"]

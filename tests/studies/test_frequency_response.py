@@ -170,6 +170,7 @@ def test_no_peak_is_missed(scene, effects):
 def test_undamped_plates_have_finite_responses_beside_their_resonances(scene):
     found = frf(scene(), frequency_range=(20, 200))
     assert found.undamped
+    assert "undamped modes" in found.warnings[0]
     for values in (found.responses, found.localization_factor, found.bound, found.mean_square_velocity):
         assert np.isfinite(values).all()
     assert not frf(scene(damping=1.0), frequency_range=(20, 200)).undamped

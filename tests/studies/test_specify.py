@@ -98,6 +98,7 @@ def test_what_cannot_be_is_proved_and_explained():
     assert abs(answer.contrast_db) < 0.3
     assert answer.effort == math.inf
     assert "exclude each other" in answer.obstacles[0]
+    assert answer.obstacles[0][1:] in answer.warnings[0]
     assert "larger limits alone do not help" in answer.obstacles[1]
 
 

@@ -108,7 +108,9 @@ def test_keys_without_effect(swept_plate):
         (["search.seed=1:9"], 3, ("search.seed",)),
         (["search.seed=1:9", "drive.frequency=200:300"], 3, ()),
     ):
-        assert sweep(swept_plate, vary, "check", samples, device="cpu").keys_without_effect == keys
+        found = sweep(swept_plate, vary, "check", samples, device="cpu")
+        assert found.keys_without_effect == keys
+        assert found.warnings == tuple(f"{key} has no effect on the results" for key in keys)
 
 
 def test_a_sweep_interrupted_anywhere_resumes_to_the_same(swept_plate, tmp_path, random):

@@ -45,6 +45,7 @@ def test_the_own_field_keeps_the_promise(lossy_run):
     assert found.scale == pytest.approx(2, rel=1e-3)
     assert found.correlation == pytest.approx(1, abs=1e-6)
     assert np.isnan(found.deviation)
+    assert [line[:12] for line in found.warnings] == ["The noise is"]
 
 
 def test_the_deviation_is_that_of_noise(lossy_run, random):

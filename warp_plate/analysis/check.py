@@ -103,6 +103,11 @@ class Check:
             )
         return texts
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Lines that the command prints after "!"."""
+        return tuple(finding.sentence for finding in self.findings if finding.exceeded)
+
     def as_json(self) -> Mapping[str, object]:
         """Return the properties as numbers and texts."""
         limit, place = self.limit, self.limit.place
@@ -115,7 +120,7 @@ class Check:
             "limit_place": None if place is None else list(place),
             "numbers": [vars(finding) for finding in self.findings],
             "sentences": [f"{name}: {text}" for name, text in {**self.summary, **self.numerics}.items()],
-            "warnings": [finding.sentence for finding in self.findings if finding.exceeded],
+            "warnings": list(self.warnings),
         }
 
 

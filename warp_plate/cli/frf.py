@@ -161,8 +161,8 @@ def _print(name: str, scene: Scene, response: FrequencyResponse, console: Consol
         f"\nLocalization factor of the scene's drive: {_extremes(response.localization_factor)}; the best drive at "
         f"each frequency reaches up to {response.bound[best]:.4f}, at {response.frequencies[best]:.6g} Hz."
     )
-    if response.undamped:
-        console.print("! The plate has undamped modes: their peaks have no height; frequencies beside them are shown.")
+    for line in response.warnings:
+        console.print(f"! {line}")
 
 
 def _extremes(values: np.ndarray) -> str:

@@ -204,7 +204,7 @@ def _as_json(checkpoint: Path | None, result: warp_plate.Result) -> dict[str, ob
         "objectives_of": result.objective_values_by_case,
         "robust": tables.robust_json(result.robust),
         "crosstalk": tables.crosstalk_json(result),
-        "warnings": tables.warnings_of(result),
+        "warnings": result.warnings,
         "lost": result.lost_plates,
         "checkpoint": checkpoint,
     }
@@ -226,7 +226,8 @@ def _print(elapsed: float | None, result: warp_plate.Result, console: Console) -
             tables.print_drive(result.cases[case], result.scene, console, target)
     if result.target_searches:
         tables.print_crosstalk(result, console)
-    tables.print_failures(result, console)
+    if result.interrupted:
+        console.print("Interrupted by Ctrl-C; the best drive so far is shown.")
     if result.source == "paper":
         console.print(NOT_REPRODUCED)
     in_all = {"direct": ", in all ", "response": " on Gram matrices, in all ", "modal": ", "}

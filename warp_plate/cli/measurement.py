@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
     from warp_plate.studies.verify import Verification
 
 # First words of the file; correlations that are reported.
-FITTED, STRONG = "# Fitted by warp-plate", 0.9
+FITTED = "# Fitted by warp-plate"
 
 
 def fit(
@@ -112,7 +111,7 @@ def _print_fit(name: str, fitted: ModeFit | ResponseFit, console: Console) -> No
     cells = [[output.number_text(value, digits) for value in values] for values, digits in columns.values()]
     kind = "response" if isinstance(fitted, ResponseFit) else "mode"
     output.print_rows(console, (kind, *columns), list(zip(names, *cells, strict=True)))
-    for line in _remarks(fitted):
+    for line in fitted.warnings:
         console.print(f"! {line}")
 
 
@@ -125,25 +124,6 @@ def _print_properties(fitted: ModeFit | ResponseFit, console: Console) -> None:
     for key, *values in zip(fitted.keys, fitted.values, fitted.low, fitted.high, strict=True):
         rows.append([key, unit_of(fitted.scene, key), *(output.number_text(value, ".5g") for value in values)])
     output.print_rows(console, headings, rows, "")
-
-
-def _remarks(fitted: ModeFit | ResponseFit) -> list[str]:
-    """Return lines about properties that the data do not determine."""
-    import numpy as np
-
-    lines = []
-    for group in fitted.inseparable:
-        fault = "cannot be distinguished by these data; fix all but one" if len(group) > 1 else "has no influence here"
-        lines.append(f"{' and '.join(group)}: {fault}")
-    for group in fitted.mirrored:
-        lines.append(f"{' and '.join(group)}: interchangeable; give them different ranges, or measure off centre")
-    for key, limited in zip(fitted.keys, fitted.at_limit, strict=True):
-        if limited:
-            lines.append(f"{key}: is at an end of its range, so its interval is not valid; widen the range")
-    for first, second in np.argwhere(np.triu(np.abs(fitted.correlations) > STRONG, 1)):
-        value = fitted.correlations[first, second]
-        lines.append(f"{fitted.keys[first]} and {fitted.keys[second]}: their errors are correlated by {value:+.3f}")
-    return lines
 
 
 def verify(
@@ -200,7 +180,5 @@ def _print_verified(verified: Verification, console: Console) -> None:
         f"\n{len(verified.promised)} points: measured velocities are {verified.scale:.4g} times the promised ones, and "
         f"their cosine is {verified.correlation:.4f}."
     )
-    if not verified.kept:
-        console.print("! The drive does not keep its promise: fit the scene to a measurement, and search again.")
-    if math.isnan(verified.deviation):
-        console.print("! The noise is not known: add a column uncertainty, or measure each point twice.")
+    for line in verified.warnings:
+        console.print(f"! {line}")

@@ -68,7 +68,7 @@ def _as_json(result: warp_plate.Result) -> dict[str, object]:
         **output.attributes(result, *names),
         **output.attributes(case, "status", "localization_factor", "energy"),
         "motion": tables.motion_json(case),
-        "warnings": tables.warnings_of(result),
+        "warnings": result.warnings,
     }
 
 

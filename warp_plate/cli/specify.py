@@ -98,12 +98,10 @@ def _print(source: str, answer: SpecifiedDrive, console: Console) -> None:
         )
     if answer.feasible:
         console.print(f"The least limits that would do: {100 * answer.effort:.3g} % of those given.")
-    for sentence in answer.obstacles:
-        console.print(f"! {sentence[:1].upper()}{sentence[1:]}.")
     if answer.scatter:
         _print_tolerances(answer, console)
-    for sentence in answer.notes:
-        console.print(f"! {sentence[:1].upper()}{sentence[1:]}.")
+    for line in answer.warnings:
+        console.print(f"! {line}")
 
 
 def _print_levels(answer: SpecifiedDrive, console: Console) -> None:

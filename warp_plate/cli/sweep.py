@@ -170,6 +170,6 @@ def _print(result: Sweep, console: Console) -> None:
             console.print(f"  {result.refusal(point)}")
         if len(result.reasons) > MOST_REASONS:
             console.print("  ... (all reasons are in the result file)")
-    for key in result.keys_without_effect:
-        console.print(f"! {key} has no effect on the results")
+    for line in result.warnings:
+        console.print(f"! {line}")
     console.print(f"{result.seconds:.2f} s in all.")

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from rich.console import Console
 
-from warp_plate.analysis.warnings import explain_missing_energies, search_warnings, target_warnings, warning_texts
+from warp_plate.analysis.warnings import exceeded_limits
 from warp_plate.cli import output
-from warp_plate.problem.methods import unread_keys
-from warp_plate.problem.objectives import keeps_limit
 from warp_plate.quantities.region_quantities import REGION_QUANTITIES
 from warp_plate.result.case import Case, amplitude_column, amplitudes_as_given, relative_to_own, target_cases
 from warp_plate.result.model import Result, RobustComparison, crosstalk
 from warp_plate.scene.errors import printable
 from warp_plate.scene.model import Scene
-from warp_plate.scene.vary import counted
 
 # Standard acceleration of gravity [m/s²].
 GRAVITY = 9.80665
@@ -129,20 +126,15 @@ def print_objectives(result: Result, console: Console) -> None:
         kinds = [search.bound_kind for search in searches]
         bounded = "bound only" if "bound only" in kinds else "bound"
         lines.append(("bound", f"{bounded} of the sum, {result.scope}", "", None))
-    rows, exceeded = [], []
+    rows = []
     for key, label, weight, limit in lines:
         cells = [output.number_text(values.get(key), ".4g") for values in values_of]
         cells += [output.number_text(values[key], ".4g") if key in values else "" for values in others.values()]
         rows.append([label, weight, "" if limit is None else f"{limit:g}", *cells])
-        if limit is not None and not all(keeps_limit(values.get(key, 0.0), limit) for values in values_of):
-            exceeded.append(label)
     output.print_rows(console, ["objective", "weight", "limit", *columns, *others], rows)
-    if others and not exceeded:
+    if others and not exceeded_limits(result):
         ignoring = ", ".join(others).replace("\n", " ")
         console.print(f"{ignoring}: these drives ignore the limits of the search.", style="dim")
-    remedy = "" if result.scene.search.magnitude else " as strong as the scene's; [search.magnitude] allows weaker ones"
-    for label in exceeded:
-        console.print(f"! {label}: no drive within the limit was found{remedy}; the nearest one is shown")
     console.print()
 
 
@@ -219,20 +211,6 @@ def _robust_quantity(compared: RobustComparison) -> str:
     return "localization factor" if compared.localization else "weighted sum of objectives"
 
 
-def print_failures(result: Result, console: Console) -> None:
-    """Print why workers failed to simulate plates, and that an interrupted search shows its best drive so far."""
-    for line in failure_lines(result.lost_plates):
-        console.print(f"! {line}")
-    if result.interrupted:
-        console.print("Interrupted by Ctrl-C; the best drive so far is shown.")
-
-
-def failure_lines(failures: Mapping[str, int]) -> list[str]:
-    """Return a line for each reason for which workers failed to simulate plates of a search."""
-    failed = "of the search failed on the workers and counted as worst"
-    return [f"{counted(count, 'plate')} {failed}: {reason}" for reason, count in failures.items()]
-
-
 def print_cost(result: Result, console: Console, start: str = "", elapsed: float | None = None) -> None:
     """Print where a result was computed, its cost and accuracy, the effects in the compiled kernels, and warnings.
 
@@ -260,22 +238,10 @@ def print_cost(result: Result, console: Console, start: str = "", elapsed: float
         for part in (estimate, estimate.get("bound", {})):
             if "line" in part:
                 console.print(part["line"])
-    for sentence in warnings_of(result):
-        console.print(f"! {sentence}")
+    print_warnings(result.warnings, console)
 
 
-def warnings_of(result: Result) -> list[str]:
-    """Return warnings about effects that the result calls for but its scene lacks, and about search settings that have
-    no effect."""
-    failed = next((case.status for case in result.cases.values() if case.status != "ok"), None)
-    if failed is not None:
-        return [explain_missing_energies(result.scene, failed)]
-    best = result.history.get("best")
-    if best is not None and len(best) and not math.isfinite(best[-1]):
-        return ["No plate that the search tried has energies; the best single actuator is shown in place of a result."]
-    sentences = []
-    if result.command == "localize":
-        sentences += [*search_warnings(result.scene), *unread_keys(result.scene.search)]
-    scene = result.case_scene(result.main_case)
-    sentences += target_warnings(scene, result.main_case.localization_factor)
-    return sentences + warning_texts(scene, result.peak_displacement, gridded=not result.by_modes)
+def print_warnings(warnings: Iterable[str], console: Console) -> None:
+    """Print warnings of a result or scene."""
+    for line in warnings:
+        console.print(f"! {line}")

@@ -19,6 +19,8 @@ from warp_plate.scene.model import Scene
 
 # Step of differences of scenes, relative to a value above 0, or else to its range.
 STEP = 1e-3
+# Correlation of two errors from which on it is remarked.
+STRONG = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +121,23 @@ class FittedPanel:
     # groups of keys of opposite edges whose numbers may change places without a change of the data
     mirrored: tuple[tuple[str, ...], ...]
     evaluations: int  # number of plates that were computed
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Lines that the command prints after "!"."""
+        lines = []
+        for group in self.inseparable:
+            alike = "cannot be distinguished by these data; fix all but one"
+            lines.append(f"{' and '.join(group)}: {alike if len(group) > 1 else 'has no influence here'}")
+        for group in self.mirrored:
+            lines.append(f"{' and '.join(group)}: interchangeable; give them different ranges, or measure off centre")
+        for key, limited in zip(self.keys, self.at_limit, strict=True):
+            if limited:
+                lines.append(f"{key}: is at an end of its range, so its interval is not valid; widen the range")
+        for first, second in np.argwhere(np.triu(np.abs(self.correlations) > STRONG, 1)):
+            value = self.correlations[first, second]
+            lines.append(f"{self.keys[first]} and {self.keys[second]}: their errors are correlated by {value:+.3f}")
+        return tuple(lines)
 
 
 F = TypeVar("F", bound=FittedPanel)

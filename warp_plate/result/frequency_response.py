@@ -91,6 +91,12 @@ class FrequencyResponse:
         """True if a mode in the range has no damping, so that its response has no limit."""
         return bool(np.any(self.loss_factors <= 0))
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Lines that the command prints after "!"."""
+        line = "The plate has undamped modes: their peaks have no height; frequencies beside them are shown."
+        return (line,) * self.undamped
+
     def to_xarray(self) -> xarray.Dataset:
         """Return the responses (input, point, frequency) and the curves over frequency as an ``xarray.Dataset``."""
         xarray = import_xarray()

@@ -151,6 +151,7 @@ class Result:
         target_searches: Searches for several targets; ``bound`` and ``history`` are those of the first.
         robust: Comparison of a robust drive with the nominal one; None for other searches.
         lost_plates: Numbers of plates that counted as worst because their workers failed, by reason.
+        warnings: Lines that the command prints after "!".
     """
 
     command: str
@@ -182,6 +183,7 @@ class Result:
     target_searches: Annotated[tuple[TargetSearch, ...], "searches"] = ()
     robust: RobustComparison | None = None
     lost_plates: Annotated[Counts, "lost"] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cases", Cases(self.cases))

@@ -106,6 +106,11 @@ class SpecifiedDrive:
         """True if one drive meets the specification in all cases of the tolerances."""
         return all(case.robust_level >= 1 - 1e-6 for case in self.scatter)
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Lines that the command prints after "!"."""
+        return tuple(f"{line[:1].upper()}{line[1:]}." for line in (*self.obstacles, *self.notes))
+
     def __repr__(self) -> str:
         word = "feasible" if self.feasible else "infeasible" if self.proved else "not met"
         return f"<SpecifiedDrive {word} at {self.frequency:g} Hz, contrast {self.contrast_db:.2f} dB>"

@@ -119,6 +119,11 @@ class Sweep:
         ]
         return tuple(key for axis, key in enumerate(plan.keys) if constant[0 if plan.sampled else axis])
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Lines that the command prints after "!"."""
+        return tuple(f"{key} has no effect on the results" for key in self.keys_without_effect)
+
     def refusal(self, point: int) -> str:
         """Return the values of a refused point and the reason, for people."""
         place = ", ".join(f"{key} = {value_text(value, 6)}" for key, value in self.plan.values(point).items())

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_plate.analysis.warnings import result_warnings
 from warp_plate.cluster.pool import WorkerPool
 from warp_plate.modal.solver import MODAL
 from warp_plate.plate.files import digests
@@ -219,7 +220,7 @@ def _run(
     seconds["solve"] += time.perf_counter() - started
     parts = _optional_parts(outcome, evaluated, seconds, **parts_asked)
     node_steps = end.node_steps + problem.node_steps - before + evaluated.node_steps + parts.pop("node_steps")
-    return Result(
+    result = Result(
         command="localize",
         source=end.source,
         scene=problem.scene,
@@ -241,6 +242,7 @@ def _run(
         **run_fields(problem.plates.designs.solver, evaluated.run),
         **parts,
     )
+    return replace(result, warnings=result_warnings(result))
 
 
 def _optional_parts(

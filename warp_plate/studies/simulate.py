@@ -5,12 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from warp_plate.accuracy.estimate import estimate, estimate_modal
+from warp_plate.analysis.warnings import result_warnings
 from warp_plate.modal.solver import MODAL
 from warp_plate.plate.designs import scene_phasors
 from warp_plate.plate.weights import localization_factor
@@ -36,6 +38,7 @@ def simulate(
     progress: Progress | None = None,
     estimate: bool = True,
     allow_unstable: bool = False,
+    warnings: bool = True,
 ) -> Result:
     """Run a scene under one drive with the engine for its ``grid.accuracy``, and record the outputs of ``[record]``.
 
@@ -46,6 +49,7 @@ def simulate(
             the name of a result file, whose best drive is taken.
         progress: called with (node-steps done, in all).
         estimate, allow_unstable: see ``localize`` and :class:`PlateSolver`.
+        warnings: whether to look for warnings, which may need the plate's first mode.
 
     Raises:
         SceneError: see :class:`PlateSolver` and :func:`phasors_from_file`.
@@ -66,7 +70,7 @@ def simulate(
     if estimate and run.finite.all():
         with optional_part(seconds, "estimate"):
             accuracy |= estimate_error(resolved, {"drive": phasors}, run)
-    return Result(
+    result = Result(
         command="simulate",
         source=source,
         scene=scene,
@@ -81,6 +85,7 @@ def simulate(
         evaluator=MODAL if resolved.by_modes else "direct",
         **run_fields(solver, run),
     )
+    return replace(result, warnings=result_warnings(result)) if warnings else result
 
 
 def _phasors(scene: Scene, drive: str) -> np.ndarray | None:

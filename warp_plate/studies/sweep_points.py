@@ -89,7 +89,7 @@ def _simulation_quantities(scene: Scene, point: Point) -> Values:
     elif scene.grid.accuracy is not None:  # a grid for time steps, because an accuracy might choose modes
         phasors = scene_phasors(scene)[None]
         scene = resolve(scene, point.device, purpose="simulate", evaluator="direct", phasors=phasors).scene
-    result = simulate(scene, device=point.device, path=path, estimate=False)
+    result = simulate(scene, device=point.device, path=path, estimate=False, warnings=False)
     case = result.cases["drive"]
     if case.status != "ok":
         raise SceneError(case.status)

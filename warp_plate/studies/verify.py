@@ -64,6 +64,15 @@ class Verification:
         """True if the predicted localization factor is not above the interval."""
         return self.promised_factor <= self.interval[1]
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Lines that the command prints after "!"."""
+        lines = {
+            "The drive does not keep its promise: fit the scene to a measurement, and search again.": not self.kept,
+            "The noise is not known: add a column uncertainty, or measure each point twice.": np.isnan(self.deviation),
+        }
+        return tuple(line for line, applies in lines.items() if applies)
+
 
 def verify(result: Result, data: Path | MeasuredField, case: str | None = None) -> Verification:
     """Compare velocities measured under a drive with those of its result.
