@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from warp_plate.optimize.quadratic import best_position
 from warp_plate.plate.designs import Designs
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.allowed_drives import AllowedDrives, allowed_drives
@@ -186,17 +187,23 @@ def test_no_position_has_less_loss_and_every_drive_is_allowed(scene, random, sea
     limits = allowed_drives(problem.parametrization)
     turned = phasors * np.exp(1j * np.where(np.isnan(limits.phase), -np.angle(phasors), limits.phase))
     assert np.abs(turned.imag).max() < 1e-12
-    assert ((turned.real >= limits.lower - 1e-12) & (turned.real <= limits.upper + 1e-12)).all()
+    scaled = limits.scaled & ((np.abs(phasors) ** 2).sum(axis=1, keepdims=True) > limits.power * (1 - 1e-9))
+    assert ((turned.real >= limits.lower - 1e-12) | scaled).all()
+    assert (turned.real <= limits.upper + 1e-12).all()
     assert ((np.abs(phasors) ** 2).sum(axis=1) <= limits.power * (1 + 1e-12)).all()
 
 
-def test_the_drive_that_reaches_a_bound_may_lie_outside_the_range(scene):
-    """Power scales drives down below their range, so the bound is that of drives that no position has too."""
-    kinds = []
+def test_power_scales_ranges_too(scene):
+    """A drive of too much power is scaled down below its range; its bound lies below that of drives without one."""
+    bounds = []
     for lowest in (50.0, 0.0):
         search = {**SEARCHES["displacement"], "magnitude": {"range": (lowest, 200.0)}, "limits": {"power": 1e4}}
-        kinds.append(make_problem(resolve(scene((9, 9), search=search), "cpu")).loss_bound.kind)
-    assert kinds == ["bound only", "attained"]
+        problem = make_problem(resolve(scene((9, 9), search=search), "cpu"))
+        bounds.append(problem.loss_bound)
+        position = best_position(problem.space, problem.quadratic)
+        assert problem.quadratic.losses(position[None])[0] == pytest.approx(bounds[-1].value, rel=1e-6)
+    assert [bound.kind for bound in bounds] == ["attained", "attained"]
+    assert bounds[0].value > bounds[1].value
 
 
 def test_no_loss_is_bounded_without_gram_matrices(scene):

@@ -245,6 +245,17 @@ def test_designs_scenes_and_positions_agree(search):
         assert np.allclose(parametrization.designs(turned).drives, designs.drives, rtol=1e-13)
 
 
+@pytest.mark.parametrize("search", [{"phase": {}}, {"magnitude": {"range": [0.5, 3.0]}, "phase": {}}])
+@pytest.mark.parametrize("power", [1.0, 100.0])
+def test_drives_have_positions_beside_fixed_signs_and_under_a_power(search, power):
+    """A drive that was scaled down below its range has one too."""
+    limited = {**search, "objectives": [{"kind": "velocity"}], "limits": {"power": power}}
+    parametrization = parametrization_of(with_magnitudes(scene_of(search=limited), 1.0, -0.5, 2.0))
+    drives = parametrization.designs(positions_in(parametrization.space)).drives
+    again = parametrization.designs(parametrization.positions_of(Designs(drives))).drives
+    assert np.allclose(again, drives, rtol=1e-12)
+
+
 def test_drives_are_scaled_where_only_ratios_matter_and_clipped_elsewhere():
     position = np.array([[4.0, -0.9, 0.0, 0.0, 0.0]])
     small = parametrized({"limits": {"magnitude": 0.5}}).designs(position).drives

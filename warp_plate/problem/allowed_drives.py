@@ -35,7 +35,7 @@ class AllowedDrives:
     phase: np.ndarray  # (actuators,) fixed phases [rad]; NaN where a phase is searched
     power: float = math.inf  # largest Σ magnitude²
     equal: bool = False  # all magnitudes are the same
-    contains_forbidden: bool = False  # true if it has drives that are not allowed; one of them may attain the bound
+    scaled: bool = False  # true if drives of more power than that are scaled down to it, even below ``lower``
 
     @property
     def limits_ratios(self) -> bool:
@@ -89,9 +89,8 @@ def allowed_drives(parametrization: Parametrization) -> AllowedDrives:
         lower, upper = np.minimum(lower, limits.magnitude), np.minimum(upper, limits.magnitude)
     if limits.power is None:
         return AllowedDrives(lower, upper, phase, equal=equal)
-    # Scaling a drive down to the power limit may take a magnitude below its range, so the lower ends are dropped.
-    dropped = bool((lower > 0).any())
-    return AllowedDrives(np.minimum(lower, 0.0), upper, phase, limits.power, equal, contains_forbidden=dropped)
+    equal |= limits.equal_magnitudes and len(fixed) > 1
+    return AllowedDrives(lower, upper, phase, limits.power, equal, scaled=bool((lower > 0).any()))
 
 
 def has_free_drives(parametrization: Parametrization, objectives: Objectives) -> bool:
@@ -150,9 +149,10 @@ def _within_limits(sizes: np.ndarray, allowed: AllowedDrives) -> np.ndarray:
     lower = np.maximum(allowed.lower, -allowed.upper)
     sizes = np.concatenate([sizes, np.clip(sizes, lower, allowed.upper)])
     power = (sizes**2).sum(axis=1, keepdims=True)
-    sizes = sizes * np.sqrt(np.minimum(1.0, allowed.power / np.where(power > 0, power, 1.0)))
+    reduced = sizes * np.sqrt(np.minimum(1.0, allowed.power / np.where(power > 0, power, 1.0)))
+    ranged = sizes if allowed.scaled else reduced
     low, high = lower - 1e-12 * np.abs(lower), allowed.upper + 1e-12 * np.abs(allowed.upper)
-    within = ((sizes >= low) & (sizes <= high)).all(axis=1)
+    within = ((ranged >= low) & (ranged <= high)).all(axis=1)
     if allowed.equal:
         within &= np.ptp(np.abs(sizes), axis=1) <= 1e-12 * np.abs(sizes).max(axis=1)
-    return sizes[within]
+    return reduced[within]

@@ -19,12 +19,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Literal
 
 import numpy as np
 
 from warp_plate.optimize.quadratic import quadratic_forms
-from warp_plate.plate.designs import Designs
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.allowed_drives import AllowedDrives, allowed_drives, best_allowed
 from warp_plate.problem.local_maximum import local_maximum
@@ -102,9 +102,9 @@ def bound_energy(
     if not basis.shape[1] or len(allowed.phase) > MOST_ACTUATORS:
         return None
     forms, largest = np.array([matrix, *(other for other, _ in others)]), [value for _, value in others]
-    limits = [*((other, -value, 0.0, False) for other, value in others), *_magnitude_limits(allowed)]
+    limits = [*(_limit(other, value, allowed) for other, value in others), *_magnitude_limits(allowed)]
     size = np.diag(matrix) + sum(map(np.diag, forms[1:]))
-    least, starts = _majorant(matrix, [(np.zeros_like(matrix), 1.0, 1.0, True), *limits], basis, size)
+    least, starts = _majorant(matrix, [(np.zeros_like(matrix), 1.0, 1.0, not allowed.scaled), *limits], basis, size)
     if not math.isfinite(least):
         return None
     scalable = not (allowed.lower > 0).any()
@@ -122,9 +122,15 @@ def bound_energy(
         value, drive = best_allowed(energy, z, allowed)
         return value, drive / math.sqrt(max(float(over(drive[None])[0]), 1.0)) if scalable else drive
 
+    starts = starts if attain else starts[:0]
     inside = [(other, (INSIDE - 1) * value, 0.0, False) for other, value in others] + limits[len(others) :]
-    ascents = _ascents(matrix, None, inside, allowed, size, starts if attain else starts[:0])
-    return _bound(least, map(reached, ascents), MULTIPLIERS)
+    ascents = [_ascents(matrix, None, inside, allowed, size, starts)]
+    if allowed.scaled:  # and drives of too much power: their energies per power
+        unit = np.eye(len(matrix)) / allowed.power
+        inside = [(other + (INSIDE - 1) * value * unit, 0.0, 0.0, False) for other, value in others]
+        inside += [(-unit, 1.0, 0.0, False), *_magnitude_limits(replace(allowed, power=math.inf))]
+        ascents.append(_ascents(matrix, unit, inside, allowed, size, starts))
+    return _bound(least, map(reached, chain.from_iterable(ascents)), MULTIPLIERS)
 
 
 def bound_loss(
@@ -158,19 +164,7 @@ def bound_loss(
     total += objectives.only_localization
     if len(terms) > 1:
         return Bound(total, "bound only", "the sum of what each objective alone could reach")
-    bound = replace(proved[0], value=total)
-    if allowed.contains_forbidden and not _is_searched(bound.drive, parametrization):
-        sentence = "the most that any drive of this power and these largest magnitudes has; ranges may keep it lower"
-        return replace(bound, kind="bound only", sentence=sentence)
-    return bound
-
-
-def _is_searched(drive: np.ndarray | None, parametrization: Parametrization) -> bool:
-    """Return whether a position of the search has a drive (actuators,)."""
-    if drive is None:
-        return False
-    again = parametrization.designs(parametrization.positions_of(Designs(drive[None]))).drives[0]
-    return bool(np.abs(again - drive).max() <= NEAR / 2 * np.abs(drive).max())
+    return replace(proved[0], value=total)
 
 
 def _bound_value(
@@ -202,8 +196,14 @@ def _bound_value(
 
 
 # A limit zᵀ matrix z + entry · τ² ≤ (or =) constant, with τ one more number beside z: matrix, entry, constant, and
-# whether it is an equation. Of an energy τ² = 1; in a ratio, which does not depend on the drive's size, τ is arbitrary.
+# whether it is an equation. Of an energy τ² = 1, or τ² ≤ 1 where drives are scaled down to a power, and their ranges
+# with them; in a ratio, which does not depend on the drive's size, τ is arbitrary.
 _Limit = tuple[np.ndarray, float, float, bool]
+
+
+def _limit(matrix: np.ndarray, largest: float, allowed: AllowedDrives) -> _Limit:
+    """Return the limit zᵀ matrix z ≤ largest, which scaling a drive does not change."""
+    return (matrix, 0.0, largest, False) if allowed.scaled else (matrix, -largest, 0.0, False)
 
 
 def _magnitude_limits(allowed: AllowedDrives) -> list[_Limit]:
@@ -220,7 +220,7 @@ def _magnitude_limits(allowed: AllowedDrives) -> list[_Limit]:
     if allowed.equal:
         limits += [(square - squares[0], 0.0, 0.0, True) for square in squares[1:]]
     if math.isfinite(allowed.power):
-        limits.append((np.eye(2 * len(squares)), -allowed.power, 0.0, False))
+        limits.append(_limit(np.eye(2 * len(squares)), allowed.power, allowed))
     return limits
 
 
@@ -270,7 +270,7 @@ def _ascents(
     basis = allowed.basis()
     norms = _norms(basis, sizes)
     scaled = basis / norms
-    reduced = [(scaled.T @ form @ scaled, entry, equation) for form, entry, _, equation in limits]
+    reduced = [(scaled.T @ form @ scaled, entry - constant, equation) for form, entry, constant, equation in limits]
     top, bottom = (None if form is None else scaled.T @ form @ scaled for form in (numerator, denominator))
     assert top is not None
     # With a fixed phase, a magnitude is one number, which may not become negative.

@@ -95,14 +95,20 @@ class Parametrization:
         """Return the positions (n, dimension) of designs, clipped to the limits of the space.
 
         Where the first actuator's phase is fixed because a common one changes nothing, all phases are shifted until it
-        fits; with the source paper's reading magnitudes are scaled likewise.
+        fits; with the source paper's reading magnitudes are scaled likewise, and under a power limit within ranges.
         """
-        phasors, fixed = designs.drives / self.unit, self._fixed
+        # A phase belongs to a magnitude of the scene's sign where that is not searched.
+        phasors, fixed = designs.drives / self.unit * np.where(self._least < 0, -1, 1), self._fixed
         if not any(variable.kind == "phase" and 0 in variable.actuators for variable in self.variables):
             phasors = phasors * np.exp(-1j * (np.angle(phasors[:, :1]) + fixed["phase"][0]))
         if not has_design_tables(self.scene) and not self.scene.search.limits.equal_magnitudes:
             with np.errstate(divide="ignore", invalid="ignore"):
                 phasors = np.nan_to_num(phasors / np.abs(phasors[:, :1]))
+        if self.scene.search.limits.power is not None and has_design_tables(self.scene) and not only_ratios(self.scene):
+            # A drive that was scaled down to the power is scaled up until all magnitudes are within their ranges.
+            with np.errstate(divide="ignore", invalid="ignore"):
+                raised = np.nan_to_num(np.abs(self._least) / np.abs(phasors), posinf=1.0).max(axis=1, keepdims=True)
+            phasors = phasors * np.maximum(raised, 1.0)
         x, y = (None, None) if designs.centre is None else np.moveaxis(designs.centre, 2, 0)
         values = {"frequency": designs.frequency, "x": x, "y": y, "delay": designs.delay}
         values |= {"magnitude": np.abs(phasors), "phase": np.mod(-np.angle(phasors), 2 * math.pi)}
@@ -165,6 +171,15 @@ class Parametrization:
             "x": x,
             "y": y,
         }
+
+    @cached_property
+    def _least(self) -> np.ndarray:
+        """(actuators,) least magnitudes; those of the scene where they are not searched."""
+        least = self._fixed["magnitude"].copy()
+        for variable in self.variables:
+            if variable.kind == "magnitude":
+                least[list(variable.actuators)] = max(variable.lower, 0.0)
+        return least
 
     def _rotate(self, phase: np.ndarray, rotations: np.ndarray) -> None:
         """Write exp(−iφ) of phases (actuators, n) into an array (actuators, n); of those that are fixed only once."""
