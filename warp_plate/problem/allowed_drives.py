@@ -40,7 +40,12 @@ class AllowedDrives:
     @property
     def limits_ratios(self) -> bool:
         """True if some drives have no allowed multiple, so that the limits restrict ratios of energies too."""
-        return self.equal or bool((self.lower > 0).any())
+        return self.equal or bool((self.lower > 0).any()) or len(self.with_fixed_phases) > 1
+
+    @property
+    def with_fixed_phases(self) -> list[int]:
+        """Indices of the actuators with a fixed phase and a magnitude that is not negative."""
+        return np.flatnonzero(~np.isnan(self.phase) & (self.lower >= 0) & (self.upper > 0)).tolist()
 
     @property
     def free(self) -> bool:

@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, combinations
 from typing import Literal
 
 import numpy as np
@@ -39,9 +39,11 @@ from warp_plate.solve.response import Response, largest_ratio
 NEAR = 1e-6
 # Largest number of actuators for which multipliers are computed: their cost grows as the fourth power.
 MOST_ACTUATORS = 40
-# Points from which drives under limits are sought, and the part of a limited energy by which they stay below it, so
-# that the rounding of a run does not carry them over the limit.
-STARTS, INSIDE = 8, 5e-7
+# Largest number of actuators with fixed phases whose products of magnitudes are limited.
+MOST_FIXED = 8
+# Drives under limits are sought from so many points, times the numbers of a drive. They stay below a limited energy by
+# this part, so that the rounding of a run does not carry them over the limit.
+STARTS, INSIDE = 80, 5e-7
 MULTIPLIERS = "the dual of the semidefinite relaxation under the drive's limits"
 
 
@@ -79,7 +81,8 @@ def bound_localization(
     nearest = best_allowed(ratio, basis @ parameters, allowed)
     bound = _bound(value, [nearest], "the largest eigenvalue of the energies' matrices")
     if bound.kind == "bound only" and allowed.limits_ratios and len(allowed.phase) <= most_actuators:
-        limits = _magnitude_limits(allowed)
+        endless = np.full(len(allowed.upper), math.inf)  # without least magnitudes, a smaller drive has the same ratio
+        limits = _magnitude_limits(allowed if (allowed.lower > 0).any() else replace(allowed, upper=endless))
         least, starts = _majorant(response.matrices[TARGET], [(plate, 0.0, 1.0, False), *limits], basis, np.diag(plate))
         if least < value:
             starts = starts if attain else starts[:0]
@@ -219,15 +222,33 @@ def _magnitude_limits(allowed: AllowedDrives) -> list[_Limit]:
             limits.append((square, -(high**2), 0.0, False))
     if allowed.equal:
         limits += [(square - squares[0], 0.0, 0.0, True) for square in squares[1:]]
+    limits += _pair_limits(allowed)
     if math.isfinite(allowed.power):
         limits.append(_limit(np.eye(2 * len(squares)), allowed.power, allowed))
     return limits
 
 
+def _pair_limits(allowed: AllowedDrives) -> Iterator[_Limit]:
+    """Yield limits on products r_i r_j of the magnitudes of actuators whose phases are fixed."""
+    fixed = allowed.with_fixed_phases
+    if len(fixed) > MOST_FIXED:
+        return
+    parts = np.concatenate([np.diag(np.cos(allowed.phase)), np.diag(np.sin(allowed.phase))])
+    for first, second in combinations(fixed, 2):
+        product = np.outer(parts[:, first], parts[:, second])
+        product = (product + product.T) / 2
+        low, high = (float(ends[first] * ends[second]) for ends in (allowed.lower, allowed.upper))
+        if allowed.equal or low == high:
+            continue  # equations would leave the relaxation without an inside
+        yield -product, low, 0.0, False
+        if math.isfinite(high):
+            yield product, -high, 0.0, False
+
+
 def _majorant(
     objective: np.ndarray, limits: Sequence[_Limit], basis: np.ndarray, sizes: np.ndarray
 ) -> tuple[float, np.ndarray]:
-    """Return the bound of zᵀ objective z, and some z (STARTS, 2M) at which its multipliers point.
+    """Return the bound of zᵀ objective z, and some z (starts, 2M) at which its multipliers point.
 
     There are none if no multipliers were found. Actuators of very different size are scaled by the ``sizes`` (2M,), the
     energies of unit drives.
@@ -247,7 +268,8 @@ def _majorant(
         return least, np.empty((0, len(basis)))
     # The smallest eigenvector, and points that vary as the relaxation's z zᵀ, the inverse of the slack, does.
     values, vectors = np.linalg.eigh(slack)
-    drawn = np.random.default_rng(0).normal(size=(len(values), STARTS)) / np.sqrt(np.maximum(values, ROUNDING))[:, None]
+    count = max(1, STARTS // basis.shape[1])
+    drawn = np.random.default_rng(0).normal(size=(len(values), count)) / np.sqrt(np.maximum(values, ROUNDING))[:, None]
     drawn[:, 0] = np.eye(len(values))[0]
     return least, (scaled @ (vectors @ drawn)[: basis.shape[1]]).T
 
@@ -275,9 +297,9 @@ def _ascents(
     assert top is not None
     # With a fixed phase, a magnitude is one number, which may not become negative.
     actuator = np.abs(basis).argmax(axis=0) % len(allowed.phase)
-    least = np.where(np.isnan(allowed.phase), -math.inf, allowed.lower)[actuator]
+    least = np.where(np.isnan(allowed.phase) | (allowed.lower < 0), -math.inf, 0.0)[actuator]
     for z in starts:
-        yield scaled @ local_maximum(top, bottom, reduced, least * norms, norms * (basis.T @ z))
+        yield scaled @ local_maximum(top, bottom, reduced, least, norms * (basis.T @ z))
 
 
 def _bound(value: float, drives: Iterable[tuple[float, np.ndarray]], reason: str) -> Bound:

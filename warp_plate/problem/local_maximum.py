@@ -14,7 +14,7 @@ import scipy
 
 # A limit xᵀ matrix x + entry ≤ 0, or = 0: matrix, entry, whether it is an equation.
 Limit = tuple[np.ndarray, float, bool]
-MOST_STEPS, TOLERANCE = 200, 1e-13
+MOST_STEPS, TOLERANCE = 100, 1e-13
 
 
 def local_maximum(
@@ -46,7 +46,7 @@ def local_maximum(
         jac=True,
         method="SLSQP",
         bounds=scipy.optimize.Bounds(least / size),
-        constraints=[_constraint(matrix * size**2, entry, equation) for matrix, entry, equation in limits],
+        constraints=_constraints(limits, size),
         options={"maxiter": MOST_STEPS, "ftol": TOLERANCE},
     )
     return np.asarray(result.x * size) if np.isfinite(result.x).all() else start
@@ -58,12 +58,21 @@ def _scale(limits: Sequence[Limit], x: np.ndarray) -> float:
     return float(np.sqrt(min(ratios, default=1.0)))
 
 
-def _constraint(matrix: np.ndarray, entry: float, equation: bool) -> dict[str, object]:
-    """Return a limit as SLSQP takes it, in units of its size."""
-    unit = abs(entry) or float(np.abs(matrix).max()) or 1.0
-    matrix, entry = matrix / unit, entry / unit
-    return {
-        "type": "eq" if equation else "ineq",
-        "fun": lambda y: -(y @ matrix @ y + entry),
-        "jac": lambda y: -2 * matrix @ y,
-    }
+def _constraints(limits: Sequence[Limit], size: float) -> list[dict[str, object]]:
+    """Return the limits as SLSQP takes them, equations first, of x / size and in units of their own size."""
+    constraints: list[dict[str, object]] = []
+    for kind in ("eq", "ineq"):
+        chosen = [(matrix * size**2, entry) for matrix, entry, equation in limits if equation == (kind == "eq")]
+        if not chosen:
+            continue
+        units = np.array([abs(entry) or float(np.abs(matrix).max()) or 1.0 for matrix, entry in chosen])
+        matrices = np.array([matrix for matrix, _ in chosen]) / units[:, None, None]
+        entries = np.array([entry for _, entry in chosen]) / units
+        constraints.append(
+            {
+                "type": kind,
+                "fun": lambda y, matrices=matrices, entries=entries: -(matrices @ y @ y + entries),
+                "jac": lambda y, matrices=matrices: -2 * matrices @ y,
+            }
+        )
+    return constraints

@@ -103,7 +103,7 @@ class Parametrization:
             phasors = phasors * np.exp(-1j * (np.angle(phasors[:, :1]) + fixed["phase"][0]))
         if not has_design_tables(self.scene) and not self.scene.search.limits.equal_magnitudes:
             with np.errstate(divide="ignore", invalid="ignore"):
-                phasors = np.nan_to_num(phasors / np.abs(phasors[:, :1]))
+                phasors = np.nan_to_num(phasors / np.abs(phasors[:, :1])) * self._least[0]
         if self.scene.search.limits.power is not None and has_design_tables(self.scene) and not only_ratios(self.scene):
             # A drive that was scaled down to the power is scaled up until all magnitudes are within their ranges.
             with np.errstate(divide="ignore", invalid="ignore"):
@@ -174,8 +174,10 @@ class Parametrization:
 
     @cached_property
     def _least(self) -> np.ndarray:
-        """(actuators,) least magnitudes; those of the scene where they are not searched."""
-        least = self._fixed["magnitude"].copy()
+        """(actuators,) least magnitudes; those of the scene, within its limit, where they are not searched."""
+        least, most = self._fixed["magnitude"].copy(), self.scene.search.limits.magnitude
+        if most is not None and not only_ratios(self.scene):
+            least = np.clip(least, -most / self.unit, most / self.unit)
         for variable in self.variables:
             if variable.kind == "magnitude":
                 least[list(variable.actuators)] = max(variable.lower, 0.0)

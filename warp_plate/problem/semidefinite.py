@@ -59,6 +59,7 @@ class _Dual:
     matrices: np.ndarray
     values: np.ndarray
     equation: np.ndarray
+    damping: float = 0.0  # of |μ|²/2 in φ, where nothing else bounds the multipliers
 
     def slack(self, multipliers: np.ndarray) -> np.ndarray:
         """Return S(μ), shape (n, n)."""
@@ -74,7 +75,7 @@ class _Dual:
         except np.linalg.LinAlgError:
             return np.inf
         logs = 2 * np.log(np.diag(root)).sum() + np.log(bounded).sum()
-        return float(weight * self.values @ multipliers - logs)
+        return float(weight * self.values @ multipliers - logs + self.damping / 2 * multipliers @ multipliers)
 
     def surely_inside(self, multipliers: np.ndarray) -> bool:
         """Return whether S is positive definite by more than the errors with which it is computed."""
@@ -82,19 +83,19 @@ class _Dual:
         return bool(np.linalg.eigvalsh(slack)[0] > ROUNDING * (1 + np.abs(multipliers).sum()) * len(slack))
 
     def inside(self) -> np.ndarray | None:
-        """Return multipliers with S ≻ 0, by lowering s with S + s·1 ⪰ 0 until it is negative; None if it never is."""
+        """Return multipliers with S ≻ 0, by lowering s with S + s·1 ⪰ 0 until it is not needed; None if it is."""
         count, size = len(self.values), len(self.objective)
         unit, last = np.eye(size)[None], np.append(np.zeros(count), 1.0)
-        wider = _Dual(self.objective, np.concatenate([self.matrices, unit]), last, np.append(self.equation, True))
+        matrices, equation = np.concatenate([self.matrices, unit]), np.append(self.equation, True)
+        wider = _Dual(self.objective, matrices, last, equation, damping=1e-3)
         multipliers = np.append(np.where(self.equation, 0.0, 1.0), 0.0)
         multipliers[-1] = 1 - np.linalg.eigvalsh(wider.slack(multipliers))[0]
         if multipliers[-1] <= 0:  # S ⪰ 1 from the start
             return multipliers[:-1]
         weight = size / multipliers[-1]
         for _ in range(20):
-            multipliers, _ = wider.centre(multipliers, weight, stop_below=-1e-9)
-            # S without s must have a Cholesky factor.
-            if multipliers[-1] < -1e-9 and np.isfinite(self.barrier(multipliers[:-1], 1.0)):
+            multipliers, _ = wider.centre(multipliers, weight, inner=self)
+            if np.isfinite(self.barrier(multipliers[:-1], 1.0)):
                 return multipliers[:-1]
             weight *= GROWTH
         return None
@@ -121,8 +122,9 @@ class _Dual:
             low, high = (middle, high) if inside else (low, middle)
         return least + low * (multipliers - least)
 
-    def centre(self, multipliers: np.ndarray, weight: float, stop_below: float = -np.inf) -> tuple[np.ndarray, bool]:
-        """Apply Newton's method at one t, or until the last multiplier is below a value; return whether it settled."""
+    def centre(self, multipliers: np.ndarray, weight: float, inner: _Dual | None = None) -> tuple[np.ndarray, bool]:
+        """Apply Newton's method at one t, or until all but the last multiplier are inside another dual; return whether
+        it settled."""
         level = self.barrier(multipliers, weight)
         for _ in range(MOST_STEPS):
             step, decrement = self.newton(multipliers, weight)
@@ -135,7 +137,7 @@ class _Dual:
                 if length < 1e-10:
                     return multipliers, decrement < 1e-2
             multipliers, level = multipliers + length * step, lower
-            if multipliers[-1] < stop_below:
+            if inner is not None and np.isfinite(inner.barrier(multipliers[:-1], 1.0)):
                 return multipliers, True
         return multipliers, decrement < 1e-2
 
@@ -147,8 +149,8 @@ class _Dual:
             return np.zeros_like(multipliers), np.nan
         products = inverse @ self.matrices
         inverses = np.where(self.equation, 0.0, 1 / np.where(self.equation, 1.0, multipliers))
-        slope = weight * self.values - np.trace(products, axis1=1, axis2=2) - inverses
-        curvature = np.einsum("iab,jba->ij", products, products) + np.diag(inverses**2)
+        slope = weight * self.values - np.trace(products, axis1=1, axis2=2) - inverses + self.damping * multipliers
+        curvature = np.einsum("iab,jba->ij", products, products) + np.diag(inverses**2 + self.damping)
         if not np.isfinite(curvature).all():  # where nothing bounds the objective, S runs off
             return np.zeros_like(multipliers), np.nan
         size = np.sqrt(np.maximum(np.diag(curvature), 1e-30 * curvature.max()))
