@@ -117,12 +117,21 @@ def _solve(cost: np.ndarray, matrix: np.ndarray, limits: np.ndarray, cones: list
 
 
 def least_scale_of_squares(
-    wanted: np.ndarray, squares: Sequence[np.ndarray], blocks: Sequence[Block], actuators_scaled: bool = False
+    wanted: np.ndarray,
+    squares: Sequence[np.ndarray],
+    blocks: Sequence[Block],
+    actuators_scaled: bool = False,
+    start: np.ndarray | None = None,
 ) -> LeastScale:
     """Return the least scale that a search attains where mean squares ‖R z‖ ≥ 1 are wanted too, by their factors R
-    (rows, inputs) in ``squares``; its ``bound`` is that of the relaxation."""
+    (rows, inputs) in ``squares``.
+
+    The search starts from the relaxation, whose bound is returned, or from a drive (inputs,), without a bound.
+    """
     if not squares:
         return least_scale(wanted, blocks, actuators_scaled)
+    if start is not None:
+        return replace(_ascend(wanted, squares, blocks, actuators_scaled, start), bound=0.0)
     bound, starts = _relaxed(wanted, squares, blocks, actuators_scaled)
     best = LeastScale(math.inf, bound, np.full(wanted.shape[1], np.nan), np.zeros(len(wanted)), ())
     for start in starts:

@@ -29,6 +29,8 @@ Key = tuple[Literal["aim", "rest"], int]
 Scaled = Literal["elsewhere", "actuators", "actuators alone"]
 # Largest violation between the points of a program, and its rounds of added points.
 TOLERANCE, ROUNDS = 1e-8, 60
+# Relative gain of a scale by a new start of a search that is worth more rounds, and most of such starts.
+GAIN, COLD = 1e-5, 3
 # Programs ask for this much more than the specification, so that their rounding does not violate it.
 MARGIN = 2e-8
 # Samples along a bending wave, along the longer side of the plate, and along a side of a target, at least.
@@ -205,9 +207,11 @@ class Tone:
         """(rests,) allowed peak accelerations [m/s²]."""
         return self.requirements.allowed(self.frequency)
 
-    def solve(self, scaled: Scaled, level: float = 1.0, between: bool = True) -> LeastScale:
+    def solve(
+        self, scaled: Scaled, level: float = 1.0, between: bool = True, start: np.ndarray | None = None
+    ) -> LeastScale:
         """Return the least scale for this tone alone, see :func:`solve_together`."""
-        return solve_together([self], scaled, level, between)
+        return solve_together([self], scaled, level, between, start)
 
     def program(self, scaled: Scaled, level: float) -> tuple[np.ndarray, list[np.ndarray], list[Block]]:
         """Return the wanted rows (rows, actuators), the factors of wanted mean squares and the limited blocks."""
@@ -350,29 +354,45 @@ class Tone:
         return float(sizes[at]), tuple(peaks[at].tolist())
 
 
-def solve_together(tones: Sequence[Tone], scaled: Scaled, level: float = 1.0, between: bool = True) -> LeastScale:
+def solve_together(
+    tones: Sequence[Tone],
+    scaled: Scaled,
+    level: float = 1.0,
+    between: bool = True,
+    start: np.ndarray | None = None,
+) -> LeastScale:
     """Return the least scale, for the wanted levels or a multiple of them, that one drive needs for all tones.
 
     Args:
         tones: Tones with the same actuators.
-        scaled: What is scaled. The bound holds for each tone's
-            ``rotation``, which does not matter to one tone alone.
+        scaled: What is scaled. The bound holds for each tone's ``rotation``, which does not matter to one tone alone.
         level: Multiple of the wanted levels.
         between: Let the drive keep its scale between the samples of the regions too, not only at these.
+        start: Drive (actuators,) to start from if the problem is not convex; then there is no bound.
     """
-    refined = False
+    refined, cold, drive = not between, 0, start
     for _ in range(ROUNDS):
         parts = [tone.program(scaled, level) for tone in tones]
         wanted = np.concatenate([part[0] for part in parts])
         squares, blocks = [item for part in parts for item in part[1]], [item for part in parts for item in part[2]]
-        result = least_scale_of_squares(wanted, squares, blocks, scaled != "elsewhere")
+        program = partial(least_scale_of_squares, wanted, squares, blocks, scaled != "elsewhere")
+        result = program(drive)
         if not np.isfinite(result.drive).all():
-            break
-        added = [tone.add_points(result, scaled, level, refined) for tone in tones]
-        if not any(added):
-            if refined or not between:
+            if drive is None or cold == COLD:
                 break
-            refined = True
+            drive, cold = None, cold + 1  # this one leads nowhere with the added points
+            continue
+        added = [tone.add_points(result, scaled, level, refined and between) for tone in tones]
+        if not any(added) and refined:
+            if drive is None or start is not None:
+                break
+            relaxed = program()
+            if relaxed.scale >= result.scale * (1 - GAIN) or cold == COLD:
+                return replace(result, bound=min(relaxed.bound, result.scale))
+            drive, cold = None, cold + 1
+            continue
+        refined |= not any(added)
+        drive = result.drive if squares else None
     return result
 
 

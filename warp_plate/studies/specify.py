@@ -151,7 +151,8 @@ def _answer(
     whole, effort = tone.solve("actuators alone"), tone.solve("actuators") if rests else result
     drive = result.drive if reached else whole.drive / whole.scale
     contrast, bound = (_contrast(tone, scale) for scale in (result.scale, result.bound))
-    pareto = [(level, tone.solve(scaled, level, between=False)) for level in PARETO] if rests else []
+    curve = PARETO if rests else ()
+    pareto = [(level, tone.solve(scaled, level, between=False, start=level * drive)) for level in curve]
     obstacles = [] if feasible else _obstacles(tone, binding, result, effort, whole)
     return SpecifiedDrive(
         scene=scene,
