@@ -13,7 +13,7 @@ from support.scenes import scene_of
 from support.searches import assert_same_results, interrupted_search
 from warp_plate import PlateSolver, Scene, load_result, localize, resume
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.result.case import relative_to_own, target_cases, target_regions
+from warp_plate.result.case import relative_to_own, target_cases
 from warp_plate.result.model import best_drive_scenes, crosstalk, save_result
 from warp_plate.studies.simulate import simulate
 
@@ -64,7 +64,7 @@ def test_crosstalk_is_the_share_of_each_target_under_each_drive(whole):
     shares = crosstalk(whole)
     scene = whole.scene.with_tables(grid={**whole.scene.grid.model_dump(), "precision": "float64"})
     phasors = np.array([whole.cases[case].phasors for case in target_cases(scene).values()])
-    run = PlateSolver(scene, "cpu", areas=target_regions(scene)).run(phasors)
+    run = PlateSolver(scene, "cpu", areas=scene.target_regions).run(phasors)
     np.testing.assert_allclose(shares, run.energy[:, 2:] / run.energy[:, :1], rtol=1e-4)
     for row, case in enumerate(target_cases(scene).values()):
         assert shares[row, row] == whole.cases[case].localization_factor

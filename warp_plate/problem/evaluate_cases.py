@@ -14,7 +14,7 @@ from warp_plate.plate.weights import localization_factor, region_weights
 from warp_plate.problem.design_variables import magnitude_unit
 from warp_plate.problem.problem import Energies, Problem
 from warp_plate.quantities.region_quantities import LEAST_REST, PLATE, REGION_QUANTITIES, TARGET, RegionSizes
-from warp_plate.result.case import Case, RegionMotion, target_regions
+from warp_plate.result.case import Case, RegionMotion
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.run import Run, record_times, run_with_peaks
@@ -49,7 +49,7 @@ def evaluate_cases(problem: Problem, single: int, position: np.ndarray | None) -
         return EvaluatedCases(cases, scene, phasors, run, float(peaks[-1].max()), 0)
     # The best scene runs as in ``simulate``, so that the stored numbers can be reproduced.
     best_scene, designs = parametrization.scene_of(position), parametrization.designs(position[None])
-    solver = problem.resolved.with_scene(best_scene).solver(areas=target_regions(best_scene))
+    solver = problem.resolved.with_scene(best_scene).solver(areas=best_scene.target_regions)
     best = {"best": scene_phasors(best_scene)}
     best_run, peaks = run_with_peaks(solver, best["best"][None], recorded=record_times(scene))
     names = ("frequency", "centre", "delay")

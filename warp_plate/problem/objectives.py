@@ -18,7 +18,6 @@ from warp_plate.plate.scheme import Discretization
 from warp_plate.plate.shapes import bounds, shape_weights
 from warp_plate.plate.weights import Region, localization_factor
 from warp_plate.quantities.region_quantities import LEAST_REST, MOST_DECIBELS, REGION_QUANTITIES, RegionSizes
-from warp_plate.result.case import target_regions
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.search import Objective
 
@@ -113,7 +112,7 @@ def make_objectives(discretization: Discretization | ModalGrid) -> Objectives:
         if term.kind == "uniformity":
             cells = _target_cells(discretization)
     cell_areas = np.array([cell * field.sum() for field in cells.values()])
-    return Objectives(terms, {**cells, **target_regions(scene)}, RegionSizes(areas, masses, cell_areas))
+    return Objectives(terms, {**cells, **scene.target_regions}, RegionSizes(areas, masses, cell_areas))
 
 
 def _target_cells(discretization: Discretization | ModalGrid) -> dict[str, np.ndarray]:

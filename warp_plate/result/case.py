@@ -18,7 +18,6 @@ from warp_plate.result.hdf5 import read_array, write_along
 from warp_plate.result.layouts import ELSEWHERE, Attribute, Dataset, Layout, Sizes
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.scene.target import NamedTarget
 
 
 def _phase_lag(phasors: np.ndarray) -> np.ndarray:
@@ -200,11 +199,6 @@ def amplitude_column(scene: Scene, magnitudes: Iterable[float], digits: str) -> 
             f"{text} {row[2]}" for text, row in zip(texts, amplitudes, strict=True)
         ]
     return " ".join(f"{key} ({unit})" for key, unit in kinds), texts
-
-
-def target_regions(scene: Scene) -> dict[str, NamedTarget]:
-    """Return the targets by region name; empty if the scene has a single target."""
-    return {f"target {target.name}": target for target in scene.targets}
 
 
 def target_cases(scene: Scene) -> dict[str, str]:

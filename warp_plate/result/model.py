@@ -18,7 +18,7 @@ import numpy as np
 from warp_plate.plate.designs import scene_with
 from warp_plate.quantities.region_quantities import REGION_QUANTITIES
 from warp_plate.result import import_xarray
-from warp_plate.result.case import Case, Cases, case_scene, target_cases, target_regions
+from warp_plate.result.case import Case, Cases, case_scene, target_cases
 from warp_plate.result.hdf5 import FileFormat, write_along
 from warp_plate.result.layouts import Counts, Dataset, Datasets, read_fields, write_fields
 from warp_plate.scene.errors import SceneError
@@ -283,7 +283,7 @@ def best_drive_scenes(result: Result) -> dict[str, Scene]:
 
 def crosstalk(result: Result) -> np.ndarray:
     """Return the (drives, targets) fractions of the plate's energy in each target; NaN for drives not reached."""
-    regions, rows = target_regions(result.scene), []
+    regions, rows = result.scene.target_regions, []
     for name in target_cases(result.scene).values():
         energy = result.cases[name].energy if name in result.cases else {}
         plate = energy.get("plate", 0.0)

@@ -124,6 +124,11 @@ class SceneTables(Table):
         return {f"targets[{index}]": row for index, row in enumerate(self.targets)} or {"target": self.target}
 
     @property
+    def target_regions(self) -> dict[str, NamedTarget]:
+        """Targets by the names of their regions; empty if the scene has a single target."""
+        return {f"target {target.name}": target for target in self.targets}
+
+    @property
     def drive_unit(self) -> str:
         """Unit of all magnitudes, N/m² or, for electrostatic actuators and piezo patches, V."""
         return "V" if self.piezo or self.drive.electrostatic is not None else "N/m²"

@@ -22,7 +22,6 @@ from warp_plate.problem.evaluate_cases import reference_phasors
 from warp_plate.problem.methods import make_optimizer
 from warp_plate.problem.objectives import loss_scale
 from warp_plate.problem.problem import Problem, make_problem
-from warp_plate.result.case import target_regions
 from warp_plate.result.checkpoint import Checkpoint
 from warp_plate.result.model import TargetSearch
 from warp_plate.scene.errors import SceneError
@@ -234,7 +233,7 @@ def _next_problem(problem: Problem, index: int, start: Checkpoint) -> Problem:
     if problem.plates.matrices is not None and not problem.objectives.sizes.cells.size:
         regions = problem.drive_solver.regions
         matrices = problem.plates.matrices.reshape(-1, len(regions), *problem.plates.matrices.shape[1:]).copy()
-        matrices[:, REGIONS.index("target")] = matrices[:, regions.index(list(target_regions(scene))[index])]
+        matrices[:, REGIONS.index("target")] = matrices[:, regions.index(list(scene.target_regions)[index])]
         matrices = matrices.reshape(problem.plates.matrices.shape)
     return make_problem(replace(problem.resolved.with_scene(scene), evaluator=start.evaluator), matrices, problem.pool)
 
@@ -243,7 +242,7 @@ def with_target(problem: Problem, index: int) -> Problem:
     """Return a problem with another target, for simulating cases only."""
     scene = problem.scene.aimed_at(index)
     resolved, parametrization = problem.resolved.with_scene(scene), replace(problem.parametrization, scene=scene)
-    plates = replace(problem.plates, drives=Evaluator(resolved.solver(areas=target_regions(scene))))
+    plates = replace(problem.plates, drives=Evaluator(resolved.solver(areas=scene.target_regions)))
     return replace(problem, resolved=resolved, parametrization=parametrization, plates=plates)
 
 

@@ -19,7 +19,6 @@ from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.design_variables import magnitude_unit
 from warp_plate.problem.evaluate_cases import cases_from_run, reference_phasors
 from warp_plate.resolve import Resolved, resolve
-from warp_plate.result.case import target_regions
 from warp_plate.result.model import Result, load_result
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene, SceneSource
@@ -59,7 +58,7 @@ def simulate(
     drives = None if phasors is None else phasors[None]
     resolved = resolve(scene, device, purpose="simulate", path=path, phasors=drives, allow_unstable=allow_unstable)
     scene = resolved.scene
-    solver = resolved.solver(areas=target_regions(scene))
+    solver = resolved.solver(areas=scene.target_regions)
     started = time.perf_counter()
     if phasors is None:
         phasors = reference_phasors(scene, lambda phasors: solver.run(phasors).energy)["single"]
