@@ -15,13 +15,12 @@ from functools import cached_property, partial
 from typing import Literal
 
 import numpy as np
-import shapely
 
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.optimize.cones import Block, LeastScale, least_scale_of_squares
-from warp_plate.problem.worst_points import Region, Values, make_region, shape_of
+from warp_plate.problem.requirements import Aim, Requirements
+from warp_plate.problem.worst_points import Region, Values
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.specification import Allowance, Level, Specification
 
 # An aim or a rest, by its index.
 Key = tuple[Literal["aim", "rest"], int]
@@ -33,28 +32,7 @@ TOLERANCE, ROUNDS = 1e-8, 60
 GAIN, COLD = 1e-5, 3
 # Programs ask for this much more than the specification, so that their rounding does not violate it.
 MARGIN = 2e-8
-# Samples along a bending wave, along the longer side of the plate, and along a side of a target, at least.
-PER_WAVE, PER_PLATE, PER_TARGET = 24, 80, 9
 FIRST = 16  # samples of a region that programs begin with
-CORNERS = 64  # corners of a quarter of the rounded corners of a guard
-
-
-@dataclass(frozen=True)
-class Aim:
-    """A level wanted in a target."""
-
-    name: str  # name of the target
-    level: Level
-    region: Region
-
-
-@dataclass(frozen=True)
-class Rest:
-    """A level allowed in the rest of the plate."""
-
-    name: str
-    allowance: Allowance
-    region: Region
 
 
 @dataclass(frozen=True)
@@ -66,74 +44,6 @@ class Extremes:
     weakest: float  # smallest
     worst_at: tuple[float, ...]  # point x, y [m] of the largest
     weakest_at: tuple[float, ...]  # point x, y [m] of the smallest
-
-
-@dataclass(frozen=True)
-class Requirements:
-    """A specification over the regions of a plate."""
-
-    specification: Specification
-    aims: tuple[Aim, ...]
-    rests: tuple[Rest, ...]
-
-    def wanted(self, frequency: float) -> np.ndarray:
-        """Return the (aims,) wanted peak accelerations [m/s²] at a frequency [Hz]."""
-        return np.array([aim.level.peak_acceleration(frequency) for aim in self.aims])
-
-    def allowed(self, frequency: float) -> np.ndarray:
-        """Return the (rests,) allowed peak accelerations [m/s²] at a frequency [Hz]."""
-        least = self.wanted(frequency).min()
-        return np.array(
-            [
-                rest.allowance.peak_acceleration(frequency)
-                if rest.allowance.relative_db is None
-                else least * 10 ** (rest.allowance.relative_db / 20)
-                for rest in self.rests
-            ]
-        )
-
-
-def make_requirements(plate: ModalPlate) -> Requirements:
-    """Return the requirements of a scene's specification over the regions of its plate.
-
-    Raises:
-        SceneError: A region is empty, or a mask.
-    """
-    scene = plate.scene
-    specification, keys = scene.specification, scene.targets_by_key
-    assert specification is not None
-    longer = max(scene.plate.size)
-    spacing = min(longer / PER_PLATE, _wavelength(plate) / PER_WAVE)
-    shapes = {key: shape_of(key, target) for key, target in keys.items()}
-    names = {row.name: f"targets[{index}]" for index, row in enumerate(scene.targets)}
-    labels = {key: name for name, key in names.items()} | {"target": "target"}
-    aims = []
-    for level in specification.levels:
-        key = next(iter(keys)) if level.target is None else names[level.target]
-        x0, y0, x1, y1 = shapes[key].bounds
-        fine = min(spacing, max(x1 - x0, y1 - y0) / PER_TARGET)
-        aims.append(Aim(labels[key], level, make_region(plate, shapes[key], fine, PER_TARGET)))
-    kept = [shapes[_key_of(aim, labels)] for aim in aims]
-    guarded = shapely.union_all([shapely.buffer(shape, specification.guard, quad_segs=CORNERS) for shape in kept])
-    rests = []
-    for allowance in specification.allowances:
-        x0, x1, y0, y1 = allowance.area or (0.0, scene.plate.size[0], 0.0, scene.plate.size[1])
-        shape = shapely.difference(shapely.box(x0, y0, x1, y1), guarded)
-        name = "elsewhere" if allowance.area is None else f"x {x0:g} to {x1:g}, y {y0:g} to {y1:g} m"
-        rests.append(Rest(name, allowance, make_region(plate, shape, spacing)))
-    return Requirements(specification, tuple(aims), tuple(rests))
-
-
-def _key_of(aim: Aim, labels: dict[str, str]) -> str:
-    return next(key for key, name in labels.items() if name == aim.name)
-
-
-def _wavelength(plate: ModalPlate) -> float:
-    """Return the bending wavelength [m] at the highest frequency of a plate's responses, of an even plate of its mass
-    and stiffness."""
-    panel = plate.scene.plate
-    speed = math.sqrt(panel.rigidity / (panel.density * panel.thickness))
-    return 2 * math.pi * math.sqrt(speed / (2 * math.pi * plate.highest))
 
 
 @dataclass

@@ -12,7 +12,8 @@ import numpy as np
 from warp_plate.interrupts import check_interrupt
 from warp_plate.modal.modes import ModalPlate, solve_modes
 from warp_plate.optimize.cones import LeastScale
-from warp_plate.problem.specified_drives import Scaled, Tone, make_requirements, solve_together
+from warp_plate.problem.requirements import make_requirements
+from warp_plate.problem.specified_drives import Scaled, Tone, solve_together
 from warp_plate.result.specified import Margin, RegionLevels, Scatter, SpecifiedDrive
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import resolved_key, value_of
