@@ -46,6 +46,27 @@ def factors(scene, scenarios, value):
     return np.array([value(scenario.scene) for scenario in scenarios]) / value(scene)
 
 
+def test_any_number_has_a_tolerance():
+    """Linked keys vary together, and other draws stay as they were."""
+    springs = {side: {"translation": 1e6} for side in ("left", "right")}
+    links = {"gasket": {"keys": ["edges.left.translation", "edges.right.translation"]}}
+    tolerance = {"gasket": 0.3, "effects.damping.viscous": 0.1}
+    scene = robust(young_modulus=0.05, tolerance={"effects.damping.viscous": 0.1})
+    scene = scene.with_tables(edges=springs, links=links)
+    scene = scene.with_tables(search={"robust": {"young_modulus": 0.05, "tolerance": tolerance}})
+    drawn = draw_scenarios(scene, 40, 5)
+    left = factors(scene, drawn, lambda one: one.edges.left.translation)
+    right = factors(scene, drawn, lambda one: one.edges.right.translation)
+    np.testing.assert_array_equal(left, right)
+    assert 0.7 <= left.min() < 0.75
+    assert 1.25 < left.max() <= 1.3
+    damping = factors(scene, drawn, VALUES["damping"])
+    assert 0.9 <= damping.min() < damping.max() <= 1.1
+    alone = draw_scenarios(robust(young_modulus=0.05), 40, 5)
+    stiffness = (factors(scene, some, VALUES["young_modulus"]) for some in (drawn, alone))
+    np.testing.assert_array_equal(*stiffness)
+
+
 def test_the_seed_alone_decides():
     """Not the number of scenarios either, nor another tolerance; scenarios are scenes that read back and run."""
     made = robust(EFFECTS, **TOLERANCES, without_oscillators=0.5)

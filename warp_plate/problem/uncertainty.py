@@ -26,6 +26,7 @@ from warp_plate.plate.scheme import make_scheme
 from warp_plate.problem.objectives import Objectives, make_objectives
 from warp_plate.resolve import Resolved
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.keys import resolved_key, value_of
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Robust
 from warp_plate.solve.response import Response, in_float64, measure_response
@@ -67,7 +68,9 @@ def draw_scenarios(
     what = f"search.robust: {count} scenarios of {actuators} actuators"
     refuse_beyond_memory(count * scenario_bytes(actuators), what)
     numbers = np.random.default_rng([seed, int(validation)]).random((count, 4 + 3 * actuators))
-    scenarios = [_scenario(scene, robust, row) for row in numbers]
+    varied = np.random.default_rng([seed, int(validation), 1]).random((count, len(robust.tolerance)))
+    scenes = (_varied(scene, robust, row) for row in varied)
+    scenarios = [_scenario(some, robust, row) for some, row in zip(scenes, numbers, strict=True)]
     if not stepped or scene.modal_only_key is not None:
         return tuple(scenarios)
     grid = scene.grid.model_copy(update={"time_step": _common_step(scene, scenarios)})
@@ -88,6 +91,15 @@ def _on_plate(scene: Scene, centre: np.ndarray) -> np.ndarray:
     """Return centres (..., actuators, 2) [m] of the actuators' patches, moved so that these lie on the plate."""
     half = np.diff(_patches(scene), axis=2)[..., 0] / 2
     return np.clip(centre, half, np.maximum(np.asarray(scene.plate.size) - half, half))
+
+
+def _varied(scene: Scene, robust: Robust, numbers: np.ndarray) -> Scene:
+    """Return the scene with other values at the keys of ``tolerance``, for numbers (keys,) between 0 and 1."""
+    if not robust.tolerance:
+        return scene
+    keys = {resolved_key(scene, name): part for name, part in robust.tolerance.items()}
+    factors = [1 + part * (2 * number - 1) for part, number in zip(keys.values(), numbers.tolist(), strict=True)]
+    return scene.with_values({key: value_of(scene, key) * factor for key, factor in zip(keys, factors, strict=True)})
 
 
 def _scenario(scene: Scene, robust: Robust, numbers: np.ndarray) -> Scenario:

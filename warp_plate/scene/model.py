@@ -228,6 +228,7 @@ def _check_tables(scene: SceneTables) -> None:
     scene.search.check_limits([actuator.name for actuator in actuators])
     if scene.search.robust is not None:
         scene.search.robust.check(scene.effects, scene.grid.load)
+        _check_tolerances(scene, "search.robust", list(scene.search.robust.tolerance))
         if len(scene.targets) > 1:
             raise ValueError("search.robust: not with several [[targets]]; write a scene for each target")
     _check_measurements(scene)
@@ -236,7 +237,7 @@ def _check_tables(scene: SceneTables) -> None:
     _check_focus(scene)
     if scene.specification is not None:
         scene.specification.check([target.name for target in scene.targets], scene.plate.size, scene.piezo)
-        _check_tolerances(scene, list(scene.specification.tolerance))
+        _check_tolerances(scene, "specification", list(scene.specification.tolerance))
     for index, time in enumerate(scene.record.times):
         if time > scene.window.end * (1 + 1e-9):
             limit = f"window.end = {scene.window.end:g} s"
@@ -316,16 +317,16 @@ def _check_focus(scene: SceneTables) -> None:
     focus.check_numbers(focus.samples, len(scene.actuators), "time")
 
 
-def _check_tolerances(scene: SceneTables, names: Sequence[str]) -> None:
-    """Check that keys with tolerances are real numbers of the scene other than 0."""
+def _check_tolerances(scene: SceneTables, table: str, names: Sequence[str]) -> None:
+    """Check that the keys of a table's tolerances are real numbers of the scene other than 0."""
     kinds = scalar_keys(scene)
     for name in names:
         try:
             key = resolved_key(scene, name, kinds)
         except SceneError as error:
-            raise ValueError(f"specification.tolerance: {error}") from None
+            raise ValueError(f"{table}.tolerance: {error}") from None
         if kinds[key] is not float or not value_of(scene, key):
-            raise ValueError(f"specification.tolerance: {name}: is no real number other than 0")
+            raise ValueError(f"{table}.tolerance: {name}: is no real number other than 0")
 
 
 def _check_free_keys(scene: SceneTables, names: Sequence[str]) -> None:

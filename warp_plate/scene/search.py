@@ -8,10 +8,10 @@ actuator, which stay at 1 and 0.
 from collections.abc import Sequence
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from warp_plate.effects.table import ATTACHED, Effects
-from warp_plate.scene.fields import Area, Flag, Instant, Name, NotNegative, Positive, Table, Unit
+from warp_plate.scene.fields import Area, Flag, Instant, Name, NotNegative, Positive, Table, Unit, flat_keys
 
 Weight = Annotated[float, Field(ge=0, le=1e6), Unit("1")]
 # Names of the actuators that a table applies to (default: all).
@@ -133,6 +133,13 @@ class Robust(Table):
     """Largest error of each actuator's position along x and along y."""
     without_oscillators: Annotated[float, Field(ge=0, le=1, examples=[0.5]), Unit("1")] = 0.0
     """Probability that masses on springs are absent."""
+    tolerance: Annotated[
+        dict[str, Tolerance],
+        BeforeValidator(flat_keys),
+        Unit("1"),
+        Field(default_factory=dict, examples=[{"edges.left.translation": 0.3}]),
+    ]
+    """Tolerances of other numbers of the scene, by their keys, as fractions of the nominal values."""
     fresh: Annotated[int, Field(ge=1, le=100_000, examples=[500])] = 200
     """Number of further scenarios, over which the robust and the nominal optimum are compared."""
     seed: Annotated[int, Field(ge=0, lt=2**63, examples=[7])] = 0
@@ -140,7 +147,8 @@ class Robust(Table):
 
     def check(self, effects: Effects, load: str) -> None:
         """Raise ValueError, naming the key, if nothing varies or a key does not apply to the scene."""
-        if not any((self.young_modulus, self.thickness, self.damping, self.gain, self.place, self.without_oscillators)):
+        panel = (self.young_modulus, self.thickness, self.damping, self.gain, self.place, self.without_oscillators)
+        if not any((*panel, *self.tolerance.values())):
             raise ValueError("search.robust: all scenarios are alike; write a tolerance such as young_modulus = 0.05")
         # The default is allowed, because dumped scenes contain it.
         if self.measure != "quantile" and self.quantile != type(self).model_fields["quantile"].default:
