@@ -96,6 +96,12 @@ def test_functions_take_scenes_and_files(tmp_path):
     assert result.scene == small
     factor = 100 * result.cases["drive"].localization_factor
     assert repr(result) == f"<Result simulate panel: drive {factor:.3g} %>"
+    case, lines = result.main_case, str(result).splitlines()
+    (row,) = (line.split() for line in lines if line.startswith("drive  ") and "factor" not in line)
+    velocity, acceleration = case.motion.velocity[0] * 1e3, case.motion.acceleration[0] / 9.80665
+    assert row[2] == f"{case.localization_factor:.4f}"
+    assert (row[4], row[10]) == (f"{velocity:.3g}", f"{acceleration:.3g}")
+    assert lines[-len(result.warnings) :] == [f"! {line}" for line in result.warnings]
     assert "take more nodes" in result.warnings[0]
     assert load_result(save_result(result, tmp_path / "panel.h5")).warnings == result.warnings
     for error in (KeyError, SceneError):

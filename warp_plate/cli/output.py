@@ -21,6 +21,7 @@ from rich.text import Text
 
 from warp_plate.cli import log as log
 from warp_plate.scene.errors import SceneError, printable
+from warp_plate.scene.errors import number_text as number_text
 
 # The longest ending of the files that are written beside a result.
 LONGEST_ENDING = ".checkpoint.h5.123456789abc.part.h5"
@@ -155,12 +156,6 @@ def print_lines(console: Console, rows: Iterable[Iterable[str]], *after: str) ->
     for row in rows:
         table.add_row(*row)
     console.print(table, *after)
-
-
-def number_text(value: object, digits: str, unit: str = "") -> str:
-    """Format a number; "none" if it is missing or not finite."""
-    missing = value is None or (isinstance(value, float) and not math.isfinite(value))
-    return "none" if missing else f"{value:{digits}}{unit}"
 
 
 @contextmanager

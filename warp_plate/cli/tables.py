@@ -7,16 +7,15 @@ from collections.abc import Iterable, Mapping
 
 from rich.console import Console
 
-from warp_plate.analysis.warnings import exceeded_limits
+from warp_plate.analysis.result_warnings import exceeded_limits
 from warp_plate.cli import output
 from warp_plate.quantities.region_quantities import REGION_QUANTITIES
 from warp_plate.result.case import Case, amplitude_column, amplitudes_as_given, relative_to_own, target_cases
 from warp_plate.result.model import Result, RobustComparison, crosstalk
+from warp_plate.result.motion_table import motion_table
 from warp_plate.scene.errors import printable
 from warp_plate.scene.model import Scene
 
-# Standard acceleration of gravity [m/s²].
-GRAVITY = 9.80665
 COMPARED_CASES = ("equal", "single", "time_reversal", "inverse_filter")
 ROBUST_ROWS = {
     "mean": "mean",
@@ -39,29 +38,9 @@ STAGES = {
 
 def print_motion(cases: Mapping[str, Case], scene: Scene, console: Console) -> None:
     """Print the motion of target and rest by case labels, with the largest drive; nothing if it is unknown."""
-    moving = {label: (case, case.motion) for label, case in cases.items() if case.motion is not None}
-    if not moving:
-        return
-    tones = any(motion.acceleration is not None for _, motion in moving.values())
-    searched = any(case.frequency is not None for case in cases.values())
-    rows = []
-    for label, (case, motion) in moving.items():
-        frequencies = sorted({scene.drive.frequency} if case.frequency is None else set(case.frequency.tolist()))
-        amplitude, amplitudes = amplitude_column(scene, case.magnitude, ".3g")
-        cells = [", ".join(f"{value:.6g}" for value in frequencies)] * searched
-        cells += [amplitudes[int(case.magnitude.argmax())], output.number_text(case.localization_factor, ".4f")]
-        cells += [output.number_text(motion.contrast, ".1f"), _pair(motion.velocity, 1e3)]
-        cells.append(_pair(motion.displacement, 1e6))
-        if tones:
-            cells.append("none" if motion.acceleration is None else _pair(motion.acceleration, 1 / GRAVITY))
-        rows.append([label, *cells])
-    headings = ["drive", *["frequency Hz"] * searched, f"largest {amplitude}", "share", "contrast dB"]
-    headings += ["velocity mm/s rms", "displacement µm peak", *["acceleration g rms"] * tones]
-    output.print_rows(console, headings, rows, "", title="Motion in the target / outside")
-
-
-def _pair(values: tuple[float, float], factor: float) -> str:
-    return " / ".join(output.number_text(factor * value, ".3g") for value in values)
+    headings, rows = motion_table(cases, scene)
+    if rows:
+        output.print_rows(console, headings, rows, "", title="Motion in the target / outside")
 
 
 def motion_json(case: Case) -> dict[str, object] | None:

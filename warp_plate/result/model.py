@@ -21,7 +21,8 @@ from warp_plate.result import import_xarray
 from warp_plate.result.case import Case, Cases, case_scene, target_cases
 from warp_plate.result.hdf5 import FileFormat, write_along
 from warp_plate.result.layouts import Counts, Dataset, Datasets, read_fields, write_fields
-from warp_plate.scene.errors import SceneError
+from warp_plate.result.motion_table import aligned, motion_table
+from warp_plate.scene.errors import SceneError, printable
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Objective
 
@@ -199,6 +200,23 @@ class Result:
     def __repr__(self) -> str:
         factors = (f"{name} {100 * case.localization_factor:.3g} %" for name, case in self.cases.items())
         return f"<Result {' '.join([self.command, self.source]).strip()}: {', '.join(factors)}>"
+
+    def __str__(self) -> str:
+        cases = {name.replace("_", " "): case for name, case in self.cases.items()}
+        headings, rows = motion_table(cases, self.scene)
+        lines = [f"{self.command} {self.scene.title or self.source}".strip(), ""]
+        if rows:
+            lines += ["In the target / outside:", ""]
+        else:  # read from a file
+            headings = ["drive", "share"]
+            rows = [[name, f"{case.localization_factor:.4f}"] for name, case in cases.items()]
+        headings[headings.index("share")] = "localization factor"
+        lines += [aligned(headings, rows), ""]
+        if self.bound is not None:
+            lines.append(f"{self.bound_description}: {self.bound:.4f}")
+        estimate = self.accuracy.get("estimate", {})
+        lines += [part["line"] for part in (estimate, estimate.get("bound", {})) if "line" in part]
+        return printable("\n".join([*lines, *(f"! {line}" for line in self.warnings)]).strip())
 
     @property
     def only_localization(self) -> bool:

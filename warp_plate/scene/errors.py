@@ -2,6 +2,7 @@
 
 import datetime
 import json
+import math
 import unicodedata
 from collections.abc import Mapping
 
@@ -22,6 +23,12 @@ def printable(text: str) -> str:
     return "".join(
         c if c.isprintable() or c == "\n" or unicodedata.category(c) == "Zs" else ascii(c)[1:-1] for c in text
     )
+
+
+def number_text(value: object, digits: str, unit: str = "") -> str:
+    """Format a number; "none" if it is missing or not finite."""
+    missing = value is None or (isinstance(value, float) and not math.isfinite(value))
+    return "none" if missing else f"{value:{digits}}{unit}"
 
 
 def toml_text(value: object) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.analysis.warnings import result_warnings
+from warp_plate.analysis.result_warnings import result_warnings
 from warp_plate.cluster.pool import WorkerPool
 from warp_plate.modal.solver import MODAL
 from warp_plate.plate.files import digests

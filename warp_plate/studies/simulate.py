@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from warp_plate.accuracy.estimate import estimate, estimate_modal
-from warp_plate.analysis.warnings import result_warnings
+from warp_plate.analysis.result_warnings import result_warnings
 from warp_plate.modal.solver import MODAL
 from warp_plate.plate.designs import scene_phasors
 from warp_plate.plate.weights import localization_factor

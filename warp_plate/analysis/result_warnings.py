@@ -1,0 +1,45 @@
+"""Warnings about a result: effects that its scene lacks, plates that failed, limits and settings of its search."""
+
+from __future__ import annotations
+
+import math
+
+from warp_plate.analysis.warnings import explain_missing_energies, search_warnings, target_warnings, warning_texts
+from warp_plate.problem.methods import unread_keys
+from warp_plate.problem.objectives import keeps_limit
+from warp_plate.result.model import Result
+from warp_plate.scene.vary import counted
+
+
+def result_warnings(result: Result) -> tuple[str, ...]:
+    """Return the warnings of a result: effects that its scene lacks, plates that failed, settings without effect."""
+    lines = [
+        f"{counted(count, 'plate')} of the search failed on the workers and counted as worst: {reason}"
+        for reason, count in result.lost_plates.items()
+    ]
+    failed = next((case.status for case in result.cases.values() if case.status != "ok"), None)
+    if failed is not None:
+        return (*lines, explain_missing_energies(result.scene, failed))
+    best = result.history.get("best")
+    if best is not None and len(best) and not math.isfinite(best[-1]):
+        lines.append("No plate that the search tried has energies; the best single actuator is shown in its place.")
+        return tuple(lines)
+    remedy = "" if result.scene.search.magnitude else " as strong as the scene's; [search.magnitude] allows weaker ones"
+    for kind in exceeded_limits(result):
+        lines.append(f"{kind} of the rest: no drive within the limit was found{remedy}; the nearest one is shown")
+    if result.command == "localize":
+        lines += [*search_warnings(result.scene), *unread_keys(result.scene.search)]
+    scene = result.case_scene(result.main_case)
+    lines += target_warnings(scene, result.main_case.localization_factor)
+    return (*lines, *warning_texts(scene, result.peak_displacement, gridded=not result.by_modes))
+
+
+def exceeded_limits(result: Result) -> list[str]:
+    """Return the kinds of objectives whose ``rest_limit`` the best drive for some target exceeds."""
+    limits = {row.kind: row.rest_limit for row in result.scene.search.objectives if row.rest_limit is not None}
+    searches = [search.objective_values for search in result.target_searches or [result]]
+    return [
+        kind
+        for kind, limit in limits.items()
+        if not all(keeps_limit(values.get(f"{kind} of the rest", 0.0), limit) for values in searches)
+    ]
