@@ -109,7 +109,8 @@ def test_a_patch_stays_whole_within_its_area():
 
 PHASES, DELAY = ("phase of 0", "phase of 1", "phase of 2"), {"delay": {"range": [0, 0.005]}}
 MAGNITUDE, VELOCITY = {"magnitude": {"range": [0, 5]}, **EQUAL}, {"objectives": [{"kind": "velocity"}]}
-MAGNITUDES = ("magnitude of 1", "magnitude of 2")
+MAGNITUDES, LIMITED = ("magnitude of 1", "magnitude of 2"), {"limits": {"magnitude": 1}}
+LEVELS, QUIET = ("magnitude of 0", *MAGNITUDES), {"objectives": [{"kind": "displacement", "rest_limit": 1e-6}]}
 
 
 @pytest.mark.parametrize(
@@ -126,12 +127,17 @@ MAGNITUDES = ("magnitude of 1", "magnitude of 2")
         (MAGNITUDE, STRETCHING, ("magnitude",)),
         ({**MAGNITUDE, **VELOCITY}, {}, ("magnitude",)),
         ({"objectives": [{"kind": "contrast"}]}, {}, (*MAGNITUDES, *PHASES[1:])),
-        ({**VELOCITY, "limits": {"power": 1}}, {}, (*MAGNITUDES, *PHASES)),
-        ({**VELOCITY, "limits": {"power": 1}}, STEADY, (*MAGNITUDES, *PHASES[1:])),
+        ({**VELOCITY, "limits": {"power": 1}}, {}, (*LEVELS, *PHASES)),
+        ({**VELOCITY, "limits": {"power": 1}}, STEADY, (*LEVELS, *PHASES[1:])),
+        (QUIET, STEADY, (*LEVELS, *PHASES[1:])),
+        ({**QUIET, **EQUAL}, STEADY, ("magnitude", *PHASES[1:])),
+        (LIMITED, {}, (*MAGNITUDES, *PHASES)),
+        (LIMITED, STRETCHING, (*LEVELS, *PHASES)),
     ],
 )
 def test_shared_variables_and_those_that_change_nothing(search, tables, names):
-    """A common phase of steady motion, or of the paper's ratio, and a common linear magnitude are fixed."""
+    """A common phase of steady motion, or of the paper's ratio, and a common linear magnitude are fixed; but where the
+    level of the drive counts, the magnitude of the first actuator is searched as well."""
     parametrization = parametrized(search, **tables)
     assert parametrization.space.names == names
     if names == ("magnitude",):
@@ -262,5 +268,8 @@ def test_drives_are_scaled_where_only_ratios_matter_and_clipped_elsewhere():
     assert np.allclose(small, [[0.125, 0.5, -0.1125]], rtol=1e-14)
     powered = parametrized({"limits": {"power": 4.0}}).designs(position).drives
     assert np.allclose(powered, np.array([[1, 4, -0.9]]) * 2 / np.sqrt(17.81), rtol=1e-14)
-    clipped = parametrized({"limits": {"magnitude": 0.75}}, **STRETCHING).designs(position).drives
-    assert np.allclose(clipped, [[0.75, 0.75, -0.75]])
+    leveled = np.insert(position, 0, 0.5, axis=1)
+    clipped = parametrized({"limits": {"magnitude": 0.75}}, **STRETCHING)
+    assert np.allclose(clipped.designs(leveled).drives, [[0.5, 0.75, -0.75]])
+    again = clipped.positions_of(clipped.designs(leveled))
+    assert np.allclose(clipped.designs(again).drives, [[0.5, 0.75, -0.75]])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from warp_plate.analysis.warnings import explain_missing_energies, search_warnings, target_warnings, warning_texts
+from warp_plate.problem.design_variables import has_design_tables
 from warp_plate.problem.methods import unread_keys
 from warp_plate.problem.objectives import keeps_limit
 from warp_plate.result.model import Result
@@ -24,7 +25,8 @@ def result_warnings(result: Result) -> tuple[str, ...]:
     if best is not None and len(best) and not math.isfinite(best[-1]):
         lines.append("No plate that the search tried has energies; the best single actuator is shown in its place.")
         return tuple(lines)
-    remedy = "" if result.scene.search.magnitude else " as strong as the scene's; [search.magnitude] allows weaker ones"
+    free = result.scene.search.magnitude is not None or not has_design_tables(result.scene)
+    remedy = "" if free else " as strong as the scene's; [search.magnitude] allows weaker ones"
     for kind in exceeded_limits(result):
         lines.append(f"{kind} of the rest: no drive within the limit was found{remedy}; the nearest one is shown")
     if result.command == "localize":

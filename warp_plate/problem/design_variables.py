@@ -242,10 +242,14 @@ def _paper_variables(scene: Scene) -> Iterator[DesignVariable]:
                 f"search.objectives[{index}].kind = {objective.kind!r}: grows with the magnitudes without end; write "
                 "[search.magnitude], search.limits, or a rest_limit"
             )
-    others = range(1, len(scene.actuators))
-    if not search.limits.equal_magnitudes:
-        yield from (Magnitude.of_group(scene, "magnitude", (actuator,), 1.0, PAPER_RANGE) for actuator in others)
-    phases = others if _holds_first_phase(scene) else range(len(scene.actuators))
+    everyone, others = range(len(scene.actuators)), range(1, len(scene.actuators))
+    # A limit, or a quantity that grows with the drive, determines its level, which is then searched too.
+    leveled = not only_ratios(scene) and (bounded or any(objective.rest_limit for objective in search.objectives))
+    groups: list[tuple[int, ...]] = [(actuator,) for actuator in (everyone if leveled else others)]
+    if search.limits.equal_magnitudes:
+        groups = [tuple(everyone)] if leveled else []
+    yield from (Magnitude.of_group(scene, "magnitude", group, 1.0, PAPER_RANGE) for group in groups)
+    phases = others if _holds_first_phase(scene) else everyone
     yield from (Phase.of_group(scene, "phase", (actuator,), 0.0, PAPER_RANGE) for actuator in phases)
 
 

@@ -101,7 +101,8 @@ class Parametrization:
         phasors, fixed = designs.drives / self.unit * np.where(self._least < 0, -1, 1), self._fixed
         if not any(variable.kind == "phase" and 0 in variable.actuators for variable in self.variables):
             phasors = phasors * np.exp(-1j * (np.angle(phasors[:, :1]) + fixed["phase"][0]))
-        if not has_design_tables(self.scene) and not self.scene.search.limits.equal_magnitudes:
+        level = any(variable.kind == "magnitude" and 0 in variable.actuators for variable in self.variables)
+        if not level and not has_design_tables(self.scene) and not self.scene.search.limits.equal_magnitudes:
             with np.errstate(divide="ignore", invalid="ignore"):
                 phasors = np.nan_to_num(phasors / np.abs(phasors[:, :1])) * self._least[0]
         if self.scene.search.limits.power is not None and has_design_tables(self.scene) and not only_ratios(self.scene):
