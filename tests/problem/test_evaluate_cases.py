@@ -84,6 +84,21 @@ def test_a_limit_that_no_drive_keeps_leaves_no_bound(scene, localize_command):
     assert [keeps_limit(1 + beyond, 1.0) for beyond in (1e-6, 1e-4)] == [True, False]
 
 
+@pytest.mark.parametrize("limits", [{}, {"magnitude": 1.0}, {"equal_magnitudes": True}])
+def test_a_limit_that_weak_drives_keep_is_kept(scene, limits):
+    """Without tables too, all magnitudes can be as small as a limit of the rest demands, the first one included."""
+    search = {"objectives": [{"kind": "velocity", "rest_limit": 1e-7}], "limits": limits}
+    result = localize(
+        scene((9, 9), damping=88.5, search={**search, "method": "pso", "particles": 4, "iterations": 3}),
+        device="cpu",
+        estimate=False,
+    )
+    values = result.objective_values
+    assert 0 < values["velocity of the rest"] <= 1e-7
+    if not limits.get("equal_magnitudes"):
+        assert values["velocity"] == pytest.approx(values["bound"], rel=1e-5)
+
+
 def test_a_robust_search_has_those_of_the_nominal_plate(scene):
     search = {**SEARCH, "robust": {"young_modulus": 0.1, "scenarios": 4, "fresh": 2}}
     result = localize(scene((9, 9), damping=88.5, search=search), device="cpu", estimate=False)

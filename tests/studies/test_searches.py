@@ -72,6 +72,24 @@ def test_the_scene_found_simulates_to_the_result(name, tmp_path):
         assert best.localization_factor <= np.interp(best.frequency[0], spectrum["frequency"], spectrum["best"]) + 0.02
 
 
+LIMITED = [{"kind": "velocity", "rest_limit": 2e-5}]
+
+
+@pytest.mark.parametrize("method", ["pso", "ring", "cma", "gradient"])
+@pytest.mark.parametrize("objectives", [LIMITED, [{"kind": "localization"}]], ids=["limited", "ratio"])
+def test_more_freedom_gives_no_worse_drive(method, objectives):
+    """A search of places and frequencies has at least the best drive for those that the scene has, and begins there."""
+    free = {"magnitude": {"range": [0.0, 2.0]}, "phase": {}, "objectives": objectives, "method": method}
+    few = {**free, "particles": 4, "iterations": 3, "seed": 2}
+    more = {**few, "position": {}, "frequency": {"range": [200.0, 300.0]}}
+    scenes = [small_search("phase").with_tables(search=search) for search in ({**few, "method": "exact"}, more)]
+    exact, freer = (localize(one, device="cpu", evaluator="modal", estimate=False, spectrum=False) for one in scenes)
+    least = exact.history["best"][-1] * (1 - 1e-9)
+    assert freer.history["best"][-1] >= freer.history["best"][0] >= least
+    if objectives is LIMITED:
+        assert freer.objective_values["velocity of the rest"] <= 2e-5
+
+
 def test_an_interrupted_search_resumes_bit_identically(tmp_path):
     scene = small_search("all")
     _, checkpoint = interrupted_search(tmp_path, scene, device="cpu", after=2)

@@ -30,8 +30,8 @@ class CovarianceSearch(Optimizer):
 
     FORMAT = "cma 2"
 
-    def __init__(self, space: SearchSpace, settings: SearchSettings) -> None:
-        """Draw the first cloud; raises MethodError if pycma is not installed."""
+    def __init__(self, space: SearchSpace, settings: SearchSettings, start: np.ndarray | None = None) -> None:
+        """Draw the first cloud, around ``start`` (dimension,) and with it; MethodError: pycma is not installed."""
         super().__init__(space, settings)
         try:
             import cma
@@ -41,7 +41,8 @@ class CovarianceSearch(Optimizer):
         self._random = np.random.RandomState(np.random.MT19937(settings.seed))
         self._losses: list[np.ndarray] = []  # from which the whole search follows again
         self._restarts = self._began_at = 0
-        self._cloud = self._begin()
+        self._start = start
+        self._cloud = self._begin(None if start is None else space.to_unit(start))
 
     def stop(self) -> dict[str, Any]:
         """Return {"evaluations": number} at the budget's end, pycma's own reasons, or nothing to go on."""
@@ -58,7 +59,10 @@ class CovarianceSearch(Optimizer):
             self._restarts, self._began_at = self._restarts + 1, self.iterations
             self._cloud = self._begin()
         self._points = self._cloud.ask()
-        return self.space.from_unit(np.array(self._points)[:, : self.space.dimension])
+        positions = self.space.from_unit(np.array(self._points)[:, : self.space.dimension])
+        if self._start is not None and not self.iterations:
+            positions[0] = self._start  # pycma moves points near a limit a little
+        return positions
 
     def _learn(self, losses: np.ndarray) -> None:
         finite, worst = losses[np.isfinite(losses)], 0.0
@@ -99,11 +103,11 @@ class CovarianceSearch(Optimizer):
         reasons = dict(self._cloud.stop()) if self.iterations > self._began_at else {}
         return reasons | ({"stall": self.settings.stall} if self.stalled(self._began_at) else {})
 
-    def _begin(self) -> Any:
-        """Return a cloud around a place drawn from the initial ranges."""
+    def _begin(self, start: np.ndarray | None = None) -> Any:
+        """Return a cloud around a point (dimension,), which it contains, or one drawn from the initial ranges."""
         space = self.space
         idle = max(2 - space.dimension, 0)
-        middle = np.append(self._random.random_sample(space.dimension), [0.5] * idle)
+        middle = np.append(self._random.random_sample(space.dimension) if start is None else start, [0.5] * idle)
         lower, upper = space.to_unit(space.lower), space.to_unit(space.upper)
         limits = np.append(lower, [0.0] * idle), np.append(upper, [1.0] * idle)
         options = {
@@ -112,4 +116,8 @@ class CovarianceSearch(Optimizer):
             "randn": self._random.randn,  # NumPy's global generator stays untouched
             **{"seed": np.nan, "verbose": -9, "verb_log": 0, "maxiter": np.inf},
         }
-        return self._cma.CMAEvolutionStrategy(np.clip(middle, *limits), INITIAL_SIZE, options)
+        middle = np.clip(middle, *limits)
+        cloud = self._cma.CMAEvolutionStrategy(middle, INITIAL_SIZE, options)
+        if start is not None:
+            cloud.inject([middle], force=True)
+        return cloud

@@ -76,12 +76,15 @@ class Swarm(Optimizer):
     settings: SwarmSettings
     improved_loss: float
 
-    def __init__(self, space: SearchSpace, settings: SwarmSettings) -> None:
+    def __init__(self, space: SearchSpace, settings: SwarmSettings, start: np.ndarray | None = None) -> None:
+        """Draw the first swarm, of which one particle is at ``start`` (dimension,)."""
         super().__init__(space, settings)
         self.random = np.random.default_rng(settings.seed)
         self.restarts = self.restarted_at = 0
         self.earlier_loss = math.inf  # best of the swarms before the last restart
         self._draw()
+        if start is not None:
+            self.positions[0] = start
         self._begin()
 
     def stop(self) -> dict[str, int]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
+
 from warp_plate.optimize.cma_es import CovarianceSearch
 from warp_plate.optimize.gradient import GradientSearch, Slopes
 from warp_plate.optimize.optimizer import MethodError, Optimizer, SearchSettings, SearchSpace
@@ -42,25 +44,28 @@ def make_optimizer(
     problem: Quadratic | None = None,
     state: Mapping[str, Any] | None = None,
     slopes: Slopes | None = None,
+    start: np.ndarray | None = None,
 ) -> Optimizer:
     """Return the method of a table ``[search]``, at its beginning or in a state that ``Optimizer.state`` returned.
 
     "exact" and "gradient" need a problem whose losses follow from quadratic forms of the drive; for "gradient" slopes
-    of losses will do. SceneError: the method does not fit the problem, is not installed or takes too much memory.
+    of losses will do. Swarms and clouds contain the position ``start`` (dimension,), and descents begin there too.
+    SceneError: the method does not fit the problem, is not installed or takes too much memory.
     ValueError: the state is not that of such a search.
     """
     if slopes is None and problem is not None:
         slopes = problem.losses_and_slopes
     method, dimension = search.method or "pso", space.dimension
     refuse_many_particles(search, dimension)
-    start = starting_position(space, problem) if method == "gradient" and problem is not None else None
+    if method == "gradient" and problem is not None:
+        start = starting_position(space, problem)
     makers: dict[str, Callable[[], Optimizer]] = {
         "exact": lambda: ExactSearch(space, problem),
-        "cma": lambda: CovarianceSearch(space, _settings(search, seed)),
+        "cma": lambda: CovarianceSearch(space, _settings(search, seed), start),
         "gradient": lambda: GradientSearch(space, slopes, _settings(search, seed), start),
     }
     try:
-        optimizer = makers.get(method, lambda: Swarm(space, swarm_settings(search, seed)))()
+        optimizer = makers.get(method, lambda: Swarm(space, swarm_settings(search, seed), start))()
     except MethodError as error:
         raise SceneError(f"search.method = {method!r}: {error}") from None
     if state is not None:

@@ -37,6 +37,7 @@ from warp_plate.problem.search_cost import (
     refuse_search_beyond_memory,
     search_memory,
 )
+from warp_plate.problem.starts import best_known_drive, scene_position
 from warp_plate.problem.uncertainty import (
     ScenarioLosses,
     apply_measure,
@@ -69,8 +70,7 @@ class Problem:
     evaluator_name: str
     resolved: Resolved  # scene on its grid, with engine and device
     pool: WorkerPool | None  # workers that run batches; None if this process does
-    # losses over the scenarios of a robust search; None for other searches
-    scenario_losses: ScenarioLosses | None = None
+    scenario_losses: ScenarioLosses | None = None  # losses over the scenarios of a robust search; None for others
     # True if each design has its best drive, so that positions hold no magnitudes and phases, see :mod:`allowed_drives`
     projected: bool = False
 
@@ -175,6 +175,21 @@ class Problem:
         designs = self.designs(position[None])
         self.clearance.refuse(designs)
         return self.parametrization.positions_of(designs)[0] if self.projected else position
+
+    @cached_property
+    def start(self) -> np.ndarray | None:
+        """Position (dimension,) of ``space`` with the scene's own places, frequencies and delays and the better of its
+        own drive and the best known one, at which a search begins; None where only drives are searched."""
+        if self.parametrization.only_drives:
+            return None
+        tried = np.unique([own := scene_position(self.searched), self.with_best_drive(own)], axis=0)
+        return tried[int(np.argmin(np.nan_to_num(self.losses(tried), nan=np.inf)))] if len(tried) > 1 else own
+
+    def with_best_drive(self, position: np.ndarray) -> np.ndarray:
+        """Return a position (dimension,) of ``space`` with the best drive known for it, see ``best_known_drive``."""
+        design = self.searched.designs(position[None])
+        drive = None if self.projected else best_known_drive(self.parametrization, self.objectives, self.plates, design)
+        return position if drive is None else self.parametrization.positions_of(replace(design, drives=drive[None]))[0]
 
     def value_from_loss(self, loss: float | np.ndarray) -> float | np.ndarray:
         """Return what people want large: LF, or the weighted sum of the objectives."""

@@ -99,7 +99,8 @@ def search_optimizer(problem: Problem, seed: int, state: Mapping[str, Any] | Non
     if not problem.space.dimension:
         return None
     try:
-        return make_optimizer(problem.scene.search, problem.space, seed, problem.quadratic, state, problem.slopes)
+        search, slopes = problem.scene.search, problem.slopes
+        return make_optimizer(search, problem.space, seed, problem.quadratic, state, slopes, problem.start)
     except SceneError:
         raise
     except ValueError as error:
@@ -132,7 +133,8 @@ def finish_search(
 ) -> tuple[np.ndarray | None, int, dict[str, np.ndarray]]:
     """Return the position of all design variables, the evaluations and the history of a search that has ended.
 
-    A descent follows one of places, frequencies or delays by modes; a robust search also tries the nominal optimum.
+    A descent follows one of places, frequencies or delays by modes; a robust search also tries the nominal optimum, and
+    one under a ``rest_limit``, at which losses jump, the best drive that is known.
     """
     if optimizer is None:
         return None, 0, {}
@@ -146,10 +148,11 @@ def finish_search(
     by_modes = problem.evaluator_name == MODAL and problem.scenario_losses is None
     if by_modes and not problem.parametrization.only_drives and not interrupted:
         position, best, further = polish(problem, position, best)
-    elif nominal_position is not None:
-        loss = float(problem.losses(nominal_position[None])[0])
+    elif nominal_position is not None or problem.objectives.limits:
+        other = problem.with_best_drive(position) if nominal_position is None else nominal_position
+        loss = float(problem.losses(other[None])[0])
         if loss < best:
-            position, best, further = nominal_position, loss, 1
+            position, best, further = other, loss, 1
     if further:
         evaluations += further
         value = problem.value_from_loss(best)
@@ -259,7 +262,8 @@ def polish(problem: Problem, position: np.ndarray, loss: float) -> tuple[np.ndar
     for _ in range(MOST_ROUNDS):
         before = loss
         descended = _descend(losses, problem, point)
-        for tried in (descended, _best_frequency(losses, problem, descended)):
+        driven = space.to_unit(problem.with_best_drive(space.from_unit(descended[None])[0]))
+        for tried in (descended, driven, _best_frequency(losses, problem, descended)):
             value = float(problem.losses(space.from_unit(tried[None]))[0])
             if value < loss:
                 point, loss = tried, value
