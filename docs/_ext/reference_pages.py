@@ -9,6 +9,8 @@ from dataclasses import is_dataclass
 from functools import reduce
 from pathlib import Path
 
+from pydantic import BaseModel
+
 import warp_plate
 from warp_plate.cli.main import COMMANDS, application, load
 from warp_plate.scene.fields import Table
@@ -72,7 +74,7 @@ def skip_members(app, what, name, member, skip, options):
     if not isinstance(kind, type):
         return None
     if issubclass(kind, Table):
-        return True if name in kind.model_fields or name in dir(Table) else None
+        return True if name in kind.model_fields or name in dir(BaseModel) else None
     return None if name in vars(kind) or name in inspect.get_annotations(kind) else True
 
 
@@ -93,7 +95,8 @@ def short_signature(app, what, name, kind, options, signature, returned):
 def add_fields(app, what, name, kind, options, lines):
     """Add a link to the keys of a scene's table, or the comments beside the fields of a data class."""
     if what == "class" and issubclass(kind, Table):
-        lines += ["", "Arguments are its keys, see :doc:`/reference/scene-keys`."]
+        text = inspect.cleandoc(vars(kind)["__doc__"]).splitlines()
+        lines[:] = [*text, "", "Arguments are its keys, see :doc:`/reference/scene-keys`."]
     elif what == "class" and is_dataclass(kind) and not any(line.startswith(":ivar") for line in lines):
         lines += ["", *(f":ivar {field}: {text}" for field, text in field_comments(kind).items() if text), ""]
 

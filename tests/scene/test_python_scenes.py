@@ -1,6 +1,10 @@
 """Scenes built, changed and written in Python."""
 
+import pydoc
+import re
+
 import pytest
+from pydantic import BaseModel
 
 from warp_plate import (
     Actuator,
@@ -9,6 +13,7 @@ from warp_plate import (
     Plate,
     Scene,
     SceneError,
+    Search,
     Target,
     check,
     load_result,
@@ -84,6 +89,32 @@ def test_replace_takes_whole_tables_as_assignments_do(key, value):
     assign(tables, [f"{key}={toml_text(value)}"])
     assert scene.replace(key, value) == Scene.from_tables(tables)
     assert scene.replace("effects.damping", {"viscous": 9.0}).replace("effects.damping", None) == scene
+
+
+@pytest.mark.parametrize("table", [Plate, Search, Target, Scene, type(glass_panel().effects)])
+def test_help_is_about_the_keys_of_a_table(table):
+    text = pydoc.plain(pydoc.render_doc(table))
+    assert len(text.splitlines()) < 250
+    for line in text.splitlines():
+        assert not re.match(r" \|  (model_|copy|json|parse_obj|dict|construct|validate)", line)
+    for name in table.model_fields:
+        assert f"\n |  {name} : " in text
+
+
+def test_help_names_units_defaults_and_examples():
+    text = pydoc.plain(pydoc.render_doc(Plate))
+    assert "thickness : m, required\n |      Thickness H, at most a fifth of the shorter side. For ex" in text
+    assert "Plate(*, size, thickness, young_modulus, poisson_ratio, density)" in text
+    assert "particles : default 20" in pydoc.plain(pydoc.render_doc(Search))
+    assert Scene.model_json_schema()["$defs"]["Plate"]["description"] == "Geometry and material of the plate."
+
+
+def test_names_of_scenes_are_their_own():
+    scene = glass_panel()
+    assert {"plate", "replace", "to_toml", "drive_unit"} <= set(dir(scene)) == set(dir(Scene))
+    assert {"size", "rigidity"} <= set(dir(scene.plate))
+    for shown in (scene, scene.plate, scene.drive):
+        assert not [name for name in dir(shown) if name in dir(BaseModel) or name.startswith("_")]
 
 
 def test_functions_take_scenes_and_files(tmp_path):

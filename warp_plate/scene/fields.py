@@ -6,6 +6,7 @@ import ast
 import inspect
 import re
 import sys
+import textwrap
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -22,6 +23,7 @@ from pydantic import (
     TypeAdapter,
     ValidationError,
 )
+from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, PydanticCustomError
 
 from warp_plate.scene.errors import SceneError, toml_text
@@ -41,7 +43,71 @@ class Unit:
     """SI unit, "1" for numbers without dimension; "drive" stands for the unit of the actuators' magnitudes."""
 
 
-class Table(BaseModel):
+if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass
+else:
+    ModelMetaclass = type(BaseModel)
+
+
+class _Documented(ModelMetaclass):
+    """The class of tables: documents their keys, and lists their names without those of pydantic."""
+
+    if TYPE_CHECKING:
+        model_fields: dict[str, FieldInfo]
+
+    @property
+    def __doc__(cls) -> str:  # type: ignore[override]
+        """Description and keys in the form of numpydoc, read from the source when they are asked for."""
+        lines = [inspect.cleandoc(vars(cls).get("__doc__") or "")]
+        if cls.model_fields:
+            lines += ["", "Parameters", "----------"]
+        for name in cls.model_fields:
+            lines += _numpydoc(cls, name)
+        return "\n".join(lines)
+
+    @property
+    def __signature__(cls) -> inspect.Signature:
+        """Keys with their defaults, without the annotations that pydantic would show."""
+        kind = inspect.Parameter.KEYWORD_ONLY
+        defaults = {name: _default(field) for name, field in cls.model_fields.items()}
+        return inspect.Signature([inspect.Parameter(name, kind, default=value) for name, value in defaults.items()])
+
+    @__signature__.setter
+    def __signature__(cls, value: object) -> None:
+        """Ignore pydantic's own."""
+
+    def __dir__(cls) -> list[str]:
+        parents = [parent for parent in cls.__mro__ if parent.__module__.startswith("warp_plate.")]
+        names = {name for parent in parents for name in vars(parent) if not name.startswith(("_", "model_"))}
+        return sorted(names | set(cls.model_fields))
+
+
+def _default(field: FieldInfo) -> Any:
+    """Return the default of a key; the empty parameter if it is required."""
+    if field.is_required():
+        return inspect.Parameter.empty
+    return field.get_default(call_default_factory=True, validated_data={})
+
+
+def _numpydoc(table: Any, name: str) -> list[str]:
+    """Return the lines on a key: unit, default, meaning and example."""
+    field, (meaning, unit, examples) = table.model_fields[name], explain_key(table, name)
+    default = _default(field)
+    shown = f"{type(default).__name__}()" if isinstance(default, BaseModel) else repr(default)
+    table_of = next((part for part in _types_in(field.annotation) if _is_table(part)), None)
+    if table_of is not None:
+        meaning = f"{meaning} See ``help('{table_of.__module__}.{table_of.__name__}')``.".strip()
+    example = f" For example {examples[0]!r}." if examples else ""
+    state = "required" if field.is_required() else f"default {shown}"
+    head = f"{name} : {state if unit in (None, '1') else f'{shown_unit(unit)}, {state}'}"
+    return [head, *textwrap.wrap(meaning + example, 100, initial_indent="    ", subsequent_indent="    ")]
+
+
+def _is_table(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, BaseModel)
+
+
+class Table(BaseModel, metaclass=_Documented):
     """A table of the scene file. It refuses unknown keys and cannot be changed.
 
     The annotation of a field holds its :class:`Unit` and an example, the string below it says what it means.
@@ -69,6 +135,9 @@ class Table(BaseModel):
                 use = f'scene.replace("{key}", {shown}) returns a changed scene'
                 raise SceneError(f"{key}: a scene is not changed by assignment; {use}") from None
 
+    def __dir__(self) -> list[str]:
+        return dir(type(self))
+
     def _derive(self, key: str, value: object) -> None:
         """Set a key that follows from others, during validation: it does not count as written in the file."""
         self.__dict__[key] = value
@@ -77,6 +146,7 @@ class Table(BaseModel):
     def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         """Return the table's JSON schema, in which the unit of a key follows its description."""
         schema = handler(core_schema)
+        handler.resolve_ref_schema(schema)["description"] = inspect.cleandoc(vars(cls)["__doc__"])
         for name, entry in handler.resolve_ref_schema(schema).get("properties", {}).items():
             meaning, unit, _ = explain_key(cls, name)
             if meaning:

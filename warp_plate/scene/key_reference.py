@@ -72,7 +72,7 @@ def _reference(model: type[Table], headings: tuple[str, ...], definition: dict[s
     for name, field in definition["properties"].items():
         if (headings[0].startswith("[") or name == "title") and ("$ref" not in str(field) or "enum" in str(field)):
             keys.append(_key(model, name, field))
-    description = re.sub(r":\w+:`([^`]+)`", r"`\1`", inspect.cleandoc(model.__doc__ or "").replace("``", "`"))
+    description = re.sub(r":\w+:`([^`]+)`", r"`\1`", inspect.cleandoc(vars(model)["__doc__"] or "").replace("``", "`"))
     return TableReference(headings, model, description, tuple(keys))
 
 
