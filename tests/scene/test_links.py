@@ -23,12 +23,18 @@ def test_a_linked_key_is_a_free_number_of_a_fit():
         Scene.load("console", ["fit.free={gasket=[1e6,1e7],edges={left={translation=[1e6,1e7]}}}"])
 
 
+def test_links_of_themselves_are_refused_when_they_are_set():
+    with pytest.raises(SceneError, match=r"links.gasket.keys: gasket: is not a key"):
+        Scene.load("console", ["links.gasket.keys=['gasket']", "gasket=3"])
+
+
 @pytest.mark.parametrize(
     ("assignment", "words"),
     [
         ("edges.left.translation=3", "links.gasket.keys: hold different numbers, edges.left.translation = 3.0, "),
         ("links.plate={keys=['plate.thickness']}", "links.plate: write a name"),
         ("links.glass={keys=['plate.thicknes']}", "links.glass.keys: plate.thicknes: is not a key of this scene"),
+        ("links.a={keys=['gasket']}", "links.a.keys: gasket: is not a key of this scene that holds a number"),
         ("links.glass={keys=[]}", "links.glass.keys = []: must be a list of 1 or more texts"),
     ],
 )

@@ -68,6 +68,8 @@ def _as_json(source: str, answer: SpecifiedDrive) -> dict[str, object]:
         "pareto": {"levels": answer.pareto_levels, "contrasts": answer.pareto_contrasts},
         "tolerances": [vars(row) for row in answer.scatter],
         "robust": answer.robust if answer.scatter else None,
+        f"robust_{driven}": answer.robust_peaks if answer.scatter else None,
+        "robust_phases": answer.robust_phases if answer.scatter else None,
         "notes": answer.notes,
     }
     return output.json_value(record)
@@ -79,11 +81,16 @@ def _print(source: str, answer: SpecifiedDrive, console: Console) -> None:
         met = "no drive was found that meets the specification; it is not proved that there is none"
     console.print(f"{answer.scene.title or source}: at {answer.frequency:.6g} Hz {'a drive ' * answer.feasible}{met}\n")
     unit = answer.unit
+    drives = [(answer.peaks, answer.phases)]
+    headings = ["actuator", f"limit ({unit})", f"peak ({unit})", "phase lag (°)"]
+    if answer.scatter:
+        drives.append((answer.robust_peaks, answer.robust_phases))
+        headings += [f"for all cases: peak ({unit})", "phase lag (°)"]
     rows = [
-        [name, f"{peak:.4g}", f"{math.degrees(answer.phases[name]):.1f}", f"{limit:.4g}"]
-        for (name, peak), limit in zip(answer.peaks.items(), answer.limits.tolist(), strict=True)
+        [name, f"{limit:.4g}", *(cell for one in drives for cell in (f"{one[0][name]:.4g}", _degrees(one[1][name])))]
+        for name, limit in zip(answer.peaks, answer.limits.tolist(), strict=True)
     ]
-    output.print_rows(console, ["actuator", f"peak ({unit})", "phase lag (°)", f"limit ({unit})"], rows, "")
+    output.print_rows(console, headings, rows, "")
     _print_levels(answer, console)
     rows = [
         [row.requirement, f"{row.wanted:.4g}", f"{row.reached:.4g}", row.unit, f"{round(row.margin_db, 2) + 0.0:+.2f}"]
@@ -102,6 +109,10 @@ def _print(source: str, answer: SpecifiedDrive, console: Console) -> None:
         _print_tolerances(answer, console)
     for line in answer.warnings:
         console.print(f"! {line}")
+
+
+def _degrees(phase: float) -> str:
+    return f"{math.degrees(phase):.1f}"
 
 
 def _print_levels(answer: SpecifiedDrive, console: Console) -> None:
@@ -124,7 +135,7 @@ def _print_tolerances(answer: SpecifiedDrive, console: Console) -> None:
     for case in answer.scatter:
         changes = ", ".join(f"{key} × {factor:g}" for key, factor in case.changes.items())
         levels = [f"{case.nominal_level:.3f}", f"{case.nominal_db:.2f}", f"{case.robust_level:.3f}"]
-        rows.append([changes, *levels, f"{case.robust_db:.2f}", f"{case.best_db:.2f}"])
-    headings = ["case", "nominal drive: level", "contrast (dB)", "one drive for all: level", "contrast (dB)"]
+        rows.append([changes, *levels, f"{case.robust_db:.2f}", "yes" if case.met else "no", f"{case.best_db:.2f}"])
+    headings = ["case", "nominal drive: level", "contrast (dB)", "one drive for all: level", "contrast (dB)", "met"]
     title = "Tolerances (levels over those wanted)"
     output.print_rows(console, [*headings, "retuned (dB)"], rows, "", title=title)

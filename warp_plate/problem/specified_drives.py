@@ -248,6 +248,17 @@ class Tone:
         in_rests = [self._measured(rest.allowance.measure, rest.region, drive) for rest in rests]
         return np.array(in_aims) / self.wanted, np.array(in_rests) / self.allowed
 
+    def is_met(self, drive: np.ndarray, tolerance: float) -> bool:
+        """Return whether a drive meets the specification to a relative tolerance; levels that are relative to the
+        targets' are so to the lowest of those that the drive reaches."""
+        in_aims, in_rests = self.reached(drive)
+        lowest = float(in_aims.min())
+        parts = [in_rests / [1.0 if rest.allowance.relative_db is None else lowest for rest in self.requirements.rests]]
+        parts += [np.abs(drive), 1 / in_aims]
+        if (power := self.requirements.specification.limits.power) is not None:
+            parts.append(np.linalg.norm(self.power_factor @ drive, keepdims=True) / math.sqrt(power))
+        return bool((np.concatenate(parts) <= 1 + tolerance).all())
+
     def _measured(self, measure: str, region: Region, drive: np.ndarray) -> float:
         if measure == "mean":
             return self._mean(region, drive)

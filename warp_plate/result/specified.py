@@ -44,6 +44,7 @@ class Scatter:
     robust_level: float  # the same of the one drive for all cases
     robust_db: float
     best_db: float  # contrast of the best drive for this case alone [dB]
+    met: bool  # true if the one drive for all cases meets the specification in this case
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,21 +79,31 @@ class SpecifiedDrive:
     field_db: np.ndarray  # (ny, nx) acceleration over the least wanted level [dB]
     guard: Sequence[np.ndarray]  # closed outlines (points, 2) [m] of where levels elsewhere hold
     scatter: Sequence[Scatter]
+    robust_drive: np.ndarray  # (actuators,) the one drive for all cases, in ``unit``; NaN without tolerances
     notes: Sequence[str]  # what should be known of the answer, in sentences
 
     @property
     def peaks(self) -> dict[str, float]:
         """Peak forces [N] or voltages [V] by the names of the actuators."""
-        return dict(zip(self._names, np.abs(self.drive).tolist(), strict=True))
+        return self._named(np.abs(self.drive))
 
     @property
     def phases(self) -> dict[str, float]:
         """Phase lags [rad], -π to π, by the names of the actuators."""
-        return dict(zip(self._names, (-np.angle(self.drive)).tolist(), strict=True))
+        return self._named(-np.angle(self.drive))
 
     @property
-    def _names(self) -> list[str]:
-        return [actuator.name for actuator in self.scene.actuators]
+    def robust_peaks(self) -> dict[str, float]:
+        """Peaks of the one drive for all cases of the tolerances, as ``peaks``."""
+        return self._named(np.abs(self.robust_drive))
+
+    @property
+    def robust_phases(self) -> dict[str, float]:
+        """Phase lags of the one drive for all cases of the tolerances, as ``phases``."""
+        return self._named(-np.angle(self.robust_drive))
+
+    def _named(self, values: np.ndarray) -> dict[str, float]:
+        return dict(zip((actuator.name for actuator in self.scene.actuators), values.tolist(), strict=True))
 
     def driven_scene(self) -> Scene:
         """Return the scene with the drive and its frequency."""
@@ -104,7 +115,7 @@ class SpecifiedDrive:
     @property
     def robust(self) -> bool:
         """True if one drive meets the specification in all cases of the tolerances."""
-        return all(case.robust_level >= 1 - 1e-6 for case in self.scatter)
+        return bool(self.scatter) and all(case.met for case in self.scatter)
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -50,7 +50,7 @@ def linked_keys(scene: SceneTables, key: str) -> list[str]:
 
 def check_links(scene: SceneTables) -> None:
     """Raise ValueError, naming the link, unless every link has keys that hold the same number."""
-    kinds = scalar_keys(scene)
+    kinds = {key: kind for key, kind in scalar_keys(scene).items() if key not in scene.links}
     for name in scene.links:
         head = f"links.{name}"
         if not name.isidentifier() or name in type(scene).model_fields:
@@ -180,7 +180,8 @@ def put(tables: dict[str, Any], key: str, value: Any, shown: str) -> None:
     if isinstance(links, dict) and isinstance(links.get(key), dict):
         inner = links[key].get("keys")
         for other in inner if isinstance(inner, list) else []:
-            put(tables, str(other), value, shown)
+            if other not in links:  # a link of links is refused once the scene is whole
+                put(tables, str(other), value, shown)
         return
     *path, last = key_parts(key)
     holder: Any = tables

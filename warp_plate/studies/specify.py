@@ -76,7 +76,11 @@ def specify(
     answer = _answer(tone, scaled, result, scales, frequencies)
     answer = replace(answer, notes=_notes(scene, specification, tone.frequency))
     if specification.tolerance and tolerances:
-        answer = replace(answer, scatter=_scatter(tone, scaled, result))
+        robust, scatter = _scatter(tone, scaled, answer.drive / answer.limits)
+        met, notes = sum(case.met for case in scatter), list(answer.notes)
+        if met < len(scatter):
+            notes.append(f"the one drive for all cases meets the specification in {met} of {len(scatter)} cases")
+        answer = replace(answer, scatter=scatter, robust_drive=robust * answer.limits, notes=notes)
     return answer
 
 
@@ -180,6 +184,7 @@ def _answer(
         field_db=_field(tone, drive),
         guard=[line for rest in rests for line in rest.region.lines],
         scatter=(),
+        robust_drive=np.full(len(limits), np.nan),
         notes=(),
     )
 
@@ -272,8 +277,9 @@ def _field(tone: Tone, drive: np.ndarray) -> np.ndarray:
         return np.asarray(20 * np.log10(np.abs(tone.field(drive, x, y)) / tone.wanted.min()))
 
 
-def _scatter(tone: Tone, scaled: Scaled, nominal: LeastScale) -> list[Scatter]:
-    """Return all cases of the tolerances, with one drive for all of them, the nominal and the best ones."""
+def _scatter(tone: Tone, scaled: Scaled, nominal: np.ndarray) -> tuple[np.ndarray, list[Scatter]]:
+    """Return one drive (actuators,) for all cases of the tolerances; and the cases, with this drive, the nominal one
+    and the best ones."""
     scene, specification = tone.plate.scene, tone.requirements.specification
     keys = {resolved_key(scene, key): part for key, part in specification.tolerance.items()}
     cases = [dict(zip(keys, signs, strict=True)) for signs in itertools.product((-1, 0, 1), repeat=len(keys))]
@@ -284,22 +290,26 @@ def _scatter(tone: Tone, scaled: Scaled, nominal: LeastScale) -> list[Scatter]:
         varied = scene.with_values({key: float(value_of(scene, key)) * factor for key, factor in case.items()})
         plate = solve_modes(varied, tone.frequency)
         tones.append(replace(tone, plate=plate, requirements=make_requirements(plate), points={}))
-    robust = nominal
-    drive = nominal.drive
-    for _ in range(ROTATIONS):
-        rotated = [one.rotated(drive) for one in tones]
-        following = solve_together(rotated, scaled)
-        stalled = robust is not nominal and following.scale > robust.scale * (1 - 1e-4)
-        if stalled or not math.isfinite(following.scale):
-            break
-        robust, drive = following, following.drive
-    rows = []
+    robust, rows = _drive_for_all(tones, scaled, nominal), []
     for one, case in zip(tones, factors, strict=True):
-        nominal_level, nominal_db = _level_and_contrast(one, nominal.drive)
-        robust_level, robust_db = _level_and_contrast(one, robust.drive)
+        nominal_level, nominal_db = _level_and_contrast(one, nominal)
+        robust_level, robust_db = _level_and_contrast(one, robust)
         best = _contrast(one, one.solve(scaled).scale)
-        rows.append(Scatter(case, nominal_level, nominal_db, robust_level, robust_db, best))
-    return rows
+        met = one.is_met(robust, NOTHING)
+        rows.append(Scatter(case, nominal_level, nominal_db, robust_level, robust_db, best, met))
+    return robust, rows
+
+
+def _drive_for_all(tones: Sequence[Tone], scaled: Scaled, drive: np.ndarray) -> np.ndarray:
+    """Return the best drive (actuators,) for all tones, in rounds from a given one, which is returned if none reaches
+    the levels of all."""
+    least = math.inf
+    for _ in range(ROTATIONS):
+        result = solve_together([one.rotated(drive) for one in tones], scaled)
+        if not result.scale < least * (1 - 1e-4):
+            break
+        least, drive = result.scale, result.drive
+    return drive
 
 
 def _level_and_contrast(tone: Tone, drive: np.ndarray) -> tuple[float, float]:
