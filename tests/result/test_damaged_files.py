@@ -100,14 +100,13 @@ def test_a_checkpoint_that_contradicts_itself_is_refused(written_files, tmp_path
         assert words in refusal_of(load_checkpoint, path)
 
 
-def test_a_limit_on_the_size_of_files(written_files, tmp_path):
+def test_a_limit_on_the_size_of_files(written_files, tmp_path, caplog):
     """Writes that fail half-way, as on a full disk, keep the old files; a search warns of it once."""
     resource = pytest.importorskip("resource", reason="Windows has no limit on the size of files")
     binary, path = tmp_path / "file.bin", tmp_path / "a.checkpoint.h5"
     write_atomically(b"whole", binary)
     path.write_bytes(written_files["checkpoint"][0])
-    checkpoint, warned = load_checkpoint(path), []
-    file = CheckpointFile(path, 0, warned.append)
+    checkpoint, file = load_checkpoint(path), CheckpointFile(path, 0)
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (5000, before[1]))
     try:
@@ -117,7 +116,7 @@ def test_a_limit_on_the_size_of_files(written_files, tmp_path):
         file.save(checkpoint)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    (line,) = warned
+    (line,) = caplog.messages
     assert line.startswith(f"{path}: cannot be written: File too large")
     found = {entry.name: entry.read_bytes() for entry in tmp_path.iterdir()}
     assert found == {"file.bin": b"whole", "a.checkpoint.h5": written_files["checkpoint"][0]}

@@ -112,7 +112,7 @@ def localize(
         with output.scene_errors(scene or "--accuracy"):
             loaded, checkpoint = _load_checkpoint(resume, search, loaded, changes, local, workers.path)
     output.check_overwriting(target.with_suffix(ENDING), "a checkpoint", files.force or resume is not None)
-    file = warp_plate.CheckpointFile(target.with_suffix(ENDING), checkpoint_every, output.log)
+    file = warp_plate.CheckpointFile(target.with_suffix(ENDING), checkpoint_every)
     if checkpoint is None and file.path.exists():
         output.log(f"{file.path} holds an unfinished search; a checkpoint of this one will replace it")
     if files.pictures:

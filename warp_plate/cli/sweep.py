@@ -98,7 +98,7 @@ def sweep(
     on_workers = workers.devices is not None or workers.cluster is not None
     with output.scene_errors(scene):
         start = open_sweep(request, target, resume, workers.device, on_workers, output.log, files.force)
-    file = CheckpointFile(target.with_suffix(".checkpoint.h5"), checkpoint_every, output.log)
+    file = CheckpointFile(target.with_suffix(".checkpoint.h5"), checkpoint_every)
     with output.resumable(file, "sweep"):
         with workers.open_pool() as pool, output.progress_bar("sweeping", not files.json, start.scene) as show:
             show(len(start.plan) - len(start.pending), len(start.plan), start.progress)

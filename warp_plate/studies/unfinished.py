@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import platform
 import time
-import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from glob import escape
 from pathlib import Path
 from typing import Any
@@ -30,9 +30,10 @@ EVERY = 30.0
 class CheckpointFile:
     """The file that holds an unfinished search or sweep.
 
+    If it cannot be written, the logger "warp_plate" gets a line, the study continues, and the last file stays.
+
     Args:
         every: least seconds between two saves; 0 saves whenever possible, infinity only when the study is interrupted.
-        warn: called with one line if the file cannot be written. The study then continues, and the last file stays.
 
     Attributes:
         saved: study that was written last, or None.
@@ -41,12 +42,12 @@ class CheckpointFile:
         SceneError: ``every`` is negative or NaN.
     """
 
-    def __init__(self, path: Path, every: float = EVERY, warn: Callable[[str], object] = warnings.warn) -> None:
+    def __init__(self, path: Path, every: float = EVERY) -> None:
         if not every >= 0:
             raise SceneError(f"checkpoint-every = {every:g}: must be a number of seconds, 0 or more")
         self.path, self.every = path, every
         self.saved: Checkpoint | Sweep | None = None
-        self._warn, self._warned = warn, False
+        self._warned = False
         self._last = time.monotonic()
 
     def due(self) -> bool:
@@ -63,7 +64,7 @@ class CheckpointFile:
                 save_sweep(study, self.path)
         except (SceneError, OSError) as error:
             if not self._warned:
-                self._warn(f"{error}; continuing without")
+                logging.getLogger("warp_plate").warning("%s; continuing without", error)
             self._warned = True
             return
         self.saved, self._warned = study, False
