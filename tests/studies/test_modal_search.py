@@ -9,10 +9,11 @@ from warp_plate.modal.gram import Means, gram_matrices
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.optimize.quadratic import real_parts
 from warp_plate.plate.designs import Designs, PerPlate
-from warp_plate.problem.methods import with_method
+from warp_plate.problem.methods import resolve_search, with_method
 from warp_plate.problem.problem import make_problem
 from warp_plate.resolve import resolve
 from warp_plate.solve.solver import PlateSolver
+from warp_plate.studies.spectrum import factors_over
 
 FREE_DRIVES = {"magnitude": {"range": (0.0, 2.0)}, "phase": {}}
 FINGER = {"area": (0.09, 0.11, 0.09, 0.11), "mass": 0.002, "stiffness": 400.0, "damping": 0.2}
@@ -117,6 +118,45 @@ def test_a_search_without_a_method_is_exact_and_by_modes_where_it_can_be():
         ({"search": {"limits": {"magnitude": 2.0, "power": 3.0}}}, "exact"),
     ):
         assert with_method(paper(**tables)).search.method == method
+
+
+def test_a_common_frequency_alone_is_taken_from_the_spectrum(scene):
+    """Without a method, the best drive at every frequency that the spectrum has, and between them, is exact."""
+    search = {"magnitude": {"range": [0.0, 1.0]}, "phase": {}, "frequency": {"range": [60.0, 200.0]}}
+    made = scene(effects={"loss_factor": {"eta": 0.02}}, search=search, modal_density=0.5)
+    found = localize(made, device="cpu", estimate=False)
+    assert found.scene.search.method == "exact"
+    best = found.cases["best"]
+    assert best.localization_factor >= found.spectrum["best"].max() * (1 - 1e-9)
+    # No frequency of a dense set around it is better.
+    resolved = resolve(made, "cpu", evaluator="modal")
+    near = best.frequency[0] + np.linspace(-0.5, 0.5, 41)
+    factors = factors_over(resolved, near[(near >= 60) & (near <= 200)])["best"]
+    assert best.localization_factor >= factors.max() * (1 - 1e-9)
+    alone = localize(
+        made.with_tables(search={"frequency": {"range": [60.0, 200.0]}}), device="cpu", estimate=False, spectrum=False
+    )
+    assert alone.scene.search.method == "exact"
+    assert alone.cases["best"].localization_factor <= best.localization_factor
+    for more in ({"method": "ring"}, {"position": {}}, {"particles": 4}):
+        assert resolve_search(made.with_tables(search={**search, **more}), "cpu").scene.search.method != "exact"
+
+
+def test_a_best_frequency_at_the_end_of_its_range_is_said(scene):
+    drives = {"magnitude": {"range": [0.0, 1.0]}, "phase": {}}
+    made = scene(effects={"loss_factor": {"eta": 0.02}}, modal_density=0.5)
+
+    def ends_of(low, high):
+        searched = made.with_tables(search={**drives, "frequency": {"range": [low, high]}})
+        result = localize(searched, device="cpu", estimate=False, spectrum=False)
+        return result.cases["best"].frequency[0], [line for line in result.warnings if "search.frequency" in line]
+
+    best, lines = ends_of(60.0, 200.0)
+    assert 61 < best < 199
+    assert not lines
+    end, lines = ends_of(best - 3, best - 1)
+    assert end == pytest.approx(best - 1)
+    assert [line.split(":")[0] for line in lines] == [f"search.frequency.range = [{best - 3:g}, {best - 1:g}]"]
 
 
 def test_a_spectrum_follows_every_resonance(scene):

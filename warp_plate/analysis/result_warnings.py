@@ -11,6 +11,9 @@ from warp_plate.problem.objectives import keeps_limit
 from warp_plate.result.model import Result
 from warp_plate.scene.vary import counted
 
+# Part of a range within which a value is its end.
+NEAR_END = 1e-4
+
 
 def result_warnings(result: Result) -> tuple[str, ...]:
     """Return the warnings of a result: effects that its scene lacks, plates that failed, settings without effect."""
@@ -30,10 +33,29 @@ def result_warnings(result: Result) -> tuple[str, ...]:
     for kind in exceeded_limits(result):
         lines.append(f"{kind} of the rest: no drive within the limit was found{remedy}; the nearest one is shown")
     if result.command == "localize":
-        lines += [*search_warnings(result.scene), *unread_keys(result.scene.search)]
+        lines += [*search_warnings(result.scene), *range_warnings(result), *unread_keys(result.scene.search)]
     scene = result.case_scene(result.main_case)
     lines += target_warnings(scene, result.main_case.localization_factor)
     return (*lines, *warning_texts(scene, result.peak_displacement, gridded=not result.by_modes))
+
+
+def range_warnings(result: Result) -> list[str]:
+    """Return a warning if the best frequency is an end of the range in which it was searched."""
+    table, searched = result.scene.search.frequency, result.cases["best"].frequency
+    if table is None or searched is None:
+        return []
+    names = [actuator.name for actuator in result.scene.actuators]
+    low, high = table.range
+    ends = {
+        f"{value:.4g}": None
+        for name, value in zip(names, searched, strict=True)
+        if name in (table.actuators or names) and min(value - low, high - value) <= NEAR_END * (high - low)
+    }
+    return [
+        f"search.frequency.range = [{low:g}, {high:g}]: the best frequency, {end} Hz, is an end of it; a wider range "
+        "may hold a better one."
+        for end in ends
+    ]
 
 
 def exceeded_limits(result: Result) -> list[str]:

@@ -111,23 +111,23 @@ def _with_column(array: np.ndarray, column: int, values: np.ndarray) -> np.ndarr
 
 
 class ExactSearch(Optimizer):
-    """The position of :func:`best_position`, in the shape of a search with one iteration."""
+    """Positions (n, dimension) of which one is the best or near it, in the shape of a search with one iteration."""
 
     FORMAT = "exact 2"
 
-    def __init__(self, space: SearchSpace, problem: Quadratic | None) -> None:
+    def __init__(self, space: SearchSpace, positions: np.ndarray) -> None:
         super().__init__(space, SearchSettings())
-        self.positions = best_position(space, problem)[None]
+        self.positions = positions
 
     def stop(self) -> dict[str, int]:
-        """Return {"exact": 1} once the loss of the position is known."""
+        """Return {"exact": 1} once the losses of the positions are known."""
         return {"exact": self.iterations} if self.iterations else {}
 
     def _propose(self) -> np.ndarray:
         return self.positions
 
     def _learn(self, losses: np.ndarray) -> None:
-        """Learn nothing: the position is the best."""
+        """Learn nothing: the best of them is recorded."""
 
 
 def best_position(space: SearchSpace, problem: Quadratic | None) -> np.ndarray:

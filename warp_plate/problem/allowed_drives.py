@@ -17,7 +17,6 @@ import numpy as np
 from warp_plate.optimize.quadratic import real_parts
 from warp_plate.plate.designs import Designs
 from warp_plate.problem.design_variables import has_design_tables, only_ratios
-from warp_plate.problem.objectives import Objectives
 from warp_plate.problem.parametrization import Parametrization
 from warp_plate.quantities.region_quantities import REGION_QUANTITIES
 from warp_plate.solve.response import largest_ratio
@@ -98,15 +97,22 @@ def allowed_drives(parametrization: Parametrization) -> AllowedDrives:
     return AllowedDrives(lower, upper, phase, limits.power, equal, scaled=bool((lower > 0).any()))
 
 
-def has_free_drives(parametrization: Parametrization, objectives: Objectives) -> bool:
+def has_free_drives(parametrization: Parametrization) -> bool:
     """Return whether each design may have its best drive: only the ratio of energies matters, and magnitudes and phases
     are free up to a common factor."""
-    if not parametrization.scene.linear or parametrization.only_drives:
+    scene = parametrization.scene
+    if not scene.linear or parametrization.only_drives:
         return False
     # Where all objectives grow with the localization factor, so does their sum.
-    grows = all(REGION_QUANTITIES[term.kind].bounded_by == "localization" for term in objectives.terms)
-    ratio = grows and not objectives.limits
-    return ratio and allowed_drives(parametrization).free
+    grows = all(REGION_QUANTITIES[term.kind].bounded_by == "localization" for term in scene.search.objectives)
+    return grows and allowed_drives(parametrization).free
+
+
+def searches_only_frequency(parametrization: Parametrization) -> bool:
+    """Return whether one frequency is all that a search by modes has to choose."""
+    free = has_free_drives(parametrization)
+    searched = (parametrization.without_drives if free else parametrization).variables
+    return parametrization.scene.linear and [variable.kind for variable in searched] == ["frequency"]
 
 
 def best_drives(parametrization: Parametrization, designs: Designs, matrices: np.ndarray) -> tuple[Designs, np.ndarray]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,9 @@ from warp_plate.optimize.cma_es import CovarianceSearch
 from warp_plate.optimize.gradient import GradientSearch, Slopes
 from warp_plate.optimize.optimizer import MethodError, Optimizer, SearchSettings, SearchSpace
 from warp_plate.optimize.pso import Swarm, SwarmSettings
-from warp_plate.optimize.quadratic import ExactSearch, Quadratic, starting_position
+from warp_plate.optimize.quadratic import ExactSearch, Quadratic, best_position, starting_position
 from warp_plate.plate.memory import refuse_beyond_memory
-from warp_plate.problem.allowed_drives import allowed_drives
+from warp_plate.problem.allowed_drives import allowed_drives, searches_only_frequency
 from warp_plate.problem.objectives import loss_scale
 from warp_plate.problem.parametrization import parametrization_of
 from warp_plate.quantities.region_quantities import REGION_QUANTITIES
@@ -45,11 +46,13 @@ def make_optimizer(
     state: Mapping[str, Any] | None = None,
     slopes: Slopes | None = None,
     start: np.ndarray | None = None,
+    candidates: np.ndarray | None = None,
 ) -> Optimizer:
     """Return the method of a table ``[search]``, at its beginning or in a state that ``Optimizer.state`` returned.
 
     "exact" and "gradient" need a problem whose losses follow from quadratic forms of the drive; for "gradient" slopes
-    of losses will do. Swarms and clouds contain the position ``start`` (dimension,), and descents begin there too.
+    of losses will do. Swarms and clouds contain the position ``start`` (dimension,), and descents begin there too;
+    "exact" takes the best of ``candidates`` (n, dimension) if there are some.
     SceneError: the method does not fit the problem, is not installed or takes too much memory.
     ValueError: the state is not that of such a search.
     """
@@ -60,7 +63,7 @@ def make_optimizer(
     if method == "gradient" and problem is not None:
         start = starting_position(space, problem)
     makers: dict[str, Callable[[], Optimizer]] = {
-        "exact": lambda: ExactSearch(space, problem),
+        "exact": lambda: ExactSearch(space, best_position(space, problem)[None] if candidates is None else candidates),
         "cma": lambda: CovarianceSearch(space, _settings(search, seed), start),
         "gradient": lambda: GradientSearch(space, slopes, _settings(search, seed), start),
     }
@@ -108,10 +111,9 @@ def with_method(scene: Scene) -> Scene:
     search = scene.search
     if search.method is not None:
         return scene
-    plain = all(getattr(search, key) == Search.model_fields[key].default for key in (*READ_BY, "robust"))
     bounded_by = REGION_QUANTITIES[search.objectives[0].kind].bounded_by if len(search.objectives) == 1 else None
     method = "pso"
-    if plain and bounded_by is not None and scene.linear and len(scene.actuators) > 1:
+    if _is_plain(search) and bounded_by is not None and scene.linear and len(scene.actuators) > 1:
         parametrization = parametrization_of(scene)
         if parametrization.only_drives:
             free = bounded_by == "localization" and allowed_drives(parametrization).free
@@ -119,12 +121,22 @@ def with_method(scene: Scene) -> Scene:
     return scene.model_copy(update={"search": search.model_copy(update={"method": method})})
 
 
+def _is_plain(search: Search) -> bool:
+    """Return whether a search is not robust and has no key of a swarm."""
+    return all(getattr(search, key) == Search.model_fields[key].default for key in (*READ_BY, "robust"))
+
+
 def resolve_search(written: Scene, device: str, path: str = "auto", evaluator: str | None = None) -> Resolved:
     """Return a scene resolved for its search, with a method; SceneError: see :func:`resolve`, or too many particles."""
     scene = with_method(written)
     refuse_many_particles(scene.search, len(parametrization_of(scene).variables))
-    exact = written.search.method is None and scene.search.method == "exact"
-    return resolve(scene, device, purpose="exact" if exact else "search", path=path, evaluator=evaluator)
+    free = written.search.method is None
+    exact = free and scene.search.method == "exact"
+    resolved = resolve(scene, device, purpose="exact" if exact else "search", path=path, evaluator=evaluator)
+    if free and resolved.by_modes and _is_plain(written.search) and searches_only_frequency(parametrization_of(scene)):
+        search = resolved.scene.search.model_copy(update={"method": "exact"})
+        return replace(resolved, scene=resolved.scene.model_copy(update={"search": search}))
+    return resolved
 
 
 def swarm_settings(search: Search, seed: int) -> SwarmSettings:

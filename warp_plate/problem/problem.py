@@ -113,7 +113,7 @@ class Problem:
     @cached_property
     def nominal(self) -> Problem:
         """The same search on the nominal plate only, with the same solvers."""
-        projected = self.evaluator_name == "modal" and has_free_drives(self.parametrization, self.objectives)
+        projected = self.evaluator_name == "modal" and has_free_drives(self.parametrization)
         return replace(self, scenario_losses=None, projected=projected)
 
     @property
@@ -381,7 +381,7 @@ def make_problem(resolved: Resolved, matrices: np.ndarray | None = None, pool: W
     scenarios = None
     if robust is not None:
         scenarios = _scenario_losses(resolved, robust, pool, measured=name != "direct" and quadratic)
-    projected = name == MODAL and robust is None and has_free_drives(parametrization, objectives)
+    projected = name == MODAL and robust is None and has_free_drives(parametrization)
     return Problem(
         parametrization=parametrization,
         objectives=objectives,

@@ -65,7 +65,8 @@ def cost_of_search(resolved: Resolved) -> Cost:
     scene, search = parametrization.scene, parametrization.scene.search
     resolved, evaluator = resolved.with_scene(scene), evaluator_of(resolved, parametrization)
     scenarios = search.robust.scenarios if search.robust is not None else 1
-    candidates = max(1, len(scene.targets)) * (1 if search.method == "exact" else search.particles * search.iterations)
+    one = search.method == "exact" and parametrization.only_drives
+    candidates = max(1, len(scene.targets)) * (1 if one else search.particles * search.iterations)
     measured = 0
     if not resolved.by_modes and parametrization.quadratic:
         measured = response.count_unit_drives(len(scene.actuators))

@@ -173,7 +173,8 @@ class Search(Table):
         Literal["pso", "constriction", "ring", "cma", "gradient", "exact"] | None, Field(examples=["cma"])
     ] = None
     """Method (default in linear scenes where only drives vary, with one objective and no key of a swarm: "exact" if all
-    magnitudes and phases are free and a ratio counts, else "gradient"; otherwise "pso")."""
+    magnitudes and phases are free and a ratio counts, else "gradient"; by modes "exact" if only a frequency is left;
+    otherwise "pso")."""
     particles: Annotated[int, Field(ge=2, le=10_000_000, examples=[40])] = 20
     """Number of candidates in each iteration."""
     iterations: Annotated[int, Field(ge=1, le=1_000_000_000, examples=[200])] = 80

@@ -14,10 +14,12 @@ import scipy
 
 from warp_plate.cluster.evaluator import Evaluator
 from warp_plate.interrupts import SecondInterrupt, check_interrupt, deferred_interrupts
-from warp_plate.modal.solver import MODAL
+from warp_plate.modal.poles import adaptive_frequencies
+from warp_plate.modal.solver import MODAL, ModalSolver
 from warp_plate.optimize.optimizer import MethodError, Optimizer, minimize
-from warp_plate.optimize.quadratic import best_position
+from warp_plate.optimize.quadratic import ExactSearch, best_position
 from warp_plate.plate.weights import REGIONS
+from warp_plate.problem.allowed_drives import searches_only_frequency
 from warp_plate.problem.evaluate_cases import reference_phasors
 from warp_plate.problem.methods import make_optimizer
 from warp_plate.problem.objectives import loss_scale
@@ -36,6 +38,8 @@ STEP = 1e-6
 # A descent ends where a step gains less, and the search where a round of descents does, as a part of the loss's scale.
 TOLERANCE, GAIN = 1e-10, 1e-7
 MOST_STEPS, MOST_ROUNDS = 40, 5
+# Error of the best frequency, as a part of it.
+FREQUENCY_TOLERANCE = 1e-8
 
 
 def run_search(
@@ -100,7 +104,9 @@ def search_optimizer(problem: Problem, seed: int, state: Mapping[str, Any] | Non
         return None
     try:
         search, slopes = problem.scene.search, problem.slopes
-        return make_optimizer(search, problem.space, seed, problem.quadratic, state, slopes, problem.start)
+        candidates = _frequencies(problem)
+        start = problem.start if candidates is None else None
+        return make_optimizer(search, problem.space, seed, problem.quadratic, state, slopes, start, candidates)
     except SceneError:
         raise
     except ValueError as error:
@@ -147,7 +153,10 @@ def finish_search(
     problem.complete(position)  # refuse places without clearance before the descent
     by_modes = problem.evaluator_name == MODAL and problem.scenario_losses is None
     if by_modes and not problem.parametrization.only_drives and not interrupted:
-        position, best, further = polish(problem, position, best)
+        if isinstance(optimizer, ExactSearch):
+            position, best, further = _refine(problem, position, best, optimizer.positions[:, 0])
+        else:
+            position, best, further = polish(problem, position, best)
     elif nominal_position is not None or problem.objectives.limits:
         other = problem.with_best_drive(position) if nominal_position is None else nominal_position
         loss = float(problem.losses(other[None])[0])
@@ -247,6 +256,31 @@ def with_target(problem: Problem, index: int) -> Problem:
     resolved, parametrization = problem.resolved.with_scene(scene), replace(problem.parametrization, scene=scene)
     plates = replace(problem.plates, drives=Evaluator(resolved.solver(areas=scene.target_regions)))
     return replace(problem, resolved=resolved, parametrization=parametrization, plates=plates)
+
+
+def _frequencies(problem: Problem) -> np.ndarray | None:
+    """Return rising frequencies (n, 1) [Hz] that follow every resonance; None unless they are all that is searched, by
+    modes and the method "exact"."""
+    table, solver = problem.scene.search.frequency, problem.plates.designs.solver
+    if problem.scene.search.method != "exact" or table is None or not isinstance(solver, ModalSolver):
+        return None
+    if problem.scenario_losses is not None or not searches_only_frequency(problem.parametrization):
+        return None
+    return adaptive_frequencies(*solver.plate.resonances, *table.range)[:, None]
+
+
+def _refine(problem: Problem, position: np.ndarray, loss: float, tried: np.ndarray) -> tuple[np.ndarray, float, int]:
+    """Return the best frequency (1,) near the best of those tried (n,), its loss, and the number of evaluations."""
+    at = int(np.searchsorted(tried, position[0]))
+    result = scipy.optimize.minimize_scalar(
+        lambda frequency: float(problem.losses(np.array([[frequency]]))[0]),
+        bounds=(tried[max(at - 1, 0)], tried[min(at + 1, len(tried) - 1)]),
+        method="bounded",
+        options={"xatol": FREQUENCY_TOLERANCE * position[0]},
+    )
+    if result.fun < loss:
+        position, loss = np.array([result.x]), float(result.fun)
+    return position, loss, result.nfev
 
 
 def polish(problem: Problem, position: np.ndarray, loss: float) -> tuple[np.ndarray, float, int]:
