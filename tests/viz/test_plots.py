@@ -82,6 +82,14 @@ def test_the_largest_responses_are_coloured_and_natural_frequencies_explained(dr
     assert {f"({20 + 20 * index}, 50) mm → (70, 110) mm" in texts for index in largest} == {True}
 
 
+def test_one_input_has_panels_of_magnitude_and_phase_alone(drawn):
+    """Localization and mean square velocity compare inputs."""
+    found = frf(scene_of(damping=20.0), [(0.02, 0.05)], [(0.07, 0.11), (0.1, 0.1)], (50.0, 300.0))
+    figure, texts = drawn(draw_frequency_response, found)
+    assert [axes.get_ylabel() for axes in figure.axes] == ["mobility [(m/s)/N]", "phase [°]"]
+    assert "(20, 50) mm → (70, 110) mm" in texts
+
+
 def search_result(names=(), **search):
     """A result of a search for targets of these names."""
     made = scene_of(nodes=(11, 11), search=search).model_dump()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -49,10 +50,13 @@ LENGTH, MOST_WAVEFORMS, BURST_PERIODS, PULSE_PERIODS = 2.0, 8, 16, 50
 
 
 def draw_frequency_response(response: FrequencyResponse, path: str | Path) -> None:
-    """Draw the responses of all pairs, with ticks at natural frequencies, above what goes with their drives."""
-    x = response.frequencies
-    with figure(path, (7.2, 8.0), font_size=9) as fig:
-        magnitude, phase, localization, velocity = fig.subplots(4, 1, sharex=True, height_ratios=[2.2, 1, 1.2, 1.4])
+    """Draw the responses of all pairs, with ticks at natural frequencies; those of several inputs above the
+    localization factor of the scene's drive and the mean square velocity that each input causes."""
+    x, several = response.frequencies, len(response.inputs) > 1
+    heights = [2.2, 1, 1.2, 1.4] if several else [2.2, 1]
+    with figure(path, (7.2, 8.0 if several else 4.9), font_size=9) as fig:
+        panels = fig.subplots(len(heights), 1, sharex=True, height_ratios=heights)
+        magnitude, phase, *others = panels
         extent = np.abs(np.concatenate([response.points, response.input_places])).max(initial=0)
         names = [_input_label(response, index, extent) for index in range(len(response.inputs))]
         places = [f"({point_text(point, [extent])})" for point in response.points]
@@ -60,38 +64,50 @@ def draw_frequency_response(response: FrequencyResponse, path: str | Path) -> No
         labels = [f"{name} → {place} {unit}" for name in names for place in places]
         for index, look in _plot(magnitude, x, np.abs(response.responses), labels).items():
             phase.plot(x, _unbroken(response.responses[index]), **look)
-        _plot(velocity, x, response.mean_square_velocity, names)
-        localization.plot(x, response.bound, color=BOUND, linewidth=1.0, linestyle="--", label="bound")
-        localization.plot(x, response.localization_factor, color=FACTOR, linewidth=1.2, label="drive of the scene")
-        _set_axes(response, magnitude, phase, localization, velocity)
+        phase.set(ylabel="phase [°]", ylim=(-190, 190), yticks=(-180, -90, 0, 90, 180))
+        _set_frequency_axes(response, panels)
+        _set_log_axis(magnitude, np.abs(response.responses), MOST_DECADES, f"{response.quantity} [{response.unit}]")
+        if several:
+            _draw_localization(response, others[0])
+            _plot(others[1], x, response.mean_square_velocity, names)
+            label = "mean square\nvelocity [(m/s)²/N²]"
+            _set_log_axis(others[1], response.mean_square_velocity, 2 * MOST_DECADES, label)
+            _add_legend(others[1], len(names))
         _add_legend(magnitude, len(response.responses), marked=response.natural_frequencies.size > 0)
-        _add_legend(localization, 0)
-        _add_legend(velocity, len(names))
         fig.suptitle(response.title or f"{response.quantity} of the plate", fontsize=10)
         fig.align_ylabels()
 
 
-def _set_axes(response: FrequencyResponse, magnitude: Axes, phase: Axes, localization: Axes, velocity: Axes) -> None:
-    """Set scales, limits and labels, and mark the natural frequencies at the lower end of every panel."""
-    x = response.frequencies
+def _draw_localization(response: FrequencyResponse, axes: Axes) -> None:
+    """Draw the localization factor of the scene's drive, and the largest one of any drive."""
+    axes.plot(response.frequencies, response.bound, color=BOUND, linewidth=1.0, linestyle="--", label="bound")
+    factor = response.localization_factor
+    axes.plot(response.frequencies, factor, color=FACTOR, linewidth=1.2, label="drive of the scene")
+    largest = np.nanmax([response.bound, factor], initial=0.01)
+    axes.set(ylabel="localization\nfactor", ylim=(0, 1.05 * min(largest, 1)))
+    _add_legend(axes, 0)
+
+
+def _set_frequency_axes(response: FrequencyResponse, panels: Sequence[Axes]) -> None:
+    """Set and label the shared frequency axis, and mark the natural frequencies at the lower end of every panel."""
+    x, last = response.frequencies, panels[-1]
     if x[-1] >= LOGARITHMIC * x[0]:
-        velocity.set_xscale("log")
-    velocity.set(xlim=x[[0, -1]], xlabel="frequency [Hz]", ylabel="mean square\nvelocity [(m/s)²/N²]")
-    if velocity.get_xscale() == "log":
-        number_log_axis(velocity.xaxis)
-    magnitudes, squares = (magnitude, np.abs(response.responses), 1), (velocity, response.mean_square_velocity, 2)
-    for axes, values, power in (magnitudes, squares):
-        axes.set_yscale("log")
-        axes.set_ylim(*_limits(values, power * MOST_DECADES))
-        number_log_axis(axes.yaxis)
-    magnitude.set_ylabel(f"{response.quantity} [{response.unit}]")
-    phase.set(ylabel="phase [°]", ylim=(-190, 190), yticks=(-180, -90, 0, 90, 180))
-    largest = np.nanmax([response.bound, response.localization_factor], initial=0.01)
-    localization.set(ylabel="localization\nfactor", ylim=(0, 1.05 * min(largest, 1)))
-    for axes in (magnitude, phase, localization, velocity):
+        last.set_xscale("log")
+    last.set(xlim=x[[0, -1]], xlabel="frequency [Hz]")
+    if last.get_xscale() == "log":
+        number_log_axis(last.xaxis)
+    for axes in panels:
         axes.grid(True, color=GRID, linewidth=0.4, alpha=0.4)
         ticks = axes.get_xaxis_transform()
         axes.vlines(response.natural_frequencies, 0, 0.05, color=MARK, linewidth=0.8, transform=ticks)
+
+
+def _set_log_axis(axes: Axes, values: np.ndarray, decades: float, label: str) -> None:
+    """Make the vertical axis logarithmic, with limits for these values, numbers and a label."""
+    axes.set_yscale("log")
+    axes.set_ylim(*_limits(values, decades))
+    axes.set_ylabel(label)
+    number_log_axis(axes.yaxis)
 
 
 def _limits(values: np.ndarray, decades: float) -> tuple[float, float]:
