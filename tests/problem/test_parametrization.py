@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from support.scenes import areas_of, refused, scene_of
-from warp_plate import SceneError
+from warp_plate import Scene, SceneError
 from warp_plate.plate.designs import Designs, scene_phasors
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.problem.design_variables import at_highest_frequency, with_common_step
@@ -107,6 +107,19 @@ def test_a_patch_stays_whole_within_its_area():
     assert flat.space.names == ("x of 0",)
 
 
+def test_actuators_have_areas_of_their_own():
+    """A strip along an edge, for one of them; the others stay in the common area."""
+    strip, common = [0.0, 0.2, 0.0, 0.06], [0.0, 0.2, 0.1, 0.2]
+    scene = scene_of(search={"position": {"area": common, "areas": {"1": strip}}})
+    assert Scene.parse(scene.to_toml(), "panel.toml").search.position == scene.search.position
+    parametrization = parametrization_of(scene)
+    for corner in (parametrization.space.lower, parametrization.space.upper):
+        for index, (x, y) in enumerate(areas_of(parametrization.scene_of(corner))):
+            x0, x1, y0, y1 = strip if index == 1 else common
+            assert x0 - 1e-15 <= x[0] < x[1] <= x1 + 1e-15
+            assert y0 - 1e-15 <= y[0] < y[1] <= y1 + 1e-15
+
+
 PHASES, DELAY = ("phase of 0", "phase of 1", "phase of 2"), {"delay": {"range": [0, 0.005]}}
 MAGNITUDE, VELOCITY = {"magnitude": {"range": [0, 5]}, **EQUAL}, {"objectives": [{"kind": "velocity"}]}
 MAGNITUDES, LIMITED = ("magnitude of 1", "magnitude of 2"), {"limits": {"magnitude": 1}}
@@ -182,6 +195,8 @@ COARSE = {"nodes": (9, 9), "time_step": 1e-4}
         ({"position": {}}, {"load": "nodes"}, ["search.position", '"overlap"', '"moments"']),
         ({"position": {"area": [0, 0.02, 0, 0.2]}}, {}, ["search.position.area", "0.02 m long along x", "0.03 m"]),
         ({"position": {"area": [0, 0.03, 0, 0.2], "actuators": ["1"]}}, {"actuators": NARROW}, ["move it there"]),
+        ({"position": {"areas": {"7": [0, 0.1, 0, 0.1]}}}, {}, ["search.position.areas.7", "0, 1, 2"]),
+        ({"position": {"areas": {"1": [0, 0.02, 0, 0.2]}}}, {}, ["search.position.areas.1 = [0.0, 0.02", "0.05 m"]),
         (TO_400, {"drive": CHIRP}, ["search.frequency", "drive.chirp"]),
         (TO_400, {"drive": SIGNAL}, ["search.frequency", "drive.signal"]),
         ({"phase": {}}, {"actuators": NARROW[:1], **STEADY}, ["search: ", "[search.frequency]"]),

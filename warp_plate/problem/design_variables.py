@@ -134,9 +134,14 @@ class Place(DesignVariable):
                 '"overlap" or "moments"'
             )
         width, height = scene.plate.size
-        area = table.area or (0.0, width, 0.0, height)
-        for actuator in _named_actuators(scene, "position"):
-            patch, name = scene.actuators[actuator].area, scene.actuators[actuator].name
+        everywhere, areas = table.area or (0.0, width, 0.0, height), table.areas or {}
+        moving = _named_actuators(scene, "position")
+        names = [scene.actuators[actuator].name for actuator in moving]
+        for name in areas.keys() - set(names):
+            raise SceneError(f"search.position.areas.{name}: no such actuator moves; those that do: {', '.join(names)}")
+        for actuator, name in zip(moving, names, strict=True):
+            patch, area = scene.actuators[actuator].area, areas.get(name, everywhere)
+            key = f"areas.{name}" if name in areas else "area"
             for axis, side, first in (("x", width, 0), ("y", height, 2)):
                 low, high, start, stop = *patch[first : first + 2], *area[first : first + 2]
                 centre, half = (low + high) / 2, (high - low) / 2
@@ -145,7 +150,7 @@ class Place(DesignVariable):
                     yield cls.of_group(scene, axis, (actuator,), centre, (lower, upper), lower=lower, upper=upper)
                 elif upper - lower < -1e-9 * side or abs(centre - lower) > 1e-9 * side:
                     raise SceneError(
-                        f"search.position.area = {list(area)}: is {stop - start:.6g} m long along {axis}, actuator "
+                        f"search.position.{key} = {list(area)}: is {stop - start:.6g} m long along {axis}, actuator "
                         f"{name!r} {2 * half:.6g} m; make room for it, or move it there"
                     )
 

@@ -250,8 +250,9 @@ def _check_areas(scene: SceneTables) -> None:
     areas: dict[str, Area] = {
         f"actuators[{index}].area ({row.name!r})": row.area for index, row in enumerate(scene.actuators)
     }
-    if scene.search.position is not None and scene.search.position.area is not None:
-        areas["search.position.area"] = scene.search.position.area
+    if (position := scene.search.position) is not None:
+        areas |= {} if position.area is None else {"search.position.area": position.area}
+        areas |= {f"search.position.areas.{name}": area for name, area in (position.areas or {}).items()}
     for key, area in (areas | scene.effects.areas).items():
         check_area(key, area, scene.plate.size)
 

@@ -58,10 +58,12 @@ class FreeFrequency(_Range):
 
 
 class FreePosition(Table):
-    """Actuators move, and stay entirely within ``area`` x0, x1, y0, y1 [m] (default: the plate)."""
+    """Actuators move, and stay entirely within ``area`` x0, x1, y0, y1 [m] (default: the plate), or ``areas``."""
 
     area: Annotated[Area | None, Field(examples=[[0.0, 0.2, 0.0, 0.12]])] = None
     """Rectangle x0, x1, y0, y1."""
+    areas: Annotated[dict[Name, Area] | None, Unit("m"), Field(examples=[{"left": [0.0, 0.05, 0.0, 0.12]}])] = None
+    """Rectangles for some actuators, by their names, in place of ``area``."""
     actuators: Annotated[Names | None, Field(examples=[["left", "right"]])] = None
     """Names of those that move (default: all)."""
     clearance: Annotated[NotNegative, Unit("m"), Field(examples=[0.002])] = 0.0
