@@ -25,6 +25,12 @@ def test_both_engines_start_softly():
     assert modes.peak_displacement < 0.95 * hard.peak_displacement
 
 
+def test_designs_of_a_search_start_softly():
+    scene = Scene.load("paper", ["drive.ramp=0.02", "search.particles=2", "search.iterations=1"])
+    result = warp_plate.localize(scene, estimate=False, spectrum=False)
+    assert result.driven_scene(result.cases["best"]).drive.ramp == 0.02
+
+
 def test_a_ramp_is_written_without_the_burst_that_follows_from_it():
     scene = Scene.load("paper", ["drive.ramp=0.02"])
     assert "burst" not in scene.to_toml()

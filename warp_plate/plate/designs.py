@@ -219,7 +219,7 @@ def scene_with(
                 actuator[name] = value if abs(value) >= SMALLEST else 0.0
     for name, values, table, key in (
         ("frequency", frequency, drive, "frequency"),
-        ("delay", delay, drive["burst"], "start"),
+        ("delay", delay, drive.get("burst"), "start"),
     ):
         if values is None:
             continue

@@ -10,6 +10,7 @@ import shapely
 
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.problem.worst_points import Region, make_region, shape_of
+from warp_plate.scene.errors import SceneError
 from warp_plate.scene.specification import Allowance, Level, Specification
 
 # Samples along a bending wave, along the longer side of the plate, and along a side of a target, at least.
@@ -83,9 +84,11 @@ def make_requirements(plate: ModalPlate) -> Requirements:
     kept = [shapes[_key_of(aim, labels)] for aim in aims]
     guarded = shapely.union_all([shapely.buffer(shape, specification.guard, quad_segs=CORNERS) for shape in kept])
     rests = []
-    for allowance in specification.allowances:
+    for index, allowance in enumerate(specification.allowances):
         x0, x1, y0, y1 = allowance.area or (0.0, scene.plate.size[0], 0.0, scene.plate.size[1])
         shape = shapely.difference(shapely.box(x0, y0, x1, y1), guarded)
+        if shape.is_empty and allowance.area is not None:
+            raise SceneError(f"specification.elsewhere[{index}].area: nothing of it is outside targets and their guard")
         name = "elsewhere" if allowance.area is None else f"x {x0:g} to {x1:g}, y {y0:g} to {y1:g} m"
         rests.append(Rest(name, allowance, make_region(plate, shape, spacing)))
     return Requirements(specification, tuple(aims), tuple(rests))

@@ -256,7 +256,7 @@ class Tone:
         parts = [in_rests / [1.0 if rest.allowance.relative_db is None else lowest for rest in self.requirements.rests]]
         parts += [np.abs(drive), 1 / in_aims]
         if (power := self.requirements.specification.limits.power) is not None:
-            parts.append(np.linalg.norm(self.power_factor @ drive, keepdims=True) / math.sqrt(power))
+            parts.append(np.array([np.linalg.norm(self.power_factor @ drive) / math.sqrt(power)]))
         return bool((np.concatenate(parts) <= 1 + tolerance).all())
 
     def _measured(self, measure: str, region: Region, drive: np.ndarray) -> float:

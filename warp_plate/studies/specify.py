@@ -48,7 +48,8 @@ def specify(
         on_progress: Function of the number of frequencies done and their total.
 
     Raises:
-        SceneError: The scene has no specification, is not linear, or a region of the specification is empty.
+        SceneError: The scene has no specification, is not linear, a region of the specification is empty, or no drive
+            of any size reaches the levels.
     """
     scene = Scene.load(scene)
     specification = scene.specification
@@ -153,7 +154,10 @@ def _answer(
     scene, rests = tone.plate.scene, tone.requirements.rests
     binding, reached = tone.binding(result), math.isfinite(result.scale)
     limits, feasible = tone.largest * _unit_factors(scene), reached and result.scale <= 1 + NOTHING
-    whole, effort = tone.solve("actuators alone"), tone.solve("actuators") if rests else result
+    whole = tone.solve("actuators alone")
+    if not np.isfinite(whole.drive).all():
+        raise SceneError("specification.level: no drive reaches it, as at an edge that is held; write another level")
+    effort = tone.solve("actuators") if rests else result
     drive = result.drive if reached else whole.drive / whole.scale
     contrast, bound = (_contrast(tone, scale) for scale in (result.scale, result.bound))
     curve = PARETO if rests else ()
