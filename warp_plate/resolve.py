@@ -6,6 +6,7 @@ for an accuracy. Studies, problems and analyses take the :class:`Resolved` scene
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping
 from contextlib import suppress
@@ -158,12 +159,13 @@ def resolve(
 ) -> Resolved:
     """Decide the engine, grid and device of a scene.
 
-    For ``grid.accuracy``, the grid is chosen at the highest frequency that the scene's search may try. ``path`` and
-    ``evaluator`` are what is asked for, see :func:`choose_engine`. ``phasors`` (drives, actuators) are the drives whose
-    errors are kept small (default: the usual ones).
+    For ``grid.accuracy``, the grid is chosen at the highest frequency that the scene's search may try. It is required
+    where it is written; a scene without ``[grid]`` gets the best choice there is. ``path`` and ``evaluator`` are what
+    is asked for, see :func:`choose_engine`. ``phasors`` (drives, actuators) are the drives whose errors are kept small
+    (default: the usual ones).
 
     Raises:
-        SceneError: There is no such device, or no engine keeps the accuracy.
+        SceneError: There is no such device, or no engine keeps a required accuracy.
     """
     device = find_device(device).alias
     engine = choose_engine(scene, purpose, path, evaluator)
@@ -181,16 +183,18 @@ def resolve(
     started = time.perf_counter()
     for_search = purpose in ("search", "exact", "check") or (purpose == "survey" and engine == "modes")
     at_shortest_wave = at_highest_frequency(scene) if for_search else scene
-    choice = choose(at_shortest_wave, asked, device, phasors, engine)
+    required = "grid" in scene.model_fields_set
+    choice = choose(at_shortest_wave, asked, device, phasors, engine, required)
     grid = Grid(**choice.scene.grid.model_dump(exclude={"accuracy"}))
     chosen = choice.scene.model_copy(update={"grid": grid} | ({"actuators": scene.actuators} if for_search else {}))
     if for_search and not choice.by_modes and evaluator is None and scene.search.robust is None:
         evaluator = "direct"
+    expected = choice.error if math.isfinite(choice.error) else None
     return Resolved(
         chosen,
         "modes" if choice.by_modes else "steps",
         evaluator=MODAL if choice.by_modes else evaluator,
-        accuracy={"asked": asked, "expected": choice.error, "reason": choice.reason},
+        accuracy={"asked": asked, "expected": expected, "reason": choice.reason},
         seconds={"choose": time.perf_counter() - started},
         reference=choice.reference if isinstance(choice.reference, MoreFunctions) else None,
         **options,

@@ -237,6 +237,30 @@ def test_a_refusal_names_the_least_error_of_grids_and_modes(panel):
     assert choose(panel, possible, "cpu", engine="any").by_modes
 
 
+def test_the_least_error_is_chosen_where_no_accuracy_is_required(panel):
+    choice = choose(panel, 1e-5, "cpu", engine="modes", required=False)
+    assert choice.by_modes
+    assert 1e-5 < choice.error < 1e-3
+
+
+def test_a_grid_by_waves_is_chosen_where_no_error_is_known(panel):
+    long = panel.model_copy(update={"window": Window(start=0.0, end=1e6)})
+    choice = choose(long, 0.1, "cpu", required=False)
+    assert choice.error == math.inf
+    assert min(choice.scene.grid.nodes) > 12
+
+
+def test_only_a_written_accuracy_is_refused(scene):
+    """A tiny patch starts abruptly, and the window opens at once."""
+    made = scene(actuators=[(0.05, 0.0505, 0.05, 0.0505)], window=(0.0, 2e-4), frequency=20.0)
+    tiny = Scene.from_tables(made.model_dump(exclude={"grid"}))
+    resolved = resolve(tiny, "cpu", purpose="simulate")
+    assert resolved.by_modes
+    assert resolved.accuracy["expected"] > resolved.accuracy["asked"] == 0.01
+    with pytest.raises(SceneError, match=r"^accuracy = 0\.01: "):
+        resolve(tiny.with_accuracy(0.01), "cpu", purpose="simulate")
+
+
 def test_coarse_grids_of_the_moment_form_are_tried(panel):
     grid = choose(panel.with_tables(edges={"left": "free"}), 0.2, "cpu").scene.grid
     assert max(grid.nodes) < 25

@@ -7,6 +7,7 @@ import pytest
 
 from warp_plate import Scene, SceneError
 from warp_plate.analysis.warnings import (
+    accuracy_warnings,
     find_warnings,
     search_warnings,
     slowest_frequency,
@@ -154,3 +155,15 @@ def test_a_search_that_leaves_the_drive_alone_says_so(scene):
     assert "only [search.frequency] is written" in search_warnings(scene(search=frequency))[0]
     for search in ({}, {**frequency, "phase": {}}):
         assert search_warnings(scene(search=search)) == []
+
+
+def test_an_error_above_the_accuracy_is_said_with_what_makes_it_smaller(scene):
+    made = scene(damping=88.0)
+    accuracy = {"asked": 0.01, "expected": 0.005, "estimate": {"error": 0.2}}
+    (warning,) = accuracy_warnings(made.with_tables(window={"start": 0.0, "end": 0.1}), accuracy, "--path modal")
+    for part in ("20 %, not 1 %", "grid.modal_density = 2 with --path modal", "window.start", "drive.ramp = 0.03 s"):
+        assert part in warning
+    assert accuracy_warnings(made, accuracy | {"estimate": {"error": 0.009}}, "--path modal") == []
+    assert accuracy_warnings(made, accuracy | {"estimate": {"error": math.nan}}, "--path modal") == []
+    assert accuracy_warnings(made, {"estimate": {"error": 0.2}}, "--path modal") == []
+    assert accuracy_warnings(made, accuracy | {"estimate": {}, "expected": None}, "") == []

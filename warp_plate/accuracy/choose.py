@@ -41,7 +41,7 @@ from warp_plate.accuracy.reference_solution import (
 from warp_plate.plate.stability_limit import needs_moment_form
 from warp_plate.plate.weights import localization_factor
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.grid import Grid
+from warp_plate.scene.grid import CELLS_A_WAVE, Grid, grid_by_waves
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.response import count_unit_drives, in_float64, measure_response
@@ -69,9 +69,9 @@ class Choice:
     """The engine and the grid that were chosen for an accuracy."""
 
     scene: Scene  # scene with the chosen grid in place of ``grid.accuracy``; of modes a grid for pictures
-    error: float  # estimated relative error: the largest of all drives tried and of the bound
+    error: float  # estimated relative error: the largest of all drives tried and of the bound; inf if not known
     reason: str  # explanation for people
-    reference: ReferenceSolution | MoreFunctions  # reference of the error
+    reference: ReferenceSolution | MoreFunctions | None  # reference of the error; None if it is not known
 
     @property
     def by_modes(self) -> bool:
@@ -85,25 +85,38 @@ def choose(
     device: str = "auto",
     phasors: np.ndarray | None = None,
     engine: Literal["any", "modes", "steps"] = "steps",
+    required: bool = True,
 ) -> Choice:
     """Return the engine and the grid with at most a relative error; modes, if they may be, wherever they keep it.
 
     ``phasors`` (drives, actuators) are the drives that keep it (default: the usual ones). The scene's own grid is
-    ignored, and damping is centred in time.
+    ignored, and damping is centred in time. Where no choice keeps the error, modes with the least one are returned, or
+    a grid of which no error is known; a SceneError is raised if the accuracy is ``required``.
     """
     find_device(device)
     least = math.inf
     if engine != "steps" and scene.linear:
         by_modes = _choose_modes(scene, accuracy, phasors, alone=engine == "modes")
-        if isinstance(by_modes, Choice):
-            return by_modes
-        least = by_modes
-    return _choose_grid(scene, accuracy, device, phasors, least)
+        if by_modes is not None:
+            least = by_modes.error
+            if least <= accuracy or not required:
+                return by_modes
+            if engine == "modes":
+                raise SceneError(f"accuracy = {accuracy:g}: modes have errors of up to {least:.2g}; {_advice(least)}")
+    try:
+        return _choose_grid(scene, accuracy, device, phasors, least)
+    except SceneError:
+        if required:
+            raise
+        return _grid_by_waves(scene)
 
 
-def _choose_modes(scene: Scene, accuracy: float, phasors: np.ndarray | None, alone: bool) -> Choice | float:
-    """Return the choice of modes; where they do not keep the accuracy their error, or a SceneError if they are to."""
-    least = math.inf
+def _choose_modes(scene: Scene, accuracy: float, phasors: np.ndarray | None, alone: bool) -> Choice | None:
+    """Return the modes that keep the accuracy, or else those with the least error.
+
+    Return None if there are no modes, which is a SceneError if nothing else may be chosen (``alone``).
+    """
+    best: Choice | None = None
     for density in MODAL_DENSITIES:
         gridded = scene.model_copy(update={"grid": Grid(modal_density=density)})
         try:
@@ -115,16 +128,13 @@ def _choose_modes(scene: Scene, accuracy: float, phasors: np.ndarray | None, alo
             break
         observed = np.empty((0, len(scene.actuators))) if phasors is None else phasors
         error = error_of(largest_change(observed, expected, [response]))
-        if error <= accuracy:
+        if best is None or error < best.error:
             reason = f"modes, for errors of at most {percent(error)}, asked {percent(accuracy)}"
             more = "" if density == 1 else f", with {density:g} times as many functions along each side"
-            return Choice(gridded, error, reason + more, MoreFunctions(taken, finer, expected))
-        least = min(least, error)
-        if seconds_of_modes(finer) > DENSER_SECONDS:
+            best = Choice(gridded, error, reason + more, MoreFunctions(taken, finer, expected))
+        if error <= accuracy or seconds_of_modes(finer) > DENSER_SECONDS:
             break
-    if alone:
-        raise SceneError(f"accuracy = {accuracy:g}: modes have errors of up to {least:.2g}; {_advice(least)}")
-    return least
+    return best
 
 
 def _choose_grid(scene: Scene, accuracy: float, device: str, phasors: np.ndarray | None, of_modes: float) -> Choice:
@@ -161,6 +171,18 @@ def _choose_grid(scene: Scene, accuracy: float, device: str, phasors: np.ndarray
         f"{seconds_text(nominal_seconds(scene, grid, device))} a plate"
     )
     return Choice(regrid(scene, grid), error, reason, reference)
+
+
+def _grid_by_waves(scene: Scene) -> Choice:
+    """Return the grid by bending waves of a scene of which no error is known."""
+    order = highest_order(scene)
+    nodes = grid_by_waves(scene.plate.size, math.sqrt(math.prod(scene.plate.size)) / waves_along(scene)).nodes
+    grid = make_configuration(scene, order, nodes)
+    reason = (
+        f"time steps: {nodes[0]} × {nodes[1]} nodes, order {order}, {CELLS_A_WAVE:g} cells a bending wave; no error is "
+        "known beforehand"
+    )
+    return Choice(regrid(scene, grid), math.inf, reason, None)
 
 
 def find_grid(

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import math
 
-from warp_plate.analysis.warnings import explain_missing_energies, search_warnings, target_warnings, warning_texts
+from warp_plate.analysis.warnings import (
+    accuracy_warnings,
+    explain_missing_energies,
+    search_warnings,
+    target_warnings,
+    warning_texts,
+)
 from warp_plate.problem.design_variables import has_design_tables
 from warp_plate.problem.methods import unread_keys
 from warp_plate.problem.objectives import keeps_limit
@@ -36,6 +42,8 @@ def result_warnings(result: Result) -> tuple[str, ...]:
         lines += [*search_warnings(result.scene), *range_warnings(result), *unread_keys(result.scene.search)]
     scene = result.case_scene(result.main_case)
     lines += target_warnings(scene, result.main_case.localization_factor)
+    option = "--evaluator modal" if result.command == "localize" else "--path modal"
+    lines += accuracy_warnings(scene, result.accuracy, option if result.by_modes else "")
     return (*lines, *warning_texts(scene, result.peak_displacement, gridded=not result.by_modes))
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -41,6 +43,8 @@ MOST_ADDED_MASS = 0.05
 MOST_LEFT = 0.01
 # Highest frequency of a signal's file over drive.frequency, which bounds the time step and the numbers above.
 MOST_BEYOND = 1.2
+# Highest grid.modal_density that is advised, and periods of the drive in a soft start.
+MOST_DENSITY, RAMP_PERIODS = 4.0, 10.0
 # Modes among which the lowest natural frequency is looked for: a free plate has three rigid motions.
 MODES = 6
 # Shorter side over thickness: ten times that of a foil of 50 µm stretched over 100 mm. Millimetres written as metres
@@ -117,6 +121,29 @@ def search_warnings(scene: Scene) -> list[str]:
             "written: write [search.magnitude] and [search.phase] to search them too."
         )
     return found
+
+
+def accuracy_warnings(scene: Scene, accuracy: Mapping[str, Any], modes_option: str) -> list[str]:
+    """Return a warning if the error of a result, see ``Result.accuracy``, is larger than the one it was to have.
+
+    ``modes_option`` is the option that keeps its command to modes; "" for a result of time steps.
+    """
+    asked, expected = accuracy.get("asked"), accuracy.get("expected")
+    error = accuracy.get("estimate", {}).get("error", expected)
+    if asked is None or error is None or not error > asked:
+        return []
+    means = ["a grid of more nodes"]
+    if modes_option:
+        density = max(2.0, 1.5 * scene.grid.modal_density)
+        means = [f"grid.modal_density = {density:.2g} with {modes_option}"] if density <= MOST_DENSITY else []
+    exceeded, lost = _left_at_start(scene).exceeded, losses(scene.terms)
+    if exceeded and (lost.viscous or lost.retardation or lost.ratios is not None):
+        means.append("a later window.start")
+    if exceeded and scene.drive.waveform_key is None:
+        ramp = RAMP_PERIODS / min(carrier_frequencies(scene))
+        means.append(f"a soft start, drive.ramp = {min(ramp, scene.window.start or ramp):.1g} s")
+    advice = f": write {' or '.join(means)}" if means else ""
+    return [f"The localization factor has an error of up to {percent(error)}, not {percent(asked)}{advice}."]
 
 
 def wavelengths(scene: Scene) -> tuple[float, float]:
