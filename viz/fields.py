@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 PHASE = "phase"
 PHASE_COLOURS = ("#00becd", "#49b4ea", "#81a6f6", "#ae97ee", "#cf8bd3", "#e585ac", "#ec877f")
 PHASE_COLOURS += ("#e49156", "#cba13e", "#a5b14e", "#72bc76", "#33c1a4", "#00becd")
+# Decibels below the target's level that colours show.
+LEVELS = 40.0
 # Height at which the largest displacement is drawn, as a share of the plate's shorter side.
 TALLEST = 0.12
 PREFIXES = (("p", 1e12), ("n", 1e9), ("µ", 1e6), ("m", 1e3), ("", 1.0))
@@ -114,8 +116,8 @@ class PlateField:
 
     label: str  # text above the colour bar
     unit: str  # SI unit without a prefix
-    # "signed" (limits symmetric about zero), "positive" (from zero) or "cyclic" (an angle, −π … π)
-    kind: Literal["signed", "positive", "cyclic"]
+    # "signed" (limits symmetric about zero), "positive" (from zero), "level" (−40 … 0 dB) or "cyclic" (angle, −π … π)
+    kind: Literal["signed", "positive", "level", "cyclic"]
     cmap: str  # name of the colour map, see :func:`colour_map`
     # function from a motion to (frames, ny, nx) values, or (1, ny, nx) for a field constant in time
     values: Callable[[Motion], np.ndarray]
@@ -131,6 +133,7 @@ FIELDS = {
     "velocity": PlateField("velocity", "m/s", "signed", "coolwarm", lambda motion: motion.velocity),
     "energy": PlateField("kinetic energy\ndensity", "J/m²", "positive", "YlOrRd", lambda motion: motion.kinetic_energy),
     "rms-velocity": PlateField("RMS velocity", "m/s", "positive", "YlOrRd", lambda motion: motion.rms_velocity[None]),
+    "level": PlateField("level\nre target", "dB", "level", "cividis", lambda motion: motion.level[None]),
     "phase": PlateField("phase lag", "rad", "cyclic", "phase", lambda motion: motion.phase[None]),
 }
 DISPLACEMENT = FIELDS["displacement"]
@@ -163,7 +166,7 @@ class DrawingScale:
     def clim(self) -> tuple[float, float]:
         """Ends of the colour bar in its unit."""
         end = self.limit * self.unit_factor
-        return (0.0 if self.field.kind == "positive" else -end), end
+        return {"positive": (0.0, end), "level": (-end, 0.0)}.get(self.field.kind, (-end, end))
 
     @property
     def title(self) -> str:
@@ -183,15 +186,17 @@ def drawing_scale(
     """Return a scale whose limit is that of the options, or the largest finite value rounded up; 1e-6 if nothing moves.
 
     Displacements [m] are drawn as heights on a plate of this size [m]; values are those of the field in its SI unit
-    (default: the displacements). SceneError if the options have a limit, but the field is an angle or a mode.
+    (default: the displacements). SceneError if the options have a limit, but the field is an angle, a level or
+    a mode.
     """
     heights = list(displacements)
     tallest = _largest(heights)
     height_factor = float(f"{TALLEST * min(size) / tallest:.2g}") if tallest > 0 else 1.0
-    if field.kind == "cyclic" or not field.unit:
+    if field.kind in ("cyclic", "level") or not field.unit:
         colours.refuse_limit(field.label.replace("\n", " "))
-        unit, factor = ("°", 180.0) if field.kind == "cyclic" else ("", 1.0)
-        limit = math.pi if unit else 1.0
+        limit, unit, factor = {"cyclic": (math.pi, "°", 180.0), "level": (LEVELS, "dB", LEVELS)}.get(
+            field.kind, (1.0, "", 1.0)
+        )
         return DrawingScale(limit, height_factor, unit, factor / limit, field, colours.colormap)
     limit = colours.limit or round_limit(_largest(heights if values is None else values) or 1e-6)
     unit, factor = unit_with_prefix(limit, field.unit)

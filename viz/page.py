@@ -59,7 +59,7 @@ def page_data(
     return {
         "heightWords": bool(scale.heights_text),
         **({"title": "", "ticks": []} if separate else legends[0]),
-        "limits": [low / high, 1.0],
+        "limits": [end / max(-low, high) for end in (low, high)],
         "cyclic": scale.field.kind == "cyclic",
         "none": _rgb(scale.field.nan_colour),
         "table": _base64(lookup_table(scale).values, "u1"),

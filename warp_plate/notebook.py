@@ -196,7 +196,7 @@ def render(
         path: file to write: .png (a picture), .gif, .mp4 (movies), .html (a page that plays and turns the plates), .svg
             or .pdf (seen from above).
         cases: names of cases of the result (default: the best drive, or the only case).
-        quantity: field shown in colour: displacement, velocity, energy, rms-velocity or phase.
+        quantity: field shown in colour: displacement, velocity, energy, rms-velocity, level or phase.
         span: beginning and end of the frames [s] (default: the last period of the drive, or the first burst or the
             window if the drive does not repeat).
         frames: number of frames (default: 60 a period).

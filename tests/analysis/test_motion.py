@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from support.scenes import scene_of
-from warp_plate import SceneError
+from warp_plate import Scene, SceneError
 from warp_plate.analysis.motion import mode_motions, motions, usual_span
 from warp_plate.modal.continuous_modes import continuous_modes
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.plate.weights import REGIONS, region_weights
+from warp_plate.plate.weights import REGIONS, region_weights, weigh_region
 from warp_plate.result.motion import Motion
 from warp_plate.studies.simulate import simulate
 
@@ -69,6 +69,27 @@ def test_velocities_are_differences_of_displacements_and_have_the_results_energy
     average = 0.5 * motion.surface_density * motion.rms_velocity**2
     for region, weights in zip(REGIONS, region_weights(made), strict=True):
         assert (weights * average).sum() * cell == pytest.approx(settled_run.cases["drive"].energy[region], rel=1e-3)
+
+
+def test_levels_are_relative_to_the_mean_of_the_drives_own_target(settled_run):
+    """The second target's best drive is at 0 dB over the second target."""
+    made, (first, second) = settled_run.scene.model_dump(), ((0.02, 0.08, 0.02, 0.08), (0.12, 0.18, 0.1, 0.18))
+    targets = [{"name": "near", "area": first}, {"name": "far", "area": second}]
+    scene = Scene.model_validate({key: made[key] for key in made if key != "target"} | {"targets": targets})
+    drive = settled_run.cases["drive"]
+    for motion, area in zip(
+        motions(scene, {"best": drive, "best far": drive}, device="cpu"), (first, second), strict=True
+    ):
+        weights = weigh_region(scene, "target", area)
+        assert (weights * 10 ** (motion.level / 10)).sum() / weights.sum() == pytest.approx(1)
+        ratio = motion.rms_velocity[5, 6] / motion.rms_velocity[8, 9]
+        assert motion.level[5, 6] - motion.level[8, 9] == pytest.approx(20 * math.log10(ratio), abs=1e-4)
+        assert motion.level.min() == -200  # the clamped edges are at rest
+
+
+def test_levels_need_a_target():
+    with pytest.raises(SceneError, match="field = 'level': levels are relative to a target"):
+        _ = harmonic(np.ones((4, 5)), 0.0).level
 
 
 def test_root_mean_square_and_phase_of_a_harmonic_motion(random):

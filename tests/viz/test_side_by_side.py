@@ -74,6 +74,7 @@ def segments(mesh):
         ("displacement", 2e3, "m", -2000, 2000),
         ("energy", 4.2e-11, "pJ/m²", 0, 48),
         ("rms-velocity", 3.9e-4, "µm/s", 0, 400),
+        ("level", 7.0, "dB", -40, 0),
         ("phase", 1.0, "°", -180, 180),
     ],
 )

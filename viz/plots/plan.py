@@ -197,7 +197,8 @@ def _add_bar(fig: Figure, scale: DrawingScale, axes: Axes | Sequence[Axes]) -> N
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
-    bar = fig.colorbar(ScalarMappable(Normalize(*scale.clim), colour_map(scale.cmap)), ax=axes, aspect=22, pad=0.02)
+    look = {"aspect": 22, "pad": 0.02, "extend": "both" if scale.field.kind == "level" else "neither"}
+    bar = fig.colorbar(ScalarMappable(Normalize(*scale.clim), colour_map(scale.cmap)), ax=axes, **look)
     bar.set_label(scale.title.replace("\n", " "))
     bar.set_ticks(scale.ticks, labels=[f"{tick:.4g}".replace("-", "−") for tick in scale.ticks])
 

@@ -14,8 +14,9 @@ import numpy as np
 from warp_plate.modal.continuous_modes import continuous_modes
 from warp_plate.plate.section import make_section
 from warp_plate.plate.signals import highest_frequency
+from warp_plate.plate.weights import weigh_region
 from warp_plate.resolve import Resolved, resolve
-from warp_plate.result.case import Case, case_scene, only_actuator
+from warp_plate.result.case import Case, case_scene, only_actuator, target_cases
 from warp_plate.result.model import Result
 from warp_plate.result.motion import Motion, SteadyMotion
 from warp_plate.scene.errors import SceneError
@@ -132,9 +133,16 @@ def motions(
             localization_factor=case.localization_factor,
             only_actuator=only_actuator(case, scene),
             scene=scenes[name] if case.per_actuator else None,
+            target=_own_target(scene, name),
         )
         for name, case in cases.items()
     ]
+
+
+def _own_target(scene: Scene, case: str) -> np.ndarray:
+    """Return (ny, nx) weights of the target that a case is the best drive for, or of the first."""
+    own = [target for target in scene.targets if target_cases(scene)[target.name] == case]
+    return weigh_region(scene, "target", own[0] if own else scene.target)
 
 
 def _common_span(

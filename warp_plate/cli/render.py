@@ -55,13 +55,14 @@ class PlaybackOptions:
     """Options for the content and playback of moving plates.
 
     Attributes:
-        field: Quantity shown in colour (energy: kinetic energy density). Heights always show displacements.
+        field: Quantity shown in colour (energy: kinetic energy density; level: RMS velocity in dB relative
+            to the target's). Heights always show displacements.
         modes: Show this many natural mode shapes, 6 at most, instead of the cases.
         rate: Frames a second (default: 30, or fewer so that a period takes at least 1.4 s).
         heights: Factor by which displacements are exaggerated (default: automatic).
     """
 
-    field: Literal["displacement", "velocity", "energy", "rms-velocity", "phase"] = "displacement"
+    field: Literal["displacement", "velocity", "energy", "rms-velocity", "level", "phase"] = "displacement"
     modes: Annotated[int, Parameter(validator=Number(gte=0, lte=6))] = 0
     rate: float | None = None
     heights: float | None = None

@@ -7,11 +7,14 @@ from functools import cached_property
 
 import numpy as np
 
+from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
 
 # Nodes that move less than this fraction of the largest amplitude have no phase.
 STILL = 1e-4
+# Least square of a velocity relative to the target's that a level tells apart from rest: −200 dB.
+LOWEST_SQUARE = 1e-20
 QUADRANTS = ("lower left", "lower right", "upper left", "upper right")
 
 
@@ -19,8 +22,8 @@ QUADRANTS = ("lower left", "lower right", "upper left", "upper right")
 class Motion:
     """Motion of one plate, frame by frame.
 
-    Further fields over the plate are its properties: ``rms_velocity``, ``phase`` and ``kinetic_energy``. Node (j, i) of
-    (ny, nx) lies at x = i/(nx − 1) and y = j/(ny − 1) of the plate's sides.
+    Further fields over the plate are its properties: ``rms_velocity``, ``level``, ``phase`` and ``kinetic_energy``.
+    Node (j, i) of (ny, nx) lies at x = i/(nx − 1) and y = j/(ny − 1) of the plate's sides.
 
     Attributes:
         name: Name of the case, or of the mode with its frequency.
@@ -34,6 +37,7 @@ class Motion:
         localization_factor: Localization factor of the drive over the scene's window; None for a mode.
         scene: Scene of a plate with other frequencies or positions; None if it is the common one.
         only_actuator: Name of the only actuator that is driven, if there is just one.
+        target: (ny, nx) weights of the nodes of the drive's target; None for a mode and for waveforms that focus.
     """
 
     name: str
@@ -46,6 +50,7 @@ class Motion:
     localization_factor: float | None = None
     scene: Scene | None = None
     only_actuator: str = ""
+    target: np.ndarray | None = None
 
     @cached_property
     def kinetic_energy(self) -> np.ndarray:
@@ -63,6 +68,19 @@ class Motion:
         gaps = np.diff(self.times, append=self.times[0] + length)
         weights = ((gaps + np.roll(gaps, 1)) / (2 * length))[:, None, None]
         return np.asarray(np.sqrt((weights * self.velocity**2).sum(axis=0)))
+
+    @cached_property
+    def level(self) -> np.ndarray:
+        """(ny, nx) RMS velocity relative to that of the target, averaged as squares [dB]; NaN if the target rests.
+
+        SceneError: the motion has no target.
+        """
+        if self.target is None:
+            raise SceneError("field = 'level': levels are relative to a target; this motion has none")
+        squares = self.rms_velocity.astype(float) ** 2
+        mean = (self.target * squares).sum() / self.target.sum()
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return 10 * np.log10(np.maximum(squares / mean, LOWEST_SQUARE))
 
     @cached_property
     def phase(self) -> np.ndarray:
