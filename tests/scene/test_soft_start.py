@@ -16,6 +16,14 @@ def test_a_soft_start_is_a_burst_without_an_end():
     assert ramp == pytest.approx(burst, rel=1e-12)
 
 
+def test_a_rise_beyond_the_run_begins_with_the_square_of_time():
+    slow, slower = (
+        warp_plate.simulate(Scene.load("paper", [f"drive.ramp={ramp}"]), path="modal").cases["drive"].energy["plate"]
+        for ramp in (1.0, 10.0)
+    )
+    assert slower == pytest.approx(1e-4 * slow, rel=0.02)
+
+
 def test_both_engines_start_softly():
     scene = Scene.load("paper", ["drive.ramp=0.02", FINE])
     steps, modes = (warp_plate.simulate(scene, path=path) for path in ("auto", "modal"))

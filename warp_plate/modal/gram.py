@@ -209,7 +209,7 @@ class ExponentialMotion:
         actuators = self.free.shape[2]
         if count == actuators:
             return rows
-        return np.asarray(rows.reshape(designs, actuators, -1, columns).sum(axis=2))
+        return np.asarray(rows.reshape(designs, actuators, count // actuators, columns).sum(axis=2))
 
 
 def free_forms(

@@ -210,6 +210,7 @@ def scene_with(
     """
     actuators: list[dict[str, Any]] = [actuator.model_dump() for actuator in scene.actuators]
     drive = scene.drive.model_dump()
+    burst: Any = drive.get("burst")  # none of a soft start
     if magnitude is not None:
         magnitude = magnitude * [actuator.amplitude_area for actuator in scene.actuators]
     keys = [actuator.amplitude_key for actuator in scene.actuators]
@@ -219,7 +220,7 @@ def scene_with(
                 actuator[name] = value if abs(value) >= SMALLEST else 0.0
     for name, values, table, key in (
         ("frequency", frequency, drive, "frequency"),
-        ("delay", delay, drive.get("burst"), "start"),
+        ("delay", delay, burst, "start"),
     ):
         if values is None:
             continue
