@@ -46,7 +46,8 @@ class ViewerWindow:
         if style.heights is not None:
             self.plates.exaggerate(style.heights)
         modes = motions[0].localization_factor is None
-        self._fields = [style.quantity] if modes else list(FIELDS)
+        aimed = all(motion.target is not None for motion in motions)
+        self._fields = [style.quantity] if modes else [name for name in FIELDS if aimed or name != "level"]
         self._moments = np.linspace(0, 1, self.plates.frames, endpoint=False) if modes else motions[0].times
         self._position, self._clock = 0.0, time.perf_counter()
         plotter.subplot(rows_and_columns(len(motions))[0], 0)
