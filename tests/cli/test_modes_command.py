@@ -10,6 +10,7 @@ import pytest
 
 from support.commands import error_of, output_of
 from warp_plate.modal.continuous_modes import continuous_modes
+from warp_plate.modal.modes import solve_modes
 from warp_plate.plate.modes import natural_modes
 from warp_plate.viz.plots.modes import draw_modes, frequency_text, nodal_field, refined
 
@@ -25,6 +26,21 @@ EFFECTS = {
 }
 
 
+def test_errors_of_frequencies_hold_where_the_stiffness_jumps(command, write_scene):
+    """A stiff frame around a soft middle: frequencies fall as the first power of the spacing of knots."""
+    factors = np.full((41, 41), 1000.0)
+    factors[11:30, 11:30] = 1.0
+    np.savetxt("stiff.csv", factors, delimiter=",")
+    made = write_scene(size=(0.2, 0.2), effects={"variation": {"young_modulus": "stiff.csv"}}).in_folder(Path.cwd())
+    record = json.loads(output_of(command("modes", "panel.toml", "--count", 3, "--json", "--no-pictures")))
+    coarse, fine, finer = (solve_modes(made, highest=0.0, count=7, density=d).frequencies[:3] for d in (1, 3, 6))
+    limit = 2 * finer - fine
+    assert np.all(np.abs(coarse / limit - 1) > 0.01)
+    assert np.all(np.abs(coarse / limit - 1) <= record["errors"])
+    assert max(record["errors"]) < 0.3
+    assert "error (%)" in output_of(command("modes", "panel.toml", "--no-pictures"))
+
+
 def test_json_table_and_picture(command, write_scene):
     pytest.importorskip("matplotlib")
     made = write_scene(nodes=(19, 15), size=(0.3, 0.2), edges=EDGES, effects=EFFECTS)
@@ -33,6 +49,7 @@ def test_json_table_and_picture(command, write_scene):
     assert record["frequencies"] == pytest.approx(expected.frequencies.tolist())
     assert record["loss_factors"] == pytest.approx(expected.loss_factors.tolist())
     assert record["damping_ratios"] == pytest.approx((expected.loss_factors / 2).tolist())
+    assert 0 < max(record["errors"]) < 1e-3
     assert record["half_waves"] == [None if pair is None else list(pair) for pair in expected.half_waves()]
     assert [row[0] for row in record["oscillators"]] == [None] * 4
     assert [row[1] for row in record["oscillators"]] == pytest.approx(expected.oscillators[:, 1].tolist())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,8 @@ from rich.console import Console
 from warp_plate.cli import options, output
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from warp_plate.plate.modes import NaturalModes
     from warp_plate.scene.model import Scene
 
@@ -36,7 +39,7 @@ def modes(
     count
         Number of modes, from the lowest.
     """
-    from warp_plate.modal.continuous_modes import continuous_modes
+    from warp_plate.modal.continuous_modes import continuous_modes, errors_of_frequencies
 
     target = files.target(scene, "-modes.png", endings=ENDINGS)
     loaded, scene = changes.load(scene)
@@ -44,6 +47,7 @@ def modes(
     left_out += ["electrostatic force"] * (loaded.drive.electrostatic is not None)
     with output.scene_errors(scene):
         natural = continuous_modes(loaded, count)
+    errors = errors_of_frequencies(loaded, natural.frequencies)
     written: output.Drawn = [], None
     if files.pictures:
         from warp_plate.viz.plots.frame import save_plots
@@ -52,26 +56,36 @@ def modes(
         colours = options.ColourChoice(colormap).chosen()
         draw = partial(draw_modes, loaded, natural.frequencies, natural.shapes, colours=colours)
         written = files.check_drawn(target, save_plots(draw, target, [target.suffix]))
-    output.report(files.json, _as_json, _print, scene, loaded, natural, left_out, written=written)
+    output.report(files.json, _as_json, _print, scene, loaded, natural, errors, left_out, written=written)
 
 
-def _as_json(name: str, scene: Scene, natural: NaturalModes, left_out: list[str]) -> dict[str, object]:
-    record = {"scene": name, "half_waves": natural.half_waves(), "left_out": left_out}
+def _as_json(
+    name: str, scene: Scene, natural: NaturalModes, errors: np.ndarray, left_out: list[str]
+) -> dict[str, object]:
+    record = {"scene": name, "errors": errors, "half_waves": natural.half_waves(), "left_out": left_out}
     record |= output.attributes(natural, "frequencies", "oscillators")
     assert natural.loss_factors is not None
     return record | {"damping_ratios": natural.loss_factors / 2, "loss_factors": natural.loss_factors}
 
 
-def _print(name: str, scene: Scene, natural: NaturalModes, left_out: list[str], console: Console) -> None:
+def _print(
+    name: str, scene: Scene, natural: NaturalModes, errors: np.ndarray, left_out: list[str], console: Console
+) -> None:
+    import numpy as np
+
+    from warp_plate.accuracy.configurations import two_digits
     from warp_plate.effects.effect import attachments
     from warp_plate.plate.signals import highest_frequency
 
     assert natural.loss_factors is not None
     console.print(f"{scene.title or name}\n")
     masses = [index for index, attached in enumerate(attachments(scene.terms)) if attached.mass > 0]
-    columns, rows = (natural.frequencies, natural.loss_factors, natural.half_waves(), natural.oscillators), []
-    for number, (frequency, factor, waves, motion) in enumerate(zip(*columns, strict=True), 1):
-        numbers = [f"{frequency:.6g}", f"{factor / 2:.4g}", f"{factor:.4g}"] if frequency else [RIGID, "", ""]
+    columns, rows = (natural.frequencies, errors, natural.loss_factors, natural.half_waves(), natural.oscillators), []
+    for number, (frequency, error, factor, waves, motion) in enumerate(zip(*columns, strict=True), 1):
+        numbers = [RIGID, "", "", ""]
+        if frequency:
+            bar = two_digits(100 * error) if math.isfinite(error) else "unknown"
+            numbers = [f"{frequency:.6g}", bar, f"{factor / 2:.4g}", f"{factor:.4g}"]
         rows.append(
             [
                 str(number),
@@ -80,12 +94,14 @@ def _print(name: str, scene: Scene, natural: NaturalModes, left_out: list[str], 
                 *(f"{motion[mass] if abs(motion[mass]) > STILL else 0:.3g}" for mass in masses),
             ]
         )
-    headings = ["mode", "frequency (Hz)", "damping ratio", "loss factor", "lobes x × y"]
+    headings = ["mode", "frequency (Hz)", "error (%)", "damping ratio", "loss factor", "lobes x × y"]
     output.print_rows(console, [*headings, *(f"mass {index}" for index in masses)], rows)
     console.print(
         "\nLobes: half-waves along x and y."
         + (" Mass: displacement of the oscillator relative to the largest of the plate." if masses else "")
     )
+    if not np.isfinite(errors).all():
+        console.print("Errors are unknown: they take 1.4 times as many functions along each side, which are too many.")
     highest, count = highest_frequency(scene), natural.frequencies.size
     if natural.frequencies[-1] < highest:
         console.print(f"The plate is driven at up to {highest:g} Hz, above these; --count {2 * count} shows more.")
