@@ -75,7 +75,7 @@ def _draw_spectrum(answer: SpecifiedDrive, axes: Axes) -> None:
         axes.plot(x, answer.contrasts, color="#08519c", linewidth=1.4, marker=".", markersize=3)
         axes.set_ylabel("contrast [dB]")
         _draw_allowed(answer, axes)
-        axes.plot(answer.frequency, answer.contrast_db, "o", color=INK, markersize=5)
+        axes.plot(answer.frequency, answer.contrast_db, "o", color=INK, markersize=5, clip_on=False)
     else:
         axes.plot(x, 100 * answer.efforts, color="#08519c", linewidth=1.4)
         axes.set(yscale="log", ylabel="limits needed [%]")

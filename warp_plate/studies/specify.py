@@ -174,7 +174,7 @@ def _answer(
         levels=[RegionLevels(name, **vars(levels)) for name, levels in tone.extremes(drive).items()],
         margins=_margins(tone, drive, limits),
         contrast_db=contrast,
-        bound_db=bound,
+        bound_db=bound if reached else math.nan,
         interval=_interval(tone, drive),
         effort=effort.scale,
         largest_level=1 / whole.scale,
@@ -260,10 +260,12 @@ def _obstacles(
         for text, part in sorted(binding, key=lambda row: -row[1])
         if part > NAMED * total
     ]
+    if len(named) == 1:  # no actuator alone has a large part of the proof
+        named.append("the limits of all actuators")
     sentences = []
     if named:
         proved = "exclude each other" if result.bound > 1 else "were not met together"
-        sentences.append(f"{', '.join(named[:-1])} and {named[-1]} {proved}" if len(named) > 1 else f"{named[0]} fails")
+        sentences.append(f"{', '.join(named[:-1])} and {named[-1]} {proved}")
     if math.isfinite(effort.scale):
         sentences.append(f"{effort.scale:.3g} times the limits would do, {effort.scale * limits.max():.3g} {unit}")
     elif tone.requirements.rests and math.isfinite(result.scale):
