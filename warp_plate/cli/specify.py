@@ -135,7 +135,8 @@ def _print_tolerances(answer: SpecifiedDrive, console: Console) -> None:
     for case in answer.scatter:
         changes = ", ".join(f"{key} × {factor:g}" for key, factor in case.changes.items())
         levels = [f"{case.nominal_level:.3f}", f"{case.nominal_db:.2f}", f"{case.robust_level:.3f}"]
-        rows.append([changes, *levels, f"{case.robust_db:.2f}", "yes" if case.met else "no", output.number_text(case.best_db, ".2f")])
+        best = output.number_text(case.best_db, ".2f")
+        rows.append([changes, *levels, f"{case.robust_db:.2f}", "yes" if case.met else "no", best])
     headings = ["case", "nominal drive: level", "contrast (dB)", "one drive for all: level", "contrast (dB)", "met"]
     title = "Tolerances (levels over those wanted)"
     output.print_rows(console, [*headings, "retuned (dB)"], rows, "", title=title)
