@@ -203,16 +203,22 @@ def axis_labels(size: tuple[float, float]) -> tuple[tuple[str, np.ndarray], tupl
     return label_x, (f"y: 0 … {height * factor:.5g} {unit}", np.array([-away, height / 2, 0.0]))
 
 
-def name_actuators(plotter: pyvista.Plotter, scene: Scene, heights: np.ndarray, font_size: int) -> None:
+def name_actuators(
+    plotter: pyvista.Plotter, scene: Scene, nodes: tuple[int, ...], font_size: int
+) -> tuple[pyvista.PolyData, np.ndarray]:
     """Write the actuators' names in front of their patches, but for those that would overlap, in the active subplot;
-    ``heights`` [m] of the nodes (ny, nx) are those drawn."""
+    return their places, at rest, and the (actuators,) indices of the nodes (ny, nx) whose heights they follow."""
+    import pyvista
+
     front = np.array([(actuator.area[0], actuator.area[2]) for actuator in scene.actuators]).reshape(-1, 2)
-    columns, rows = np.rint(front / scene.plate.size * (np.array(heights.shape[::-1]) - 1)).astype(int).T
+    columns, rows = np.rint(front / scene.plate.size * (np.array(nodes[::-1]) - 1)).astype(int).T
+    places = pyvista.PolyData(np.column_stack([front, np.zeros(len(front))]))
     plotter.add_point_labels(
-        np.column_stack([front, heights[rows, columns]]), [shortened(actuator.name) for actuator in scene.actuators],
+        places, [shortened(actuator.name) for actuator in scene.actuators],
         font_size=font_size, font_file=_font_file(), text_color=INK, bold=False, shape=None, show_points=False,
         always_visible=True, justification_horizontal="center", justification_vertical="top", reset_camera=False,
     )  # fmt: skip
+    return places, rows * nodes[1] + columns
 
 
 def free_width(plotter: pyvista.Plotter, font_size: int) -> float:

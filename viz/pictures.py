@@ -19,7 +19,7 @@ from warp_plate.result.case import only_actuator
 from warp_plate.result.model import Result
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
-from warp_plate.viz.annotations import add_legend, at_frequency, caption, case_label, name_actuators, ordered_cases
+from warp_plate.viz.annotations import add_legend, at_frequency, caption, case_label, ordered_cases
 from warp_plate.viz.availability import missing_plots, missing_renderer, prepare, set_up_renderer
 from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions, PictureStyle, drawing_scale, field_of
 from warp_plate.viz.page import write_page
@@ -103,9 +103,7 @@ def draw_surfaces(result: Result, path: str | Path, colours: ColourOptions = DEF
                 text = caption(
                     label, float(result.times[index]), case.localization_factor, frequency_text=frequency_text
                 )
-                field = case.displacement[index]
-                PlateActors(plotter, driven, field, scale, text, font_size, bar=False)
-                name_actuators(plotter, driven, scale.height_factor * field, round(0.75 * font_size))
+                PlateActors(plotter, driven, case.displacement[index], scale, text, font_size, bar=False)
             plotter.subplot(row, len(shown))
             add_legend(plotter, scene, scale, font_size)
         take_picture().save(path, format="PNG", compress_level=3)

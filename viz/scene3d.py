@@ -27,6 +27,8 @@ SCALARS = "colour"
 # About as many grid lines as the paper's 27 x 27 nodes have; of finer grids every second, third, … line is drawn.
 GRID_LINES = 26
 PLATES_PER_ROW = 3
+# Size of actuators' names [font sizes].
+NAME_SIZE = 0.75
 
 
 @dataclass(frozen=True)
@@ -150,7 +152,8 @@ class PlateActors:
     """A plate in the active subplot of a plotter, whose camera points at it; updated in place without rendering.
 
     Line widths are relative to the font size [pixels]; the height factor is added to the last line of the caption.
-    ``bar`` adds colour bar and legend. ``surface`` and ``caption`` are the actors of the surface and of the text above.
+    ``bar`` adds colour bar and legend. ``surface`` and ``caption`` are the actors of the surface and of the text above;
+    ``names`` are the places of the actuators' names.
     """
 
     def __init__(
@@ -167,6 +170,9 @@ class PlateActors:
             actor = plotter.add_mesh(layer.lines.mesh, **look, **unlit)
             actor.mapper.resolve = "polygon_offset"  # a global switch of VTK that the next line depends on
             actor.mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0, -layer.depth_offset)
+        self.names, self._named_nodes = annotations.name_actuators(
+            plotter, scene, displacement.shape, round(NAME_SIZE * font_size)
+        )
         label_x, label_y = annotations.axis_labels(scene.plate.size)
         annotations.add_text(plotter, *label_x, font_size)
         annotations.add_text(plotter, *label_y, font_size).GetTextProperty().SetJustificationToRight()
@@ -180,6 +186,8 @@ class PlateActors:
     def update(self, displacement: np.ndarray, values: np.ndarray | None = None, text: str | None = None) -> None:
         """Move to another field, see :meth:`PlateMeshes.update`, with another caption if a text is given."""
         self.meshes.update(displacement, self.scale, values)
+        self.names.points[:, 2] = self.meshes.surface.points[self._named_nodes, 2]
+        self.names.Modified()
         self._text = self._text if text is None else text
         self.caption.SetInput(", ".join(filter(None, (self._text, self.scale.heights_text))))
 

@@ -190,7 +190,11 @@ def test_actuators_are_named_where_all_names_fit(scene):
     middles = place_names(["lower left", "8"], patches, plate, letter)
     np.testing.assert_allclose(middles, [(0.02, 0.024), (0.19, 0.176)])
     assert not place_names(["a" * 51, "8"], patches, plate, letter).size
-    assert not place_names(["abc", "abc"], np.array([patches[0], patches[0]]), plate, letter).size
+    assert not place_names(["abc"] * 5, np.array([[[0.09, 0.11], [0.09, 0.11]]] * 5), plate, letter).size
+    # Where its own place is taken, a name stands on another side.
+    near = np.array([[[0.08, 0.09], [0.05, 0.06]], [[0.085, 0.095], [0.062, 0.072]]])
+    middles = place_names(["first", "next"], near, plate, letter)
+    np.testing.assert_allclose(middles, [(0.085, 0.046), (0.09, 0.076)])
     made, dark = scene(), []
     for length in (1, 5):
         rows = [{**each.model_dump(), "name": f"{index}" * length} for index, each in enumerate(made.actuators)]

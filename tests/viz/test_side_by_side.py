@@ -218,6 +218,19 @@ def test_large_numbers_have_powers_of_ten():
     assert [short_number(value) for value in numbers] == ["0.5", "730", "9990", "1.23·10⁴", "7.3·10⁴", "2.4·10⁷"]
 
 
+def test_names_of_actuators_follow_the_plate(plates):
+    """Every actuator has a name, as high as a node nearest to its corner."""
+    plate = plates.plates[1]
+    for frame in (0, 2, 4):
+        plates.show(frame)
+        names, surface = plate.names.points, plate.meshes.surface.points
+        assert len(names) == len(plates.scene.actuators)
+        away = np.linalg.norm(surface[:, None, :2] - names[:, :2], axis=2)
+        nearest = away < away.min(axis=0) + 1e-6
+        assert ((surface[:, None, 2] == names[:, 2]) & nearest).any(axis=0).all()
+        assert (np.ptp(names[:, 2]) > 1e-9) == (frame != 2)  # no plate moves at a zero crossing
+
+
 def test_another_field_changes_colours_but_not_heights(plates):
     plates.show(2)
     plate = plates.plates[0]

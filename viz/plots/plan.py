@@ -101,18 +101,27 @@ def drawn_size(scene: Scene, length: float) -> tuple[float, float]:
 
 def place_names(names: Sequence[str], patches: np.ndarray, plate: np.ndarray, letter: float) -> np.ndarray:
     """Return the middles (names, 2) of names beside patches (names, axis, 2) of a plate (axis, 2), with this width of a
-    letter; none if they do not all fit."""
-    half = letter * np.array([[len(name) / 2, 1.0] for name in names])
-    middles = patches.mean(axis=2)
-    towards = np.where(middles[:, 1] < plate[1].mean(), 1, -1)  # above patches of the lower half, below the others
-    middles[:, 1] += towards * (np.ptp(patches[:, 1], axis=1) / 2 + half[:, 1])
-    middles = np.clip(middles, plate[:, 0] + half, plate[:, 1] - half)
-    boxes = np.stack([middles - half, middles + half], axis=2)
-    drawn = np.concatenate([boxes, patches])
-    shared = np.minimum(boxes[:, None, :, 1], drawn[:, :, 1]) - np.maximum(boxes[:, None, :, 0], drawn[:, :, 0])
-    covered = (shared > 1e-9 * np.ptp(plate)).all(axis=2).sum(axis=1)
-    fit = (covered == 1).all() and (2 * half <= np.ptp(plate, axis=1)).all()  # each name covers itself
-    return middles if fit else middles[:0]
+    letter; none if they do not all fit.
+
+    A name stands above a patch of the lower half and below others, or where that is taken on another side.
+    """
+    middles, taken = np.empty((0, 2)), patches
+    for name, patch in zip(names, patches, strict=True):
+        half = letter * np.array([len(name) / 2, 1.0])
+        if (2 * half > np.ptp(plate, axis=1)).any():
+            return middles[:0]
+        inwards = 1 if patch[1].mean() < plate[1].mean() else -1
+        sides = np.array([(0, inwards), (0, -inwards), (1, 0), (-1, 0)])
+        places = patch.mean(axis=1) + sides * (np.ptp(patch, axis=1) / 2 + half)
+        places = np.clip(places, plate[:, 0] + half, plate[:, 1] - half)
+        boxes = np.stack([places - half, places + half], axis=2)
+        shared = np.minimum(boxes[:, None, :, 1], taken[:, :, 1]) - np.maximum(boxes[:, None, :, 0], taken[:, :, 0])
+        free = np.flatnonzero(~(shared > 1e-9 * np.ptp(plate)).all(axis=2).any(axis=1))
+        if not free.size:
+            return middles[:0]
+        middles = np.append(middles, places[free[:1]], axis=0)
+        taken = np.append(taken, boxes[free[:1]], axis=0)
+    return middles
 
 
 def draw_edges(axes: Axes, scene: Scene) -> None:
@@ -166,19 +175,24 @@ def draw_field(axes: Axes, scene: Scene, values: np.ndarray, scale: DrawingScale
 
 
 def draw_parts(axes: Axes, scene: Scene) -> None:
-    """Draw actuators, with their names if these fit, targets and edges."""
+    """Draw actuators, targets and edges."""
+    draw_actuators(axes, scene)
+    for outline in outlines(scene):
+        axes.plot(*outline.T, color=TARGET, linewidth=1.4, clip_on=False, zorder=4, path_effects=light_rim(1.4))
+    draw_edges(axes, scene)
+
+
+def draw_actuators(axes: Axes, scene: Scene, length: float = LENGTH) -> None:
+    """Draw the outlines of actuators, with their names if these fit on a plate of this longer side [inch]."""
     for actuator in scene.actuators:
         draw_outline(axes, actuator.area, INK)
     names = [shortened(actuator.name) for actuator in scene.actuators]
     patches = np.array([actuator.area for actuator in scene.actuators]).reshape(-1, 2, 2)
-    letter = 0.6 * NAME_SIZE / 72 / LENGTH * max(scene.plate.size)
+    letter = 0.6 * NAME_SIZE / 72 / length * max(scene.plate.size)
     middles = place_names(names, patches, np.array([(0.0, side) for side in scene.plate.size]), letter)
     centred = {"ha": "center", "va": "center", "zorder": 5}
     for name, (x, y) in zip(names, middles, strict=False):
         axes.text(x, y, name, fontsize=NAME_SIZE, color=INK, path_effects=light_rim(0), **centred)
-    for outline in outlines(scene):
-        axes.plot(*outline.T, color=TARGET, linewidth=1.4, clip_on=False, zorder=4, path_effects=light_rim(1.4))
-    draw_edges(axes, scene)
 
 
 def label_sides(axes: Axes, scene: Scene, bottom: bool = True, left: bool = True) -> None:

@@ -22,7 +22,7 @@ from warp_plate.viz.fields import (
     unit_with_prefix,
 )
 from warp_plate.viz.plots.frame import figure, number_log_axis
-from warp_plate.viz.plots.plan import draw_edges, draw_outline, drawn_size, light_rim
+from warp_plate.viz.plots.plan import draw_actuators, draw_edges, drawn_size, light_rim
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -263,8 +263,7 @@ def _draw_plate(axes: Axes, result: FocusResult, field: np.ndarray, scale: Drawi
     (low, high), cmap = scale.clim, colour_map(scale.cmap)
     look = {"origin": "lower", "extent": (0.0, width, 0.0, height), "interpolation": "bilinear"}
     axes.imshow(field * scale.unit_factor, cmap=cmap, vmin=low, vmax=high, **look)
-    for actuator in result.scene.actuators:
-        draw_outline(axes, actuator.area, INK)
+    draw_actuators(axes, result.scene, LENGTH)
     axes.plot(*table.points[0], "+", color="black", markersize=7, path_effects=light_rim(1.0))
     draw_edges(axes, result.scene)
 
