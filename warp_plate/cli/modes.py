@@ -73,7 +73,6 @@ def _print(
 ) -> None:
     import numpy as np
 
-    from warp_plate.accuracy.configurations import two_digits
     from warp_plate.effects.effect import attachments
     from warp_plate.plate.signals import highest_frequency
 
@@ -84,7 +83,7 @@ def _print(
     for number, (frequency, error, factor, waves, motion) in enumerate(zip(*columns, strict=True), 1):
         numbers = [RIGID, "", "", ""]
         if frequency:
-            bar = two_digits(100 * error) if math.isfinite(error) else "unknown"
+            bar = f"{100 * error:.2g}" if math.isfinite(error) else "unknown"
             numbers = [f"{frequency:.6g}", bar, f"{factor / 2:.4g}", f"{factor:.4g}"]
         rows.append(
             [
