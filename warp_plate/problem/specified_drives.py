@@ -20,6 +20,7 @@ from warp_plate.modal.modes import ModalPlate
 from warp_plate.optimize.cones import Block, LeastScale, least_scale_of_squares
 from warp_plate.problem.requirements import Aim, Requirements
 from warp_plate.problem.worst_points import Region, Values
+from warp_plate.result.specified import RegionLevels
 from warp_plate.scene.errors import SceneError
 
 # An aim or a rest, by its index.
@@ -33,17 +34,6 @@ GAIN, COLD = 1e-5, 3
 # Programs ask for this much more than the specification, so that their rounding does not violate it.
 MARGIN = 2e-8
 FIRST = 16  # samples of a region that programs begin with
-
-
-@dataclass(frozen=True)
-class Extremes:
-    """Peak accelerations in a region [m/s²]."""
-
-    worst: float  # largest
-    mean: float  # root mean square over the region, by mass
-    weakest: float  # smallest
-    worst_at: tuple[float, ...]  # point x, y [m] of the largest
-    weakest_at: tuple[float, ...]  # point x, y [m] of the smallest
 
 
 @dataclass
@@ -132,10 +122,10 @@ class Tone:
                 squares.append(self.mean_factor(aim.region) / unit)
                 continue
             rows = self.rows(self._points(("aim", index), aim.region)) / unit
-            if aim.level.phase == "free":
+            if (phase := self._phase(aim)) == "free":
                 squares += list(rows[:, None])
             else:
-                wanted.append(np.exp(1j * (aim.level.phase + self.rotation)) * rows)
+                wanted.append(np.exp(1j * phase) * rows)
         rests = [] if scaled == "actuators alone" else self._rests()
         blocks = [Block(rows / self._unit(index, level), scaled == "elsewhere") for index, rows in rests]
         if (power := self.requirements.specification.limits.power) is not None:
@@ -206,7 +196,7 @@ class Tone:
         """Return the tone with the rotation at which a drive moves the first target that has a phase; its points are
         shared."""
         for index, aim in enumerate(self.requirements.aims):
-            if aim.level.measure == "weakest" and aim.level.phase != "free":
+            if self._is_fixed(aim):
                 motion = (self.rows(self._points(("aim", index), aim.region)) @ drive).mean()
                 return replace(self, rotation=float(-np.angle(motion) - aim.level.phase))
         return self
@@ -231,15 +221,15 @@ class Tone:
     def _is_fixed(self, aim: Aim) -> bool:
         return aim.level.measure == "weakest" and aim.level.phase != "free"
 
-    def extremes(self, drive: np.ndarray) -> dict[str, Extremes]:
-        """Return the peak accelerations in all regions under a drive, by the names of the regions."""
+    def extremes(self, drive: np.ndarray) -> list[RegionLevels]:
+        """Return the peak accelerations in all regions under a drive."""
         regions: dict[str, Region] = {aim.name: aim.region for aim in self.requirements.aims}
         regions |= {rest.name: rest.region for rest in self.requirements.rests}
-        extremes = {}
+        levels = []
         for name, region in regions.items():
             (worst, worst_at), (weakest, weakest_at) = (self._end(region, drive, sign) for sign in (1.0, -1.0))
-            extremes[name] = Extremes(worst, self._mean(region, drive), weakest, worst_at, weakest_at)
-        return extremes
+            levels.append(RegionLevels(name, worst, self._mean(region, drive), weakest, worst_at, weakest_at))
+        return levels
 
     def reached(self, drive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the levels under a drive over those wanted (aims,), and over those allowed (rests,)."""

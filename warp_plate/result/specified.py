@@ -25,7 +25,7 @@ class RegionLevels:
 
 @dataclass(frozen=True)
 class Margin:
-    """How far a requirement is kept."""
+    """Margin by which a requirement is kept."""
 
     requirement: str
     wanted: float  # limit, in ``unit``
@@ -36,7 +36,7 @@ class Margin:
 
 @dataclass(frozen=True)
 class Scatter:
-    """One case of the tolerances."""
+    """Case of the tolerances."""
 
     changes: Mapping[str, float]  # factors of the scene's numbers by key
     nominal_level: float  # reached over wanted level of the worst target, under the drive of the nominal scene
@@ -107,10 +107,8 @@ class SpecifiedDrive:
 
     def driven_scene(self) -> Scene:
         """Return the scene with the drive and its frequency."""
-        areas = np.array([actuator.area for actuator in self.scene.actuators])
-        sizes = 1.0 if self.unit == "V" else (areas[:, 1] - areas[:, 0]) * (areas[:, 3] - areas[:, 2])
         scene = self.scene.replace("drive.frequency", self.frequency)
-        return scene_with(scene, np.abs(self.drive) / sizes, -np.angle(self.drive))
+        return scene_with(scene, np.abs(self.drive) / self.scene.unit_drives, -np.angle(self.drive))
 
     @property
     def robust(self) -> bool:

@@ -58,6 +58,12 @@ class Actuator(Table):
     """Capacitance, for electrical energies."""
 
     @property
+    def patch_area(self) -> float:
+        """Area of the patch [m²]."""
+        x0, x1, y0, y1 = self.area
+        return (x1 - x0) * (y1 - y0)
+
+    @property
     def amplitude_key(self) -> Literal["magnitude", "force"]:
         """Key that gives the amplitude in the scene file."""
         return "magnitude" if self.force is None else "force"
@@ -66,8 +72,7 @@ class Actuator(Table):
     def amplitude_area(self) -> float:
         """Ratio of the number under ``amplitude_key`` to the magnitude: the patch's area [m²] for a force, otherwise
         1."""
-        x0, x1, y0, y1 = self.area
-        return 1.0 if self.force is None else (x1 - x0) * (y1 - y0)
+        return 1.0 if self.force is None else self.patch_area
 
     @model_validator(mode="after")
     def _keys_of_kind(self) -> Self:

@@ -129,6 +129,11 @@ class SceneTables(Table):
         return {f"target {target.name}": target for target in self.targets}
 
     @property
+    def unit_drives(self) -> list[float]:
+        """Force [N] of each actuator at a magnitude of 1; 1 V for piezo patches."""
+        return [1.0 if self.piezo else actuator.patch_area for actuator in self.actuators]
+
+    @property
     def drive_unit(self) -> str:
         """Unit of all magnitudes, N/m² or, for electrostatic actuators and piezo patches, V."""
         return "V" if self.piezo or self.drive.electrostatic is not None else "N/m²"

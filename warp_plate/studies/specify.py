@@ -14,7 +14,7 @@ from warp_plate.modal.modes import ModalPlate, solve_modes
 from warp_plate.optimize.cones import LeastScale
 from warp_plate.problem.requirements import make_requirements
 from warp_plate.problem.specified_drives import Scaled, Tone, solve_together
-from warp_plate.result.specified import Margin, RegionLevels, Scatter, SpecifiedDrive
+from warp_plate.result.specified import Margin, Scatter, SpecifiedDrive
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import resolved_key, value_of
 from warp_plate.scene.model import Scene, SceneSource
@@ -75,7 +75,6 @@ def specify(
         tone = _between(tone, scaled, frequencies[chosen - 1], frequencies[chosen + 1])
     result = tone.solve(scaled)
     answer = _answer(tone, scaled, result, scales, frequencies)
-    answer = replace(answer, notes=_notes(scene, specification, tone.frequency))
     if specification.tolerance and tolerances:
         robust, scatter = _scatter(tone, scaled, answer.drive / answer.limits)
         met, notes = sum(case.met for case in scatter), list(answer.notes)
@@ -103,13 +102,12 @@ def _notes(scene: Scene, specification: Specification, frequency: float) -> list
 def _largest_drives(scene: Scene, specification: Specification) -> np.ndarray:
     """Return the (actuators,) largest magnitudes, in the unit of the scene's drives."""
     limits, largest = specification.limits, []
-    for index, actuator in enumerate(scene.actuators):
-        x0, x1, y0, y1 = actuator.area
+    for index, (actuator, unit) in enumerate(zip(scene.actuators, scene.unit_drives, strict=True)):
         limit = abs(actuator.magnitude)
         if scene.piezo and limits.voltage is not None:
             limit = limits.voltage
         elif limits.force is not None:
-            limit = limits.force / ((x1 - x0) * (y1 - y0))
+            limit = limits.force / unit
         if limit == 0:
             key = f"actuators[{index}].{actuator.amplitude_key} = 0"
             raise SceneError(f"{key}: allows no drive; raise it, or write specification.limits")
@@ -153,7 +151,7 @@ def _answer(
     """Return the answer at the frequency of a tone, without cases of tolerances."""
     scene, rests = tone.plate.scene, tone.requirements.rests
     binding, reached = tone.binding(result), math.isfinite(result.scale)
-    limits, feasible = tone.largest * _unit_factors(scene), reached and result.scale <= 1 + NOTHING
+    limits, feasible = tone.largest * scene.unit_drives, reached and result.scale <= 1 + NOTHING
     whole = tone.solve("actuators alone")
     if not np.isfinite(whole.drive).all():
         raise SceneError("specification.level: no drive reaches it, as at an edge that is held; write another level")
@@ -171,7 +169,7 @@ def _answer(
         drive=drive * limits,
         limits=limits,
         unit="V" if scene.piezo else "N",
-        levels=[RegionLevels(name, **vars(levels)) for name, levels in tone.extremes(drive).items()],
+        levels=tone.extremes(drive),
         margins=_margins(tone, drive, limits),
         contrast_db=contrast,
         bound_db=bound if reached else math.nan,
@@ -189,7 +187,7 @@ def _answer(
         guard=[line for rest in rests for line in rest.region.lines],
         scatter=(),
         robust_drive=np.full(len(limits), np.nan),
-        notes=(),
+        notes=_notes(scene, tone.requirements.specification, tone.frequency),
     )
 
 
@@ -202,14 +200,6 @@ def _contrast(tone: Tone, scale: float) -> float:
 
 def _decibels(ratio: float) -> float:
     return 20 * math.log10(ratio) if ratio > 0 else -math.inf
-
-
-def _unit_factors(scene: Scene) -> np.ndarray:
-    """Return the (actuators,) forces [N] or voltages [V] of unit magnitudes."""
-    if scene.piezo:
-        return np.ones(len(scene.actuators))
-    areas = np.array([actuator.area for actuator in scene.actuators])
-    return np.asarray((areas[:, 1] - areas[:, 0]) * (areas[:, 3] - areas[:, 2]))
 
 
 def _margins(tone: Tone, drive: np.ndarray, limits: np.ndarray) -> list[Margin]:
@@ -253,7 +243,7 @@ def _obstacles(
 ) -> list[str]:
     """Return sentences on what excludes each other, and what would do."""
     total = sum(part for _, part in binding) or 1.0
-    unit, limits = "V" if tone.plate.scene.piezo else "N", tone.largest * _unit_factors(tone.plate.scene)
+    unit, limits = "V" if tone.plate.scene.piezo else "N", tone.largest * tone.plate.scene.unit_drives
     names = {actuator.name: limit for actuator, limit in zip(tone.plate.scene.actuators, limits, strict=True)}
     named = [
         f"{names[text]:.3g} {unit} at {text}" if text in names else text
