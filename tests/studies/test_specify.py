@@ -175,6 +175,14 @@ def test_tolerances_that_no_drive_allows_are_said(key):
     assert np.isfinite(answer.robust_drive).all()
 
 
+def test_a_band_is_answered_at_its_worst_frequency():
+    answer = warp_plate.specify(Scene.load("console", ["specification.band=true"]), tolerances=False)
+    assert answer.feasible
+    assert answer.frequency == answer.frequencies[np.argmax(answer.contrasts)] == 180
+    assert answer.contrast_db == pytest.approx(answer.contrasts.max(), abs=0.01)
+    assert answer.notes == []
+
+
 def test_waveforms_that_are_not_used_are_said():
     keys = ["specification.frequency=250.0", "effects={modal_damping={ratio=0.01}}", "drive.burst={duration=0.05}"]
     assert "drive.burst is not used" in warp_plate.specify(Scene.load("console", keys)).notes[0]
