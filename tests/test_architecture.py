@@ -14,7 +14,7 @@ FLOORS = (
     {"_version", "interrupts", "row_blocks"},
     {"scene", "effects", "kernels", "optimize"},
     {"plate"},
-    {"quantities", "reference"},
+    {"quantities"},
     {"result"},
     {"solve", "viz"},
     {"modal"},

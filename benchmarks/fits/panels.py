@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from support.grid_modes import natural_modes
 from warp_plate import Scene
-from warp_plate.plate.modes import natural_modes
 
 # Cells of the lattice along the longer side; sensors and the corners of the actuator are points of the lattice, which
 # are nodes of all grids. The grid of which the frequencies of the band are taken, in cells of the lattice.

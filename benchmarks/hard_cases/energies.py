@@ -9,8 +9,8 @@ import numpy as np
 from scipy.sparse.linalg import spsolve
 
 from hard_cases.case import Case, Measured, Where, both, grouped, largest_difference, scene_of, stepped, with_end
+from support.grid_modes import natural_modes
 from warp_plate.plate.bending import make_bending, system
-from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import bilinear, patches
 from warp_plate.scene.model import Scene

@@ -8,10 +8,10 @@ from functools import partial
 import numpy as np
 
 from hard_cases.case import Case, Measured, Where, both, grouped, largest_difference, scene_of, stepped
+from support.numpy_plate import run_moment_form
 from warp_plate import PlateSolver
 from warp_plate.plate.bending import buckling_factor, make_bending
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.reference.numpy_plate import run_moment_form
 from warp_plate.scene.model import Scene
 
 DRIVES = np.array([[1.0, 0.4j]])

@@ -8,9 +8,9 @@ from functools import partial
 import numpy as np
 
 from hard_cases.case import PANEL, Case, Measured, Where, both, grouped, largest_difference, scene_of
+from support.numpy_plate import run_moment_form
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import localization_factor
-from warp_plate.reference.numpy_plate import run_moment_form
 from warp_plate.scene.model import Scene
 
 STEPS = 600

@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 
+from support import series
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.accuracy import configurations, report
 from warp_plate.accuracy.choose import choose, error_of_grid, find_grid
@@ -28,7 +29,6 @@ from warp_plate.modal.motion import fields
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import localization_factor
-from warp_plate.reference import series
 from warp_plate.resolve import resolve, resolve_for_sweep
 from warp_plate.scene.grid import Grid, Window
 from warp_plate.scene.vary import make_plan, parse_vary

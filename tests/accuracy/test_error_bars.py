@@ -7,10 +7,10 @@ import pytest
 from error_bars.campaign import measured, measured_nonlinear, missed
 from error_bars.judge import true_factors
 
+from support import series
 from warp_plate import Scene
 from warp_plate.accuracy.richardson import coprime_grids, weights_of_grids
 from warp_plate.plate.weights import localization_factor
-from warp_plate.reference import series
 from warp_plate.studies.simulate import simulate
 
 # Random scenes by number, and the factor of the quick one.

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from support.commands import error_of, output_of, start_program
+from support.grid_modes import natural_modes
 from support.scenes import scene_of
 from warp_plate import PlateSolver, load_result
 from warp_plate.accuracy.configurations import percent
 from warp_plate.analysis.check import check
-from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.stability_limit import find_limit
 from warp_plate.problem.search_cost import PROGRAM

@@ -6,6 +6,7 @@ import math
 import pytest
 
 from support.commands import error_of, output_of
+from support.grid_modes import natural_modes
 from support.scenes import scene_of
 from warp_plate import PlateSolver
 from warp_plate.analysis.influence import bare_scene, is_on, measure_effects, names, toggle
@@ -14,7 +15,6 @@ from warp_plate.cli import output
 from warp_plate.cli.check import print_influence
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.plate.designs import scene_phasors
-from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.solve.specialize import effect_names
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from support.commands import error_of, output_of
+from support.grid_modes import natural_modes
 from warp_plate.modal.continuous_modes import continuous_modes
 from warp_plate.modal.modes import solve_modes
-from warp_plate.plate.modes import natural_modes
 from warp_plate.viz.plots.modes import draw_modes, frequency_text, nodal_field, refined
 
 EDGES = ("clamped", {"translation": 100.0, "rotation": 0.1}, "free", "supported")

@@ -11,11 +11,11 @@ import pytest
 from support.commands import error_of, output_of
 from support.levy import isotropic, levy_frequencies
 from support.scenes import MATERIAL, refused, scene_of
+from support.series import wavenumber_squared
 from warp_plate import Scene, SceneError, modes
 from warp_plate.fitting.fit import fit_modes
 from warp_plate.fitting.least_squares import exchangeable
 from warp_plate.fitting.measured_modes import MeasuredModes, read_modes
-from warp_plate.reference.series import wavenumber_squared
 
 SIZE, MODULUS, VISCOUS = (0.23, 0.17), MATERIAL["young_modulus"], 2.0
 SURFACE_DENSITY = MATERIAL["density"] * MATERIAL["thickness"]

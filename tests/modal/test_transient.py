@@ -9,13 +9,13 @@ import math
 import numpy as np
 import pytest
 
+from support import series
 from support.scenes import scene_of
 from warp_plate import PlateSolver
 from warp_plate.modal.energies import ModalEnergies
 from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.motion import modal_motion, trace
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
-from warp_plate.reference import series
 
 SUPPORTED = ("supported",) * 4
 BURST = {"start": 0.002, "duration": 0.005, "ramp": 0.0015, "period": 0.006}

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import scipy.linalg
 
+from support.grid_modes import natural_modes
 from warp_plate import SceneError
 from warp_plate.plate.bending import buckling_factor, make_bending, stiffness_matrix, system
-from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.operator import biharmonic
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.stability_limit import FORMULA_NODES, find_limit

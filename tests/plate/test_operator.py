@@ -10,9 +10,9 @@ import math
 import numpy as np
 import pytest
 
+from support.numpy_plate import biharmonic, biharmonic_of_fourth_order, with_ghosts
 from support.scenes import discrete_operator, point_scene
 from warp_plate.plate.operator import DIVISOR, FEWEST_NODES, LARGEST, make_taps
-from warp_plate.reference.numpy_plate import biharmonic, biharmonic_of_fourth_order, with_ghosts
 
 ENDS = list(itertools.product(("clamped", "supported"), repeat=2))
 ENDS_IDS = ["CC", "CS", "SC", "SS"]

@@ -12,6 +12,7 @@ import math
 import numpy as np
 import pytest
 
+from support.grid_modes import natural_modes
 from support.scenes import refusal, refused
 from warp_plate import Scene, SceneError
 from warp_plate.effects.effect import IN_PLANE, SLOPE, Edge, Term
@@ -20,7 +21,6 @@ from warp_plate.modal.assemble import make_space
 from warp_plate.modal.modes import solve_modes
 from warp_plate.plate.bending import make_bending
 from warp_plate.plate.files import read_numbers, read_table
-from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.section import factors_at
 from warp_plate.plate.weights import node_positions

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from support import series
 from support.scenes import PAPER, refusal, refused
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.plate.files import digests
 from warp_plate.plate.shapes import cells, clipped, lagrange, outlines, polygon_weights
 from warp_plate.plate.weights import REGIONS, region_weights
-from warp_plate.reference import series
 from warp_plate.scene.target import Target, area_within
 
 TARGET = REGIONS.index("target")

@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
+from support.numpy_plate import run_plate
 from warp_plate import PlateSolver, SceneError
 from warp_plate.plate.scheme import discretize, make_scheme
 from warp_plate.plate.weights import localization_factor, patches, region_weights
 from warp_plate.problem.objectives import MOST_CELLS, Objectives, make_objectives
 from warp_plate.quantities.region_quantities import RegionSizes
-from warp_plate.reference.numpy_plate import run_plate
 from warp_plate.scene.search import Objective
 
 KINDS = ("localization", "contrast", "velocity", "displacement", "uniformity")

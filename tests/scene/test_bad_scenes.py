@@ -12,6 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from support.commands import is_printable
+from support.numpy_plate import run_moment_form
 from support.scenes import PAPER, refused
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.plate import memory
@@ -20,7 +21,6 @@ from warp_plate.plate.signals import make_signals
 from warp_plate.plate.travelling import moving_weights
 from warp_plate.plate.weights import patches, region_weights
 from warp_plate.problem.objectives import make_objectives
-from warp_plate.reference.numpy_plate import run_moment_form
 from warp_plate.scene.load import parse_toml
 
 ALL_KEYS = parse_toml((Path(__file__).parents[1] / "data" / "all_keys.toml").read_text(encoding="utf-8"), "")

@@ -209,7 +209,7 @@ def test_any_texts_and_numbers_survive_a_dump(texts, area, magnitude, time_step,
 
 
 def test_reading_scenes_imports_neither_warp_nor_graphics():
-    modules = ("scene", "plate.scheme", "plate.weights", "reference.numpy_plate", "reference.series", "optimize.pso")
+    modules = ("scene", "plate.scheme", "plate.weights", "optimize.pso")
     code = "import sys\n" + "".join(f"import warp_plate.{module}\n" for module in modules)
     code += "print(sorted({'warp', 'pyvista', 'vtk', 'vtkmodules', 'matplotlib'} & set(sys.modules)))"
     answer = subprocess.run([sys.executable, "-c", code], cwd=TESTS.parent, capture_output=True, text=True, check=True)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from support.scenes import point_scene
+from support.series import damped_motion, grid_wavenumber_squared, mode_shape, wavenumber_squared
 from warp_plate import PlateSolver
-from warp_plate.reference.series import damped_motion, grid_wavenumber_squared, mode_shape, wavenumber_squared
 
 SUPPORTED = ("supported",) * 4
 SIZE = (0.2, 0.16)

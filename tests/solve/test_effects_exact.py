@@ -21,10 +21,10 @@ import scipy.sparse
 import scipy.sparse.linalg
 
 from support.scenes import point_scene
+from support.series import grid_wavenumber_squared, mode_shape
 from warp_plate import PlateSolver
 from warp_plate.plate.bending import make_bending, system
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.reference.series import grid_wavenumber_squared, mode_shape
 
 SUPPORTED = ("supported",) * 4
 NODES, SIZE, MODE = (13, 11), (0.2, 0.18), (2, 1)

@@ -14,12 +14,12 @@ only up to the square of the step.
 import numpy as np
 import pytest
 
+from support.numpy_plate import inverse, make_matrices
 from support.oracle import random_edge, random_effects
 from warp_plate import PlateSolver
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.travelling import moving_weights
 from warp_plate.plate.weights import patches, region_weights
-from warp_plate.reference.numpy_plate import inverse, make_matrices
 
 STEPS = 400
 PARTS = np.linspace(0.05, 1, 20)  # of a run, at which its reach is sampled

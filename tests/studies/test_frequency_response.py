@@ -10,9 +10,9 @@ import pytest
 import scipy
 from numpy.polynomial import legendre
 
+from support.series import patch_pressures, supported_plate
 from warp_plate.modal.modes import solve_modes
 from warp_plate.plate.designs import scene_phasors
-from warp_plate.reference.series import patch_pressures, supported_plate
 from warp_plate.result.frequency_response import write_csv, write_hdf5, write_uff
 from warp_plate.scene.errors import SceneError
 from warp_plate.studies.frequency_response import default_range, frf

@@ -6,11 +6,11 @@ Tests that need no grid in particular take 13 nodes along y and 9 to 16 along x,
 
 import numpy as np
 
+from support.numpy_plate import run_moment_form, run_plate
 from warp_plate.kernels import plans
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.signals import make_signals
 from warp_plate.plate.weights import patches, region_weights
-from warp_plate.reference.numpy_plate import run_moment_form, run_plate
 from warp_plate.solve import compiled_scene, moment_form
 
 # Relative to the largest number of a plate. Both sides round a few times ε a step, in another order; a few hundred

@@ -13,7 +13,7 @@ from warp_plate.cli import options, output
 if TYPE_CHECKING:
     import numpy as np
 
-    from warp_plate.plate.modes import NaturalModes
+    from warp_plate.modal.continuous_modes import NaturalModes
     from warp_plate.scene.model import Scene
 
 ENDINGS, RIGID = (".png", ".svg", ".pdf"), "0 (rigid)"

@@ -5,8 +5,8 @@ A linear plate is a sum of quadratic forms in its displacement u or velocity u̇
     T = ½ Σ ∫ m ∂u̇ ∂'u̇,     U = ½ Σ ∫ k ∂u ∂'u,     F = ½ Σ ∫ c ∂u̇ ∂'u̇,
 
 each over the plate, along an edge, or of the mean displacement of a patch. A :class:`Term` is one of them, as data; it
-is read by ``modal/assemble.py`` (matrices over a function space), ``plate/bending.py`` (fields on the grid) and the
-plain NumPy plate in ``reference/``. What is not a sum of terms says so by the attributes of its :class:`Effect`.
+is read by ``modal/assemble.py`` (matrices over a function space), ``plate/bending.py`` (fields on the grid). What
+is not a sum of terms says so by the attributes of its :class:`Effect`.
 """
 
 from __future__ import annotations

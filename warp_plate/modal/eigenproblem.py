@@ -17,7 +17,6 @@ from warp_plate.effects.effect import IN_PLANE
 from warp_plate.modal.assemble import Galerkin, make_galerkin, make_space
 from warp_plate.modal.spaces.space import Matrix
 from warp_plate.plate.memory import refuse_beyond_memory
-from warp_plate.plate.modes import lowest_by_lanczos
 from warp_plate.plate.stability_limit import buckled
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -89,6 +88,26 @@ def _solve(galerkin: Galerkin, basis: Matrix, wanted: int, scale: float, least: 
     if squares.size == wanted and squares[-1] < least:
         return _solve(galerkin, basis, wanted + math.ceil(wanted / 4), scale, least)
     return squares, basis @ vectors
+
+
+def lowest_by_lanczos(
+    stiffness: scipy.sparse.sparray, mass: scipy.sparse.sparray | None, count: int, scale: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lowest (count,) eigenvalues, rising, and vectors (unknowns, count) of Kφ = λMφ; no M is the identity.
+
+    The negative shift, of the size of the lowest, makes the singular matrix of a free plate solvable.
+    """
+    identity = scipy.sparse.eye_array(stiffness.shape[0])
+    shifted = scipy.sparse.csc_array(stiffness + scale * (identity if mass is None else mass))
+    solve = scipy.sparse.linalg.splu(
+        shifted, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+    ).solve
+    inverse = scipy.sparse.linalg.LinearOperator(shifted.shape, matvec=solve, dtype=float)
+    # Started from a vector without symmetry, which finds modes of every symmetry.
+    start = np.random.default_rng(0).normal(size=shifted.shape[0])
+    values, vectors = scipy.sparse.linalg.eigsh(stiffness, count, mass, sigma=-scale, OPinv=inverse, v0=start)
+    order = np.argsort(values, kind="stable")
+    return values[order], vectors[:, order]
 
 
 def _improve_lowest(galerkin: Galerkin, squares: np.ndarray, vectors: np.ndarray, parity: np.ndarray) -> None:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.polynomial import legendre
 
+from support import series
 from warp_plate import Scene, SceneError
 from warp_plate.effects.table import Effects
-from warp_plate.reference import series
 
 DRIVE = np.array([1, 0.3 - 0.4j, 0, 0.2j])
 X, Y = np.linspace(0, 0.2, 8), np.linspace(0, 0.2, 11)
