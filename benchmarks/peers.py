@@ -59,9 +59,7 @@ def main() -> int:
     if options.json:
         options.json.write_text(json.dumps({**record, "cases": cases}, indent=1) + "\n")
     sound = all(case["results"] for case in cases)
-    wrong = any(
-        reason.startswith(("wrong", "failed")) for case in cases for reason in case["absent"].values()
-    )
+    wrong = any(reason.startswith(("wrong", "failed")) for case in cases for reason in case["absent"].values())
     return 0 if sound and not wrong else 1
 
 

@@ -27,8 +27,7 @@ def measured(number: int, promises: Sequence[float] = (), judge_by: Callable = t
         truth, judge = float(judge_by(scene, phasors)[0]), JUDGE
         if set(names) & set(INHOMOGENEOUS):  # of more elements, and corners at which moments are singular
             truth, coarse = (
-                float(judge_by(scene, phasors, each)[0])
-                for each in (INHOMOGENEOUS_DEGREE, INHOMOGENEOUS_DEGREE - 1)
+                float(judge_by(scene, phasors, each)[0]) for each in (INHOMOGENEOUS_DEGREE, INHOMOGENEOUS_DEGREE - 1)
             )
             judge += abs(coarse / truth - 1)
     except SceneError as error:

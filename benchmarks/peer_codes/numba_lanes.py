@@ -105,6 +105,4 @@ def share_groups(in_phase, quadrature, cosine, sine, numbers, lanes, first, all_
                 left, right = here[: stop - lanes], here[start + lanes :]
                 load_a, load_b, middle = a[j, start:stop], b[j, start:stop], here[start:stop]
                 x, v, w = u[j, start:stop], q[j, start:stop], squares[j, start:stop]
-                update_line(
-                    below, middle, left, right, above, load_a, load_b, c, s, numbers, measured, x, v, w
-                )
+                update_line(below, middle, left, right, above, load_a, load_b, c, s, numbers, measured, x, v, w)

@@ -170,9 +170,7 @@ class Tone:
                 added |= self._add(("rest", index), rest.region, result.drive, measure, scale, between)
         return added
 
-    def _add(
-        self, key: Key, region: Region, drive: np.ndarray, measure: Values, limit: float, between: bool
-    ) -> bool:
+    def _add(self, key: Key, region: Region, drive: np.ndarray, measure: Values, limit: float, between: bool) -> bool:
         """Add the points of a region where a measure of the acceleration passes a limit."""
         peaks = self._peaks(region, drive, measure, between)
         beyond = peaks[measure(self.rows(peaks) @ drive) > limit + TOLERANCE * max(1.0, limit)]
@@ -327,4 +325,3 @@ def _factor(matrix: np.ndarray) -> np.ndarray:
     """Return R (rows, n) with RᴴR the part of a Hermitian matrix (n, n) that is not negative."""
     values, vectors = np.linalg.eigh((matrix + matrix.conj().T) / 2)
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0))).conj().T)
-

@@ -103,9 +103,7 @@ _LIST = (
         bounded_by="localization",
     ),
     Quantity("contrast", "dB", "contrast of target and rest", contrast, is_ratio=True, bounded_by="localization"),
-    Quantity(
-        "velocity", "m/s", "velocity of the target", RMS_OF_TARGET, bounded_by="energy", of_rest=RMS_OF_REST
-    ),
+    Quantity("velocity", "m/s", "velocity of the target", RMS_OF_TARGET, bounded_by="energy", of_rest=RMS_OF_REST),
     Quantity(
         "displacement",
         "m",

@@ -51,7 +51,6 @@ class _Motion(Table):
         peak = getattr(self, key) * unit * (2 * math.pi * frequency) ** LEVEL_KEYS[key]
         return float(peak * (math.sqrt(2) if self.rms else 1.0))
 
-
     @property
     def text(self) -> str:
         """The level with its unit, for people."""
@@ -131,8 +130,7 @@ class Specification(Table):
     guard: Annotated[NotNegative, Unit("m"), Field(examples=[0.02])] = 0.0
     """Width of the rim around targets that belongs neither to them nor to the rest."""
     level: Annotated[
-        Annotated[Level, Tag("one")]
-        | Annotated[tuple[Level, ...], Field(min_length=1, max_length=64), Tag("several")],
+        Annotated[Level, Tag("one")] | Annotated[tuple[Level, ...], Field(min_length=1, max_length=64), Tag("several")],
         _IS_LIST,
     ]
     elsewhere: Annotated[
