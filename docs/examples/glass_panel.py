@@ -17,5 +17,5 @@ wpl.plot(result, "glass-panel")
 wpl.save_result(result, "glass-panel.h5")
 
 found = wpl.sweep(scene, ["drive.frequency=200:400:5"])
-print(found.to_xarray()["best"])
+print(found.shaped("best"))
 wpl.plot(found, "glass-panel-sweep")

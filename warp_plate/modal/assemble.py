@@ -21,17 +21,7 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from warp_plate.effects.effect import (
-    DISPLACEMENT,
-    Attachment,
-    Edge,
-    Factors,
-    Losses,
-    Patch,
-    Role,
-    attachments,
-    losses,
-)
+from warp_plate.effects.effect import DISPLACEMENT, Attachment, Edge, Factors, Losses, Patch, Role, attachments, losses
 from warp_plate.modal.spaces.space import FunctionSpace, Matrix
 from warp_plate.modal.spaces.tensor_splines import TensorSplines
 from warp_plate.plate.bending import join_masses

@@ -7,16 +7,13 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
-from warp_plate.result import hdf5, import_xarray
+from warp_plate.result import hdf5
 from warp_plate.result.atomic_io import atomic_paths, write_table
 from warp_plate.scene.errors import SceneError
-
-if TYPE_CHECKING:
-    import xarray
 
 Quantity = Literal["receptance", "mobility", "accelerance"]
 # Power of iω by which the displacement is multiplied.
@@ -96,26 +93,6 @@ class FrequencyResponse:
         """Lines that the command prints after "!"."""
         line = "The plate has undamped modes: their peaks have no height; frequencies beside them are shown."
         return (line,) * self.undamped
-
-    def to_xarray(self) -> xarray.Dataset:
-        """Return the responses (input, point, frequency) and the curves over frequency as an ``xarray.Dataset``."""
-        xarray = import_xarray()
-        shape = (len(self.inputs), len(self.points), len(self.frequencies))
-        return xarray.Dataset(
-            {
-                "response": (("input", "point", "frequency"), self.responses.reshape(shape), {"units": self.unit}),
-                "mean_square_velocity": (("input", "frequency"), self.mean_square_velocity, {"units": "(m/s)²/N²"}),
-                "localization_factor": ("frequency", self.localization_factor, {"units": "1"}),
-                "bound": ("frequency", self.bound, {"units": "1"}),
-            },
-            {
-                "input": list(self.inputs),
-                "frequency": ("frequency", self.frequencies, {"units": "Hz"}),
-                "x": ("point", self.points[:, 0], {"units": "m"}),
-                "y": ("point", self.points[:, 1], {"units": "m"}),
-            },
-            {"title": self.title, "quantity": self.quantity},
-        )
 
 
 def write_csv(response: FrequencyResponse, path: Path) -> None:

@@ -11,13 +11,12 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from warp_plate.plate.designs import scene_with
 from warp_plate.quantities.region_quantities import REGION_QUANTITIES
-from warp_plate.result import import_xarray
 from warp_plate.result.case import Case, Cases, case_scene, target_cases
 from warp_plate.result.hdf5 import FileFormat, write_along
 from warp_plate.result.layouts import Counts, Dataset, Datasets, read_fields, write_fields
@@ -25,9 +24,6 @@ from warp_plate.result.motion_table import aligned, motion_table
 from warp_plate.scene.errors import SceneError, printable
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Objective
-
-if TYPE_CHECKING:
-    import xarray
 
 FORMAT = FileFormat("result", 4)
 # Fraction of all scenarios that counts as the worst ones.
@@ -253,36 +249,6 @@ class Result:
     def main_case(self) -> Case:
         """The best drive found, or the drive that was simulated."""
         return self.cases[self.main_name]
-
-    def to_xarray(self) -> xarray.Dataset:
-        """Return drives, energies, displacements and traces of all cases as an ``xarray.Dataset``."""
-        xarray = import_xarray()
-        cases, (nx, ny), (width, height) = list(self.cases.values()), self.scene.grid.nodes, self.scene.plate.size
-
-        def values(name: str) -> np.ndarray:
-            return np.array([getattr(case, name) for case in cases])
-
-        traces = values("trace")[..., : len(self.trace_times)]  # without points there are no times
-        return xarray.Dataset(
-            {
-                "localization_factor": ("case", values("localization_factor"), {"units": "1"}),
-                "energy": (("case", "region"), [list(case.energy.values()) for case in cases], {"units": "J"}),
-                "magnitude": (("case", "actuator"), values("magnitude"), {"units": self.scene.drive_unit}),
-                "phase": (("case", "actuator"), values("phase"), {"units": "rad"}),
-                "displacement": (("case", "time", "y", "x"), values("displacement"), {"units": "m"}),
-                "trace": (("case", "point", "trace_time"), traces, {"units": "m"}),
-            },
-            {
-                "case": list(self.cases),
-                "region": list(cases[0].energy),
-                "actuator": [actuator.name for actuator in self.scene.actuators],
-                "time": ("time", self.times, {"units": "s"}),
-                "trace_time": ("trace_time", self.trace_times, {"units": "s"}),
-                "x": ("x", np.linspace(0, width, nx), {"units": "m"}),
-                "y": ("y", np.linspace(0, height, ny), {"units": "m"}),
-            },
-            {"title": self.scene.title, "command": self.command},
-        )
 
 
 def best_drive_scenes(result: Result) -> dict[str, Scene]:

@@ -15,19 +15,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import h5py
 import numpy as np
 
-from warp_plate.result import hdf5, import_xarray, layouts
+from warp_plate.result import hdf5, layouts
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import label_of, scalar_keys, unit_of
 from warp_plate.scene.model import Scene
 from warp_plate.scene.vary import MOST_POINTS, Plan, counted, parse_frequencies, value_text
-
-if TYPE_CHECKING:
-    import xarray
 
 FORMAT = hdf5.FileFormat("sweep", 2)
 KEYS = layouts.Attribute(tuple[str, ...])
@@ -133,24 +130,6 @@ class Sweep:
     def shaped(self, output: str) -> np.ndarray:
         """Return the values of an output in the shape of the plan, followed by the output's own axis."""
         return self.values[output].reshape(*self.plan.shape, *self.values[output].shape[1:])
-
-    def to_xarray(self) -> xarray.Dataset:
-        """Return the outputs as an ``xarray.Dataset`` with the keys as coordinates; its ``to_dataframe`` gives pandas'.
-
-        Samples have the dimension ``sample``; outputs with an axis of their own have it last.
-        """
-        xarray = import_xarray()
-        plan, axes = self.plan, {item.axis for item in self.outputs.values() if item.axis is not None}
-        names = ("sample",) if plan.sampled else plan.keys
-        along = [("sample",)] * len(plan.keys) if plan.sampled else [(key,) for key in plan.keys]
-        columns = zip(plan.keys, along, plan.coordinates, strict=True)
-        coordinates = {key: (names, values, {"units": unit_of(self.scene, key)}) for key, names, values in columns}
-        coordinates |= {axis: ((axis,), self.along(axis), {}) for axis in axes}
-        outputs = {
-            name: ((*names, *filter(None, [item.axis])), self.shaped(name), {"units": item.unit})
-            for name, item in self.outputs.items()
-        }
-        return xarray.Dataset(outputs, coordinates, {"source": self.source, "what": self.what})
 
 
 def save_sweep(sweep: Sweep, path: str | Path) -> Path:

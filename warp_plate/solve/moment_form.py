@@ -5,13 +5,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_plate.kernels import (
-    moment_form_blocking,
-    moment_form_cpu,
-    moment_form_cuda,
-    plans,
-    temporal_blocking,
-)
+from warp_plate.kernels import moment_form_blocking, moment_form_cpu, moment_form_cuda, plans, temporal_blocking
 from warp_plate.kernels import update as structs
 from warp_plate.kernels.cuda import LANES
 from warp_plate.solve import cuda

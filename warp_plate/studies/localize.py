@@ -27,13 +27,7 @@ from warp_plate.scene.errors import SceneError, printable
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.solve.devices import processor_of
 from warp_plate.studies.baselines import baseline_cases, check_baselines
-from warp_plate.studies.searches import (
-    OnProgress,
-    SearchOutcome,
-    initial_state,
-    search_targets,
-    with_target,
-)
+from warp_plate.studies.searches import OnProgress, SearchOutcome, initial_state, search_targets, with_target
 from warp_plate.studies.simulate import estimate_error, optional_part
 from warp_plate.studies.spectrum import has_spectrum, make_spectrum
 from warp_plate.studies.unfinished import (

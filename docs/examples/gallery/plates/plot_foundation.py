@@ -11,12 +11,12 @@ import numpy as np
 import warp_plate as wpl
 
 scene = wpl.Scene.load("paper").with_tables(effects={"foundation": {"stiffness": 1e3}})
-data = wpl.sweep(scene, ["effects.foundation.stiffness=log:1e3:1e7:25"], what="modes", count=5).to_xarray()
-stiffness = data["effects.foundation.stiffness"]
+found = wpl.sweep(scene, ["effects.foundation.stiffness=log:1e3:1e7:25"], what="modes", count=5)
+stiffness = found.plan.coordinates[0]
 of_bed = np.sqrt(stiffness / (scene.plate.density * scene.plate.thickness)) / (2 * np.pi)
 
 figure, axis = plt.subplots(figsize=(7, 4.5), layout="constrained")
-axis.loglog(stiffness, data["frequency"])
+axis.loglog(stiffness, found.values["frequency"])
 axis.loglog(stiffness, of_bed, "k:", label="rigid plate on the bed")
 axis.set(xlabel="stiffness of the bed (N/m³)", ylabel="natural frequency (Hz)", ylim=(20, None))
 axis.legend()

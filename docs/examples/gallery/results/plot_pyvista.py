@@ -12,9 +12,10 @@ import pyvista
 import warp_plate as wpl
 
 result = wpl.localize("paper", spectrum=False, estimate=False)
-data = result.to_xarray().sel(case="best").isel(time=0)
-x, y = np.meshgrid(data.x, data.y)
-field = data.displacement.values.astype(float)
+field = result.main_case.displacement[0]  # (ny, nx) at the first recorded time
+ny, nx = field.shape
+width, height = result.scene.plate.size
+x, y = np.meshgrid(np.linspace(0, width, nx), np.linspace(0, height, ny))
 
 plotter = pyvista.Plotter(off_screen=True, window_size=(1000, 640))
 surface = pyvista.StructuredGrid(x, y, 1e5 * field)
