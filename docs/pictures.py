@@ -15,6 +15,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 from typing import Any
 
@@ -217,6 +218,32 @@ def explorer(name: str) -> Path:
     return Path(name)
 
 
+def window(name: str) -> Path:
+    """Take a picture of the window on a virtual display."""
+    from PIL import ImageGrab
+
+    warp_plate("localize paper")
+    reading, writing = os.pipe()
+    screen = ["-screen", "0", "1600x1000x24", "-nolisten", "tcp", "-noreset"]
+    with subprocess.Popen(["Xvfb", "-displayfd", str(writing), *screen], pass_fds=[writing]) as server:
+        os.close(writing)
+        os.environ["DISPLAY"] = ":" + os.fdopen(reading).readline().strip()
+        command = [sys.executable, "-m", "warp_plate", "view", "paper-localize.h5", *THREE.split()]
+        with subprocess.Popen(command) as viewer:
+            at = ["mousemove", "--window", "%1", "400", "200"]
+            subprocess.run(
+                ["xdotool", "search", "--sync", "--onlyvisible", "--name", "warp-plate view", *at], check=True
+            )
+            for key in ("space", "c", "c", "c"):
+                subprocess.run(["xdotool", "key", key], check=True)
+                time.sleep(1.5)
+            screen_shot = ImageGrab.grab(xdisplay=os.environ["DISPLAY"])
+            screen_shot.crop(screen_shot.getbbox()).save(name)  # the screen behind is black
+            viewer.terminate()
+        server.terminate()
+    return Path(name)
+
+
 class chromium:
     """Headless Chromium of the system, else of Playwright, as a context."""
 
@@ -233,7 +260,7 @@ class chromium:
 
 
 OTHERS = {"explore-page.png": explorer, "hard-cases.png": hard_cases}
-OTHERS |= {"targets.png": targets, "view-page.png": page}
+OTHERS |= {"targets.png": targets, "view-page.png": page, "view-window.png": window}
 
 if __name__ == "__main__":
     main(sys.argv[1:])

@@ -50,13 +50,11 @@ FORBIDDEN_MODULES = {
     "pickle", "marshal", "shelve", "dill", "joblib", "yaml", "code", "codeop", "runpy", "socket", "ssl",
     "http", "urllib", "ftplib", "smtplib", "xmlrpc", "socketserver", "requests", "webbrowser", "asyncio", "subprocess",
 }  # fmt: skip
-# The explorer serves a page on 127.0.0.1, reads its key, and opens it; view opens a file; others start fixed commands
-# without a shell.
+# The explorer serves a page on 127.0.0.1, reads its key, and opens it; others start fixed commands without a shell.
 ALLOWED = {
     "viz/explorer_page.py": {"asyncio", "socket"},
     "viz/explorer_access.py": {"socket", "urllib"},
     "warp_plate/cli/explore.py": {"webbrowser"},
-    "warp_plate/cli/render.py": {"webbrowser"},
     "viz/availability.py": {"subprocess"},
 }  # fmt: skip
 

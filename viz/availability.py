@@ -16,7 +16,7 @@ import threading
 from contextlib import suppress
 
 WINDOW_VARIABLE = "VTK_DEFAULT_OPENGL_WINDOW"
-OSMESA_WINDOW = "vtkOSOpenGLRenderWindow"
+X_WINDOW, OSMESA_WINDOW = "vtkXOpenGLRenderWindow", "vtkOSOpenGLRenderWindow"
 EXTRA, LIBRARIES = "pip install 'warp-plate[viz]'", ("matplotlib", "pyvista", "PIL", "imageio_ffmpeg")
 NO_DRIVER = (
     "there is no driver for off-screen drawing; 'apt-get install libegl1 libgl1-mesa-dri' (Debian, Ubuntu) or "
@@ -56,6 +56,17 @@ def missing_renderer() -> str | None:
     """Return a sentence on why VTK cannot draw off screen and what to install, or None; takes 0.5 s at first."""
     with _LOCK:  # a trial at a time, whose result is cached
         return missing_plots() or working_window()[1]
+
+
+def missing_window() -> str | None:
+    """Return a few words on why no window can be shown, or None if one can."""
+    problem = missing_plots()
+    if problem is not None or not sys.platform.startswith("linux"):
+        return problem
+    display = os.environ.get("DISPLAY")
+    if not display:
+        return "there is no display: DISPLAY is not set"
+    return None if try_window(X_WINDOW) == (True, X_WINDOW) else f"the display {display} cannot be drawn on"
 
 
 def prepare() -> None:

@@ -230,7 +230,7 @@ class SideBySide:
         self, plotter: pyvista.Plotter, scene: Scene, motions: Sequence[Motion], quantity: str, font_size: int,
         colours: ColourOptions = DEFAULT_COLOURS,
     ) -> None:  # fmt: skip
-        self.scene, self.motions = scene, list(motions)
+        self.scene, self.motions, self.colours = scene, list(motions), colours
         self.frames, self.frame = len(motions[0].times), 0
         self.scales, self._values = motion_scales(scene, motions, quantity, colours)
         self.plates, separate = [], colours.separate
@@ -242,7 +242,7 @@ class SideBySide:
             self.plates.append(PlateActors(plotter, placed, field, scale, text, font_size, separate, values[0]))
         if not separate:
             plotter.subplot(0, columns)
-            annotations.add_legend(plotter, scene, self.scales[0], font_size)
+        self._bar = None if separate else annotations.add_legend(plotter, scene, self.scales[0], font_size)
 
     def show(self, frame: int) -> None:
         """Move all plates to a frame, counted modulo the number of frames."""
@@ -252,12 +252,24 @@ class SideBySide:
             # Some fields are constant in time, with a single frame.
             plate.update(motion.displacement[self.frame], values[self.frame % len(values)], text)
 
+    def colour_by(self, quantity: str) -> None:
+        """Show another field in colour at the same frame and heights, within limits that suit it."""
+        colours = replace(self.colours, limits="each" if self.colours.separate else "common")
+        scales, self._values = motion_scales(self.scene, self.motions, quantity, colours)
+        pairs = zip(scales, self.scales, strict=True)
+        self._rescale([replace(scale, height_factor=before.height_factor) for scale, before in pairs])
+
     def exaggerate(self, height_factor: float) -> None:
         """Exaggerate heights of the first plate by this factor, rounded to three digits, and others in proportion."""
         ratio = height_factor / self.scales[0].height_factor
         factors = [float(f"{ratio * scale.height_factor:.3g}") for scale in self.scales]
-        self.scales = [replace(scale, height_factor=new) for scale, new in zip(self.scales, factors, strict=True)]
-        for plate, scale in zip(self.plates, self.scales, strict=True):
+        self._rescale([replace(scale, height_factor=new) for scale, new in zip(self.scales, factors, strict=True)])
+
+    def _rescale(self, scales: list[DrawingScale]) -> None:
+        self.scales = scales
+        if self._bar is not None:
+            annotations.set_colour_bar(self._bar, scales[0])
+        for plate, scale in zip(self.plates, scales, strict=True):
             plate.rescale(scale)
         self.show(self.frame)
 

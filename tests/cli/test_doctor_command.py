@@ -51,7 +51,7 @@ def test_this_machine(command):
     found = checks(command)
     assert found["Python"]["text"].startswith(f"{sys.version_info.major}.{sys.version_info.minor}.")
     assert found["Warp"]["text"].startswith(wp.config.version)
-    assert {"CPU", "kernels", "results", "pictures", "browser", "extra viz"} <= found.keys()
+    assert {"CPU", "kernels", "results", "pictures", "window", "browser", "extra viz"} <= found.keys()
     for device in wp.get_cuda_devices():
         assert 0 < found[device.alias]["free_memory"] <= device.total_memory
     words = output_of(command("doctor"))

@@ -88,17 +88,6 @@ def test_pages_and_plans_need_no_window(render, monkeypatch, tmp_path):
     assert not list(tmp_path.glob(".*"))
 
 
-@pytest.mark.parametrize("desktop", [True, False])
-def test_view_writes_a_page_and_opens_it_on_a_desktop(result_file, tmp_path, monkeypatch, command, desktop):
-    opened = []
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("webbrowser.open", opened.append)
-    monkeypatch.setattr("warp_plate.cli.render.has_desktop", lambda: desktop)
-    assert output_of(command("view", result_file, "--device", "cpu", "--frames", "3")) == "wrote run.html\n"
-    assert opened == [(tmp_path / "run.html").as_uri()] * desktop
-    assert (tmp_path / "run.html").stat().st_size > 10_000
-
-
 def test_invalid_options_are_named(render, tmp_path):
     for options, complaint in (
         ("--out a.jpg", "--out a.jpg: must end in .png, .svg, .pdf, .gif, .mp4 or .html"),

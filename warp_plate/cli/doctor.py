@@ -93,10 +93,10 @@ def _diagnose_folder(name: str, folder: Path, state: Literal["missing", "error"]
 
 
 def _check_drawing() -> Iterator[Diagnosis]:
-    from warp_plate.viz.availability import missing_renderer
+    from warp_plate.viz.availability import missing_renderer, missing_window
 
     remote = None if has_desktop() else "no desktop here; 'explore SCENE --web' prints an address to open elsewhere"
-    for name, problem in (("pictures", missing_renderer()), ("browser", remote)):
+    for name, problem in (("pictures", missing_renderer()), ("window", missing_window()), ("browser", remote)):
         yield Diagnosis(name, "missing" if problem else "ok", problem or "works")
 
 

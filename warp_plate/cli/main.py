@@ -33,7 +33,7 @@ COMMANDS = {
     "verify": ("measurement", "Compare velocities measured under a drive with those that its result predicts."),
     "frf": ("frf", "Show frequency responses of a linear plate, and the best localization at each frequency."),
     "focus": ("focus", "Compute a waveform for each actuator that moves the plate at a point and a moment."),
-    "view": ("render", "Show the plates of a result in motion, in the browser."),
+    "view": ("render", "Show the plates of a result in motion, in a window."),
     "render": ("render", "Draw pictures, movies and pages of a result; needs no display."),
     "explore": ("explore", "Explore a scene in the browser: sliders for every actuator, frequency and damping."),
     "export": ("export", "Write a result for ParaView, a spreadsheet or the amplifier."),

@@ -1,8 +1,7 @@
-"""``warp-plate view`` and ``render``: plates in motion, in a browser or in files."""
+"""``warp-plate view`` and ``render``: plates in motion, in a window or in files."""
 
 from __future__ import annotations
 
-import webbrowser
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +11,6 @@ from cyclopts import Parameter
 from cyclopts.validators import Number
 
 from warp_plate.cli import options, output
-from warp_plate.cli.explore import has_desktop
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
@@ -109,16 +107,28 @@ def view(
     *,
     playback: PlaybackOptions = PlaybackOptions(),
     colours: options.ColourChoice = options.ColourChoice(),
-    shown: FrameOptions = FrameOptions(),
+    frames: FrameOptions = FrameOptions(),
 ) -> None:
-    """Show the plates of a result in motion: write the page RESULT.html, as render does, and open it in the browser.
+    """Show the plates of a result in motion, in a window with a slider and keys.
 
-    The page plays and turns the plates offline, and has sliders for time, speed and heights.
+    A result holds few displacements, so its scene is run again under its drives to make the frames.
     """
-    page = Path(f"{result.stem}.html")
-    render(result, out=[page], playback=playback, colours=colours, shown=shown)
-    if has_desktop():
-        webbrowser.open(page.absolute().as_uri())
+    playback.check()
+    chosen = colours.chosen()
+    from warp_plate.result.model import load_result
+    from warp_plate.viz.availability import missing_window
+
+    loaded = load_result(result)
+    if (problem := missing_window()) is not None:
+        raise SceneError(
+            f"no window can be opened: {problem}; write pictures, movies or a page with 'warp-plate render {result}'"
+            ", or look in a browser with 'warp-plate explore SCENE'"
+        )
+    with output.scene_errors(result, **FRAME_ARGUMENTS):
+        motions = select_motions(loaded, frames, playback, quiet=False)
+    from warp_plate.viz.window import open_window
+
+    open_window(loaded.scene, motions, playback.style(motions, chosen))
 
 
 def render(
