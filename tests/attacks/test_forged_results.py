@@ -23,7 +23,7 @@ LINES = {
         "export focus.h5 --to drive-wav --case optimum",
         "export focus.h5 --to drive-csv --case one_bit --json",
     ],
-    "sweep.h5": ["sweep --resume sweep.h5 --no-pictures --json"],
+    "sweep.h5": ["sweep panel.toml --vary drive.frequency=280,290 --what simulate --out sweep.h5 --no-pictures --json"],
 }
 
 

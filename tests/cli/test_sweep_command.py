@@ -56,7 +56,7 @@ def test_json_and_what_xarray_reads(write_scene, command):
     assert record["outputs"]["frequency"][0][0] == [None, None]
     assert record["refused"][0]["at"] == {"plate.thickness": 4e-4, "drive.frequency": 200.0}
     assert record["units"] == {"frequency": "Hz"}
-    assert "! drive.frequency has no effect" in command("sweep", "--resume", "panel-sweep.h5", "--no-pictures")[1]
+    assert "! drive.frequency has no effect" in command(*SWEEP, "--what", "modes", "--count", 2)[1]
     check_seal(Path("panel-sweep.h5"))
     with pytest.raises(SceneError, match="frequency has shape"):
         load_sweep(save_sweep(replace(kept, values={"frequency": np.zeros((9, 5))}), "contradicting.h5"))
@@ -110,7 +110,7 @@ def test_words_and_files_vary_and_responses_have_an_axis(write_scene, command):
         assert data["frequency"].values.tolist() == [50.0, 125.0, 200.0]
         assert data["edges.left"].values.tolist() == record["varied"]["edges.left"]
     Path("map2.csv").write_text("1.0,0.9\n", encoding="utf-8")
-    _, _, err = command("sweep", "--resume", "panel-sweep.h5", "--no-pictures")
+    err = error_of(command("sweep", "panel.toml", *vary, *asked, "--device", "cpu"))
     assert "holds a sweep of another effects.variation.thickness" in err
 
 
@@ -134,36 +134,25 @@ def interrupt_after(monkeypatch):
     return patch
 
 
-def test_an_interrupted_sweep_is_resumed(swept_panel, command, interrupt_after, write_scene):
-    """--resume and the same command again give bit-identical results, with the same options only."""
+def test_an_interrupted_sweep_is_resumed(swept_panel, command, interrupt_after):
+    """The same command again gives bit-identical results."""
     command(*CHECKS, "--out", "full.h5")
-    write_scene(name="other", damping=80, time_step=2e-4)
-    resume, file = ("--resume", "panel-sweep.h5"), Path("panel-sweep.checkpoint.h5")
+    file = Path("panel-sweep.checkpoint.h5")
     interrupt_after(4)
     status, out, err = command(*CHECKS)
     assert (status, out) == (130, "")
-    assert f"after 4 of 9 points; resume with: warp-plate sweep --resume {file}" in err
+    assert "after 4 of 9 points; the same command continues" in err
     before = file.read_bytes()
     for wrong, message in (
-        ((*resume, "--what", "modes"), f"{file}: holds a sweep of --what check; start again without --resume"),
-        ((*resume, "--evaluator", "modal"), "--what check is always direct"),
-        (("other.toml", *resume), f"{file}: holds a sweep of another scene"),
-        ((*resume, "--vary", "drive.frequency=1,2"), f"{file}: holds a sweep of other points (9 points"),
-        ((*resume, "--samples", 5), "--samples 5: are drawn from the ranges of --vary"),
-        (("panel.toml", *GRID[:2], "--what", "check"), f"name another file by --out, or delete {file}"),
-        (("--resume", "nothing.h5"), "nothing.h5: no such file"),
-        (("--resume", "other.checkpoint.h5", "--out", "panel-sweep.h5"), "holds another unfinished sweep"),
+        ((*GRID, "--what", "modes"), f"{file}: holds a sweep of --what check; name another file by --out"),
+        ((*GRID, "--what", "check", "--set", "effects.damping.viscous=80"), f"{file}: holds a sweep of another scene"),
+        ((*GRID[:2], "--what", "check"), f"{file}: holds a sweep of other points (9 points"),
     ):
-        Path("other.checkpoint.h5").write_bytes(before)
-        assert message in error_of(command("sweep", *wrong))
+        assert message in error_of(command("sweep", "panel.toml", *wrong, *QUICK))
     assert file.read_bytes() == before
-    for words, limit, status, ran, line in (
-        (("sweep", *resume, "--no-pictures"), 3, 130, 3, "after 7 of 9 points"),
-        (CHECKS, 9, 0, 2, "7 of 9 points done; continuing"),
-        (("sweep", "--resume", "full.h5", "--no-pictures"), 0, 0, 0, "9 of 9 points done; nothing is left"),
-    ):
+    for limit, status, ran, line in ((3, 130, 3, "after 7 of 9 points"), (9, 0, 2, "7 of 9 points done; continuing")):
         points = interrupt_after(limit)
-        answer = command(*words)
+        answer = command(*CHECKS)
         assert (answer[0], len(points), line in answer[2]) == (status, ran, True)
     assert not file.exists()
     made, full = (load_sweep(name) for name in ("panel-sweep.h5", "full.h5"))
@@ -190,7 +179,7 @@ def test_only_the_same_sweep_is_replaced(swept_panel, command, interrupt_after):
     interrupt_after(2)
     assert (command(*CHECKS)[0], result.read_bytes()) == (130, before[result])
     interrupt_after(9)
-    status, _, err = command("sweep", "--resume", result, "--no-pictures")
+    status, _, err = command(*CHECKS)
     assert (status, "panel-sweep.checkpoint.h5: 2 of 9 points done; continuing" in err) == (0, True)
     assert result.read_bytes() != before[result]
 
@@ -215,7 +204,7 @@ def test_the_device_beside_a_cluster_is_that_of_its_workers(swept_panel, command
     interrupt_after(9)
     file = "panel-sweep.checkpoint.h5"
     save_sweep(replace(load_sweep(file), processor="A GPU"), file)
-    status, out, _ = command("sweep", "--resume", file, *away, "--json")
+    status, out, _ = command("sweep", "panel.toml", *GRID, "--what", "check", *away, "--json")
     assert (status, "(A GPU), then " in json.loads(out)["device"]) == (0, True)
     assert opened == ["cuda:99"] * 3
 
@@ -226,12 +215,11 @@ def test_the_device_beside_a_cluster_is_that_of_its_workers(swept_panel, command
     monkeypatch.setattr(sweeps, "run_on_pool", two_points)
     interrupt_after(9)
     err = error_of(command("sweep", "panel.toml", *GRID, "--what", "check", *away, "--out", "gone.h5"))
-    assert "no worker is left; there is a checkpoint after 2 of 9 points; resume with: " in err
+    assert "no worker is left; there is a checkpoint after 2 of 9 points; the same command continues" in err
 
 
 def test_bad_input_is_one_line(swept_panel, command):
     for arguments, message in (
-        ((), "sweep needs a SCENE"),
         (("panel.toml",), "--vary: nothing is varied; write --vary KEY=RANGE, RANGE being START:STOP:COUNT"),
         (("panel.toml", "--vary", "drive.freqency=1:2:3"), "similar keys: drive.frequency"),
         (("panel.toml", "--vary", "drive.frequency=1:2"), "COUNT is missing"),

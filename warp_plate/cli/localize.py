@@ -103,8 +103,14 @@ def localize(
         files = replace(files, out=resume.parent / f"{stem}{'' if ending else '-localize'}.h5")
     target = files.target(scene, "-localize.h5", holds="a result of localize")
     output.check_overwriting(target.with_suffix(".best.toml"), "# Found by: warp-plate localize", files.force)
-    needs = "localize needs a SCENE (a preset's name or a TOML file)"
-    loaded, scene = changes.load_unless_resumed(scene, resume, needs, "search")
+    loaded = None
+    if scene is not None:
+        loaded, scene = changes.load(scene)
+    elif resume is None:
+        raise SceneError("localize needs a SCENE (a preset's name or a TOML file), or --resume FILE")
+    elif changes.assignments:
+        reason = "changes a SCENE, but an unfinished search has its own; leave it out"
+        raise SceneError(f"--set {changes.assignments[0]}: {reason}")
     # A search that is resumed runs on the device that it began on unless --device names another.
     local = workers.local_device if resume is None else replace(workers, devices=None).local_device
     checkpoint = None

@@ -100,24 +100,6 @@ class SceneChanges:
         name = " ".join([source, *(f"--set {shlex.quote(assignment)}" for assignment in changed)])
         return Scene.load(source, changed), name
 
-    def load_unless_resumed(
-        self, source: str | None, resume: Path | None, needs: str, unfinished: str
-    ) -> tuple[Scene | None, str | None]:
-        """Return the scene and its name, or None for those of the unfinished study of ``--resume``.
-
-        Args:
-            needs: What the command needs, for an error if there is neither.
-            unfinished: What is resumed, such as "search".
-        """
-        if source is not None:
-            return self.load(source)
-        if resume is None:
-            raise SceneError(f"{needs}, or --resume FILE")
-        if self.assignments:
-            reason = f"changes a SCENE, but an unfinished {unfinished} has its own; leave it out"
-            raise SceneError(f"--set {self.assignments[0]}: {reason}")
-        return None, None
-
 
 @Parameter(name="*")
 @dataclass(frozen=True)

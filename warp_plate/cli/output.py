@@ -68,8 +68,8 @@ def console(**options: Any) -> Console:
 
 
 @contextmanager
-def resumable(file: CheckpointFile, command: str) -> Iterator[None]:
-    """Add how to resume the study that the file holds to errors and Ctrl-C."""
+def resumable(file: CheckpointFile, command: str = "") -> Iterator[None]:
+    """Add how to resume the study that the file holds to errors and Ctrl-C; see :func:`how_to_resume`."""
     try:
         yield
     except SceneError as error:
@@ -80,8 +80,13 @@ def resumable(file: CheckpointFile, command: str) -> Iterator[None]:
 
 
 def how_to_resume(file: CheckpointFile, command: str) -> str:
-    """Return how far an unfinished study is, and the command that resumes it; "" if nothing was saved."""
+    """Return how far an unfinished study is, and what resumes it; "" if nothing was saved.
+
+    Args:
+        command: Command whose ``--resume`` continues; "" if the same command line does.
+    """
     resume = f"resume with: warp-plate {command} --resume {shlex.quote(str(file.path))}"
+    resume = resume if command else "the same command continues"
     return "" if file.saved is None else f" after {file.saved.progress}; {resume}"
 
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
@@ -42,8 +41,6 @@ class SweepOptions:
             As many samples as a list has values take each once.
         seed: Random seed of the samples (default: 0).
         count: Number of modes, with --what modes (default: 6).
-        resume: The unfinished sweep (.checkpoint.h5) to continue, or the result that it is to become. Other options
-            must be the same as before.
     """
 
     vary: Annotated[list[str] | None, Parameter(consume_multiple=True, negative="")] = None
@@ -53,11 +50,10 @@ class SweepOptions:
     samples: options.Integer | None = None
     seed: options.Integer | None = None
     count: options.Integer | None = None
-    resume: Path | None = None
 
 
 def sweep(
-    scene: options.SceneName | None = None,
+    scene: options.SceneName,
     /,
     *,
     changes: options.SceneChanges = options.SceneChanges(),
@@ -73,33 +69,30 @@ def sweep(
     All other points run.
 
     Ctrl-C leaves the finished points in a file beside the result, and so does a stop of the machine up to
-    --checkpoint-every: the same command again, or --resume, runs the pending points to bit-identical results. The
-    result replaces only an earlier result of the same sweep.
+    --checkpoint-every: the same command again runs the pending points to bit-identical results. The result replaces
+    only an earlier result of the same sweep.
     """
     from warp_plate.studies.sweep import SweepRequest, open_sweep, run_sweep, save_finished
     from warp_plate.studies.unfinished import CheckpointFile
     from warp_plate.viz.plots.frame import save_plots
     from warp_plate.viz.plots.sweep import draw_sweep
 
-    resume, seed, samples = points.resume, points.seed, points.samples
+    seed, samples = points.seed, points.samples
     if seed is not None and samples is None:
         raise SceneError(f"--seed {seed}: is the seed of samples; give --samples N as well, or leave it out")
     if colormap is not None:
         options.ColourChoice(colormap).chosen()
     if samples is not None and not points.vary:
         raise SceneError(f"--samples {samples}: are drawn from the ranges of --vary; give those too, or leave it out")
-    if resume is not None and files.out is None:
-        files = replace(files, out=resume.parent / resume.name.replace(".checkpoint.h5", ".h5"))
     target = files.target(scene, "-sweep.h5")
-    needs = "sweep needs a SCENE (a preset's name or a TOML file) and --vary KEY=RANGE"
-    loaded, scene = changes.load_unless_resumed(scene, resume, needs, "sweep")
+    loaded, scene = changes.load(scene)
     ways = (points.what, samples, seed, points.count, workers.path, points.evaluator, points.frequencies)
-    request = SweepRequest(loaded, scene or "", points.vary, *ways)
+    request = SweepRequest(loaded, scene, points.vary or (), *ways)
     on_workers = workers.devices is not None or workers.cluster is not None
     with output.scene_errors(scene):
-        start = open_sweep(request, target, resume, workers.device, on_workers, output.log, files.force)
+        start = open_sweep(request, target, workers.device, on_workers, output.log, files.force)
     file = CheckpointFile(target.with_suffix(".checkpoint.h5"), checkpoint_every)
-    with output.resumable(file, "sweep"):
+    with output.resumable(file):
         with workers.open_pool() as pool, output.progress_bar("sweeping", not files.json, start.scene) as show:
             show(len(start.plan) - len(start.pending), len(start.plan), start.progress)
             note = "{} of {}: {}".format

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -40,9 +40,9 @@ DEFAULTS = {"what": "localize", "count": 6, "path": "auto", "evaluator": None, "
 class SweepRequest:
     """What a user asks for, see :func:`sweep`; None for what is left out."""
 
-    scene: Scene | None
+    scene: Scene
     source: str = ""
-    vary: Sequence[str] | Plan | None = None
+    vary: Sequence[str] | Plan = ()
     what: str | None = None
     samples: int | None = None
     seed: int | None = None
@@ -50,10 +50,6 @@ class SweepRequest:
     path: str | None = None
     evaluator: str | None = None
     frequencies: str | None = None
-
-    def filled(self, values: Mapping[str, Any]) -> SweepRequest:
-        """Return the request with values for what is left out."""
-        return replace(self, **{name: value for name, value in values.items() if getattr(self, name) is None})
 
 
 def sweep(
@@ -98,12 +94,11 @@ def sweep(
 
 def start_sweep(request: SweepRequest, device: str = "auto") -> Sweep:
     """Return the sweep of a request, without any finished point."""
-    filled = request.filled(DEFAULTS)
-    kept: dict[str, Any] = {name: getattr(filled, name) for name in DEFAULTS}
-    scene, plan, what, count = filled.scene, filled.vary, kept["what"], kept["count"]
-    assert scene is not None
+    asked = {name: getattr(request, name) for name in DEFAULTS}
+    kept: dict[str, Any] = DEFAULTS | {name: value for name, value in asked.items() if value is not None}
+    scene, plan, what, count = request.scene, request.vary, kept["what"], kept["count"]
     if not isinstance(plan, Plan):
-        plan = make_plan([parse_vary(scene, text) for text in plan or ()], filled.samples, filled.seed or 0)
+        plan = make_plan([parse_vary(scene, text) for text in plan], request.samples, request.seed or 0)
     if what not in QUANTITIES:
         raise SceneError(f"--what {what}: must be one of {', '.join(QUANTITIES)}")
     if not 1 <= count <= MOST_MODES:
@@ -224,7 +219,6 @@ def _describe(result: PointResult, sweep: Sweep) -> str:
 def open_sweep(
     request: SweepRequest,
     target: Path,
-    resume: Path | None = None,
     device: str | None = None,
     on_workers: bool = False,
     log: Callable[[str], object] = lambda line: None,
@@ -232,38 +226,24 @@ def open_sweep(
 ) -> Sweep:
     """Return the sweep to run for a request: the unfinished one of the same request beside ``target``, or a new one.
 
-    A request to ``resume`` an unfinished sweep, or the result that it will become, may leave out anything. Workers
-    report their devices. ``log`` is called with each line to know, and ``force`` lets the result replace any file.
+    Workers report their devices. ``log`` is called with each line to know, and ``force`` lets the result replace any
+    file.
     """
-    unfinished = target.with_suffix(ENDING)
-    file, advice = unfinished, f"name another file by --out, or delete {unfinished}"
-    if resume is not None:
-        beside = resume.with_suffix(ENDING)
-        file, advice = beside if beside.exists() else resume, "start again without --resume"
-        if unfinished.exists() and not unfinished.samefile(file):
-            raise SceneError(f"{unfinished}: holds another unfinished sweep; name another file by --out, or delete it")
-    given = request
-    if resume is not None or file.exists():
-        sweep = _load(file, advice)
-        if resume is not None:
-            kept = {"scene": sweep.scene, "vary": sweep.plan} | {name: getattr(sweep, name) for name in DEFAULTS}
-            if request.what not in (None, sweep.what):
-                kept.pop("evaluator")  # which is not for other quantities
-            request = request.filled(kept)
-        same = start_sweep(request)
-        check_same_sweep(file, sweep, same, advice)
-        sweep = replace(sweep, scene=same.scene)  # files that it names are beside the scene, not beside the sweep
-    else:
-        sweep = start_sweep(request, "auto" if on_workers or device is None else device)
+    file = target.with_suffix(ENDING)
+    sweep = start_sweep(request, "auto" if on_workers or device is None or file.exists() else device)
     axes = {output.axis for output in sweep.outputs.values()}
-    if given.count is not None and "mode" not in axes:
-        raise SceneError(f"--count {given.count}: --what {sweep.what} has no modes to count; leave it out")
-    if given.frequencies is not None and "frequency" not in axes:
-        raise SceneError(f"--frequencies {given.frequencies}: are those of --what frf; leave it out")
+    if request.count is not None and "mode" not in axes:
+        raise SceneError(f"--count {request.count}: --what {sweep.what} has no modes to count; leave it out")
+    if request.frequencies is not None and "frequency" not in axes:
+        raise SceneError(f"--frequencies {request.frequencies}: are those of --what frf; leave it out")
     if not force:
         check_replaceable(target, sweep)
     if not file.exists():
         return sweep
+    advice = f"name another file by --out, or delete {file}"
+    unfinished = _load(file, advice)
+    check_same_sweep(file, unfinished, sweep, advice)
+    sweep = replace(unfinished, scene=sweep.scene)  # files that it names are beside the scene, not beside the sweep
     log(f"{file}: {sweep.progress} done; {'nothing is left' if sweep.finished else 'continuing'}")
     for line in changes(sweep, None if on_workers or not sweep.processor else device or device_like(sweep)):
         log(f"{file}: {line}")
