@@ -23,6 +23,12 @@ def test_a_linked_key_is_a_free_number_of_a_fit():
         Scene.load("console", ["fit.free={gasket=[1e6,1e7],edges={left={translation=[1e6,1e7]}}}"])
 
 
+@pytest.mark.parametrize("table", ["search.robust", "specification"])
+def test_a_link_and_one_of_its_keys_have_no_tolerances_both(table):
+    with pytest.raises(SceneError, match=rf"{table}.tolerance: gasket: is there twice"):
+        Scene.load("console", [f"{table}.tolerance={{'edges.left.translation'=0.1,gasket=0.3}}"])
+
+
 def test_links_of_themselves_are_refused_when_they_are_set():
     with pytest.raises(SceneError, match=r"links.gasket.keys: gasket: is not a key"):
         Scene.load("console", ["links.gasket.keys=['gasket']", "gasket=3"])

@@ -59,3 +59,8 @@ def test_what_excludes_a_ramp_is_said(keys, words):
     with pytest.raises(SceneError) as refused:
         Scene.load("paper", keys)
     assert words in str(refused.value)
+
+
+def test_a_ramp_beyond_all_runs_is_refused():
+    with pytest.raises(SceneError, match=r"drive.ramp = 1e\+30: must be 5e\+29 or less"):
+        Scene.load("paper", ["drive.ramp=1e30"])

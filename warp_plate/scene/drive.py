@@ -98,7 +98,7 @@ class Drive(Table):
 
     frequency: Annotated[Positive, Unit("Hz"), Field(examples=[290.0])]
     """Frequency; with ``signal``, the highest frequency of interest in the file, which only limits the time step."""
-    ramp: Annotated[NotNegative, Unit("s"), Field(examples=[0.02])] = 0.0
+    ramp: Annotated[NotNegative, Unit("s"), Field(le=LARGEST / 2, examples=[0.02])] = 0.0
     """Duration of a soft start: the drive rises from 0 at t = 0 by half a period of a cosine, then stays."""
     burst: Burst | None = None
     chirp: Chirp | None = None

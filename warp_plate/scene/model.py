@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import reduce
 from pathlib import Path
 from typing import Any
@@ -319,28 +319,28 @@ def _check_focus(scene: SceneTables) -> None:
 
 
 def _check_tolerances(scene: SceneTables, table: str, names: Sequence[str]) -> None:
-    """Check that the keys of a table's tolerances are real numbers of the scene other than 0."""
-    kinds = scalar_keys(scene)
-    for name in names:
-        try:
-            key = resolved_key(scene, name, kinds)
-        except SceneError as error:
-            raise ValueError(f"{table}.tolerance: {error}") from None
-        if kinds[key] is not float or not value_of(scene, key):
+    """Check that the keys of a table's tolerances are different real numbers of the scene other than 0."""
+    for name, key, kind in _different_keys(scene, f"{table}.tolerance", names):
+        if kind is not float or not value_of(scene, key):
             raise ValueError(f"{table}.tolerance: {name}: is no real number other than 0")
 
 
 def _check_free_keys(scene: SceneTables, names: Sequence[str]) -> None:
     """Check that the free keys of a fit are different numbers of the scene's panel."""
-    kinds = scalar_keys(scene)
-    keys: set[str] = set()
+    for name, key, kind in _different_keys(scene, "fit.free", names):
+        if kind is not float or not all(inner.startswith(PANEL) for inner in linked_keys(scene, key)):
+            raise ValueError(f"fit.free: {name}: is no real number of the panel ({', '.join(PANEL)})")
+
+
+def _different_keys(scene: SceneTables, table: str, names: Sequence[str]) -> Iterator[tuple[str, str, type]]:
+    """Yield names with their keys and types; ValueError: a name is no key of the scene, or a key is there twice."""
+    kinds, taken = scalar_keys(scene), set[str]()
     for name in names:
         try:
             key = resolved_key(scene, name, kinds)
         except SceneError as error:
-            raise ValueError(f"fit.free: {error}") from None
-        if kinds[key] is not float or not all(inner.startswith(PANEL) for inner in linked_keys(scene, key)):
-            raise ValueError(f"fit.free: {name}: is no real number of the panel ({', '.join(PANEL)})")
-        if keys & {*linked_keys(scene, key)}:
-            raise ValueError(f"fit.free: {name}: is there twice")
-        keys |= {*linked_keys(scene, key)}
+            raise ValueError(f"{table}: {error}") from None
+        if taken & {*linked_keys(scene, key)}:
+            raise ValueError(f"{table}: {name}: is there twice")
+        taken |= {*linked_keys(scene, key)}
+        yield name, key, kinds[key]
