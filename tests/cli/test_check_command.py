@@ -11,7 +11,7 @@ import pytest
 from support.commands import error_of, output_of, start_program
 from support.grid_modes import natural_modes
 from support.scenes import scene_of
-from warp_plate import PlateSolver, load_result
+from warp_plate import PlateSolver, load_result, localize
 from warp_plate.accuracy.configurations import percent
 from warp_plate.analysis.check import check
 from warp_plate.plate.scheme import make_scheme
@@ -60,6 +60,10 @@ def test_the_cost_of_searches_that_take_modes_or_are_refused(command, write_scen
     write_scene(name="exact")
     assert (search_of("modal")["candidates"], search_of("modal")["plates"]) == (1600, 0)
     assert (search_of("exact")["candidates"], search_of("exact")["seconds"]) == (1, None)
+    free = {"frequency": {"range": [200.0, 300.0]}, "magnitude": {}, "phase": {}}
+    write_scene(name="frequency", search=free)
+    tried = len(localize("frequency.toml", device="cpu", estimate=False).spectrum["frequency"])
+    assert tried < search_of("frequency")["candidates"] <= tried + 40
     write_scene(name="refused", search={"method": "pso", "delay": {"range": [0.0, 0.01]}})
     assert "drive.burst" in search_of("refused")["refused"]
     assert "refused: " in command("check", "refused.toml", "--device", "cpu")[1]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from support.scenes import MATERIAL, scene_of
-from warp_plate import Scene, SceneError, localize
+from warp_plate import Scene, SceneError, localize, sweep
 from warp_plate.modal.gram import Means, gram_matrices
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.optimize.quadratic import real_parts
@@ -128,6 +128,8 @@ def test_a_common_frequency_alone_is_taken_from_the_spectrum(scene):
     assert found.scene.search.method == "exact"
     best = found.cases["best"]
     assert best.localization_factor >= found.spectrum["best"].max() * (1 - 1e-9)
+    swept = sweep(made, ["search.seed=3"], device="cpu").values
+    assert swept["best"][0] == pytest.approx(best.localization_factor, rel=1e-12)
     # No frequency of a dense set around it is better.
     resolved = resolve(made, "cpu", evaluator="modal")
     near = best.frequency[0] + np.linspace(-0.5, 0.5, 41)

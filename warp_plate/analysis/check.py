@@ -16,7 +16,7 @@ from warp_plate.plate.memory import memory_room
 from warp_plate.plate.scheme import Scheme, discretize
 from warp_plate.plate.signals import carrier_frequencies, highest_frequency
 from warp_plate.plate.stability_limit import StabilityLimit
-from warp_plate.problem.methods import resolve_search, with_method
+from warp_plate.problem.methods import resolve_search, with_method_of_engine
 from warp_plate.problem.search_cost import PROGRAM, Cost, cost_of_run, cost_of_search
 from warp_plate.resolve import Resolved
 from warp_plate.scene.errors import SceneError
@@ -214,7 +214,7 @@ def costs_of(written: Scene, resolved: Resolved) -> dict[str, Cost | str]:
     costs: dict[str, Cost | str] = {"run": cost_of_run(resolved)}
     try:
         # A grid that was chosen for an accuracy serves the search too.
-        searched = resolved.with_scene(with_method(resolved.scene))
+        searched = with_method_of_engine(resolved, written.search)
         if written.grid.accuracy is None:
             searched = resolve_search(written, resolved.device)
         costs["search"] = cost_of_search(searched)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -130,13 +129,18 @@ def resolve_search(written: Scene, device: str, path: str = "auto", evaluator: s
     """Return a scene resolved for its search, with a method; SceneError: see :func:`resolve`, or too many particles."""
     scene = with_method(written)
     refuse_many_particles(scene.search, len(parametrization_of(scene).variables))
-    free = written.search.method is None
-    exact = free and scene.search.method == "exact"
+    exact = written.search.method is None and scene.search.method == "exact"
     resolved = resolve(scene, device, purpose="exact" if exact else "search", path=path, evaluator=evaluator)
-    if free and resolved.by_modes and _is_plain(written.search) and searches_only_frequency(parametrization_of(scene)):
-        search = resolved.scene.search.model_copy(update={"method": "exact"})
-        return replace(resolved, scene=resolved.scene.model_copy(update={"search": search}))
-    return resolved
+    return with_method_of_engine(resolved, written.search)
+
+
+def with_method_of_engine(resolved: Resolved, written: Search) -> Resolved:
+    """Return a scene with the method "exact" if its search, as written, names none and modes find its frequency."""
+    scene = with_method(resolved.scene)
+    free = resolved.by_modes and written.method is None and _is_plain(written)
+    if free and searches_only_frequency(parametrization_of(scene)):
+        scene = scene.model_copy(update={"search": scene.search.model_copy(update={"method": "exact"})})
+    return resolved.with_scene(scene)
 
 
 def swarm_settings(search: Search, seed: int) -> SwarmSettings:

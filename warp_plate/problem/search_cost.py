@@ -18,6 +18,7 @@ from warp_plate.problem.design_variables import with_common_step
 from warp_plate.problem.methods import history_bytes, optimizer_bytes
 from warp_plate.problem.objectives import Objectives, make_objectives
 from warp_plate.problem.parametrization import Parametrization, parametrization_of
+from warp_plate.problem.starts import BRENT_STEPS, candidate_frequencies
 from warp_plate.problem.uncertainty import scenario_bytes
 from warp_plate.resolve import Resolved
 from warp_plate.scene.model import Scene
@@ -65,8 +66,11 @@ def cost_of_search(resolved: Resolved) -> Cost:
     scene, search = parametrization.scene, parametrization.scene.search
     resolved, evaluator = resolved.with_scene(scene), evaluator_of(resolved, parametrization)
     scenarios = search.robust.scenarios if search.robust is not None else 1
-    one = search.method == "exact" and parametrization.only_drives
-    candidates = max(1, len(scene.targets)) * (1 if one else search.particles * search.iterations)
+    tried = search.particles * search.iterations
+    if search.method == "exact":
+        frequencies = None if parametrization.only_drives else candidate_frequencies(parametrization, resolved.solver())
+        tried = 1 if frequencies is None else frequencies.size + BRENT_STEPS
+    candidates = max(1, len(scene.targets)) * tried
     measured = 0
     if not resolved.by_modes and parametrization.quadratic:
         measured = response.count_unit_drives(len(scene.actuators))

@@ -14,16 +14,15 @@ import scipy
 
 from warp_plate.cluster.evaluator import Evaluator
 from warp_plate.interrupts import SecondInterrupt, check_interrupt, deferred_interrupts
-from warp_plate.modal.poles import adaptive_frequencies
-from warp_plate.modal.solver import MODAL, ModalSolver
+from warp_plate.modal.solver import MODAL
 from warp_plate.optimize.optimizer import MethodError, Optimizer, minimize
 from warp_plate.optimize.quadratic import ExactSearch, best_position
 from warp_plate.plate.weights import REGIONS
-from warp_plate.problem.allowed_drives import searches_only_frequency
 from warp_plate.problem.evaluate_cases import reference_phasors
 from warp_plate.problem.methods import make_optimizer
 from warp_plate.problem.objectives import loss_scale
 from warp_plate.problem.problem import Problem, make_problem
+from warp_plate.problem.starts import BRENT_STEPS, candidate_frequencies
 from warp_plate.result.checkpoint import Checkpoint
 from warp_plate.result.model import TargetSearch
 from warp_plate.scene.errors import SceneError
@@ -104,8 +103,8 @@ def search_optimizer(problem: Problem, seed: int, state: Mapping[str, Any] | Non
         return None
     try:
         search, slopes = problem.scene.search, problem.slopes
-        candidates = _frequencies(problem)
-        start = problem.start if candidates is None else None
+        frequencies = candidate_frequencies(problem.parametrization, problem.plates.designs.solver)
+        start, candidates = (problem.start, None) if frequencies is None else (None, frequencies[:, None])
         return make_optimizer(search, problem.space, seed, problem.quadratic, state, slopes, start, candidates)
     except SceneError:
         raise
@@ -258,17 +257,6 @@ def with_target(problem: Problem, index: int) -> Problem:
     return replace(problem, resolved=resolved, parametrization=parametrization, plates=plates)
 
 
-def _frequencies(problem: Problem) -> np.ndarray | None:
-    """Return rising frequencies (n, 1) [Hz] that follow every resonance; None unless they are all that is searched, by
-    modes and the method "exact"."""
-    table, solver = problem.scene.search.frequency, problem.plates.designs.solver
-    if problem.scene.search.method != "exact" or table is None or not isinstance(solver, ModalSolver):
-        return None
-    if problem.scenario_losses is not None or not searches_only_frequency(problem.parametrization):
-        return None
-    return adaptive_frequencies(*solver.plate.resonances, *table.range)[:, None]
-
-
 def _refine(problem: Problem, position: np.ndarray, loss: float, tried: np.ndarray) -> tuple[np.ndarray, float, int]:
     """Return the best frequency (1,) near the best of those tried (n,), its loss, and the number of evaluations."""
     at = int(np.searchsorted(tried, position[0]))
@@ -276,7 +264,7 @@ def _refine(problem: Problem, position: np.ndarray, loss: float, tried: np.ndarr
         lambda frequency: float(problem.losses(np.array([[frequency]]))[0]),
         bounds=(tried[max(at - 1, 0)], tried[min(at + 1, len(tried) - 1)]),
         method="bounded",
-        options={"xatol": FREQUENCY_TOLERANCE * position[0]},
+        options={"xatol": FREQUENCY_TOLERANCE * position[0], "maxiter": BRENT_STEPS},
     )
     if result.fun < loss:
         position, loss = np.array([result.x]), float(result.fun)

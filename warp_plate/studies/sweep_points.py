@@ -22,7 +22,7 @@ from warp_plate.plate.designs import scene_phasors
 from warp_plate.plate.files import named_files, read_beside
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.evaluate_cases import reference_phasors
-from warp_plate.problem.methods import with_method
+from warp_plate.problem.methods import resolve_search
 from warp_plate.problem.problem import make_problem
 from warp_plate.quantities.region_quantities import REGION_QUANTITIES
 from warp_plate.resolve import resolve
@@ -64,8 +64,8 @@ class Quantities:
 
 def _localization_quantities(scene: Scene, point: Point) -> Values:
     """Return localization factors and bound, for the first of several targets, from Gram matrices where they apply."""
-    scene = with_method(scene.model_copy(update={"targets": ()}))
-    resolved = resolve(scene, point.device, purpose="search", path=point.path, evaluator=point.evaluator)
+    scene = scene.model_copy(update={"targets": ()})
+    resolved = resolve_search(scene, point.device, point.path, point.evaluator)
     if not resolved.by_modes:  # the default evaluator uses Gram matrices for robust searches
         resolved = replace(resolved, evaluator=None)
     problem = make_problem(resolved)
