@@ -35,7 +35,7 @@ OWNERS = {
     **{name: {"cluster"} for name in ("dask", "distributed")},
     **{name: {"cli"} for name in ("cyclopts", "rich")},
     "h5py": {"result"},
-    "pyuff": {"result", "fitting"},
+    "pyuff": {"fitting"},
     "pydantic": {"scene", "effects"},
     "cma": {"optimize"},
     "clarabel": {"optimize"},

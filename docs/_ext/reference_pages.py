@@ -48,7 +48,6 @@ EXPORTS = (
     "export.write_drive_csv",
     "export.write_traces",
     "frequency_response.write_csv",
-    "frequency_response.write_uff",
     "frequency_response.write_hdf5",
 )
 

@@ -16,7 +16,7 @@ from warp_plate import SceneError
 from warp_plate.fitting.fit import fit_responses
 from warp_plate.fitting.measured_modes import read_modes
 from warp_plate.fitting.measured_responses import MeasuredResponses, read_responses
-from warp_plate.result.frequency_response import write_csv, write_uff
+from warp_plate.result.frequency_response import write_csv
 from warp_plate.studies.frequency_response import frf
 
 SIZE, ETA, HIT = (0.23, 0.17), 0.02, (0.05, 0.06)
@@ -107,17 +107,28 @@ def test_coarse_plates_leave_no_error():
     assert found.values[2] == pytest.approx(0.05, rel=1e-4)
 
 
-@pytest.mark.parametrize(("ending", "write"), [("csv", write_csv), ("uff", write_uff)])
-def test_files_of_frf(ending, write, tmp_path):
-    """Files of ``frf`` are read to the digits written, the universal file to the last bit."""
-    if ending == "uff":
-        pytest.importorskip("pyuff")
+def test_tables_of_frf(tmp_path):
+    """They are read to the digits written."""
     exact = frf(wrong_panel(), [HIT], POINTS[:2], (5.0, 40.0), "accelerance")
-    write(exact, tmp_path / f"data.{ending}")
-    found = read_responses(tmp_path / f"data.{ending}", 2)
-    tolerance = 1e-8 if ending == "csv" else 0
-    np.testing.assert_allclose(found.frequencies, exact.frequencies, rtol=tolerance)
-    np.testing.assert_allclose(found.responses, exact.responses, rtol=tolerance)
+    write_csv(exact, tmp_path / "data.csv")
+    found = read_responses(tmp_path / "data.csv", 2)
+    np.testing.assert_allclose(found.frequencies, exact.frequencies, rtol=1e-8)
+    np.testing.assert_allclose(found.responses, exact.responses, rtol=1e-8)
+
+
+def test_universal_files_of_responses(tmp_path):
+    """A response for each dataset 58 of function type 4, and a coherence for each of type 6."""
+    pyuff = pytest.importorskip("pyuff")
+    common = {"binary": 0, "rsp_node": 1, "rsp_dir": 3, "ref_node": 2, "ref_dir": 3, "abscissa_spacing": 0}
+    common |= {"abscissa_spec_data_type": 18, "ordinate_spec_data_type": 12, "orddenom_spec_data_type": 13}
+    x, data = np.array([5.0, 6.0, 7.5]), np.array([1 + 2j, 3 - 1j, 0.5j])
+    sets = [pyuff.prepare_58(func_type=4, x=x, data=data * factor, **common) for factor in (1, 2j)]
+    sets += [pyuff.prepare_58(func_type=6, x=x, data=np.array([0.9, 1.0, shared]), **common) for shared in (0.5, 0.6)]
+    pyuff.UFF(str(tmp_path / "data.uff")).write_sets(sets, mode="overwrite")
+    found = read_responses(tmp_path / "data.uff", 2)
+    np.testing.assert_array_equal(found.frequencies, x)
+    np.testing.assert_array_equal(found.responses, [data, 2j * data])
+    np.testing.assert_array_equal(found.coherence, [[0.9, 1.0, 0.5], [0.9, 1.0, 0.6]])
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,6 @@
 
 import csv
 import math
-from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +11,7 @@ from numpy.polynomial import legendre
 from support.series import patch_pressures, supported_plate
 from warp_plate.modal.modes import solve_modes
 from warp_plate.plate.designs import scene_phasors
-from warp_plate.result.frequency_response import write_csv, write_hdf5, write_uff
+from warp_plate.result.frequency_response import write_csv, write_hdf5
 from warp_plate.scene.errors import SceneError
 from warp_plate.studies.frequency_response import default_range, frf
 
@@ -234,24 +232,3 @@ def test_xarray_opens_the_hdf5_file(response, tmp_path):
         np.testing.assert_array_equal(data.bound, response.bound)
         np.testing.assert_array_equal(data.natural_frequency, response.natural_frequencies)
         assert (data["real"].units, data.frequency.units) == ("(m/s^2)/N", "Hz")
-
-
-def test_pyuff_reads_the_universal_file(response, tmp_path):
-    """Units, nodes and functions, bit by bit; the header states the bytes of three doubles a frequency."""
-    pyuff = pytest.importorskip("pyuff")
-    write_uff(replace(response, title="a title\n    -1\rof lines"), path := tmp_path / "a.uff")
-    file = pyuff.UFF(str(path))
-    assert file.get_set_types().tolist() == [164, 15, 58, 58, 58, 58]
-    _, nodes, *functions = file.read_sets()
-    x0, x1, y0, y1 = 0.05, 0.13, 0.11, 0.16  # the third patch
-    assert nodes["x"] == pytest.approx([(x0 + x1) / 2, 0.1, 0.05, 0.13])
-    assert nodes["y"] == pytest.approx([(y0 + y1) / 2, 0.05, 0.07, 0.11])
-    for function, values, places in zip(functions, response.responses, [(1, 3), (1, 4), (2, 3), (2, 4)], strict=True):
-        np.testing.assert_array_equal(function["x"], response.frequencies)
-        np.testing.assert_array_equal(function["data"], values)
-        assert (function["ref_node"], function["rsp_node"]) == places
-        codes = (function[f"{name}_type"] for name in ("func", "ordinate_spec_data", "orddenom_spec_data"))
-        assert tuple(codes) == (4, 12, 13)
-        assert function["n_bytes"] == 24 * len(values)
-        assert function["id2"] == "a title -1 of lines"
-    assert [entry.name for entry in Path(tmp_path).iterdir()] == ["a.uff"]

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from warp_plate.scene.model import Scene
 
 PICTURES = (".png", ".svg", ".pdf")
-ResponseFormat = Literal["csv", "uff", "hdf5"]
+ResponseFormat = Literal["csv", "hdf5"]
 NUMBER = r"[-+]?(?:[0-9]{1,30}\.?[0-9]{0,30}|\.[0-9]{1,30})(?:[eE][-+]?[0-9]{1,2})?"
 POINT = f"{NUMBER},{NUMBER}"
 MOST_ROWS = 20
@@ -66,17 +66,15 @@ def frf(
     Parameters
     ----------
     to
-        File with the numbers beside the picture; may be repeated: csv; uff, dataset 58 of the universal file format
-        (needs the extra uff); hdf5, which xarray opens. The ending of --out (.csv, .uff, .h5) acts as --to.
+        File with the numbers beside the picture; may be repeated: csv; hdf5, which xarray opens. The ending of --out
+        (.csv, .h5) acts as --to.
     """
-    from warp_plate.result.frequency_response import WRITERS, missing_uff
+    from warp_plate.result.frequency_response import WRITERS
     from warp_plate.studies.frequency_response import frf as compute
 
     by_ending = {ending: name for name, (ending, _) in WRITERS.items()}
     target = files.target(scene, "-frf.png", endings=(*PICTURES, *by_ending))
     formats = [*(to or ()), *([by_ending[target.suffix.lower()]] if target.suffix.lower() in by_ending else ())]
-    if "uff" in formats and (problem := missing_uff()) is not None:
-        raise SceneError(f"--to uff: {problem}")
     points = [_point(text) for text in responses.at or ()]
     limits = None if responses.range is None else _range(responses.range)
     if "hdf5" in formats:

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.result.frequency_response import RESPONSE_FUNCTION, missing_uff
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import LARGEST, SMALLEST
 
@@ -30,8 +29,9 @@ LIMITS = {
 # First word of columns with shapes, and the rule for their numbers.
 SHAPE, NUMBER = "shape", (-LARGEST, LARGEST, f"a number of at most {LARGEST:g}")
 UNIVERSAL = (".uff", ".unv")
-# Codes of dataset 58: a coherence. Of dataset 55: normal modes, and complex modes of displacement and of velocity.
-COHERENCE, NORMAL, COMPLEX = 6, 2, (3, 7)
+# Codes of dataset 58: a frequency response, a coherence. Of dataset 55: normal modes, and complex modes of displacement
+# and of velocity.
+RESPONSE, COHERENCE, NORMAL, COMPLEX = 4, 6, 2, (3, 7)
 # Cells of a column with the numbers of their lines.
 Cells = list[tuple[int, str]]
 
@@ -192,7 +192,7 @@ def column_numbers(path: Path, name: str, cells: Cells) -> np.ndarray:
 def universal_responses(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     """Return (1 + responses, n) frequencies and responses of the datasets 58, and their (responses, n) coherences."""
     functions = [item for item in _sets(path) if item.get("type") == 58]
-    sets = [item for item in functions if item.get("func_type") == RESPONSE_FUNCTION]
+    sets = [item for item in functions if item.get("func_type") == RESPONSE]
     coherence = [item["data"] for item in functions if item.get("func_type") == COHERENCE]
     if not sets:
         raise ValueError("has no frequency response (dataset 58 of function type 4)")
@@ -215,10 +215,10 @@ def _frequency_and_damping(item: dict[str, Any]) -> tuple[float, float]:
 
 def _sets(path: Path) -> list[dict[str, Any]]:
     """Return the datasets of a universal file."""
-    if (problem := missing_uff()) is not None:
-        raise ValueError(problem)
-    import pyuff
-
+    try:
+        import pyuff
+    except ModuleNotFoundError:
+        raise ValueError("universal files need pyuff: pip install 'warp-plate[uff]'") from None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # pyuff leaves files for Python to close
