@@ -89,7 +89,7 @@ def test_command(command, lossy_run, tmp_path, monkeypatch):
     assert record["kept"]
     assert record["localization_factor"] == pytest.approx(verify(lossy_run, field).localization_factor, rel=1e-9)
     assert "The noise is not known" in output_of(command("verify", "panel.h5", "--data", "data.csv"))
-    assert "case 'x': is not one of drive" in error_of(
+    assert "case = 'x': must be one of drive" in error_of(
         command("verify", "panel.h5", "--data", "data.csv", "--case", "x")
     )
 

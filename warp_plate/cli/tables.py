@@ -10,9 +10,15 @@ from rich.console import Console
 from warp_plate.analysis.result_warnings import exceeded_limits
 from warp_plate.cli import output
 from warp_plate.quantities.region_quantities import REGION_QUANTITIES
-from warp_plate.result.case import Case, amplitude_column, amplitudes_as_given, relative_to_own, target_cases
+from warp_plate.result.case import (
+    Case,
+    amplitude_column,
+    amplitudes_as_given,
+    motion_table,
+    relative_to_own,
+    target_cases,
+)
 from warp_plate.result.model import Result, RobustComparison, crosstalk
-from warp_plate.result.motion_table import motion_table
 from warp_plate.scene.errors import printable
 from warp_plate.scene.model import Scene
 

@@ -27,10 +27,9 @@ import numpy as np
 from warp_plate.optimize.quadratic import quadratic_forms
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.allowed_drives import AllowedDrives, allowed_drives, best_allowed
-from warp_plate.problem.local_maximum import local_maximum
 from warp_plate.problem.objectives import Objectives
 from warp_plate.problem.parametrization import Parametrization
-from warp_plate.problem.semidefinite import ROUNDING, least_majorant
+from warp_plate.problem.semidefinite import ROUNDING, least_majorant, local_maximum
 from warp_plate.quantities.region_quantities import PLATE, REGION_QUANTITIES, TARGET
 from warp_plate.scene.search import Objective
 from warp_plate.solve.response import Response, largest_ratio
@@ -44,7 +43,6 @@ MOST_FIXED = 8
 # Drives under limits are sought from so many points, times the numbers of a drive. They stay below a limited energy by
 # this part, so that the rounding of a run does not carry them over the limit.
 STARTS, INSIDE = 80, 5e-7
-MULTIPLIERS = "the dual of the semidefinite relaxation under the drive's limits"
 
 
 @dataclass(frozen=True)
@@ -56,7 +54,6 @@ class Bound:
 
     value: float  # in the unit of the bounded quantity
     kind: Literal["attained", "bound only"]
-    sentence: str  # reason, for people
     drive: np.ndarray | None = None  # (actuators,) phasors of the best permitted drive that is known
 
 
@@ -79,7 +76,7 @@ def bound_localization(
         return localization_factor(response.energy(drives))
 
     nearest = best_allowed(ratio, basis @ parameters, allowed)
-    bound = _bound(value, [nearest], "the largest eigenvalue of the energies' matrices")
+    bound = _bound(value, [nearest])
     if bound.kind == "bound only" and allowed.limits_ratios and len(allowed.phase) <= most_actuators:
         endless = np.full(len(allowed.upper), math.inf)  # without least magnitudes, a smaller drive has the same ratio
         limits = _magnitude_limits(allowed if (allowed.lower > 0).any() else replace(allowed, upper=endless))
@@ -87,7 +84,7 @@ def bound_localization(
         if least < value:
             starts = starts if attain else starts[:0]
             ascents = _ascents(response.matrices[TARGET], plate, limits, allowed, np.diag(plate), starts)
-            return _bound(least, (best_allowed(ratio, z, allowed) for z in ascents), MULTIPLIERS)
+            return _bound(least, (best_allowed(ratio, z, allowed) for z in ascents))
     return bound
 
 
@@ -133,7 +130,7 @@ def bound_energy(
         inside = [(other + (INSIDE - 1) * value * unit, 0.0, 0.0, False) for other, value in others]
         inside += [(-unit, 1.0, 0.0, False), *_magnitude_limits(replace(allowed, power=math.inf))]
         ascents.append(_ascents(matrix, unit, inside, allowed, size, starts))
-    return _bound(least, map(reached, chain.from_iterable(ascents)), MULTIPLIERS)
+    return _bound(least, map(reached, chain.from_iterable(ascents)))
 
 
 def bound_loss(
@@ -166,7 +163,7 @@ def bound_loss(
     total = -sum(term.weight * bound.value for term, bound in zip(terms, proved, strict=True))
     total += objectives.only_localization
     if len(terms) > 1:
-        return Bound(total, "bound only", "the sum of what each objective alone could reach")
+        return Bound(total, "bound only")  # the sum of what each objective alone could reach
     return replace(proved[0], value=total)
 
 
@@ -180,14 +177,12 @@ def _bound_value(
     attain: bool,
 ) -> Bound | None:
     """Return the bound of an objective's value, in its own unit."""
-    quantity, sentence = REGION_QUANTITIES[term.kind], ""
+    quantity = REGION_QUANTITIES[term.kind]
     if quantity.largest is not None:
-        return Bound(quantity.largest, "bound only", f"a {term.kind} is at most {quantity.largest:g} by its definition")
+        return Bound(quantity.largest, "bound only")  # by its definition
     bound, plate = None, math.nan
     if quantity.bounded_by == "localization":
         bound, plate = bound_localization(response, allowed, attain=attain), 1.0
-        if term.kind != "localization":
-            sentence = f"{term.kind} grows with the localization factor, and of that "
     elif quantity.bounded_by == "energy" and form is not None:
         bound = bound_energy(form.matrices[TARGET], allowed, rests, attain)
     if bound is None:
@@ -195,7 +190,7 @@ def _bound_value(
     energy = np.full((1, 2), plate)
     energy[:, TARGET] = bound.value
     value = float(quantity.evaluate(energy, objectives.sizes)[0])
-    return replace(bound, value=value, sentence=sentence + bound.sentence)
+    return replace(bound, value=value)
 
 
 # A limit zᵀ matrix z + entry · τ² ≤ (or =) constant, with τ one more number beside z: matrix, entry, constant, and
@@ -302,12 +297,12 @@ def _ascents(
         yield scaled @ local_maximum(top, bottom, reduced, least, norms * (basis.T @ z))
 
 
-def _bound(value: float, drives: Iterable[tuple[float, np.ndarray]], reason: str) -> Bound:
+def _bound(value: float, drives: Iterable[tuple[float, np.ndarray]]) -> Bound:
     """Return an upper bound, attained if one of the drives, which come with their values, is within NEAR of it."""
     best, drive = -math.inf, None
     for reached, phasors in drives:
         if reached > best:
             best, drive = reached, phasors
         if best >= value * (1 - NEAR):
-            return Bound(value, "attained", f"{reason}, which a drive reaches", drive)
-    return Bound(value, "bound only", f"{reason}; no drive that keeps all limits is known to reach it", drive)
+            return Bound(value, "attained", drive)
+    return Bound(value, "bound only", drive)

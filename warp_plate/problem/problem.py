@@ -298,7 +298,7 @@ class Problem:
         if not values or None in bounds:
             return None
         value = float(apply_measure(np.array([values]), self.robust)[0])
-        return Bound(value, "bound only", "the measure of what each scenario alone could reach")
+        return Bound(value, "bound only")  # the measure of what each scenario alone could reach
 
     @cached_property
     def _nominal_loss_bound(self) -> Bound | None:

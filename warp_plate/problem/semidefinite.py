@@ -1,4 +1,4 @@
-"""Upper bounds of quadratic forms under quadratic limits: the dual of the semidefinite relaxation, by a barrier.
+"""Upper bounds of quadratic forms under quadratic limits, by the semidefinite relaxation, and local maxima.
 
 The bounded quantity is the largest zᵀA z of all z with zᵀC_i z ≤ c_i. Any multipliers μ with
 
@@ -11,13 +11,19 @@ early end makes the bound wider, never wrong. The best ones are found by Newton'
 
 whose points all keep S ≻ 0 (S. Boyd, L. Vandenberghe: Convex Optimization, 2004, sections 5.9 and 11.6; the relaxation
 itself: N. Z. Shor, Sov. J. Comput. Syst. Sci. 25, 1987).
+
+The relaxation points at drives that may be a little off, or violate a limit where it is not tight. From there SLSQP
+leads to a drive that keeps all limits (D. Kraft, DFVLR-FB 88-28, 1988; J. Nocedal and S. Wright, Numerical
+Optimization, 2006, section 18).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 # The barrier's weight t grows by this factor until the duality gap (size + limits)/t is below GAP of the bound.
 GROWTH, GAP = 8.0, 1e-10
@@ -25,6 +31,10 @@ GROWTH, GAP = 8.0, 1e-10
 MOST_STEPS, SETTLED = 60, 1e-8
 # Rounding error that an entry of a small symmetric matrix and its eigenvalues may gather.
 ROUNDING = 64 * np.finfo(float).eps
+# Steps and tolerance of an ascent to a local maximum; and a limit xᵀ matrix x + entry ≤ 0, or = 0, there: matrix,
+# entry, whether it is an equation.
+MOST_ASCENT_STEPS, TOLERANCE = 100, 1e-13
+Limit = tuple[np.ndarray, float, bool]
 
 
 def least_majorant(
@@ -156,3 +166,64 @@ class _Dual:
         size = np.sqrt(np.maximum(np.diag(curvature), 1e-30 * curvature.max()))
         step = -np.linalg.lstsq(curvature / np.outer(size, size), slope / size, rcond=None)[0] / size
         return step, float(-slope @ step)
+
+
+def local_maximum(
+    numerator: np.ndarray, denominator: np.ndarray | None, limits: Sequence[Limit], least: np.ndarray, start: np.ndarray
+) -> np.ndarray:
+    """Return the x (n,) to which an ascent from ``start`` leads, up to rounding within the limits and above ``least``.
+
+    The maximised value is xᵀ numerator x, divided by xᵀ denominator x if there is one; matrices are (n, n).
+    """
+    x = start * _scale(limits, start)
+    size = float(np.linalg.norm(x))
+    below = 1.0 if denominator is None else float(x @ denominator @ x)
+    typical = float(x @ numerator @ x) / below if below > 0 else 0.0
+    if not (size > 0 and 0 < typical < np.inf):
+        return start
+    top = numerator * (size**2 / typical)
+    bottom = None if denominator is None else denominator * size**2
+
+    def fall(y: np.ndarray) -> tuple[float, np.ndarray]:
+        slope, above = 2 * top @ y, float(y @ top @ y)
+        if bottom is None:
+            return -above, -slope
+        below = max(float(y @ bottom @ y), 1e-300)
+        return -above / below, -(slope - above / below * 2 * bottom @ y) / below
+
+    result = scipy.optimize.minimize(
+        fall,
+        x / size,
+        jac=True,
+        method="SLSQP",
+        bounds=scipy.optimize.Bounds(least / size),
+        constraints=_constraints(limits, size),
+        options={"maxiter": MOST_ASCENT_STEPS, "ftol": TOLERANCE},
+    )
+    return np.asarray(result.x * size) if np.isfinite(result.x).all() else start
+
+
+def _scale(limits: Sequence[Limit], x: np.ndarray) -> float:
+    """Return the largest factor on x (n,) with which no limit from above is passed; 1 if there is none."""
+    ratios = [-entry / form for matrix, entry, _ in limits if entry < 0 and (form := float(x @ matrix @ x)) > 0]
+    return float(np.sqrt(min(ratios, default=1.0)))
+
+
+def _constraints(limits: Sequence[Limit], size: float) -> list[dict[str, object]]:
+    """Return the limits as SLSQP takes them, equations first, of x / size and in units of their own size."""
+    constraints: list[dict[str, object]] = []
+    for kind in ("eq", "ineq"):
+        chosen = [(matrix * size**2, entry) for matrix, entry, equation in limits if equation == (kind == "eq")]
+        if not chosen:
+            continue
+        units = np.array([abs(entry) or float(np.abs(matrix).max()) or 1.0 for matrix, entry in chosen])
+        matrices = np.array([matrix for matrix, _ in chosen]) / units[:, None, None]
+        entries = np.array([entry for _, entry in chosen]) / units
+        constraints.append(
+            {
+                "type": kind,
+                "fun": lambda y, matrices=matrices, entries=entries: -(matrices @ y @ y + entries),
+                "jac": lambda y, matrices=matrices: -2 * matrices @ y,
+            }
+        )
+    return constraints

@@ -5,7 +5,7 @@ cases have a region "target NAME" for each target, beside "plate" and the case's
 """
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, TypeVar
 
@@ -16,8 +16,9 @@ from warp_plate.plate.designs import scene_with
 from warp_plate.quantities.region_quantities import decibels
 from warp_plate.result.hdf5 import read_array, write_along
 from warp_plate.result.layouts import ELSEWHERE, Attribute, Dataset, Layout, Sizes
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, number_text
 from warp_plate.scene.model import Scene
+from warp_plate.scene.specification import STANDARD_GRAVITY
 
 
 def _phase_lag(phasors: np.ndarray) -> np.ndarray:
@@ -199,6 +200,40 @@ def amplitude_column(scene: Scene, magnitudes: Iterable[float], digits: str) -> 
             f"{text} {row[2]}" for text, row in zip(texts, amplitudes, strict=True)
         ]
     return " ".join(f"{key} ({unit})" for key, unit in kinds), texts
+
+
+def motion_table(cases: Mapping[str, Case], scene: Scene) -> tuple[list[str], list[list[str]]]:
+    """Return headings and rows, by case labels, of the cases whose motion is known."""
+    moving = {label: (case, case.motion) for label, case in cases.items() if case.motion is not None}
+    tones = any(motion.acceleration is not None for _, motion in moving.values())
+    searched = any(case.frequency is not None for case in cases.values())
+    amplitude, rows = "", []
+    for label, (case, motion) in moving.items():
+        frequencies = sorted({scene.drive.frequency} if case.frequency is None else set(case.frequency.tolist()))
+        amplitude, amplitudes = amplitude_column(scene, case.magnitude, ".3g")
+        cells = [", ".join(f"{value:.6g}" for value in frequencies)] * searched
+        cells += [amplitudes[int(case.magnitude.argmax())], number_text(case.localization_factor, ".4f")]
+        cells += [number_text(motion.contrast, ".1f"), _pair(motion.velocity, 1e3)]
+        cells.append(_pair(motion.displacement, 1e6))
+        if tones:
+            cells.append("none" if motion.acceleration is None else _pair(motion.acceleration, 1 / STANDARD_GRAVITY))
+        rows.append([label, *cells])
+    headings = ["drive", *["frequency Hz"] * searched, f"largest {amplitude}", "share", "contrast dB"]
+    return [*headings, "velocity mm/s rms", "displacement µm peak", *["acceleration g rms"] * tones], rows
+
+
+def _pair(values: tuple[float, float], factor: float) -> str:
+    return " / ".join(number_text(factor * value, ".3g") for value in values)
+
+
+def aligned(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a table as lines of text, headings broken in two, the first column left-aligned."""
+    broken = [heading.partition(" ") for heading in headings]
+    lines = [[first if second else "" for first, _, second in broken], [second or first for first, _, second in broken]]
+    columns = list(zip(*lines, *rows, strict=True))
+    widths = [max(map(len, column)) for column in columns]
+    texts = [[f"{cell:{'>' if at else '<'}{widths[at]}}" for at, cell in enumerate(row)] for row in (*lines, *rows)]
+    return "\n".join("  ".join(row).rstrip() for row in texts)
 
 
 def target_cases(scene: Scene) -> dict[str, str]:

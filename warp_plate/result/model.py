@@ -17,10 +17,9 @@ import numpy as np
 
 from warp_plate.plate.designs import scene_with
 from warp_plate.quantities.region_quantities import REGION_QUANTITIES
-from warp_plate.result.case import Case, Cases, case_scene, target_cases
+from warp_plate.result.case import Case, Cases, aligned, case_scene, motion_table, target_cases
 from warp_plate.result.hdf5 import FileFormat, write_along
 from warp_plate.result.layouts import Counts, Dataset, Datasets, read_fields, write_fields
-from warp_plate.result.motion_table import aligned, motion_table
 from warp_plate.scene.errors import SceneError, printable
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Objective

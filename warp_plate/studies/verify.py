@@ -85,12 +85,10 @@ def verify(result: Result, data: Path | MeasuredField, case: str | None = None) 
     Raises:
         SceneError: The file is invalid, or the points are not on the panel or all lie on one line.
     """
-    name = next(key for key, value in result.cases.items() if value is result.main_case) if case is None else case
-    if name not in result.cases:
-        raise SceneError(f"case {name!r}: is not one of {', '.join(result.cases)}")
-    scene = result.case_scene(result.cases[name])
+    ((name, chosen),) = result.select_cases([case or result.main_name]).items()
+    scene = result.case_scene(chosen)
     measured = average_readings(read_field(data) if isinstance(data, Path) else data)
-    (motion,) = motions(result.scene, {name: result.cases[name]})
+    (motion,) = motions(result.scene, {name: chosen})
     field = motion.rms_velocity.astype(float)
     weights = region_weights(scene) * motion.surface_density
     axes = [np.linspace(0, side, count) for side, count in zip(scene.plate.size, scene.grid.nodes, strict=True)]
@@ -112,7 +110,7 @@ def verify(result: Result, data: Path | MeasuredField, case: str | None = None) 
         case=name,
         measured=measured,
         promised=promised,
-        promised_factor=result.cases[name].localization_factor,
+        promised_factor=chosen.localization_factor,
         localization_factor=float(factor),
         deviation=deviation,
         sampling=float(seen - true),
