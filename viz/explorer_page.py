@@ -20,10 +20,11 @@ from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from warp_plate.result.case import amplitudes_as_given
 from warp_plate.scene.errors import SceneError
 from warp_plate.viz.annotations import in_percent
 from warp_plate.viz.explorer_access import guard, is_number, limit_calls
-from warp_plate.viz.explorer_view import ROW_WEIGHTS, ExplorerView, share_texts
+from warp_plate.viz.explorer_view import ROW_WEIGHTS, ExplorerView, level_texts, share_texts
 from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions
 from warp_plate.viz.pictures import make_plotter
 
@@ -47,6 +48,12 @@ NUMBERS = """
 <div style="font-weight: 600; margin-bottom: 6px">{{ title }}</div>
 <div style="font-size: 17px">Localization factor <b id="factor">{{ factor }}</b></div>
 <div style="font-size: 17px">Bound <b id="bound">{{ bound }}</b></div>
+<table id="levels" v-if="levels.length"
+  style="width: 100%; table-layout: fixed; margin: 6px 0; font-size: 13px; text-align: right">
+  <tr><th v-for="name in ['peaks', 'weakest (g)', '(µm)', 'worst (g)', '(µm)']" style="font-weight: normal">
+    {{ name }}</th></tr>
+  <tr v-for="row in levels"><td v-for="text in row">{{ text }}</td></tr>
+</table>
 <div style="margin-top: 4px">Kinetic energy {{ energy }}; by quadrant:</div>
 <div style="display: grid; grid-template-columns: 90px 90px; gap: 3px; margin: 4px 0">
   <div v-for="name in ['upper left', 'upper right', 'lower left', 'lower right']" :id="name.replace(' ', '_')"
@@ -166,6 +173,7 @@ class ExplorerPage:
         state.update(self._positions())
         state.factor = in_percent(reading.localization_factor)
         state.bound = "none" if reading.bound is None else in_percent(reading.bound)
+        state.levels = level_texts(reading)
         state.energy = f"{reading.energy['plate']:.3g} J"
         state.shares = share_texts(reading)
         state.engine = "by modes, without time steps" if self.model.by_modes else "in time steps"
@@ -173,10 +181,12 @@ class ExplorerPage:
         self.view.playing = bool(state.playing)
 
     def _positions(self) -> dict[str, float]:
-        """Return the position of every slider by its key in the state."""
+        """Return the position of every slider by its key in the state; of forces in newtons."""
         settings = self.model.settings
-        positions = {"frequency": settings.frequency, "damping": settings.damping}
-        positions |= {f"magnitude_{index}": value for index, value in enumerate(settings.magnitude)}
+        positions = {"frequency": settings.frequency}
+        positions |= {f"number_{index}": value for index, value in enumerate(settings.numbers)}
+        amplitudes = amplitudes_as_given(self.model.scene, settings.magnitude)
+        positions |= {f"magnitude_{index}": value for index, (_, value, _) in enumerate(amplitudes)}
         return positions | {f"phase_{index}": value for index, value in enumerate(settings.phase)}
 
     def _build(self) -> None:
@@ -202,7 +212,8 @@ class ExplorerPage:
     def _add_controls(self) -> None:
         from trame.widgets import html, vuetify3
 
-        model, ranges = self.model, self.model.ranges
+        model, ranges, actuators = self.model, self.model.ranges, self.model.scene.actuators
+        largest = amplitudes_as_given(model.scene, [ranges.magnitude] * len(actuators))
         with html.Div(style="display: grid; grid-template-columns: 1fr 1fr 1fr; gap: 6px; margin-bottom: 8px"):
             style = {"size": "small", "style": "text-transform: none; letter-spacing: 0"}
             for choice, label in model.choices.items():
@@ -211,17 +222,22 @@ class ExplorerPage:
             vuetify3.VBtn("{{ playing ? 'pause' : 'play' }}", id="pause", click="playing = !playing", **style)
         with html.Div(style=BESIDE):
             _add_slider("frequency [Hz]", "frequency", ranges.frequency, model.set_frequency)
-            _add_slider("damping [N·s/m³]", "damping", (0.0, ranges.damping), model.set_damping)
-        sliders = (("magnitude", f"w [{model.scene.drive_unit}]", ranges.magnitude), ("phase", "φ [rad]", 2 * math.pi))
-        for index in range(len(model.scene.actuators)):
-            html.Div(f"{{{{ names[{index}] }}}}", style="font-weight: 600; margin-top: 10px; overflow-wrap: anywhere")
+            for index, (key, ends) in enumerate(ranges.numbers.items()):
+                _add_slider(model.number_label(key), f"number_{index}", ends, partial(model.set_number, key))
+        for index, (_, end, unit) in enumerate(largest):
+            html.Div(f"{{{{ names[{index}] }}}}", style="font-weight: 600; margin-top: 8px; overflow-wrap: anywhere")
+            sliders = (
+                ("magnitude", f"force [{unit}]" if unit == "N" else f"w [{unit}]", end),
+                ("phase", "φ [rad]", 2 * math.pi),
+            )
             with html.Div(style=BESIDE):
                 for key, label, end in sliders:
                     _add_slider(label, f"{key}_{index}", (0.0, end), partial(self._set_actuator, index, key))
 
     def _set_actuator(self, index: int, key: str, value: float) -> None:
         self.server.state.choice = ""
-        self.model.set_actuator(index, **{key: value})
+        unit = self.model.scene.actuators[index].amplitude_area if key == "magnitude" else 1.0
+        self.model.set_actuator(index, **{key: value / unit})
 
     def _choose(self, choice: str) -> None:
         if choice in self.model.choices:

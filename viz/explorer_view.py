@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_plate.result.motion import QUADRANTS, DriveResponse, SwarmSnapshot
+from warp_plate.scene.specification import STANDARD_GRAVITY
 from warp_plate.viz.annotations import add_text, in_percent, style_text
 from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions, DrawingScale, drawing_scale
 from warp_plate.viz.scene3d import PlateActors
@@ -141,6 +142,14 @@ def share_texts(reading: DriveResponse) -> dict[str, str]:
     """Return the quadrants' shares of the kinetic energy in percent."""
     shares = {name: reading.share(name) for name in QUADRANTS}
     return {name: in_percent(share, 1) if math.isfinite(share) else "—" for name, share in shares.items()}
+
+
+def level_texts(reading: DriveResponse) -> list[list[str]]:
+    """Return a row for each region: its name, and the peaks at its weakest and worst point, both in g and µm."""
+    units = (STANDARD_GRAVITY, reading.scene.drive_angular_frequency**2 / 1e6)
+    return [
+        [name, *(f"{peak / unit:.3g}" for peak in peaks for unit in units)] for name, peaks in reading.levels.items()
+    ]
 
 
 def _fitting_scale(reading: DriveResponse, before: DrawingScale | None, colours: ColourOptions) -> DrawingScale:

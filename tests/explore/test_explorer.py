@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 
 from support.commands import error_of, until
-from warp_plate import PlateSolver, SceneError, localize
+from warp_plate import PlateSolver, Scene, SceneError, localize, specify
 from warp_plate.analysis.motion import last_period, steady_motions
-from warp_plate.explore.live_model import CHOICES, LiveModel, changed_scene, slider_ranges
+from warp_plate.explore.live_model import CHOICES, VISCOUS, LiveModel, changed_scene, slider_ranges
 from warp_plate.explore.unit_responses import live_solver, unit_responses
+from warp_plate.plate.designs import scene_phasors
 from warp_plate.plate.weights import localization_factor
 from warp_plate.result.motion import QUADRANTS, SwarmSnapshot, quadrants
 from warp_plate.viz import explorer_page
@@ -25,6 +26,7 @@ from warp_plate.viz.pictures import make_plotter
 # Damped so strongly that the motion is steady when the run ends, and not so strongly that low modes creep.
 DAMPING = 120.0
 SEARCH = {"particles": 12, "iterations": 15}
+SIDES = ("left", "right", "bottom", "top")
 PATHS = {"auto": ["modal"], "resident": ["resident"]}
 
 
@@ -55,9 +57,11 @@ def view(model, drawing):
 
 
 def after(model, **changes):
-    """The reading after changes, such as frequency=250.0 or choice="equal"."""
+    """The reading after changes, such as frequency=250.0, damping=50.0 or choice="equal"."""
+    take = {"choice": model.choose, "frequency": model.set_frequency}
+    take["damping"] = lambda value: model.set_number(VISCOUS, value)
     for name, value in changes.items():
-        (model.choose if name == "choice" else getattr(model, f"set_{name}"))(value)
+        take[name](value)
     model.wait()
     return model.read()
 
@@ -121,7 +125,9 @@ def test_frequency_and_damping_are_simulated_again(explored_panel, live, path):
     assert model.by_modes == (path == "auto")
     for frequency, damping in ((240.0, DAMPING), (290.0, 500.0), (290.0, 0.0)):
         reading = after(model, frequency=frequency, damping=damping)
-        run = live_solver(changed_scene(explored_panel, frequency, damping), "cpu", *PATHS[path]).run(np.ones((1, 3)))
+        run = live_solver(changed_scene(explored_panel, frequency, {VISCOUS: damping}), "cpu", *PATHS[path]).run(
+            np.ones((1, 3))
+        )
         assert reading.localization_factor == pytest.approx(localization_factor(run.energy)[0], rel=1e-9)
         assert (reading.scene.drive.frequency, reading.scene.effects.damping.viscous) == (frequency, damping)
 
@@ -176,12 +182,41 @@ def test_what_cannot_be_simulated_is_reported_and_the_rest_goes_on(scene, live):
 
 def test_slider_ranges_are_within_what_the_run_can_carry(explored_panel, scene):
     ranges = slider_ranges(explored_panel)
-    assert (ranges.magnitude, ranges.damping) == (2.0, 5 * DAMPING)
+    assert (ranges.magnitude, ranges.numbers) == (2.0, {VISCOUS: (0.0, 5 * DAMPING)})
     assert ranges.frequency == pytest.approx((58, 580))
     short = scene(window=(0.0, 0.005), time_step=8e-4, nodes=(7, 7))
     assert slider_ranges(short).frequency == pytest.approx((200, 312.5))
     # A loss factor of 0.5 where the scene has no damping: 0.5 ωρH.
-    assert slider_ranges(short).damping == pytest.approx(0.5 * short.drive_angular_frequency * 0.5)
+    assert slider_ranges(short).numbers[VISCOUS][1] == pytest.approx(0.5 * short.drive_angular_frequency * 0.5)
+
+
+def test_levels_and_sliders_of_the_console_are_those_of_its_specification(live):
+    """Its forces are newtons; its loss factor and its gasket, one number of four edges, have sliders."""
+    made = Scene.load("console").replace("edges", {side: {"translation": 2e6} for side in SIDES})
+    made = made.replace("specification.frequency", 250.0).replace("grid", {"nodes": (17, 9)})
+    answer = specify(made, tolerances=False)
+    model = live(answer.driven_scene())
+    eta = "effects.loss_factor.eta"
+    assert model.ranges.numbers == {eta: (0.0, pytest.approx(0.1)), "gasket": (4e5, 4e6)}
+    assert [model.number_label(key) for key in model.ranges.numbers] == ["loss factor eta", "gasket [N/m²]"]
+    levels = {row.name: (row.weakest, row.worst) for row in answer.levels}
+    assert levels.keys() == {"target", "elsewhere"}
+    for name, (weakest, worst) in model.read().levels.items():
+        assert weakest == pytest.approx(levels[name][0], rel=0.01, abs=0.01)
+        assert worst == pytest.approx(levels[name][1], rel=0.01)
+    for key, value in ((eta, 0.05), ("gasket", 3e6)):
+        model.set_number(key, value)
+    model.wait()
+    changed = model.read().scene
+    assert (changed.effects.loss_factor.eta, changed.edges.left.translation, changed.edges.top.translation) == (
+        0.05,
+        3e6,
+        3e6,
+    )
+    (target, _), tables = model.read().levels.values(), answer.driven_scene().replace("gasket", 3e6)
+    expected = unit_responses(tables.replace(eta, 0.05), "cpu", "modal").read(scene_phasors(tables))
+    assert target == pytest.approx(expected.levels["target"], rel=1e-9)
+    assert target[0] != pytest.approx(levels["target"][0], rel=0.05)
 
 
 def test_choices_are_what_localize_means_by_them(explored_panel, model):
@@ -204,7 +239,7 @@ def test_choices_are_what_localize_means_by_them(explored_panel, model):
 
 def test_one_actuator_and_damping_where_the_scene_has_none(scene, live):
     model = live(scene(actuators=[(0.03, 0.06, 0.04, 0.07)]))
-    model.set_damping(DAMPING)
+    model.set_number(VISCOUS, DAMPING)
     assert all(after(model, choice=choice).localization_factor > 0 for choice in CHOICES)
     assert model.read().scene.effects.damping.viscous == DAMPING
     assert model.swarm() is None

@@ -42,12 +42,13 @@ def explore(
     path: options.SteppingOrModes = "auto",
     colormap: options.Colormap = None,
 ) -> None:
-    """Explore a scene in the browser: sliders for every actuator, frequency and damping (needs the extra web).
+    """Explore a scene in the browser: sliders for every actuator, frequency, damping and links (needs the extra web).
 
-    The moving plate, its localization factor, the bound and the energy shares of the quadrants are updated at once.
-    Buttons select the scene's drive, equal drives, the best single actuator, the best of the swarm (shown as it
-    searches), the exact optimum, or a random drive. The swarm optimizes all magnitudes and phases for the localization
-    factor and ignores the scene's [search]. The scene must be linear in the drives; --path auto uses its modes.
+    The moving plate, its peaks in g and µm, its localization factor, the bound and the energy shares of the quadrants
+    are updated at once. Buttons select the scene's drive, equal drives, the best single actuator, the best of the
+    swarm (shown as it searches), the exact optimum, or a random drive. The swarm optimizes all magnitudes and phases
+    for the localization factor and ignores the scene's [search]. The scene must be linear in the drives; --path auto
+    uses its modes.
     """
     host, port = page.host, page.port
     if not host.strip():

@@ -35,7 +35,7 @@ COMMANDS = {
     "focus": ("focus", "Compute a waveform for each actuator that moves the plate at a point and a moment."),
     "view": ("render", "Show the plates of a result in motion, in a window."),
     "render": ("render", "Draw pictures, movies and pages of a result; needs no display."),
-    "explore": ("explore", "Explore a scene in the browser: sliders for every actuator, frequency and damping."),
+    "explore": ("explore", "Explore a scene in the browser: sliders for every actuator, frequency, damping and links."),
     "export": ("export", "Write a result for ParaView, a spreadsheet or the amplifier."),
     "init": ("scene_files", "Write a preset as a TOML file to edit."),
     "keys": ("scene_files", "Show every key of a scene file with unit, default, range, example and meaning."),

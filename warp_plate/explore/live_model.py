@@ -1,4 +1,4 @@
-"""Model of the explorer: responds to a new drive at once, to a new frequency or damping once it is simulated.
+"""Model of the explorer: responds to a new drive at once, to another frequency or plate once it is simulated.
 
 ``read`` is called for each picture and never waits for a simulation. A worker thread simulates the latest request, and
 a watched search has a thread of its own.
@@ -7,15 +7,15 @@ a watched search has a thread of its own.
 from __future__ import annotations
 
 import math
+import re
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from warp_plate.accuracy.configurations import percent
-from warp_plate.effects.damping import Damping
 from warp_plate.explore.unit_responses import UnitResponses, unit_responses
 from warp_plate.modal.solver import MODAL
 from warp_plate.optimize.optimizer import minimize
@@ -29,11 +29,16 @@ from warp_plate.problem.parametrization import paper_phasors, parametrization_of
 from warp_plate.resolve import choose_engine
 from warp_plate.result.motion import DriveResponse, SwarmSnapshot
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.keys import label_of, linked_keys, unit_of, value_of
 from warp_plate.scene.model import Scene
 from warp_plate.solve.run import Progress
 
 # Ends of the sliders as multiples of the scene's values; if it has no damping, as a loss factor at its frequency.
-FREQUENCY_RANGE, MAGNITUDE_RANGE, DAMPING_RANGE, LOSS_FACTOR_RANGE = (0.2, 2.0), 2.0, 5.0, 0.5
+FREQUENCY_RANGE, MAGNITUDE_RANGE, LOSS_FACTOR_RANGE = (0.2, 2.0), 2.0, 0.5
+DAMPING_RANGE, LINK_RANGE = (0.0, 5.0), (0.2, 2.0)
+VISCOUS = "effects.damping.viscous"  # key of the slider of a scene without damping
+# Linked keys that have a slider.
+PANEL_KEY = re.compile(r"(plate\.(?!size)|edges\.|effects\.)")
 MIN_STEPS_PER_PERIOD = 4  # if the scene fixes the time step
 CHOICES = {"scene": "scene's own", "equal": "equal", "single": "best single"}
 CHOICES |= {"found": "best found", "exact": "exact best", "random": "random"}
@@ -46,8 +51,8 @@ class SliderRanges:
     """Ends of the sliders."""
 
     magnitude: float  # largest magnitude of an actuator [N/m²]; the least is 0
-    damping: float  # largest viscous damping [N·s/m³]; the least is 0
     frequency: tuple[float, float]  # least and largest frequency of the drive [Hz]
+    numbers: Mapping[str, tuple[float, float]]  # least and largest damping and linked numbers, by keys of the scene
 
 
 @dataclass(frozen=True)
@@ -55,7 +60,7 @@ class LiveSettings:
     """Positions of the sliders."""
 
     frequency: float  # frequency of the drive [Hz]
-    damping: float  # viscous damping [N·s/m³]
+    numbers: tuple[float, ...]  # damping and linked numbers, in the order of ``SliderRanges.numbers``
     magnitude: tuple[float, ...]  # magnitude of each actuator [N/m²]
     phase: tuple[float, ...]  # phase lag of each actuator [rad]
 
@@ -67,27 +72,44 @@ class LiveSettings:
 
 def slider_ranges(scene: Scene) -> SliderRanges:
     """Return the ends of the sliders for a scene, within the limits of its run."""
-    frequency, surface_density = scene.drive.frequency, scene.plate.density * scene.plate.thickness
-    stiff = scene.drive_angular_frequency * surface_density  # damping of a loss factor of 1
-    damping = DAMPING_RANGE * scene_damping(scene) or LOSS_FACTOR_RANGE * stiff
+    frequency = scene.drive.frequency
     highest = FREQUENCY_RANGE[1] * frequency
     if scene.grid.time_step is not None:
         highest = max(frequency, min(highest, 1 / (MIN_STEPS_PER_PERIOD * scene.grid.time_step)))
     lowest = min(frequency, max(FREQUENCY_RANGE[0] * frequency, 1 / scene.window.end))
-    return SliderRanges(MAGNITUDE_RANGE * magnitude_unit(scene), damping, (lowest, highest))
+    return SliderRanges(MAGNITUDE_RANGE * magnitude_unit(scene), (lowest, highest), _number_ranges(scene))
 
 
-def scene_damping(scene: Scene) -> float:
-    """Return the viscous damping of the scene [N·s/m³]; 0 if it has none."""
-    return scene.effects.damping.viscous if scene.effects.damping else 0.0
+def _number_ranges(scene: Scene) -> dict[str, tuple[float, float]]:
+    """Return the ends of the sliders of the panel's damping, of any kind, and of its links, by their keys."""
+    damping = [f"{name}.{key}" for name, row in scene.effects.rows for key in row.damping_keys]
+    links = {name: linked_keys(scene, name) for name in scene.links}
+    linked = {key for keys in links.values() for key in keys}
+    ranges = {key: DAMPING_RANGE for key in damping if key not in linked}
+    ranges |= {name: LINK_RANGE for name, keys in links.items() if all(map(PANEL_KEY.match, keys))}
+    ends = {}
+    if not any(row.lossy for _, row in scene.effects.rows):
+        stiff = scene.drive_angular_frequency * scene.plate.density * scene.plate.thickness
+        ends[VISCOUS] = (0.0, LOSS_FACTOR_RANGE * stiff)
+    for key, (low, high) in ranges.items():
+        value = value_of(scene, key)
+        if isinstance(value, float) and value > 0:
+            ends[key] = (low * value, high * value)
+    return ends
 
 
-def changed_scene(scene: Scene, frequency: float, damping: float) -> Scene:
-    """Return the scene at another frequency [Hz] and with other viscous damping [N·s/m³], if any."""
-    table = scene.effects.damping or (Damping(viscous=damping) if damping > 0 else None)
-    table = table and table.model_copy(update={"viscous": damping})
-    drive = scene.drive.model_copy(update={"frequency": frequency})
-    return scene.model_copy(update={"drive": drive, "effects": scene.effects.model_copy(update={"damping": table})})
+def number_at(scene: Scene, key: str) -> float:
+    """Return the value of a slider in a scene: its number at a key, or no viscous damping."""
+    return 0.0 if key == VISCOUS and scene.effects.damping is None else float(value_of(scene, key))
+
+
+def changed_scene(scene: Scene, frequency: float, numbers: Mapping[str, float]) -> Scene:
+    """Return the scene at another frequency [Hz] and with other numbers by their keys, or raise a SceneError."""
+    changed = scene
+    for key, value in numbers.items():
+        if value != number_at(scene, key):
+            changed = changed.replace(key, value)
+    return changed.model_copy(update={"drive": scene.drive.model_copy(update={"frequency": frequency})})
 
 
 def polar(phasors: np.ndarray) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -127,7 +149,8 @@ class LiveModel:
         self._device, self._path, self._respond = device, MODAL if self.by_modes else path, respond
         self._scale = magnitude_unit(scene)
         phasors = scene_phasors(scene)
-        self.settings = LiveSettings(scene.drive.frequency, scene_damping(scene), *polar(phasors))
+        numbers = tuple(number_at(scene, key) for key in self.ranges.numbers)
+        self.settings = LiveSettings(scene.drive.frequency, numbers, *polar(phasors))
         self._random = np.random.default_rng()
         self._responses = respond(scene, device, self._path, progress)
         self._reading = self._responses.read(phasors)
@@ -149,6 +172,12 @@ class LiveModel:
             self._reading = responses.read(phasors)
         return self._reading
 
+    def number_label(self, key: str) -> str:
+        """Return the label of the slider of a number of the panel, with its unit."""
+        unit = unit_of(self.scene.replace(key, number_at(self.scene, key)), key)
+        label = label_of(self.scene, key).removesuffix(" viscous")
+        return label + (f" [{unit}]" if unit != "1" else "")
+
     def status(self) -> str:
         """Return one line about work in progress, errors or hidden motion, or ""."""
         if self._problem:
@@ -163,16 +192,17 @@ class LiveModel:
         return ""
 
     def swarm(self) -> SwarmSnapshot | None:
-        """Return the latest iteration of the search; None without one, or after frequency or damping has changed."""
+        """Return the latest iteration of the search; None without one, or after another simulation."""
         return self._search.snapshot if self._search is not None else None
 
     def set_frequency(self, frequency: float) -> None:
         """Set the frequency of the drive [Hz]; it is shown as soon as it is simulated."""
         self._request(frequency=float(frequency))
 
-    def set_damping(self, damping: float) -> None:
-        """Set the viscous damping [N·s/m³]; it is shown as soon as it is simulated."""
-        self._request(damping=float(damping))
+    def set_number(self, key: str, value: float) -> None:
+        """Set damping or a linked number of the panel by its key; it is shown as soon as it is simulated."""
+        with self._changed:
+            self._request(numbers=_with(self.settings.numbers, list(self.ranges.numbers).index(key), value))
 
     def set_actuator(self, index: int, **changes: float) -> None:
         """Set the ``magnitude`` [N/m²] or the ``phase`` lag [rad] of an actuator. Ends a search."""
@@ -180,9 +210,7 @@ class LiveModel:
             self._end_search()
             self._choice = None
             for key, value in changes.items():
-                values = list(getattr(self.settings, key))
-                values[index] = float(value)
-                self._request(**{key: tuple(values)})
+                self._request(**{key: _with(getattr(self.settings, key), index, value)})
 
     def choose(self, choice: str, seconds: float = 0.0) -> None:
         """Take one of the CHOICES as the drive; ValueError for another.
@@ -225,7 +253,7 @@ class LiveModel:
 
     def _outdated(self, settings: LiveSettings) -> bool:
         """Return whether something must be simulated for these settings."""
-        return (settings.frequency, settings.damping) != (self._simulated.frequency, self._simulated.damping)
+        return (settings.frequency, settings.numbers) != (self._simulated.frequency, self._simulated.numbers)
 
     def _at_rest(self) -> bool:
         return self._choice is None and not self._outdated(self.settings)
@@ -256,7 +284,8 @@ class LiveModel:
                     if self._outdated(settings):
                         with self._changed:
                             self._end_search()
-                        changed = changed_scene(self.scene, settings.frequency, settings.damping)
+                        numbers = dict(zip(self.ranges.numbers, settings.numbers, strict=True))
+                        changed = changed_scene(self.scene, settings.frequency, numbers)
                         self._responses = self._respond(changed, self._device, self._path, None)
                     if choice is not None:
                         self._take(*choice)
@@ -299,6 +328,10 @@ class LiveModel:
             phasors = phasors * (self.ranges.magnitude / largest)
         magnitude, phase = polar(phasors)
         self._request(magnitude=magnitude, phase=phase)
+
+
+def _with(values: tuple[float, ...], index: int, value: float) -> tuple[float, ...]:
+    return (*values[:index], float(value), *values[index + 1 :])
 
 
 class WatchedSearch(threading.Thread):

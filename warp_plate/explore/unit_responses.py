@@ -7,6 +7,8 @@ Displacements are linear in the drives, so that 2M runs suffice: with z as in ``
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,12 +17,19 @@ from warp_plate.analysis.motion import last_period, steady_motions
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.optimize.quadratic import real_parts
 from warp_plate.plate.weights import REGIONS
+from warp_plate.problem.requirements import make_requirements
+from warp_plate.problem.specified_drives import Tone
 from warp_plate.resolve import resolve
 from warp_plate.result.motion import QUADRANTS, DriveResponse, SteadyMotion, quadrants
+from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
+from warp_plate.scene.specification import Allowance, Level, Specification
 from warp_plate.solve.response import Response, in_float64, measure_response, unit_drives
 from warp_plate.solve.run import Progress
 from warp_plate.solve.solver import PlateSolver
+
+# Specification whose regions are the target and all the rest, in place of a missing one.
+WHOLE_PLATE = Specification(level=Level(acceleration_g=1.0), elsewhere=Allowance(relative_db=0.0), tolerance={})
 
 
 @dataclass(frozen=True)
@@ -33,16 +42,19 @@ class UnitResponses:
     residual: float  # largest ``SteadyMotion.residual`` of the unit drives
     bound: float  # largest localization factor of any drive
     best_drive: np.ndarray  # (actuators,) phasors of the drive that reaches it [N/m²]
+    accelerations: Mapping[str, np.ndarray]  # by region (points, actuators) accelerations [m/s² per N/m²]
 
     def read(self, phasors: np.ndarray) -> DriveResponse:
         """Return the response to one drive (actuators,) [N/m²]."""
         amplitude = np.tensordot(real_parts(phasors[None])[0], self.amplitudes, 1)
+        peaks = {name: np.abs(rows @ phasors) for name, rows in self.accelerations.items()}
         return DriveResponse(
             scene=self.scene,
             phasors=phasors,
             motion=SteadyMotion(amplitude, self.residual),
             energy=dict(zip((*REGIONS, *QUADRANTS), self.response.energy(phasors[None])[0].tolist(), strict=True)),
             bound=self.bound if math.isfinite(self.bound) else None,
+            levels={name: (float(values.min()), float(values.max())) for name, values in peaks.items()},
         )
 
 
@@ -56,7 +68,8 @@ def unit_responses(
     Raises:
         SceneError: see :class:`PlateSolver`.
     """
-    solver = live_solver(in_float64(scene), device, path)
+    specification = scene.specification or WHOLE_PLATE
+    solver = live_solver(in_float64(scene).model_copy(update={"specification": specification}), device, path)
     response = solver.response if isinstance(solver, ModalSolver) else measure_response(solver, progress)
     units = unit_drives(len(scene.actuators), slice(2 * len(scene.actuators)))
     motions = steady_motions(solver.run(units, last_period(scene, solver.discretization.time_step)), scene)
@@ -67,7 +80,20 @@ def unit_responses(
         residual=float(np.max([motion.residual for motion in motions])),
         bound=response.bound(),
         best_drive=response.best_drive(),
+        accelerations=_accelerations(solver) if isinstance(solver, ModalSolver) else {},
     )
+
+
+def _accelerations(solver: ModalSolver) -> dict[str, np.ndarray]:
+    """Return the unit accelerations of the regions of the scene's specification."""
+    scene = solver.scene
+    with suppress(SceneError):  # of masks
+        requirements = make_requirements(solver.plate)
+        tone = Tone(solver.plate, requirements, scene.drive.frequency, np.ones(len(scene.actuators)))
+        regions = {part.name: part.region for part in requirements.aims}
+        regions |= {part.name: part.region for part in requirements.rests}
+        return {name: tone.rows(region.samples) for name, region in regions.items()}
+    return {}
 
 
 def live_solver(scene: Scene, device: str, path: str) -> PlateSolver | ModalSolver:

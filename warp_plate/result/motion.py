@@ -124,6 +124,9 @@ class DriveResponse:
     motion: SteadyMotion
     energy: Mapping[str, float]  # average over the window [J] of the regions "plate", "target" and the ``QUADRANTS``
     bound: float | None  # upper bound of the localization factor over all drives; None if unknown
+    # peak acceleration [m/s²] at the weakest and the worst point of the regions of a specification; empty by time
+    # steps, and if a target is a mask
+    levels: Mapping[str, tuple[float, float]]
 
     @property
     def localization_factor(self) -> float:
