@@ -101,8 +101,7 @@ def _print_findings(findings: Sequence[Finding], console: Console) -> None:
             inside = finding.value >= finding.threshold if finding.at_least else finding.value <= finding.threshold
             threshold = f"{'≥' if finding.at_least else '≤'} {finding.threshold:g}"
             rows.append((finding.name, f"{finding.value:.3g}", threshold + "; its effect is included" * (not inside)))
-    for sentence in warnings:
-        console.print(f"! {sentence}")
+    output.print_warnings(console, warnings)
     if warnings:
         console.print()
     output.print_rows(console, ("within thresholds", "value", "threshold"), rows)

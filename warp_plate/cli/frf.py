@@ -159,8 +159,7 @@ def _print(name: str, scene: Scene, response: FrequencyResponse, console: Consol
         f"\nLocalization factor of the scene's drive: {_extremes(response.localization_factor)}; the best drive at "
         f"each frequency reaches up to {response.bound[best]:.4f}, at {response.frequencies[best]:.6g} Hz."
     )
-    for line in response.warnings:
-        console.print(f"! {line}")
+    output.print_warnings(console, response.warnings)
 
 
 def _extremes(values: np.ndarray) -> str:

@@ -111,8 +111,7 @@ def _print_fit(name: str, fitted: ModeFit | ResponseFit, console: Console) -> No
     cells = [[output.number_text(value, digits) for value in values] for values, digits in columns.values()]
     kind = "response" if isinstance(fitted, ResponseFit) else "mode"
     output.print_rows(console, (kind, *columns), list(zip(names, *cells, strict=True)))
-    for line in fitted.warnings:
-        console.print(f"! {line}")
+    output.print_warnings(console, fitted.warnings)
 
 
 def _print_properties(fitted: ModeFit | ResponseFit, console: Console) -> None:
@@ -180,5 +179,4 @@ def _print_verified(verified: Verification, console: Console) -> None:
         f"\n{len(verified.promised)} points: measured velocities are {verified.scale:.4g} times the promised ones, and "
         f"their cosine is {verified.correlation:.4f}."
     )
-    for line in verified.warnings:
-        console.print(f"! {line}")
+    output.print_warnings(console, verified.warnings)

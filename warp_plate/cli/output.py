@@ -163,6 +163,12 @@ def print_lines(console: Console, rows: Iterable[Iterable[str]], *after: str) ->
     console.print(table, *after)
 
 
+def print_warnings(console: Console, warnings: Iterable[str]) -> None:
+    """Print warnings of a result or scene."""
+    for line in warnings:
+        console.print(f"! {line}")
+
+
 @contextmanager
 def progress_bar(label: str, shown: bool, scene: Scene | None = None, last: str = "") -> Iterator[Callable[..., None]]:
     """Show a progress bar if standard error is a terminal; yield a function of (done, total, note) that updates it.

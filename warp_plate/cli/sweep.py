@@ -163,6 +163,5 @@ def _print(result: Sweep, console: Console) -> None:
             console.print(f"  {result.refusal(point)}")
         if len(result.reasons) > MOST_REASONS:
             console.print("  ... (all reasons are in the result file)")
-    for line in result.warnings:
-        console.print(f"! {line}")
+    output.print_warnings(console, result.warnings)
     console.print(f"{result.seconds:.2f} s in all.")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 from rich.console import Console
 
@@ -223,10 +223,4 @@ def print_cost(result: Result, console: Console, start: str = "", elapsed: float
         for part in (estimate, estimate.get("bound", {})):
             if "line" in part:
                 console.print(part["line"])
-    print_warnings(result.warnings, console)
-
-
-def print_warnings(warnings: Iterable[str], console: Console) -> None:
-    """Print warnings of a result or scene."""
-    for line in warnings:
-        console.print(f"! {line}")
+    output.print_warnings(console, result.warnings)
