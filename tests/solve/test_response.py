@@ -35,11 +35,10 @@ def test_energies_and_bound_agree_with_plates(device, path, scene, phasors):
     assert localization_factor(solver.run(best[None]).energy)[0] == pytest.approx(response.bound(), abs=1e-9)
 
 
-def test_unit_drives_in_blocks_give_the_same_bits(scene, monkeypatch):
+def test_unit_drives_in_blocks_give_the_same_bits(scene):
     solver, reports = PlateSolver(scene(actuators=PATCHES), "cpu"), []
     whole = measure_response(solver)
-    monkeypatch.setattr("warp_plate.solve.response.BLOCK_NUMBERS", 15)
-    blocks = measure_response(solver, lambda done, total: reports.append((done, total)))
+    blocks = measure_response(solver, lambda done, total: reports.append((done, total)), block_numbers=15)
     np.testing.assert_array_equal(blocks.matrices, whole.matrices)
     work = 21 * solver.node_steps_per_plate
     assert reports == sorted(reports)

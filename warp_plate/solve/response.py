@@ -61,10 +61,12 @@ def unit_drives(actuators: int, rows: slice = slice(None)) -> np.ndarray:
     return units[first] + units[second]
 
 
-def measure_response(solver: PlateSolver, progress: Progress | None = None) -> Response:
+def measure_response(
+    solver: PlateSolver, progress: Progress | None = None, block_numbers: int = BLOCK_NUMBERS
+) -> Response:
     """Simulate the unit drives; ``solver`` should be float64, for the differences of energies lose digits."""
     actuators, work = len(solver.scene.actuators), solver.node_steps_per_plate
-    count, block, energies = count_unit_drives(actuators), max(1, BLOCK_NUMBERS // actuators), []
+    count, block, energies = count_unit_drives(actuators), max(1, block_numbers // actuators), []
     for first in range(0, count, block):
 
         def report(done: int, _total: int, before: int = first * work) -> None:
