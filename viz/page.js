@@ -159,6 +159,10 @@ class Plate {
       for (const name of ["title", "bar"]) legend.append(part(byId("legend"), name).cloneNode(true));
       fillLegend(legend, plate.legend);
     }
+    this.names = (plate.names ?? data.names).map(([text, x, y]) => {
+      const label = row.appendChild(document.createElement("span"));
+      return Object.assign(label, { className: "part", textContent: text, at: [x, y, 0, 1] });
+    });
     this.canvas.setAttribute("aria-label", plate.headings[0]);
     byId("plates").append(frame);
     const gl = this.gl = this.canvas.getContext("webgl2", { antialias: true, preserveDrawingBuffer: true });
@@ -244,6 +248,12 @@ class Plate {
     }
     gl.depthMask(true);
     gl.bindVertexArray(null);
+    for (const label of this.names) { // in front of the actuators, on the plate at rest
+      const [x, y] = [0, 1].map((row) => label.at.reduce((sum, part, k) => sum + matrix[4 * k + row] * part, 0));
+      label.style.left = `${canvas.clientWidth * (1 + x) / 2}px`;
+      label.style.top = `${canvas.clientHeight * (1 - y) / 2 + 2}px`;
+      label.hidden = Math.max(Math.abs(x), Math.abs(y)) > 1;
+    }
     const heights = this.ownLegend && data.heightWords ? `, heights × ${short(this.factor * factor())}` : "";
     this.heading.textContent = this.headings[first] + heights;
   }

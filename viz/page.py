@@ -18,7 +18,15 @@ import numpy as np
 
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
-from warp_plate.viz.annotations import AZIMUTH, ELEVATION, LABEL_FORMAT, frame_caption, legend_entries, lookup_table
+from warp_plate.viz.annotations import (
+    AZIMUTH,
+    ELEVATION,
+    LABEL_FORMAT,
+    frame_caption,
+    legend_entries,
+    lookup_table,
+    shortened,
+)
 from warp_plate.viz.fields import DISPLACEMENT, MODE, DrawingScale, PictureStyle, motion_scales
 from warp_plate.viz.scene3d import PlateMeshes, line_layers, rows_and_columns
 
@@ -78,6 +86,7 @@ def page_data(
         "key": legend_entries(scene),
         "triangles": _base64(meshes.surface.faces.reshape(-1, 4)[:, 1:], "<u4"),
         "outlines": _outlines(meshes),
+        "names": _names(scene),
         "plates": [
             {
                 "headings": [frame_caption(motion, frame, scene) for frame in range(len(motion.times))],
@@ -87,10 +96,16 @@ def page_data(
                 "factor": scales[index].height_factor / scale.height_factor,  # relative to that of the page
                 "legend": legends[index] if separate else None,
                 "outlines": _outlines(PlateMeshes(motion.scene, heights[0][0], scale)) if motion.scene else None,
+                "names": _names(motion.scene) if motion.scene else None,
             }
             for index, motion in enumerate(motions)
         ],
     }
+
+
+def _names(scene: Scene) -> list[list[Any]]:
+    """Return the name of each actuator and the corner of its patch nearest to the viewer [m]."""
+    return [[shortened(actuator.name), actuator.area[0], actuator.area[2]] for actuator in scene.actuators]
 
 
 def _legend(scale: DrawingScale) -> dict[str, Any]:

@@ -40,6 +40,7 @@ def test_frames_meshes_and_scale(scene):
         colours = decoded(plate["colours"], "<i2").reshape(FRAMES, 9, 8) / PEAK * scale.limit
         np.testing.assert_allclose(colours, motion.velocity, atol=scale.limit / PEAK)
         assert "t = 0.0005 s" in plate["headings"][1]
+    assert data["names"] == [[actuator.name, actuator.area[0], actuator.area[2]] for actuator in made.actuators]
     meshes = PlateMeshes(made, motions[0].displacement[0], scale)
     triangles = decoded(data["triangles"], "<u4").reshape(-1, 3)
     np.testing.assert_array_equal(triangles, meshes.surface.faces.reshape(-1, 4)[:, 1:])
