@@ -3,6 +3,7 @@
 import json
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from warp_plate import load_result, localize
 from warp_plate.problem.objectives import keeps_limit
 from warp_plate.problem.problem import make_problem
 from warp_plate.resolve import resolve
+from warp_plate.result.case import motion_table
 
 OBJECTIVES = [
     {"kind": "velocity", "weight": 1e4, "rest_limit": 1.0},
@@ -105,3 +107,14 @@ def test_a_robust_search_has_those_of_the_nominal_plate(scene):
     assert result.objective_values["sum"] == pytest.approx(result.robust.nominal_plate[0], rel=1e-9)
     nominal = make_problem(resolve(scene((9, 9), damping=88.5, search=SEARCH), "cpu"))
     assert result.objective_values["bound"] == pytest.approx(-nominal.loss_bound.value, rel=1e-9)
+
+
+def test_equal_cases_are_one_row_of_the_table_of_motion(scene):
+    made = scene(actuators=[(0.03, 0.06, 0.04, 0.07)], damping=120.0)
+    cases = localize(made, device="cpu", estimate=False).cases
+    headings, rows = motion_table(cases, made)
+    assert [row[0] for row in rows] == ["all"]
+    assert len(rows[0]) == len(headings)
+    case = cases["equal"]
+    other = replace(case, phasors=2 * case.phasors)
+    assert [row[0] for row in motion_table({"equal": case, "other": other}, made)[1]] == ["equal", "other"]

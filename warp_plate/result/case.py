@@ -218,6 +218,8 @@ def motion_table(cases: Mapping[str, Case], scene: Scene) -> tuple[list[str], li
         if tones:
             cells.append("none" if motion.acceleration is None else _pair(motion.acceleration, 1 / STANDARD_GRAVITY))
         rows.append([label, *cells])
+    if len({tuple(row[1:]) for row in rows}) == 1 < len(rows):
+        rows = [["all", *rows[0][1:]]]
     headings = ["drive", *["frequency Hz"] * searched, f"largest {amplitude}", "share", "contrast dB"]
     return [*headings, "velocity mm/s rms", "displacement µm peak", *["acceleration g rms"] * tones], rows
 
