@@ -17,7 +17,7 @@ from warp_plate.quantities.region_quantities import LEAST_REST, PLATE, REGION_QU
 from warp_plate.result.case import Case, RegionMotion
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.solve.run import Run, record_times, run_with_peaks
+from warp_plate.solve.run import Run, run_with_peaks
 
 
 @dataclass(frozen=True)
@@ -43,19 +43,22 @@ def evaluate_cases(problem: Problem, single: int, position: np.ndarray | None) -
         phasors["best"] = phasors["single"]
     elif parametrization.only_drives:
         phasors["best"] = parametrization.drive(position)
-    run, peaks = run_with_peaks(problem.drive_solver, np.array(list(phasors.values())))
-    cases = cases_from_run(phasors, run, scene, peaks)
     if position is None or parametrization.only_drives:
+        run, peaks = run_with_peaks(problem.drive_solver, np.array(list(phasors.values())))
+        cases = cases_from_run(phasors, run, scene, peaks)
         return EvaluatedCases(cases, scene, phasors, run, float(peaks[-1].max()), 0)
     # The best scene runs as in ``simulate``, so that the stored numbers can be reproduced.
     best_scene, designs = parametrization.scene_of(position), parametrization.designs(position[None])
     solver = problem.resolved.with_scene(best_scene).solver(areas=best_scene.target_regions)
     best = {"best": scene_phasors(best_scene)}
-    best_run, peaks = run_with_peaks(solver, best["best"][None], recorded=record_times(scene))
+    best_run, best_peaks = run_with_peaks(solver, best["best"][None])
+    drives, recorded = np.array(list(phasors.values())), best_run.times.tolist()
+    run, peaks = run_with_peaks(problem.drive_solver, drives, recorded=recorded)
+    cases = cases_from_run(phasors, run, scene, peaks)
     names = ("frequency", "centre", "delay")
     varied = {name: values[0] for name in names if (values := getattr(designs, name)) is not None}
-    cases["best"] = replace(cases_from_run(best, best_run, best_scene, peaks)["best"], **varied)
-    return EvaluatedCases(cases, best_scene, best, best_run, float(peaks[-1].max()), solver.node_steps)
+    cases["best"] = replace(cases_from_run(best, best_run, best_scene, best_peaks)["best"], **varied)
+    return EvaluatedCases(cases, best_scene, best, best_run, float(best_peaks.max()), solver.node_steps)
 
 
 def reference_phasors(scene: Scene, energies: Energies) -> dict[str, np.ndarray]:

@@ -63,8 +63,8 @@ class Record(Table):
     """Outputs of a run besides energies."""
 
     times: Annotated[tuple[Instant, ...], Field(examples=[[0.05, 0.1]])] = ()
-    """Times at which displacement fields are stored (default: the end of the run and a quarter period before; for
-    bursts, sweeps and other drives without a period the middle of the run)."""
+    """Times at which displacement fields are stored (default: the instant of the largest displacement in the last
+    period, and a quarter period before it; for bursts, sweeps and other drives without a period, that in the run)."""
     points: Annotated[tuple[Point, ...], Field(examples=[[[0.1, 0.06]]])] = ()
     """Points (x, y) at which the displacement of every step is stored."""
 

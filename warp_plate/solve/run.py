@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Any, Protocol
 
@@ -23,6 +23,9 @@ FAULTS = (OK, OUT_OF_RANGE, GREW, NO_DRIVE)
 SOUND = (OK, math.nan)
 # Samples in a period of the highest frequency (between two, a sine rises by 2 % at most), and in a run at most.
 SAMPLES_A_PERIOD, MOST_SAMPLES = 16, 320
+QUARTER = SAMPLES_A_PERIOD // 4
+# Most bytes of the fields of a plate among which the largest is recorded.
+MOST_BYTES = 2**27
 # Samples too few for every period are shifted by multiples of the golden ratio, so as never to keep in step with the
 # motion.
 GOLDEN = (math.sqrt(5) - 1) / 2
@@ -121,11 +124,20 @@ def run_with_peaks(
 ) -> tuple[Run, np.ndarray]:
     """Run phasors (plates, actuators) with the scene's records, or with displacements at other times ``recorded`` [s].
 
-    Also return the largest displacements (plates, 2) [m] in the target and in the rest.
+    Without any, the instant of the last plate's largest displacement is recorded, and if the drive is periodic, a
+    quarter period before it. Also return the largest displacements (plates, 2) [m] in the target and in the rest.
     """
     scene = solver.scene
-    recorded = recorded or record_times(scene)
-    run = solver.run(phasors, recorded, scene.record.points, progress, (*recorded, *sample_times(scene)))
+    recorded = recorded or scene.record.times
+    tried = recorded or _candidates(scene)
+    run = solver.run(phasors, tried, scene.record.points, progress, (*tried, *sample_times(scene)))
+    if not recorded:
+        last = np.nan_to_num(np.abs(run.displacement[-1]).max(axis=(1, 2)), nan=0.0, posinf=0.0)
+        if scene.nonperiodic_key:
+            chosen = [int(last.argmax())]
+        else:
+            chosen = [latest := int(last[QUARTER:].argmax()), latest + QUARTER]
+        run = replace(run, displacement=run.displacement[:, chosen], times=run.times[chosen])
     target = _target_nodes(scene, run.peak.shape[:0:-1])
     peaks = np.stack([run.peak[:, nodes].max(axis=1, initial=0.0) for nodes in (target, ~target)], axis=1)
     return run, peaks if run.outline_peak is None else np.maximum(peaks, run.outline_peak[:, None])
@@ -139,15 +151,18 @@ def _target_nodes(scene: Scene, nodes: tuple[int, ...]) -> np.ndarray:
     return within if within.any() else np.asarray(target > 0)
 
 
-def record_times(scene: Scene) -> tuple[float, ...]:
-    """Return the times [s] that the scene records.
+def _candidates(scene: Scene) -> tuple[float, ...]:
+    """Return the times [s] among which that of the largest displacement is recorded.
 
-    The default is the end of the run and, of periodic drives, a quarter period of the highest frequency before, so that
-    under a tone no node passes zero at both; of others the middle of the run.
+    They are those of the last period of the highest frequency, after a quarter period, so that under a tone no node
+    passes zero at both recorded times; of other drives than periodic ones, those of the whole run.
     """
-    end = scene.window.end
-    earlier = end / 2 if scene.nonperiodic_key else max(end - 0.25 / highest_frequency(scene), 0.0)
-    return scene.record.times or (earlier, end)
+    end, times = scene.window.end, sample_times(scene)
+    if scene.nonperiodic_key:
+        most = max(2, int(MOST_BYTES / (8 * math.prod(scene.grid.nodes))))
+        return tuple(sorted(times)[:: math.ceil(len(times) / most)])
+    before = np.arange(SAMPLES_A_PERIOD + QUARTER - 1, -1, -1) / SAMPLES_A_PERIOD / highest_frequency(scene)
+    return tuple(np.maximum(end - before, 0.0).tolist())
 
 
 def sample_times(scene: Scene) -> tuple[float, ...]:

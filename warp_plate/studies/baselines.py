@@ -15,6 +15,8 @@ Both are steady drives of one frequency. The time reversal of a burst, a wavefor
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from warp_plate.analysis.motion import last_period, steady_motions
@@ -41,11 +43,12 @@ def baseline_phasors(solver: PlateSolver | ModalSolver) -> dict[str, np.ndarray]
     return {"time_reversal": time_reversal(solver, transfer), "inverse_filter": inverse_filter(solver, transfer)}
 
 
-def baseline_cases(problem: Problem) -> tuple[dict[str, Case], int]:
-    """Simulate the baselines of a problem's scene; return their cases by name, and the node-steps."""
+def baseline_cases(problem: Problem, recorded: Sequence[float]) -> tuple[dict[str, Case], int]:
+    """Simulate the baselines of a problem's scene, recorded at times [s]; return their cases by name, and the
+    node-steps."""
     solver = problem.resolved.solver(areas=problem.objectives.regions)
     phasors = baseline_phasors(solver)
-    run, peaks = run_with_peaks(solver, np.array(list(phasors.values())))
+    run, peaks = run_with_peaks(solver, np.array(list(phasors.values())), recorded=recorded)
     return cases_from_run(phasors, run, problem.scene, peaks), solver.node_steps
 
 

@@ -265,7 +265,7 @@ def _optional_parts(
             fields["accuracy"] = {**end.accuracy} | estimated
     if baselines:
         with optional_part(seconds, "baselines"):
-            unsearched, steps = baseline_cases(problem)
+            unsearched, steps = baseline_cases(problem, evaluated.run.times.tolist())
             node_steps += steps
     references = {name: cases[name] for name in ("equal", "single")} | unsearched
     fields["objective_values_by_case"], steps = evaluate_objectives(problem, references)
