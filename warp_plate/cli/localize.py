@@ -125,7 +125,9 @@ def localize(
         viz.prepare()  # while the search runs
     with (
         workers.open_pool() as pool,
-        output.progress_bar("searching", not files.json, loaded, "running the drives found") as show,
+        output.progress_bar(
+            "searching", not files.json, loaded, "running the drives found, with more functions if these are too few"
+        ) as show,
         output.scene_errors(scene),
         output.resumable(file, "localize"),
     ):

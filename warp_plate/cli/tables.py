@@ -38,6 +38,7 @@ STAGES = {
     "robust": "validating",
     "baselines": "of baselines",
     "spectrum": "of the spectrum",
+    "accuracy": "searching by more functions",
     "estimate": "estimating the error",
 }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -27,6 +28,7 @@ from warp_plate.scene.errors import SceneError, printable
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.solve.devices import processor_of
 from warp_plate.studies.baselines import baseline_cases, check_baselines
+from warp_plate.studies.more_functions import accuracy_may_change, search_by_more_functions
 from warp_plate.studies.searches import OnProgress, SearchOutcome, initial_state, search_targets, with_target
 from warp_plate.studies.simulate import estimate_error, optional_part
 from warp_plate.studies.spectrum import has_spectrum, make_spectrum
@@ -203,15 +205,21 @@ def _run(
     problem: Problem,
     on_progress: OnProgress | None,
     checkpoints: CheckpointFile | None,
+    estimate: bool,
     **parts_asked: bool,
 ) -> Result:
     """Run a search from a checkpoint, which may be that of iteration 0, and make its result."""
     outcome = search_targets(start, problem, on_progress, checkpoints)
+    seconds, before, unsure = dict(outcome.checkpoint.seconds), outcome.problem.node_steps, accuracy_may_change(outcome)
+    evaluated, estimated = _evaluate(outcome, seconds, estimate or unsure)
+    if unsure:
+        searched, error = outcome, estimated.get("estimate", {}).get("error", math.nan)
+        with optional_part(seconds, "accuracy"):
+            outcome = search_by_more_functions(searched, evaluated, error)
+        if outcome is not searched:
+            evaluated, estimated = _evaluate(outcome, seconds, estimate)
     end, problem = outcome.checkpoint, outcome.problem
-    first, seconds, before = end.finished_searches[0], dict(end.seconds), problem.node_steps
-    started = time.perf_counter()
-    evaluated = evaluate_targets(problem, end.finished_searches)
-    seconds["solve"] += time.perf_counter() - started
+    first, accuracy = end.finished_searches[0], {**end.accuracy, **(estimated if estimate else {})}
     parts = _optional_parts(outcome, evaluated, seconds, **parts_asked)
     node_steps = end.node_steps + problem.node_steps - before + evaluated.node_steps + parts.pop("node_steps")
     result = Result(
@@ -233,23 +241,38 @@ def _run(
         peak_displacement=evaluated.peak,
         target_searches=end.finished_searches if problem.scene.targets else (),
         lost_plates=end.lost_plates,
+        accuracy=accuracy,
         **run_fields(problem.plates.designs.solver, evaluated.run),
         **parts,
     )
     return replace(result, warnings=result_warnings(result))
 
 
+def _evaluate(
+    outcome: SearchOutcome, seconds: dict[str, float], estimate: bool
+) -> tuple[EvaluatedCases, dict[str, Any]]:
+    """Return the cases of an outcome and the estimate of their errors, if asked for, and add their seconds."""
+    problem, searches, started = outcome.problem, outcome.checkpoint.finished_searches, time.perf_counter()
+    evaluated, estimated = evaluate_targets(problem, searches), {}
+    seconds["solve"] += time.perf_counter() - started
+    if estimate:
+        with optional_part(seconds, "estimate"):
+            simulated = problem.resolved.with_scene(evaluated.scene)
+            run, bound = evaluated.run, searches[0].bound
+            estimated = estimate_error(simulated, evaluated.phasors, run, bound, problem.bound_by)
+    return evaluated, estimated
+
+
 def _optional_parts(
     outcome: SearchOutcome,
     evaluated: EvaluatedCases,
     seconds: dict[str, float],
-    estimate: bool,
     spectrum: bool,
     baselines: bool,
 ) -> dict[str, Any]:
     """Compute the optional fields of a result and their node-steps, and add their seconds."""
     end, problem, cases, node_steps = outcome.checkpoint, outcome.problem, evaluated.cases, 0
-    fields: dict[str, Any] = {"robust": None, "spectrum": {}, "accuracy": end.accuracy}
+    fields: dict[str, Any] = {"robust": None, "spectrum": {}}
     nominal: dict[str, Case] = {}
     unsearched: dict[str, Case] = {}
     position = end.finished_searches[0].position
@@ -257,12 +280,6 @@ def _optional_parts(
         with optional_part(seconds, "robust"):
             compared = compare_with_nominal(problem, end.single_actuator, position, outcome.nominal_position)
             fields["robust"], nominal, node_steps = compared
-    if estimate:
-        with optional_part(seconds, "estimate"):
-            simulated = problem.resolved.with_scene(evaluated.scene)
-            run, bound = evaluated.run, end.finished_searches[0].bound
-            estimated = estimate_error(simulated, evaluated.phasors, run, bound, problem.bound_by)
-            fields["accuracy"] = {**end.accuracy} | estimated
     if baselines:
         with optional_part(seconds, "baselines"):
             unsearched, steps = baseline_cases(problem, evaluated.run.times.tolist())

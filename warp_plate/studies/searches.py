@@ -161,12 +161,17 @@ def finish_search(
         loss = float(problem.losses(other[None])[0])
         if loss < best:
             position, best, further = other, loss, 1
-    if further:
-        evaluations += further
-        value = problem.value_from_loss(best)
-        row = {"evaluations": evaluations, "best": value, "mean": value}
-        history = {name: np.append(column, row[name]) for name, column in history.items()}
-    return problem.complete(position), evaluations, history
+    history = with_further_evaluations(problem, history, further, best)
+    return problem.complete(position), evaluations + further, history
+
+
+def with_further_evaluations(
+    problem: Problem, history: Mapping[str, np.ndarray], further: int, loss: float
+) -> dict[str, np.ndarray]:
+    """Return a history with a row for further evaluations, if there were any, and the loss that they ended with."""
+    value = problem.value_from_loss(loss)
+    row = {"evaluations": further + int(history["evaluations"][-1]), "best": value, "mean": value}
+    return {name: np.append(column, row[name]) if further else column for name, column in history.items()}
 
 
 def initial_state(problem: Problem, seed: int) -> dict[str, Any]:
@@ -271,7 +276,9 @@ def _refine(problem: Problem, position: np.ndarray, loss: float, tried: np.ndarr
     return position, loss, result.nfev
 
 
-def polish(problem: Problem, position: np.ndarray, loss: float) -> tuple[np.ndarray, float, int]:
+def polish(
+    problem: Problem, position: np.ndarray, loss: float, rounds: int = MOST_ROUNDS
+) -> tuple[np.ndarray, float, int]:
     """Return the minimum to which descents from a position of ``problem.space`` lead, its loss, and the evaluations."""
     evaluations, space = 0, problem.space
 
@@ -281,7 +288,7 @@ def polish(problem: Problem, position: np.ndarray, loss: float) -> tuple[np.ndar
         return problem.losses_without_clearance(space.from_unit(points))
 
     point = space.to_unit(position)
-    for _ in range(MOST_ROUNDS):
+    for _ in range(rounds):
         before = loss
         descended = _descend(losses, problem, point)
         driven = space.to_unit(problem.with_best_drive(space.from_unit(descended[None])[0]))
