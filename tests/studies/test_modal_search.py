@@ -1,10 +1,13 @@
 """Searches by modes, against time stepping on fine grids and the plain Gram matrices."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from support.scenes import MATERIAL, scene_of
-from warp_plate import Scene, SceneError, localize, sweep
+from warp_plate import Scene, SceneError, localize, simulate, sweep
+from warp_plate.analysis.result_warnings import result_warnings
 from warp_plate.modal.gram import Means, gram_matrices
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.optimize.quadratic import real_parts
@@ -172,3 +175,40 @@ def test_a_spectrum_follows_every_resonance(scene):
     gaps = np.abs(frequencies[:, None] - resonances).min(axis=0)
     np.testing.assert_array_less(gaps, 0.001 * resonances)
     assert found.spectrum["best"].max() <= found.cases["best"].localization_factor + 1e-6
+
+
+def test_the_accuracy_asked_for_holds_at_the_places_found():
+    """Modes that keep it where the search begins, and not where it ends, are replaced by more."""
+    scene = paper(
+        search={"position": {"actuators": ["upper left"]}, "particles": 4, "iterations": 2},
+        effects={"loss_factor": {"eta": 0.02}},
+    )
+    few = localize(scene.with_accuracy(0.4), device="cpu")
+    before, after = few.accuracy["expected"], few.accuracy["estimate"]["error"]
+    assert before < after
+    asked = (before * after) ** 0.5
+    more = localize(scene.with_accuracy(asked), device="cpu")
+    best = more.cases["best"]
+    assert more.accuracy["estimate"]["error"] <= asked
+    assert (few.scene.grid.modal_density, more.scene.grid.modal_density) == (1.0, 1.5)
+    assert "at the places or frequency found" in more.accuracy["reason"]
+    assert best.localization_factor == pytest.approx(few.cases["best"].localization_factor, rel=2 * after)
+    again = simulate(more.driven_scene(best), device="cpu", path="modal", estimate=False)
+    assert again.cases["drive"].localization_factor == pytest.approx(best.localization_factor, rel=1e-12)
+    assert more.history["best"][-1] == pytest.approx(best.localization_factor, rel=1e-9)
+
+
+def test_weak_drives_and_actuators_in_the_target_are_said():
+    search = {"position": {"actuators": ["upper left"], "area": [0.05, 0.09, 0.05, 0.09]}}
+    moved = paper(search={**search, "particles": 3, "iterations": 1}, grid={"load": "overlap"})
+    result = localize(moved, device="cpu", estimate=False)
+    best = result.cases["best"]
+
+    def said(part, **changes):
+        changed = replace(result, cases={**result.cases, "best": replace(best, **changes)})
+        return [line for line in result_warnings(changed) if part in line]
+
+    assert not said("is weak")
+    assert said("is weak", phasors=100 * best.phasors)  # a hundred times the force for the same motion
+    assert said("sit in the target: upper left", centre=np.full((4, 2), [0.03, 0.03]))
+    assert not said("sit in the target", centre=np.full((4, 2), [0.15, 0.15]))

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
+from warp_plate.accuracy.configurations import percent
 from warp_plate.analysis.warnings import (
     accuracy_warnings,
     explain_missing_energies,
@@ -11,14 +14,20 @@ from warp_plate.analysis.warnings import (
     target_warnings,
     warning_texts,
 )
+from warp_plate.plate.shapes import clipped, target_outlines
 from warp_plate.problem.design_variables import has_design_tables
 from warp_plate.problem.methods import unread_keys
 from warp_plate.problem.objectives import keeps_limit
+from warp_plate.result.case import target_cases
 from warp_plate.result.model import Result
+from warp_plate.scene.target import area_within
 from warp_plate.scene.vary import counted
 
 # Part of a range within which a value is its end.
 NEAR_END = 1e-4
+# RMS velocity of the target for each unit of the strongest actuator, relative to that of the best single actuator,
+# below which a drive is weak; and share of a moved actuator's patch in its target that is said.
+WEAK, IN_TARGET = 0.1, 0.01
 
 
 def result_warnings(result: Result) -> tuple[str, ...]:
@@ -39,7 +48,8 @@ def result_warnings(result: Result) -> tuple[str, ...]:
     for kind in exceeded_limits(result):
         lines.append(f"{kind} of the rest: no drive within the limit was found{remedy}; the nearest one is shown")
     if result.command == "localize":
-        lines += [*search_warnings(result.scene), *range_warnings(result), *unread_keys(result.scene.search)]
+        lines += [*search_warnings(result.scene), *range_warnings(result), *drive_warnings(result)]
+        lines += unread_keys(result.scene.search)
     scene = result.case_scene(result.main_case)
     lines += target_warnings(scene, result.main_case.localization_factor)
     option = "--evaluator modal" if result.command == "localize" else "--path modal"
@@ -64,6 +74,41 @@ def range_warnings(result: Result) -> list[str]:
         "may hold a better one."
         for end in ends
     ]
+
+
+def drive_warnings(result: Result) -> list[str]:
+    """Return warnings about drives found that hardly move the target, and actuators that were moved into it."""
+    lines, reached = [], {}
+    for name in ("best", "single"):
+        of_case = result.cases[name]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            reached[name] = np.sqrt(of_case.energy["target"]) / np.abs(of_case.phasors).max()
+    if reached["best"] < WEAK * reached["single"]:
+        share = percent(float(reached["best"] / reached["single"]))
+        lines.append(
+            f"The drive found is weak: the target moves at {share} of the velocity that the best single actuator of "
+            "the same strength gives it. Actuators farther apart (search.position.clearance), or an objective "
+            '"velocity", exclude drives that cancel out.'
+        )
+    scene, table = result.scene, result.scene.search.position
+    for index, (name, case) in enumerate((target_cases(scene) or {"": "best"}).items()):
+        if table is None or case not in result.cases:
+            break
+        target = scene.aimed_at(index).target if name else scene.target
+        outlines = [outline[:-1] for outline in target_outlines(scene, "target", target)]
+        inside = [
+            actuator.name
+            for actuator in result.case_scene(result.cases[case]).actuators
+            if (table.actuators is None or actuator.name in table.actuators)
+            and sum(abs(area_within(clipped(outline, actuator.area))) for outline in outlines)
+            > IN_TARGET * actuator.patch_area
+        ]
+        if inside:
+            lines.append(
+                f"Actuators sit in the target{f' {name}' if name else ''}: {', '.join(inside)}. If nothing may be "
+                "mounted there, keep them out by search.position.area or search.position.areas."
+            )
+    return lines
 
 
 def exceeded_limits(result: Result) -> list[str]:

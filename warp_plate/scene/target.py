@@ -119,6 +119,8 @@ class NamedTarget(Target):
 
 def area_within(corners: np.ndarray) -> float:
     """Return the area [m²] of a polygon (corners, 2), negative for clockwise corners."""
+    if not len(corners):
+        return 0.0
     x, y = (corners - corners.mean(axis=0)).T
     return float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum() / 2)
 
