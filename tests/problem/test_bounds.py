@@ -158,6 +158,10 @@ SEARCHES = {
     "velocity, equal": {**VELOCITY, "limits": {"equal_magnitudes": True, "power": 3.0}, **RANGE},
     "several": {"objectives": [{"weight": 2}, {"kind": "velocity", "weight": 30}, {"kind": "uniformity"}], **RANGE},
     "displacement": {"objectives": [{"kind": "displacement"}], **RANGE},
+    "equal of a range": {"limits": {"equal_magnitudes": True}, **RANGE},
+    "several, scaled to a power": {
+        "objectives": [{}, {"kind": "velocity", "weight": 30}], "phase": {}, "limits": {"power": 0.5},
+    },
 }  # fmt: skip
 
 
@@ -166,7 +170,8 @@ def test_no_position_has_less_loss_and_every_drive_is_allowed(scene, random, sea
     made = scene((9, 9), damping=130.0, window=(0.01, 0.02), search=search)
     actuators = [actuator.model_dump() for actuator in made.actuators]
     actuators[2]["phase"] = 0.7
-    if not search.get("limits", {}).get("equal_magnitudes"):
+    equal = search.get("limits", {}).get("equal_magnitudes", False)
+    if "magnitude" in search or not equal:
         actuators[2]["magnitude"] = -0.6
     problem = make_problem(resolve(made.with_tables(actuators=actuators), "cpu", evaluator="response"))
     bound, objectives = problem.loss_bound, problem.objectives
@@ -191,6 +196,8 @@ def test_no_position_has_less_loss_and_every_drive_is_allowed(scene, random, sea
     assert ((turned.real >= limits.lower - 1e-12) | scaled).all()
     assert (turned.real <= limits.upper + 1e-12).all()
     assert ((np.abs(phasors) ** 2).sum(axis=1) <= limits.power * (1 + 1e-12)).all()
+    if equal:
+        assert np.ptp(np.abs(phasors), axis=1).max() <= 1e-12 * np.abs(phasors).max()
 
 
 def test_power_scales_ranges_too(scene):

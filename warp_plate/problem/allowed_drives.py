@@ -16,7 +16,7 @@ import numpy as np
 
 from warp_plate.optimize.quadratic import real_parts
 from warp_plate.plate.designs import Designs
-from warp_plate.problem.design_variables import has_design_tables, only_ratios
+from warp_plate.problem.design_variables import fixed_magnitudes, has_design_tables, only_ratios
 from warp_plate.problem.parametrization import Parametrization
 from warp_plate.quantities.region_quantities import REGION_QUANTITIES
 from warp_plate.solve.response import largest_ratio
@@ -71,7 +71,7 @@ def allowed_drives(parametrization: Parametrization) -> AllowedDrives:
     """
     scene, unit = parametrization.scene, parametrization.unit
     tables, limits, equal = has_design_tables(scene), scene.search.limits, False
-    fixed = np.array([actuator.magnitude if tables else unit for actuator in scene.actuators])
+    fixed = fixed_magnitudes(scene) if tables else np.full(len(scene.actuators), unit)
     phase = np.array([actuator.phase if tables else 0.0 for actuator in scene.actuators])
     lower, upper = np.abs(fixed), np.abs(fixed)
     for variable in parametrization.variables:

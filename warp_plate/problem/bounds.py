@@ -65,6 +65,8 @@ def bound_localization(
     With limits and more than ``most_actuators`` actuators it is the eigenvalue of the drives without limits. Without
     ``attain``, no drive under limits is sought that attains it.
     """
+    if allowed.scaled:  # drives that are scaled down to a power keep their ratios
+        allowed = replace(allowed, power=math.inf, scaled=False)
     plate, basis = response.matrices[PLATE], allowed.basis()
     reduced = basis.T @ response.matrices @ basis
     ratio_of_all, parameters = largest_ratio(reduced) if basis.shape[1] else (math.nan, np.empty(0))

@@ -199,6 +199,16 @@ def magnitude_unit(scene: Scene) -> float:
     return max(abs(actuator.magnitude) for actuator in scene.actuators) or 1.0
 
 
+def fixed_magnitudes(scene: Scene) -> np.ndarray:
+    """Return the (actuators,) magnitudes that a search with tables does not vary: those of the scene, or one within the
+    range of ``[search.magnitude]`` where limits make all equal and only ratios count."""
+    table, magnitudes = scene.search.magnitude, np.array([actuator.magnitude for actuator in scene.actuators])
+    if table is None or not (scene.search.limits.equal_magnitudes and only_ratios(scene)):
+        return magnitudes
+    largest = magnitude_unit(scene)
+    return np.full_like(magnitudes, np.clip(largest, *(table.range or (0.0, largest))))
+
+
 def make_design_variables(scene: Scene) -> tuple[DesignVariable, ...]:
     """Return the design variables, none only where the paper's reading meets a single actuator; SceneError: no variable
     changes the motion, or a table does not fit the scene."""

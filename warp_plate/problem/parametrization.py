@@ -21,6 +21,7 @@ from warp_plate.plate.designs import Designs, actuator_centres, scene_with
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
 from warp_plate.problem.design_variables import (
     DesignVariable,
+    fixed_magnitudes,
     has_design_tables,
     magnitude_unit,
     make_design_variables,
@@ -165,7 +166,7 @@ class Parametrization:
         actuators, tables = self.scene.actuators, has_design_tables(self.scene)
         x, y = actuator_centres(self.scene).T
         return {
-            "magnitude": np.array([actuator.magnitude if tables else 1.0 for actuator in actuators]),
+            "magnitude": fixed_magnitudes(self.scene) if tables else np.ones(len(actuators)),
             "phase": np.array([actuator.phase if tables else 0.0 for actuator in actuators]),
             "frequency": actuator_frequencies(self.scene),
             "delay": actuator_delays(self.scene),
