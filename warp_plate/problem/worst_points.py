@@ -1,12 +1,13 @@
 """Points of a region of the plate at which a field is largest, between the points of any grid.
 
 A region is sampled inside and along its outlines. From each sample that exceeds its neighbours the search steps to the
-best of eight neighbours, or of two along an outline, and halves its steps where none is better.
+best of eight neighbours or the summit of the quadratic function through them, or of two along an outline, and halves
+its steps.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,12 +19,18 @@ from warp_plate.modal.spaces.space import Matrix
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.target import Target
 
-# Corners of a disc or of a quarter of a rounded corner; halvings of the steps; most points that are returned.
-CORNERS, HALVINGS, MOST = 256, 13, 12
+# Corners of a disc or of a quarter of a rounded corner; halvings of the steps.
+CORNERS, HALVINGS = 256, 13
+# Maxima that are returned: the FEWEST highest samples, and all up to MOST that lie below the highest one by no more than
+# the part by which a sample may miss its maximum (24 samples a wave: 1 − cos(2π/48) along each axis).
+FEWEST, MISSED, MOST = 12, 0.03, 200
 # Width of a seam [of the longer side] within which points count as those of a region.
 SEAM = 1e-9
 Values = Callable[[np.ndarray], np.ndarray]
 NEIGHBOURS = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)], dtype=float)
+MIDDLE = len(NEIGHBOURS) // 2
+# Largest distance of a summit from the middle of its nine points [steps].
+REACH = 4.0
 
 
 def shape_of(key: str, target: Target) -> shapely.Geometry:
@@ -67,17 +74,21 @@ class Region:
         return np.stack(np.meshgrid(self.x, self.y), axis=-1)
 
     def peaks(self, levels: np.ndarray, values: Values | None = None) -> np.ndarray:
-        """Return up to MOST points (points, 2) [m] of the largest maxima of a field, in any order.
+        """Return points (points, 2) [m] of the largest maxima of a field, in any order: all that may be the largest.
 
         Args:
             levels: (samples,) field at the samples, at which it is compared with the neighbours.
             values: Function from points (points, 2) [m] to the field (points,), by which the points are moved to the
                 maxima between samples (default: they stay).
         """
-        parts = np.split(levels, np.cumsum([self.inside.sum(), *map(len, self.lines)])[:-1])
+        parts = _split_like(levels, [self._grid[self.inside], *self.lines])
         maxima = [self._grid_maxima(parts[0]), *map(_line_maxima, parts[1:])]
-        least = np.sort(np.concatenate([part[at] for part, at in zip(parts, maxima, strict=True)]))[-MOST:][0]
-        chosen = [at[part[at] >= least] for part, at in zip(parts, maxima, strict=True)]
+        heights = np.concatenate([part[at] for part, at in zip(parts, maxima, strict=True)])
+        order = np.argsort(-heights, kind="stable")
+        near = heights.max() - MISSED * np.abs(levels).max()
+        highest = np.zeros(len(order), dtype=bool)
+        highest[order[: np.clip(np.count_nonzero(heights >= near), FEWEST, MOST)]] = True
+        chosen = [at[own] for at, own in zip(maxima, _split_like(highest, maxima), strict=True)]
         grid, along = self._grid[self.inside][chosen[0]], chosen[1:]
         if values is None:
             return np.concatenate([grid, *(line[at] for line, at in zip(self.lines, along, strict=True))])
@@ -95,14 +106,38 @@ class Region:
 
     def _climb(self, points: np.ndarray, values: Values) -> np.ndarray:
         """Return the maxima (points, 2) near points of the grid."""
-        steps = np.array([_spacing(self.x), _spacing(self.y)])
+        steps, rows = np.array([_spacing(self.x), _spacing(self.y)]) / 2, np.arange(len(points))
         for _ in range(HALVINGS if len(points) else 0):
-            around = np.clip(points[:, None] + NEIGHBOURS * steps / 2, (0.0, 0.0), self.plate.scene.plate.size)
-            allowed = shapely.contains_xy(self.shape, *around.reshape(-1, 2).T).reshape(around.shape[:2])
-            allowed[:, len(NEIGHBOURS) // 2] = True  # the point itself
-            levels = np.where(allowed, values(around.reshape(-1, 2)).reshape(allowed.shape), -np.inf)
-            points, steps = around[np.arange(len(points)), levels.argmax(axis=1)], steps / 2
+            around = np.clip(points[:, None] + NEIGHBOURS * steps, (0.0, 0.0), self.plate.scene.plate.size)
+            levels = self._values_within(around, values)
+            summits = points[:, None] + _quadratic_summits(levels)[:, None] * steps
+            around = np.concatenate([points[:, None], around, summits], axis=1)
+            levels = np.concatenate([levels[:, MIDDLE, None], levels, self._values_within(summits, values)], axis=1)
+            points, steps = around[rows, levels.argmax(axis=1)], steps / 2
         return points
+
+    def _values_within(self, points: np.ndarray, values: Values) -> np.ndarray:
+        """Return values (n, m) at points (n, m, 2), -∞ outside the region."""
+        within = shapely.contains_xy(self.shape, *points.reshape(-1, 2).T).reshape(points.shape[:2])
+        return np.where(within, values(points.reshape(-1, 2)).reshape(within.shape), -np.inf)
+
+
+def _quadratic_summits(levels: np.ndarray) -> np.ndarray:
+    """Return the (points, 2) summits [steps] of the quadratic functions through values (points, 9) at NEIGHBOURS, at
+    most REACH away; 0 where there is none."""
+    (sw, w, nw, s, middle, n, se, e, ne), summits = levels.T, np.zeros((len(levels), 2))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        (x, y), (xx, yy) = ((e - w) / 2, (n - s) / 2), (e + w - 2 * middle, n + s - 2 * middle)
+        xy = (ne - nw - se + sw) / 4
+        summits = np.stack([xy * y - yy * x, xy * x - xx * y], axis=1) / (xx * yy - xy**2)[:, None]
+        summits *= np.minimum(1.0, REACH / np.abs(summits).max(axis=1, keepdims=True))
+        curved = (xx < 0) & (xx * yy > xy**2) & np.isfinite(summits).all(axis=1)
+    return np.where(curved[:, None], summits, 0.0)
+
+
+def _split_like(values: np.ndarray, parts: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Return values (n,) in parts as long as others."""
+    return np.split(values, np.cumsum([len(part) for part in parts])[:-1])
 
 
 def _line_maxima(levels: np.ndarray) -> np.ndarray:

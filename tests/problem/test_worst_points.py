@@ -1,0 +1,56 @@
+"""The largest value of a field over a region, between the samples of the region, whichever of its maxima it is."""
+
+import math
+
+import numpy as np
+import pytest
+import shapely
+
+from support.scenes import scene_of
+from warp_plate.modal.modes import solve_modes
+from warp_plate.problem.worst_points import make_region
+
+SIZE = (0.3, 0.2)
+WAVE = 0.05  # m; with 24 samples a wave
+
+
+@pytest.fixture(scope="module")
+def region():
+    plate = solve_modes(scene_of(size=SIZE, modal_density=0.5), 100.0)
+    return make_region(plate, shapely.box(0.01, 0.01, 0.29, 0.19), WAVE / 24)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_highest_of_many_equal_maxima_is_found(region, random, sign):
+    """Some 80 maxima that differ by less than a sample falls short of its maximum, one of them 1e-3 above the rest."""
+    height, width = 1e-3, WAVE / 8
+    for _ in range(10):
+        shift = random.uniform(0, WAVE / 2, 2)
+        counts = random.integers((1, 1), (10, 6))
+        summit = (counts + 0.5) * WAVE / 2 + shift
+
+        def values(points, shift=shift, summit=summit):
+            waves = np.abs(np.prod(np.sin(2 * math.pi * (points - shift) / WAVE), axis=1))
+            bump = height * np.exp(-((points - summit) ** 2).sum(axis=1) / width**2)
+            return sign * (1 if sign > 0 else 2) - (1 - waves) + bump
+
+        peaks = region.peaks(values(region.samples), values)
+        assert values(peaks).max() == pytest.approx(sign * (1 if sign > 0 else 2) + height, abs=1e-7)
+
+
+def test_the_summit_of_an_oblique_ridge_is_found(region, random):
+    """Its height falls thirty times faster across than along."""
+    for _ in range(20):
+        angle, summit = random.uniform(0, math.pi), random.uniform((0.08, 0.08), (0.22, 0.12))
+        turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+
+        def values(points, turn=turn, summit=summit):
+            along, across = turn @ (points - summit).T / WAVE
+            return np.cos(2 * math.pi * across) * np.cos(2 * math.pi * along / 30)
+
+        assert values(region.peaks(values(region.samples), values)).max() == pytest.approx(1, abs=1e-9)
+
+
+def test_a_field_without_maxima_has_few_peaks(region):
+    flat = np.ones(len(region.samples))
+    assert len(region.peaks(flat)) <= 200
