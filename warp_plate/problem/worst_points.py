@@ -21,8 +21,8 @@ from warp_plate.scene.target import Target
 
 # Corners of a disc or of a quarter of a rounded corner; halvings of the steps.
 CORNERS, HALVINGS = 256, 13
-# Maxima that are returned: the FEWEST highest samples, and up to MOST that lie below the highest one by at most the part
-# by which a sample may miss its maximum (24 samples a wave: 1 − cos(2π/48) along each axis).
+# Maxima that are returned: the FEWEST highest samples, and up to MOST that lie below the highest one by at most what a
+# sample may miss of its maximum (24 samples a wave: 1 - cos(2π/48) along each axis).
 FEWEST, MISSED, MOST = 12, 0.03, 200
 # Width of a seam [of the longer side] within which points count as those of a region.
 SEAM = 1e-9
