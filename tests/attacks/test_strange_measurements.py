@@ -36,6 +36,26 @@ def test_odd_arrays(content, message, tmp_path):
     assert message in refusal_of_responses(tmp_path / "a.h5")
 
 
+@pytest.mark.parametrize("way", ["link", "external", "virtual"])
+def test_measurements_in_other_files_are_not_read(way, tmp_path):
+    """Of a readable file of numbers, as of any other: neither by a link nor by a dataset that is kept there."""
+    np.arange(1.0, 3.0).tofile(tmp_path / "numbers.bin")
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["response"] = [1.0, 2.0]
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["frequency"] = [10.0, 20.0]
+        if way == "link":
+            file["response"] = h5py.ExternalLink("other.h5", "/response")
+        elif way == "external":
+            file.create_dataset("response", (2,), "f8", external=[(str(tmp_path / "numbers.bin"), 0, 16)])
+        else:
+            layout = h5py.VirtualLayout((2,), "f8")
+            layout[:] = h5py.VirtualSource(tmp_path / "other.h5", "response", (2,))
+            file.create_virtual_dataset("response", layout)
+    words = "is a link, which" if way == "link" else "is kept in another file"
+    assert f"response {words}" in refusal_of_responses(tmp_path / "a.h5")
+
+
 @pytest.mark.parametrize("ending", ["csv", "h5", "mat", "wav"])
 def test_files_that_are_too_large(ending, tmp_path):
     """A measurement, and a file that a scene names."""
