@@ -10,7 +10,7 @@ import pytest
 
 from support.commands import error_of, output_of
 from support.grid_modes import natural_modes
-from warp_plate.modal.continuous_modes import continuous_modes
+from warp_plate.modal.continuous_modes import continuous_modes, modes
 from warp_plate.modal.modes import solve_modes
 from warp_plate.viz.plots.modes import draw_modes, frequency_text, nodal_field, refined
 
@@ -38,6 +38,7 @@ def test_errors_of_frequencies_hold_where_the_stiffness_jumps(command, write_sce
     assert np.all(np.abs(coarse / limit - 1) > 0.01)
     assert np.all(np.abs(coarse / limit - 1) <= record["errors"])
     assert max(record["errors"]) < 0.3
+    assert modes(made, count=3).errors.tolist() == pytest.approx(record["errors"], rel=1e-6)
     assert "error (%)" in output_of(command("modes", "panel.toml", "--no-pictures"))
 
 

@@ -39,7 +39,8 @@ def modes(
     count
         Number of modes, from the lowest.
     """
-    from warp_plate.modal.continuous_modes import continuous_modes, errors_of_frequencies
+    from warp_plate.modal.continuous_modes import continuous_modes, linear_part
+    from warp_plate.modal.modes import errors_of_frequencies
 
     target = files.target(scene, "-modes.png", endings=ENDINGS)
     loaded, scene = changes.load(scene)
@@ -47,7 +48,7 @@ def modes(
     left_out += ["electrostatic force"] * (loaded.drive.electrostatic is not None)
     with output.scene_errors(scene):
         natural = continuous_modes(loaded, count)
-    errors = errors_of_frequencies(loaded, natural.frequencies)
+    errors = errors_of_frequencies(linear_part(loaded), natural.frequencies)
     written: output.Drawn = [], None
     if files.pictures:
         from warp_plate.viz.plots.frame import save_plots

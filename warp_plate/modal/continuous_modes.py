@@ -8,18 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from warp_plate.effects.effect import attachments
-from warp_plate.modal.modes import ModalPlate, solve_modes
+from warp_plate.modal.modes import UNCUT, ModalPlate, solve_modes
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene, SceneSource
 
 # Points along the longer and least along the shorter side at which shapes are returned.
 LONGER, SHORTER = 121, 31
-# Functions along each side of the modes that frequencies are compared with, relative to the others. The error of a
-# frequency is FACTOR times the largest change of it and of lower ones, and at least LEAST. Where rigidity jumps, it
-# falls as the first power of the spacing, so that it is 3.5 times the change.
-FINER, FACTOR, LEAST = 1.4, 4.0, 1e-6
-# Further modes that are solved for, so that no group of equal frequencies is cut.
-SPARE = 4
 MOST_MODES = 500
 # Frequencies of a relative difference below this are equal.
 SAME = 1e-7
@@ -76,8 +70,8 @@ def continuous_modes(scene: Scene, count: int, nodes: tuple[int, int] | None = N
     """
     if not 1 <= count <= MOST_MODES:
         raise SceneError(f"count = {count}: must be from 1 to {MOST_MODES} modes")
-    plate = solve_modes(linear_part(scene), highest=0.0, count=count + SPARE)
-    plate = plate.part(np.arange(count + SPARE))
+    plate = solve_modes(linear_part(scene), highest=0.0, count=count + UNCUT)
+    plate = plate.part(np.arange(count + UNCUT))
     nearly_square = [max(SHORTER, 1 + round((LONGER - 1) * side / max(scene.plate.size))) for side in scene.plate.size]
     nx, ny = nodes or nearly_square
     x, y = np.linspace(-1, 1, nx), np.linspace(-1, 1, ny)
@@ -87,21 +81,6 @@ def continuous_modes(scene: Scene, count: int, nodes: tuple[int, int] | None = N
     vectors = separated(plate.angular_frequencies**2, np.hstack([shapes, masses]).T, weight)
     fields, motions = normalised_shapes(scene, vectors[:, :count], np.ones((ny, nx), dtype=bool))
     return NaturalModes(plate.frequencies[:count], fields, motions, plate.loss_factors[:count])
-
-
-def errors_of_frequencies(scene: Scene, frequencies: np.ndarray) -> np.ndarray:
-    """Return (count,) relative errors of the lowest frequencies [Hz] of :func:`continuous_modes`.
-
-    They come from a second solution with more functions: 0 for rigid motions, NaN if these functions are too many.
-    """
-    try:
-        finer = solve_modes(linear_part(scene), highest=0.0, count=frequencies.size + SPARE, density=FINER)
-    except SceneError:
-        return np.full(frequencies.shape, math.nan)
-    reference = finer.frequencies[: frequencies.size]
-    moving = (frequencies > 0) & (reference > 0)
-    changes = np.abs(np.divide(reference, frequencies, out=np.ones_like(frequencies), where=moving) - 1)
-    return np.where(frequencies > 0, FACTOR * np.maximum.accumulate(changes) + LEAST, 0.0)
 
 
 def linear_part(scene: Scene) -> Scene:

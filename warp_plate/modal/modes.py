@@ -44,6 +44,12 @@ STILL = 1e-4
 # Damping that couples two modes by less than this part of their own has no effect; by less than the other of the
 # largest of all modes, it is rounding.
 PROPORTIONAL, ROUNDING = 1e-6, 1e-13
+# Functions along each side of the modes that frequencies are compared with, relative to the others. The error of a
+# frequency is FACTOR times the largest change of it and of lower ones, and at least LEAST. Where rigidity jumps, it
+# falls as the first power of the spacing, so that it is 3.5 times the change.
+FINER, FACTOR, LEAST = 1.4, 4.0, 1e-6
+# Further modes that are solved for, so that no group of equal frequencies is cut.
+UNCUT = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +90,12 @@ class ModalPlate:
     def damping_ratios(self) -> np.ndarray:
         """(modes,) damping ratios ζ, half the loss factors."""
         return self.loss_factors / 2
+
+    @cached_property
+    def errors(self) -> np.ndarray:
+        """(modes,) relative errors of the frequencies, if these are the lowest: from a second solution with more
+        functions, solved for at the first access; NaN if these are too many."""
+        return errors_of_frequencies(self.scene, self.frequencies)
 
     @cached_property
     def proportional(self) -> bool:
@@ -255,6 +267,21 @@ def solve_modes(
     elif lost.hysteretic:
         hysteretic = lost.hysteretic * bending_energies(galerkin, squares, vectors, improve)
     return ModalPlate(galerkin, frequencies, vectors, damping, hysteretic, highest)
+
+
+def errors_of_frequencies(scene: Scene, frequencies: np.ndarray) -> np.ndarray:
+    """Return (count,) relative errors of the lowest frequencies [Hz] of a linear scene.
+
+    They come from a second solution with more functions: 0 for rigid motions, NaN if these functions are too many.
+    """
+    try:
+        finer = solve_modes(scene, highest=0.0, count=frequencies.size + UNCUT, density=FINER)
+    except SceneError:
+        return np.full(frequencies.shape, math.nan)
+    reference = finer.frequencies[: frequencies.size]
+    moving = (frequencies > 0) & (reference > 0)
+    changes = np.abs(np.divide(reference, frequencies, out=np.ones_like(frequencies), where=moving) - 1)
+    return np.where(frequencies > 0, FACTOR * np.maximum.accumulate(changes) + LEAST, 0.0)
 
 
 def expected_size(scene: Scene, highest: float, density: float = 1.0) -> tuple[float, float]:
