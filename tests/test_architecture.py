@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 # From the ground up. A room may import itself and the rooms of the floors below it.
 FLOORS = (
-    {"_version", "interrupts", "row_blocks"},
+    {"_version", "interrupts", "row_blocks", "outline"},
     {"scene", "effects", "kernels", "optimize"},
     {"plate"},
     {"quantities"},
@@ -39,7 +39,7 @@ OWNERS = {
     "pydantic": {"scene", "effects"},
     "cma": {"optimize"},
     "clarabel": {"optimize"},
-    "shapely": {"problem"},
+    "shapely": {"problem", "outline"},
 }
 # Imported only inside functions, so that ``warp-plate --help`` starts quickly.
 LATE = re.compile(r"(scipy\.(signal|stats)|matplotlib|pyvista|vtkmodules|trame|dask|distributed)(\.|$)")

@@ -24,7 +24,7 @@ def test_command(command):
     assert "search.magnitude" in text
     assert "drive.burst" in text
     assert "Poisson's ratio" in output_of(command("keys", "plate"))
-    assert "plates: no such table; there are: plate, edges" in error_of(command("keys", "plates"))
+    assert "plates: no such table; there are: plate, plate.outline, plate.holes" in error_of(command("keys", "plates"))
 
 
 @pytest.mark.parametrize(

@@ -104,7 +104,7 @@ def test_help_is_about_the_keys_of_a_table(table):
 def test_help_names_units_defaults_and_examples():
     text = pydoc.plain(pydoc.render_doc(Plate))
     assert "thickness : m, required\n |      Thickness H, at most a fifth of the shorter side. For ex" in text
-    assert "Plate(*, size, thickness, young_modulus, poisson_ratio, density)" in text
+    assert "Plate(*, size, thickness, young_modulus, poisson_ratio, density, outline=None, holes=())" in text
     assert "particles : default 20" in pydoc.plain(pydoc.render_doc(Search))
     assert Scene.model_json_schema()["$defs"]["Plate"]["description"] == "Geometry and material of the plate."
 

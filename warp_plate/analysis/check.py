@@ -170,10 +170,10 @@ def check(scene: SceneSource, device: str = "auto", allow_unstable: bool = False
 
 def _plate_text(scene: Scene, mass: float) -> str:
     width, height = scene.plate.size
-    edges = {side: edge if isinstance(edge, str) else "on springs" for side, edge in scene.edges}
+    edges = {side: edge if isinstance(edge, str) else "on springs" for side, edge in scene.edge_conditions}
     around = ", ".join(f"{side} {edge}" for side, edge in edges.items())
     if len(set(edges.values())) == 1:
-        around = f"all edges {edges['left']}"
+        around = f"all edges {next(iter(edges.values()))}"
     size = f"{1e3 * width:g} × {1e3 * height:g} × {1e3 * scene.plate.thickness:g} mm"
     return f"{size}, {1e3 * mass:.4g} g{' with layers' * bool(scene.layers)}; {around}"
 

@@ -173,7 +173,7 @@ def names() -> list[str]:
 def is_on(scene: Scene, name: str) -> bool:
     """Return whether a scene names an effect; "edges" if a side is free or on springs."""
     if name == "edges":
-        return any(edge not in ("clamped", "supported") for _, edge in scene.edges)
+        return any(edge not in ("clamped", "supported") for _, edge in scene.edge_conditions)
     return getattr(scene.effects, name) not in (None, ())
 
 

@@ -33,7 +33,7 @@ IN_PLANE: tuple[Factors, Factors] = (("x", "x"), ("y", "y"))
 class Edge:
     """An edge of the plate as the place of a term."""
 
-    side: str  # "left", "bottom", "right" or "top"
+    side: str  # "left", "bottom", "right" or "top"; of an outline "outline", "parts[0]", ... or "holes[0]", ...
 
 
 @dataclass(frozen=True, eq=False)

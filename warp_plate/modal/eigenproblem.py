@@ -48,7 +48,8 @@ def solve_eigenproblem(
     share = math.ceil(wanted / len(bases) + (len(bases) - 1) * math.sqrt(wanted) / 2)
     if least:
         # Edges that are neither clamped nor supported add modes to those of Weyl's law.
-        loose = sum(not isinstance(edge, str) or edge == "free" for _, edge in galerkin.scene.edges) / 4
+        edges = [not isinstance(edge, str) or edge == "free" for _, edge in galerkin.scene.edge_conditions]
+        loose = sum(edges) / len(edges)
         share = math.ceil(wanted / len(bases) + (2 / len(bases) + 0.25) * math.sqrt(wanted) * loose + 5)
     parts = [_solve(galerkin, basis, share, scale, least) for basis in bases]
     sizes = [squares.size for squares, _ in parts]

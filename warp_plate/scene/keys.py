@@ -35,9 +35,11 @@ _KEY = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*|\[\d{1,9}\])*")
 def scalar_keys(scene: SceneTables) -> dict[str, type]:
     """Return the type, int, float or str, of every key that holds one number or text or is optional and would hold one.
 
-    The names of ``[links]`` are keys, too. Of several targets, ``target`` is one, so its keys are left out.
+    The names of ``[links]`` are keys, too. Of several targets, ``target`` is one, and an outline sets the size,
+    so that their keys are left out.
     """
-    kinds = {key: kind for key, kind in _numbers_in(scene, "") if not (scene.targets and key.startswith("target."))}
+    derived = ("target.",) * bool(scene.targets) + ("plate.size",) * (scene.plate.outline is not None)
+    kinds = {key: kind for key, kind in _numbers_in(scene, "") if not key.startswith(derived)}
     linked = {name: kinds.get(linked_keys(scene, name)[0]) for name in scene.links}
     return kinds | {name: kind for name, kind in linked.items() if kind is not None}
 

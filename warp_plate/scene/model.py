@@ -98,6 +98,13 @@ class Scene(SceneTables):
         return self
 
     @model_validator(mode="after")
+    def _default_edge(self) -> Scene:
+        self.edges.check(self.plate.outline is not None)
+        if self.plate.outline is not None and self.edges.outline is None:
+            self._derive("edges", self.edges.model_copy(update={"outline": "clamped"}))
+        return self
+
+    @model_validator(mode="after")
     def _tables_fit_together(self) -> Scene:
         _check_tables(self)
         return self
@@ -211,6 +218,8 @@ SceneSource = Scene | str | Path
 def _check_tables(scene: SceneTables) -> None:
     """Check that the tables of a scene fit together."""
     actuators, size = scene.actuators, scene.plate.size
+    if scene.outline is not None and scene.nonlinear_key is not None:
+        raise ValueError(f"{scene.nonlinear_key}: not with plate.outline, whose plates are linear; delete one of them")
     _check_areas(scene)
     _check_names("actuators", actuators)
     check_links(scene)

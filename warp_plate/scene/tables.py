@@ -1,14 +1,16 @@
 """The table ``[plate]``, and the top level of a scene file with what follows from its tables."""
 
 import math
-from typing import Annotated, Self
+from collections.abc import Callable
+from typing import Annotated, Any, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationError, model_serializer, model_validator
 
-from warp_plate.effects.edges import Edges
+from warp_plate.effects.edges import Edges, edge_terms
 from warp_plate.effects.effect import Term
 from warp_plate.effects.layers import Layer
 from warp_plate.effects.table import Effects
+from warp_plate.outline.outline import Outline
 from warp_plate.scene.actuator import Actuator
 from warp_plate.scene.drive import Drive
 from warp_plate.scene.errors import SceneError
@@ -17,6 +19,7 @@ from warp_plate.scene.fit import Fit, Measurement
 from warp_plate.scene.focus import Focus
 from warp_plate.scene.grid import DEFAULT_ACCURACY, Grid, Record, Window
 from warp_plate.scene.links import Link
+from warp_plate.scene.outline import Hole, PlateOutline, outline_of
 from warp_plate.scene.search import Search
 from warp_plate.scene.specification import Specification
 from warp_plate.scene.target import NamedTarget, Target
@@ -29,7 +32,7 @@ class Plate(Table):
     """Geometry and material of the plate."""
 
     size: Annotated[tuple[Positive, Positive], Unit("m"), Field(examples=[[0.2, 0.12]])]
-    """Sides along x and y."""
+    """Sides along x and y; of a plate with an outline, which has no such key, where the outline ends."""
     thickness: Annotated[Positive, Unit("m"), Field(examples=[0.7e-3])]
     """Thickness H, at most a fifth of the shorter side."""
     young_modulus: Annotated[YoungModulus, Field(examples=[72e9])]
@@ -38,14 +41,50 @@ class Plate(Table):
     """Poisson's ratio ν."""
     density: Annotated[Density, Field(examples=[2480.0])]
     """Density ρ."""
+    outline: PlateOutline | None = None
+    """Outline of a plate that is no rectangle with sides along x and y."""
+    holes: tuple[Hole, ...] = ()
+    """Holes of a plate with an outline."""
 
     @property
     def rigidity(self) -> float:
         """Bending rigidity EH³/12(1 − ν²) [N·m] of the isotropic plate."""
         return self.young_modulus * self.thickness**3 / (12 * (1 - self.poisson_ratio**2))
 
+    @property
+    def area(self) -> float:
+        """Area [m²]."""
+        return math.prod(self.size) if self.outline is None else outline_of(self.outline, self.holes, Edges()).area
+
+    @model_validator(mode="before")
+    @classmethod
+    def _size_of_outline(cls, tables: Any) -> Any:
+        """Set the size of a plate with an outline: the upper ends of the outline's coordinates."""
+        if not isinstance(tables, dict) or tables.get("outline") is None:
+            return tables
+        if "size" in tables:
+            raise ValueError("size: outline is given too; write one of them")
+        try:
+            outline = PlateOutline.model_validate(tables["outline"])
+        except ValidationError:  # reported by the validation of ``outline``
+            return {**tables, "size": (1.0, 1.0)}
+        x0, x1, y0, y1 = outline_of(outline, (), Edges()).bounds
+        if min(x0, y0) < -1e-9 * max(x1 - x0, y1 - y0):
+            raise ValueError(f"outline: reaches to x = {x0:.6g}, y = {y0:.6g} m; move it to x, y from 0 on")
+        return {**tables, "size": (x1, y1)}
+
+    @model_serializer(mode="wrap")
+    def _without_size_of_outline(self, write: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        """Write the tables of a file, in which a plate with an outline has no size."""
+        tables = write(self)
+        if self.outline is not None:
+            del tables["size"]
+        return tables
+
     @model_validator(mode="after")
     def _thin(self) -> Self:
+        if self.holes and self.outline is None:
+            raise ValueError("holes: need an outline; write outline = { rectangle = [width, height] } in place of size")
         if max(self.size) > LONGEST:
             raise ValueError(f"size: {list(self.size)} is above {LONGEST:g} m; are lengths in metres?")
         if self.thickness > THICKEST:
@@ -57,6 +96,8 @@ class Plate(Table):
         """Raise ValueError, beginning with ``key``, unless a point x, y [m] is on the plate."""
         if not all(0 <= at <= side for at, side in zip(point, self.size, strict=True)):
             raise ValueError(f"{key}: {list(point)} is off the plate of {list(self.size)} m")
+        if self.outline is not None and not outline_of(self.outline, self.holes, Edges()).contains(point):
+            raise ValueError(f"{key}: {list(point)} is off the plate; move it inside the outline, outside its holes")
 
     def check_thin(self, thickness: float, head: str = "") -> None:
         """Raise ValueError, beginning with ``head``, unless a thickness [m] is small against the sides."""
@@ -139,15 +180,26 @@ class SceneTables(Table):
         return "V" if self.piezo or self.drive.electrostatic is not None else "N/m²"
 
     @property
+    def outline(self) -> Outline | None:
+        """Geometry of the plate's outline; None for a rectangle by ``plate.size``."""
+        return None if self.plate.outline is None else outline_of(self.plate.outline, self.plate.holes, self.edges)
+
+    @property
+    def edge_conditions(self) -> tuple[tuple[str, Any], ...]:
+        """Names and conditions of all edges, those of holes included."""
+        holes = ((f"holes[{index}]", hole.edge) for index, hole in enumerate(self.plate.holes))
+        return (*self.edges, *holes)
+
+    @property
     def terms(self) -> tuple[Term, ...]:
         """Terms of the equation of motion besides bending and inertia: those of elastic edges, then of the effects."""
-        return (*self.edges.terms(), *self.effects.terms(self.plate))
+        return (*edge_terms(self.edge_conditions), *self.effects.terms(self.plate))
 
     @property
     def uniform(self) -> bool:
         """True if the plate is isotropic, homogeneous, and clamped or supported along all edges."""
         varied = self.effects.section_keys or self.layers
-        return not varied and all(edge in ("clamped", "supported") for _, edge in self.edges)
+        return not varied and all(edge in ("clamped", "supported") for _, edge in self.edge_conditions)
 
     @property
     def names_files(self) -> bool:
@@ -179,7 +231,7 @@ class SceneTables(Table):
     @property
     def modal_only_key(self) -> str | None:
         """First key that only the modal engine knows, because it has no time steps; None if none."""
-        return self.effects.first(lambda effect: not effect.stepped)
+        return "plate.outline" if self.plate.outline else self.effects.first(lambda effect: not effect.stepped)
 
     def check_stepped(self) -> None:
         """Raise a SceneError if only the modal engine knows the scene's effects."""

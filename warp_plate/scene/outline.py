@@ -1,0 +1,131 @@
+"""The tables ``[plate.outline]`` and ``[[plate.holes]]``: plates that are not rectangles with sides along x and y."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Annotated, Any, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from warp_plate.effects.edges import EdgeCondition, Edges
+from warp_plate.outline.outline import Outline, bounds, make_outline
+from warp_plate.outline.pieces import Piece, ellipse, rounded, straight
+from warp_plate.scene.errors import toml_text
+from warp_plate.scene.fields import Coordinate, NotNegative, Point, Positive, Table, Unit
+
+SHAPES = ("disc", "ellipse", "rectangle", "polygon")
+# Keys that belong to some of the shapes only.
+ONLY_FOR = {"corner_radius": ("rectangle", "polygon"), "angle": ("rectangle",), "centre": ("rectangle",)}
+
+
+class ClosedCurve(Table):
+    """A closed curve, given by exactly one of its shapes."""
+
+    disc: Annotated[
+        tuple[Coordinate, Coordinate, Positive] | None, Unit("m"), Field(examples=[[0.02, 0.02, 0.02]])
+    ] = None
+    """Centre x, y and radius."""
+    ellipse: Annotated[
+        tuple[Coordinate, Coordinate, Positive, Positive, Coordinate] | None,
+        Unit("m, rad"),
+        Field(examples=[[0.1, 0.06, 0.1, 0.06, 0.0]]),
+    ] = None
+    """Centre x, y, half axes, and the angle of the first of them from x in radians."""
+    rectangle: Annotated[tuple[Positive, Positive] | None, Unit("m"), Field(examples=[[0.07, 0.15]])] = None
+    """Sides, which are along x and y unless ``angle`` turns them."""
+    polygon: Annotated[
+        Annotated[tuple[Point, ...], Field(min_length=3, max_length=1000)] | None,
+        Field(examples=[[[0.0, 0.0], [0.1, 0.0], [0.05, 0.08]]]),
+    ] = None
+    """Corners x, y in order, clockwise or counterclockwise; sides must not cross."""
+    corner_radius: Annotated[NotNegative, Unit("m"), Field(examples=[0.008])] = 0.0
+    """Radius of the arcs at the corners of a rectangle or polygon."""
+    angle: Annotated[Coordinate, Unit("rad"), Field(examples=[0.5])] = 0.0
+    """Angle from x of a rectangle's first side."""
+    centre: Annotated[Point | None, Field(examples=[[0.05, 0.05]])] = None
+    """Centre x, y of a rectangle; of an outline, by default, where it touches the axes from x, y ≥ 0."""
+
+    @model_validator(mode="after")
+    def _one_shape(self) -> Self:
+        given = [name for name in SHAPES if getattr(self, name) is not None]
+        if len(given) > 1:
+            raise ValueError(f"{given[1]}: {given[0]} is given too; write one of them")
+        if not given:
+            raise ValueError("disc: no shape is given; write one of disc, ellipse, rectangle and polygon")
+        for key, shapes in ONLY_FOR.items():
+            if getattr(self, key) and given[0] not in shapes:
+                raise ValueError(f"{key}: not for {given[0]}; only for {' and '.join(shapes)}")
+        self.loop(None, "")
+        return self
+
+    @property
+    def shape(self) -> str:
+        """Name of the shape that is given, one of ``SHAPES``."""
+        return next(name for name in SHAPES if getattr(self, name) is not None)
+
+    @property
+    def description(self) -> str:
+        """Key and value of the shape, for messages and tables."""
+        value = getattr(self, self.shape)
+        if self.shape == "polygon" and len(value) > 6:
+            return f"polygon of {len(value)} corners"
+        return f"{self.shape} = {toml_text(value)}"
+
+    def loop(self, condition: Any, edge: str) -> list[Piece]:
+        """Return the pieces of the curve, with a condition and the key of their edge."""
+        if self.disc is not None:
+            *middle, radius = self.disc
+            return [ellipse((middle[0], middle[1]), (radius, radius), 0.0, condition, edge)]
+        if self.ellipse is not None:
+            x, y, first, second, angle = self.ellipse
+            return [ellipse((x, y), (first, second), angle, condition, edge)]
+        if self.polygon is not None:
+            corners = np.array(self.polygon)
+            for index, (corner, ahead) in enumerate(zip(corners, np.roll(corners, -1, axis=0), strict=True)):
+                if (corner == ahead).all():
+                    raise ValueError(f"polygon[{index}]: the next corner is the same; write no corner twice")
+        else:
+            corners = self._rectangle_corners()
+        try:
+            return rounded(straight(corners, condition, edge), self.corner_radius)
+        except ValueError as error:
+            raise ValueError(f"corner_radius: {self.corner_radius:g} m does not fit: {error}") from None
+
+    def _rectangle_corners(self) -> np.ndarray:
+        assert self.rectangle is not None
+        cosine, sine = math.cos(self.angle), math.sin(self.angle)
+        signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+        corners = np.asarray(signs * np.array(self.rectangle) / 2 @ np.array([[cosine, sine], [-sine, cosine]]))
+        if self.centre is not None:
+            return corners + self.centre
+        curve = rounded(straight(corners, None, ""), self.corner_radius)
+        x0, _, y0, _ = bounds(curve)
+        return corners - (x0, y0)
+
+
+class PlateOutline(ClosedCurve):
+    """The outline of the plate, in place of ``plate.size``. Its coordinates are those of the scene, from 0 on."""
+
+
+class Hole(ClosedCurve):
+    """A hole of the plate."""
+
+    edge: Annotated[EdgeCondition, Field(examples=["free"])] = "free"
+    """Condition of its edge."""
+
+    @model_validator(mode="after")
+    def _placed(self) -> Self:
+        if self.rectangle is not None and self.centre is None:
+            raise ValueError("centre: is missing; write the centre x, y of the rectangular hole")
+        return self
+
+
+@lru_cache
+def outline_of(outline: PlateOutline, holes: tuple[Hole, ...], edges: Edges) -> Outline:
+    """Return the geometry of a plate's outline with its holes and edge conditions; ValueError: it is not valid."""
+    loops = {"plate.outline": outline.loop(edges.outline, "outline")}
+    loops |= {f"plate.holes[{index}]": hole.loop(hole.edge, f"holes[{index}]") for index, hole in enumerate(holes)}
+    parts = {f"parts[{index}]": (part.from_point, part.to_point, part.edge) for index, part in enumerate(edges.parts)}
+    return make_outline(loops, parts)
