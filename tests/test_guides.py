@@ -103,6 +103,9 @@ def test_tables_are_those_of_a_scene(block):
     for others in (besides, tomllib.loads(block)):
         for name, table in others.items():
             tables[name] = {**tables.get(name, {}), **table} if isinstance(table, dict) else table
+    if "[plate.outline]" in block:
+        del tables["plate"]["size"]
+        tables["edges"] = tomllib.loads(block)["edges"]
     if "[[targets]]" in block:
         del tables["target"]
     elif "target" in tomllib.loads(block):

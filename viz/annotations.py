@@ -69,15 +69,26 @@ EDGE_STYLES = {
 }
 
 
+# Largest turn of a line that stands for an arc of an outline [rad].
+TURN = 0.05
+
+
 def edges_by_kind(scene: Scene) -> dict[str, list[Path]]:
     """Return the ends of the edges of every kind in the scene, in the order of EDGE_STYLES."""
     (x0, y0), (x1, y1) = (0.0, 0.0), scene.plate.size
     ends = {"left": [(x0, y0), (x0, y1)], "bottom": [(x0, y0), (x1, y0)]}
     ends |= {"right": [(x1, y0), (x1, y1)], "top": [(x0, y1), (x1, y1)]}
     kinds: dict[str, list[Path]] = {kind: [] for kind in EDGE_STYLES}
-    for name, edge in scene.edges:
-        kinds[edge if isinstance(edge, str) else "springs"].append(ends[name])
+    pieces = [] if scene.outline is None else scene.outline.pieces
+    for piece in pieces:
+        kinds[_kind(piece.condition)].append([(x, y) for x, y in piece.polyline(TURN).tolist()])
+    for name, edge in () if pieces else scene.edges:
+        kinds[_kind(edge)].append(ends[name])
     return {kind: edges for kind, edges in kinds.items() if edges}
+
+
+def _kind(edge: object) -> str:
+    return edge if isinstance(edge, str) else "springs"
 
 
 def length_unit(size: Sequence[float]) -> tuple[str, float]:

@@ -12,7 +12,7 @@ import scipy
 
 from support.levy import isotropic, levy_frequencies
 from support.ritz_polynomials import extrapolated_frequencies, ritz_frequencies
-from support.scenes import MATERIAL, edges_id, scene_of
+from support.scenes import MATERIAL, SIDES, edges_id, scene_of
 from warp_plate import SceneError
 from warp_plate.modal.modes import modes_below, solve_modes
 from warp_plate.plate.bending import make_bending
@@ -46,7 +46,7 @@ def transposed(scene):
     data = scene.model_dump(exclude_none=True)
     data["plate"]["size"] = data["plate"]["size"][::-1]
     edges, effects = data["edges"], data["effects"]
-    data["edges"] = {side: edges[other] for side, other in zip(edges, ("bottom", "left", "top", "right"), strict=True)}
+    data["edges"] = {side: edges[other] for side, other in zip(SIDES, ("bottom", "left", "top", "right"), strict=True)}
     for table, pairs in (("tension", [("x", "y")]), ("orthotropic", [("Dx", "Dy")])):
         for first, second in pairs if table in effects else ():
             values = dict(effects[table])

@@ -137,7 +137,7 @@ def check(scene: SceneSource, device: str = "auto", allow_unstable: bool = False
     specialized = Specialized(discretization, find_device(device))
     limit, frequency, slowest = scheme.stability, highest_frequency(scene), slowest_frequency(scene)
     bending, plate = scheme.bending, scene.plate
-    mass = math.prod(plate.size) * plate.thickness * plate.density
+    mass = plate.area * plate.thickness * plate.density
     if bending is not None:
         mass = float(mass_matrix(bending).sum())
     return Check(
@@ -175,6 +175,8 @@ def _plate_text(scene: Scene, mass: float) -> str:
     if len(set(edges.values())) == 1:
         around = f"all edges {next(iter(edges.values()))}"
     size = f"{1e3 * width:g} × {1e3 * height:g} × {1e3 * scene.plate.thickness:g} mm"
+    if scene.plate.outline is not None:
+        size += f", {scene.plate.outline.description}{', with holes' * bool(scene.plate.holes)}"
     return f"{size}, {1e3 * mass:.4g} g{' with layers' * bool(scene.layers)}; {around}"
 
 

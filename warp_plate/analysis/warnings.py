@@ -224,7 +224,7 @@ def _added_mass(scene: Scene) -> Finding:
     for layer in scene.layers or film(tuple(actuator.area for actuator in scene.actuators)):
         x0, x1, y0, y1 = layer.area
         added += (2 if layer.both else 1) * (x1 - x0) * (y1 - y0) * layer.thickness * layer.density
-    value = added / (plate.size[0] * plate.size[1] * plate.thickness * plate.density)
+    value = added / (plate.area * plate.thickness * plate.density)
     subject = "Layers add" if named else "The scene names no layers; a film of 110 µm on each actuator would add"
     fact = f"{subject} {percent(value)} to the plate's mass (threshold {percent(MOST_ADDED_MASS)})"
     advice = "name the bodies of the actuators under [[effects.layers]]."

@@ -24,6 +24,7 @@ import scipy
 from warp_plate.effects.effect import DISPLACEMENT, Attachment, Edge, Factors, Losses, Patch, Role, attachments, losses
 from warp_plate.modal.spaces.space import FunctionSpace, Matrix
 from warp_plate.modal.spaces.tensor_splines import TensorSplines
+from warp_plate.modal.spaces.trimmed_splines import TrimmedSplines
 from warp_plate.plate.bending import join_masses
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
@@ -71,7 +72,7 @@ class Galerkin:
 
 def make_space(scene: Scene, intervals: tuple[int, int]) -> FunctionSpace:
     """Return the function space of a scene's plate, with about a number of intervals along x and along y."""
-    return TensorSplines(scene, intervals)
+    return TensorSplines(scene, intervals) if scene.outline is None else TrimmedSplines(scene, intervals)
 
 
 def make_galerkin(scene: Scene, space: FunctionSpace) -> Galerkin:

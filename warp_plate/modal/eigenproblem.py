@@ -78,7 +78,7 @@ def _solve(galerkin: Galerkin, basis: Matrix, wanted: int, scale: float, least: 
     """Return ω², rising, and vectors (unknowns, modes) of the motions that a basis (unknowns, n) spans: of ``wanted``
     modes, or of more if they do not reach ``least``."""
     unknowns = basis.shape[1]
-    few = wanted * SPARSE < unknowns
+    few = galerkin.space.sparse and wanted * SPARSE < unknowns
     held = LANCZOS_VECTORS * wanted if few else DENSE_MATRICES * unknowns
     refuse_beyond_memory(8.0 * unknowns * held, f"plate.size: {unknowns} functions and {min(wanted, unknowns)} modes")
     stiffness, mass = (Matrix(basis.T @ matrix @ basis) for matrix in (galerkin.stiffness, galerkin.mass))

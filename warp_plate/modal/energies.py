@@ -46,7 +46,8 @@ class ModalEnergies:
         self.plate, self.regions, self.quantity = plate, regions, quantity
         window = None if plate.scene.steady else plate.scene.window
         self._means = Means(plate, regions, window, quantity == "velocity")
-        self._device = device if device is not None and device.is_cuda and plate.proportional else None
+        on_device = device is not None and device.is_cuda and plate.proportional and plate.scene.outline is None
+        self._device = device if on_device else None
         self._tones = plate.scene.drive.waveform_key is None
 
     def scene_matrices(self) -> np.ndarray:

@@ -34,6 +34,8 @@ from warp_plate.scene.target import Target
 # frequency; along the shorter side fewer, but of less size.
 FEWEST, PER_HALF_WAVE = 18, 2.6
 MOST_INTERVALS = 400
+# The same for plates with an outline, as a part of these.
+FEWER = 0.7
 # Modes up to the highest frequency, by Weyl's law: so many take some 45 s and 2.7 GB, or without higher ones more.
 MOST_MODES, MOST_ALONE = 1000, 1500
 # Modes that are wanted: those up to REACH times the highest frequency, and FURTHER ones for what higher ones add to
@@ -240,7 +242,7 @@ def solve_modes(
     # More functions follow shorter waves, and higher modes are kept of a plate that has too many for all.
     finer = scene.grid.modal_density
     highest, density = finer * (highest_frequency(scene) if highest is None else highest), finer * density
-    wave, area = mean_wave_frequency(scene), math.prod(scene.plate.size)
+    wave, area = mean_wave_frequency(scene), scene.plate.area
     counted = wave * (math.sqrt(4 / math.pi * count) + 2) ** 2 / area if count else 0.0
     intervals = _intervals(scene, max(highest, counted), wave, density)
     below = max(math.pi / 4 * area * highest / wave, count)
@@ -288,7 +290,7 @@ def expected_size(scene: Scene, highest: float, density: float = 1.0) -> tuple[f
     """Return about how many functions and modes :func:`solve_modes` takes for responses up to a frequency [Hz]."""
     finer, wave = scene.grid.modal_density, mean_wave_frequency(scene)
     sides = _intervals(scene, finer * highest, wave, finer * density)
-    functions, area = math.prod(side + DEGREE for side in sides), math.prod(scene.plate.size)
+    functions, area = math.prod(side + DEGREE for side in sides), scene.plate.area
     wanted = 1.1 * math.pi / 4 * area * REACH * finer * highest / wave + FURTHER
     return functions, wanted if wanted * SPARSE < functions else functions
 
@@ -327,6 +329,8 @@ def _check_size(scene: Scene, key: str, below: float, most: int, intervals: tupl
 def _intervals(scene: Scene, highest: float, wave: float, density: float) -> tuple[int, int]:
     """Return the number of intervals between knots along x and along y; ``wave`` as :func:`mean_wave_frequency`."""
     waves, longer = math.sqrt(highest / wave), max(scene.plate.size)
+    if scene.outline is not None:  # whose splines have more continuous derivatives at the edges
+        density *= FEWER
     counts = [
         math.ceil(max(FEWEST * math.sqrt(side / longer), PER_HALF_WAVE * waves * side)) for side in scene.plate.size
     ]

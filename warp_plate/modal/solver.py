@@ -17,6 +17,7 @@ from warp_plate.modal.modes import ModalPlate, solve_modes
 from warp_plate.modal.motion import fields, largest_displacements
 from warp_plate.modal.motion import trace as displacement_at
 from warp_plate.modal.slopes import EnergySlopes
+from warp_plate.modal.spaces.trimmed_splines import TrimmedSplines
 from warp_plate.plate.designs import (
     NO_PER_PLATE,
     Designs,
@@ -33,6 +34,7 @@ from warp_plate.plate.stability_limit import find_limit
 from warp_plate.plate.weights import NO_AREAS, REGIONS, Region, node_positions, region_weights, weigh_region
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
+from warp_plate.scene.target import Target
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.response import Response
 from warp_plate.solve.run import Progress, Run
@@ -48,6 +50,10 @@ def trace_step(scene: Scene, moment_form: bool = False) -> float:
     the same times."""
     limit = math.inf if scene.grid.time_step else find_limit(scene, moment_form)[0].time_step
     return sampling_step(scene, limit)
+
+
+def _has_curve(region: Region) -> bool:
+    return isinstance(region, tuple) or (isinstance(region, Target) and region.mask is None)
 
 
 @dataclass(frozen=True)
@@ -248,6 +254,11 @@ class ModalSolver:
 
     @cached_property
     def _masses(self) -> np.ndarray:
+        space = self.plate.space
+        regions: list[Any] = [(0.0, self.scene.plate.size[0], 0.0, self.scene.plate.size[1]), self.scene.target]
+        regions += self._areas.values()
+        if isinstance(space, TrimmedSplines) and all(_has_curve(region) for region in regions):
+            return np.array([space.region_mass(region) for region in regions])
         weights = [weigh_region(self.scene, name, region) for name, region in self._areas.items()]
         fields = [*self.discretization.region_weights, *weights]
         return np.array([(field * self.discretization.surface_density).sum() for field in fields]) * (

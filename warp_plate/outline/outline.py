@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -59,8 +59,8 @@ class Outline:
     @cached_property
     def monotone(self) -> tuple[tuple[Monotone, ...], tuple[Monotone, ...]]:
         """The parts of the edges on which x is monotone, and those on which y is."""
-        along_x, along_y = (tuple(part for piece in self.pieces for part in piece.monotone(axis)) for axis in (0, 1))
-        return along_x, along_y
+        along_x, along_y = ([part for piece in self.pieces for part in piece.monotone(axis)] for axis in (0, 1))
+        return _joined(along_x), _joined(along_y)
 
     def contains(self, points: np.ndarray | Sequence[tuple[float, float]]) -> np.ndarray:
         """Return whether points (..., 2) [m] are on the plate, those on an edge within rounding included."""
@@ -146,6 +146,18 @@ def make_outline(loops: Mapping[str, Sequence[Piece]], parts: Mapping[str, Any] 
 
 def _named(loops: Mapping[str, Sequence[Piece]], holes: list[Outline]) -> list[tuple[str, Outline]]:
     return list(zip(list(loops)[1:], holes, strict=True))
+
+
+def _joined(parts: list[Monotone]) -> tuple[Monotone, ...]:
+    """Return monotone parts whose ends are equal numbers where they differ by rounding, so that no line passes between
+    the ends of two that follow each other."""
+    ends = np.unique([end for part in parts for end in (part.low, part.high)])
+    starts = ends[np.concatenate([[True], np.diff(ends) > TOUCH * np.ptp(ends)])]
+    low, high = (
+        starts[np.searchsorted(starts, [getattr(part, end) for part in parts], side="right") - 1].tolist()
+        for end in ("low", "high")
+    )
+    return tuple(replace(part, low=low[i], high=high[i]) for i, part in enumerate(parts) if high[i] > low[i])
 
 
 def bounds(loop: Sequence[Piece]) -> tuple[float, float, float, float]:

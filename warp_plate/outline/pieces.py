@@ -215,7 +215,7 @@ class Arc(Piece):
         return float(swept + np.linalg.det(self.axes) * (self.angles[1] - self.angles[0])) / 2
 
     @cached_property
-    def length(self) -> float:  # type: ignore[override]
+    def length(self) -> float:
         s, weights = legendre.leggauss(POINTS)
         t = (np.arange(PANELS)[:, None] + (s + 1) / 2) / PANELS
         return float((np.linalg.norm(self.tangents(t), axis=-1) @ weights).sum() / 2 / PANELS)

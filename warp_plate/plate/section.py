@@ -80,7 +80,7 @@ def make_section(scene: Scene) -> Section:
         xx, xy, yy = ((first + second) / 2 for first, second in zip(x_first, y_first, strict=True))
         rigidities = xx, xy, yy
     twist, mass = (along_y.mean(along_x.mean(values, 1), 0) for values in (twist, mass))
-    area = plate.size[0] * plate.size[1]
+    area = plate.area
     stretch_x, stretch_y = (float(area / (along_y.length @ (1 / values) @ along_x.length)) for values in stretches)
     return Section(*rigidities, twist, mass, (stretch_x, stretch_y))
 

@@ -32,6 +32,8 @@ from warp_plate.scene.load import dump_toml, parse_toml, read_scene_text
 from warp_plate.scene.tables import SceneTables
 from warp_plate.scene.target import NamedTarget, Target
 
+# Largest angle above π of a corner whose edges may be supported [rad].
+REENTRANT = 0.01
 # Tables with properties of the panel, which a fit may change.
 PANEL = ("plate", "edges", "effects", "actuators", "measurement")
 
@@ -218,8 +220,7 @@ SceneSource = Scene | str | Path
 def _check_tables(scene: SceneTables) -> None:
     """Check that the tables of a scene fit together."""
     actuators, size = scene.actuators, scene.plate.size
-    if scene.outline is not None and scene.nonlinear_key is not None:
-        raise ValueError(f"{scene.nonlinear_key}: not with plate.outline, whose plates are linear; delete one of them")
+    _check_outline(scene)
     _check_areas(scene)
     _check_names("actuators", actuators)
     check_links(scene)
@@ -253,6 +254,21 @@ def _check_tables(scene: SceneTables) -> None:
             raise ValueError(f"record.times[{index}]: {time:g} s is after the run, {limit}")
     for index, point in enumerate(scene.record.points):
         scene.plate.check_point(f"record.points[{index}]", point)
+
+
+def _check_outline(scene: SceneTables) -> None:
+    """Check that a plate with an outline has nothing that it excludes."""
+    if (outline := scene.outline) is None:
+        return
+    if scene.nonlinear_key is not None:
+        raise ValueError(f"{scene.nonlinear_key}: not with plate.outline, whose plates are linear; delete one of them")
+    for before, after, angle in outline.corners():
+        if angle > math.pi + REENTRANT and before.condition == after.condition == "supported":
+            x, y = after.start
+            raise ValueError(
+                f"edges.{after.edge}: supported at the re-entrant corner of {before.name} and {after.name} near "
+                f"({x:.4g}, {y:.4g}) m, where no solution converges; round it by corner_radius, or clamp or free it"
+            )
 
 
 def _check_areas(scene: SceneTables) -> None:

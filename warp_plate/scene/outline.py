@@ -23,9 +23,9 @@ ONLY_FOR = {"corner_radius": ("rectangle", "polygon"), "angle": ("rectangle",), 
 class ClosedCurve(Table):
     """A closed curve, given by exactly one of its shapes."""
 
-    disc: Annotated[
-        tuple[Coordinate, Coordinate, Positive] | None, Unit("m"), Field(examples=[[0.02, 0.02, 0.02]])
-    ] = None
+    disc: Annotated[tuple[Coordinate, Coordinate, Positive] | None, Unit("m"), Field(examples=[[0.02, 0.02, 0.02]])] = (
+        None
+    )
     """Centre x, y and radius."""
     ellipse: Annotated[
         tuple[Coordinate, Coordinate, Positive, Positive, Coordinate] | None,
@@ -88,6 +88,9 @@ class ClosedCurve(Table):
                     raise ValueError(f"polygon[{index}]: the next corner is the same; write no corner twice")
         else:
             corners = self._rectangle_corners()
+        return self._rounded(corners, condition, edge)
+
+    def _rounded(self, corners: np.ndarray, condition: Any, edge: str) -> list[Piece]:
         try:
             return rounded(straight(corners, condition, edge), self.corner_radius)
         except ValueError as error:
@@ -100,7 +103,7 @@ class ClosedCurve(Table):
         corners = np.asarray(signs * np.array(self.rectangle) / 2 @ np.array([[cosine, sine], [-sine, cosine]]))
         if self.centre is not None:
             return corners + self.centre
-        curve = rounded(straight(corners, None, ""), self.corner_radius)
+        curve = self._rounded(corners, None, "")
         x0, _, y0, _ = bounds(curve)
         return corners - (x0, y0)
 

@@ -96,7 +96,7 @@ class Plate(Table):
         """Raise ValueError, beginning with ``key``, unless a point x, y [m] is on the plate."""
         if not all(0 <= at <= side for at, side in zip(point, self.size, strict=True)):
             raise ValueError(f"{key}: {list(point)} is off the plate of {list(self.size)} m")
-        if self.outline is not None and not outline_of(self.outline, self.holes, Edges()).contains(point):
+        if self.outline is not None and not outline_of(self.outline, self.holes, Edges()).contains([point]).all():
             raise ValueError(f"{key}: {list(point)} is off the plate; move it inside the outline, outside its holes")
 
     def check_thin(self, thickness: float, head: str = "") -> None:

@@ -6,6 +6,7 @@ map of thickness, the curvature; and where the load jumps, at the edges of a pat
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 
 import numpy as np
@@ -13,6 +14,8 @@ import numpy as np
 from warp_plate.effects.edges import ElasticEdge
 from warp_plate.effects.effect import attachments
 from warp_plate.modal.spaces.splines import Splines, make_splines
+from warp_plate.outline.outline import bounds
+from warp_plate.outline.pieces import Piece
 from warp_plate.plate.section import factor_arrays
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -29,6 +32,11 @@ KINK, MOST_KINKS = 0.01, 36
 CORNER_INTERVALS = (0.3, 0.09)
 # The same on either side of the edges of layers, whose corners are singular too: fewer if there are many edges.
 LAYER_INTERVALS = (0.3, 0.09, 0.027)
+# Interval at a hole as a part of its width, and at a singular corner as a part of the square of the others over the
+# side, so that more functions show the error; their growth with the distance, and samples of that along a side.
+HOLE_INTERVAL, CORNER_INTERVAL, HOLE_GROWTH, CORNER_GROWTH, SAMPLES = 0.1, 0.06, 0.6, 0.7, 2000
+# Corners with an angle above π by less than this are straight [rad].
+STRAIGHT = 1e-3
 # None are in gaps narrower than this part of an interval.
 NARROW = 0.3
 # Parts of a side: edges of layers nearer than the first count as one, and those nearer than the second are refused, for
@@ -48,6 +56,51 @@ def plate_splines(scene: Scene, axis: int, intervals: int) -> Splines:
     knots += [(place, degree - 1) for place in _near_layers(scene, axis, length / intervals)]
     low, high = ("free" if isinstance(end, ElasticEdge) else end for end in ends)
     return make_splines(length, (low, high), intervals, degree, tuple(knots))
+
+
+def outline_splines(scene: Scene, axis: int, intervals: int) -> Splines:
+    """Return the same of a plate with an outline: splines along a side of its bounding box, without conditions."""
+    length, degree = scene.plate.size[axis], _degree(scene)
+    knots = [line for line in lines(scene, axis, degree) if line[1] < degree]
+    knots += [(place, degree - 1) for place in _near_layers(scene, axis, length / intervals)]
+    graded = _graded(scene, axis, length / intervals)
+    if graded.size:
+        near = np.array([place for place, _ in knots])[:, None]
+        gaps = np.minimum(np.diff(graded[:-1]), np.diff(graded[1:]))
+        apart = ~(np.abs(near - graded[1:-1]) < NARROW * gaps).any(axis=0)
+        knots += [(place, degree - 1) for place in graded[1:-1][apart].tolist()]
+        intervals = 1
+    return make_splines(length, ("free", "free"), intervals, degree, tuple(knots))
+
+
+def _graded(scene: Scene, axis: int, interval: float) -> np.ndarray:
+    """Return the knots along x (0) or y (1) [m] of a plate with an outline, ends included: nearer to each other at
+    small holes and at corners where moments are singular; none if there are no such places."""
+    outline, side = scene.outline, scene.plate.size[axis]
+    assert outline is not None
+    spans = []
+    for hole in outline.loops[1:]:
+        x0, x1, y0, y1 = bounds(hole)
+        low, high = (x0, x1) if axis == 0 else (y0, y1)
+        spans.append((low, high, HOLE_INTERVAL * (high - low), HOLE_GROWTH))
+    corners = [after.start[axis] for before, after, angle in outline.corners() if _is_singular(before, after, angle)]
+    spans += [(place, place, CORNER_INTERVAL * interval**2 / side, CORNER_GROWTH) for place in corners]
+    least = min((size for _, _, size, _ in spans), default=interval)
+    if least >= interval:
+        return np.empty(0)
+    places = np.linspace(0, side, max(SAMPLES, math.ceil(8 * side / least)))
+    middle = (places[1:] + places[:-1]) / 2
+    size = np.full(middle.size, interval)
+    for start, end, smallest, growth in spans:
+        beyond = np.maximum(np.abs(middle - (start + end) / 2) - (end - start) / 2, 0)
+        size = np.minimum(size, smallest + growth * beyond)
+    passed = np.concatenate([[0.0], np.cumsum(np.diff(places) / size)])
+    return np.interp(np.linspace(0, passed[-1], math.ceil(passed[-1]) + 1), passed, places)
+
+
+def _is_singular(before: Piece, after: Piece, angle: float) -> bool:
+    """Return whether moments are singular where two pieces meet at an angle [rad] of the plate."""
+    return angle > math.pi + STRAIGHT or before.condition != after.condition
 
 
 def lines(scene: Scene, axis: int, degree: int = DEGREE) -> list[tuple[float, int]]:

@@ -28,6 +28,10 @@ class FunctionSpace(Protocol):
         """Degree of the polynomials."""
 
     @property
+    def sparse(self) -> bool:
+        """True if most entries of the matrices of many functions are zero."""
+
+    @property
     def unknowns(self) -> int:
         """Number of functions."""
 

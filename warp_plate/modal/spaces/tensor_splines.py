@@ -32,6 +32,8 @@ class TensorSplines:
     knots, and the points that resolve the functions are as many as these.
     """
 
+    sparse = True
+
     def __init__(self, scene: Scene, intervals: tuple[int, int]) -> None:
         self.scene, self.intervals = scene, intervals
         self.along: tuple[Splines, Splines] = (

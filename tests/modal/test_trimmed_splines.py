@@ -1,0 +1,170 @@
+"""Plates of any outline by trimmed splines, against exact equations and the rectangle's own splines.
+
+Reference frequencies of discs and rings are zeros of determinants of Bessel functions (A. W. Leissa, NASA SP-160);
+those of supported triangles are G. Lamé's.
+"""
+
+import math
+
+import numpy as np
+import pytest
+
+from support.scenes import MATERIAL, scene_of
+from support.scenes_of_outlines import dimensionless, outlined
+from warp_plate.modal.assemble import make_galerkin, make_space
+from warp_plate.modal.modes import solve_modes
+from warp_plate.scene.target import Target
+
+DISC = {"disc": (0.1, 0.1, 0.1)}
+# ωa²√(ρH/D) of discs of radius a, those without a nodal diameter once, others twice.
+CLAMPED = [10.2158262299, *[21.2603976946] * 2, *[34.8770354203] * 2, 39.7711482365, *[51.0300354838] * 2]
+SUPPORTED = [4.93514904257, *[13.898165073] * 2, *[25.6132967208] * 2, 29.7200047321]
+FREE = [0.0] * 3 + [5.2620369603] * 2 + [9.06889866179] + [12.243894258] * 2 + [20.5130869057] * 2
+# Of rings of radii a and a/2: outer and inner edge, ν = 0.3.
+RINGS = {
+    ("clamped", "free"): [17.71451434, *[22.0145750247] * 2, *[32.1155344637] * 2],
+    ("free", "clamped"): [13.0242566622, *[13.2897814102] * 2, *[14.7038124712] * 2],
+    ("supported", "free"): [5.07687130784, *[11.6073214115] * 2, *[22.3565694152] * 2],
+}
+HARD = {**MATERIAL, "poisson_ratio": 0.3}
+
+
+def turned(width, height, angle):
+    return {"rectangle": (width, height), "angle": angle}
+
+
+def lowest(scene, count=20):
+    return solve_modes(scene, 0.0, count).frequencies[:count]
+
+
+@pytest.mark.parametrize(
+    ("edge", "ratio", "exact"), [("clamped", 0.3, CLAMPED), ("supported", 0.3, SUPPORTED), ("free", 0.33, FREE)]
+)
+def test_discs(edge, ratio, exact):
+    scene = outlined(DISC, edge, material={**MATERIAL, "poisson_ratio": ratio})
+    assert dimensionless(scene, lowest(scene), 0.1)[: len(exact)] == pytest.approx(exact, rel=1e-8)
+
+
+@pytest.mark.parametrize("around", RINGS)
+def test_rings(around):
+    outer, inner = around
+    hole = {"disc": (0.1, 0.1, 0.05), "edge": inner}
+    scene = outlined(DISC, outer, [hole], material=HARD, actuators=[(0.02, 0.04, 0.09, 0.11)])
+    values = dimensionless(scene, lowest(scene), 0.1)
+    assert values[: len(RINGS[around])] == pytest.approx(RINGS[around], rel=1e-5)
+
+
+@pytest.mark.parametrize("edge", ["clamped", "supported", "free", {"translation": 3e3, "rotation": 0.4}])
+def test_turned_rectangles_have_the_frequencies_of_the_rectangle(edge):
+    straight = scene_of(size=(0.2, 0.14), edges=(edge,) * 4, modal_density=1.5)
+    scene = outlined(turned(0.2, 0.14, 0.35), edge)
+    assert lowest(scene) == pytest.approx(lowest(straight), rel=1e-6, abs=1e-6)
+
+
+def test_sides_of_different_kinds():
+    straight = scene_of(size=(0.2, 0.14), edges=("supported", "supported", "clamped", "supported"), modal_density=1.5)
+    part = {"edge": "clamped", "from_point": (0.2, 0.0), "to_point": (0.2, 0.14)}
+    scene = outlined({"rectangle": (0.2, 0.14)}, "supported", parts=[part])
+    assert lowest(scene) == pytest.approx(lowest(straight), rel=1e-6)
+
+
+def test_supported_triangle():
+    side, turn = 0.2, 0.3
+    corners = side * np.array([(0, 0), (1, 0), (0.5, math.sqrt(0.75))])
+    corners = corners @ np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
+    scene = outlined(
+        {"polygon": (corners - corners.min(axis=0)).tolist()}, "supported", actuators=[(0.07, 0.1, 0.08, 0.11)]
+    )
+    numbers = np.array([m * m + m * n + n * n for m in range(1, 12) for n in range(1, 12)])
+    exact = 16 * math.pi**2 / 9 * np.sort(numbers)[:20]
+    assert dimensionless(scene, lowest(scene), side) == pytest.approx(exact, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("edge", "exact", "error"),
+    [("clamped", [81.874, 105.1405, 122.0873], 2e-3), ("free", [0.0] * 3 + [15.7089, 17.0036, 27.22], 3e-4)],
+)
+def test_re_entrant_corners(edge, exact, error):
+    """An L of two squares of side 1/2 and their corner, by splines with the singular functions of the corner."""
+    corners = [(0, 0), (0.2, 0), (0.2, 0.1), (0.1, 0.1), (0.1, 0.2), (0, 0.2)]
+    scene = outlined({"polygon": corners}, edge, material=HARD)
+    assert dimensionless(scene, lowest(scene, 6), 0.2)[: len(exact)] == pytest.approx(exact, rel=error, abs=0.01)
+
+
+def test_clamped_ellipse():
+    scene = outlined({"ellipse": (0.1, 0.1, 0.1, 0.05, 0.6)}, "clamped", actuators=[(0.09, 0.1, 0.09, 0.1)])
+    values = dimensionless(scene, lowest(scene, 6), 0.1)
+    assert values[[0, 1]] == pytest.approx([27.377439025, 39.497431839], rel=1e-8)
+    assert np.abs(values / 69.857987111 - 1).min() < 1e-8
+
+
+def test_effects_act_as_on_the_rectangle():
+    effects = {
+        "foundation": {"stiffness": 1e4, "damping": 3.0},
+        "tension": {"x": 5.0, "y": 3.0},
+        "oscillators": [{"area": (0.05, 0.08, 0.02, 0.06), "mass": 1e-3, "stiffness": 800.0, "damping": 0.01}],
+        "layers": [{"area": (0.1, 0.15, 0.05, 0.1), "thickness": 2e-4, "young_modulus": 2e9, "density": 1500.0}],
+        "loss_factor": {"eta": 0.02},
+    }
+    scenes = [
+        scene_of(size=(0.2, 0.14), edges=("free",) * 4, effects=effects),
+        outlined({"rectangle": (0.2, 0.14)}, "free", effects=effects),
+    ]
+    straight, trimmed = (solve_modes(scene, 0.0, 20) for scene in scenes)
+    assert trimmed.frequencies[:20] == pytest.approx(straight.frequencies[:20], rel=2e-5, abs=1e-5)
+    assert trimmed.loss_factors[3:20] == pytest.approx(straight.loss_factors[3:20], rel=1e-4)
+    assert trimmed.space.plate_mass == pytest.approx(straight.space.plate_mass, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "region",
+    [(0.02, 0.09, 0.03, 0.11), Target(disc=(0.1, 0.07, 0.04)), Target(polygon=[(0.1, 0), (0.2, 0), (0.2, 0.1)])],
+)
+def test_loads_and_regions_are_those_of_the_rectangle(region):
+    """A rectangle by its outline and by its size have the same modes; their energies and loads agree, too."""
+    straight = solve_modes(scene_of(size=(0.2, 0.14), edges=("supported",) * 4), 0.0, 10)
+    trimmed = solve_modes(outlined({"rectangle": (0.2, 0.14)}, "supported"), 0.0, 10)
+    points = [(0.053, 0.041), (0.131, 0.112), (0.09, 0.02)]
+    areas = [(0.02, 0.05, 0.03, 0.06), (0.1, 0.16, 0.01, 0.09)]
+    signs = np.sign(straight.at_points(points)[:10, 0] / trimmed.at_points(points)[:10, 0])
+    assert trimmed.at_points(points)[:10] * signs[:, None] == pytest.approx(straight.at_points(points)[:10], abs=1e-4)
+    forces = [plate.patch_forces(areas)[:10] for plate in (straight, trimmed)]
+    assert forces[1] * signs[:, None] == pytest.approx(forces[0], abs=1e-8)
+    masses = [plate.kinetic_matrix(region)[:10, :10] for plate in (straight, trimmed)]
+    assert masses[1] * np.outer(signs, signs) == pytest.approx(masses[0], abs=1e-6)
+    within = [plate.kinetic_matrix(region, (0.0, 0.1, 0.0, 0.1))[:10, :10] for plate in (straight, trimmed)]
+    assert within[1] * np.outer(signs, signs) == pytest.approx(within[0], abs=1e-6)
+    x, y = np.linspace(0, 0.2, 5), np.linspace(0, 0.14, 4)
+    assert trimmed.shapes(x, y)[:10] * signs[:, None, None] == pytest.approx(straight.shapes(x, y)[:10], abs=1e-4)
+
+
+def test_what_lies_outside_the_outline_does_not_press():
+    plate = solve_modes(outlined(DISC, "supported"), 0.0, 10)
+    whole, crossing = plate.patch_forces([(0.0, 0.2, 0.0, 0.2), (0.15, 0.2, 0.1, 0.2)])[:10].T
+    # The rest of the disc, in three rectangles.
+    rest = plate.patch_forces([(0.0, 0.15, 0.0, 0.2), (0.15, 0.2, 0.0, 0.1)])[:10].sum(axis=1)
+    assert crossing + rest == pytest.approx(whole, abs=1e-9 * np.abs(whole).max())
+    assert plate.at_points([(0.01, 0.01)]) == pytest.approx(0, abs=0)
+    assert not plate.shapes(np.array([0.0, 0.1]), np.array([0.0, 0.1]))[:, 0, 0].any()
+    mass = plate.kinetic_matrix(Target(disc=(0.18, 0.1, 0.05))) + plate.kinetic_matrix("plate")
+    assert (np.linalg.eigvalsh(mass) > 0).all()
+
+
+def test_slopes_of_loads_are_differences():
+    space = make_space(outlined(DISC, "free"), (12, 12))
+    area, step = np.array([[0.13, 0.19, 0.12, 0.17]]), 1e-6
+    for axis, slope in enumerate(space.patch_slopes(area)):
+        move = np.zeros(4)
+        move[2 * axis : 2 * axis + 2] = step
+        difference = (space.patch_integrals(area + move) - space.patch_integrals(area - move)) / (2 * step)
+        assert slope == pytest.approx(difference, abs=1e-6 * np.abs(difference).max())
+
+
+def test_scenes_of_the_same_outline_share_their_functions():
+    scene = outlined(DISC, "clamped")
+    space = make_space(scene, (10, 10))
+    other = space.of_scene(scene.replace("plate.thickness", 6e-4))
+    assert other.is_near(space, 0.1)
+    assert not space.of_scene(scene.replace("plate.outline.disc", (0.1, 0.1, 0.09))).is_near(space, 0.1)
+    ratio = make_galerkin(other.scene, other).bending.trace() / make_galerkin(scene, space).bending.trace()
+    assert ratio == pytest.approx(1.2**3, rel=1e-6)

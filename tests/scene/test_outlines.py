@@ -1,0 +1,84 @@
+"""The tables of outlines and holes: read, written, and what is refused."""
+
+import math
+
+import pytest
+
+from support.scenes import refused
+from support.scenes_of_outlines import outlined
+from warp_plate import Scene
+from warp_plate.resolve import resolve
+
+DISC = {"disc": (0.1, 0.1, 0.1)}
+HOLE = {"disc": (0.1, 0.15, 0.02), "edge": {"translation": 1e3}}
+PART = {"edge": "free", "from": (0.2, 0.1), "to": (0.1, 0.2)}
+
+
+def test_the_size_is_that_of_the_outline_and_not_written():
+    scene = outlined(DISC, "supported", [HOLE], [PART])
+    assert scene.plate.size == pytest.approx((0.2, 0.2))
+    assert scene.plate.area == pytest.approx(math.pi * (0.01 - 0.0004))
+    assert dict(scene.edge_conditions) == {
+        "outline": "supported",
+        "parts[0]": "free",
+        "holes[0]": scene.plate.holes[0].edge,
+    }
+    assert "size" not in scene.to_toml()
+    assert Scene.parse(scene.to_toml(), "again") == scene
+    assert outlined(DISC).replace("plate.outline.disc", (0.11, 0.11, 0.1)).plate.size == pytest.approx((0.21, 0.21))
+
+
+def test_a_turned_rectangle_touches_the_axes():
+    scene = outlined({"rectangle": (0.2, 0.1), "angle": 0.5, "corner_radius": 0.02})
+    assert scene.outline.bounds[::2] == pytest.approx((0, 0), abs=1e-15)
+    assert scene.plate.area == pytest.approx(0.02 - (4 - math.pi) * 0.0004)
+
+
+def test_an_edge_is_clamped_unless_it_is_written():
+    scene = outlined(DISC)
+    tables = scene.model_dump()
+    del tables["edges"], tables["grid"]
+    assert Scene.from_tables(tables).edges.outline == "clamped"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"plate.outline": {"disc": (0.1, 0.1, 0.1), "polygon": [(0, 0), (1, 0), (0, 1)]}},
+            "polygon: disc is given too",
+        ),
+        ({"plate.outline": {}}, "no shape is given; write one of disc, ellipse, rectangle and polygon"),
+        ({"plate.outline": {"disc": (0.1, 0.1, 0.1), "corner_radius": 0.01}}, "corner_radius: not for disc"),
+        ({"plate.outline": {"rectangle": (0.2, 0.1), "corner_radius": 0.06}}, "corner_radius: 0.06 m does not fit"),
+        ({"plate.outline": {"disc": (0.0, 0.1, 0.1)}}, "plate.outline: reaches to x = -0.1, y = 0 m; move it"),
+        ({"plate.outline": {"polygon": [(0, 0), (0.2, 0.2), (0.2, 0), (0, 0.2)]}}, "side 0 crosses or touches side 2"),
+        ({"plate.size": (0.2, 0.2)}, "plate.size: outline is given too"),
+        ({"plate.holes": [{"disc": (0.1, 0.4, 0.01)}]}, "plate.holes[0]: is off the plate"),
+        ({"plate.holes": [{"rectangle": (0.1, 0.04)}]}, "plate.holes[0].centre: is missing"),
+        ({"edges.left": "free"}, "edges.left: the plate has an outline; write edges.outline"),
+        ({"edges.parts": [{**PART, "to": (0.1, 0.1)}]}, "edges.parts[0].to_point: [0.1, 0.1] is 0.1 m off the outline"),
+        (
+            {"plate.outline": {"polygon": [(0, 0), (0.2, 0), (0.2, 0.1), (0.1, 0.1), (0.1, 0.2), (0, 0.2)]}},
+            "edges.outline: supported at the re-entrant corner of side 2 and side 3 near (0.1, 0.1) m",
+        ),
+        ({"record.points": [(0.01, 0.01)]}, "record.points[0]: [0.01, 0.01] is off the plate; move it inside"),
+        ({"effects.stretching": {}}, "effects.stretching: not with plate.outline"),
+    ],
+)
+def test_wrong_tables_are_refused_in_one_line(changes, message):
+    ((key, value),) = changes.items()
+    edge = "supported" if "supported" in message else "clamped"
+    assert message in refused(outlined(DISC, edge).replace, key, value)
+
+
+def test_a_rectangle_by_its_size_takes_no_keys_of_outlines():
+    scene = Scene.load("paper")
+    assert "edges.outline: the plate has no outline" in refused(scene.replace, "edges.outline", "free")
+    assert "plate.holes: need an outline" in refused(scene.replace, "plate.holes", [{"disc": (0.1, 0.1, 0.01)}])
+
+
+def test_plates_with_outlines_are_solved_by_modes():
+    scene = outlined(DISC)
+    assert resolve(scene, "cpu").engine == "modes"
+    assert "plate.outline: cannot be stepped in time" in refused(scene.check_stepped)

@@ -1,0 +1,247 @@
+"""Gauss's rule on the chords of a plate of any outline, with positive weights and all points on the plate.
+
+Chords run along x. They are cut where they meet knots of the splines along x, and lie at Gauss's ordinates between the
+knots along y, corners, extreme ordinates of the edges, and the points at which edges cross a knot along x: between
+these the chords' ends are smooth in y. At extreme ordinates they end as a square root does, which a rule in the square
+root of the distance resolves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from warp_plate.modal.spaces.splines import Splines, overlapping_pairs
+from warp_plate.outline.outline import Outline
+from warp_plate.outline.pieces import Arc, Monotone, Piece
+
+Curve = Sequence[Piece]
+
+# Distances from extreme ordinates at which the rule is cut as well, as parts of an interval.
+GRADED = (0.15, 0.0225, 0.003375)
+# Ordinates nearer to each other than this part of the height are one.
+SAME = 1e-12
+# Slope of the end of an arc that counts as extreme.
+LEVEL = 1e-9
+# Samples in which two curves are searched for a crossing, and halvings that find it.
+SAMPLES, HALVINGS = 65, 50
+
+
+class LocalSplines:
+    """The splines along a side as polynomials on the intervals between knots, fast at many points."""
+
+    def __init__(self, splines: Splines) -> None:
+        self.splines, self.breaks, count = splines, splines.breaks, splines.degree + 1
+        starts = splines.breaks[:-1]
+        # The first spline that is not zero on each interval.
+        self.first = np.searchsorted(splines.knots, starts, side="right") - count
+        s, weights = legendre.leggauss(count)
+        middle, half = (self.breaks[1:] + starts) / 2, np.diff(self.breaks) / 2
+        values = splines.values((middle[:, None] + half[:, None] * s).ravel()).reshape(-1, starts.size, count)
+        local = np.stack([values[first : first + count, index] for index, first in enumerate(self.first)])
+        transform = legendre.legvander(s, count - 1) * weights[:, None] * (np.arange(count) + 0.5)
+        self._powers = [local @ transform]
+        for _ in range(2):
+            slopes = legendre.legder(self._powers[-1], axis=2)
+            slopes = np.concatenate([slopes, np.zeros((*slopes.shape[:2], count - slopes.shape[2]))], axis=2)
+            self._powers.append(slopes / half[:, None, None])
+        self._middle, self._half = middle, half
+
+    def interval(self, x: np.ndarray) -> np.ndarray:
+        """Return the interval that holds each point."""
+        return np.clip(np.searchsorted(self.breaks, x, side="right") - 1, 0, self.first.size - 1)
+
+    def local(self, interval: np.ndarray, x: np.ndarray, derivative: int = 0) -> np.ndarray:
+        """Return (n, points, degree + 1) values of the splines that are not zero on intervals (n,) at x (n, points)."""
+        s = (x - self._middle[interval, None]) / self._half[interval, None]
+        vander = legendre.legvander(s, self.splines.degree)
+        return np.asarray(vander @ self._powers[derivative][interval].transpose(0, 2, 1))
+
+    def dense(self, x: np.ndarray, derivative: int = 0) -> np.ndarray:
+        """Return (points, functions) values."""
+        interval = self.interval(x)
+        values = np.zeros((x.size, self.splines.functions))
+        columns = self.first[interval][:, None] + np.arange(self.splines.degree + 1)
+        np.put_along_axis(values, columns, self.local(interval, x[:, None], derivative)[:, 0], axis=1)
+        return values
+
+
+@dataclass(frozen=True, eq=False)
+class Chords:
+    """Gauss's points on segments of chords, each between two knots."""
+
+    along: tuple[LocalSplines, LocalSplines]
+    x: np.ndarray  # (segments, points) [m]
+    weights: np.ndarray  # (segments, points) [m²]
+    chord: np.ndarray  # (segments,) index of the ordinate
+    ordinates: np.ndarray  # (ordinates,) y [m]
+
+    @property
+    def y(self) -> np.ndarray:
+        """(segments, points) ordinates [m] of the points."""
+        return np.broadcast_to(self.ordinates[self.chord][:, None], self.x.shape)
+
+    @cached_property
+    def _intervals(self) -> tuple[np.ndarray, np.ndarray]:
+        """Intervals of the segments along x, and of the ordinates along y."""
+        return self.along[0].interval(self.x.mean(axis=1)), self.along[1].interval(self.ordinates)
+
+    @cached_property
+    def _values(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Values of the splines along x on the segments (segments, points, degree + 1), and of those along y
+        (ordinates, functions), by derivative."""
+        along_x = [self.along[0].local(self._intervals[0], self.x, derivative) for derivative in range(3)]
+        return along_x, [self.along[1].dense(self.ordinates, derivative) for derivative in range(3)]
+
+    def form(self, field: np.ndarray | float, x: tuple[int, int], y: tuple[int, int]) -> np.ndarray:
+        """Return (pairs of y, pairs of x) ∫ field · u^(x₀, y₀) u^(x₁, y₁) dA of a number or of values at the points,
+        with derivatives along x and y of the first factor and of the second."""
+        along_x, along_y = self._values
+        local = (along_x[x[0]] * (self.weights * field)[:, :, None]).transpose(0, 2, 1) @ along_x[x[1]]
+        rows, columns = overlapping_pairs(self.along[0].splines)
+        pair = np.zeros((self.along[0].splines.functions,) * 2, dtype=int)
+        pair[rows, columns] = np.arange(rows.size)
+        index = self.along[0].first[self._intervals[0]][:, None] + np.arange(local.shape[1])
+        places = self.chord[:, None, None] * rows.size + pair[index[:, :, None], index[:, None, :]]
+        over_x = np.bincount(places.ravel(), local.ravel(), self.ordinates.size * rows.size)
+        rows_y, columns_y = overlapping_pairs(self.along[1].splines)
+        products = along_y[y[0]][:, rows_y] * along_y[y[1]][:, columns_y]
+        return np.asarray(products.T @ over_x.reshape(self.ordinates.size, rows.size))
+
+    def integrals(self, values: np.ndarray | float = 1.0, x: int = 0, y: int = 0) -> np.ndarray:
+        """Return (..., functions of y, functions of x) ∫ values · u^(x, y) dA of values (..., segments, points)."""
+        along_x, along_y = self._values
+        weighted = np.broadcast_to(values, np.broadcast_shapes(np.shape(values), self.x.shape)) * self.weights
+        local = np.einsum("...sp,spi->...si", weighted, along_x[x])
+        index = self.along[0].first[self._intervals[0]][:, None] + np.arange(local.shape[-1])
+        over_x = np.zeros((self.ordinates.size, self.along[0].splines.functions, *local.shape[:-2]))
+        np.add.at(over_x, (self.chord[:, None], index), np.moveaxis(local, (-2, -1), (0, 1)))
+        return np.moveaxis(np.tensordot(along_y[y].T, over_x, axes=1), (0, 1), (-2, -1))
+
+    def sums(self, coefficients: np.ndarray, x: int, y: int) -> np.ndarray:
+        """Return (n, segments, points) values of a derivative of sums (n, functions of y, functions of x)."""
+        along_x, along_y = self._values
+        of_chord = np.einsum("lj,nji->nli", along_y[y], coefficients, optimize=True)
+        index = self.along[0].first[self._intervals[0]][:, None] + np.arange(along_x[x].shape[2])
+        return np.einsum("spi,nsi->nsp", along_x[x], of_chord[:, self.chord[:, None], index], optimize=True)
+
+
+def make_chords(
+    outline: Outline,
+    along: tuple[LocalSplines, LocalSplines],
+    points: tuple[int, int],
+    cuts: tuple[Sequence[float], Sequence[float]] = ((), ()),
+    curves: Sequence[Curve] = (),
+) -> Chords:
+    """Return the rule of a plate with numbers of ``points`` between breaks along x and y.
+
+    ``cuts`` are further breaks along x and y [m]; only what closed ``curves`` hold counts.
+    """
+    breaks = [np.unique([*side.breaks, *cut]) for side, cut in zip(along, cuts, strict=True)]
+    groups = [outline.monotone[1], *(tuple(part for piece in curve for part in piece.monotone(1)) for curve in curves)]
+    if not all(groups):
+        return _empty(along, points[0])
+    pieces = [*outline.pieces, *(piece for curve in curves for piece in curve)]
+    ordinates, extremes = _cuts(pieces, groups, breaks, min(np.diff(side.breaks).max() for side in along))
+    (s_x, w_x), (s_y, w_y) = (legendre.leggauss(count) for count in points)
+    s_x, w_x, s_y, w_y = (s_x + 1) / 2, w_x / 2, (s_y + 1) / 2, w_y / 2
+    at_extreme = np.isin(ordinates, extremes)
+    x, weights, chord, lines = [], [], [], [np.empty(0)]
+    count = 0
+    for index, (low, high) in enumerate(pairwise(ordinates)):
+        edges = [
+            (group, part)
+            for group, parts in enumerate(groups)
+            for part in parts
+            if part.low < (low + high) / 2 < part.high
+        ]
+        if {group for group, _ in edges} != set(range(len(groups))):
+            continue
+        part, share = _towards(s_y, w_y, at_extreme[index], at_extreme[index + 1])
+        y = low + (high - low) * part
+        ends = np.array([part.across(y) for _, part in edges])
+        order = np.argsort(ends[:, y.size // 2], kind="stable")
+        owner, ends = np.array([group for group, _ in edges])[order], ends[order]
+        inside = np.all([np.cumsum(owner == group) % 2 == 1 for group in range(len(groups))], axis=0)
+        for number in np.flatnonzero(inside[:-1]):
+            left, right = ends[number], ends[number + 1]
+            inner = breaks[0][(breaks[0] > left.mean()) & (breaks[0] < right.mean())]
+            stops = np.clip(np.concatenate([[left], np.tile(inner[:, None], y.size), [right]]), left, right)
+            width = np.diff(stops, axis=0)
+            x.append((stops[:-1, :, None] + width[:, :, None] * s_x).reshape(-1, s_x.size))
+            weights.append((width[:, :, None] * w_x * (share * (high - low))[:, None]).reshape(-1, s_x.size))
+            chord.append(np.tile(np.arange(count, count + y.size), len(width)))
+        lines.append(y)
+        count += y.size
+    if not x:
+        return _empty(along, s_x.size)
+    return Chords(along, np.concatenate(x), np.concatenate(weights), np.concatenate(chord), np.concatenate(lines))
+
+
+def _empty(along: tuple[LocalSplines, LocalSplines], points: int) -> Chords:
+    nothing = np.empty((0, points))
+    return Chords(along, nothing, nothing, np.empty(0, dtype=int), np.empty(0))
+
+
+def _cuts(
+    pieces: Sequence[Piece], groups: Sequence[Sequence[Monotone]], breaks: Sequence[np.ndarray], interval: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ordinates between which chords' ends are smooth, and those that are extreme."""
+    low = max(min(part.low for part in parts) for parts in groups)
+    high = min(max(part.high for part in parts) for parts in groups)
+    size = max(part.high for part in groups[0])
+    ends = np.concatenate([piece.points(np.array([0.0, 1.0]))[:, 1] for piece in pieces])
+    crossed = np.concatenate([piece.points(piece.crossings(0, breaks[0]))[:, 1] for piece in pieces])
+    extremes = np.concatenate([piece.points(piece.extremes(1))[:, 1] for piece in pieces])
+    # Arcs may begin or end at an extreme.
+    arcs = [(piece, end) for piece in pieces for end in (0.0, 1.0) if isinstance(piece, Arc)]
+    level = [piece.points(end)[1] for piece, end in arcs if abs(piece.tangents(end)[1]) < LEVEL * piece.length]
+    extremes = np.concatenate([extremes, level])
+    graded = [extremes + sign * part * interval for part in GRADED for sign in (-1, 1)]
+    met = [place for first, parts in enumerate(groups) for others in groups[first + 1 :]
+           for one in parts for two in others for place in _meetings(one, two)]  # fmt: skip
+    places = np.sort(np.concatenate([breaks[1], ends, crossed, *graded, extremes, met]))
+    places = places[(places >= low) & (places <= high)]
+    # Of nearly equal ordinates an extreme one stays, or the first.
+    kept: list[float] = []
+    for place in places.tolist():
+        if not kept or place - kept[-1] > SAME * size:
+            kept.append(place)
+    ordinates = np.array(kept)
+    for extreme in extremes[(extremes >= low) & (extremes <= high)]:
+        ordinates[np.abs(ordinates - extreme).argmin()] = extreme
+    return ordinates, extremes
+
+
+def _towards(s: np.ndarray, weights: np.ndarray, low: bool, high: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return Gauss's rule from 0 to 1, in the square root of the distance from ends that are extreme."""
+    if low and high:
+        return s * s * (3 - 2 * s), 6 * s * (1 - s) * weights
+    if low:
+        return s * s, 2 * s * weights
+    if high:
+        return 1 - (1 - s) ** 2, 2 * (1 - s) * weights
+    return s, weights
+
+
+def _meetings(one: Monotone, two: Monotone) -> list[float]:
+    """Return the ordinates [m] at which two edges cross."""
+    low, high = max(one.low, two.low), min(one.high, two.high)
+    if high <= low:
+        return []
+    y = np.linspace(low, high, SAMPLES)
+    apart = one.across(y) - two.across(y)
+    places = []
+    for index in np.flatnonzero(apart[:-1] * apart[1:] < 0):
+        start, end, sign = y[index], y[index + 1], np.sign(apart[index])
+        for _ in range(HALVINGS):
+            middle = np.array([(start + end) / 2])
+            before = sign * (one.across(middle) - two.across(middle))[0] > 0
+            start, end = (middle[0], end) if before else (start, middle[0])
+        places.append(float((start + end) / 2))
+    return places

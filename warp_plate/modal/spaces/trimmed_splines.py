@@ -1,0 +1,331 @@
+"""Products of splines on the part of their rectangle that a plate of any outline covers.
+
+All products that touch the plate take part, scaled to unit energy; those that touch little of it are nearly dependent
+on the others, so that the rank is found by truncation of the eigenvalues of the energy. The displacement of supported
+and clamped edges, and the slope across clamped ones, vanish in the mean with Legendre polynomials along parts of the
+edge and at its ends: the functions of the space span the motions for which these moments, exact between crossings of
+knots, are zero (K. Höllig, U. Reif, J. Wipper, SIAM J. Numer. Anal. 39, 2001, scale and extend instead).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
+
+import numpy as np
+import scipy
+from numpy.polynomial import legendre
+
+from warp_plate.effects.effect import DISPLACEMENT, SLOPE, Factors, Term
+from warp_plate.modal.spaces.chords import Chords, Curve, LocalSplines, make_chords
+from warp_plate.modal.spaces.integrals import Field, Integrals, mean_wave_frequency
+from warp_plate.modal.spaces.knots import lines, outline_splines
+from warp_plate.modal.spaces.space import Matrix
+from warp_plate.modal.spaces.splines import gauss, overlapping_pairs
+from warp_plate.modal.spaces.tensor_splines import ORDERS
+from warp_plate.outline.pieces import Piece, ellipse, straight
+from warp_plate.plate.section import bilinear
+from warp_plate.plate.shapes import clipped, read_mask
+from warp_plate.scene.fields import Area
+from warp_plate.scene.model import Scene
+from warp_plate.scene.target import Target
+
+# Eigenvalues of the energy below this part of the largest are those of functions that depend on the others.
+RANK = 1e-13
+# Singular values of the moments below this part of the largest are those of moments that depend on the others.
+MOMENTS = 1e-4
+# Products with less of their mass on the plate than this part take no part.
+UNTOUCHED = 1e-22
+# An edge is divided into parts of about so many intervals; polynomials of a part beyond one for each interval.
+PART_INTERVALS, FURTHER = 6, 2
+# Corners of the polygon for the part of a disc in a rectangle.
+DISC_CORNERS = 512
+# Vectors whose curvatures are in memory at a time.
+VECTORS = 64
+
+
+class TrimmedSplines:
+    """Function space of a plate with an outline.
+
+    The methods are described in :class:`warp_plate.modal.spaces.space.FunctionSpace`. An array by :meth:`form` is the
+    full matrix over the products, and ``basis`` has the functions of the space as its columns.
+    """
+
+    sparse = False
+
+    def __init__(self, scene: Scene, intervals: tuple[int, int], like: TrimmedSplines | None = None) -> None:
+        assert scene.outline is not None
+        self.scene, self.intervals, self.outline = scene, intervals, scene.outline
+        self.along = outline_splines(scene, 0, intervals[0]), outline_splines(scene, 1, intervals[1])
+        self._local = LocalSplines(self.along[0]), LocalSplines(self.along[1])
+        self._fields = Integrals(scene, *self.along)
+        self._varied = bool(scene.layers or scene.effects.factor_maps)
+        self.chords = self._chords()
+        shared = like is not None and like.outline is self.outline and like.along == self.along
+        self.basis: np.ndarray = like.basis if like is not None and shared else self._make_basis()
+
+    @property
+    def degree(self) -> int:
+        return self.along[0].degree
+
+    @property
+    def unknowns(self) -> int:
+        return self.basis.shape[1]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.along[1].functions, self.along[0].functions
+
+    @property
+    def interval_sizes(self) -> tuple[float, float]:
+        x, y = (float(np.diff(splines.breaks).mean()) for splines in self.along)
+        return x, y
+
+    @property
+    def plate_mass(self) -> float:
+        return float((self.chords.weights * self._fields_on(self.chords)[-1]).sum())
+
+    def density(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return np.where(self._covered(x, y), self._fields.fields_at(x, y)[-1], 0.0)
+
+    def bending_terms(self) -> Iterator[Term]:
+        """Yield the terms of bending: Dx u_xx² + Dy u_yy² + 4 Dxy u_xy² + 2 D1 u_xx u_yy."""
+        bend_xx, bend_xy, bend_yy, twist, _ = self._fields_on(self.chords)
+        yield Term("stiffness", bend_xx, ("xx", "xx"))
+        yield Term("stiffness", bend_yy, ("yy", "yy"))
+        yield Term("stiffness", 4 * twist, ("xy", "xy"))
+        yield Term("stiffness", bend_xy, ("xx", "yy"))
+        yield Term("stiffness", bend_xy, ("yy", "xx"))
+
+    def mass_matrix(self) -> Matrix:
+        return self.scatter(self.form(self._fields_on(self.chords)[-1]))
+
+    def form(self, coefficient: Field, factors: Factors = DISPLACEMENT) -> np.ndarray:
+        return self._form(self.chords, coefficient, factors)
+
+    def edge_form(self, side: str, coefficients: Mapping[Factors, float]) -> np.ndarray:
+        total = np.zeros((self.basis.shape[0],) * 2)
+        for piece in self.outline.pieces:
+            if piece.edge == side:
+                t, weights = self._edge_rule(piece, 0.0, 1.0)
+                for factors, coefficient in coefficients.items():
+                    rows = self._rows(piece.points(t), piece.normals(t) if factors == SLOPE else None)
+                    total += (rows * (coefficient * weights)[:, None]).T @ rows
+        return total
+
+    def scatter(self, values: np.ndarray) -> Matrix:
+        projected = self.basis.T @ values @ self.basis
+        return Matrix((projected + projected.T) / 2)
+
+    def bending_energies(self, vectors: np.ndarray) -> np.ndarray:
+        """Return (n, n) Φᵀ B Φ of vectors Φ (unknowns, n), from their curvatures at Gauss's points."""
+        tables = (self.basis @ vectors).T.reshape(-1, *self.shape)
+        xx, xy, yy = (self.chords.sums(tables, *orders).reshape(len(tables), -1) for orders in ((2, 0), (1, 1), (0, 2)))
+        weights = self.chords.weights
+        bend_xx, bend_xy, bend_yy, twist, _ = (
+            np.broadcast_to(weights * field, weights.shape).ravel() for field in self._fields_on(self.chords)
+        )
+        coupled = (bend_xy * xx) @ yy.T
+        return np.asarray((bend_xx * xx) @ xx.T + (bend_yy * yy) @ yy.T + 4 * (twist * xy) @ xy.T + coupled + coupled.T)
+
+    def at_points(self, points: Sequence[tuple[float, float]] | np.ndarray) -> np.ndarray:
+        places = np.asarray(points, dtype=float).reshape(-1, 2)
+        return np.asarray((self._rows(places) * self.outline.contains(places)[:, None]) @ self.basis)
+
+    def sums_at_points(self, coefficients: np.ndarray, points: np.ndarray) -> np.ndarray:
+        return np.asarray(coefficients @ self.at_points(points).T)
+
+    def on_grid(self, coefficients: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        tables = (coefficients @ self.basis.T).reshape(*coefficients.shape[:-1], *self.shape)
+        values = self._local[1].dense(y) @ tables @ self._local[0].dense(x).T
+        return np.asarray(np.where(self._covered(x, y), values, 0.0))
+
+    def patch_integrals(self, areas: np.ndarray) -> np.ndarray:
+        return self._over_patches(areas, ((0, 0),))
+
+    def curvature_integrals(self, areas: np.ndarray) -> np.ndarray:
+        return self._over_patches(areas, ((2, 0), (0, 2)))
+
+    def patch_slopes(self, areas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        sides = []
+        for axis in (0, 1):
+            low, high = 2 * axis, 2 - 2 * axis
+            rows = [self._over_line(axis, area[low + 1], area[high], area[high + 1])
+                    - self._over_line(axis, area[low], area[high], area[high + 1])
+                    for area in np.asarray(areas, dtype=float).reshape(-1, 4)]  # fmt: skip
+            sides.append(np.array(rows) @ self.basis)
+        return sides[0], sides[1]
+
+    def region_matrix(self, region: Area | Target, within: Area | None = None) -> Matrix:
+        target = region if isinstance(region, Target) else Target.model_construct(area=region)
+        if target.mask is not None:
+            return self._over_mask(target, within)
+        chords = self._chords(_curves(target, within))
+        return self.scatter(self._form(chords, self._fields_on(chords)[-1], DISPLACEMENT))
+
+    def region_mass(self, region: Area | Target) -> float:
+        """Return the mass [kg] of the part of a rectangle or target, no mask, on the plate."""
+        target = region if isinstance(region, Target) else Target.model_construct(area=region)
+        chords = self._chords(_curves(target, None))
+        return float((chords.weights * self._fields_on(chords)[-1]).sum())
+
+    def parity_bases(self) -> list[Matrix]:
+        return [scipy.sparse.eye_array(self.unknowns, format="csr")]
+
+    def of_scene(self, scene: Scene) -> TrimmedSplines:
+        return TrimmedSplines(scene, self.intervals, self)
+
+    def is_near(self, other: TrimmedSplines, share: float) -> bool:
+        return self.basis is other.basis
+
+    def _chords(self, curves: Sequence[Curve] = (), cuts: tuple[Sequence[float], Sequence[float]] = ((), ())) -> Chords:
+        """Return the rule on the part of the plate inside curves."""
+        count = self.degree + (3 if self._varied else 1)
+        section = [[*(place for place, _ in lines(self.scene, axis)), *cuts[axis]] for axis in (0, 1)]
+        return make_chords(self.outline, self._local, (count, count + 1), (section[0], section[1]), curves)
+
+    def _fields_on(self, chords: Chords) -> tuple[Field, ...]:
+        """Return Dx, D1, Dy, Dxy [N·m] and the mass per area [kg/m²] at the points of a rule, or as numbers."""
+        if not self._varied:
+            return self._fields.fields()
+        fields = np.empty((5, *chords.x.shape))
+        for number, y in enumerate(chords.ordinates):
+            some = np.flatnonzero(chords.chord == number)
+            values = self._fields.fields_at(chords.x[some].ravel(), np.array([y]))
+            for field, value in zip(fields, values, strict=True):
+                field[some] = value.reshape(some.size, -1)
+        return tuple(fields)
+
+    def _form(self, chords: Chords, coefficient: Field, factors: Factors) -> np.ndarray:
+        """Return the full matrix of a form over the products of splines."""
+        x, y = zip(*(ORDERS[factor] for factor in factors), strict=True)
+        values = chords.form(coefficient, (x[0], x[1]), (y[0], y[1]))
+        (row_x, column_x), (row_y, column_y) = (overlapping_pairs(splines) for splines in self.along)
+        matrix = np.zeros((*self.shape, *self.shape))
+        matrix[row_y[:, None], row_x, column_y[:, None], column_x] = values
+        return matrix.reshape(self.shape[0] * self.shape[1], -1)
+
+    def _rows(self, points: np.ndarray, normals: np.ndarray | None = None) -> np.ndarray:
+        """Return (points, products) values, or slopes along unit vectors (points, 2)."""
+        x, y = points.T
+        along_x, along_y = (
+            [local.dense(at, derivative) for derivative in range(1 if normals is None else 2)]
+            for local, at in zip(self._local, (x, y), strict=True)
+        )
+        if normals is None:
+            return _products(along_y[0], along_x[0])
+        return normals[:, :1] * _products(along_y[0], along_x[1]) + normals[:, 1:] * _products(along_y[1], along_x[0])
+
+    def _covered(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return (ny, nx) whether points of a grid are on the plate."""
+        return self.outline.contains(np.stack(np.meshgrid(x, y), axis=-1))
+
+    def _over_patches(self, areas: np.ndarray, orders: Sequence[tuple[int, int]]) -> np.ndarray:
+        """Return (areas, unknowns) integrals of a sum of derivatives over the parts of rectangles on the plate."""
+        rows = []
+        for area in np.asarray(areas, dtype=float).reshape(-1, 4):
+            curve = straight([(area[0], area[2]), (area[1], area[2]), (area[1], area[3]), (area[0], area[3])], None, "")
+            chords = self._chords([curve])
+            rows.append(sum(chords.integrals(x=x, y=y).ravel() for x, y in orders))
+        return np.array(rows).reshape(-1, self.basis.shape[0]) @ self.basis
+
+    def _over_line(self, axis: int, at: float, low: float, high: float) -> np.ndarray:
+        """Return (products,) integrals along a line at x (0) or y (1) from ``low`` to ``high`` of the other [m]."""
+        total = np.zeros(self.basis.shape[0])
+        for start, end in self.outline.chords(1 - axis, at):
+            start, end = max(start, low), min(end, high)
+            if end > start:
+                breaks = self.along[1 - axis].breaks
+                inner = breaks[(breaks > start) & (breaks < end)]
+                along, weights = gauss(np.array([start, *inner, end]), self.degree + 1)
+                line = np.full(along.size, at)
+                points = np.column_stack([line, along] if axis == 0 else [along, line])
+                total += weights @ self._rows(points)
+        return total
+
+    def _over_mask(self, target: Target, within: Area | None) -> Matrix:
+        """Return the mass matrix of a mask, which is bilinear between its numbers."""
+        key = next((key for key, listed in self.scene.targets_by_key.items() if listed == target), "target")
+        mask, size = read_mask(self.scene, key, target), self.scene.plate.size
+        cuts = [
+            np.linspace(0, side, max(count, 2)).tolist() for side, count in zip(size, mask.shape[::-1], strict=True)
+        ]
+        whole = Target.model_construct(area=(0.0, size[0], 0.0, size[1]))
+        chords = self._chords(_curves(whole, within), (cuts[0], cuts[1]))
+        share = np.empty(chords.x.shape)
+        for number, y in enumerate(chords.ordinates):
+            some = np.flatnonzero(chords.chord == number)
+            values = bilinear(mask, chords.x[some].ravel() / size[0], np.array([y]) / size[1])
+            share[some] = values.reshape(some.size, -1)
+        return self.scatter(self._form(chords, self._fields_on(chords)[-1] * share, DISPLACEMENT))
+
+    def _make_basis(self) -> np.ndarray:
+        """Return (products, unknowns) independent functions that keep the conditions of the edges."""
+        stiffness = sum(self.form(term.coefficient, term.factors) for term in self.bending_terms())
+        mass = self.form(self._fields_on(self.chords)[-1])
+        lowest = 30 * (2 / np.pi * mean_wave_frequency(self.scene) / self.outline.area) ** 2
+        energy = stiffness + lowest * mass
+        sizes = np.outer(*(_widths(splines.knots, splines.degree) for splines in reversed(self.along))).ravel()
+        share = np.diag(mass) / (self.plate_mass / self.outline.area * sizes)
+        used = np.flatnonzero((share > UNTOUCHED) & (np.diag(energy) > 0))
+        unit = 1 / np.sqrt(np.diag(energy)[used])
+        values, vectors = scipy.linalg.eigh(energy[np.ix_(used, used)] * np.outer(unit, unit), driver="evd")
+        some = values > RANK * values[-1]
+        basis = np.zeros((len(energy), int(some.sum())))
+        basis[used] = unit[:, None] * vectors[:, some] / np.sqrt(values[some])
+        moments = [row for piece in self.outline.pieces for row in self._moments(piece)]
+        if not moments:
+            return basis
+        _, sizes, rows = scipy.linalg.svd(np.concatenate(moments) @ basis, full_matrices=False)
+        kept = rows[sizes > MOMENTS * sizes[0]]
+        return np.asarray(basis @ scipy.linalg.qr(kept.T)[0][:, len(kept) :])
+
+    def _moments(self, piece: Piece) -> Iterator[np.ndarray]:
+        """Yield rows (n, products) of what vanishes along a clamped or supported piece."""
+        if piece.condition not in ("clamped", "supported"):
+            return
+        if not piece.closed:
+            yield self._rows(piece.points(np.array([0.0, 1.0])))
+        t = np.linspace(0, 1, 2001)
+        points = piece.points(t)
+        middle, steps = (points[1:] + points[:-1]) / 2, np.abs(np.diff(points, axis=0))
+        sizes = [np.diff(side.breaks)[side.interval(middle[:, axis])] for axis, side in enumerate(self._local)]
+        passed = np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0] / sizes[0], steps[:, 1] / sizes[1]))])
+        parts = max(1, int(np.ceil(passed[-1] / PART_INTERVALS)))
+        count = int(np.ceil(passed[-1] / parts)) + FURTHER
+        ends = np.interp(np.linspace(0, passed[-1], parts + 1), passed, t)
+        for low, high in pairwise(ends.tolist()):
+            at, weights = self._edge_rule(piece, low, high)
+            functions = legendre.legvander(2 * (at - low) / (high - low) - 1, count - 1)
+            functions *= np.sqrt(2 * np.arange(count) + 1) * (weights / weights.sum())[:, None]
+            yield functions.T @ self._rows(piece.points(at))
+            if piece.condition == "clamped":
+                yield max(self.interval_sizes) * functions.T @ self._rows(piece.points(at), piece.normals(at))
+
+    def _edge_rule(self, piece: Piece, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return parameters and weights [m] of Gauss's rule along a part of a piece, cut at the knots."""
+        crossed = [piece.crossings(axis, splines.breaks) for axis, splines in enumerate(self.along)]
+        cuts = np.unique(np.concatenate([[low, high], *crossed]))
+        t, weights = gauss(cuts[(cuts >= low) & (cuts <= high)], self.degree + 2)
+        return t, weights * np.linalg.norm(piece.tangents(t), axis=1)
+
+
+def _curves(target: Target, within: Area | None) -> list[Curve]:
+    """Return the curve of a region, or of its part in a rectangle."""
+    if target.disc is not None and within is None:
+        x, y, radius = target.disc
+        return [[ellipse((x, y), (radius, radius), 0.0, None, "")]]
+    corners = target.corners(DISC_CORNERS)
+    assert corners is not None
+    corners = corners if within is None else clipped(corners, within)
+    return [straight(corners, None, "") if len(corners) else []]
+
+
+def _widths(knots: np.ndarray, degree: int) -> np.ndarray:
+    """Return the widths of splines' supports [m]."""
+    return np.asarray(knots[degree + 1 :] - knots[: -degree - 1])
+
+
+def _products(along_y: np.ndarray, along_x: np.ndarray) -> np.ndarray:
+    """Return (points, products) of functions (points, ny) and (points, nx)."""
+    return (along_y[:, :, None] * along_x[:, None, :]).reshape(len(along_y), -1)
