@@ -15,11 +15,12 @@ import secrets
 import socket
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from warp_plate.interrupts import end_signals
 from warp_plate.result.case import amplitudes_as_given
 from warp_plate.scene.errors import SceneError
 from warp_plate.viz.annotations import in_percent
@@ -88,8 +89,15 @@ def serve_page(
     logging.getLogger("asyncio").addFilter(is_no_connection_error)
     for name in SILENT:
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
-    with suppress(KeyboardInterrupt):
-        asyncio.run(ExplorerPage(model, colours).serve(host, port, on_ready))
+    with suppress(KeyboardInterrupt, asyncio.CancelledError):
+        asyncio.run(_until_interrupted(ExplorerPage(model, colours).serve(host, port, on_ready)))
+
+
+async def _until_interrupted(serving: Coroutine[Any, Any, None]) -> None:
+    """Cancel a coroutine on Ctrl-C, SIGTERM or SIGHUP. An exception in a handler would break off the event loop."""
+    loop, task = asyncio.get_running_loop(), asyncio.ensure_future(serving)
+    with end_signals(lambda number, frame: loop.call_soon_threadsafe(task.cancel)):
+        await task
 
 
 class ExplorerPage:

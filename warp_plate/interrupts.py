@@ -8,7 +8,7 @@ from __future__ import annotations
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 # Sent by a terminal to all processes of a command; Windows has no SIGHUP.
@@ -28,15 +28,22 @@ def deferred_interrupts() -> Iterator[None]:
     A second Ctrl-C raises ``SecondInterrupt`` at once. Outside the main thread, where Python never raises
     KeyboardInterrupt, this does nothing.
     """
+    with end_signals(_set_flag):
+        yield
+        check_interrupt()
+
+
+@contextmanager
+def end_signals(handle: Callable[[int, object], object]) -> Iterator[None]:
+    """Handle Ctrl-C, SIGTERM and SIGHUP by a function, unless they are ignored; outside the main thread do nothing."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     previous = {number: handler for number in END_SIGNALS if callable(handler := signal.getsignal(number))}
     for number in previous:
-        signal.signal(number, _set_flag)
+        signal.signal(number, handle)
     try:
         yield
-        check_interrupt()
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)

@@ -43,6 +43,19 @@ def page_at(tmp_path, write_scene, monkeypatch):
     assert (process.returncode, out, err) == (0, "", "ended\n")
 
 
+@no_interrupt
+def test_sigterm_ends_the_page_quietly_where_ctrl_c_is_ignored():
+    """As under nohup or in a background shell, where asyncio does not handle Ctrl-C itself."""
+    if (problem := missing_page() or viz.missing_renderer()) is not None:
+        pytest.skip(problem)
+    arguments = "-m", "warp_plate", "explore", "paper", "--web", "--port", "0", "--device", "cpu"
+    process = start_program(*arguments, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN))
+    assert process.stdout.readline().startswith("open http://")
+    process.send_signal(signal.SIGTERM)
+    out, err = process.communicate(timeout=PATIENCE)
+    assert (process.returncode, out, err) == (0, "", "ended\n")
+
+
 @pytest.fixture
 def page(browser, page_at):
     """The loaded page; at the end there was no error, and no request to any other host."""
