@@ -151,7 +151,7 @@ def test_bad_data(text, message, tmp_path):
         ({"free": {"plate.density": (2, 1)}}, "fit.free: plate.density = [2.0, 1.0]: the lowest value comes first"),
         ({"free": {"plate.density": [2]}}, "fit.free.'plate.density' = [2]: must be a list of 2 numbers"),
         ({"free": {"plate.densty": (1, 2)}}, "fit.free: plate.densty: is not a key"),
-        ({"free": {"drive.frequency": (1, 2)}}, "fit.free: drive.frequency: is no real number of the panel"),
+        ({"free": {"drive.frequency": (1, 2)}}, "fit.free: drive.frequency: is no real number of plate, edges"),
         ({"free": 3}, "fit.free = 3: must be a table"),
     ],
 )

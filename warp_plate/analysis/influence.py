@@ -19,7 +19,7 @@ from warp_plate.resolve import Resolved, resolve
 from warp_plate.scene.drive import Drive
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
-from warp_plate.scene.model import Scene, SceneSource
+from warp_plate.scene.model import WITHOUT_KEYS, Scene, SceneSource
 from warp_plate.solve.run import sample_times
 from warp_plate.solve.solver import PlateSolver
 
@@ -118,7 +118,8 @@ def _alternative(resolved: Resolved, name: str) -> tuple[PlateSolver | ModalSolv
     refusal = ""
     for grid in (other.grid, other.grid.model_copy(update={"time_step": None})):
         try:
-            solver = resolved.with_scene(other.model_copy(update={"grid": grid}).with_tables()).solver()
+            variant = other.model_copy(update={"grid": grid}).with_tables(search={}, **WITHOUT_KEYS)
+            solver = resolved.with_scene(variant).solver()
         except SceneError as error:
             refusal = f"refused ({text}): {error}"
         else:

@@ -27,7 +27,7 @@ from warp_plate.problem.objectives import Objectives, make_objectives
 from warp_plate.resolve import Resolved
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import resolved_key, value_of
-from warp_plate.scene.model import Scene
+from warp_plate.scene.model import WITHOUT_KEYS, Scene
 from warp_plate.scene.search import Robust
 from warp_plate.solve.response import Response, in_float64, measure_response
 
@@ -118,6 +118,7 @@ def _scenario(scene: Scene, robust: Robust, numbers: np.ndarray) -> Scenario:
         effects=effects,
         actuators=_moved_actuators(scene, offset),
         search={**scene.search.model_dump(), "robust": None},
+        **WITHOUT_KEYS,
     )
     return Scenario(variant, 1 + robust.gain * (2 * gains - 1), offset, _per_plate(scene, robust.place))
 

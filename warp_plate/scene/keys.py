@@ -26,6 +26,9 @@ INDEX_NAMES = {
     "disc": ("x", "y", "radius"),
     "range": ("smallest", "largest"),
 }
+# Tables with properties of the panel, which a fit may change; keys of actuators there that searches change, too.
+PANEL = ("plate.", "edges.", "effects.", "actuators[", "measurement[")
+DRIVEN = ("area", "magnitude", "force", "phase", "frequency", "delay")
 # Keys of an actuator that exclude each other.
 ALTERNATIVES = {"magnitude": "force", "force": "magnitude"}
 _PART = re.compile(r"([A-Za-z_]\w*)|\[(\d+)\]")
@@ -55,11 +58,13 @@ def check_links(scene: SceneTables) -> None:
     kinds = {key: kind for key, kind in scalar_keys(scene).items() if key not in scene.links}
     for name in scene.links:
         head = f"links.{name}"
-        if not name.isidentifier() or name in type(scene).model_fields:
+        if not re.fullmatch(r"[A-Za-z_]\w*", name) or name in type(scene).model_fields:
             raise ValueError(f"{head}: write a name of letters, digits and _ that is no table of a scene")
         for key in linked_keys(scene, name):
             if kinds.get(key) not in (int, float):
                 raise ValueError(f"{head}.keys: {key}: is not a key of this scene that holds a number")
+            if not key.startswith(PANEL) or (key.startswith("actuators[") and key_parts(key)[2] in DRIVEN):
+                raise ValueError(f"{head}.keys: {key}: is no property of the panel, as of plate, edges or effects")
         values = {key: value_of(scene, key) for key in linked_keys(scene, name)}
         if len(set(values.values())) > 1:
             shown = ", ".join(f"{key} = {value}" for key, value in values.items())

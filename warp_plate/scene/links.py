@@ -13,4 +13,4 @@ class Link(Table):
     keys: Annotated[
         tuple[Name, ...], Field(min_length=1, examples=[["edges.left.translation", "edges.right.translation"]])
     ]
-    """Keys of the scene that hold the same number."""
+    """Keys of the panel (plate, edges, effects, piezo patches, measurements) that hold the same number."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import reduce
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from warp_plate.scene.fields import Area, check_area
 from warp_plate.scene.grid import Grid, grid_by_waves
 from warp_plate.scene.keys import (
     ALTERNATIVES,
+    PANEL,
     assign,
     check_links,
     key_parts,
@@ -34,8 +35,11 @@ from warp_plate.scene.target import NamedTarget, Target
 
 # Largest angle above π of a corner whose edges may be supported [rad].
 REENTRANT = 0.01
-# Tables with properties of the panel, which a fit may change.
-PANEL = ("plate", "edges", "effects", "actuators", "measurement")
+# Tables whose numbers have tolerances: in a specification, whose frequency is its own, and in a search.
+VARIED = (*PANEL, "target.", "targets[")
+SEARCHED = (*VARIED, "drive.", "window.")
+# Tables that name keys, left out of variants in which these may be absent or no longer equal.
+WITHOUT_KEYS: dict[str, Any] = {"links": {}, "specification": None, "fit": None}
 
 
 class Scene(SceneTables):
@@ -238,16 +242,16 @@ def _check_tables(scene: SceneTables) -> None:
     scene.search.check_limits([actuator.name for actuator in actuators])
     if scene.search.robust is not None:
         scene.search.robust.check(scene.effects, scene.grid.load)
-        _check_tolerances(scene, "search.robust", list(scene.search.robust.tolerance))
+        _check_keys(scene, "search.robust.tolerance", scene.search.robust.tolerance, SEARCHED)
         if len(scene.targets) > 1:
             raise ValueError("search.robust: not with several [[targets]]; write a scene for each target")
     _check_measurements(scene)
     if scene.fit is not None:
-        _check_free_keys(scene, list(scene.fit.free))
+        _check_keys(scene, "fit.free", scene.fit.free, PANEL)
     _check_focus(scene)
     if scene.specification is not None:
         scene.specification.check([target.name for target in scene.targets], scene.plate.size, scene.piezo)
-        _check_tolerances(scene, "specification", list(scene.specification.tolerance))
+        _check_keys(scene, "specification.tolerance", scene.specification.tolerance, VARIED)
     for index, time in enumerate(scene.record.times):
         if time > scene.window.end * (1 + 1e-9):
             limit = f"window.end = {scene.window.end:g} s"
@@ -343,29 +347,20 @@ def _check_focus(scene: SceneTables) -> None:
     focus.check_numbers(focus.samples, len(scene.actuators), "time")
 
 
-def _check_tolerances(scene: SceneTables, table: str, names: Sequence[str]) -> None:
-    """Check that the keys of a table's tolerances are different real numbers of the scene other than 0."""
-    for name, key, kind in _different_keys(scene, f"{table}.tolerance", names):
-        if kind is not float or not value_of(scene, key):
-            raise ValueError(f"{table}.tolerance: {name}: is no real number other than 0")
-
-
-def _check_free_keys(scene: SceneTables, names: Sequence[str]) -> None:
-    """Check that the free keys of a fit are different numbers of the scene's panel."""
-    for name, key, kind in _different_keys(scene, "fit.free", names):
-        if kind is not float or not all(inner.startswith(PANEL) for inner in linked_keys(scene, key)):
-            raise ValueError(f"fit.free: {name}: is no real number of the panel ({', '.join(PANEL)})")
-
-
-def _different_keys(scene: SceneTables, table: str, names: Sequence[str]) -> Iterator[tuple[str, str, type]]:
-    """Yield names with their keys and types; ValueError: a name is no key of the scene, or a key is there twice."""
+def _check_keys(scene: SceneTables, where: str, names: Iterable[str], tables: tuple[str, ...]) -> None:
+    """Check that the keys of a fit or of tolerances are different real numbers of some tables of the scene."""
     kinds, taken = scalar_keys(scene), set[str]()
     for name in names:
         try:
             key = resolved_key(scene, name, kinds)
         except SceneError as error:
-            raise ValueError(f"{table}: {error}") from None
-        if taken & {*linked_keys(scene, key)}:
-            raise ValueError(f"{table}: {name}: is there twice")
-        taken |= {*linked_keys(scene, key)}
-        yield name, key, kinds[key]
+            raise ValueError(f"{where}: {error}") from None
+        linked = linked_keys(scene, key)
+        if kinds[key] is not float or not all(inner.startswith(tables) for inner in linked):
+            listed = ", ".join(table.rstrip(".[") for table in tables)
+            raise ValueError(f"{where}: {name}: is no real number of {listed}")
+        if where.endswith("tolerance") and not value_of(scene, key):
+            raise ValueError(f"{where}: {name}: is no real number other than 0")
+        if taken & {*linked}:
+            raise ValueError(f"{where}: {name}: is there twice")
+        taken |= {*linked}
