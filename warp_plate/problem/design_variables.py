@@ -22,7 +22,16 @@ from warp_plate.quantities.region_quantities import REGION_QUANTITIES
 from warp_plate.resolve import at_highest_frequency
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.scene.search import FreeDelay, FreeFrequency, FreeMagnitude, FreePhase, FreePosition, Limits, Search
+from warp_plate.scene.search import (
+    SWARMS,
+    FreeDelay,
+    FreeFrequency,
+    FreeMagnitude,
+    FreePhase,
+    FreePosition,
+    Limits,
+    Search,
+)
 
 # The range in which the source paper draws its first positions.
 PAPER_RANGE = (-2.0, 2.0)
@@ -271,12 +280,12 @@ def _paper_variables(scene: Scene) -> Iterator[DesignVariable]:
 def _holds_first_phase(scene: Scene) -> bool:
     """Return whether the source paper's search holds the first phase at 0.
 
-    A common phase only shifts a steady motion in time. While start-up motion is left in the window it counts; ratios
-    without limits are searched as in the paper even so.
+    A common phase only shifts a steady motion in time. While start-up motion is left in the window it counts; swarms
+    search ratios without limits as in the paper even so.
     """
     search = scene.search
     ratios = all(REGION_QUANTITIES[objective.kind].is_ratio for objective in search.objectives)
-    return scene.steady or (search.method != "exact" and ratios and search.limits == Limits())
+    return scene.steady or (search.method in (None, *SWARMS) and ratios and search.limits == Limits())
 
 
 def _named_actuators(scene: Scene, table: str) -> tuple[int, ...]:

@@ -20,7 +20,7 @@ from warp_plate.quantities.region_quantities import REGION_QUANTITIES
 from warp_plate.resolve import Resolved, resolve
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.scene.search import Search
+from warp_plate.scene.search import SWARMS, Search
 
 # A swarm with restarts but without ``stall`` restarts after this many iterations without progress.
 RESTART_AFTER = 20
@@ -29,10 +29,9 @@ RESTART_AFTER = 20
 NUMBER_BYTES, MATRIX_BYTES, PARTICLE_BYTES, ITERATION_BYTES = 120.0, 32.0, 100.0, 250.0
 
 # The keys of ``[search]`` that not every method reads, and the methods that do; docs/methods.md has the same table.
-_SWARMS = ("pso", "constriction", "ring")
 READ_BY = {
-    **dict.fromkeys(("particles", "iterations", "restarts", "stall"), (*_SWARMS, "cma", "gradient")),
-    "velocity_limit": _SWARMS,
+    **dict.fromkeys(("particles", "iterations", "restarts", "stall"), (*SWARMS, "cma", "gradient")),
+    "velocity_limit": SWARMS,
     **dict.fromkeys(("inertia", "decay", "cognitive", "social"), ("pso",)),
 }
 
@@ -85,7 +84,7 @@ def optimizer_bytes(search: Search, dimension: int) -> float:
 
 def history_bytes(search: Search) -> float:
     """Return the bytes of the history of a method that runs all iterations; others may stop after few."""
-    return ITERATION_BYTES * search.iterations if search.method in _SWARMS and search.stall is None else 0.0
+    return ITERATION_BYTES * search.iterations if search.method in SWARMS and search.stall is None else 0.0
 
 
 def refuse_many_particles(search: Search, dimension: int) -> None:

@@ -18,6 +18,8 @@ Weight = Annotated[float, Field(ge=0, le=1e6), Unit("1")]
 Names = Annotated[tuple[Name, ...], Field(min_length=1)]
 # A fraction of the nominal value: 0.05 is ± 5 %.
 Tolerance = Annotated[float, Field(ge=0, lt=1), Unit("1")]
+# Methods that move a swarm.
+SWARMS = ("pso", "constriction", "ring")
 
 
 class _Range(Table):
