@@ -29,7 +29,7 @@ WORKSPACE_PLANES = ("mx", "my", "mxy", "membrane_curvature", "retarded_u", "pres
 # inverse mass / weight.
 SHARED_PLANES = (
     "west", "east", "south", "north", "cells", "bend_xx", "bend_xy", "bend_yy", "twist",
-    "inverse_mass", "decay", "spring", "weight", "pressure_gain",
+    "inverse_mass", "decay", "spring", "weight", "pressure_gain", "centre_x", "centre_y",
 )  # fmt: skip
 
 
@@ -79,6 +79,8 @@ def make_run_steps(effects, real, ny, stride):
         bend_xy = shared_plane(s, wp.static(plane["bend_xy"]))
         bend_yy = shared_plane(s, wp.static(plane["bend_yy"]))
         twist = shared_plane(s, wp.static(plane["twist"]))
+        centre_x = shared_plane(s, wp.static(plane["centre_x"]))
+        centre_y = shared_plane(s, wp.static(plane["centre_y"]))
         u = array_at(u_at)
         # From the lowest neighbour on, so that all are at positive distances.
         v = array_at(retarded_at - wp.uint64(wp.static((stride + 1) * size)))
@@ -89,8 +91,13 @@ def make_run_steps(effects, real, ny, stride):
             c = v[i + wp.static(stride + 1)]
             e = v[i + wp.static(stride + 2)]
             n = v[i + wp.static(2 * stride + 1)]
-            along_x = west[i] * v[i + wp.static(stride)] + (east[i] * e - real(2.0) * c)
-            along_y = south[i] * v[i + 1] + (north[i] * n - real(2.0) * aspect * c)
+            own_x = real(2.0)
+            own_y = real(2.0)
+            if wp.static(effects.outline):
+                own_x = centre_x[i]
+                own_y = centre_y[i]
+            along_x = west[i] * v[i + wp.static(stride)] + (east[i] * e - own_x * c)
+            along_y = south[i] * v[i + 1] + (north[i] * n - own_y * aspect * c)
             mx[i] = moment(bend_xx[i], along_x, bend_xy[i], along_y, in_plane_x, u[i])
             my[i] = moment(bend_yy[i], along_y, bend_xy[i], along_x, in_plane_y, u[i])
             mxy[i] = twist[i] * root_aspect * ((v[i + wp.static(2 * stride + 2)] - e) - (n - c))
@@ -173,6 +180,8 @@ def make_run_steps(effects, real, ny, stride):
         decay = shared_plane(s, wp.static(plane["decay"]))
         spring = shared_plane(s, wp.static(plane["spring"]))
         pressure_gain = shared_plane(s, wp.static(plane["pressure_gain"]))
+        centre_x = shared_plane(s, wp.static(plane["centre_x"]))
+        centre_y = shared_plane(s, wp.static(plane["centre_y"]))
         mx = array_at(mx_at - wp.uint64(wp.static(size)))
         my = array_at(my_at - wp.uint64(wp.static(stride * size)))
         mxy = array_at(mxy_at - wp.uint64(wp.static((stride + 1) * size)))
@@ -186,9 +195,14 @@ def make_run_steps(effects, real, ny, stride):
         squares = array_at(squares_at)
         p = Parameters()
         for i in range(wp.static(count)):
-            bending = west[i] * mx[i] + (east[i] * mx[i + 2] - real(2.0) * mx[i + 1])
+            own_x = real(2.0)
+            own_y = real(2.0)
+            if wp.static(effects.outline):
+                own_x = centre_x[i]
+                own_y = centre_y[i]
+            bending = west[i] * mx[i] + (east[i] * mx[i + 2] - own_x * mx[i + 1])
             bending += south[i] * my[i] + (
-                north[i] * my[i + wp.static(2 * stride)] - real(2.0) * aspect * my[i + wp.static(stride)]
+                north[i] * my[i + wp.static(2 * stride)] - own_y * aspect * my[i + wp.static(stride)]
             )
             twisting = (mxy[i + wp.static(stride + 1)] - mxy[i + wp.static(stride)]) - (mxy[i + 1] - mxy[i])
             bending += cells[i] * root_aspect * twisting

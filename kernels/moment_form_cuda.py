@@ -122,10 +122,18 @@ def make_run_steps(effects, real, nx, ny, stride, attached, block):
         return make_read(name, shared.index(name) * padded if name in shared else 0)
 
     read_u, read_curvature = make_read("u", u_at), make_read("membrane_curvature", curvature_at)
-    read_inverse_mass, read_bend_xx, read_bend_xy, read_bend_yy, read_twist = map(
-        make_read_material, MATERIAL_PLANES[:5]
-    )
-    read_decay, read_spring, read_weight, read_pressure_gain = map(make_read_material, MATERIAL_PLANES[5:])
+    (
+        read_inverse_mass, read_bend_xx, read_bend_xy, read_bend_yy, read_twist, read_decay, read_spring, read_weight,
+        read_pressure_gain, read_centre_x, read_centre_y,
+    ) = map(make_read_material, MATERIAL_PLANES)  # fmt: skip
+
+    @wp.func
+    def own_factors(h: Held, planes: wp.array[real], m: int, i: int):
+        """Return the factors of the node itself in its curvatures along x and y."""
+        if wp.static(effects.outline):
+            return read_centre_x(h, planes, m, i), read_centre_y(h, planes, m, i)
+        else:
+            return real(2.0), real(2.0)
 
     @wp.func
     def sum_of_warp(value: real, lane: int):
@@ -150,9 +158,9 @@ def make_run_steps(effects, real, nx, ny, stride, attached, block):
         return state_array(address)[at]
 
     @wp.func
-    def centre_force(mx: real, my: real, mxy: real, factor: real, aspect: real):
+    def centre_force(mx: real, my: real, mxy: real, factor: real, own_x: real, own_y: real, aspect: real):
         """Return the share of the force on a node by its own moments and the cell to its upper right."""
-        return fused(factor, mxy, real(-2.0) * mx) - real(2.0) * aspect * my
+        return fused(factor, mxy, -own_x * mx) - own_y * aspect * my
 
     @wp.func
     def finish_sum(d: Forcing, f: Fields, p: Material, x: wp.array[real], k: int, which: int):
@@ -256,8 +264,9 @@ def make_run_steps(effects, real, nx, ny, stride, attached, block):
                     c = x[at]
                 e = x[at + 1]
                 up = x[at + nx]
-                along_x = sum_of_neighbours(x, at, LEFT, RIGHT, flags, 1) - real(2.0) * c
-                along_y = p.aspect * (sum_of_neighbours(x, at, BOTTOM, TOP, flags, nx) - real(2.0) * c)
+                own_x, own_y = own_factors(h, planes, m, i)
+                along_x = sum_of_neighbours(x, at, LEFT, RIGHT, flags, 1) - own_x * c
+                along_y = p.aspect * (sum_of_neighbours(x, at, BOTTOM, TOP, flags, nx) - own_y * c)
                 bend_xy = read_bend_xy(h, planes, m, i)
                 mx = moment(read_bend_xx(h, planes, m, i), along_x, bend_xy, along_y, p.in_plane_x, here)
                 my = moment(read_bend_yy(h, planes, m, i), along_y, bend_xy, along_x, p.in_plane_y, here)
@@ -267,7 +276,7 @@ def make_run_steps(effects, real, nx, ny, stride, attached, block):
                 x[i + mxy_at] = mxy
                 if wp.static("centre_force" in held):
                     factor = twist_factor(flags, p.root_aspect)
-                    h[centre_force_row, m] = centre_force(mx, my, mxy, factor, p.aspect)
+                    h[centre_force_row, m] = centre_force(mx, my, mxy, factor, own_x, own_y, p.aspect)
                 if wp.static(effects.membrane):
                     u_xx = sum_of_neighbours(x, i + u_at, LEFT, RIGHT, flags, 1) - real(2.0) * here
                     u_yy = sum_of_neighbours(x, i + u_at, BOTTOM, TOP, flags, nx) - real(2.0) * here
@@ -320,7 +329,8 @@ def make_run_steps(effects, real, nx, ny, stride, attached, block):
                 if wp.static("centre_force" in held):
                     bending = h[centre_force_row, m]
                 else:
-                    bending = centre_force(x[i + mx_at], x[i + my_at], x[i + mxy_at], factor, p.aspect)
+                    own_x, own_y = own_factors(h, planes, m, i)
+                    bending = centre_force(x[i + mx_at], x[i + my_at], x[i + mxy_at], factor, own_x, own_y, p.aspect)
                 bending += sum_of_neighbours(x, i + mx_at, LEFT, RIGHT, flags, 1)
                 bending += p.aspect * sum_of_neighbours(x, i + my_at, BOTTOM, TOP, flags, nx)
                 bending += factor * ((x[i + mxy_at - nx - 1] - x[i + mxy_at - 1]) - x[i + mxy_at - nx])

@@ -20,7 +20,8 @@ BORDER = 4
 NODES_PER_WORD = 6
 # Planes shared by all plates, of which a node reads its own number alone; pressure_gain: inverse mass / weight.
 MATERIAL_PLANES = (
-    "inverse_mass", "bend_xx", "bend_xy", "bend_yy", "twist", "decay", "spring", "weight", "pressure_gain",
+    "inverse_mass", "bend_xx", "bend_xy", "bend_yy", "twist", "decay", "spring", "weight", "pressure_gain", "centre_x",
+    "centre_y",
 )  # fmt: skip
 # Planes that save most when held in registers, best first. centre_force: the share of the force on a node by its own
 # moments and the cell to its upper right.
@@ -183,6 +184,8 @@ def material_planes(effects):
         "spring": effects.springs,
         "weight": effects.membrane,
         "pressure_gain": effects.attached or effects.travelling,
+        "centre_x": effects.outline,
+        "centre_y": effects.outline,
     }
     return tuple(name for name in MATERIAL_PLANES if needed.get(name, True))
 

@@ -48,6 +48,7 @@ class KernelEffects:
     membrane: bool = False  # Tension that grows with the deflection (Berger)
     attached: bool = False  # Masses on springs
     travelling: bool = False  # A load that travels over the plate
+    outline: bool = False  # Curvatures next to the outline reach to it, between two nodes
 
     @property
     def plain(self) -> bool:
@@ -107,6 +108,8 @@ def make_material(real):
         decay: wp.array2d[real]  # (ny, nx)
         spring: wp.array2d[real]  # (ny, nx) stiffness of the bed and of elastic edges
         weight: wp.array2d[real]  # (ny, nx) share of a node's cell that lies on the plate
+        centre_x: wp.array2d[real]  # (ny, nx) factor of the node itself in its curvature along x: 2 but at an outline
+        centre_y: wp.array2d[real]  # along y
         strength: wp.array[real]  # (steps,) of the moving load
         along_x: wp.array2d[real]  # (steps, nx) its shares of the nodes
         along_y: wp.array2d[real]  # (steps, ny)

@@ -39,7 +39,7 @@ OWNERS = {
     "pydantic": {"scene", "effects"},
     "cma": {"optimize"},
     "clarabel": {"optimize"},
-    "shapely": {"problem", "outline"},
+    "shapely": {"problem", "outline", "plate", "viz"},
 }
 # Imported only inside functions, so that ``warp-plate --help`` starts quickly.
 LATE = re.compile(r"(scipy\.(signal|stats)|matplotlib|pyvista|vtkmodules|trame|dask|distributed)(\.|$)")

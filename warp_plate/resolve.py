@@ -129,8 +129,10 @@ def choose_engine(
         return "modes"
     if path != "auto":
         return "steps"
-    # 3. An accuracy.
+    # 3. An accuracy. Next to an outline the errors of grids fall slowly, so that modes always cost less.
     if scene.grid.accuracy is not None and purpose not in ("survey", "replay"):
+        if scene.outline is not None and scene.linear:
+            return "modes"
         return "any" if modes_pay or purpose == "simulate" else "steps"
     # 4. A single run uses time steps. A search of places, frequencies or delays would have to run a plate for each of
     # them; modes run none for it, nor for exact searches and surveys.

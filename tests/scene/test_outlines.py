@@ -78,7 +78,9 @@ def test_a_rectangle_by_its_size_takes_no_keys_of_outlines():
     assert "plate.holes: need an outline" in refused(scene.replace, "plate.holes", [{"disc": (0.1, 0.1, 0.01)}])
 
 
-def test_plates_with_outlines_are_solved_by_modes():
+def test_plates_with_outlines_are_solved_by_modes_unless_a_grid_is_written():
     scene = outlined(DISC)
-    assert resolve(scene, "cpu").engine == "modes"
-    assert "plate.outline: cannot be stepped in time" in refused(scene.check_stepped)
+    assert resolve(scene, "cpu").engine == "steps"
+    tables = scene.model_dump()
+    del tables["grid"]
+    assert resolve(Scene.from_tables(tables), "cpu").engine == "modes"

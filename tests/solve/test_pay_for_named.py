@@ -19,6 +19,7 @@ LINES = {
     "membrane": "m.membrane * d.units",
     "attached": "mass_rate - patch_rate",
     "travelling": "along_y[row] * along_x",
+    "outline": "own_x = centre_x[i]",
     "damping": "p.decay * rate",
 }
 

@@ -21,8 +21,9 @@ import numpy as np
 import scipy
 
 from warp_plate.effects.effect import DISPLACEMENT, IN_PLANE, SLOPE, Attachment, Edge, Patch, Term, attachments
+from warp_plate.plate.outline_grid import OutlineGrid, outline_grid
 from warp_plate.plate.section import Section, make_section
-from warp_plate.plate.weights import EDGE_LINES, moving_nodes, node_positions, overlap
+from warp_plate.plate.weights import EDGE_LINES, moving_nodes, node_positions, on_plate, overlap
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
@@ -51,6 +52,8 @@ class Bending:
     # (attachments, ny, nx) shares of the nodes in the mean displacement of each patch
     shares: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 0)))
     labels: Mapping[str, str] = field(default_factory=dict)  # Names of ``membrane`` and ``retardation`` in texts
+    # Grid of a plate with an outline, where ``weight`` is the area of a node in cells; None for a rectangle
+    grid: OutlineGrid | None = None
 
     @property
     def spring(self) -> np.ndarray:
@@ -77,8 +80,9 @@ def make_bending(scene: Scene) -> Bending:
     """Return the fields of a scene on its grid; SceneError: the grid has no such term, or a file cannot be read."""
     (width, height), (nx, ny) = scene.plate.size, scene.grid.nodes
     spacing, section = (width / (nx - 1), height / (ny - 1)), make_section(scene)
+    if (grid := outline_grid(scene)) is not None:
+        return _outlined(scene, grid, section, spacing)
     bend_xx, bend_xy, bend_yy = _in_series(section, *_edge_compliances(scene, spacing))
-    corners = section.twist
     half_x, half_y = np.ones(nx), np.ones(ny)
     half_x[[0, -1]] = half_y[[0, -1]] = 0.5
     bare = Bending(
@@ -86,14 +90,79 @@ def make_bending(scene: Scene) -> Bending:
         bend_xx=bend_xx,
         bend_xy=bend_xy,
         bend_yy=bend_yy,
-        twist=corners[:-1, :-1] + corners[1:, :-1] + corners[:-1, 1:] + corners[1:, 1:],
+        twist=_of_cells(section.twist),
         mass=section.mass,
         weight=np.outer(half_y, half_x),
         moves=moving_nodes(scene),
         stretch=section.stretch,
     )
+    return _complete(scene, bare)
+
+
+def _complete(scene: Scene, bare: Bending) -> Bending:
+    """Return the plate with the terms of edges and effects, and what is attached."""
     attached = attachments(scene.terms)
     return replace(_with_terms(bare, scene.terms), attachments=attached, shares=_patch_shares(scene, attached))
+
+
+def _of_cells(corners: np.ndarray) -> np.ndarray:
+    """Return (ny − 1, nx − 1) 4Dxy of the cells from Dxy of the nodes."""
+    return corners[:-1, :-1] + corners[1:, :-1] + corners[:-1, 1:] + corners[1:, 1:]
+
+
+def _outlined(scene: Scene, grid: OutlineGrid, section: Section, spacing: tuple[float, float]) -> Bending:
+    """Return the fields of a plate with an outline.
+
+    Masses next to a held piece are raised until no row of K is larger, for its mass, than the largest away from the
+    outline, so that the outline does not shorten the time step (Gershgorin's theorem).
+    """
+    _refuse_on_outline(scene, grid)
+    x, y = np.moveaxis(grid.normals, -1, 0)
+    mixed = section.bend_xy + 2 * section.twist
+    across = section.bend_xx * x**4 + 2 * mixed * (x * y) ** 2 + section.bend_yy * y**4
+
+    bend_xx, bend_yy = section.bend_xx * grid.squares[0], section.bend_yy * grid.squares[1]
+    largest = np.sqrt(bend_xx * bend_yy)
+    bend_xy = np.clip(section.bend_xy * grid.products, -largest, largest)
+
+    def with_area(area: np.ndarray) -> Bending:
+        bare = Bending(
+            spacing=spacing,
+            bend_xx=bend_xx / area,
+            bend_xy=bend_xy / area,
+            bend_yy=bend_yy / area,
+            twist=_of_cells(section.twist) * grid.twist,
+            mass=section.mass,
+            weight=area,
+            moves=grid.moves,
+            stretch=section.stretch,
+            springs={"clamped edges": across * grid.strips / area},
+            grid=grid,
+        )
+        return _complete(scene, bare)
+
+    area = np.where(grid.moves, np.maximum(grid.count(np.ones(grid.moves.shape)), 1e-3), 1.0)
+    plate = with_area(area)
+    rows = np.asarray(abs(stiffness_matrix(plate)).sum(axis=1)).reshape(area.shape)
+    per_mass = rows / (area * section.mass)
+    inside = per_mass[grid.deep].max() if grid.deep.any() else math.inf
+    return with_area(np.where(grid.held, area * np.maximum(per_mass / inside, 1), area))
+
+
+def _refuse_on_outline(scene: Scene, grid: OutlineGrid) -> None:
+    """Raise a SceneError if the scene has an effect that time steps do not know on a plate with an outline."""
+    in_plane = any(term.role == "stiffness" and term.distributed and term.factors in IN_PLANE for term in scene.terms)
+    retarded = any(term.role == "damping" and term.multiple_of == "bending" for term in scene.terms)
+    refused = {
+        "in-plane forces next to a free edge": in_plane and grid.free,
+        "losses of the material next to a clamped edge": retarded and grid.strips.any(),
+        "stretching": scene.effects.stretches,
+    }
+    for name, met in refused.items():
+        if met:
+            raise SceneError(
+                f"plate.outline: time steps know no {name} on a plate with an outline; leave one of them out"
+            )
 
 
 def _edge_compliances(scene: Scene, spacing: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
@@ -111,7 +180,7 @@ def _edge_compliances(scene: Scene, spacing: tuple[float, float]) -> tuple[np.nd
 
 def _with_terms(bare: Bending, terms: Sequence[Term]) -> Bending:
     """Return the plate with the terms of edges and effects."""
-    springs: dict[str, np.ndarray] = {}
+    springs: dict[str, np.ndarray] = dict(bare.springs)
     membrane, retardation = [0.0, 0.0], 0.0
     labels: dict[str, list[str]] = {"membrane": [], "retardation": []}
     for term in sorted(terms, key=lambda term: isinstance(term.place, Edge)):
@@ -159,7 +228,13 @@ def stiffness_parts(bending: Bending) -> dict[str, scipy.sparse.csr_array]:
     curve_x = scipy.sparse.kron(scipy.sparse.eye_array(ny), _mirrored_second_difference(nx)) / hx**2
     curve_y = scipy.sparse.kron(_mirrored_second_difference(ny), scipy.sparse.eye_array(nx)) / hy**2
     cells = scipy.sparse.kron(_difference(ny), _difference(nx)) / (hx * hy)
-    weight = bending.weight
+    weight, in_plane = bending.weight, bending.weight
+    if bending.grid is not None:
+        # What ends at the outline in place of the two neighbours; forces in the plane pass whole cells.
+        own_x, own_y = (2 - np.ravel(centre) for centre in bending.grid.centres)
+        curve_x = curve_x + scipy.sparse.diags_array(own_x / hx**2)
+        curve_y = curve_y + scipy.sparse.diags_array(own_y / hy**2)
+        in_plane = np.ones_like(weight)
 
     def diagonal(values: np.ndarray) -> scipy.sparse.dia_array:
         return scipy.sparse.diags_array(np.ravel(values))
@@ -172,7 +247,8 @@ def stiffness_parts(bending: Bending) -> dict[str, scipy.sparse.csr_array]:
         + cells.T @ diagonal(bending.twist) @ cells
     }
     if any(bending.membrane):
-        curved = bending.membrane[0] * diagonal(weight) @ curve_x + bending.membrane[1] * diagonal(weight) @ curve_y
+        pull_x, pull_y = bending.membrane
+        curved = pull_x * diagonal(in_plane) @ curve_x + pull_y * diagonal(in_plane) @ curve_y
         parts[bending.labels.get("membrane", "membrane")] = -curved
     for label, springs in bending.springs.items():
         if springs.any():
@@ -251,6 +327,7 @@ def _patch_shares(scene: Scene, attached: Sequence[Attachment]) -> np.ndarray:
     x, y = node_positions(scene)
     areas = (attachment.area for attachment in attached)
     shares = np.array([np.outer(overlap(y, y0, y1), overlap(x, x0, x1)) for x0, x1, y0, y1 in areas])
+    shares = on_plate(scene, shares.reshape(-1, y.size, x.size))
     return np.array([share / share.sum() for share in shares]).reshape(-1, y.size, x.size)
 
 

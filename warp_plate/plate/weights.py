@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_plate.plate.outline_grid import outline_grid
 from warp_plate.plate.shapes import lagrange, shape_weights
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
@@ -81,11 +82,11 @@ def patches(scene: Scene) -> np.ndarray:
     """
     weigh = {"overlap": overlap, "nodes": inside, "moments": moments}[scene.grid.load]
     x, y = node_positions(scene)
-    if scene.piezo:
+    if scene.piezo:  # no load in all, near an outline as elsewhere
         pairs = zip(scene.piezo_moments, scene.actuators, strict=True)
         fields = np.stack([-moment * curvatures(x, y, actuator.area) for moment, actuator in pairs])
     else:
-        fields = np.stack([_rectangle(weigh, x, y, actuator.area) for actuator in scene.actuators])
+        fields = np.stack([on_plate(scene, _rectangle(weigh, x, y, actuator.area)) for actuator in scene.actuators])
     fields[:, ~moving_nodes(scene)] = 0
     for index, field in enumerate(fields):
         if not field.any():
@@ -109,12 +110,25 @@ def reachable_nodes(scene: Scene, areas: np.ndarray) -> np.ndarray:
 
 
 def moving_nodes(scene: Scene) -> np.ndarray:
-    """Return (ny, nx), true for nodes that move: all but those on clamped and supported edges."""
+    """Return (ny, nx), true for nodes that move: all but those on clamped and supported edges, or off the plate."""
+    if (grid := outline_grid(scene)) is not None:
+        return grid.moves
     moves = np.ones(scene.grid.nodes[::-1], dtype=bool)
     for side, line in EDGE_LINES.items():
         if getattr(scene.edges, side) in ("clamped", "supported"):
             moves[line] = False
     return moves
+
+
+def on_plate(scene: Scene, cells: np.ndarray) -> np.ndarray:
+    """Return the parts (..., ny, nx) of regions that count at the nodes, from the covered parts of the nodes' cells.
+
+    These are the same for a rectangle; within an outline they are the parts on the plate.
+    """
+    if (grid := outline_grid(scene)) is None:
+        return cells
+    x, y = node_positions(scene)
+    return grid.count(cells / _rectangle(overlap, x, y, (x[0], x[-1], y[0], y[-1])))
 
 
 def region_weights(scene: Scene, areas: Mapping[str, Region] = NO_AREAS) -> np.ndarray:
@@ -158,9 +172,13 @@ def weigh_region(scene: Scene, name: str, region: Region) -> np.ndarray:
     if isinstance(region, np.ndarray):
         return region
     if not isinstance(region, Target):
-        return _rectangle(moments if scene.grid.load == "moments" else overlap, *node_positions(scene), region)
+        weigh = moments if scene.grid.load == "moments" else overlap
+        return on_plate(scene, _rectangle(weigh, *node_positions(scene), region))
     key = name if name == "target" else f"targets ({name!r})"
-    field = shape_weights(scene, key, region) if region.area is None else weigh_region(scene, name, region.area)
+    if region.area is None:
+        field = on_plate(scene, shape_weights(scene, key, region))
+    else:
+        field = weigh_region(scene, name, region.area)
     if not field[moving_nodes(scene)].any():
         nx, ny = scene.grid.nodes
         raise SceneError(

@@ -264,8 +264,8 @@ def _check_outline(scene: SceneTables) -> None:
     """Check that a plate with an outline has nothing that it excludes."""
     if (outline := scene.outline) is None:
         return
-    if scene.nonlinear_key is not None:
-        raise ValueError(f"{scene.nonlinear_key}: not with plate.outline, whose plates are linear; delete one of them")
+    if scene.effects.stretches:
+        raise ValueError("effects.stretching: not with plate.outline; delete one of them")
     for before, after, angle in outline.corners():
         if angle > math.pi + REENTRANT and before.condition == after.condition == "supported":
             x, y = after.start

@@ -197,8 +197,8 @@ class SceneTables(Table):
 
     @property
     def uniform(self) -> bool:
-        """True if the plate is isotropic, homogeneous, and clamped or supported along all edges."""
-        varied = self.effects.section_keys or self.layers
+        """True if the plate is an isotropic, homogeneous rectangle, clamped or supported along all edges."""
+        varied = self.effects.section_keys or self.layers or self.plate.outline
         return not varied and all(edge in ("clamped", "supported") for _, edge in self.edge_conditions)
 
     @property
@@ -231,7 +231,7 @@ class SceneTables(Table):
     @property
     def modal_only_key(self) -> str | None:
         """First key that only the modal engine knows, because it has no time steps; None if none."""
-        return "plate.outline" if self.plate.outline else self.effects.first(lambda effect: not effect.stepped)
+        return self.effects.first(lambda effect: not effect.stepped)
 
     def check_stepped(self) -> None:
         """Raise a SceneError if only the modal engine knows the scene's effects."""

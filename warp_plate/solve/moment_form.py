@@ -28,6 +28,14 @@ def make_material(specialized: Specialized) -> Any:
     ratio = bending.mass / scheme.surface_density
     gain = np.ones_like(loss) if scheme.backward else 1 / (1 + loss / 2)
     on_plate = unit / (hx * hy)
+    # Kernels know nodes that own a whole cell, or half of one on an edge; of a plate with an outline they get the
+    # energies and masses of each node's own area.
+    weight, area, centre_x, centre_y = bending.weight, np.ones_like(loss), np.full_like(loss, 2), np.full_like(loss, 2)
+    if bending.grid is not None:
+        weight = np.ones_like(loss)
+        weight[:, [0, -1]] /= 2
+        weight[[0, -1]] /= 2
+        area, (centre_x, centre_y) = bending.weight / weight, bending.grid.centres
     attached = [
         (
             attachment.stiffness * on_plate,
@@ -39,14 +47,16 @@ def make_material(specialized: Specialized) -> Any:
     ]
     moving = specialized.discretization.moving
     arrays = {
-        "bend_xx": bending.bend_xx * unit / hx**4,
-        "bend_xy": bending.bend_xy * unit / hx**4,
-        "bend_yy": bending.bend_yy * unit / hx**4,
+        "bend_xx": area * bending.bend_xx * unit / hx**4,
+        "bend_xy": area * bending.bend_xy * unit / hx**4,
+        "bend_yy": area * bending.bend_yy * unit / hx**4,
         "twist": bending.twist * unit / hx**4,
-        "inverse_mass": bending.moves * gain / ratio,
+        "inverse_mass": bending.moves * gain / (ratio * area),
         "decay": 1 - loss if scheme.backward else (1 - loss / 2) / (1 + loss / 2),
-        "spring": bending.spring * unit,
-        "weight": bending.weight,
+        "spring": area * bending.spring * unit,
+        "weight": weight,
+        "centre_x": centre_x,
+        "centre_y": centre_y,
         "attached_shares": bending.shares,
         "attached": np.array(attached).reshape(-1, 4),
         "strength": moving.wave / moving.largest if moving else np.zeros(1),
@@ -66,8 +76,9 @@ def make_material(specialized: Specialized) -> Any:
 
 
 def takes_blocks(specialized: Specialized) -> bool:
-    """Return whether temporal blocking has the effects: not those that act on patches at every step."""
-    return specialized.device.is_cuda and not (specialized.effects.attached or specialized.effects.travelling)
+    """Return whether temporal blocking has the effects: not those that act on patches at every step, nor outlines."""
+    effects = specialized.effects
+    return specialized.device.is_cuda and not (effects.attached or effects.travelling or effects.outline)
 
 
 def streaming_path(specialized: Specialized) -> Advance:

@@ -170,6 +170,7 @@ def effect_names(scene: Scene, several_waves: bool = False) -> tuple[str, ...]:
 def kernel_effects(discretization: Discretization) -> KernelEffects:
     """Return the compile key of the kernels."""
     scheme, scene = discretization.scheme, discretization.scene
+    grid = None if scheme.bending is None else scheme.bending.grid
     kinds = {(term.role, term.multiple_of, term.factors) for term in scene.terms if not isinstance(term.place, Patch)}
     return KernelEffects(
         damping=("damping", "", DISPLACEMENT) in kinds,
@@ -179,10 +180,11 @@ def kernel_effects(discretization: Discretization) -> KernelEffects:
         moments=discretization.carriers > 1 or needs_moment_form(scene),
         retarded=("damping", "bending", DISPLACEMENT) in kinds,
         in_plane=any(("stiffness", "", factors) in kinds for factors in IN_PLANE),
-        springs=("stiffness", "", DISPLACEMENT) in kinds,
+        springs=("stiffness", "", DISPLACEMENT) in kinds or (grid is not None and bool(grid.strips.any())),
         membrane=scene.effects.stretches,
         attached=scene.effects.attached,
         travelling=scene.effects.travelling is not None,
+        outline=grid is not None,
     )
 
 
