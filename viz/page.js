@@ -9,7 +9,7 @@ const STILL = -32768; // stands for NaN
 const HEIGHT = `#version 300 es
 precision highp float; precision highp int; precision highp isampler2DArray;
 uniform isampler2DArray heights, colours;
-uniform mat4 view; uniform vec2 size; uniform ivec2 grid; uniform ivec4 frames; uniform float part, tall;
+uniform mat4 view; uniform ivec2 grid; uniform ivec4 frames; uniform float part, tall;
 float read(isampler2DArray field, int node, int frame) {
   return float(texelFetch(field, ivec3(node % grid.x, node / grid.x, frame), 0).r);
 }
@@ -19,7 +19,7 @@ float height(int node) {
 }
 `;
 const SURFACE = HEIGHT + `
-out float value; out float missing; out vec3 mixed;
+in vec2 place; out float value; out float missing; out vec3 mixed;
 uniform sampler2D table; uniform vec2 limits; uniform bool cyclic;
 void main() {
   int node = gl_VertexID;
@@ -27,8 +27,7 @@ void main() {
   missing = first == ${STILL}.0 || second == ${STILL}.0 ? 1.0 : 0.0;
   value = (mix(first, second, part) / 32767.0 - limits.x) / (limits.y - limits.x);
   mixed = texture(table, vec2(value, 0.5)).rgb;
-  vec2 at = size * vec2(node % grid.x, node / grid.x) / vec2(grid - 1);
-  gl_Position = view * vec4(at, height(node), 1.0);
+  gl_Position = view * vec4(place, height(node), 1.0);
 }`;
 const SURFACE_COLOUR = `#version 300 es
 precision highp float;
@@ -173,9 +172,15 @@ class Plate {
     this.colours = plate.colours === null ? this.heights : fieldTexture(gl, plate.colours, data.colourFrames);
     tableTexture(gl);
     this.triangles = new Uint32Array(bytes(data.triangles));
-    this.corners = gl.createBuffer();
-    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.corners);
+    this.nodes = gl.createVertexArray();
+    gl.bindVertexArray(this.nodes);
+    gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
+    gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(bytes(data.places)), gl.STATIC_DRAW);
+    gl.enableVertexAttribArray(this.surface.attribute("place"));
+    gl.vertexAttribPointer(this.surface.attribute("place"), 2, gl.FLOAT, false, 0, 0);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
     gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, this.triangles, gl.STATIC_DRAW);
+    gl.bindVertexArray(null);
     this.outlines = (plate.outlines ?? data.outlines).map((outline) => ({ ...outline, ...lineArrays(gl, this.line, outline) }));
     gl.enable(gl.DEPTH_TEST);
     gl.depthFunc(gl.LEQUAL);
@@ -216,7 +221,6 @@ class Plate {
       gl.uniform1i(shader.uniform("heights"), 0);
       gl.uniform1i(shader.uniform("colours"), 1);
       gl.uniformMatrix4fv(shader.uniform("view"), false, matrix);
-      gl.uniform2f(shader.uniform("size"), ...data.size);
       gl.uniform2i(shader.uniform("grid"), ...data.grid);
       gl.uniform4i(shader.uniform("frames"), first, second, ...colour);
       gl.uniform1f(shader.uniform("part"), now - Math.floor(now));
@@ -232,7 +236,7 @@ class Plate {
     gl.uniform1i(this.surface.uniform("cyclic"), data.cyclic ? 1 : 0);
     gl.uniform3f(this.surface.uniform("none"), ...data.none);
     gl.disable(gl.BLEND);
-    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.corners);
+    gl.bindVertexArray(this.nodes);
     gl.drawElements(gl.TRIANGLES, this.triangles.length, gl.UNSIGNED_INT, 0);
     common(this.line);
     gl.uniform2f(this.line.uniform("pixels"), wide, high);

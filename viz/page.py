@@ -28,6 +28,7 @@ from warp_plate.viz.annotations import (
     shortened,
 )
 from warp_plate.viz.fields import DISPLACEMENT, MODE, DrawingScale, PictureStyle, motion_scales
+from warp_plate.viz.outlined import outlined_nodes
 from warp_plate.viz.scene3d import PlateMeshes, line_layers, rows_and_columns
 
 # Values are integers −PEAK … PEAK in the page; NAN stands for NaN.
@@ -62,6 +63,10 @@ def page_data(
     rows, columns = (shown_nodes(nodes, values, most_bytes) for nodes in all_nodes)
     heights, colours = ([array[:, rows][..., columns] for array in arrays] for arrays in (heights, colours))
     ny, nx = rows.size, columns.size
+    if (outlined := outlined_nodes(scene, (ny, nx))) is not None:
+        straight = field.kind != "cyclic"
+        heights = [outlined.continued(array, moved=True) for array in heights]
+        colours = [outlined.continued(array, moved=True, straight=straight) for array in colours]
     meshes, (low, high) = PlateMeshes(scene, heights[0][0], scale), scale.clim
     legends = [_legend(one) for one in scales]
     return {
@@ -74,6 +79,7 @@ def page_data(
         "name": scene.title or "Plates in motion",
         "size": list(scene.plate.size),
         "grid": [nx, ny],
+        "places": _base64(meshes.surface.points[:, :2], "<f4"),
         "thinned": "" if (ny, nx) == all_nodes else f"{nx} × {ny} of {all_nodes[1]} × {all_nodes[0]} nodes are shown.",
         "frames": len(heights[0]),
         "colourFrames": frames,

@@ -19,6 +19,7 @@ from warp_plate.scene.model import Scene
 from warp_plate.viz import annotations
 from warp_plate.viz.annotations import EDGE_STYLES, GRID, INK, LEGEND_WIDTH, TARGET, edges_by_kind, rectangle
 from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions, DrawingScale, motion_scales
+from warp_plate.viz.outlined import OutlinedNodes, outlined_nodes
 
 if TYPE_CHECKING:
     import pyvista
@@ -52,7 +53,8 @@ class PlateMeshes:
     ) -> None:
         import pyvista
 
-        grid = _FlatGrid(scene.plate.size, displacement.shape[::-1])
+        grid = _FlatGrid(scene.plate.size, displacement.shape[::-1], outlined_nodes(scene, displacement.shape))
+        self._outlined = grid.outlined
         self.surface = pyvista.PolyData.from_regular_faces(grid.points(), grid.triangles())
         self.surface.point_data[SCALARS] = np.zeros(displacement.size)
         paths = {
@@ -67,9 +69,12 @@ class PlateMeshes:
     def update(self, displacement: np.ndarray, scale: DrawingScale, values: np.ndarray | None = None) -> None:
         """Move in place to another displacement (ny, nx) [m], at rest where it is not finite, and other values of the
         scale's field in its SI unit (default: the displacement)."""
+        scalars = displacement if values is None else values
+        if self._outlined is not None:
+            displacement = self._outlined.continued(displacement, moved=True)
+            scalars = self._outlined.continued(scalars, moved=True, straight=scale.field.kind != "cyclic")
         heights = (np.where(np.isfinite(displacement), displacement, 0) * scale.height_factor).ravel()
         self.surface.points[:, 2] = heights
-        scalars = displacement if values is None else values
         self.surface.point_data[SCALARS][:] = np.asarray(scalars, dtype=float).ravel() * scale.unit_factor
         for lines in self.lines.values():
             lines.mesh.points[:, 2] = np.einsum("pc,pc->p", heights[lines.nodes], lines.weights)
@@ -81,10 +86,14 @@ class _FlatGrid:
 
     size: tuple[float, float]  # [m]
     nodes: tuple[int, ...]  # along x and y
+    outlined: OutlinedNodes | None = None  # those of a plate with an outline
 
     def points(self) -> np.ndarray:
         """Return (nodes, 3) positions of the nodes at rest, x fastest."""
-        x, y = np.meshgrid(*map(np.linspace, (0, 0), self.size, self.nodes))
+        if self.outlined is not None:
+            x, y = np.moveaxis(self.outlined.places, -1, 0)
+        else:
+            x, y = np.meshgrid(*map(np.linspace, (0, 0), self.size, self.nodes))
         return np.stack([x, y, np.zeros_like(x)], -1).reshape(-1, 3)
 
     def triangles(self) -> np.ndarray:
@@ -92,7 +101,8 @@ class _FlatGrid:
         index = np.arange(math.prod(self.nodes)).reshape(self.nodes[::-1])
         corner, right, up, across = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
         lower, upper = np.stack([corner, right, across], -1), np.stack([corner, across, up], -1)
-        return np.stack([lower, upper], axis=2).reshape(-1, 3)
+        cells = np.stack([lower, upper], axis=2)
+        return (cells if self.outlined is None else cells[self.outlined.shown]).reshape(-1, 3)
 
     def inner_lines(self) -> list[list[tuple[float, float]]]:
         """Return the ends of grid lines inside the plate, about GRID_LINES each way."""
@@ -100,6 +110,10 @@ class _FlatGrid:
         for side, nodes in zip(self.size, self.nodes, strict=True):
             step = max(1, round((nodes - 1) / GRID_LINES))
             positions.append(np.linspace(0, side, nodes)[step:-1:step])
+        if self.outlined is not None:
+            chords = self.outlined.outline.chords
+            along_x = [[(low, y), (high, y)] for y in positions[1] for low, high in chords(0, y)]
+            return along_x + [[(x, low), (x, high)] for x in positions[0] for low, high in chords(1, x)]
         return [[(0, y), (width, y)] for y in positions[1]] + [[(x, 0), (x, height)] for x in positions[0]]
 
     def lines(self, paths: Sequence[Sequence[Sequence[float]] | np.ndarray]) -> SurfaceLines:

@@ -51,7 +51,6 @@ def test_sigterm_ends_the_page_quietly_where_ctrl_c_is_ignored():
     arguments = "-m", "warp_plate", "explore", "paper", "--web", "--port", "0", "--device", "cpu"
     process = start_program(*arguments, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN))
     assert process.stdout.readline().startswith("open http://")
-    time.sleep(2)  # until it waits for browsers
     process.send_signal(signal.SIGTERM)
     out, err = process.communicate(timeout=PATIENCE)
     assert (process.returncode, out, err) == (0, "", "ended\n")

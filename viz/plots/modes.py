@@ -13,6 +13,7 @@ from warp_plate.effects.effect import attachments
 from warp_plate.scene.model import Scene
 from warp_plate.viz.annotations import INK, TARGET, size_text
 from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions, colour_map
+from warp_plate.viz.outlined import clip, continued
 from warp_plate.viz.plots.frame import add_panels, figure
 from warp_plate.viz.plots.plan import draw_edges, draw_outline, drawn_size, edge_handles, line_handle
 
@@ -79,12 +80,12 @@ def _draw_shape(axes: Axes, scene: Scene, shape: np.ndarray, cmap: str) -> objec
     width, height = scene.plate.size
     fine_x, fine_y, fine = refined(scene, shape)
     extent = (0.0, width, 0.0, height)
-    mesh = axes.imshow(
-        fine, cmap=colour_map(cmap), vmin=-1, vmax=1, origin="lower", extent=extent, interpolation="bilinear"
-    )
+    look = {"cmap": colour_map(cmap), "vmin": -1, "vmax": 1, "origin": "lower", "interpolation": "bilinear"}
+    mesh = axes.imshow(fine, extent=extent, **look)
+    clip(mesh, axes, scene)
     field = nodal_field(scene, fine, shape.shape)
     if np.nanmin(field) < 0 < np.nanmax(field):
-        axes.contour(fine_x, fine_y, field, levels=[0.0], colors=INK, linewidths=0.9)
+        clip(axes.contour(fine_x, fine_y, field, levels=[0.0], colors=INK, linewidths=0.9), axes, scene)
     for layer in scene.layers:
         draw_outline(axes, layer.area, TARGET)
     for attachment in attachments(scene.terms):
@@ -98,13 +99,14 @@ def refined(scene: Scene, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
     nodes, refine = shape.shape[::-1], _refinement(shape.shape)
     x, y = map(np.linspace, (0, 0), scene.plate.size, nodes)
     # Rounding errors on a nodal line along grid nodes would make the contour jump from side to side.
-    clean = np.where(np.abs(shape) < NOISE, 0.0, shape)
+    clean = continued(scene, np.where(np.abs(shape) < NOISE, 0.0, shape))
     if refine == 1:
         return x, y, clean
     from scipy.interpolate import RectBivariateSpline
 
     fine_x, fine_y = map(np.linspace, (0, 0), scene.plate.size, ((count - 1) * refine + 1 for count in nodes))
-    return fine_x, fine_y, RectBivariateSpline(y, x, clean)(fine_y, fine_x)
+    order = 3 if scene.outline is None else 1  # beyond the rim of an outline there is nothing to interpolate
+    return fine_x, fine_y, RectBivariateSpline(y, x, clean, kx=order, ky=order)(fine_y, fine_x)
 
 
 def _refinement(nodes: Sequence[int]) -> int:

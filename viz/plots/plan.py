@@ -30,6 +30,7 @@ from warp_plate.viz.annotations import (
     shortened,
 )
 from warp_plate.viz.fields import DrawingScale, PictureStyle, colour_map, motion_scales
+from warp_plate.viz.outlined import clip, continued
 from warp_plate.viz.plots.frame import add_panels, figure
 from warp_plate.viz.scene3d import rows_and_columns
 
@@ -169,9 +170,10 @@ def draw_field(axes: Axes, scene: Scene, values: np.ndarray, scale: DrawingScale
     half_x, half_y = width / (nx - 1) / 2, height / (ny - 1) / 2
     cmap = colour_map(scale.cmap).with_extremes(bad=scale.field.nan_colour)
     # Interpolate colours, not values: halfway between 179° and −179° lies 180°, not 0°.
-    colours = cmap(Normalize(*scale.clim)(np.ma.masked_invalid(values * scale.unit_factor)))
+    values = continued(scene, values * scale.unit_factor, scale.field.kind != "cyclic")
+    colours = cmap(Normalize(*scale.clim)(np.ma.masked_invalid(values)))
     extent = (-half_x, width + half_x, -half_y, height + half_y)
-    axes.imshow(colours, origin="lower", extent=extent, interpolation="bilinear")
+    clip(axes.imshow(colours, origin="lower", extent=extent, interpolation="bilinear"), axes, scene)
 
 
 def draw_parts(axes: Axes, scene: Scene) -> None:

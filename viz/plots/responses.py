@@ -21,6 +21,7 @@ from warp_plate.viz.fields import (
     short_number,
     unit_with_prefix,
 )
+from warp_plate.viz.outlined import clip, continued
 from warp_plate.viz.plots.frame import figure, number_log_axis
 from warp_plate.viz.plots.plan import draw_actuators, draw_edges, drawn_size, light_rim
 
@@ -262,7 +263,8 @@ def _draw_plate(axes: Axes, result: FocusResult, field: np.ndarray, scale: Drawi
     assert table is not None
     (low, high), cmap = scale.clim, colour_map(scale.cmap)
     look = {"origin": "lower", "extent": (0.0, width, 0.0, height), "interpolation": "bilinear"}
-    axes.imshow(field * scale.unit_factor, cmap=cmap, vmin=low, vmax=high, **look)
+    values = continued(result.scene, field * scale.unit_factor)
+    clip(axes.imshow(values, cmap=cmap, vmin=low, vmax=high, **look), axes, result.scene)
     draw_actuators(axes, result.scene, LENGTH)
     axes.plot(*table.points[0], "+", color="black", markersize=7, path_effects=light_rim(1.0))
     draw_edges(axes, result.scene)

@@ -10,6 +10,7 @@ import numpy as np
 from warp_plate.result.specified import SpecifiedDrive
 from warp_plate.viz.annotations import GRID, INK, shortened
 from warp_plate.viz.fields import colour_map
+from warp_plate.viz.outlined import clip, continued
 from warp_plate.viz.plots.frame import figure
 from warp_plate.viz.plots.plan import draw_parts, drawn_size, label_sides
 
@@ -44,9 +45,10 @@ def draw_specified(answer: SpecifiedDrive, path: str | Path) -> None:
 def _draw_map(answer: SpecifiedDrive, axes: Axes) -> None:
     (width, height), levels = answer.scene.plate.size, np.maximum(answer.field_db, LOWEST)
     image = axes.imshow(
-        levels, cmap=colour_map("cividis"), vmin=LOWEST, vmax=max(0.0, float(levels.max())), origin="lower",
-        extent=(0.0, width, 0.0, height), interpolation="bilinear",
+        continued(answer.scene, levels), cmap=colour_map("cividis"), vmin=LOWEST, vmax=max(0.0, float(levels.max())),
+        origin="lower", extent=(0.0, width, 0.0, height), interpolation="bilinear",
     )  # fmt: skip
+    clip(image, axes, answer.scene)
     for line in answer.guard:
         closed = np.concatenate([line, line[:1]])
         axes.plot(*closed.T, color="white", linewidth=1.0, linestyle="--")

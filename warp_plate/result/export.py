@@ -21,7 +21,7 @@ import h5py
 import numpy as np
 
 from warp_plate.effects.table import TRAVELLING
-from warp_plate.plate.weights import REGIONS, region_weights
+from warp_plate.plate.weights import REGIONS, node_positions, region_weights
 from warp_plate.result.atomic_io import atomic_paths, write_table
 from warp_plate.result.case import Case
 from warp_plate.result.model import Result
@@ -31,6 +31,7 @@ from warp_plate.scene.model import Scene
 Format = Literal["vtkhdf", "traces-csv", "drive-wav", "drive-csv"]
 # Units of exported fields, by the first word of their names.
 UNITS = {"displacement": "m", "velocity": "m/s", "rms": "m/s", "target": "1", "actuators": "1"}
+HIDDEN = 2  # of vtkGhostType: points that programs leave out
 BLOCK = 2**16  # rows that are composed at once
 Encoding = Literal["float32", "pcm16", "pcm24"]
 # WAVE_FORMAT and bytes a sample.
@@ -71,15 +72,26 @@ def write_vtkhdf(scene: Scene, times: np.ndarray, fields: Mapping[str, np.ndarra
         steps["Values"] = times.astype(float)
         offsets = steps.create_group("PointDataOffsets")
         # Arrays are (time, y, x): the format leaves out the axis of a flat image's thickness.
+        on_plate = _nodes_on_plate(scene)
         for name, field in {**fields, **constant}.items():
-            points[name] = field.astype("<f4")
+            points[name] = np.where(on_plate, field, np.nan).astype("<f4")
             points[name].attrs["units"] = UNITS[name.split("_")[0]]
             offsets[name] = np.minimum(np.arange(len(times)), len(field) - 1)
         # The active array, for older readers and for those of version 2.6 of the format.
+        if not on_plate.all():
+            points["vtkGhostType"] = np.where(on_plate, 0, HIDDEN).astype("u1")[None]
+            offsets["vtkGhostType"] = np.zeros(len(times), dtype=int)
         active = next(iter(fields))
         points.attrs["Scalars"] = np.bytes_(active.encode())
         points[active].attrs["Attribute"] = "Scalars"
     return [path]
+
+
+def _nodes_on_plate(scene: Scene) -> np.ndarray:
+    """Return (ny, nx), true for nodes that are not beyond an outline or in a hole."""
+    if scene.outline is None:
+        return np.ones(scene.grid.nodes[::-1], dtype=bool)
+    return scene.outline.contains(np.stack(np.meshgrid(*node_positions(scene)), axis=-1))
 
 
 def _constant_fields(scene: Scene, times: np.ndarray) -> dict[str, np.ndarray]:
