@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from support.scenes_of_outlines import outlined
 from warp_plate import Scene, SceneError
 from warp_plate.analysis.warnings import (
     accuracy_warnings,
@@ -167,3 +168,17 @@ def test_an_error_above_the_accuracy_is_said_with_what_makes_it_smaller(scene):
     assert accuracy_warnings(made, accuracy | {"estimate": {"error": math.nan}}, "--path modal") == []
     assert accuracy_warnings(made, {"estimate": {"error": 0.2}}, "--path modal") == []
     assert accuracy_warnings(made, accuracy | {"estimate": {}, "expected": None}, "") == []
+
+
+def test_actuators_that_reach_over_an_outline():
+    areas = [(0.15, 0.2, 0.0, 0.1), (0.09, 0.11, 0.09, 0.11)]
+    made = outlined({"disc": (0.1, 0.1, 0.1)}, actuators=areas)
+    (number,) = [number for number in find_warnings(made, None) if number.name == "actuator off the plate"]
+    # The part of the rectangle beyond the circle: from 0.15 on, y below 0.1 − √(0.1² − (x − 0.1)²).
+    x = np.linspace(0.05, 0.1, 200001)
+    covered = np.trapezoid(np.sqrt(np.maximum(0.01 - x**2, 0)), x) / 0.005
+    assert number.value == pytest.approx(1 - covered, rel=1e-3)
+    assert 'Of actuator "0"' in number.sentence
+    assert "what lies outside does not press" in number.sentence
+    inside = outlined({"disc": (0.1, 0.1, 0.1)}, actuators=areas[1:])
+    assert not [number for number in find_warnings(inside, None) if number.name.endswith("plate") and number.exceeded]

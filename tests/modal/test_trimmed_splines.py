@@ -26,6 +26,8 @@ RINGS = {
     ("free", "clamped"): [13.0242566622, *[13.2897814102] * 2, *[14.7038124712] * 2],
     ("supported", "free"): [5.07687130784, *[11.6073214115] * 2, *[22.3565694152] * 2],
 }
+# First axisymmetric mode of a clamped disc whose middle is held: the determinant of J0, Y0, I0, K0 with u(0) = 0.
+POINT_OF_DISC = 22.7367744936
 HARD = {**MATERIAL, "poisson_ratio": 0.3}
 
 
@@ -168,3 +170,36 @@ def test_scenes_of_the_same_outline_share_their_functions():
     assert not space.of_scene(scene.replace("plate.outline.disc", (0.1, 0.1, 0.09))).is_near(space, 0.1)
     ratio = make_galerkin(other.scene, other).bending.trace() / make_galerkin(scene, space).bending.trace()
     assert ratio == pytest.approx(1.2**3, rel=1e-6)
+
+
+def test_a_line_support_in_the_middle_makes_two_plates_of_one():
+    """Odd modes are those of a half with supported edges, even ones those of a half that the line clamps."""
+    support = {"line": ((0.1, 0.0), (0.1, 0.2))}
+    scene = outlined({"rectangle": (0.2, 0.2)}, "supported", supports=[support])
+    halves = [
+        scene_of(size=(0.1, 0.2), edges=("supported", "supported", middle, "supported"), modal_density=1.5)
+        for middle in ("supported", "clamped")
+    ]
+    exact = np.sort(np.concatenate([lowest(half, 6) for half in halves]))[:6]
+    assert lowest(scene, 6) == pytest.approx(exact, rel=1e-7)
+
+
+def test_point_supports():
+    """The middle of a clamped disc: the modes with a node there stay, the first is the limit of rings with ever smaller
+    holes that hold the displacement alone; corners of a free square, as Leissa's 7.11 and 15.77."""
+    middle = outlined(DISC, "clamped", material=HARD, supports=[{"point": (0.1, 0.1)}])
+    assert dimensionless(middle, lowest(middle, 6), 0.1)[:3] == pytest.approx(
+        [21.2603976946, 21.2603976946, POINT_OF_DISC], rel=1e-5
+    )
+    corners = [{"point": point} for point in ((0.0, 0.0), (0.2, 0.0), (0.2, 0.2), (0.0, 0.2))]
+    square = outlined({"rectangle": (0.2, 0.2)}, "free", material=HARD, supports=corners)
+    assert dimensionless(square, lowest(square, 6), 0.2)[:2] == pytest.approx([7.11088, 15.77024], rel=1e-5)
+
+
+def test_soft_supports_are_springs():
+    """A spring K at a point adds K u² to the energy, so that a soft one shifts ω² by K φ² of the mode there."""
+    stiffness, point = 0.05, (0.07, 0.11)
+    plain = solve_modes(outlined(DISC, "clamped"), 0.0, 6)
+    sprung = solve_modes(outlined(DISC, "clamped", supports=[{"point": point, "stiffness": stiffness}]), 0.0, 6)
+    shift = (sprung.angular_frequencies[0] ** 2 - plain.angular_frequencies[0] ** 2) / stiffness
+    assert shift == pytest.approx(plain.at_points([point])[0, 0] ** 2, rel=1e-3)

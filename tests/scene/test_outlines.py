@@ -56,6 +56,13 @@ def test_an_edge_is_clamped_unless_it_is_written():
         ({"plate.size": (0.2, 0.2)}, "plate.size: outline is given too"),
         ({"plate.holes": [{"disc": (0.1, 0.4, 0.01)}]}, "plate.holes[0]: is off the plate"),
         ({"plate.holes": [{"rectangle": (0.1, 0.04)}]}, "plate.holes[0].centre: is missing"),
+        ({"supports": [{"point": (0.01, 0.01)}]}, "supports[0].point: [0.01, 0.01] is off the plate"),
+        (
+            {"supports": [{"line": ((0.05, 0.1), (0.1, 0.12))}]},
+            "supports[0].line: [[0.05, 0.1], [0.1, 0.12]] is neither",
+        ),
+        ({"supports": [{}]}, "supports[0].point: write either point or line"),
+        ({"actuators[0].area": (0.0, 0.01, 0.0, 0.01)}, "actuators[0].area: [0.0, 0.01, 0.0, 0.01] is off the plate"),
         ({"edges.left": "free"}, "edges.left: the plate has an outline; write edges.outline"),
         ({"edges.parts": [{**PART, "to": (0.1, 0.1)}]}, "edges.parts[0].to_point: [0.1, 0.1] is 0.1 m off the outline"),
         (
@@ -75,6 +82,7 @@ def test_wrong_tables_are_refused_in_one_line(changes, message):
 def test_a_rectangle_by_its_size_takes_no_keys_of_outlines():
     scene = Scene.load("paper")
     assert "edges.outline: the plate has no outline" in refused(scene.replace, "edges.outline", "free")
+    assert "supports: need an outline" in refused(scene.replace, "supports", [{"point": (0.1, 0.1)}])
     assert "plate.holes: need an outline" in refused(scene.replace, "plate.holes", [{"disc": (0.1, 0.1, 0.01)}])
 
 
@@ -84,3 +92,9 @@ def test_plates_with_outlines_are_solved_by_modes_unless_a_grid_is_written():
     tables = scene.model_dump()
     del tables["grid"]
     assert resolve(Scene.from_tables(tables), "cpu").engine == "modes"
+
+
+def test_supports_are_not_stepped():
+    scene = outlined(DISC, supports=[{"point": (0.1, 0.1)}])
+    assert resolve(scene, "cpu").engine == "modes"
+    assert "supports: cannot be stepped in time" in refused(scene.check_stepped)

@@ -15,6 +15,7 @@ from warp_plate.effects.effect import Edge, losses
 from warp_plate.effects.layers import film
 from warp_plate.modal.continuous_modes import linear_part
 from warp_plate.modal.modes import solve_modes
+from warp_plate.outline.outline import Outline
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.signals import carrier_frequencies, highest_frequency
 from warp_plate.plate.waveforms import read_samples
@@ -84,6 +85,7 @@ def find_warnings(scene: Scene, peak_displacement: float | None, gridded: bool =
         findings.append(_points(scene))
     judges = (_added_mass, _left_at_start, _slenderness, _above_first_mode, _turns, _overlap)
     findings += [judge(scene) for judge in judges]
+    findings += [] if scene.outline is None else [_off_plate(scene, scene.outline)]
     return findings if scene.drive.signal is None else [*findings, _signal(scene, scene.drive.signal)]
 
 
@@ -324,6 +326,16 @@ def _overlap(scene: Scene) -> Finding:
         fact = f'Actuators "{first}" and "{second}" overlap by {percent(value)}'
     advice = "their pressures add there, but two bodies cannot be in one place; move one."
     return _finding("overlap of actuators", value, ROUNDED, fact, advice)
+
+
+def _off_plate(scene: Scene, outline: Outline) -> Finding:
+    """Return the finding about the largest part of a patch that is off the plate."""
+    parts = [1 - outline.share(actuator.area) for actuator in scene.actuators]
+    value, name = max(parts), scene.actuators[int(np.argmax(parts))].name
+    fact = (
+        f'Of actuator "{name}" {percent(value)} reach over the outline' if value > ROUNDED else "None reaches over it"
+    )
+    return _finding("actuator off the plate", value, ROUNDED, fact, "what lies outside does not press.")
 
 
 def _signal(scene: Scene, signal: SampledSignal) -> Finding:

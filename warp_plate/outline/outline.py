@@ -98,6 +98,15 @@ class Outline:
         """Return a closed polyline (n, 2) [m] for each loop, the outer edge first, with arcs in steps of ``turn``."""
         return [np.concatenate([piece.polyline(turn) for piece in loop]) for loop in self.loops]
 
+    def share(self, area: tuple[float, float, float, float]) -> float:
+        """Return the part of a rectangle x0, x1, y0, y1 [m] that is on the plate."""
+        import shapely
+
+        x0, x1, y0, y1 = area
+        shell, *holes = self.polygons(FINE)
+        box = shapely.box(x0, y0, x1, y1)
+        return float(shapely.area(shapely.intersection(box, shapely.Polygon(shell, holes))) / box.area)
+
     def corners(self) -> Iterator[tuple[Piece, Piece, float]]:
         """Yield the pieces before and after each corner or change of condition, and the angle of the plate between
         them [rad]: above π at re-entrant corners."""

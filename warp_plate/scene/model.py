@@ -263,9 +263,21 @@ def _check_tables(scene: SceneTables) -> None:
 def _check_outline(scene: SceneTables) -> None:
     """Check that a plate with an outline has nothing that it excludes."""
     if (outline := scene.outline) is None:
+        if scene.supports:
+            raise ValueError("supports: need an outline; write plate.outline = { rectangle = [width, height] }")
         return
     if scene.effects.stretches:
         raise ValueError("effects.stretching: not with plate.outline; delete one of them")
+    for index, support in enumerate(scene.supports):
+        for end in support.ends:
+            scene.plate.check_point(f"supports[{index}].{'line' if support.line else 'point'}", end)
+    areas = {f"actuators[{index}].area": row.area for index, row in enumerate(scene.actuators)}
+    areas |= {f"{key}.area": target.area for key, target in scene.targets_by_key.items() if target.area is not None}
+    for key, area in (areas | scene.effects.areas).items():
+        if outline.share(area) == 0:
+            raise ValueError(f"{key}: {list(area)} is off the plate; move it inside the outline, outside its holes")
+    if scene.supports and scene.nonlinear_key is not None:
+        raise ValueError(f"supports: not with {scene.nonlinear_key}, which modes do not know; delete one of them")
     for before, after, angle in outline.corners():
         if angle > math.pi + REENTRANT and before.condition == after.condition == "supported":
             x, y = after.start

@@ -125,6 +125,33 @@ class Hole(ClosedCurve):
         return self
 
 
+class Support(Table):
+    """A support of a plate with an outline besides its edges, which holds the displacement; rigid without
+    ``stiffness``."""
+
+    point: Annotated[Point | None, Field(examples=[[0.01, 0.01]])] = None
+    """Point x, y."""
+    line: Annotated[tuple[Point, Point] | None, Field(examples=[[[0.0, 0.05], [0.1, 0.05]]])] = None
+    """Ends of a line along x or y."""
+    stiffness: Annotated[Positive | None, Unit("N/m or N/m²"), Field(examples=[1e5])] = None
+    """Stiffness of a point, or per length of a line."""
+
+    @model_validator(mode="after")
+    def _one_place(self) -> Self:
+        if (self.point is None) == (self.line is None):
+            raise ValueError("point: write either point or line")
+        if self.line is not None:
+            (x0, y0), (x1, y1) = self.line
+            if (x0 == x1) == (y0 == y1):
+                raise ValueError(f"line: {[list(end) for end in self.line]} is neither along x nor along y; turn it")
+        return self
+
+    @property
+    def ends(self) -> tuple[Point, ...]:
+        """The point, or the ends of the line."""
+        return (self.point,) if self.point is not None else self.line or ()
+
+
 @lru_cache
 def outline_of(outline: PlateOutline, holes: tuple[Hole, ...], edges: Edges) -> Outline:
     """Return the geometry of a plate's outline with its holes and edge conditions; ValueError: it is not valid."""

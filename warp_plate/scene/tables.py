@@ -7,7 +7,7 @@ from typing import Annotated, Any, Self
 from pydantic import Field, ValidationError, model_serializer, model_validator
 
 from warp_plate.effects.edges import Edges, edge_terms
-from warp_plate.effects.effect import Term
+from warp_plate.effects.effect import Edge, Term
 from warp_plate.effects.layers import Layer
 from warp_plate.effects.table import Effects
 from warp_plate.outline.outline import Outline
@@ -19,7 +19,7 @@ from warp_plate.scene.fit import Fit, Measurement
 from warp_plate.scene.focus import Focus
 from warp_plate.scene.grid import DEFAULT_ACCURACY, Grid, Record, Window
 from warp_plate.scene.links import Link
-from warp_plate.scene.outline import Hole, PlateOutline, outline_of
+from warp_plate.scene.outline import Hole, PlateOutline, Support, outline_of
 from warp_plate.scene.search import Search
 from warp_plate.scene.specification import Specification
 from warp_plate.scene.target import NamedTarget, Target
@@ -113,6 +113,7 @@ class SceneTables(Table):
     """Title of tables and pictures."""
     plate: Plate
     edges: Edges = Edges()
+    supports: tuple[Support, ...] = ()
     grid: Grid = Grid(accuracy=DEFAULT_ACCURACY)
     window: Window = Window()
     drive: Drive
@@ -193,7 +194,12 @@ class SceneTables(Table):
     @property
     def terms(self) -> tuple[Term, ...]:
         """Terms of the equation of motion besides bending and inertia: those of elastic edges, then of the effects."""
-        return (*edge_terms(self.edge_conditions), *self.effects.terms(self.plate))
+        supports = (
+            Term("stiffness", support.stiffness, place=Edge(f"supports[{index}]"), label="springs of supports")
+            for index, support in enumerate(self.supports)
+            if support.stiffness is not None
+        )
+        return (*edge_terms(self.edge_conditions), *supports, *self.effects.terms(self.plate))
 
     @property
     def uniform(self) -> bool:
@@ -231,14 +237,13 @@ class SceneTables(Table):
     @property
     def modal_only_key(self) -> str | None:
         """First key that only the modal engine knows, because it has no time steps; None if none."""
-        return self.effects.first(lambda effect: not effect.stepped)
+        return "supports" if self.supports else self.effects.first(lambda effect: not effect.stepped)
 
     def check_stepped(self) -> None:
         """Raise a SceneError if only the modal engine knows the scene's effects."""
         if (key := self.modal_only_key) is not None:
-            raise SceneError(
-                f'{key}: cannot be stepped in time; use the evaluator "modal", or write [effects.damping] instead'
-            )
+            instead = "" if key == "supports" else ", or write [effects.damping] instead"
+            raise SceneError(f'{key}: cannot be stepped in time; use the evaluator "modal"{instead}')
 
     @property
     def steady(self) -> bool:

@@ -14,11 +14,13 @@ import numpy as np
 from warp_plate.effects.edges import ElasticEdge
 from warp_plate.effects.effect import attachments
 from warp_plate.modal.spaces.splines import Splines, make_splines
-from warp_plate.outline.outline import bounds
+from warp_plate.outline.outline import Outline, bounds
 from warp_plate.outline.pieces import Piece
 from warp_plate.plate.section import factor_arrays
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.fields import Point
 from warp_plate.scene.model import Scene
+from warp_plate.scene.outline import Support
 
 # Degree of the splines, of those of a section with jumps or up to FEW_KINKS kinks along a side, and with more: each
 # repeats knots, fewer of a low degree.
@@ -35,6 +37,10 @@ LAYER_INTERVALS = (0.3, 0.09, 0.027)
 # Interval at a hole as a part of its width, and at a singular corner as a part of the square of the others over the
 # side, so that more functions show the error; their growth with the distance, and samples of that along a side.
 HOLE_INTERVAL, CORNER_INTERVAL, HOLE_GROWTH, CORNER_GROWTH, SAMPLES = 0.1, 0.06, 0.6, 0.7, 2000
+# Largest distance of a point from an edge that it lies on [m].
+ON_EDGE = 1e-9
+# Least interval as a part of the others, and most further knots: with many places intervals are larger there.
+LEAST_INTERVAL, MOST_GRADED = 1e-4, 28
 # Corners with an angle above π by less than this are straight [rad].
 STRAIGHT = 1e-3
 # None are in gaps narrower than this part of an interval.
@@ -63,6 +69,9 @@ def outline_splines(scene: Scene, axis: int, intervals: int) -> Splines:
     length, degree = scene.plate.size[axis], _degree(scene)
     knots = [line for line in lines(scene, axis, degree) if line[1] < degree]
     knots += [(place, degree - 1) for place in _near_layers(scene, axis, length / intervals)]
+    # The shear force jumps across the line of a support.
+    lines_across = [support.line for support in scene.supports if support.line is not None]
+    knots += [(start[axis], 2) for start, end in lines_across if start[axis] == end[axis]]
     graded = _graded(scene, axis, length / intervals)
     if graded.size:
         near = np.array([place for place, _ in knots])[:, None]
@@ -84,10 +93,18 @@ def _graded(scene: Scene, axis: int, interval: float) -> np.ndarray:
         low, high = (x0, x1) if axis == 0 else (y0, y1)
         spans.append((low, high, HOLE_INTERVAL * (high - low), HOLE_GROWTH))
     corners = [after.start[axis] for before, after, angle in outline.corners() if _is_singular(before, after, angle)]
+    corners += [end[axis] for support in scene.supports for end in support.ends if not _on_edge(support, end, outline)]
     spans += [(place, place, CORNER_INTERVAL * interval**2 / side, CORNER_GROWTH) for place in corners]
+    for least in np.geomspace(LEAST_INTERVAL, 1, 12) * interval:
+        knots = _spread(side, interval, [(*span[:2], max(span[2], least), span[3]) for span in spans])
+        if knots.size <= MOST_GRADED + side / interval:
+            break
+    return knots if knots.size > side / interval + 1.5 else np.empty(0)
+
+
+def _spread(side: float, interval: float, spans: list[tuple[float, float, float, float]]) -> np.ndarray:
+    """Return knots from 0 to a side [m] an interval apart; nearer at spans (low, high, interval, growth)."""
     least = min((size for _, _, size, _ in spans), default=interval)
-    if least >= interval:
-        return np.empty(0)
     places = np.linspace(0, side, max(SAMPLES, math.ceil(8 * side / least)))
     middle = (places[1:] + places[:-1]) / 2
     size = np.full(middle.size, interval)
@@ -96,6 +113,11 @@ def _graded(scene: Scene, axis: int, interval: float) -> np.ndarray:
         size = np.minimum(size, smallest + growth * beyond)
     passed = np.concatenate([[0.0], np.cumsum(np.diff(places) / size)])
     return np.interp(np.linspace(0, passed[-1], math.ceil(passed[-1]) + 1), passed, places)
+
+
+def _on_edge(support: Support, end: Point, outline: Outline) -> bool:
+    """Return whether the end of a support's line lies on an edge, so that it is no end in the plate."""
+    return support.line is not None and min(piece.nearest(end)[1] for piece in outline.pieces) < ON_EDGE
 
 
 def _is_singular(before: Piece, after: Piece, angle: float) -> bool:

@@ -23,11 +23,13 @@ from warp_plate.modal.spaces.knots import lines, outline_splines
 from warp_plate.modal.spaces.space import Matrix
 from warp_plate.modal.spaces.splines import gauss, overlapping_pairs
 from warp_plate.modal.spaces.tensor_splines import ORDERS
-from warp_plate.outline.pieces import Piece, ellipse, straight
+from warp_plate.outline.pieces import Piece, Straight, ellipse, straight
+from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.plate.section import bilinear
 from warp_plate.plate.shapes import clipped, read_mask
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
+from warp_plate.scene.outline import Support
 from warp_plate.scene.target import Target
 
 # Eigenvalues of the energy below this part of the largest are those of functions that depend on the others.
@@ -40,8 +42,8 @@ UNTOUCHED = 1e-22
 PART_INTERVALS, FURTHER = 6, 2
 # Corners of the polygon for the part of a disc in a rectangle.
 DISC_CORNERS = 512
-# Vectors whose curvatures are in memory at a time.
-VECTORS = 64
+# Matrices of all products that are in memory at a time.
+DENSE_MATRICES = 7
 
 
 class TrimmedSplines:
@@ -56,12 +58,17 @@ class TrimmedSplines:
     def __init__(self, scene: Scene, intervals: tuple[int, int], like: TrimmedSplines | None = None) -> None:
         assert scene.outline is not None
         self.scene, self.intervals, self.outline = scene, intervals, scene.outline
+        lines = ((f"supports[{index}]", support) for index, support in enumerate(scene.supports))
+        self._pieces = (*self.outline.pieces, *(_line(key, support) for key, support in lines if support.line))
         self.along = outline_splines(scene, 0, intervals[0]), outline_splines(scene, 1, intervals[1])
         self._local = LocalSplines(self.along[0]), LocalSplines(self.along[1])
         self._fields = Integrals(scene, *self.along)
         self._varied = bool(scene.layers or scene.effects.factor_maps)
+        size = self.shape[0] * self.shape[1]
+        refuse_beyond_memory(8.0 * size**2 * DENSE_MATRICES, f"plate.outline: {size} functions")
         self.chords = self._chords()
         shared = like is not None and like.outline is self.outline and like.along == self.along
+        shared = shared and like is not None and like.scene.supports == scene.supports
         self.basis: np.ndarray = like.basis if like is not None and shared else self._make_basis()
 
     @property
@@ -105,7 +112,11 @@ class TrimmedSplines:
 
     def edge_form(self, side: str, coefficients: Mapping[Factors, float]) -> np.ndarray:
         total = np.zeros((self.basis.shape[0],) * 2)
-        for piece in self.outline.pieces:
+        for index, support in enumerate(self.scene.supports):
+            if support.point is not None and side == f"supports[{index}]":
+                row = self._rows(np.array([support.point]))
+                total += coefficients[DISPLACEMENT] * row.T @ row
+        for piece in self._pieces:
             if piece.edge == side:
                 t, weights = self._edge_rule(piece, 0.0, 1.0)
                 for factors, coefficient in coefficients.items():
@@ -162,6 +173,10 @@ class TrimmedSplines:
             return self._over_mask(target, within)
         chords = self._chords(_curves(target, within))
         return self.scatter(self._form(chords, self._fields_on(chords)[-1], DISPLACEMENT))
+
+    def area_within(self, area: np.ndarray) -> float:
+        """Return the area [m²] of the part of a rectangle on the plate."""
+        return float(self._chords([_rectangle(area)]).weights.sum())
 
     def region_mass(self, region: Area | Target) -> float:
         """Return the mass [kg] of the part of a rectangle or target, no mask, on the plate."""
@@ -224,8 +239,7 @@ class TrimmedSplines:
         """Return (areas, unknowns) integrals of a sum of derivatives over the parts of rectangles on the plate."""
         rows = []
         for area in np.asarray(areas, dtype=float).reshape(-1, 4):
-            curve = straight([(area[0], area[2]), (area[1], area[2]), (area[1], area[3]), (area[0], area[3])], None, "")
-            chords = self._chords([curve])
+            chords = self._chords([_rectangle(area)])
             rows.append(sum(chords.integrals(x=x, y=y).ravel() for x, y in orders))
         return np.array(rows).reshape(-1, self.basis.shape[0]) @ self.basis
 
@@ -273,7 +287,9 @@ class TrimmedSplines:
         some = values > RANK * values[-1]
         basis = np.zeros((len(energy), int(some.sum())))
         basis[used] = unit[:, None] * vectors[:, some] / np.sqrt(values[some])
-        moments = [row for piece in self.outline.pieces for row in self._moments(piece)]
+        moments = [row for piece in self._pieces for row in self._moments(piece)]
+        rigid = (support for support in self.scene.supports if support.stiffness is None)
+        moments += [self._rows(np.array([support.point])) for support in rigid if support.point is not None]
         if not moments:
             return basis
         _, sizes, rows = scipy.linalg.svd(np.concatenate(moments) @ basis, full_matrices=False)
@@ -308,6 +324,17 @@ class TrimmedSplines:
         cuts = np.unique(np.concatenate([[low, high], *crossed]))
         t, weights = gauss(cuts[(cuts >= low) & (cuts <= high)], self.degree + 2)
         return t, weights * np.linalg.norm(piece.tangents(t), axis=1)
+
+
+def _line(key: str, support: Support) -> Straight:
+    """Return the piece of a line support."""
+    condition = "supported" if support.stiffness is None else "free"
+    return Straight(condition, key, key, np.array(support.line, dtype=float))
+
+
+def _rectangle(area: np.ndarray) -> Curve:
+    x0, x1, y0, y1 = area
+    return straight([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], None, "")
 
 
 def _curves(target: Target, within: Area | None) -> list[Curve]:
