@@ -35,7 +35,7 @@ def robust(effects=None, seed=0, precision="float64", search=None, **tolerances)
 def test_the_robust_drive_beats_the_nominal_one_in_the_worst_cases(seed):
     """Over validation scenarios; on the nominal panel the nominal drive stays better."""
     uncertain = {"measure": "quantile", "young_modulus": 0.3, "scenarios": 8, "fresh": 20}
-    scene = robust(seed=seed, search={"method": "gradient"}, **uncertain)
+    scene = robust(seed=seed, search={"method": "gradient", "iterations": 30}, **uncertain)
     compared = localize(scene, device="cpu", estimate=False).robust
     rows = compared.rows()
     assert rows["worst_5_percent"][0] > rows["worst_5_percent"][1]

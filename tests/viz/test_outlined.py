@@ -13,6 +13,8 @@ from warp_plate.viz.plots.frame import figure
 from warp_plate.viz.plots.plan import draw_field
 from warp_plate.viz.scene3d import PlateMeshes
 
+pytest.importorskip("pyvista")
+
 RADIUS, HOLE = 0.05, 0.012
 
 
