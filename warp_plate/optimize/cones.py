@@ -29,6 +29,7 @@ import numpy as np
 import scipy
 
 TOLERANCE = 1e-10
+RANK = 1e-9  # least singular value, over the largest, of rows that absorb the rounding of a proof
 INFEASIBLE = (clarabel.SolverStatus.PrimalInfeasible, clarabel.SolverStatus.AlmostPrimalInfeasible)
 # Steps of the drive's phases in a problem that is not convex, and the relative gain below which they end.
 STEPS, GAIN = 60, 1e-7
@@ -56,7 +57,7 @@ class LeastScale:
 def least_scale(wanted: np.ndarray, blocks: Sequence[Block], actuators_scaled: bool = False) -> LeastScale:
     """Return the least scale for the wanted rows g (wanted, inputs), and blocks."""
     inputs = wanted.shape[1]
-    every = (Block(np.eye(inputs, dtype=complex)[:, None, :], actuators_scaled), *blocks)
+    unit, scale_unit, wanted, every = _normalised(wanted, blocks, actuators_scaled)
     matrix, limits, cones = [-_real_parts(wanted)], [-np.ones(len(wanted))], [clarabel.NonnegativeConeT(len(wanted))]
     for block in every:
         count, rows, _ = block.rows.shape
@@ -74,32 +75,63 @@ def least_scale(wanted: np.ndarray, blocks: Sequence[Block], actuators_scaled: b
     solution = _solve(cost, np.concatenate(matrix), np.concatenate(limits), cones)
     multipliers = np.array(solution.z)
     wanted_by = np.maximum(multipliers[: len(wanted)], 0)
-    bound, allowed = _proof(wanted, wanted_by, every, multipliers[len(wanted) :])
+    bound, norms = _proof(wanted, wanted_by, every, multipliers[len(wanted) :])
+    allowed = tuple(norm / (scale_unit if block.scaled else 1.0) for norm, block in zip(norms, every, strict=True))
     x = np.array(solution.x)
-    drive = x[:inputs] + 1j * x[inputs:-1]
+    drive = unit * (x[:inputs] + 1j * x[inputs:-1])
     if solution.status in INFEASIBLE:
-        return LeastScale(math.inf, bound, np.full(inputs, np.nan), wanted_by, allowed)
-    return LeastScale(float(x[-1]), bound, drive, wanted_by, allowed)
+        return LeastScale(math.inf, scale_unit * bound, np.full(inputs, np.nan), wanted_by, allowed)
+    return LeastScale(scale_unit * float(x[-1]), scale_unit * bound, drive, wanted_by, allowed)
+
+
+def _normalised(
+    wanted: np.ndarray, blocks: Sequence[Block], actuators_scaled: bool
+) -> tuple[float, float, np.ndarray, tuple[Block, ...]]:
+    """Return units of the drive and of the scale in which rows are of size one; the wanted rows in them; and the
+    blocks, that of the single actuators first."""
+    inputs = wanted.shape[1]
+    every = (Block(np.eye(inputs, dtype=complex)[:, None, :], actuators_scaled), *blocks)
+    unit = 1 / max(float(np.linalg.norm(wanted, axis=1).max(initial=0.0)), 1e-300)
+    sizes = [unit * float(np.abs(block.rows).max(initial=0.0)) for block in every if block.scaled]
+    scale_unit = max(sizes, default=0.0) or 1.0
+    scaled = (replace(block, rows=block.rows * (unit / scale_unit if block.scaled else unit)) for block in every)
+    return unit, scale_unit, unit * wanted, tuple(scaled)
 
 
 def _proof(
     wanted: np.ndarray, wanted_by: np.ndarray, blocks: Sequence[Block], multipliers: np.ndarray
 ) -> tuple[float, tuple[np.ndarray, ...]]:
-    """Return the bound that multipliers prove after their repair, and the norms of those of the blocks."""
-    rest, place, vectors = wanted_by @ wanted, 0, []
+    """Return the bound that multipliers prove after their repair, and the norms of those of the blocks.
+
+    What is left of Σ λ g − Σ mᴴ G is absorbed by all rows, as far as their rounding allows, or by the actuators' alone.
+    """
+    place, vectors = 0, []
     for block in blocks:
         count, rows, _ = block.rows.shape
         part = multipliers[place : place + count * (1 + 2 * rows)].reshape(count, 1 + 2 * rows)[:, 1:]
-        vector = -(part[:, ::2] - 1j * part[:, 1::2])
-        rest = rest - np.einsum("br,bri->i", vector, block.rows)
-        vectors.append(vector)
+        vectors.append(-(part[:, ::2] - 1j * part[:, 1::2]))
         place += count * (1 + 2 * rows)
-    vectors[0] = vectors[0] + rest[:, None]
-    norms = tuple(np.linalg.norm(vector, axis=1) for vector in vectors)
-    scaled = sum(norm.sum() for norm, block in zip(norms, blocks, strict=True) if block.scaled)
-    others = sum(norm.sum() for norm, block in zip(norms, blocks, strict=True) if not block.scaled)
-    proved = wanted_by.sum() - others
-    return (float(proved / scaled) if scaled > 0 and proved > 0 else 0.0), norms
+    stacked = np.concatenate([block.rows.reshape(-1, wanted.shape[1]) for block in blocks])
+
+    def rest() -> np.ndarray:
+        return wanted_by @ wanted - np.concatenate([vector.ravel() for vector in vectors]) @ stacked
+
+    def repaired() -> tuple[float, tuple[np.ndarray, ...]]:
+        actuators = vectors[0] + rest()[:, None] / blocks[0].rows[0, 0, 0]
+        norms = tuple(np.linalg.norm(vector, axis=1) for vector in (actuators, *vectors[1:]))
+        scaled = sum(norm.sum() for norm, block in zip(norms, blocks, strict=True) if block.scaled)
+        others = sum(norm.sum() for norm, block in zip(norms, blocks, strict=True) if not block.scaled)
+        return _bound(wanted_by.sum() - others, scaled), norms
+
+    alone = repaired()
+    parts = np.split(np.linalg.lstsq(stacked.T, rest(), RANK)[0], np.cumsum([vector.size for vector in vectors])[:-1])
+    vectors = [vector + part.reshape(vector.shape) for vector, part in zip(vectors, parts, strict=True)]
+    return max(alone, repaired(), key=lambda proof: proof[0])
+
+
+def _bound(proved: float, scaled: float) -> float:
+    """Return the bound of a scale from both sides of its proof; 0 if they prove none."""
+    return float(proved / scaled) if scaled > 0 and proved > 0 else 0.0
 
 
 def _real_parts(rows: np.ndarray) -> np.ndarray:
@@ -167,13 +199,13 @@ def _relaxed(
 
     The matrix Z holds 1, the parts of z and their products; wanted rows are linear in its first column.
     """
-    inputs = wanted.shape[1]
-    units = Block(np.eye(inputs, dtype=complex)[:, None, :], actuators_scaled)
-    limited = [(rows, block.scaled) for block in (units, *blocks) for rows in block.rows]
+    inputs, count = wanted.shape[1], len(wanted)
+    unit, scale_unit, rows, every = _normalised(np.vstack([wanted, *squares]), blocks, actuators_scaled)
+    limited = [(rows, block.scaled) for block in every for rows in block.rows]
     size = 2 * inputs + 1
     one = np.zeros((size, size))
     one[-1, -1] = 1.0
-    least = [*map(_linear_form, wanted), *map(_real_form, squares)]
+    least = [*map(_linear_form, rows[:count]), *(_real_form(unit * factor) for factor in squares)]
     most = [*(_real_form(rows) for rows, _ in limited), one]
     scaled = np.array([*(scaled for _, scaled in limited), False])
     entries = size * (size + 1) // 2
@@ -192,17 +224,23 @@ def _relaxed(
     of_least, of_most = multipliers[: len(least)], multipliers[len(least) :]
     slack = np.tensordot(of_most, most, 1) - np.tensordot(of_least, least, 1)
     excess = max(0.0, -float(np.linalg.eigvalsh(slack)[0]))  # Σ ν GᴴG − Σ λ RᴴR ⪰ 0 exactly
-    of_most[:inputs] += excess
     of_most[-1] += excess
-    proved, below = of_least.sum() - of_most[~scaled].sum(), of_most[scaled].sum()
-    bound = math.sqrt(proved / below) if proved > 0 and below > 0 else 0.0
+    bound = 0.0
+    for absorbing in (slice(inputs), slice(len(limited))):  # rounding is absorbed by actuators alone, or by all rows
+        added = np.zeros(len(most))
+        added[absorbing] = 1.0
+        least_added = float(np.linalg.eigvalsh(np.tensordot(added, most, 1)[:-1, :-1])[0])
+        if least_added > 0:
+            raised = of_most + excess / least_added * added
+            squared = _bound(of_least.sum() - raised[~scaled].sum(), raised[scaled].sum())
+            bound = max(bound, scale_unit * math.sqrt(squared))
     if solution.status in INFEASIBLE:
         return bound, []
     products = _square(np.array(solution.x)[:-1], size)
     values, vectors = np.linalg.eigh(products[:-1, :-1])
     scaled_vectors = (vectors * np.sqrt(np.maximum(values, 0))).T[::-1]
     parts = [products[:-1, -1], *scaled_vectors[:3:2], scaled_vectors[::2].sum(axis=0)]
-    return bound, [part[:inputs] + 1j * part[inputs:] for part in parts if np.abs(part).any()]
+    return bound, [unit * (part[:inputs] + 1j * part[inputs:]) for part in parts if np.abs(part).any()]
 
 
 def _real_form(factor: np.ndarray) -> np.ndarray:

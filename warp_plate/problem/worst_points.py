@@ -1,8 +1,8 @@
 """Points of a region of the plate at which a field is largest, between the points of any grid.
 
 A region is sampled inside and along its outlines. From each sample that exceeds its neighbours the search steps to the
-best of eight neighbours or the summit of the quadratic function through them, or of two along an outline, and halves
-its steps.
+best of 24 points around it or the summit of the quadratic function through the nearest of them, or of four points along
+an outline, and reduces its steps.
 """
 
 from __future__ import annotations
@@ -19,18 +19,23 @@ from warp_plate.modal.spaces.space import Matrix
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.target import Target
 
-# Corners of a disc or of a quarter of a rounded corner; halvings of the steps.
-CORNERS, HALVINGS = 256, 13
+# Corners of a disc or of a quarter of a rounded corner.
+CORNERS = 256
 # Maxima that are returned: the FEWEST highest samples, and up to MOST that lie below the highest one by at most what a
 # sample may miss of its maximum (24 samples a wave: 1 - cos(2π/48) along each axis).
 FEWEST, MISSED, MOST = 12, 0.03, 200
 # Width of a seam [of the longer side] within which points count as those of a region.
 SEAM = 1e-9
 Values = Callable[[np.ndarray], np.ndarray]
-NEIGHBOURS = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)], dtype=float)
-MIDDLE = len(NEIGHBOURS) // 2
+NEIGHBOURS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+# Rounds of steps, the factor by which each reduces them, and the steps along a line and around a point.
+ROUNDS, SHRINKING = 7, 4.0
+ALONG = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
+AROUND = np.array([(i, j) for i in ALONG for j in ALONG])
+NEAREST = [7 + 5 * i + j - 1 for i in range(3) for j in range(3)]  # rows of AROUND
+MIDDLE = len(AROUND) // 2
 # Largest distance of a summit from the middle of its nine points [steps].
-REACH = 4.0
+REACH = 8.0
 
 
 def shape_of(key: str, target: Target) -> shapely.Geometry:
@@ -89,11 +94,10 @@ class Region:
         highest = np.zeros(len(order), dtype=bool)
         highest[order[: np.clip(np.count_nonzero(heights >= near), FEWEST, MOST)]] = True
         chosen = [at[own] for at, own in zip(maxima, _split_like(highest, maxima), strict=True)]
-        grid, along = self._grid[self.inside][chosen[0]], chosen[1:]
+        grid, on_lines = self._grid[self.inside][chosen[0]], list(zip(self.lines, chosen[1:], strict=True))
         if values is None:
-            return np.concatenate([grid, *(line[at] for line, at in zip(self.lines, along, strict=True))])
-        lines = [_climb_along(line, at, values) for line, at in zip(self.lines, along, strict=True)]
-        return np.concatenate([self._climb(grid, values), *lines])
+            return np.concatenate([grid, *(line[at] for line, at in on_lines)])
+        return self._climb(grid, on_lines, values)
 
     def _grid_maxima(self, levels: np.ndarray) -> np.ndarray:
         """Return the indices of grid points inside that no neighbour exceeds."""
@@ -101,29 +105,43 @@ class Region:
         field[self.inside] = levels
         around = np.pad(field, 1, constant_values=-np.inf)
         rows, columns = len(self.y), len(self.x)
-        neighbours = [around[1 + i : 1 + i + rows, 1 + j : 1 + j + columns] for i, j in NEIGHBOURS.astype(int)]
+        neighbours = [around[1 + i : 1 + i + rows, 1 + j : 1 + j + columns] for i, j in NEIGHBOURS]
         return np.flatnonzero((field >= np.max(neighbours, axis=0))[self.inside])
 
-    def _climb(self, points: np.ndarray, values: Values) -> np.ndarray:
-        """Return the maxima (points, 2) near points of the grid."""
-        steps, rows = np.array([_spacing(self.x), _spacing(self.y)]) / 2, np.arange(len(points))
-        for _ in range(HALVINGS if len(points) else 0):
-            around = np.clip(points[:, None] + NEIGHBOURS * steps, (0.0, 0.0), self.plate.scene.plate.size)
-            levels = self._values_within(around, values)
-            summits = points[:, None] + _quadratic_summits(levels)[:, None] * steps
+    def _climb(
+        self, points: np.ndarray, on_lines: Sequence[tuple[np.ndarray, np.ndarray]], values: Values
+    ) -> np.ndarray:
+        """Return the maxima (points, 2) near points of the grid, and near samples of lines, given by their indices."""
+        steps, rows = np.array([_spacing(self.x), _spacing(self.y)]) / 4, np.arange(len(points))
+        ends = [_lengths(line) for line, _ in on_lines]
+        places = [end[at] for end, (_, at) in zip(ends, on_lines, strict=True)]
+        strides = [np.diff(end).max() / 4 for end in ends]
+        for _ in range(ROUNDS):
+            around = np.clip(points[:, None] + AROUND * steps, (0.0, 0.0), self.plate.scene.plate.size)
+            ways = [place[:, None] + ALONG * stride for place, stride in zip(places, strides, strict=True)]
+            on = [_on_line(line, end, way) for (line, _), end, way in zip(on_lines, ends, ways, strict=True)]
+            everywhere = [part.reshape(-1, 2) for part in (around, *on)]
+            levels, *others = _split_like(values(np.concatenate(everywhere)), everywhere)
+            levels = self._within(around, levels)
+            summits = points[:, None] + _quadratic_summits(levels[:, NEAREST])[:, None] * steps
             around = np.concatenate([points[:, None], around, summits], axis=1)
-            levels = np.concatenate([levels[:, MIDDLE, None], levels, self._values_within(summits, values)], axis=1)
-            points, steps = around[rows, levels.argmax(axis=1)], steps / 2
-        return points
+            of_summits = self._within(summits, values(summits[:, 0]))
+            best = np.concatenate([levels[:, MIDDLE, None], levels, of_summits], axis=1).argmax(axis=1)
+            points, steps = around[rows, best], steps / SHRINKING
+            highest = [other.reshape(-1, len(ALONG)).argmax(axis=1) for other in others]
+            places = [way[np.arange(len(at)), at] for way, at in zip(ways, highest, strict=True)]
+            strides = [stride / SHRINKING for stride in strides]
+        lines = [_on_line(line, end, place) for (line, _), end, place in zip(on_lines, ends, places, strict=True)]
+        return np.concatenate([points, *lines])
 
-    def _values_within(self, points: np.ndarray, values: Values) -> np.ndarray:
-        """Return values (n, m) at points (n, m, 2), -∞ outside the region."""
+    def _within(self, points: np.ndarray, levels: np.ndarray) -> np.ndarray:
+        """Return levels (n, m) at points (n, m, 2), -∞ outside the region."""
         within = shapely.contains_xy(self.shape, *points.reshape(-1, 2).T).reshape(points.shape[:2])
-        return np.where(within, values(points.reshape(-1, 2)).reshape(within.shape), -np.inf)
+        return np.where(within, levels.reshape(within.shape), -np.inf)
 
 
 def _quadratic_summits(levels: np.ndarray) -> np.ndarray:
-    """Return the (points, 2) summits [steps] of the quadratic functions through values (points, 9) at NEIGHBOURS, at
+    """Return the (points, 2) summits [steps] of the quadratic functions through values (points, 9) at NEAREST, at
     most REACH away; 0 where there is none."""
     (sw, w, nw, s, middle, n, se, e, ne), summits = levels.T, np.zeros((len(levels), 2))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -145,20 +163,15 @@ def _line_maxima(levels: np.ndarray) -> np.ndarray:
     return np.flatnonzero((levels >= np.roll(levels, 1)) & (levels >= np.roll(levels, -1)))
 
 
-def _climb_along(line: np.ndarray, indices: np.ndarray, values: Values) -> np.ndarray:
-    """Return the maxima (points, 2) near samples of a closed line (samples, 2)."""
+def _lengths(line: np.ndarray) -> np.ndarray:
+    """Return the (samples + 1,) lengths [m] along a closed line (samples, 2) at its samples, and its whole length."""
+    return np.concatenate([[0.0], np.hypot(*np.diff(line, axis=0, append=line[:1]).T).cumsum()])
+
+
+def _on_line(line: np.ndarray, lengths: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Return the points (..., 2) of a closed line at lengths along it (...) [m]."""
     closed = np.concatenate([line, line[:1]])
-    length = np.concatenate([[0.0], np.hypot(*np.diff(closed, axis=0).T).cumsum()])
-    place, step = length[indices], np.diff(length).max(initial=0.0)
-
-    def at(place: np.ndarray) -> np.ndarray:
-        return np.stack([np.interp(place % length[-1], length, closed[:, axis]) for axis in (0, 1)], axis=-1)
-
-    for _ in range(HALVINGS if len(place) else 0):
-        around = place[:, None] + np.array([0.0, -0.5, 0.5]) * step
-        levels = values(at(around).reshape(-1, 2)).reshape(around.shape)
-        place, step = around[np.arange(len(place)), levels.argmax(axis=1)], step / 2
-    return at(place)
+    return np.stack([np.interp(place % lengths[-1], lengths, closed[:, axis]) for axis in (0, 1)], axis=-1)
 
 
 def _spacing(positions: np.ndarray) -> float:

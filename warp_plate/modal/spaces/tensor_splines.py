@@ -125,8 +125,8 @@ class TensorSplines:
     def sums_at_points(self, coefficients: np.ndarray, points: np.ndarray) -> np.ndarray:
         x, y = np.asarray(points, dtype=float).reshape(-1, 2).T
         tables = coefficients.reshape(-1, *self.shape)
-        along_x = (tables.reshape(-1, self.shape[1]) @ self.along[0].values(x)).reshape(*tables.shape[:2], -1)
-        return np.asarray((along_x * self.along[1].values(y)).sum(axis=1))
+        along_x = (tables.reshape(-1, self.shape[1]) @ self.along[0].values_by_pieces(x)).reshape(*tables.shape[:2], -1)
+        return np.asarray((along_x * self.along[1].values_by_pieces(y)).sum(axis=1))
 
     def on_grid(self, coefficients: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         tables = coefficients.reshape(*coefficients.shape[:-1], *self.shape)
