@@ -53,6 +53,20 @@ def test_levels_beyond_the_limits_are_proved_to_be_so():
     assert result.bound > 1e3
 
 
+@pytest.mark.parametrize("squares", [0, 2])
+@pytest.mark.parametrize("level", [1e-12, 1e-9, 1e-3, 1e3])
+def test_levels_of_any_size_have_the_same_scale(level, squares):
+    """Limits do not matter to levels far below them."""
+    rows, rest = 1e6 * random_rows(2, 4), 1e6 * random_rows(6, 1, 4)
+    wanted, factors = rows[squares:], list(rows[:squares, None])
+    usual = least_scale_of_squares(wanted, factors, [Block(rest, True)])
+    result = least_scale_of_squares(wanted / level, [row / level for row in factors], [Block(rest / level, True)])
+    assert result.scale == pytest.approx(usual.scale, rel=1e-7 if squares else 1e-9)
+    assert result.scale * (1 - (0.1 if squares else 1e-3)) < result.bound <= result.scale
+    reached = rows @ result.drive / level
+    assert (np.abs(reached) if squares else reached.real).min() == pytest.approx(1, rel=1e-7)
+
+
 def test_the_least_scale_of_mean_squares_is_an_eigenvalue():
     target, rest = random_rows(3, 3), random_rows(4, 3)
     result = least_scale_of_squares(np.empty((0, 3)), [1e3 * target], [Block(1e3 * rest[None], True)])

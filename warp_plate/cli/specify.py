@@ -68,6 +68,7 @@ def _as_json(source: str, answer: SpecifiedDrive) -> dict[str, object]:
         "pareto": {"levels": answer.pareto_levels, "contrasts": answer.pareto_contrasts},
         "tolerances": [vars(row) for row in answer.scatter],
         "robust": answer.robust if answer.scatter else None,
+        "robust_frequency": answer.robust_frequency if answer.scatter else None,
         f"robust_{driven}": answer.robust_peaks if answer.scatter else None,
         "robust_phases": answer.robust_phases if answer.scatter else None,
         "notes": answer.notes,
@@ -76,10 +77,7 @@ def _as_json(source: str, answer: SpecifiedDrive) -> dict[str, object]:
 
 
 def _print(source: str, answer: SpecifiedDrive, console: Console) -> None:
-    met = "meets the specification" if answer.feasible else "no drive meets the specification"
-    if not answer.feasible and not answer.proved:
-        met = "no drive was found that meets the specification; it is not proved that there is none"
-    console.print(f"{answer.scene.title or source}: at {answer.frequency:.6g} Hz {'a drive ' * answer.feasible}{met}\n")
+    console.print(f"{answer.scene.title or source}: {answer.verdict}\n")
     unit = answer.unit
     drives = [(answer.peaks, answer.phases)]
     headings = ["actuator", f"limit ({unit})", f"peak ({unit})", "phase lag (°)"]
@@ -138,5 +136,5 @@ def _print_tolerances(answer: SpecifiedDrive, console: Console) -> None:
         best = output.number_text(case.best_db, ".2f")
         rows.append([changes, *levels, f"{case.robust_db:.2f}", "yes" if case.met else "no", best])
     headings = ["case", "nominal drive: level", "contrast (dB)", "one drive for all: level", "contrast (dB)", "met"]
-    title = "Tolerances (levels over those wanted)"
+    title = f"Tolerances (levels over those wanted), one drive for all at {answer.robust_frequency:.6g} Hz"
     output.print_rows(console, [*headings, "retuned (dB)"], rows, "", title=title)

@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import clarabel
@@ -29,10 +30,12 @@ import numpy as np
 import scipy
 
 TOLERANCE = 1e-10
+LARGE = 300  # unknowns above which Clarabel's method of dense blocks takes less time
 RANK = 1e-9  # least singular value, over the largest, of rows that absorb the rounding of a proof
 INFEASIBLE = (clarabel.SolverStatus.PrimalInfeasible, clarabel.SolverStatus.AlmostPrimalInfeasible)
 # Steps of the drive's phases in a problem that is not convex, and the relative gain below which they end.
 STEPS, GAIN = 60, 1e-7
+PROMISING = 2  # searches that go on after their first step
 
 
 @dataclass(frozen=True)
@@ -143,6 +146,8 @@ def _solve(cost: np.ndarray, matrix: np.ndarray, limits: np.ndarray, cones: list
     """Return Clarabel's solution of: minimise cost · x, limits − matrix x in the cones."""
     settings = clarabel.DefaultSettings()
     settings.verbose = False
+    if cost.size > LARGE:
+        settings.direct_solve_method, settings.max_threads = "faer", 1
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = TOLERANCE
     sparse = scipy.sparse.csc_matrix
     return clarabel.DefaultSolver(sparse((cost.size, cost.size)), cost, sparse(matrix), limits, cones, settings).solve()
@@ -154,31 +159,41 @@ def least_scale_of_squares(
     blocks: Sequence[Block],
     actuators_scaled: bool = False,
     start: np.ndarray | None = None,
+    steps: int = STEPS,
 ) -> LeastScale:
     """Return the least scale that a search attains where mean squares ‖R z‖ ≥ 1 are wanted too, by their factors R
     (rows, inputs) in ``squares``.
 
-    The search starts from the relaxation, whose bound is returned, or from a drive (inputs,), without a bound.
+    The search starts from the relaxation, whose bound is returned, or takes some steps from a drive (inputs,), without
+    a bound.
     """
     if not squares:
         return least_scale(wanted, blocks, actuators_scaled)
     if start is not None:
-        return replace(_ascend(wanted, squares, blocks, actuators_scaled, start), bound=0.0)
+        return replace(_ascend(wanted, squares, blocks, actuators_scaled, start, steps), bound=0.0)
     bound, starts = _relaxed(wanted, squares, blocks, actuators_scaled)
-    best = LeastScale(math.inf, bound, np.full(wanted.shape[1], np.nan), np.zeros(len(wanted)), ())
-    for start in starts:
-        found = _ascend(wanted, squares, blocks, actuators_scaled, start)
-        if found.scale < best.scale:
-            best = found
+    ascend = partial(_ascend, wanted, squares, blocks, actuators_scaled)
+    ends = sorted((ascend(start, 1) for start in starts), key=lambda end: end.scale)[:PROMISING]
+    if not actuators_scaled and not (ends and math.isfinite(ends[0].scale)):
+        # The drive of the least effort is within the limits if any is.
+        others = [Block(block.rows, True) for block in blocks if not block.scaled]
+        ends = [least_scale_of_squares(wanted, squares, others, True)]
+    none = LeastScale(math.inf, bound, np.full(wanted.shape[1], np.nan), np.zeros(len(wanted)), ())
+    best = min((none, *(ascend(end.drive) for end in ends if math.isfinite(end.scale))), key=lambda end: end.scale)
     return replace(best, bound=min(bound, best.scale))
 
 
 def _ascend(
-    wanted: np.ndarray, squares: Sequence[np.ndarray], blocks: Sequence[Block], actuators_scaled: bool, z: np.ndarray
+    wanted: np.ndarray,
+    squares: Sequence[np.ndarray],
+    blocks: Sequence[Block],
+    actuators_scaled: bool,
+    z: np.ndarray,
+    steps: int = STEPS,
 ) -> LeastScale:
-    """Return the result of the convex programs that follow one another from a drive z."""
+    """Return the result of convex programs that follow one another from a drive z."""
     best = LeastScale(math.inf, 0.0, z, np.zeros(len(wanted)), ())
-    for _ in range(STEPS):
+    for _ in range(steps):
         images = [factor @ best.drive for factor in squares]
         rows = [
             image.conj() @ factor / np.linalg.norm(image)

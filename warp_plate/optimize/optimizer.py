@@ -14,6 +14,7 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
 # Numbers of evaluations that are exact as floats.
@@ -273,3 +274,22 @@ def minimize(
         if callback is not None and callback(optimizer):
             break
     return optimizer.result
+
+
+def minimum_near(
+    function: Callable[[float], float], tried: np.ndarray, at: int, accuracy: float, most: int = 500
+) -> tuple[float, float, int]:
+    """Return the least value's place between the neighbours of one of rising places tried (n,), the value, and the
+    evaluations.
+
+    Args:
+        function: Function of one number.
+        tried: Places.
+        at: Index of the place with the least value.
+        accuracy: Relative accuracy of the returned place.
+        most: Largest number of iterations.
+    """
+    bounds = (float(tried[max(at - 1, 0)]), float(tried[min(at + 1, len(tried) - 1)]))
+    options = {"xatol": accuracy * float(tried[at]), "maxiter": most}
+    result = scipy.optimize.minimize_scalar(function, bounds=bounds, method="bounded", options=options)
+    return float(result.x), float(result.fun), int(result.nfev)

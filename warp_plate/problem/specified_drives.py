@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Literal
@@ -17,7 +18,7 @@ from typing import Literal
 import numpy as np
 
 from warp_plate.modal.modes import ModalPlate
-from warp_plate.optimize.cones import Block, LeastScale, least_scale_of_squares
+from warp_plate.optimize.cones import STEPS, Block, LeastScale, least_scale_of_squares
 from warp_plate.problem.requirements import Aim, Requirements
 from warp_plate.problem.worst_points import Region, Values
 from warp_plate.result.specified import RegionLevels
@@ -27,10 +28,11 @@ from warp_plate.scene.errors import SceneError
 Key = tuple[Literal["aim", "rest"], int]
 # What a program scales: the levels elsewhere, the limits of the actuators, or these without any level elsewhere.
 Scaled = Literal["elsewhere", "actuators", "actuators alone"]
-# Largest violation between the points of a program, and its rounds of added points.
-TOLERANCE, ROUNDS = 1e-8, 60
-# Relative gain of a scale by a new start of a search that is worth more rounds, and most of such starts.
-GAIN, COLD = 1e-5, 3
+# Largest violation between the points of a program, at samples alone, and rounds of added points.
+TOLERANCE, COARSE, ROUNDS = 1e-8, 1e-4, 60
+# Relative gain of a scale by a new search that is worth more rounds, most of such searches, and the steps of one while
+# points are added.
+GAIN, SEARCHES, FEW_STEPS = 1e-5, 3, 1
 # Programs ask for this much more than the specification, so that their rounding does not violate it.
 MARGIN = 2e-8
 FIRST = 16  # samples of a region that programs begin with
@@ -108,10 +110,15 @@ class Tone:
         return self.requirements.allowed(self.frequency)
 
     def solve(
-        self, scaled: Scaled, level: float = 1.0, between: bool = True, start: np.ndarray | None = None
+        self,
+        scaled: Scaled,
+        level: float = 1.0,
+        between: bool = True,
+        start: np.ndarray | None = None,
+        searches: int = SEARCHES,
     ) -> LeastScale:
         """Return the least scale for this tone alone, see :func:`solve_together`."""
-        return solve_together([self], scaled, level, between, start)
+        return solve_together([self], scaled, level, between, start, searches)
 
     def program(self, scaled: Scaled, level: float) -> tuple[np.ndarray, list[np.ndarray], list[Block]]:
         """Return the wanted rows (rows, actuators), the factors of wanted mean squares and the limited blocks."""
@@ -121,7 +128,7 @@ class Tone:
             if aim.level.measure == "mean":
                 squares.append(self.mean_factor(aim.region) / unit)
                 continue
-            rows = self.rows(self._points(("aim", index), aim.region)) / unit
+            rows = self._rows_of(("aim", index), aim.region) / unit
             if (phase := self._phase(aim)) == "free":
                 squares += list(rows[:, None])
             else:
@@ -139,7 +146,7 @@ class Tone:
             if rest.allowance.measure == "mean":
                 blocks.append((index, self.mean_factor(rest.region)[None]))
             else:
-                blocks.append((index, self.rows(self._points(("rest", index), rest.region))[:, None]))
+                blocks.append((index, self._rows_of(("rest", index), rest.region)[:, None]))
         return blocks
 
     def _unit(self, index: int, level: float) -> float:
@@ -149,6 +156,19 @@ class Tone:
 
     def _phase(self, aim: Aim) -> float | Literal["free"]:
         return "free" if aim.level.phase == "free" else aim.level.phase + self.rotation
+
+    def _rows_of(self, key: Key, region: Region) -> np.ndarray:
+        """Return the rows of the points of a region that programs have so far, which are only added to."""
+        points, rows = self._points(key, region), self._known.get(key)
+        if rows is None or len(rows) < len(points):
+            more = self.rows(points[0 if rows is None else len(rows) :])
+            self._known[key] = more if rows is None else np.concatenate([rows, more])
+        return self._known[key]
+
+    @cached_property
+    def _known(self) -> dict[Key, np.ndarray]:
+        """Rows (points, actuators) of points of programs."""
+        return {}
 
     def _points(self, key: Key, region: Region) -> np.ndarray:
         """Return the points of a region that programs have so far: at first some of its samples."""
@@ -172,8 +192,8 @@ class Tone:
 
     def _add(self, key: Key, region: Region, drive: np.ndarray, measure: Values, limit: float, between: bool) -> bool:
         """Add the points of a region where a measure of the acceleration passes a limit."""
-        peaks = self._peaks(region, drive, measure, between)
-        beyond = peaks[measure(self.rows(peaks) @ drive) > limit + TOLERANCE * max(1.0, limit)]
+        peaks, tolerance = self._peaks(region, drive, measure, between), TOLERANCE if between else COARSE
+        beyond = peaks[measure(self.rows(peaks) @ drive) > limit + tolerance * max(1.0, limit)]
         self.points[key] = np.concatenate([self.points[key], beyond])
         return len(beyond) > 0
 
@@ -193,11 +213,13 @@ class Tone:
     def rotated(self, drive: np.ndarray) -> Tone:
         """Return the tone with the rotation at which a drive moves the first target that has a phase; its points are
         shared."""
+        tone = copy(self)  # with what is computed already
         for index, aim in enumerate(self.requirements.aims):
             if self._is_fixed(aim):
-                motion = (self.rows(self._points(("aim", index), aim.region)) @ drive).mean()
-                return replace(self, rotation=float(-np.angle(motion) - aim.level.phase))
-        return self
+                motion = (self._rows_of(("aim", index), aim.region) @ drive).mean()
+                tone.rotation = float(-np.angle(motion) - aim.level.phase)
+                break
+        return tone
 
     def binding(self, result: LeastScale) -> list[tuple[str, float]]:
         """Return what the proof of a program of this tone alone rests on, in words, with its part of the proof."""
@@ -269,6 +291,7 @@ def solve_together(
     level: float = 1.0,
     between: bool = True,
     start: np.ndarray | None = None,
+    searches: int = SEARCHES,
 ) -> LeastScale:
     """Return the least scale, for the wanted levels or a multiple of them, that one drive needs for all tones.
 
@@ -276,31 +299,35 @@ def solve_together(
         tones: Tones with the same actuators.
         scaled: What is scaled. The bound holds for each tone's ``rotation``, which does not matter to one tone alone.
         level: Multiple of the wanted levels.
-        between: Let the drive keep its scale between the samples of the regions too, not only at these.
-        start: Drive (actuators,) to start from if the problem is not convex; then there is no bound.
+        between: Let the drive keep its scale between the samples of the regions too, not only roughly at these.
+        start: Drive (actuators,) to start from if the problem is not convex.
+        searches: Largest number of searches from the relaxation if the problem is not convex; 0 for none, without a
+            bound.
     """
-    refined, cold, drive = not between, 0, start
+    refined, settled, done, drive = False, False, 0, start
     for _ in range(ROUNDS):
         parts = [tone.program(scaled, level) for tone in tones]
         wanted = np.concatenate([part[0] for part in parts])
         squares, blocks = [item for part in parts for item in part[1]], [item for part in parts for item in part[2]]
         program = partial(least_scale_of_squares, wanted, squares, blocks, scaled != "elsewhere")
-        result = program(drive)
+        result = program(drive, STEPS if settled else FEW_STEPS)
         if not np.isfinite(result.drive).all():
-            if drive is None or cold == COLD:
+            if drive is None or done >= searches:
                 break
-            drive, cold = None, cold + 1  # this one leads nowhere with the added points
+            drive, done = None, done + 1  # this one leads nowhere with the added points
             continue
-        added = [tone.add_points(result, scaled, level, refined and between) for tone in tones]
-        if not any(added) and refined:
-            if drive is None or start is not None:
+        added = [tone.add_points(result, scaled, level, refined) for tone in tones]
+        if between and not refined and not any(added):
+            refined, added = True, [tone.add_points(result, scaled, level, True) for tone in tones]
+        if not any(added) and (settled or drive is None):
+            if drive is None or not searches:
                 break
             relaxed = program()
-            if relaxed.scale >= result.scale * (1 - GAIN) or cold == COLD:
+            if relaxed.scale >= result.scale * (1 - GAIN) or done >= searches:
                 return replace(result, bound=min(relaxed.bound, result.scale))
-            drive, cold = None, cold + 1
+            drive, done = None, done + 1
             continue
-        refined |= not any(added)
+        settled = not any(added)
         drive = result.drive if squares else None
     return result
 

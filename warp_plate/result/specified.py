@@ -57,7 +57,7 @@ class SpecifiedDrive:
 
     scene: Scene
     feasible: bool  # true if the drive meets the specification
-    proved: bool  # true if it does, or if it is proved that none does at the frequencies that were tried
+    proved: bool  # true if it does; or if it is proved that none does at any frequency tried, or at one of a band
     frequency: float  # frequency of the drive [Hz]
     drive: np.ndarray  # (actuators,) complex amplitudes, in ``unit``; NaN if no drive reaches the levels
     limits: np.ndarray  # (actuators,) largest amplitudes, in ``unit``
@@ -79,7 +79,8 @@ class SpecifiedDrive:
     field_db: np.ndarray  # (ny, nx) acceleration over the least wanted level [dB]
     guard: Sequence[np.ndarray]  # closed outlines (points, 2) [m] of where levels elsewhere hold
     scatter: Sequence[Scatter]
-    robust_drive: np.ndarray  # (actuators,) the one drive for all cases, in ``unit``; NaN without tolerances
+    robust_frequency: float  # frequency of the one drive for all cases [Hz]; NaN without tolerances
+    robust_drive: np.ndarray  # (actuators,) this drive, in ``unit``; NaN without tolerances
     notes: Sequence[str]  # what should be known of the answer, in sentences
 
     @property
@@ -106,9 +107,30 @@ class SpecifiedDrive:
         return dict(zip((actuator.name for actuator in self.scene.actuators), values.tolist(), strict=True))
 
     def driven_scene(self) -> Scene:
-        """Return the scene with the drive and its frequency."""
-        scene = self.scene.replace("drive.frequency", self.frequency)
-        return scene_with(scene, np.abs(self.drive) / self.scene.unit_drives, -np.angle(self.drive))
+        """Return the scene with the drive and its frequency; with tolerances, the one drive for all cases."""
+        frequency, drive = (self.robust_frequency, self.robust_drive) if self.scatter else (self.frequency, self.drive)
+        scene = self.scene.replace("drive.frequency", frequency)
+        return scene_with(scene, np.abs(drive) / self.scene.unit_drives, -np.angle(drive))
+
+    @property
+    def verdict(self) -> str:
+        """Whether a drive meets the specification, in words."""
+        at, tried = f"at {self.frequency:.6g} Hz", len(self.frequencies)
+        specification = self.scene.specification
+        band = specification is not None and specification.band
+        if self.feasible and band:
+            return (
+                f"at each of the {tried} frequencies tried a drive meets the specification; {at} with the least margin"
+            )
+        if self.feasible:
+            return f"{at} a drive meets the specification"
+        if not self.proved:
+            return f"{at} no drive was found that meets the specification; it is not proved that there is none"
+        if band:
+            return f"no drive meets the specification in the whole band: {at} there is none"
+        if tried > 1:
+            return f"no drive meets the specification at any of the {tried} frequencies tried; {at} is the nearest"
+        return f"{at} no drive meets the specification"
 
     @property
     def robust(self) -> bool:

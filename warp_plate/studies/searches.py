@@ -15,7 +15,7 @@ import scipy
 from warp_plate.cluster.evaluator import Evaluator
 from warp_plate.interrupts import SecondInterrupt, check_interrupt, deferred_interrupts
 from warp_plate.modal.solver import MODAL
-from warp_plate.optimize.optimizer import MethodError, Optimizer, minimize
+from warp_plate.optimize.optimizer import MethodError, Optimizer, minimize, minimum_near
 from warp_plate.optimize.quadratic import ExactSearch, best_position
 from warp_plate.plate.weights import REGIONS
 from warp_plate.problem.evaluate_cases import reference_phasors
@@ -264,16 +264,11 @@ def with_target(problem: Problem, index: int) -> Problem:
 
 def _refine(problem: Problem, position: np.ndarray, loss: float, tried: np.ndarray) -> tuple[np.ndarray, float, int]:
     """Return the best frequency (1,) near the best of those tried (n,), its loss, and the number of evaluations."""
-    at = int(np.searchsorted(tried, position[0]))
-    result = scipy.optimize.minimize_scalar(
-        lambda frequency: float(problem.losses(np.array([[frequency]]))[0]),
-        bounds=(tried[max(at - 1, 0)], tried[min(at + 1, len(tried) - 1)]),
-        method="bounded",
-        options={"xatol": FREQUENCY_TOLERANCE * position[0], "maxiter": BRENT_STEPS},
+    at = min(int(np.searchsorted(tried, position[0])), len(tried) - 1)
+    place, least, evaluations = minimum_near(
+        lambda frequency: float(problem.losses(np.array([[frequency]]))[0]), tried, at, FREQUENCY_TOLERANCE, BRENT_STEPS
     )
-    if result.fun < loss:
-        position, loss = np.array([result.x]), float(result.fun)
-    return position, loss, result.nfev
+    return (np.array([place]), least, evaluations) if least < loss else (position, loss, evaluations)
 
 
 def polish(

@@ -6,12 +6,14 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 
 from warp_plate.interrupts import check_interrupt
 from warp_plate.modal.modes import ModalPlate, solve_modes
 from warp_plate.optimize.cones import LeastScale
+from warp_plate.optimize.optimizer import minimum_near
 from warp_plate.problem.requirements import make_requirements
 from warp_plate.problem.specified_drives import Scaled, Tone, solve_together
 from warp_plate.result.specified import Margin, Scatter, SpecifiedDrive
@@ -27,12 +29,15 @@ TRIED, FREQUENCY_ACCURACY = 24, 1e-5
 PARETO = np.geomspace(1 / 8, 8, 13)
 # Relative violation that counts as none; part of a certificate above which a requirement is named.
 NOTHING, NAMED = 1e-7, 0.02
-# Density of the splines that errors are estimated with, and the multiple of the difference that counts.
-FINER, SAFETY = 1.3, 2.0
+# Density of the splines that errors are estimated with: far fewer than those of the answer, whose error is less than
+# the difference.
+COARSER = 1 / 1.3
 # Points of the map along the longer side of the plate.
 MAP_POINTS = 161
-# Rounds of a drive for all cases of the tolerances.
-ROTATIONS = 12
+# Levels over those wanted (aims,), and over those allowed (rests,).
+Ratios: TypeAlias = "tuple[np.ndarray, np.ndarray]"
+# Rounds of a drive for all cases of the tolerances, and those of one of several frequencies that are tried for it.
+ROTATIONS, FEW_ROTATIONS, ROBUST_TRIED = 12, 2, 7
 
 
 def specify(
@@ -62,25 +67,30 @@ def specify(
     requirements = make_requirements(plate)
     scaled: Scaled = "elsewhere" if requirements.rests else "actuators"
     frequencies = _frequencies(plate, low, high)
-    tones, scales = [], []
+    tones: list[Tone] = []
+    scales: list[LeastScale] = []
     for done, frequency in enumerate(frequencies):
         check_interrupt()
         tones.append(Tone(plate, requirements, float(frequency), largest))
-        scales.append(tones[-1].solve(scaled, between=False))
+        start = scales[-1].drive if scales and np.isfinite(scales[-1].drive).all() else None
+        scales.append(tones[-1].solve(scaled, between=False, start=start, searches=1))
         if on_progress is not None:
             on_progress(done + 1, len(frequencies))
     chosen = (max if specification.band else min)(range(len(tones)), key=lambda k: _order(tones[k], scales[k]))
     tone = tones[chosen]
-    if not specification.band and 0 < chosen < len(tones) - 1:
-        tone = _between(tone, scaled, frequencies[chosen - 1], frequencies[chosen + 1])
-    result = tone.solve(scaled)
-    answer = _answer(tone, scaled, result, scales, frequencies)
+    if 0 < chosen < len(tones) - 1 and math.isfinite(scales[chosen].scale):
+        tone = _between(tone, scaled, scales, frequencies, chosen)
+    answer = _answer(tone, scaled, scales, frequencies, scales[chosen].drive)
     if specification.tolerance and tolerances:
-        robust, scatter = _scatter(tone, scaled, answer.drive / answer.limits)
+        spread = np.unique(np.linspace(0, len(tones) - 1, 1 if specification.band else ROBUST_TRIED).astype(int))
+        starts = [(tone.frequency, answer.drive / answer.limits)]
+        starts += [(tones[k].frequency, scales[k].drive) for k in spread if len(spread) > 1]
+        frequency, robust, scatter = _scatter(tone, scaled, starts)
         met, notes = sum(case.met for case in scatter), list(answer.notes)
         if met < len(scatter):
             notes.append(f"the one drive for all cases meets the specification in {met} of {len(scatter)} cases")
-        answer = replace(answer, scatter=scatter, robust_drive=robust * answer.limits, notes=notes)
+        robust = robust * answer.limits
+        answer = replace(answer, scatter=scatter, robust_frequency=frequency, robust_drive=robust, notes=notes)
     return answer
 
 
@@ -132,48 +142,51 @@ def _order(tone: Tone, result: LeastScale) -> tuple[bool, float]:
     return True, tone.solve("actuators alone", between=False).scale
 
 
-def _between(tone: Tone, scaled: Scaled, low: float, high: float) -> Tone:
-    """Return the tone of the best frequency between two that enclose a tone's."""
-    from scipy.optimize import minimize_scalar
+def _between(tone: Tone, scaled: Scaled, scales: Sequence[LeastScale], frequencies: np.ndarray, chosen: int) -> Tone:
+    """Return the tone of the best frequency near that of a tone, or of the worst one of a band."""
+    sign = -1.0 if tone.requirements.specification.band else 1.0
 
     def scale(frequency: float) -> float:
         check_interrupt()
-        return replace(tone, frequency=float(frequency)).solve(scaled, between=False).scale
+        start = scales[chosen].drive
+        return sign * replace(tone, frequency=frequency).solve(scaled, between=False, start=start, searches=0).scale
 
-    options = {"xatol": FREQUENCY_ACCURACY * high, "maxiter": 30}
-    best = minimize_scalar(scale, bounds=(low, high), method="bounded", options=options)
-    return replace(tone, frequency=float(best.x)) if best.fun < scale(tone.frequency) else tone
+    best, least, _ = minimum_near(scale, frequencies, chosen, FREQUENCY_ACCURACY, 30)
+    return replace(tone, frequency=best) if least < sign * scales[chosen].scale else tone
 
 
 def _answer(
-    tone: Tone, scaled: Scaled, result: LeastScale, scales: Sequence[LeastScale], frequencies: np.ndarray
+    tone: Tone, scaled: Scaled, scales: Sequence[LeastScale], frequencies: np.ndarray, start: np.ndarray
 ) -> SpecifiedDrive:
-    """Return the answer at the frequency of a tone, without cases of tolerances."""
+    """Return the answer at the frequency of a tone, from a drive to start from, without cases of tolerances."""
     scene, rests = tone.plate.scene, tone.requirements.rests
-    binding, reached = tone.binding(result), math.isfinite(result.scale)
-    limits, feasible = tone.largest * scene.unit_drives, reached and result.scale <= 1 + NOTHING
     whole = tone.solve("actuators alone")
     if not np.isfinite(whole.drive).all():
         raise SceneError("specification.level: no drive reaches it, as at an edge that is held; write another level")
+    result = tone.solve(scaled, start=start if np.isfinite(start).all() else None)
+    if not math.isfinite(result.scale) and whole.scale <= 1:
+        result = tone.solve(scaled, start=whole.drive)
+    binding, reached, band = tone.binding(result), math.isfinite(result.scale), tone.requirements.specification.band
+    limits, feasible = tone.largest * scene.unit_drives, reached and result.scale <= 1 + NOTHING
     effort = tone.solve("actuators") if rests else result
     drive = result.drive if reached else whole.drive / whole.scale
+    levels = tone.reached(drive)
     contrast, bound = (_contrast(tone, scale) for scale in (result.scale, result.bound))
-    curve = PARETO if rests else ()
-    pareto = [(level, tone.solve(scaled, level, between=False, start=level * drive)) for level in curve]
+    pareto = _pareto(tone, scaled, drive) if rests else []
     obstacles = [] if feasible else _obstacles(tone, binding, result, effort, whole)
     return SpecifiedDrive(
         scene=scene,
         feasible=feasible,
-        proved=feasible or min(result.bound, *(one.bound for one in scales)) > 1,
+        proved=feasible or (max if band else min)(result.bound, *(one.bound for one in scales)) > 1,
         frequency=tone.frequency,
         drive=drive * limits,
         limits=limits,
         unit="V" if scene.piezo else "N",
         levels=tone.extremes(drive),
-        margins=_margins(tone, drive, limits),
+        margins=_margins(tone, drive, levels, limits),
         contrast_db=contrast,
         bound_db=bound if reached else math.nan,
-        interval=_interval(tone, drive),
+        interval=_interval(tone, drive, levels),
         effort=effort.scale,
         largest_level=1 / whole.scale,
         obstacles=obstacles,
@@ -186,9 +199,29 @@ def _answer(
         field_db=_field(tone, drive),
         guard=[line for rest in rests for line in rest.region.lines],
         scatter=(),
+        robust_frequency=math.nan,
         robust_drive=np.full(len(limits), np.nan),
         notes=_notes(scene, tone.requirements.specification, tone.frequency),
     )
+
+
+def _pareto(tone: Tone, scaled: Scaled, drive: np.ndarray) -> list[tuple[float, LeastScale]]:
+    """Return multiples of the wanted levels, and the least scale of each; a drive starts their searches.
+
+    Where all levels are relative, a drive that the limits allow to be raised is the best one of higher levels, too.
+    """
+    specification = tone.requirements.specification
+    relative = all(row.relative_db is not None for row in specification.allowances) and not specification.limits.power
+    curve: list[tuple[float, LeastScale]] = []
+    for level in PARETO.tolist():
+        check_interrupt()
+        before = curve[-1] if relative and curve and np.isfinite(curve[-1][1].drive).all() else None
+        if before is not None and level / before[0] * np.abs(before[1].drive).max() <= 1:
+            result = replace(before[1], drive=level / before[0] * before[1].drive)
+        else:
+            result = tone.solve(scaled, level, between=False, start=level * drive, searches=0)
+        curve.append((level, result))
+    return curve
 
 
 def _contrast(tone: Tone, scale: float) -> float:
@@ -202,8 +235,8 @@ def _decibels(ratio: float) -> float:
     return 20 * math.log10(ratio) if ratio > 0 else -math.inf
 
 
-def _margins(tone: Tone, drive: np.ndarray, limits: np.ndarray) -> list[Margin]:
-    in_aims, in_rests = (part.tolist() for part in tone.reached(drive))
+def _margins(tone: Tone, drive: np.ndarray, levels: Ratios, limits: np.ndarray) -> list[Margin]:
+    in_aims, in_rests = (part.tolist() for part in levels)
     margins = []
     for aim, wanted, ratio in zip(tone.requirements.aims, tone.wanted.tolist(), in_aims, strict=True):
         name = f"{aim.name}, {aim.level.measure} point".replace("mean point", "mean")
@@ -220,15 +253,15 @@ def _margins(tone: Tone, drive: np.ndarray, limits: np.ndarray) -> list[Margin]:
     return margins
 
 
-def _interval(tone: Tone, drive: np.ndarray) -> tuple[float, float]:
+def _interval(tone: Tone, drive: np.ndarray, levels: Ratios) -> tuple[float, float]:
     """Return the contrast [dB] of a drive, or its least level over the wanted one, with its numerical error."""
-    finer = solve_modes(tone.plate.scene, tone.plate.highest / tone.plate.scene.grid.modal_density, density=FINER)
-    values = []
-    for one in (tone, replace(tone, plate=finer, requirements=make_requirements(finer), points={})):
-        level, contrast = _level_and_contrast(one, drive)
-        values.append(contrast if one.requirements.rests else level)
-    half = SAFETY * abs(values[1] - values[0])
-    return values[0] - half, values[0] + half
+    scene = tone.plate.scene
+    other = solve_modes(scene, tone.plate.highest / scene.grid.modal_density, density=COARSER)
+    coarser = replace(tone, plate=other, requirements=make_requirements(other), points={})
+    both = [_level_and_contrast(tone, levels), _level_and_contrast(coarser, coarser.reached(drive))]
+    value, coarse = (pair[1 if tone.requirements.rests else 0] for pair in both)
+    half = abs(coarse - value)
+    return value - half, value + half
 
 
 def _gains(result: LeastScale, limits: np.ndarray) -> np.ndarray:
@@ -273,9 +306,13 @@ def _field(tone: Tone, drive: np.ndarray) -> np.ndarray:
         return np.asarray(20 * np.log10(np.abs(tone.field(drive, x, y)) / tone.wanted.min()))
 
 
-def _scatter(tone: Tone, scaled: Scaled, nominal: np.ndarray) -> tuple[np.ndarray, list[Scatter]]:
-    """Return one drive (actuators,) for all cases of the tolerances; and the cases, with this drive, the nominal one
-    and the best ones."""
+def _scatter(
+    tone: Tone, scaled: Scaled, starts: Sequence[tuple[float, np.ndarray]]
+) -> tuple[float, np.ndarray, list[Scatter]]:
+    """Return the frequency [Hz] and the one drive (actuators,) for all cases of the tolerances; and the cases.
+
+    The drive is sought at several frequencies, from a drive for each; first comes the drive of the nominal scene.
+    """
     scene, specification = tone.plate.scene, tone.requirements.specification
     keys = {resolved_key(scene, key): part for key, part in specification.tolerance.items()}
     cases = [dict(zip(keys, signs, strict=True)) for signs in itertools.product((-1, 0, 1), repeat=len(keys))]
@@ -284,31 +321,45 @@ def _scatter(tone: Tone, scaled: Scaled, nominal: np.ndarray) -> tuple[np.ndarra
     for case in factors:
         check_interrupt()
         varied = scene.with_values({key: float(value_of(scene, key)) * factor for key, factor in case.items()})
-        plate = solve_modes(varied, tone.frequency)
+        plate = solve_modes(varied, max(frequency for frequency, _ in starts))
         tones.append(replace(tone, plate=plate, requirements=make_requirements(plate), points={}))
-    robust, rows = _drive_for_all(tones, scaled, nominal), []
-    for one, case in zip(tones, factors, strict=True):
-        nominal_level, nominal_db = _level_and_contrast(one, nominal)
-        robust_level, robust_db = _level_and_contrast(one, robust)
+
+    def at(frequency: float) -> list[Tone]:
+        return [replace(one, frequency=frequency, points={}) for one in tones]
+
+    tried = [start for start in starts if np.isfinite(start[1]).all()]
+    found = [_drive_for_all(at(frequency), scaled, drive, FEW_ROTATIONS) for frequency, drive in tried[1:]]
+    nominal = starts[0][1]
+    found = [_drive_for_all(tones, scaled, nominal, FEW_ROTATIONS), *found] if found else [(math.inf, nominal)]
+    best_at = min(range(len(found)), key=lambda k: found[k][0])
+    frequency, rows = tried[best_at][0], []
+    robust = _drive_for_all(at(frequency), scaled, found[best_at][1])[1]
+    for before, one, case in zip(tones, at(frequency), factors, strict=True):
+        nominal_level, nominal_db = _level_and_contrast(before, before.reached(nominal))
+        robust_level, robust_db = _level_and_contrast(one, one.reached(robust))
         best = _contrast(one, one.solve(scaled).scale)
         met = one.is_met(robust, NOTHING)
         rows.append(Scatter(case, nominal_level, nominal_db, robust_level, robust_db, best, met))
-    return robust, rows
+    return frequency, robust, rows
 
 
-def _drive_for_all(tones: Sequence[Tone], scaled: Scaled, drive: np.ndarray) -> np.ndarray:
-    """Return the best drive (actuators,) for all tones, in rounds from a given one, which is returned if none reaches
-    the levels of all."""
+def _drive_for_all(
+    tones: Sequence[Tone], scaled: Scaled, drive: np.ndarray, rounds: int = ROTATIONS
+) -> tuple[float, np.ndarray]:
+    """Return the scale of the best drive for all tones, and this drive (actuators,), in rounds from a given one, which
+    is returned if none reaches the levels of all; few rounds are rough."""
     least = math.inf
-    for _ in range(ROTATIONS):
-        result = solve_together([one.rotated(drive) for one in tones], scaled)
+    for _ in range(rounds):
+        check_interrupt()
+        rotated = [one.rotated(drive) for one in tones]
+        result = solve_together(rotated, scaled, between=rounds == ROTATIONS, start=drive)
         if not result.scale < least * (1 - 1e-4):
             break
         least, drive = result.scale, result.drive
-    return drive
+    return least, drive
 
 
-def _level_and_contrast(tone: Tone, drive: np.ndarray) -> tuple[float, float]:
-    """Return the least level under a drive over the wanted one, and the contrast [dB] or NaN."""
-    in_aims, in_rests = tone.reached(drive)
+def _level_and_contrast(tone: Tone, levels: Ratios) -> tuple[float, float]:
+    """Return the least level of a drive over the wanted one, and the contrast [dB] or NaN."""
+    in_aims, in_rests = levels
     return float(in_aims.min()), _contrast(tone, in_rests.max() / in_aims.min()) if in_rests.size else math.nan
