@@ -57,12 +57,12 @@ def test_levels_beyond_the_limits_are_proved_to_be_so():
 @pytest.mark.parametrize("level", [1e-12, 1e-9, 1e-3, 1e3])
 def test_levels_of_any_size_have_the_same_scale(level, squares):
     """Limits do not matter to levels far below them."""
-    rows, rest = 1e6 * random_rows(2, 4), 1e6 * random_rows(6, 1, 4)
+    rows, rest = (10 * max(1, level) * random_rows(*shape) for shape in ((2, 4), (6, 1, 4)))
     wanted, factors = rows[squares:], list(rows[:squares, None])
     usual = least_scale_of_squares(wanted, factors, [Block(rest, True)])
     result = least_scale_of_squares(wanted / level, [row / level for row in factors], [Block(rest / level, True)])
     assert result.scale == pytest.approx(usual.scale, rel=1e-7 if squares else 1e-9)
-    assert result.scale * (1 - (0.1 if squares else 1e-3)) < result.bound <= result.scale
+    assert result.scale * (1 - (0.3 if squares else 0.02)) < result.bound <= result.scale
     reached = rows @ result.drive / level
     assert (np.abs(reached) if squares else reached.real).min() == pytest.approx(1, rel=1e-7)
 

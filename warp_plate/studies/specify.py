@@ -84,7 +84,8 @@ def specify(
     if specification.tolerance and tolerances:
         spread = np.unique(np.linspace(0, len(tones) - 1, 1 if specification.band else ROBUST_TRIED).astype(int))
         starts = [(tone.frequency, answer.drive / answer.limits)]
-        starts += [(tones[k].frequency, scales[k].drive) for k in spread if len(spread) > 1]
+        reached = [k for k in spread if len(spread) > 1 and np.isfinite(scales[k].drive).all()]
+        starts += [(tones[k].frequency, scales[k].drive) for k in reached]
         frequency, robust, scatter = _scatter(tone, scaled, starts)
         met, notes = sum(case.met for case in scatter), list(answer.notes)
         if met < len(scatter):
@@ -327,14 +328,20 @@ def _scatter(
     def at(frequency: float) -> list[Tone]:
         return [replace(one, frequency=frequency, points={}) for one in tones]
 
-    tried = [start for start in starts if np.isfinite(start[1]).all()]
-    found = [_drive_for_all(at(frequency), scaled, drive, FEW_ROTATIONS) for frequency, drive in tried[1:]]
-    nominal = starts[0][1]
-    found = [_drive_for_all(tones, scaled, nominal, FEW_ROTATIONS), *found] if found else [(math.inf, nominal)]
-    best_at = min(range(len(found)), key=lambda k: found[k][0])
-    frequency, rows = tried[best_at][0], []
-    robust = _drive_for_all(at(frequency), scaled, found[best_at][1])[1]
-    for before, one, case in zip(tones, at(frequency), factors, strict=True):
+    def solve(frequency: float, drive: np.ndarray, rounds: int = ROTATIONS) -> tuple[float, np.ndarray]:
+        return _drive_for_all(at(frequency), scaled, drive, rounds)
+
+    (nominal_frequency, nominal), *others = starts
+    candidates, rough = [starts[0]], [solve(*start, FEW_ROTATIONS) for start in others]
+    if others:
+        best, places = min(range(len(rough)), key=lambda k: rough[k][0]), np.array([place for place, _ in others])
+        least, drive = rough[best]
+        place, value, _ = minimum_near(lambda x: solve(x, drive, FEW_ROTATIONS)[0], places, best, 1e-3, ROBUST_TRIED)
+        candidates.append((place if value < least else float(places[best]), drive))
+    found = [(solve(*candidate), candidate[0]) for candidate in candidates]
+    (_, robust), frequency = min(found, key=lambda row: row[0][0])
+    rows = []
+    for before, one, case in zip(at(nominal_frequency), at(frequency), factors, strict=True):
         nominal_level, nominal_db = _level_and_contrast(before, before.reached(nominal))
         robust_level, robust_db = _level_and_contrast(one, one.reached(robust))
         best = _contrast(one, one.solve(scaled).scale)
