@@ -37,7 +37,7 @@ MAP_POINTS = 161
 # Levels over those wanted (aims,), and over those allowed (rests,).
 Ratios: TypeAlias = "tuple[np.ndarray, np.ndarray]"
 # Rounds of a drive for all cases of the tolerances, and those of one of several frequencies that are tried for it.
-ROTATIONS, FEW_ROTATIONS, ROBUST_TRIED = 12, 2, 7
+ROTATIONS, FEW_ROTATIONS, ROBUST_TRIED = 12, 3, 6
 
 
 def specify(
@@ -328,25 +328,26 @@ def _scatter(
     def at(frequency: float) -> list[Tone]:
         return [replace(one, frequency=frequency, points={}) for one in tones]
 
-    def solve(frequency: float, drive: np.ndarray, rounds: int = ROTATIONS) -> tuple[float, np.ndarray]:
-        return _drive_for_all(at(frequency), scaled, drive, rounds)
+    def rough(frequency: float, drive: np.ndarray) -> tuple[float, np.ndarray]:
+        return _drive_for_all(at(frequency), scaled, drive, FEW_ROTATIONS)
 
-    (nominal_frequency, nominal), *others = starts
-    candidates, rough = [starts[0]], [solve(*start, FEW_ROTATIONS) for start in others]
-    if others:
-        best, places = min(range(len(rough)), key=lambda k: rough[k][0]), np.array([place for place, _ in others])
-        least, drive = rough[best]
-        place, value, _ = minimum_near(lambda x: solve(x, drive, FEW_ROTATIONS)[0], places, best, 1e-3, ROBUST_TRIED)
-        candidates.append((place if value < least else float(places[best]), drive))
-    found = [(solve(*candidate), candidate[0]) for candidate in candidates]
-    (_, robust), frequency = min(found, key=lambda row: row[0][0])
+    nominal_frequency, nominal = starts[0]
+    tried, places = [rough(*start) for start in starts], np.array([frequency for frequency, _ in starts])
+    chosen = min(range(len(tried)), key=lambda k: tried[k][0])
+    frequency, (least, robust) = float(places[chosen]), tried[chosen]
+    if chosen:
+        place, value, _ = minimum_near(lambda x: rough(x, robust)[0], places[1:], chosen - 1, 1e-3, ROBUST_TRIED)
+        frequency = place if value < least else frequency
+    robust = _drive_for_all(at(frequency), scaled, robust)[1]
+    last = solve_together([one.rotated(robust) for one in at(frequency)], scaled, start=robust, searches=0)
+    robust = last.drive if math.isfinite(last.scale) else robust
     rows = []
     for before, one, case in zip(at(nominal_frequency), at(frequency), factors, strict=True):
         nominal_level, nominal_db = _level_and_contrast(before, before.reached(nominal))
         robust_level, robust_db = _level_and_contrast(one, one.reached(robust))
-        best = _contrast(one, one.solve(scaled).scale)
+        retuned = _contrast(one, one.solve(scaled).scale)
         met = one.is_met(robust, NOTHING)
-        rows.append(Scatter(case, nominal_level, nominal_db, robust_level, robust_db, best, met))
+        rows.append(Scatter(case, nominal_level, nominal_db, robust_level, robust_db, retuned, met))
     return frequency, robust, rows
 
 
@@ -354,12 +355,11 @@ def _drive_for_all(
     tones: Sequence[Tone], scaled: Scaled, drive: np.ndarray, rounds: int = ROTATIONS
 ) -> tuple[float, np.ndarray]:
     """Return the scale of the best drive for all tones, and this drive (actuators,), in rounds from a given one, which
-    is returned if none reaches the levels of all; few rounds are rough."""
+    is returned if none reaches the levels of all; roughly, at samples."""
     least = math.inf
     for _ in range(rounds):
         check_interrupt()
-        rotated = [one.rotated(drive) for one in tones]
-        result = solve_together(rotated, scaled, between=rounds == ROTATIONS, start=drive)
+        result = solve_together([one.rotated(drive) for one in tones], scaled, between=False, start=drive, searches=0)
         if not result.scale < least * (1 - 1e-4):
             break
         least, drive = result.scale, result.drive
