@@ -47,6 +47,7 @@ class Tone:
     frequency: float  # [Hz]
     largest: np.ndarray  # (actuators,) largest magnitudes, in the unit of the scene's drives
     rotation: float = 0.0  # phase lag [rad] of the targets' motion whose phase is 0
+    reach: float = 1.0  # multiple of the wanted levels that programs ask for; relative levels follow
     points: dict[Key, np.ndarray] = field(default_factory=dict)  # points of aims and rests in programs
 
     @cached_property
@@ -122,7 +123,7 @@ class Tone:
 
     def program(self, scaled: Scaled, level: float) -> tuple[np.ndarray, list[np.ndarray], list[Block]]:
         """Return the wanted rows (rows, actuators), the factors of wanted mean squares and the limited blocks."""
-        wanted, squares = [np.empty((0, len(self.largest)), dtype=complex)], []
+        wanted, squares, level = [np.empty((0, len(self.largest)), dtype=complex)], [], level * self.reach
         for index, aim in enumerate(self.requirements.aims):
             unit = level * self.wanted[index] * (1 + MARGIN)
             if aim.level.measure == "mean":
@@ -179,7 +180,7 @@ class Tone:
     def add_points(self, result: LeastScale, scaled: Scaled, level: float, between: bool) -> bool:
         """Add samples, or points between them, at which a drive falls short or passes its scale; return whether there
         are any."""
-        added, scale = False, result.scale if scaled == "elsewhere" else 1.0
+        added, scale, level = False, result.scale if scaled == "elsewhere" else 1.0, level * self.reach
         for index, aim in enumerate(self.requirements.aims):
             if aim.level.measure == "weakest":
                 measure = partial(_shortfall, level * self.wanted[index], self._phase(aim))
@@ -199,11 +200,15 @@ class Tone:
 
     def _peaks(self, region: Region, drive: np.ndarray, measure: Values, between: bool = True) -> np.ndarray:
         """Return points (points, 2) [m] where a measure of the acceleration under a drive is largest."""
-        if id(region) not in self._samples:
-            self._samples[id(region)] = self.rows(region.samples)
-        levels, whole = measure(self._samples[id(region)] @ drive), (self._coefficients @ drive)[:, None]
+        levels, whole = measure(self._sampled(region, drive)), (self._coefficients @ drive)[:, None]
         values = (lambda points: measure(self._at_points(whole, points)[:, 0])) if between else None
         return region.peaks(levels, values)
+
+    def _sampled(self, region: Region, drive: np.ndarray) -> np.ndarray:
+        """Return the (samples,) complex accelerations [m/s²] of a region under a drive."""
+        if id(region) not in self._samples:
+            self._samples[id(region)] = self.rows(region.samples)
+        return np.asarray(self._samples[id(region)] @ drive)
 
     @cached_property
     def _samples(self) -> dict[int, np.ndarray]:
@@ -211,15 +216,25 @@ class Tone:
         return {}
 
     def rotated(self, drive: np.ndarray) -> Tone:
-        """Return the tone with the rotation at which a drive moves the first target that has a phase; its points are
-        shared."""
+        """Return the tone with the rotation at which a drive moves the first target that has a phase, and with the
+        levels that it reaches there; its points are shared."""
         tone = copy(self)  # with what is computed already
         for index, aim in enumerate(self.requirements.aims):
             if self._is_fixed(aim):
                 motion = (self._rows_of(("aim", index), aim.region) @ drive).mean()
                 tone.rotation = float(-np.angle(motion) - aim.level.phase)
                 break
+        if self.requirements.rests and all(rest.allowance.relative_db is not None for rest in self.requirements.rests):
+            tone.reach = max(1.0, min(map(partial(tone._reached, drive), range(len(self.wanted)))))
         return tone
+
+    def _reached(self, drive: np.ndarray, index: int) -> float:
+        """Return the level of an aim at the samples, at its phase, over that wanted."""
+        aim = self.requirements.aims[index]
+        if aim.level.measure == "mean":
+            return self._mean(aim.region, drive) / float(self.wanted[index])
+        shortfall = _shortfall(self.wanted[index], self._phase(aim), self._sampled(aim.region, drive))
+        return 1 - float(shortfall.max())
 
     def binding(self, result: LeastScale) -> list[tuple[str, float]]:
         """Return what the proof of a program of this tone alone rests on, in words, with its part of the proof."""
