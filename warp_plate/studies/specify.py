@@ -37,7 +37,7 @@ MAP_POINTS = 161
 # Levels over those wanted (aims,), and over those allowed (rests,).
 Ratios: TypeAlias = "tuple[np.ndarray, np.ndarray]"
 # Rounds of a drive for all cases of the tolerances, and those of one of several frequencies that are tried for it.
-ROTATIONS, FEW_ROTATIONS, ROBUST_TRIED = 12, 3, 6
+ROTATIONS, FEW_ROTATIONS, ROBUST_TRIED = 12, 2, 5
 
 
 def specify(
@@ -339,7 +339,7 @@ def _scatter(
         place, value, _ = minimum_near(lambda x: rough(x, robust)[0], places[1:], chosen - 1, 1e-3, ROBUST_TRIED)
         frequency = place if value < least else frequency
     robust = _drive_for_all(at(frequency), scaled, robust)[1]
-    last = solve_together([one.rotated(robust) for one in at(frequency)], scaled, start=robust, searches=0)
+    last = solve_together(_rotated(at(frequency), robust), scaled, start=robust, searches=0)
     robust = last.drive if math.isfinite(last.scale) else robust
     rows = []
     for before, one, case in zip(at(nominal_frequency), at(frequency), factors, strict=True):
@@ -359,11 +359,20 @@ def _drive_for_all(
     least = math.inf
     for _ in range(rounds):
         check_interrupt()
-        result = solve_together([one.rotated(drive) for one in tones], scaled, between=False, start=drive, searches=0)
+        result = solve_together(_rotated(tones, drive), scaled, between=False, start=drive, searches=0)
         if not result.scale < least * (1 - 1e-4):
             break
         least, drive = result.scale, result.drive
     return least, drive
+
+
+def _rotated(tones: Sequence[Tone], drive: np.ndarray) -> list[Tone]:
+    """Return tones that ask for the phases and levels that a drive reaches, scaled to the wanted ones in the worst."""
+    rotated = [tone.rotated(drive) for tone in tones]
+    least = min(tone.reach for tone in rotated)
+    for tone in rotated:
+        tone.reach /= least
+    return rotated
 
 
 def _level_and_contrast(tone: Tone, levels: Ratios) -> tuple[float, float]:
