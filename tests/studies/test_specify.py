@@ -254,3 +254,23 @@ def test_bad_specifications_are_refused_in_one_line(keys, words):
 def test_scenes_without_a_specification_are_refused():
     with pytest.raises(SceneError, match="specification: is missing; write for example"):
         warp_plate.specify("paper")
+
+
+def test_layers_and_oscillators_move_with_the_plate():
+    layer = "effects.layers=[{area=[0.1,0.2,0.02,0.1],thickness=0.5e-3,young_modulus=3e9,density=1200}]"
+    oscillator = "effects.oscillators=[{area=[0.1,0.11,0.05,0.06],mass=2e-3,stiffness=1e3,damping=0.1}]"
+    answer = warp_plate.specify(Scene.load("console", ["specification.frequency=230.0", layer, oscillator]))
+    assert answer.feasible
+    x, y, field = fields(answer)
+    away = distance(answer.scene.target.area, x, y)
+    assert field[away == 0].real.min() > GRAVITY * (1 - 1e-6)
+    assert 20 * math.log10(np.abs(field[away >= 0.06]).max() / GRAVITY) < answer.contrast_db + 1e-5
+    assert np.diff(answer.interval) < 0.3
+
+
+def test_targets_with_a_mask_are_refused(tmp_path):
+    np.savetxt(tmp_path / "mask.csv", np.ones((5, 9)), delimiter=",")
+    table = Scene.load("console").to_toml().replace("area = [0.23, 0.25, 0.055, 0.075]", 'mask = "mask.csv"')
+    (tmp_path / "masked.toml").write_text(table)
+    with pytest.raises(SceneError, match=r"target.mask: a specification takes an area, a disc or a polygon"):
+        warp_plate.specify(tmp_path / "masked.toml")

@@ -27,6 +27,7 @@ from warp_plate.studies.frequency_response import check_linear
 TRIED, FREQUENCY_ACCURACY = 24, 1e-5
 # Multiples of the wanted levels on the curve of level against contrast.
 PARETO = np.geomspace(1 / 8, 8, 13)
+SAME = 1e-4  # relative difference of two scales that counts as none
 # Relative violation that counts as none; part of a certificate above which a requirement is named.
 NOTHING, NAMED = 1e-7, 0.02
 # Density of the splines that errors are estimated with: far fewer than those of the answer, whose error is less than
@@ -209,20 +210,24 @@ def _answer(
 def _pareto(tone: Tone, scaled: Scaled, drive: np.ndarray) -> list[tuple[float, LeastScale]]:
     """Return multiples of the wanted levels, and the least scale of each; a drive starts their searches.
 
-    Where all levels are relative, a drive that the limits allow to be raised is the best one of higher levels, too.
+    Where all levels elsewhere are relative, a drive for a level serves lower ones, so that scales never fall with the
+    level: between two levels of one scale all have it.
     """
-    specification = tone.requirements.specification
-    relative = all(row.relative_db is not None for row in specification.allowances) and not specification.limits.power
-    curve: list[tuple[float, LeastScale]] = []
-    for level in PARETO.tolist():
-        check_interrupt()
-        before = curve[-1] if relative and curve and np.isfinite(curve[-1][1].drive).all() else None
-        if before is not None and level / before[0] * np.abs(before[1].drive).max() <= 1:
-            result = replace(before[1], drive=level / before[0] * before[1].drive)
-        else:
-            result = tone.solve(scaled, level, between=False, start=level * drive, searches=0)
-        curve.append((level, result))
-    return curve
+    relative = all(row.relative_db is not None for row in tone.requirements.specification.allowances)
+    results: dict[int, LeastScale] = {}
+
+    def fill(low: int, high: int) -> None:
+        for k in {low, high} - results.keys():
+            check_interrupt()
+            results[k] = tone.solve(scaled, PARETO[k], between=False, start=PARETO[k] * drive, searches=0)
+        if relative and results[high].scale <= results[low].scale * (1 + SAME):
+            results.update(dict.fromkeys(range(low, high), results[low]))
+        elif high - low > 1:
+            fill(low, (low + high) // 2)
+            fill((low + high) // 2, high)
+
+    fill(0, len(PARETO) - 1)
+    return [(level, results[k]) for k, level in enumerate(PARETO.tolist())]
 
 
 def _contrast(tone: Tone, scale: float) -> float:
