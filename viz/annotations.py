@@ -69,10 +69,6 @@ EDGE_STYLES = {
 }
 
 
-# Largest turn of a line that stands for an arc of an outline [rad].
-TURN = 0.05
-
-
 def edges_by_kind(scene: Scene) -> dict[str, list[Path]]:
     """Return the ends of the edges of every kind in the scene, in the order of EDGE_STYLES."""
     (x0, y0), (x1, y1) = (0.0, 0.0), scene.plate.size
@@ -81,7 +77,7 @@ def edges_by_kind(scene: Scene) -> dict[str, list[Path]]:
     kinds: dict[str, list[Path]] = {kind: [] for kind in EDGE_STYLES}
     pieces = [] if scene.outline is None else scene.outline.pieces
     for piece in pieces:
-        kinds[_kind(piece.condition)].append([(x, y) for x, y in piece.polyline(TURN).tolist()])
+        kinds[_kind(piece.condition)].append([(x, y) for x, y in piece.polyline().tolist()])
     for name, edge in () if pieces else scene.edges:
         kinds[_kind(edge)].append(ends[name])
     return {kind: edges for kind, edges in kinds.items() if edges}

@@ -13,8 +13,6 @@ from warp_plate.scene.model import Scene
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# Largest turn of a line that stands for an arc [rad].
-TURN = 0.03
 # Steps to the neighbours of a node, (rows, columns).
 STEPS = np.array([(j, i) for j in (-1, 0, 1) for i in (-1, 0, 1) if (j, i) != (0, 0)])
 
@@ -31,7 +29,7 @@ class OutlinedNodes:
     """
 
     def __init__(self, outline: Outline, size: tuple[float, float], nodes: tuple[int, int]) -> None:
-        self.outline, self.nodes = outline, nodes
+        self.outline = outline
         x, y = (np.linspace(0, side, count) for side, count in zip(size, nodes, strict=True))
         self._places = np.stack(np.meshgrid(x, y), axis=-1)
         self.inside = outline.contains(self._places)
@@ -45,7 +43,7 @@ class OutlinedNodes:
         """(n, 2) points of the outline nearest to the rim [m]."""
         import shapely
 
-        lines = shapely.MultiLineString([[*line, line[0]] for line in self.outline.polygons(TURN)])
+        lines = shapely.MultiLineString([[*line, line[0]] for line in self.outline.polygons()])
         rim = shapely.points(self._places[*self.rim.T])
         return np.asarray(shapely.get_coordinates(shapely.shortest_line(rim, lines)).reshape(-1, 2, 2)[:, 1])
 
@@ -114,6 +112,6 @@ def clip(artist: Any, axes: Axes, scene: Scene) -> None:
 
     if scene.outline is None:
         return
-    loops = [Path([*line, line[0]], closed=True) for line in scene.outline.polygons(TURN)]
+    loops = [Path([*line, line[0]], closed=True) for line in scene.outline.polygons()]
     artist.set_clip_path(PathPatch(Path.make_compound_path(*loops), transform=axes.transData))
     axes.spines[:].set_visible(False)

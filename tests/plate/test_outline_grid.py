@@ -162,7 +162,7 @@ WITH_A_SPIKE = ((0.0, 0.0), (0.1, 0.0), (0.1, 0.1), (0.097, 0.1), (0.097, 0.05),
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"edges": {"outline": {"translation": 1e6}}}, "edges.outline: time steps know no springs along an outline"),
+        ({"edges": {"outline": {"translation": 1e6}}}, "edges.outline: springs along an outline cannot be stepped"),
         ({"edges": {"outline": "free"}, "effects": {"tension": {"x": 1.0}}}, "in-plane forces next to a free edge"),
         ({"effects": {"material_damping": {"time": 1e-6}}}, "losses of the material next to a clamped edge"),
         (

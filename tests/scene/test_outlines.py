@@ -2,11 +2,14 @@
 
 import math
 
+import numpy as np
 import pytest
 
 from support.scenes import refused
 from support.scenes_of_outlines import outlined
 from warp_plate import Scene
+from warp_plate.modal.solver import ModalSolver
+from warp_plate.plate.bending import make_bending
 from warp_plate.resolve import resolve
 
 DISC = {"disc": (0.1, 0.1, 0.1)}
@@ -98,3 +101,22 @@ def test_supports_are_not_stepped():
     scene = outlined(DISC, supports=[{"point": (0.1, 0.1)}])
     assert resolve(scene, "cpu").engine == "modes"
     assert "supports: cannot be stepped in time" in refused(scene.check_stepped)
+
+
+@pytest.mark.parametrize(
+    ("edge", "holes", "effects", "key"),
+    [
+        ({"translation": 1e5}, [], {}, "edges.outline"),
+        ("clamped", [{"disc": (0.1, 0.15, 0.02), "edge": {"rotation": 5.0}}], {}, "plate.holes[0].edge"),
+        ("free", [], {"tension": {"x": 10.0, "y": 10.0}}, "plate.outline"),
+        ("clamped", [], {"material_damping": {"time": 1e-6}}, "plate.outline"),
+    ],
+)
+def test_what_has_no_time_steps_on_an_outline_is_taken_by_modes(edge, holes, effects, key):
+    scene = outlined(DISC, edge, holes, effects=effects)
+    assert resolve(scene, "cpu").engine == "modes"
+    assert (message := refused(scene.check_stepped)).startswith(f"{key}: ")
+    assert message == refused(make_bending, scene)
+    run = ModalSolver(scene, "cpu").run([[1.0]], points=[(0.1, 0.12)])
+    assert run.energy[0, 1] > 0
+    assert np.abs(run.trace).max() > 0

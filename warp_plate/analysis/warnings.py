@@ -245,7 +245,7 @@ def _left_at_start(scene: Scene) -> Finding:
     """
     name, key, lost = "start-up motion left", with_one_frequency(scene).nonperiodic_key, losses(scene.terms)
     if scene.steady:
-        fact = f"The motion is the steady one ({scene.modal_only_key}), without start-up motion"
+        fact = f"The motion is the steady one ({scene.steady_key}), without start-up motion"
         return _finding(name, 0.0, MOST_LEFT, fact)
     if key is not None:
         fact = f"The motion does not become steady ({key}), so its start-up motion is not judged"

@@ -48,7 +48,8 @@ MODAL: Literal["modal"] = "modal"
 def trace_step(scene: Scene, moment_form: bool = False) -> float:
     """Return the time step of traces [s]: the scene's, or that of time steps on its grid, so that both engines give
     the same times."""
-    limit = math.inf if scene.grid.time_step else find_limit(scene, moment_form)[0].time_step
+    unstepped = scene.outline is not None and scene.modal_only_key is not None
+    limit = math.inf if scene.grid.time_step or unstepped else find_limit(scene, moment_form)[0].time_step
     return sampling_step(scene, limit)
 
 

@@ -10,10 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.outline.pieces import Monotone, Piece
+from warp_plate.outline.pieces import TURN, Monotone, Piece
 
-# Largest turn [rad] of a side of the polygons by which crossings are found, and of those for pictures.
-FINE, COARSE = 0.02, 0.1
 # Parts of the longer side: pieces nearer than the first touch, a point of an edge may be as far off it as the second.
 TOUCH, OFF = 1e-9, 1e-3
 # Smallest area of a plate as a part of its bounding box.
@@ -50,11 +48,6 @@ class Outline:
     def length(self) -> float:
         """Length of all edges [m]."""
         return sum(piece.length for piece in self.pieces)
-
-    @cached_property
-    def conditions(self) -> dict[str, Any]:
-        """Conditions by the keys of the edges: "outline", "parts[0]", ..., "holes[0]", ..."""
-        return {piece.edge: piece.condition for piece in self.pieces}
 
     @cached_property
     def monotone(self) -> tuple[tuple[Monotone, ...], tuple[Monotone, ...]]:
@@ -94,7 +87,7 @@ class Outline:
         places = [place for place, _ in self.crossings(axis, at)]
         return list(zip(places[::2], places[1::2], strict=False))
 
-    def polygons(self, turn: float = COARSE) -> list[np.ndarray]:
+    def polygons(self, turn: float = TURN) -> list[np.ndarray]:
         """Return a closed polyline (n, 2) [m] for each loop, the outer edge first, with arcs in steps of ``turn``."""
         return [np.concatenate([piece.polyline(turn) for piece in loop]) for loop in self.loops]
 
@@ -103,7 +96,7 @@ class Outline:
         import shapely
 
         x0, x1, y0, y1 = area
-        shell, *holes = self.polygons(FINE)
+        shell, *holes = self.polygons()
         box = shapely.box(x0, y0, x1, y1)
         return float(shapely.area(shapely.intersection(box, shapely.Polygon(shell, holes))) / box.area)
 
@@ -183,7 +176,7 @@ def _check_crossings(loops: Mapping[str, Sequence[Piece]]) -> None:
     import shapely
 
     listed = [(key, piece) for key, loop in loops.items() for piece in loop]
-    lines = np.array([shapely.LineString(piece.polyline(FINE)) for _, piece in listed])
+    lines = np.array([shapely.LineString(piece.polyline()) for _, piece in listed])
     size = np.ptp(shapely.get_coordinates(lines), axis=0).max()
     for first, second in shapely.STRtree(lines).query(lines, predicate="dwithin", distance=TOUCH * size).T.tolist():
         if first > second:

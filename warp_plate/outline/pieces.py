@@ -18,6 +18,8 @@ from numpy.polynomial import legendre
 
 # Parameters nearer to an end than this count as the end.
 END = 1e-12
+# Largest turn [rad] of a side of the polylines that stand for arcs.
+TURN = 0.02
 # Gauss points and panels for the length of an arc.
 POINTS, PANELS = 16, 16
 
@@ -93,7 +95,7 @@ class Piece:
             if abs(ends[1] - ends[0]) > END * (1 + abs(ends).max()):
                 yield Monotone(self, axis, float(ends.min()), float(ends.max()), (first + last) / 2)
 
-    def polyline(self, turn: float) -> np.ndarray:
+    def polyline(self, turn: float = TURN) -> np.ndarray:
         """Return (n, 2) points [m] from the start to the end, an arc in steps of at most ``turn`` [rad]."""
         raise NotImplementedError
 
@@ -150,7 +152,7 @@ class Straight(Piece):
     def length(self) -> float:
         return float(np.linalg.norm(self.ends[1] - self.ends[0]))
 
-    def polyline(self, turn: float) -> np.ndarray:
+    def polyline(self, turn: float = TURN) -> np.ndarray:
         return self.ends
 
 
@@ -220,7 +222,7 @@ class Arc(Piece):
         t = (np.arange(PANELS)[:, None] + (s + 1) / 2) / PANELS
         return float((np.linalg.norm(self.tangents(t), axis=-1) @ weights).sum() / 2 / PANELS)
 
-    def polyline(self, turn: float) -> np.ndarray:
+    def polyline(self, turn: float = TURN) -> np.ndarray:
         steps = max(2, math.ceil(abs(self.angles[1] - self.angles[0]) / turn))
         return self.points(np.linspace(0, 1, steps + 1))
 

@@ -116,7 +116,10 @@ def _outlined(scene: Scene, grid: OutlineGrid, section: Section, spacing: tuple[
     Masses next to a held piece are raised until no row of K is larger, for its mass, than the largest away from the
     outline, so that the outline does not shorten the time step (Gershgorin's theorem).
     """
-    _refuse_on_outline(scene, grid)
+    scene.check_stepped()
+    if grid.narrow is not None:
+        x, y = grid.narrow
+        raise SceneError(f"grid.nodes: the plate is too narrow at x = {x:.4g}, y = {y:.4g} m for these; use more")
     x, y = np.moveaxis(grid.normals, -1, 0)
     mixed = section.bend_xy + 2 * section.twist
     across = section.bend_xx * x**4 + 2 * mixed * (x * y) ** 2 + section.bend_yy * y**4
@@ -147,22 +150,6 @@ def _outlined(scene: Scene, grid: OutlineGrid, section: Section, spacing: tuple[
     per_mass = rows / (area * section.mass)
     inside = per_mass[grid.deep].max() if grid.deep.any() else math.inf
     return with_area(np.where(grid.held, area * np.maximum(per_mass / inside, 1), area))
-
-
-def _refuse_on_outline(scene: Scene, grid: OutlineGrid) -> None:
-    """Raise a SceneError if the scene has an effect that time steps do not know on a plate with an outline."""
-    in_plane = any(term.role == "stiffness" and term.distributed and term.factors in IN_PLANE for term in scene.terms)
-    retarded = any(term.role == "damping" and term.multiple_of == "bending" for term in scene.terms)
-    refused = {
-        "in-plane forces next to a free edge": in_plane and grid.free,
-        "losses of the material next to a clamped edge": retarded and grid.strips.any(),
-        "stretching": scene.effects.stretches,
-    }
-    for name, met in refused.items():
-        if met:
-            raise SceneError(
-                f"plate.outline: time steps know no {name} on a plate with an outline; leave one of them out"
-            )
 
 
 def _edge_compliances(scene: Scene, spacing: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:

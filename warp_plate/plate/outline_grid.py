@@ -12,7 +12,6 @@ piece only nodes and cells whose stencils are complete store energy; other parts
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -31,19 +30,10 @@ SAMPLES = 8
 # Near a free piece such a point counts at so many complete stencils, each weighted by the inverse of its distance, at
 # least LEAST spacings. None may be farther than FAR.
 SHARED_BY, LEAST, FAR = 6, 0.3, 3.0
-# Turn of an arc between two points of its line [rad].
-TURN = 0.02
 FREE, SUPPORTED, CLAMPED = range(3)
 KINDS = ("free", "supported", "clamped")
 # Axis of a node's neighbours and their distance in nodes: west, east, south, north.
 WAYS = ((1, -1), (1, 1), (0, -1), (0, 1))
-
-
-class Ring(NamedTuple):
-    """A closed line of straight segments: the outline or that of a hole."""
-
-    points: np.ndarray  # (n, 2) starts of the segments [m]; the last one ends at the first start
-    kinds: Sequence[str]  # (n,) kind of each segment, one of KINDS
 
 
 @dataclass(frozen=True)
@@ -59,8 +49,8 @@ class OutlineGrid:
     strips: np.ndarray  # (ny, nx) area of a node's clamped strip × (2/d²)² [1/m⁴]
     normals: np.ndarray  # (ny, nx, 2) unit normal of the nearest piece
     held: np.ndarray  # (ny, nx) true for moving nodes next to a held piece
-    free: bool  # True if a piece is free
     deep: np.ndarray  # (ny, nx) true for nodes whose stencils the outline does not touch
+    narrow: tuple[float, float] | None  # A point [m] where the plate is too narrow for the grid; None if nowhere
 
     def count(self, covered: np.ndarray) -> np.ndarray:
         """Return (..., ny, nx) the nodes' shares of regions that cover parts (..., ny, nx) of the cells."""
@@ -68,13 +58,20 @@ class OutlineGrid:
         return np.asarray((self.shares @ flat.T).T).reshape(covered.shape)
 
 
-def make_outline_grid(rings: Sequence[Ring], x: np.ndarray, y: np.ndarray) -> OutlineGrid:
-    """Return the grid of a plate with nodes at x (nx,) and y (ny,) [m] from its outline, the first ring, and its holes.
+def outline_grid(scene: Scene) -> OutlineGrid | None:
+    """Return the grid of a scene's outline; None for a rectangle. SceneError: no node lies on the plate."""
+    outline = scene.outline
+    return None if outline is None else make_outline_grid(outline, scene.plate.size, scene.grid.nodes)
 
-    Raises:
-        SceneError: A part of the plate is too narrow for the grid.
+
+@lru_cache(8)
+def make_outline_grid(outline: Outline, size: tuple[float, float], counts: tuple[int, int]) -> OutlineGrid:
+    """Return the grid (ny, nx) of a plate with ``counts`` = (nx, ny) nodes over its size [m].
+
+    Pieces on springs, which have no time steps, count as free. SceneError: no node lies on the plate.
     """
-    geometry, nodes = _Geometry.of(rings, (x[1] - x[0], y[1] - y[0])), np.stack(np.meshgrid(x, y), axis=-1)
+    x, y = (np.linspace(0, side, count) for side, count in zip(size, counts, strict=True))
+    geometry, nodes = _Geometry.of(outline, (x[1] - x[0], y[1] - y[0])), np.stack(np.meshgrid(x, y), axis=-1)
     near, inside = geometry.nearest(nodes), geometry.contains(nodes)
     if not inside.any():
         raise SceneError(f"grid.nodes = [{x.size}, {y.size}]: no node lies on the plate; use more")
@@ -100,9 +97,9 @@ def make_outline_grid(rings: Sequence[Ring], x: np.ndarray, y: np.ndarray) -> Ou
     )
     held &= complete
 
-    shares = geometry.share(nodes, moves)
-    bent = _total(geometry.share(nodes, complete), complete)
-    middles = nodes[:-1, :-1] + np.array(geometry.spacing) / 2
+    shares, narrow = geometry.share(nodes, moves)
+    bent, narrow_when_bent = geometry.share(nodes, complete)
+    twisted, narrow_when_twisted = geometry.share(nodes[:-1, :-1] + np.array(geometry.spacing) / 2, cells)
     both_ways = (WAYS[:2], WAYS[2:])
     factors = [2 / (lengths[low] + lengths[high]) for low, high in both_ways]
     # To a supported piece the moment falls to zero: there a node has the whole arm, to a neighbour half of it.
@@ -113,7 +110,8 @@ def make_outline_grid(rings: Sequence[Ring], x: np.ndarray, y: np.ndarray) -> Ou
     across = np.abs(near.normal * geometry.spacing).max(axis=-1)
     strip = np.where(held & clamped, np.minimum(distance / 2 / across, area / 2), 0.0)
     supported = held & ~clamped
-    weights = [np.where(supported, one, np.where(held, area - strip, bent)) * complete for one in along]
+    own = np.where(held, area - strip, _total(bent, complete))
+    weights = [np.where(supported, one, own) * complete for one in along]
     both = np.where(supported, area, weights[0]) * complete
     return OutlineGrid(
         moves=moves,
@@ -121,39 +119,13 @@ def make_outline_grid(rings: Sequence[Ring], x: np.ndarray, y: np.ndarray) -> Ou
         centres=(1 / lengths[WAYS[0]] + 1 / lengths[WAYS[1]], 1 / lengths[WAYS[2]] + 1 / lengths[WAYS[3]]),
         squares=(weights[0] * factors[0] ** 2, weights[1] * factors[1] ** 2),
         products=both * factors[0] * factors[1],
-        twist=_total(geometry.share(middles, cells), cells),
+        twist=_total(twisted, cells),
         strips=strip * 4 / distance**4,
         normals=near.normal,
         held=held,
-        free=any("free" in ring.kinds for ring in rings),
         deep=inside & (near.distance > 3 * max(geometry.spacing)),
+        narrow=narrow or narrow_when_bent or narrow_when_twisted,
     )
-
-
-def outline_grid(scene: Scene) -> OutlineGrid | None:
-    """Return the grid of a scene's outline; None for a rectangle.
-
-    Raises:
-        SceneError: Time steps do not know a condition of the outline, or the plate is too narrow for the grid.
-    """
-    if (outline := scene.outline) is None:
-        return None
-    for name, condition in scene.edge_conditions:
-        if condition not in KINDS:
-            key = f"plate.{name}.edge" if name.startswith("holes") else f"edges.{name}"
-            raise SceneError(f"{key}: time steps know no springs along an outline; take the modal engine")
-    return _grid_of(outline, scene.plate.size, scene.grid.nodes)
-
-
-@lru_cache(8)
-def _grid_of(outline: Outline, size: tuple[float, float], nodes: tuple[int, int]) -> OutlineGrid:
-    rings = []
-    for loop in outline.loops:
-        lines = [piece.polyline(TURN)[:-1] for piece in loop]
-        kinds = [piece.condition for piece, line in zip(loop, lines, strict=True) for _ in line]
-        rings.append(Ring(np.concatenate(lines), kinds))
-    x, y = (np.linspace(0, side, count) for side, count in zip(size, nodes, strict=True))
-    return make_outline_grid(rings, x, y)
 
 
 class _Nearest(NamedTuple):
@@ -173,13 +145,15 @@ class _Geometry(NamedTuple):
     spacing: tuple[float, float]  # of the nodes [m]
 
     @staticmethod
-    def of(rings: Sequence[Ring], spacing: tuple[float, float]) -> _Geometry:
+    def of(outline: Outline, spacing: tuple[float, float]) -> _Geometry:
         import shapely
 
-        starts = np.concatenate([ring.points for ring in rings])
-        ends = np.concatenate([np.roll(ring.points, -1, axis=0) for ring in rings])
-        kinds = np.concatenate([[KINDS.index(kind) for kind in ring.kinds] for ring in rings])
-        plate = shapely.Polygon(rings[0].points, [ring.points for ring in rings[1:]])
+        lines = [piece.polyline() for piece in outline.pieces]
+        starts, ends = (np.concatenate([line[part] for line in lines]) for part in (slice(-1), slice(1, None)))
+        conditions = [piece.condition if piece.condition in KINDS else "free" for piece in outline.pieces]
+        kinds = np.repeat([KINDS.index(name) for name in conditions], [len(line) - 1 for line in lines])
+        shell, *holes = outline.polygons()
+        plate = shapely.Polygon(shell, holes)
         shapely.prepare(plate)
         pieces = shapely.STRtree(shapely.linestrings(np.stack([starts, ends], axis=1)))
         return _Geometry(plate, pieces, starts, ends, kinds, spacing)
@@ -228,8 +202,11 @@ class _Geometry(NamedTuple):
         distance, kinds = np.where(index == known, np.abs(keys[known] - at), np.inf), kind[known]
         return (distance.T, kinds.T) if axis == 0 else (distance, kinds)
 
-    def share(self, centres: np.ndarray, target: np.ndarray) -> scipy.sparse.csr_array:
-        """Return (targets, boxes) parts of boxes of a cell around centres (rows, columns, 2) that count at each."""
+    def share(
+        self, centres: np.ndarray, target: np.ndarray
+    ) -> tuple[scipy.sparse.csr_array, tuple[float, float] | None]:
+        """Return (targets, boxes) parts of boxes of a cell around centres (rows, columns, 2) that count at each, and a
+        point that is too far from all of them, if any."""
         spacing, distance = np.array(self.spacing), self.nearest(centres).distance
         touches = distance <= np.hypot(*spacing) / 2
         own = self.contains(centres) & ~touches & target
@@ -243,15 +220,16 @@ class _Geometry(NamedTuple):
         count = min(SHARED_BY, len(targets))
         tree = scipy.spatial.cKDTree(centres.reshape(-1, 2)[targets] / spacing)
         apart, index = (values.reshape(len(points), count) for values in tree.query(points / spacing, count))
+        narrow = None
         if len(points) and apart[:, 0].max() > FAR:
-            x, y = points[apart[:, 0].argmax()]
-            raise SceneError(f"grid.nodes: the plate is too narrow at x = {x:.4g}, y = {y:.4g} m for these; use more")
+            x, y = points[apart[:, 0].argmax()].tolist()
+            narrow = (x, y)
         weight = 1 / np.maximum(apart, LEAST)
         weight[self.nearest(points).kind != FREE, 1:] = 0
         weight /= weight.sum(axis=1, keepdims=True) * SAMPLES**2
         counted = (weight.ravel(), (targets[index].ravel(), np.repeat(box, count)))
         cells = scipy.sparse.coo_array(counted, shape=(target.size, target.size)).tocsr()
-        return scipy.sparse.csr_array(cells + scipy.sparse.diags_array(own.ravel().astype(float)))
+        return scipy.sparse.csr_array(cells + scipy.sparse.diags_array(own.ravel().astype(float))), narrow
 
 
 def _neighbour(values: np.ndarray, way: tuple[int, int], beyond: object) -> np.ndarray:

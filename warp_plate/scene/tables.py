@@ -1,13 +1,13 @@
 """The table ``[plate]``, and the top level of a scene file with what follows from its tables."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Annotated, Any, Self
 
 from pydantic import Field, ValidationError, model_serializer, model_validator
 
-from warp_plate.effects.edges import Edges, edge_terms
-from warp_plate.effects.effect import Edge, Term
+from warp_plate.effects.edges import Edges, ElasticEdge, edge_terms
+from warp_plate.effects.effect import IN_PLANE, Edge, Term
 from warp_plate.effects.layers import Layer
 from warp_plate.effects.table import Effects
 from warp_plate.outline.outline import Outline
@@ -237,13 +237,31 @@ class SceneTables(Table):
     @property
     def modal_only_key(self) -> str | None:
         """First key that only the modal engine knows, because it has no time steps; None if none."""
-        return "supports" if self.supports else self.effects.first(lambda effect: not effect.stepped)
+        return next((key for key, *_ in self._unstepped()), None)
 
     def check_stepped(self) -> None:
         """Raise a SceneError if only the modal engine knows the scene's effects."""
-        if (key := self.modal_only_key) is not None:
-            instead = "" if key == "supports" else ", or write [effects.damping] instead"
-            raise SceneError(f'{key}: cannot be stepped in time; use the evaluator "modal"{instead}')
+        for key, what, instead in self._unstepped():
+            raise SceneError(f'{key}: {what}cannot be stepped in time; use the evaluator "modal"{instead}')
+
+    def _unstepped(self) -> Iterator[tuple[str, str, str]]:
+        """Yield the keys that have no time steps, what of each, and what else to do about it."""
+        if self.supports:
+            yield "supports", "", ""
+        if (key := self.effects.first(lambda effect: not effect.stepped)) is not None:
+            yield key, "", ", or write [effects.damping] instead"
+        if self.plate.outline is None:
+            return
+        conditions = {condition for _, condition in self.edge_conditions}
+        for name, condition in self.edge_conditions:
+            if isinstance(condition, ElasticEdge):
+                key = f"plate.{name}.edge" if name.startswith("holes") else f"edges.{name}"
+                yield key, "springs along an outline ", ""
+        stiff = [term for term in self.terms if term.role == "stiffness" and term.distributed]
+        if "free" in conditions and any(term.factors in IN_PLANE for term in stiff):
+            yield "plate.outline", "in-plane forces next to a free edge ", ""
+        if "clamped" in conditions and any(term.multiple_of == "bending" for term in self.terms):
+            yield "plate.outline", "losses of the material next to a clamped edge ", ""
 
     @property
     def steady(self) -> bool:
