@@ -129,10 +129,7 @@ def load_integrals(galerkin: Galerkin, areas: np.ndarray) -> np.ndarray:
 def _patch_means(space: FunctionSpace, attached: Sequence[Attachment]) -> np.ndarray:
     """Return (attachments, unknowns of the plate) mean values of the functions over the patches."""
     rectangles = np.array([attachment.area for attachment in attached], dtype=float).reshape(-1, 4)
-    size = (rectangles[:, 1] - rectangles[:, 0]) * (rectangles[:, 3] - rectangles[:, 2])
-    if isinstance(space, TrimmedSplines):
-        size = np.array([space.area_within(rectangle) for rectangle in rectangles])
-    return space.patch_integrals(rectangles) / size[:, None]
+    return space.patch_integrals(rectangles) / space.areas_within(rectangles)[:, None]
 
 
 def _with_links(space: FunctionSpace, attached: Sequence[Attachment], values: np.ndarray, key: str) -> Matrix:

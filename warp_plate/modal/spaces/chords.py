@@ -8,7 +8,7 @@ root of the distance resolves.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -91,12 +91,26 @@ class Chords:
         """Intervals of the segments along x, and of the ordinates along y."""
         return self.along[0].interval(self.x.mean(axis=1)), self.along[1].interval(self.ordinates)
 
+    @property
+    def _columns(self) -> np.ndarray:
+        """(segments, degree + 1) indices of the splines along x that are not zero on the segments."""
+        return self.along[0].first[self._intervals[0]][:, None] + np.arange(self.along[0].splines.degree + 1)
+
     @cached_property
     def _values(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Values of the splines along x on the segments (segments, points, degree + 1), and of those along y
         (ordinates, functions), by derivative."""
         along_x = [self.along[0].local(self._intervals[0], self.x, derivative) for derivative in range(3)]
         return along_x, [self.along[1].dense(self.ordinates, derivative) for derivative in range(3)]
+
+    def sampled(self, fields: Callable[[np.ndarray, np.ndarray], Sequence[np.ndarray]]) -> np.ndarray:
+        """Return (n, segments, points) of n ``fields`` (y, x) by their function of x (nx,) and y (ny,) [m]."""
+        sampled = np.empty((len(fields(self.x.ravel()[:1], self.ordinates[:1])), *self.x.shape))
+        for number, y in enumerate(self.ordinates):
+            some = np.flatnonzero(self.chord == number)
+            values = np.stack(fields(self.x[some].ravel(), np.array([y])))
+            sampled[:, some] = values.reshape(len(values), some.size, -1)
+        return sampled
 
     def form(self, field: np.ndarray | float, x: tuple[int, int], y: tuple[int, int]) -> np.ndarray:
         """Return (pairs of y, pairs of x) ∫ field · u^(x₀, y₀) u^(x₁, y₁) dA of a number or of values at the points,
@@ -106,7 +120,7 @@ class Chords:
         rows, columns = overlapping_pairs(self.along[0].splines)
         pair = np.zeros((self.along[0].splines.functions,) * 2, dtype=int)
         pair[rows, columns] = np.arange(rows.size)
-        index = self.along[0].first[self._intervals[0]][:, None] + np.arange(local.shape[1])
+        index = self._columns
         places = self.chord[:, None, None] * rows.size + pair[index[:, :, None], index[:, None, :]]
         over_x = np.bincount(places.ravel(), local.ravel(), self.ordinates.size * rows.size)
         rows_y, columns_y = overlapping_pairs(self.along[1].splines)
@@ -118,17 +132,16 @@ class Chords:
         along_x, along_y = self._values
         weighted = np.broadcast_to(values, np.broadcast_shapes(np.shape(values), self.x.shape)) * self.weights
         local = np.einsum("...sp,spi->...si", weighted, along_x[x])
-        index = self.along[0].first[self._intervals[0]][:, None] + np.arange(local.shape[-1])
         over_x = np.zeros((self.ordinates.size, self.along[0].splines.functions, *local.shape[:-2]))
-        np.add.at(over_x, (self.chord[:, None], index), np.moveaxis(local, (-2, -1), (0, 1)))
+        np.add.at(over_x, (self.chord[:, None], self._columns), np.moveaxis(local, (-2, -1), (0, 1)))
         return np.moveaxis(np.tensordot(along_y[y].T, over_x, axes=1), (0, 1), (-2, -1))
 
     def sums(self, coefficients: np.ndarray, x: int, y: int) -> np.ndarray:
         """Return (n, segments, points) values of a derivative of sums (n, functions of y, functions of x)."""
         along_x, along_y = self._values
         of_chord = np.einsum("lj,nji->nli", along_y[y], coefficients, optimize=True)
-        index = self.along[0].first[self._intervals[0]][:, None] + np.arange(along_x[x].shape[2])
-        return np.einsum("spi,nsi->nsp", along_x[x], of_chord[:, self.chord[:, None], index], optimize=True)
+        columns = of_chord[:, self.chord[:, None], self._columns]
+        return np.einsum("spi,nsi->nsp", along_x[x], columns, optimize=True)
 
 
 def make_chords(

@@ -14,11 +14,12 @@ in it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TypeAlias
 
 import numpy as np
 
+from warp_plate.effects.effect import Term
 from warp_plate.modal.spaces.knots import lines
 from warp_plate.modal.spaces.splines import (
     Pairs,
@@ -42,6 +43,37 @@ POINTS_OF_MEAN = 2
 # Corners of the polygon for the part of a disc in a rectangle.
 DISC_CORNERS = 512
 Field: TypeAlias = "np.ndarray | float"
+
+
+class SplineProducts:
+    """What the function spaces of products of splines X_i(x) Y_j(y) share; x is fastest."""
+
+    along: tuple[Splines, Splines]  # splines of x and of y
+
+    @property
+    def degree(self) -> int:
+        return self.along[0].degree
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Numbers of splines along y and along x."""
+        return self.along[1].functions, self.along[0].functions
+
+    @property
+    def interval_sizes(self) -> tuple[float, float]:
+        """Mean distances between knots along x and along y [m]."""
+        x, y = (float(np.diff(splines.breaks).mean()) for splines in self.along)
+        return x, y
+
+
+def bending_terms(fields: Sequence[Field]) -> Iterator[Term]:
+    """Yield the terms of bending, Dx u_xx² + Dy u_yy² + 4 Dxy u_xy² + 2 D1 u_xx u_yy, from :meth:`Integrals.fields`."""
+    bend_xx, bend_xy, bend_yy, twist, _ = fields
+    yield Term("stiffness", bend_xx, ("xx", "xx"))
+    yield Term("stiffness", bend_yy, ("yy", "yy"))
+    yield Term("stiffness", 4 * twist, ("xy", "xy"))
+    yield Term("stiffness", bend_xy, ("xx", "yy"))
+    yield Term("stiffness", bend_xy, ("yy", "xx"))
 
 
 class Integrals:

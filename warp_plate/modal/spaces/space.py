@@ -86,6 +86,9 @@ class FunctionSpace(Protocol):
     def patch_integrals(self, areas: np.ndarray) -> np.ndarray:
         """Return (areas, unknowns) integrals over rectangles (areas, 4) x0, x1, y0, y1 [m]."""
 
+    def areas_within(self, areas: np.ndarray) -> np.ndarray:
+        """Return (areas,) areas [m²] of the parts of rectangles (areas, 4) on the plate."""
+
     def patch_slopes(self, areas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return (areas, unknowns) derivatives of :meth:`patch_integrals` by the rectangles' places."""
 

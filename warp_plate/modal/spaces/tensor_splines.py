@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 
 from warp_plate.effects.effect import DISPLACEMENT, SLOPE, Factors, Term
-from warp_plate.modal.spaces.integrals import Field, Integrals, region_values
+from warp_plate.modal.spaces.integrals import Field, Integrals, SplineProducts, bending_terms, region_values
 from warp_plate.modal.spaces.knots import plate_splines
 from warp_plate.modal.spaces.space import Matrix
 from warp_plate.modal.spaces.splines import Splines, end_products, overlapping_pairs, side_products
@@ -25,7 +25,7 @@ MOST_UNKNOWNS, PLACES_KEPT = 4096, 4
 POINTS = 1 << 18
 
 
-class TensorSplines:
+class TensorSplines(SplineProducts):
     """Function space of a rectangular plate.
 
     The methods are described in :class:`warp_plate.modal.spaces.space.FunctionSpace`; pieces are the intervals between
@@ -36,30 +36,12 @@ class TensorSplines:
 
     def __init__(self, scene: Scene, intervals: tuple[int, int]) -> None:
         self.scene, self.intervals = scene, intervals
-        self.along: tuple[Splines, Splines] = (
-            plate_splines(scene, 0, intervals[0]),
-            plate_splines(scene, 1, intervals[1]),
-        )
+        self.along = plate_splines(scene, 0, intervals[0]), plate_splines(scene, 1, intervals[1])
         self.integrals = Integrals(scene, *self.along)
-
-    @property
-    def degree(self) -> int:
-        return self.along[0].degree
 
     @property
     def unknowns(self) -> int:
         return self.along[0].functions * self.along[1].functions
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Numbers of functions along y and along x."""
-        return self.along[1].functions, self.along[0].functions
-
-    @property
-    def interval_sizes(self) -> tuple[float, float]:
-        """Mean distances between knots along x and along y [m]."""
-        x, y = (float(np.diff(splines.breaks).mean()) for splines in self.along)
-        return x, y
 
     @property
     def plate_mass(self) -> float:
@@ -69,13 +51,7 @@ class TensorSplines:
         return self.integrals.fields_at(x, y)[-1]
 
     def bending_terms(self) -> Iterator[Term]:
-        """Yield the terms of bending: Dx u_xx² + Dy u_yy² + 4 Dxy u_xy² + 2 D1 u_xx u_yy."""
-        bend_xx, bend_xy, bend_yy, twist, _ = self.integrals.fields()
-        yield Term("stiffness", bend_xx, ("xx", "xx"))
-        yield Term("stiffness", bend_yy, ("yy", "yy"))
-        yield Term("stiffness", 4 * twist, ("xy", "xy"))
-        yield Term("stiffness", bend_xy, ("xx", "yy"))
-        yield Term("stiffness", bend_xy, ("yy", "xx"))
+        return bending_terms(self.integrals.fields())
 
     def mass_matrix(self) -> Matrix:
         return self.scatter(self.form(self.integrals.fields()[-1]))
@@ -135,6 +111,10 @@ class TensorSplines:
     def patch_integrals(self, areas: np.ndarray) -> np.ndarray:
         x0, x1, y0, y1 = np.asarray(areas, dtype=float).reshape(-1, 4).T
         return _products(self.along[1].integrals(y0, y1), self.along[0].integrals(x0, x1))
+
+    def areas_within(self, areas: np.ndarray) -> np.ndarray:
+        x0, x1, y0, y1 = areas.T
+        return np.asarray((x1 - x0) * (y1 - y0))
 
     def patch_slopes(self, areas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         along_x, along_y = self.along

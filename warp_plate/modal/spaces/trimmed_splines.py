@@ -18,7 +18,7 @@ from numpy.polynomial import legendre
 
 from warp_plate.effects.effect import DISPLACEMENT, SLOPE, Factors, Term
 from warp_plate.modal.spaces.chords import Chords, Curve, LocalSplines, make_chords
-from warp_plate.modal.spaces.integrals import Field, Integrals, mean_wave_frequency
+from warp_plate.modal.spaces.integrals import Field, Integrals, SplineProducts, bending_terms, mean_wave_frequency
 from warp_plate.modal.spaces.knots import lines, outline_splines
 from warp_plate.modal.spaces.space import Matrix
 from warp_plate.modal.spaces.splines import gauss, overlapping_pairs
@@ -46,7 +46,7 @@ DISC_CORNERS = 512
 DENSE_MATRICES = 7
 
 
-class TrimmedSplines:
+class TrimmedSplines(SplineProducts):
     """Function space of a plate with an outline.
 
     The methods are described in :class:`warp_plate.modal.spaces.space.FunctionSpace`. An array by :meth:`form` is the
@@ -72,21 +72,8 @@ class TrimmedSplines:
         self.basis: np.ndarray = like.basis if like is not None and shared else self._make_basis()
 
     @property
-    def degree(self) -> int:
-        return self.along[0].degree
-
-    @property
     def unknowns(self) -> int:
         return self.basis.shape[1]
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        return self.along[1].functions, self.along[0].functions
-
-    @property
-    def interval_sizes(self) -> tuple[float, float]:
-        x, y = (float(np.diff(splines.breaks).mean()) for splines in self.along)
-        return x, y
 
     @property
     def plate_mass(self) -> float:
@@ -96,13 +83,7 @@ class TrimmedSplines:
         return np.where(self._covered(x, y), self._fields.fields_at(x, y)[-1], 0.0)
 
     def bending_terms(self) -> Iterator[Term]:
-        """Yield the terms of bending: Dx u_xx² + Dy u_yy² + 4 Dxy u_xy² + 2 D1 u_xx u_yy."""
-        bend_xx, bend_xy, bend_yy, twist, _ = self._fields_on(self.chords)
-        yield Term("stiffness", bend_xx, ("xx", "xx"))
-        yield Term("stiffness", bend_yy, ("yy", "yy"))
-        yield Term("stiffness", 4 * twist, ("xy", "xy"))
-        yield Term("stiffness", bend_xy, ("xx", "yy"))
-        yield Term("stiffness", bend_xy, ("yy", "xx"))
+        return bending_terms(self._fields_on(self.chords))
 
     def mass_matrix(self) -> Matrix:
         return self.scatter(self.form(self._fields_on(self.chords)[-1]))
@@ -174,9 +155,8 @@ class TrimmedSplines:
         chords = self._chords(_curves(target, within))
         return self.scatter(self._form(chords, self._fields_on(chords)[-1], DISPLACEMENT))
 
-    def area_within(self, area: np.ndarray) -> float:
-        """Return the area [m²] of the part of a rectangle on the plate."""
-        return float(self._chords([_rectangle(area)]).weights.sum())
+    def areas_within(self, areas: np.ndarray) -> np.ndarray:
+        return np.array([self._chords([_rectangle(area)]).weights.sum() for area in areas])
 
     def region_mass(self, region: Area | Target) -> float:
         """Return the mass [kg] of the part of a rectangle or target, no mask, on the plate."""
@@ -203,13 +183,7 @@ class TrimmedSplines:
         """Return Dx, D1, Dy, Dxy [N·m] and the mass per area [kg/m²] at the points of a rule, or as numbers."""
         if not self._varied:
             return self._fields.fields()
-        fields = np.empty((5, *chords.x.shape))
-        for number, y in enumerate(chords.ordinates):
-            some = np.flatnonzero(chords.chord == number)
-            values = self._fields.fields_at(chords.x[some].ravel(), np.array([y]))
-            for field, value in zip(fields, values, strict=True):
-                field[some] = value.reshape(some.size, -1)
-        return tuple(fields)
+        return tuple(chords.sampled(self._fields.fields_at))
 
     def _form(self, chords: Chords, coefficient: Field, factors: Factors) -> np.ndarray:
         """Return the full matrix of a form over the products of splines."""
@@ -266,11 +240,7 @@ class TrimmedSplines:
         ]
         whole = Target.model_construct(area=(0.0, size[0], 0.0, size[1]))
         chords = self._chords(_curves(whole, within), (cuts[0], cuts[1]))
-        share = np.empty(chords.x.shape)
-        for number, y in enumerate(chords.ordinates):
-            some = np.flatnonzero(chords.chord == number)
-            values = bilinear(mask, chords.x[some].ravel() / size[0], np.array([y]) / size[1])
-            share[some] = values.reshape(some.size, -1)
+        (share,) = chords.sampled(lambda x, y: [bilinear(mask, x / size[0], y / size[1])])
         return self.scatter(self._form(chords, self._fields_on(chords)[-1] * share, DISPLACEMENT))
 
     def _make_basis(self) -> np.ndarray:
