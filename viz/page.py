@@ -34,7 +34,7 @@ from warp_plate.viz.scene3d import PlateMeshes, line_layers, rows_and_columns
 # Values are integers −PEAK … PEAK in the page; NAN stands for NaN.
 PEAK, NAN = 32767, -32768
 # Most bytes of all values as text, and bytes of one value in base64.
-MOST_BYTES, BYTES_PER_VALUE = 20e6, 8 / 3
+PAGE_BYTES, BYTES_PER_VALUE = 20e6, 8 / 3
 # Font size of the page, for line widths [pixels]; one step of the depth buffer in the page's depth −1 … 1.
 FONT_SIZE, DEPTH_STEP = 16, 2e-6
 
@@ -48,7 +48,7 @@ def write_page(scene: Scene, motions: Sequence[Motion], path: Path, style: Pictu
 
 
 def page_data(
-    scene: Scene, motions: Sequence[Motion], style: PictureStyle, most_bytes: float = MOST_BYTES
+    scene: Scene, motions: Sequence[Motion], style: PictureStyle, most_bytes: float = PAGE_BYTES
 ) -> dict[str, Any]:
     """Return all data of the page's script as JSON types; arrays are base64 of little-endian numbers."""
     separate = style.colours.separate
@@ -120,7 +120,7 @@ def _legend(scale: DrawingScale) -> dict[str, Any]:
     return {"title": scale.title, "ticks": ticks}
 
 
-def shown_nodes(nodes: int, values: int, most_bytes: float = MOST_BYTES) -> np.ndarray:
+def shown_nodes(nodes: int, values: int, most_bytes: float = PAGE_BYTES) -> np.ndarray:
     """Return the indices of the nodes along one axis that are shown, about every second, third, … if that many values
     take too many bytes."""
     step = math.ceil(math.sqrt(BYTES_PER_VALUE * values / most_bytes))

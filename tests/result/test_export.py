@@ -12,7 +12,7 @@ from support.results import result_of
 from warp_plate.plate.waveforms import read_samples
 from warp_plate.result.case import Case
 from warp_plate.result.export import (
-    BLOCK,
+    ROWS_AT_ONCE,
     make_drive_signal,
     whole_periods,
     write_drive_csv,
@@ -113,7 +113,7 @@ def test_a_wav_plays_the_drive(oblong, tmp_path, encoding, rate, share, error):
     case = oblong.cases["best"]
     full_scale = None if share == 1 else share * float(case.magnitude.max())
     signal = make_drive_signal(oblong.scene, case, rate, 2.0, full_scale)
-    assert signal.samples == 2 * rate > BLOCK
+    assert signal.samples == 2 * rate > ROWS_AT_ONCE
     assert signal.full_scale == share * case.magnitude.max()
     (path,) = write_wav(signal, tmp_path / "drive.wav", encoding)
     read_rate, read = wavfile.read(path)

@@ -26,7 +26,7 @@ DENSE = 300
 SPARE = 4
 # ω² is zero below this part of κ²(π/longer side)⁴, the order of the lowest of a plate, or this part of the largest,
 # which rounding leaves of a rigid motion.
-STILL, ROUNDING = 1e-8, 1e-14
+STILL, RELATIVE_ZERO = 1e-8, 1e-14
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ def natural_modes(scene: Scene, count: int) -> GridModes:
     root = scipy.sparse.diags_array(1 / np.sqrt(masses))
     operator = scipy.sparse.csc_array(root @ stiffness @ root)
     squares, vectors = _lowest(operator, min(count, len(masses)), scale)
-    squares = np.where(squares > max(STILL * scale, ROUNDING * abs(operator).max()), squares, 0.0)
+    squares = np.where(squares > max(STILL * scale, RELATIVE_ZERO * abs(operator).max()), squares, 0.0)
     x, y = (np.linspace(-1, 1, nodes) for nodes in scene.grid.nodes)
     weight = np.zeros(len(masses))
     weight[: np.count_nonzero(moving)] = (x**2 + (y**2)[:, None] / 2)[moving]

@@ -38,6 +38,7 @@ from warp_plate.accuracy.reference_solution import (
     solve_response,
     usual_drives,
 )
+from warp_plate.accuracy.richardson import FEWEST_CELLS_A_WAVE
 from warp_plate.plate.stability_limit import needs_moment_form
 from warp_plate.plate.weights import localization_factor
 from warp_plate.scene.errors import SceneError
@@ -54,8 +55,8 @@ MODAL_DENSITIES, DENSER_SECONDS = (1.0, 1.5, 2.2), 4.0
 REFERENCE_SHARE, REFERENCE_SECONDS = 0.15, 30.0
 # Error of a grid relative to the accuracy asked for; the rest allows for rounding in float32.
 SEARCH_SHARE = 0.9
-# Fewest cells along a side, and in a bending wave: coarser grids may agree with each other and be wrong.
-FEWEST_CELLS, FEWEST_CELLS_A_WAVE = 8.0, 4.0
+# Fewest cells along a side: as with few in a wave, coarser grids may agree with each other and be wrong.
+FEWEST_ALONG = 8.0
 # A grid is confirmed by one that is finer by this factor, and the next grid is finer by a factor between these.
 CONFIRMING_FACTOR, LEAST_STEP, LARGEST_STEP = 1.2, 1.06, 1.5
 # Grids that are tried, the node-steps of all their plates together (two minutes of a core), and nodes of a side.
@@ -190,7 +191,7 @@ def find_grid(
 ) -> tuple[Configuration | None, float]:
     """Return the coarsest grid within the tolerance and its error; None and the last error if none is within reach."""
     order, error = highest_order(scene), math.inf
-    cells = max(FEWEST_CELLS, FEWEST_CELLS_A_WAVE * waves_along(scene))
+    cells = max(FEWEST_ALONG, FEWEST_CELLS_A_WAVE * waves_along(scene))
     left = MOST_NODE_STEPS / count_unit_drives(len(scene.actuators))
     for _ in range(TRIALS):
         grid = make_configuration(scene, order, nodes_for(scene.plate.size, 1 + cells, order))

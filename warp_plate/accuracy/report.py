@@ -16,7 +16,7 @@ from warp_plate.scene.grid import Grid
 from warp_plate.scene.model import Scene, SceneSource
 
 # Fraction of the budget that the reference may take.
-REFERENCE_SHARE = 0.15
+BUDGET_SHARE = 0.15
 # Fraction of the remaining budget that a row may take, and number of rows that are always measured.
 ROW_SHARE, FIRST_ROWS = 0.5, 6
 # Relative errors for which a row is recommended.
@@ -24,7 +24,7 @@ TOLERANCES = (0.1, 0.03, 0.01, 0.003, 0.001)
 # Errors that a fit takes: below the first number (coarser grids do not yet converge regularly), this many times above
 # the uncertainty of the reference, and well above the rounding of energies.
 LARGEST_ERROR, ABOVE_UNCERTAINTY = 0.3, 3.0
-ROUNDING = {"float32": 1e-5, "float64": 1e-10}
+SMALLEST_ERROR = {"float32": 1e-5, "float64": 1e-10}
 # Rows that a fit takes, the finest ones: on coarse grids the start of a run costs time too.
 FEWEST_ROWS, MOST_ROWS = 3, 4
 # Relative reduction of the error for which a more expensive row is on the Pareto front.
@@ -107,7 +107,7 @@ def measure_accuracy(
     """
     scene = Scene.load(scene)
     started = time.perf_counter()
-    reference = find_reference_solution(scene, device, 2 * LEAST_ERROR, REFERENCE_SHARE * budget)
+    reference = find_reference_solution(scene, device, 2 * LEAST_ERROR, BUDGET_SHARE * budget)
     points: list[float | Configuration | None] = [None]  # densities of functions, and grids; None for that of the scene
     if scene.grid.accuracy is not None:
         scene, points = scene.model_copy(update={"grid": Grid()}), []
@@ -117,7 +117,7 @@ def measure_accuracy(
     if reference.plate is not None:  # coarser ones than the reference itself
         points = [*(density for density in MODAL_DENSITIES if density < reference.density), *points]
     rows: list[AccuracyRow] = []
-    interrupted, seconds = False, (1 - REFERENCE_SHARE) * budget
+    interrupted, seconds = False, (1 - BUDGET_SHARE) * budget
     try:
         for point in points:
             if on_progress is not None:
@@ -161,7 +161,7 @@ def fit_laws(rows: Sequence[AccuracyRow], uncertainty: float) -> list[Convergenc
                 grids.setdefault(row.nodes, []).append(row)
         members = [max(grid, key=lambda row: row.time_step or 0) for grid in grids.values()]
         members.sort(key=lambda row: -row.spacing)
-        floor = max(ABOVE_UNCERTAINTY * uncertainty, ROUNDING[members[0].precision])
+        floor = max(ABOVE_UNCERTAINTY * uncertainty, SMALLEST_ERROR[members[0].precision])
         field_floor = max(floor, displacement_floor(uncertainty))
         cost = _slope(members, "seconds_per_plate", 0.0, math.inf)
         laws.append(

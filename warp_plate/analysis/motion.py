@@ -27,7 +27,7 @@ from warp_plate.solve.run import Progress, Run
 # Default frames of a period, and most default frames of a longer span.
 FRAMES_A_PERIOD, MOST_FRAMES = 60, 600
 # Most bytes of the recorded fields; large grids have fewer frames by default, but at least this number.
-MOST_BYTES, FEWEST_FRAMES = 2 * 2**30, 24
+FIELDS_BYTES, FEWEST_FRAMES = 2 * 2**30, 24
 # Frames of a period of the highest frequency below which a motion is not recognisable.
 FEWEST_A_PERIOD = 12
 # Displacements that a steady motion is fitted to.
@@ -110,8 +110,8 @@ def motions(
     first, last = _common_span(scenes, span, end, frames or _default_frames(math.inf, field_bytes))
     fastest = max(s.drive.frequency if s.nonperiodic_key is None else highest_frequency(s) for s in scenes.values())
     count = frames or _default_frames((last - first) * fastest, field_bytes)
-    if count < 2 or 2 * count * field_bytes > MOST_BYTES:
-        most = max(2, MOST_BYTES // (2 * field_bytes))
+    if count < 2 or 2 * count * field_bytes > FIELDS_BYTES:
+        most = max(2, FIELDS_BYTES // (2 * field_bytes))
         raise SceneError(f"frames = {count}: must be from 2 to {most} for {len(cases)} plates of this grid")
     wanted = np.linspace(first, last, count, endpoint=False) / grid.time_step
     steps = np.unique(np.clip(np.rint(wanted).astype(int), 0, grid.steps - 1))
@@ -256,4 +256,4 @@ def steady_motions(run: Run, scene: Scene) -> list[SteadyMotion]:
 
 def _default_frames(periods: float, field_bytes: int) -> int:
     wanted = math.ceil(min(MOST_FRAMES, FRAMES_A_PERIOD * max(1.0, periods) - 1e-6))
-    return min(wanted, max(FEWEST_FRAMES, MOST_BYTES // 4 // (2 * field_bytes)))
+    return min(wanted, max(FEWEST_FRAMES, FIELDS_BYTES // 4 // (2 * field_bytes)))

@@ -17,7 +17,7 @@ import numpy as np
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import LARGEST, SMALLEST
 
-MOST_BYTES, MOST_MODES = 2**22, 200
+TABLE_BYTES, MOST_MODES = 2**22, 200
 MODE_COLUMNS = "frequency", "damping", "mode"
 # Limits of the columns' numbers, excluded, and how they are written.
 LIMITS = {
@@ -141,7 +141,7 @@ def _shapes_and_points(
     return np.array([item["r3"] for item in modes]), np.array([places[int(number)] for number in numbers])
 
 
-def check_file(path: Path, most: int = MOST_BYTES) -> None:
+def check_file(path: Path, most: int = TABLE_BYTES) -> None:
     """Raise a SceneError unless a file is there that is small enough."""
     if not path.is_file():
         raise SceneError(f"{path}: no such file")

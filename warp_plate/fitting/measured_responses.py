@@ -25,7 +25,7 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import LARGEST, SMALLEST
 from warp_plate.scene.fit import Fit, TimeSignals
 
-MOST_BYTES, MOST_FREQUENCIES = 2**27, 4000
+RESPONSES_BYTES, MOST_FREQUENCIES = 2**27, 4000
 MOST_COHERENCE = 1 + 1e-6  # of numbers that were rounded
 # Names in MAT and HDF5 files.
 ARRAYS = "frequency", "response", "real", "imaginary", "coherence"
@@ -77,7 +77,7 @@ def _read(path: Path, count: int, signals: TimeSignals | None) -> Columns:
     """Return the first ``count`` responses of a file."""
     ending = path.suffix.lower()
     try:
-        check_file(path, MOST_BYTES)
+        check_file(path, RESPONSES_BYTES)
         if ending in UNIVERSAL:
             columns, coherence = universal_responses(path)
         elif ending in (*MAT, *HDF5):

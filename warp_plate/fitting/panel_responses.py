@@ -34,7 +34,7 @@ REACH, FURTHER, FURTHER_OF_FULL = 1.5, 12, 80
 # Knots that move by more than this part of the smallest interval are those of other functions.
 MOVED = 0.1
 # Frequencies that are computed at a time, and modes up to the highest frequency.
-BLOCK, MOST_MODES = 256, 200
+FREQUENCIES_AT_ONCE, MOST_MODES = 256, 200
 
 
 class PanelResponses:
@@ -73,7 +73,7 @@ class PanelResponses:
 
     @property
     def _parts(self) -> list[slice]:
-        return [slice(start, start + BLOCK) for start in range(0, len(self._omega), BLOCK)]
+        return [slice(start, start + FREQUENCIES_AT_ONCE) for start in range(0, len(self._omega), FREQUENCIES_AT_ONCE)]
 
     def _amplitudes(self, part: slice, loads: np.ndarray) -> np.ndarray:
         """Return (n, modes, loads) modal amplitudes of loads (unknowns, loads)."""

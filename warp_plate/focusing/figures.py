@@ -27,7 +27,7 @@ HALF = 0.5  # −6 dB
 ATTAINED = 1e-9
 # Points of a movie's picture between two lines of the splines; periods of the highest frequency that are shown on both
 # sides of a pulse; frames, and most bytes of them.
-POINTS, PERIODS, FRAMES, MOST_BYTES = 2, 10, 60, 2**30
+POINTS, PERIODS, FRAMES, FRAMES_BYTES = 2, 10, 60, 2**30
 
 
 @dataclass(frozen=True)
@@ -156,8 +156,8 @@ def focus_motions(
     if result.wished is not None:
         moment = int(np.abs(result.wished[0]).argmax())
     steps = _samples(table.rate, recorded, moment, span or _usual_span(result), frames)
-    if (size := 8 * len(names) * steps.size * x.size * y.size) > MOST_BYTES:
-        raise SceneError(f"frames = {steps.size}: take {size} bytes; at most {MOST_BYTES} are possible")
+    if (size := 8 * len(names) * steps.size * x.size * y.size) > FRAMES_BYTES:
+        raise SceneError(f"frames = {steps.size}: take {size} bytes; at most {FRAMES_BYTES} are possible")
     played = np.stack([result.methods[name].waveforms[0] for name in names])
     pressures = np.pad(played, ((0, 0), (0, 0), (0, recorded - played.shape[2])))
     states, fields = responses.states(pressures[..., : steps[0] + 1]), []

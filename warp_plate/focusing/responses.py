@@ -36,7 +36,7 @@ from warp_plate.scene.model import Scene
 from warp_plate.scene.target import Target
 
 # Numbers of an array of poles and samples, to limit memory.
-BLOCK = 2**20
+SAMPLES_AT_ONCE = 2**20
 # Range of μ in units of 1 / max k, and halvings of its logarithm.
 RANGE, HALVINGS = 1e10, 100
 
@@ -128,7 +128,7 @@ class HeldResponses:
     def _decays(self, samples: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield l (block,) of 0 ... samples − 1, block by block, and exp(s l Δ) (poles, block)."""
         values = self._poles.values[:, None] * self._step
-        for block in np.array_split(np.arange(samples), -(-samples * len(values) // BLOCK)):
+        for block in np.array_split(np.arange(samples), -(-samples * len(values) // SAMPLES_AT_ONCE)):
             yield block, np.exp(values * block)
 
 

@@ -22,7 +22,7 @@ from warp_plate.scene.grid import Window
 from warp_plate.solve.devices import load_kernel
 
 # Numbers of the largest matrix of a block of plates.
-BLOCK_NUMBERS = 2**24
+DEVICE_NUMBERS = 2**24
 # The two poles of a mode are kept apart by this part of the highest mode's frequency in the steady state.
 SPLIT = 1e-8
 
@@ -31,7 +31,7 @@ class DeviceToneMatrices:
     """Gram matrices of regions, by their mass matrices, under tones from rest, or in the steady state without a window,
     in float64 on a device; of modes that damping does not couple."""
 
-    def __init__(self, means: Means, device: wp.Device, block_numbers: int = BLOCK_NUMBERS) -> None:
+    def __init__(self, means: Means, device: wp.Device, block_numbers: int = DEVICE_NUMBERS) -> None:
         plate, window, self._block_numbers = means.plate, means.window, block_numbers
         self._device, self._window, self._velocity = device, window, int(means.velocity)
         if window is None:

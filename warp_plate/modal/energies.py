@@ -24,7 +24,7 @@ from warp_plate.optimize.quadratic import quadratic_forms, real_parts
 from warp_plate.plate.signals import actuator_frequencies
 
 # Numbers in a block of designs that are computed at once.
-BLOCK_NUMBERS = 2**20
+AMPLITUDES_AT_ONCE = 2**20
 
 
 class ModalEnergies:
@@ -62,7 +62,7 @@ class ModalEnergies:
         forces = self._forces(areas)
         if not self._tones:
             return self._waveforms.matrices(frequency, forces, delay)
-        block = max(1, BLOCK_NUMBERS // (forces.shape[1] * frequency.shape[1]))
+        block = max(1, AMPLITUDES_AT_ONCE // (forces.shape[1] * frequency.shape[1]))
         matrices = []
         for first in range(0, len(frequency), block):
             rows = slice(first, first + block)

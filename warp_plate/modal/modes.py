@@ -45,7 +45,7 @@ REACH, FURTHER, SPARE = 4.0, 600, 40
 STILL = 1e-4
 # Damping that couples two modes by less than this part of their own has no effect; by less than the other of the
 # largest of all modes, it is rounding.
-PROPORTIONAL, ROUNDING = 1e-6, 1e-13
+PROPORTIONAL, RELATIVE_ZERO = 1e-6, 1e-13
 # Functions along each side of the modes that frequencies are compared with, relative to the others. The error of a
 # frequency is FACTOR times the largest change of it and of lower ones, and at least LEAST. Where rigidity jumps, it
 # falls as the first power of the spacing, so that it is 3.5 times the change.
@@ -308,7 +308,7 @@ def modes_below(scene: SceneSource, highest: float, key: str = "highest frequenc
 def _viscous(galerkin: Galerkin, vectors: np.ndarray) -> np.ndarray:
     """Return Φᵀ C Φ [1/s] without the damping of the material, diagonal for a multiple of the mass."""
     factor = galerkin.damping.trace() / galerkin.mass.trace()
-    if abs(galerkin.damping - factor * galerkin.mass).max() <= ROUNDING * abs(galerkin.damping).max():
+    if abs(galerkin.damping - factor * galerkin.mass).max() <= RELATIVE_ZERO * abs(galerkin.damping).max():
         return np.diag(np.full(vectors.shape[1], factor))
     return np.asarray(vectors.T @ (galerkin.damping @ vectors))
 
@@ -342,4 +342,4 @@ def _is_diagonal(matrix: np.ndarray) -> bool:
     """Return whether a positive semidefinite matrix is diagonal but for rounding."""
     size = np.sqrt(np.abs(np.diag(matrix)))
     off = np.abs(matrix - np.diag(np.diag(matrix)))
-    return bool(np.all(off <= PROPORTIONAL * np.outer(size, size) + ROUNDING * size.max(initial=0.0) ** 2))
+    return bool(np.all(off <= PROPORTIONAL * np.outer(size, size) + RELATIVE_ZERO * size.max(initial=0.0) ** 2))

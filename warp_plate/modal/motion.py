@@ -35,7 +35,7 @@ from warp_plate.plate.shapes import target_outlines
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
 
 # Numbers of an array of poles and times, and of displacements that are computed at once, to limit memory.
-BLOCK, BLOCK_NUMBERS = 2**18, 2**22
+VALUES_AT_ONCE, DISPLACEMENTS_AT_ONCE = 2**18, 2**22
 # Integrals J(x) come from a series with this many terms up to this |x|.
 SERIES, SERIES_TERMS = 8.0, 40
 # Points along each side of the plate at which its largest displacement is sought.
@@ -71,7 +71,7 @@ def largest_displacements(plate: ModalPlate, phasors: np.ndarray, times: np.ndar
     steady = scene.steady and len(frequencies) == 1
     if steady:
         times = np.array([0.0, 0.25 / frequencies.pop()])
-    block = max(2, BLOCK_NUMBERS // max(1, over_plate.size + on_outline.size))
+    block = max(2, DISPLACEMENTS_AT_ONCE // max(1, over_plate.size + on_outline.size))
     for first in range(0, times.size, block):
         amplitudes = modal_motion(plate, phasors, times[first : first + block]).transpose(1, 2, 0)
         on_grid, on_points = plate.displacement(amplitudes, x, y), amplitudes @ at_points
@@ -165,7 +165,7 @@ class Excitation:
         """Yield indices of times, and amplitudes (modes, drives, times) there, or rates, by ``gains``."""
         poles, count = self.poles, len(self.poles.vectors)
         pairs = poles.modes is not None and np.array_equal(poles.values[count:], poles.values[:count].conj())
-        block, first = max(1, 4 * BLOCK // poles.values.size), 0
+        block, first = max(1, 4 * VALUES_AT_ONCE // poles.values.size), 0
         for load, forced, free in exponential_states(poles, loads):
             last = times.size if load is loads[-1] else int(np.searchsorted(times, load.end, side="right"))
             if last > first:
@@ -240,7 +240,7 @@ def sampled_states(
         block_of = np.minimum(block_of, load.coefficients.shape[2] - 1)
         for low, starts in _block_starts(poles, load, state):
             inside = first + np.arange(*np.searchsorted(block_of, [low, low + len(starts)]))
-            for part in np.array_split(inside, math.ceil(inside.size * count / BLOCK)) if inside.size else ():
+            for part in np.array_split(inside, math.ceil(inside.size * count / VALUES_AT_ONCE)) if inside.size else ():
                 blocks = block_of[part - first]
                 since = times[part] - load.start - blocks * load.length
                 decays, weights = _response_to_powers(poles.values, since, load.length)
@@ -253,7 +253,7 @@ def _block_starts(poles: Poles, load: SampledLoads, state: np.ndarray) -> Iterat
     """Yield the first of some blocks, and the states (blocks, poles, columns) at their starts; ``state`` is updated."""
     decay, weights = (values[0] for values in _response_to_powers(poles.values, np.array([load.length]), load.length))
     blocks = load.coefficients.shape[2]
-    size = max(1, BLOCK // state.size)
+    size = max(1, VALUES_AT_ONCE // state.size)
     for low in range(0, blocks, size):
         starts = np.empty((min(size, blocks - low), *state.shape), dtype=complex)
         for block, start in enumerate(starts, low):

@@ -30,7 +30,7 @@ BATCH_NEGLIGIBLE, BATCH_TRIALS = 1e-6, 200
 # Motions with less than this part of the largest energy in a region are left out of a batch.
 RANK_TOLERANCE = 1e-8
 # Numbers of an array of modes and times, to limit memory.
-BLOCK = 2**18
+VALUES_AT_ONCE = 2**18
 
 
 def quadrature_matrices(
@@ -44,7 +44,7 @@ def quadrature_matrices(
     some = [region[np.ix_(modes, modes)] for region in regions]
     times, weights = time_rule(excitation, window)
     matrices = np.zeros((len(regions), *2 * drives.shape[:1]))
-    for part in np.array_split(np.arange(times.size), math.ceil(times.size * max(modes.size, 1) / BLOCK)):
+    for part in np.array_split(np.arange(times.size), math.ceil(times.size * max(modes.size, 1) / VALUES_AT_ONCE)):
         rates = excitation.motion(drives, times[part], velocity)
         for matrix, region in zip(matrices, some, strict=True):
             momenta = (region @ (rates * weights[part]).reshape(len(rates), -1)).reshape(rates.shape)

@@ -32,7 +32,7 @@ from warp_plate.plate.signals import actuator_delays
 from warp_plate.scene.grid import Window
 
 # Numbers of the arrays of a block of designs.
-BLOCK_NUMBERS = 2**22
+SLOPES_AT_ONCE = 2**22
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def energy_slopes(
     :func:`warp_plate.modal.gram.gram_matrices`.
     """
     plate = means.plate
-    block = max(1, BLOCK_NUMBERS // (8 * len(plate.frequencies) * phasors.shape[1]))
+    block = max(1, SLOPES_AT_ONCE // (8 * len(plate.frequencies) * phasors.shape[1]))
     if plate.scene.drive.burst is None:
         delay = None
     else:

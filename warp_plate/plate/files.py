@@ -15,7 +15,7 @@ import numpy as np
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
-MOST_BYTES, MOST_ROWS, MOST_COLUMNS = 2**27, 2**22, 2**16
+FILE_BYTES, MOST_ROWS, MOST_COLUMNS = 2**27, 2**22, 2**16
 # Tables cached after they are read.
 MOST_TABLES = 4
 
@@ -35,8 +35,8 @@ def read_beside(key: str, name: str, folder: Path | None) -> bytes:
             raise SceneError(f"{head}: leads out of the scene's folder; put a copy of the file there")
         if not path.is_file() and not path.is_symlink():  # one that leads to itself cannot be read
             raise SceneError(f"{head}: no such file beside the scene file")
-        if path.stat().st_size > MOST_BYTES:
-            raise SceneError(f"{head}: {path.stat().st_size} bytes; at most {MOST_BYTES} are read")
+        if path.stat().st_size > FILE_BYTES:
+            raise SceneError(f"{head}: {path.stat().st_size} bytes; at most {FILE_BYTES} are read")
         return path.read_bytes()
     except OSError as error:
         raise SceneError(f"{head}: cannot be read: {error.strerror}") from None

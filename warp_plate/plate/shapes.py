@@ -29,7 +29,7 @@ DISC_CORNERS = 4096
 # The same for outlines in pictures.
 OUTLINE_CORNERS = 96
 # Rounding of a sum that is zero, relative to the polygon's height.
-ROUNDING = 1e-13
+ZERO = 1e-13
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ def polygon_weights(corners: np.ndarray, across: Axis, up: Axis) -> np.ndarray:
     for node in range(whole.shape[1]):
         integrals = scipy.sparse.csr_array((whole[:, node], (across.first + node, every)), (across.nodes, every.size))
         weights += (integrals @ passed.T).T
-    weights[np.abs(weights) < ROUNDING * np.ptp(corners[:, 1])] = 0
+    weights[np.abs(weights) < ZERO * np.ptp(corners[:, 1])] = 0
     return weights if area_within(corners) > 0 else -weights
 
 

@@ -46,7 +46,7 @@ FORMULA_NODES = 24
 TOLERANCE, FEW, TOLERANCE_OF_MORE = 1e-6, 4000, 1e-4
 MARGIN = 3e-3
 # Up to DENSE unknowns all eigenvalues are computed, and the limit keeps off by rounding alone.
-DENSE, ROUNDING = 60, 1e-9
+DENSE, DENSE_MARGIN = 60, 1e-9
 # Newton's method for the time step ends when the largest eigenvalue is 4 to this part; it takes two or three steps.
 CLOSE, MOST_SOLVES = 1e-4, 20
 
@@ -165,7 +165,7 @@ def _by_matrices(
     node = nodes[np.argmax(np.abs(shape[: len(nodes)]))]
     (nx, ny), size = scene.grid.nodes, scene.plate.size
     # A shorter step lowers the eigenvalue by its own part at least, without losses by twice that.
-    over = max(1.0, largest / 4) * (1 + (ROUNDING if len(masses) <= DENSE else MARGIN))
+    over = max(1.0, largest / 4) * (1 + (DENSE_MARGIN if len(masses) <= DENSE else MARGIN))
     return StabilityLimit(
         time_step=step / (over if loss.nnz else math.sqrt(over)),
         shares={name: share for name, share in shares.items() if abs(share) > 1e-6},

@@ -30,7 +30,7 @@ FASTEST, SLOWEST = 1e7, 1e-3  # samples per second
 # slower rate's band, is at one half at PASSED of it, and stops from its end on.
 HALF_WIDTH, BETA, PASSED = 50, 7.857, 0.95
 TABLE_STEPS = 1024  # entries of the tabulated filter per sample
-BLOCK = 2**21  # number of products in memory
+PRODUCTS_AT_ONCE = 2**21  # number of products in memory
 # Part of a step by which times in a CSV, which are rounded, may be off an even spacing.
 UNEVEN = 0.05
 
@@ -182,7 +182,7 @@ def sample_at(samples: Samples, times: np.ndarray, band: float = 1.0) -> np.ndar
     table = PASSED * band * np.sinc(PASSED * distance) * window
     *channels, count = analytic.shape
     carrier = np.zeros((*channels, times.size), dtype=complex)
-    block = max(1, BLOCK // (reach.size * math.prod(channels)))
+    block = max(1, PRODUCTS_AT_ONCE // (reach.size * math.prod(channels)))
     for first in range(0, times.size, block):
         index_of = np.arange(first, min(first + block, times.size))
         place = (times[index_of] - samples.start) * samples.rate

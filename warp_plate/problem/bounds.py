@@ -29,7 +29,7 @@ from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.allowed_drives import AllowedDrives, allowed_drives, best_allowed
 from warp_plate.problem.objectives import Objectives
 from warp_plate.problem.parametrization import Parametrization
-from warp_plate.problem.semidefinite import ROUNDING, least_majorant, local_maximum
+from warp_plate.problem.semidefinite import EIGEN_ERROR, least_majorant, local_maximum
 from warp_plate.quantities.region_quantities import PLATE, REGION_QUANTITIES, TARGET
 from warp_plate.scene.search import Objective
 from warp_plate.solve.response import Response, largest_ratio
@@ -72,7 +72,7 @@ def bound_localization(
     ratio_of_all, parameters = largest_ratio(reduced) if basis.shape[1] else (math.nan, np.empty(0))
     if not math.isfinite(ratio_of_all):
         return None
-    value = float(ratio_of_all) * (1 + ROUNDING)  # no drive passes it by rounding either
+    value = float(ratio_of_all) * (1 + EIGEN_ERROR)  # no drive passes it by rounding either
 
     def ratio(drives: np.ndarray) -> np.ndarray:
         return localization_factor(response.energy(drives))
@@ -266,7 +266,8 @@ def _majorant(
     # The smallest eigenvector, and points that vary as the relaxation's z zᵀ, the inverse of the slack, does.
     values, vectors = np.linalg.eigh(slack)
     count = max(1, STARTS // basis.shape[1])
-    drawn = np.random.default_rng(0).normal(size=(len(values), count)) / np.sqrt(np.maximum(values, ROUNDING))[:, None]
+    drawn = np.random.default_rng(0).normal(size=(len(values), count))
+    drawn /= np.sqrt(np.maximum(values, EIGEN_ERROR))[:, None]
     drawn[:, 0] = np.eye(len(values))[0]
     return least, (scaled @ (vectors @ drawn)[: basis.shape[1]]).T
 

@@ -26,7 +26,7 @@ MOST_CELLS = 6
 # Smallest number of nodes of such a cell along each axis.
 CELL_NODES = 2
 # Relative excess over a limit that counts as rounding in float32.
-ROUNDING = 1e-5
+EXCESS = 1e-5
 OF_THE_REST = " of the rest"
 
 
@@ -86,7 +86,7 @@ class Objectives:
 
 def keeps_limit(value: float, limit: float) -> bool:
     """Return whether a value keeps its limit, but for rounding in float32."""
-    return value <= limit * (1 + ROUNDING)
+    return value <= limit * (1 + EXCESS)
 
 
 def loss_scale(objectives: Iterable[Objective]) -> float:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from warp_plate.accuracy.configurations import NODE_STEP_SECONDS, RELATIVE_COST
-from warp_plate.modal.energies import BLOCK_NUMBERS
+from warp_plate.modal.energies import AMPLITUDES_AT_ONCE
 from warp_plate.modal.gram import ROWS
 from warp_plate.modal.modes import expected_size
 from warp_plate.plate.memory import grid_bytes, refuse_beyond_memory, steps_bytes
@@ -117,7 +117,7 @@ def search_memory(parametrization: Parametrization, resolved: Resolved, objectiv
     memory["actuators"] = MATRIX_BYTES * matrices
     if not resolved.by_modes and parametrization.quadratic:
         units = response.count_unit_drives(actuators)
-        drives = PAIR_BYTES * units + UNIT_BYTES * min(units * actuators, response.BLOCK_NUMBERS)
+        drives = PAIR_BYTES * units + UNIT_BYTES * min(units * actuators, response.PHASORS_AT_ONCE)
         drives += _plates_bytes(units, resolved, 8)
         memory["actuators"] += drives
         memory["plate.size"] -= min(memory["plate.size"], drives)  # the error is estimated when they are freed
@@ -127,7 +127,7 @@ def search_memory(parametrization: Parametrization, resolved: Resolved, objectiv
     if resolved.by_modes and not parametrization.only_drives:
         functions, modes = expected_size(scene, highest)
         numbers = particles * design_numbers(actuators, functions, modes)
-        motion = MOTION_BYTES * min(BLOCK_NUMBERS, particles * actuators * modes)
+        motion = MOTION_BYTES * min(AMPLITUDES_AT_ONCE, particles * actuators * modes)
         memory["search.particles"] += DESIGN_BYTES * min(DESIGN_NUMBERS, numbers) + motion
         memory["plate.size"] += FORM_BYTES * regions * (2 * modes) ** 2
     if search.robust is not None:

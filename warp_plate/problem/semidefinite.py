@@ -30,7 +30,7 @@ GROWTH, GAP = 8.0, 1e-10
 # Newton steps at one t, and the decrement at which they end.
 MOST_STEPS, SETTLED = 60, 1e-8
 # Rounding error that an entry of a small symmetric matrix and its eigenvalues may gather.
-ROUNDING = 64 * np.finfo(float).eps
+EIGEN_ERROR = 64 * np.finfo(float).eps
 # Steps and tolerance of an ascent to a local maximum; and a limit xᵀ matrix x + entry ≤ 0, or = 0, there: matrix,
 # entry, whether it is an equation.
 MOST_ASCENT_STEPS, TOLERANCE = 100, 1e-13
@@ -57,7 +57,7 @@ def least_majorant(
         return np.inf, np.empty((0, 0))
     multipliers = dual.follow(start)
     value = float(dual.values @ multipliers)
-    value += ROUNDING * float(np.abs(dual.values) @ np.abs(multipliers))
+    value += EIGEN_ERROR * float(np.abs(dual.values) @ np.abs(multipliers))
     return float(size * value), dual.slack(multipliers)
 
 
@@ -90,7 +90,7 @@ class _Dual:
     def surely_inside(self, multipliers: np.ndarray) -> bool:
         """Return whether S is positive definite by more than the errors with which it is computed."""
         slack = self.slack(multipliers)
-        return bool(np.linalg.eigvalsh(slack)[0] > ROUNDING * (1 + np.abs(multipliers).sum()) * len(slack))
+        return bool(np.linalg.eigvalsh(slack)[0] > EIGEN_ERROR * (1 + np.abs(multipliers).sum()) * len(slack))
 
     def inside(self) -> np.ndarray | None:
         """Return multipliers with S ≻ 0, by lowering s with S + s·1 ⪰ 0 until it is not needed; None if it is."""
@@ -139,7 +139,7 @@ class _Dual:
         for _ in range(MOST_STEPS):
             step, decrement = self.newton(multipliers, weight)
             # A descent below the rounding error of φ cannot be detected.
-            if not decrement >= max(SETTLED, ROUNDING * abs(level)):
+            if not decrement >= max(SETTLED, EIGEN_ERROR * abs(level)):
                 return multipliers, bool(np.isfinite(decrement))
             length = 1.0
             while not (lower := self.barrier(multipliers + length * step, weight)) <= level - 0.1 * length * decrement:

@@ -34,7 +34,7 @@ from warp_plate.solve.response import Response, in_float64, measure_response
 # Memory of a scenario's scene and of each of its actuators [bytes].
 SCENE_BYTES, ACTUATOR_BYTES = 20_000.0, 2_000.0
 # Plates × matrices in a block for which energies are computed from Gram matrices.
-BLOCK = 2**22
+MATRICES_AT_ONCE = 2**22
 
 
 @dataclass(frozen=True)
@@ -179,7 +179,7 @@ class ScenarioLosses:
     # displacements; None where plates are simulated
     matrices: np.ndarray | None = None
     setup_cost: tuple[float, int] = (0.0, 0)  # seconds of compilation and node-steps of solvers that are not kept
-    block: int = BLOCK
+    block: int = MATRICES_AT_ONCE
 
     @property
     def evaluators(self) -> list[Evaluator]:

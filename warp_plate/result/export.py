@@ -32,14 +32,14 @@ Format = Literal["vtkhdf", "traces-csv", "drive-wav", "drive-csv"]
 # Units of exported fields, by the first word of their names.
 UNITS = {"displacement": "m", "velocity": "m/s", "rms": "m/s", "target": "1", "actuators": "1"}
 HIDDEN = 2  # of vtkGhostType: points that programs leave out
-BLOCK = 2**16  # rows that are composed at once
+ROWS_AT_ONCE = 2**16  # rows that are composed at once
 Encoding = Literal["float32", "pcm16", "pcm24"]
 # WAVE_FORMAT and bytes a sample.
 FORMATS: dict[Encoding, tuple[int, int]] = {"float32": (3, 4), "pcm16": (1, 2), "pcm24": (1, 3)}
 # Code of WAVE_FORMAT_EXTENSIBLE and the common end of the GUIDs of the formats in it.
 EXTENSIBLE, GUID_END = 0xFFFE, bytes.fromhex("0000 1000 8000 00aa 0038 9b71")
-MOST_BYTES = 2**32 - 2**20  # a WAV file counts its bytes with 32 bits; 2**20 for the chunks before the samples
-ROUNDING = 1e-9  # by which a drive may pass full scale: a force of 2 N becomes 2.0000000000000004 N
+WAV_BYTES = 2**32 - 2**20  # a WAV file counts its bytes with 32 bits; 2**20 for the chunks before the samples
+OVER_SCALE = 1e-9  # by which a drive may pass full scale: a force of 2 N becomes 2.0000000000000004 N
 TRIED_PERIODS = 10_000  # lengths that are compared to find the loop whose end is nearest to a sample
 
 
@@ -135,8 +135,8 @@ class DriveSignal(Signal):
     seam: float  # phase jump [degrees] where the end meets the beginning; 0 for a whole number of samples
 
     def blocks(self) -> Iterator[np.ndarray]:
-        for start in range(0, self.samples, BLOCK):
-            time = np.arange(start, min(start + BLOCK, self.samples)) / self.rate
+        for start in range(0, self.samples, ROWS_AT_ONCE):
+            time = np.arange(start, min(start + ROWS_AT_ONCE, self.samples)) / self.rate
             rotation = np.exp(2j * np.pi * np.mod(self.frequency * time, 1))
             yield np.column_stack([time, (rotation[:, None] * self.phasors).real])
 
@@ -170,7 +170,7 @@ def make_drive_signal(
         raise SceneError(f"--rate {rate}: {frequency:g} Hz takes more than {2 * frequency:g} samples a second")
     if not 1 <= duration * frequency < float("inf"):
         raise SceneError(f"--duration {duration:g}: must be at least a period, {1 / frequency:.3g} s")
-    if duration * rate * len(scene.actuators) * FORMATS["float32"][1] > MOST_BYTES:
+    if duration * rate * len(scene.actuators) * FORMATS["float32"][1] > WAV_BYTES:
         raise SceneError(f"--duration {duration:g}: {len(scene.actuators)} channels take more than 4 GiB; write less")
     periods, samples, seam = whole_periods(frequency, rate, duration)
     names = tuple(actuator.name for actuator in scene.actuators)
@@ -184,7 +184,7 @@ def full_scale_of(asked: float | None, largest: float, unit: str) -> float:
     only."""
     if not largest > 0:
         raise SceneError("its drive is zero: there is nothing to play")
-    if asked is not None and not largest * (1 - ROUNDING) <= asked < float("inf"):
+    if asked is not None and not largest * (1 - OVER_SCALE) <= asked < float("inf"):
         raise SceneError(f"--full-scale {asked:g}: must be at least the largest of the drive, {largest:.9g} {unit}")
     return max(asked or 0.0, largest)
 

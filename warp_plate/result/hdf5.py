@@ -18,7 +18,7 @@ from warp_plate.scene.errors import SceneError
 
 # Endings of files of other programs: MAT files of MATLAB, and HDF5 files such as those of xarray.
 MAT, HDF5 = (".mat",), (".h5", ".hdf5", ".nc")
-MOST_BYTES = 2**28  # of the arrays of such an HDF5 file, which may be compressed
+UNPACKED_BYTES = 2**28  # of the arrays of such an HDF5 file, which may be compressed
 
 
 @dataclass(frozen=True)
@@ -188,8 +188,8 @@ def _hdf5(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
                 raise SceneError(f"{name} is kept in another file; write its values")
             if dataset.shape is None or dataset.dtype.hasobject:
                 raise SceneError(f"{name} is not an array of numbers")
-        if sum(dataset.nbytes for dataset in datasets.values()) > MOST_BYTES:
-            raise SceneError(f"holds more than {MOST_BYTES} bytes when unpacked")
+        if sum(dataset.nbytes for dataset in datasets.values()) > UNPACKED_BYTES:
+            raise SceneError(f"holds more than {UNPACKED_BYTES} bytes when unpacked")
         return {name: _complex(dataset[()]) for name, dataset in datasets.items()}
 
 

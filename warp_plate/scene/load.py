@@ -9,7 +9,7 @@ from typing import Any
 from warp_plate.scene.errors import SceneError, toml_text
 
 # A scene is about a page long; a larger file is something else. Maps belong in files of their own.
-MOST_BYTES = 2**22
+SCENE_BYTES = 2**22
 # The TOML parser takes minutes for a dotted key of very many parts, so these are refused first, outside of texts and
 # comments. What is not closed ends with its line or the file: whatever begins matches, which keeps the search linear.
 _TEXT = re.compile(
@@ -44,8 +44,8 @@ def read_scene_text(source: str | Path) -> tuple[str, Path | None]:
                 f"{name}: no such preset or file{hint}; presets: {', '.join(preset_names())}; "
                 "'warp-plate init paper' writes one to a file for editing"
             )
-        if path.stat().st_size > MOST_BYTES:
-            raise SceneError(f"{name}: {path.stat().st_size} bytes; a scene file has at most {MOST_BYTES}")
+        if path.stat().st_size > SCENE_BYTES:
+            raise SceneError(f"{name}: {path.stat().st_size} bytes; a scene file has at most {SCENE_BYTES}")
         return path.read_text(encoding="utf-8-sig"), path.parent
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(f"{name}: cannot be read as UTF-8 text: {error}") from None

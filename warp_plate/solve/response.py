@@ -18,7 +18,7 @@ from warp_plate.solve.run import Progress
 from warp_plate.solve.solver import PlateSolver
 
 # Numbers of the phasors that are in memory at a time.
-BLOCK_NUMBERS = 2**21
+PHASORS_AT_ONCE = 2**21
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ def unit_drives(actuators: int, rows: slice = slice(None)) -> np.ndarray:
 
 
 def measure_response(
-    solver: PlateSolver, progress: Progress | None = None, block_numbers: int = BLOCK_NUMBERS
+    solver: PlateSolver, progress: Progress | None = None, block_numbers: int = PHASORS_AT_ONCE
 ) -> Response:
     """Simulate the unit drives; ``solver`` should be float64, for the differences of energies lose digits."""
     actuators, work = len(solver.scene.actuators), solver.node_steps_per_plate

@@ -25,7 +25,7 @@ SOUND = (OK, math.nan)
 SAMPLES_A_PERIOD, MOST_SAMPLES = 16, 320
 QUARTER = SAMPLES_A_PERIOD // 4
 # Most bytes of the fields of a plate among which the largest is recorded.
-MOST_BYTES = 2**27
+PEAK_BYTES = 2**27
 # Samples too few for every period are shifted by multiples of the golden ratio, so as never to keep in step with the
 # motion.
 GOLDEN = (math.sqrt(5) - 1) / 2
@@ -159,7 +159,7 @@ def _candidates(scene: Scene) -> tuple[float, ...]:
     """
     end, times = scene.window.end, sample_times(scene)
     if scene.nonperiodic_key:
-        most = max(2, int(MOST_BYTES / (8 * math.prod(scene.grid.nodes))))
+        most = max(2, int(PEAK_BYTES / (8 * math.prod(scene.grid.nodes))))
         return tuple(sorted(times)[:: math.ceil(len(times) / most)])
     before = np.arange(SAMPLES_A_PERIOD + QUARTER - 1, -1, -1) / SAMPLES_A_PERIOD / highest_frequency(scene)
     return tuple(np.maximum(end - before, 0.0).tolist())

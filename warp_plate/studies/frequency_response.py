@@ -26,7 +26,7 @@ from warp_plate.scene.target import Target
 # Modes that the default range reaches at least.
 MODES_SHOWN = 6
 # Number of amplitudes in memory: frequencies · modes · loads.
-BLOCK = 2**22
+AMPLITUDES_AT_ONCE = 2**22
 # Combinations of actuators with a smaller part of the largest amplitude cancel out.
 RANK_TOLERANCE = 1e-12
 Point = tuple[float, float]
@@ -161,7 +161,7 @@ def _responses(
     of_plate = plate.kinetic_matrix("plate") if attached else None
     of_target = _moved_by(plate, scene.target)
     drive, mass, blocks = scene_phasors(scene), plate.space.plate_mass, []
-    for chosen in np.array_split(frequencies, -(-len(frequencies) * loads.size // BLOCK)):
+    for chosen in np.array_split(frequencies, -(-len(frequencies) * loads.size // AMPLITUDES_AT_ONCE)):
         amplitudes = plate.respond(chosen, loads)
         unit, driven = amplitudes[:, :, :inputs], amplitudes[:, :, inputs:]
         at_points = (np.moveaxis(unit, 1, 2) @ shapes).reshape(len(chosen), -1)

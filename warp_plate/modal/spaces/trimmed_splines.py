@@ -18,7 +18,14 @@ from numpy.polynomial import legendre
 
 from warp_plate.effects.effect import DISPLACEMENT, SLOPE, Factors, Term
 from warp_plate.modal.spaces.chords import Chords, Curve, LocalSplines, make_chords
-from warp_plate.modal.spaces.integrals import Field, Integrals, SplineProducts, bending_terms, mean_wave_frequency
+from warp_plate.modal.spaces.integrals import (
+    DISC_CORNERS,
+    Field,
+    Integrals,
+    SplineProducts,
+    bending_terms,
+    mean_wave_frequency,
+)
 from warp_plate.modal.spaces.knots import lines, outline_splines
 from warp_plate.modal.spaces.space import Matrix
 from warp_plate.modal.spaces.splines import gauss, overlapping_pairs
@@ -40,8 +47,6 @@ MOMENTS = 1e-4
 UNTOUCHED = 1e-22
 # An edge is divided into parts of about so many intervals; polynomials of a part beyond one for each interval.
 PART_INTERVALS, FURTHER = 6, 2
-# Corners of the polygon for the part of a disc in a rectangle.
-DISC_CORNERS = 512
 # Matrices of all products that are in memory at a time.
 DENSE_MATRICES = 7
 
