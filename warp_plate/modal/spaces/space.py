@@ -95,6 +95,13 @@ class FunctionSpace(Protocol):
     def curvature_integrals(self, areas: np.ndarray) -> np.ndarray:
         """Return (areas, unknowns) integrals of the functions' Laplacians over rectangles [m]."""
 
+    def moments(self, counts: tuple[int, int]) -> np.ndarray:
+        """Return (count along y, count along x, unknowns) integrals over the plate of the functions times Legendre
+        polynomials P_i(x) P_j(y) of so many degrees along x and y over the sides of ``plate.size``."""
+
+    def quadrature(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return points (n, 2) [m] and weights (n,) [m²] that integrate products of functions over the plate."""
+
     def region_matrix(self, region: Area | Target, within: Area | None = None) -> Matrix:
         """Return the mass matrix [kg] of a rectangle or target, or of its part in the rectangle ``within``."""
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
 import scipy
+from numpy.polynomial import legendre
 
 from warp_plate.effects.effect import DISPLACEMENT, SLOPE, Factors, Term
 from warp_plate.modal.spaces.integrals import Field, Integrals, SplineProducts, bending_terms, region_values
 from warp_plate.modal.spaces.knots import plate_splines
 from warp_plate.modal.spaces.space import Matrix
-from warp_plate.modal.spaces.splines import Splines, end_products, overlapping_pairs, side_products
+from warp_plate.modal.spaces.splines import Splines, end_products, gauss, overlapping_pairs, side_products
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
 from warp_plate.scene.target import Target
@@ -127,6 +129,17 @@ class TensorSplines(SplineProducts):
         x0, x1, y0, y1 = areas.T
         bent_x, bent_y = along_x.values(x1, 1) - along_x.values(x0, 1), along_y.values(y1, 1) - along_y.values(y0, 1)
         return _products(along_y.integrals(y0, y1), bent_x) + _products(bent_y, along_x.integrals(x0, x1))
+
+    def moments(self, counts: tuple[int, int]) -> np.ndarray:
+        sides = []
+        for splines, side, count in zip(self.along, self.scene.plate.size, counts, strict=True):
+            points, weights = gauss(splines.breaks, splines.degree + 1 + math.ceil(count / (splines.breaks.size - 1)))
+            sides.append((splines.values(points) * weights) @ legendre.legvander(2 * points / side - 1, count - 1))
+        return np.einsum("jb,ia->baji", sides[1], sides[0]).reshape(*counts[::-1], self.unknowns)
+
+    def quadrature(self) -> tuple[np.ndarray, np.ndarray]:
+        (x, across), (y, up) = (gauss(splines.breaks, splines.degree + 1) for splines in self.along)
+        return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2), np.outer(up, across).ravel()
 
     def region_matrix(self, region: Area | Target, within: Area | None = None) -> Matrix:
         return self.scatter(region_values(self.scene, self.along, region, within))

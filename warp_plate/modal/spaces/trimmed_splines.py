@@ -153,6 +153,18 @@ class TrimmedSplines(SplineProducts):
             sides.append(np.array(rows) @ self.basis)
         return sides[0], sides[1]
 
+    def moments(self, counts: tuple[int, int]) -> np.ndarray:
+        (width, height), chords = self.scene.plate.size, self.chords
+        along_x = legendre.legvander(2 * chords.x / width - 1, counts[0] - 1)
+        along_y = legendre.legvander(2 * chords.ordinates / height - 1, counts[1] - 1)
+        polynomials = np.moveaxis(along_x, -1, 0)
+        rows = [chords.integrals(polynomials * up[:, None]) for up in along_y.T[:, chords.chord]]
+        return np.reshape(rows, (*counts[::-1], -1)) @ self.basis
+
+    def quadrature(self) -> tuple[np.ndarray, np.ndarray]:
+        chords = self.chords
+        return np.stack([chords.x, chords.y], axis=-1).reshape(-1, 2), chords.weights.ravel()
+
     def region_matrix(self, region: Area | Target, within: Area | None = None) -> Matrix:
         target = region if isinstance(region, Target) else Target.model_construct(area=region)
         if target.mask is not None:
