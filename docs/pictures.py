@@ -43,6 +43,7 @@ COMMANDS = {
     ),
     "focusing.png": ("focusing-glass-focus.png", "focus focusing-glass"),
     "frequency-response.png": ("touch-panel-frf.png", "frf touch-panel"),
+    "sound.png": ("touch-panel-sound.png", "sound touch-panel"),
     "objectives-phases-alone.png": (
         "phases-alone-localize.png",
         "localize phases-alone.toml",

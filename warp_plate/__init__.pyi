@@ -37,6 +37,7 @@ from .studies.frequency_response import frf as frf
 from .studies.localize import localize as localize
 from .studies.localize import resume as resume
 from .studies.simulate import simulate as simulate
+from .studies.sound import sound as sound
 from .studies.specify import specify as specify
 from .studies.sweep import sweep as sweep
 from .studies.unfinished import CheckpointFile as CheckpointFile

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from warp_plate.result.focus import FocusResult
     from warp_plate.result.frequency_response import FrequencyResponse
     from warp_plate.result.model import Result
+    from warp_plate.result.sound import Sound
     from warp_plate.result.sweep import Sweep
     from warp_plate.scene.model import Scene
 
@@ -106,7 +107,7 @@ class NotebookPlayer:
 
 
 def plot(
-    shown: Result | Sweep | FrequencyResponse | FocusResult,
+    shown: Result | Sweep | FrequencyResponse | Sound | FocusResult,
     stem: str | Path,
     *,
     colormap: str | None = None,
@@ -115,7 +116,7 @@ def plot(
     """Draw a result as its command does, and return the files.
 
     Args:
-        shown: result of ``localize`` or ``simulate``, of ``sweep``, of ``frf`` or ``focus``.
+        shown: result of ``localize`` or ``simulate``, of ``sweep``, of ``frf``, ``sound`` or ``focus``.
         stem: path of the pictures without an ending: a result makes STEM-history.png, STEM-surfaces.png and so on, all
             others STEM.png.
         colormap: colour map of Matplotlib for fields over the plate and maps (default: depends on the field).
@@ -129,11 +130,13 @@ def plot(
     from warp_plate.result.focus import FocusResult
     from warp_plate.result.frequency_response import FrequencyResponse
     from warp_plate.result.model import Result
+    from warp_plate.result.sound import Sound
     from warp_plate.result.sweep import Sweep
     from warp_plate.viz.availability import DrawingUnavailable, missing_plots
     from warp_plate.viz.fields import colour_options
     from warp_plate.viz.pictures import draw_all
     from warp_plate.viz.plots.responses import draw_focus, draw_frequency_response
+    from warp_plate.viz.plots.sound import draw_sound
     from warp_plate.viz.plots.sweep import draw_sweep
 
     colours = colour_options(colormap, limits)
@@ -145,6 +148,7 @@ def plot(
     drawings: dict[type, Callable[[Any, Path], None]] = {
         Sweep: partial(draw_sweep, colormap=colormap),
         FrequencyResponse: draw_frequency_response,
+        Sound: draw_sound,
         FocusResult: partial(draw_focus, colours=colours),
     }
     if type(shown) not in drawings:

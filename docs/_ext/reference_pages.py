@@ -25,6 +25,8 @@ RETURNED = (
     "solve.run.Run",
     "modal.modes.ModalPlate",
     "result.frequency_response.FrequencyResponse",
+    "result.sound.Sound",
+    "modal.radiation.Air",
     "result.sweep.Sweep",
     "result.model.RobustComparison",
     "result.focus.FocusResult",

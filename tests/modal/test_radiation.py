@@ -9,7 +9,7 @@ import scipy
 from support.scenes import refused, scene_of
 from support.scenes_of_outlines import outlined
 from warp_plate.modal.modes import solve_modes
-from warp_plate.modal.radiation import Air, FarField, pressures, radiation_resistances
+from warp_plate.modal.radiation import Air, FarField, Radiation, pressures
 
 AIR = Air()
 
@@ -33,7 +33,7 @@ def test_a_disc_has_rayleigh_s_resistance(disc, frequency):
     moved = piston(disc, [(0.1, 0.1), (0.15, 0.1), (0.1, 0.17), (0.03, 0.08)])
     argument = 2 * AIR.wavenumber(frequency) * 0.1
     expected = AIR.density * AIR.sound_speed * math.pi * 0.01 * (1 - 2 * scipy.special.j1(argument) / argument)
-    resistance = moved @ radiation_resistances(disc, np.array([frequency]))[0] @ moved
+    resistance = moved @ Radiation(disc, frequency).resistances(np.array([frequency]))[0] @ moved
     assert resistance == pytest.approx(expected, rel=1e-6)
 
 
@@ -73,7 +73,7 @@ def test_supported_plates_have_wallace_s_efficiencies(frequency):
     made = scene_of(size=(0.3, 0.2), edges=("supported",) * 4)
     plate = solve_modes(made, highest=0.0, count=6)
     numbers = [(1, 1), (2, 1), (1, 2), (3, 1), (2, 2), (3, 2)]  # by rising frequency
-    resistances = np.diag(radiation_resistances(plate, np.array([frequency]))[0])[:6]
+    resistances = np.diag(Radiation(plate, frequency).resistances(np.array([frequency]))[0])[:6]
     mass = made.plate.density * made.plate.thickness
     expected = [wallace(pair, (0.3, 0.2), AIR.wavenumber(frequency)) for pair in numbers]
     np.testing.assert_allclose(resistances * mass / (AIR.density * AIR.sound_speed), expected, rtol=1e-6)
@@ -82,9 +82,9 @@ def test_supported_plates_have_wallace_s_efficiencies(frequency):
 def test_many_frequencies_are_interpolated(random):
     plate = solve_modes(scene_of(edges=("free", "clamped", "supported", "free")), highest=0.0, count=12)
     frequencies = np.sort(random.uniform(10, 6000, 60))
-    resistances = radiation_resistances(plate, frequencies)
+    resistances = Radiation(plate, 6000.0).resistances(frequencies)
     for index in (0, 20, 59):
-        alone = radiation_resistances(plate, frequencies[[index]])[0]
+        alone = Radiation(plate, frequencies[index]).resistances(frequencies[[index]])[0]
         np.testing.assert_allclose(resistances[index], alone, rtol=0, atol=1e-9 * np.abs(alone).max())
 
 
@@ -94,7 +94,7 @@ def test_power_is_that_of_the_pressure_far_away(random):
     rate = np.zeros(len(plate.frequencies), dtype=complex)
     rate[:8] = random.normal(size=8) + 1j * random.normal(size=8)
     frequency, radius = np.array([1500.0]), 200.0
-    power = 0.5 * (rate.conj() @ radiation_resistances(plate, frequency)[0] @ rate).real
+    power = 0.5 * (rate.conj() @ Radiation(plate, 1500.0).resistances(frequency)[0] @ rate).real
     heights, shares = np.polynomial.legendre.leggauss(16)
     heights, shares = (heights + 1) / 2, shares / 2
     azimuth = 2 * math.pi * np.arange(32) / 32

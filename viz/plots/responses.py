@@ -66,7 +66,7 @@ def draw_frequency_response(response: FrequencyResponse, path: str | Path) -> No
         for index, look in _plot(magnitude, x, np.abs(response.responses), labels).items():
             phase.plot(x, _unbroken(response.responses[index]), **look)
         phase.set(ylabel="phase [°]", ylim=(-190, 190), yticks=(-180, -90, 0, 90, 180))
-        _set_frequency_axes(response, panels)
+        set_frequency_axes(x, response.natural_frequencies, panels)
         _set_log_axis(magnitude, np.abs(response.responses), MOST_DECADES, f"{response.quantity} [{response.unit}]")
         if several:
             _draw_localization(response, others[0])
@@ -89,9 +89,9 @@ def _draw_localization(response: FrequencyResponse, axes: Axes) -> None:
     _add_legend(axes, 0)
 
 
-def _set_frequency_axes(response: FrequencyResponse, panels: Sequence[Axes]) -> None:
-    """Set and label the shared frequency axis, and mark the natural frequencies at the lower end of every panel."""
-    x, last = response.frequencies, panels[-1]
+def set_frequency_axes(x: np.ndarray, natural: np.ndarray, panels: Sequence[Axes]) -> None:
+    """Set and label the shared axis of frequencies [Hz], and mark the natural ones at the lower end of every panel."""
+    last = panels[-1]
     if x[-1] >= LOGARITHMIC * x[0]:
         last.set_xscale("log")
     last.set(xlim=x[[0, -1]], xlabel="frequency [Hz]")
@@ -100,7 +100,7 @@ def _set_frequency_axes(response: FrequencyResponse, panels: Sequence[Axes]) -> 
     for axes in panels:
         axes.grid(True, color=GRID, linewidth=0.4, alpha=0.4)
         ticks = axes.get_xaxis_transform()
-        axes.vlines(response.natural_frequencies, 0, 0.05, color=MARK, linewidth=0.8, transform=ticks)
+        axes.vlines(natural, 0, 0.05, color=MARK, linewidth=0.8, transform=ticks)
 
 
 def _set_log_axis(axes: Axes, values: np.ndarray, decades: float, label: str) -> None:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 from rich.console import Console
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 
 PICTURES = (".png", ".svg", ".pdf")
 ResponseFormat = Literal["csv", "hdf5"]
+# Endings and functions that write a result, by format.
+Writers = Mapping[str, tuple[str, Callable[[Any, Path], None]]]
 NUMBER = r"[-+]?(?:[0-9]{1,30}\.?[0-9]{0,30}|\.[0-9]{1,30})(?:[eE][-+]?[0-9]{1,2})?"
 POINT = f"{NUMBER},{NUMBER}"
 MOST_ROWS = 20
@@ -71,12 +74,12 @@ def frf(
     """
     from warp_plate.result.frequency_response import WRITERS
     from warp_plate.studies.frequency_response import frf as compute
+    from warp_plate.viz.plots.responses import draw_frequency_response
 
-    by_ending = {ending: name for name, (ending, _) in WRITERS.items()}
-    target = files.target(scene, "-frf.png", endings=(*PICTURES, *by_ending))
-    formats = [*(to or ()), *([by_ending[target.suffix.lower()]] if target.suffix.lower() in by_ending else ())]
+    target = files.target(scene, "-frf.png", endings=(*PICTURES, *(ending for ending, _ in WRITERS.values())))
+    formats = formats_of(target, to, WRITERS)
     points = [_point(text) for text in responses.at or ()]
-    limits = None if responses.range is None else _range(responses.range)
+    limits = None if responses.range is None else frequency_range(responses.range)
     if "hdf5" in formats:
         output.check_overwriting(target.with_suffix(".h5"), "a frequency response", files.force)
     loaded, scene = changes.load(scene)
@@ -86,8 +89,8 @@ def frf(
     ]
     with output.scene_errors(scene, inputs="from", points="at", frequency_range="range"):
         response = compute(loaded, sources, points, limits, responses.quantity)
-    written = files.check_drawn(target, _write(response, target, formats, files.pictures))
-    output.report(files.json, _as_json, _print, scene, loaded, response, written=written)
+    drawn = write_and_draw(response, target, formats, WRITERS, draw_frequency_response if files.pictures else None)
+    output.report(files.json, _as_json, _print, scene, loaded, response, written=files.check_drawn(target, drawn))
 
 
 def _point(text: str) -> tuple[float, float]:
@@ -97,7 +100,7 @@ def _point(text: str) -> tuple[float, float]:
     return x, y
 
 
-def _range(text: str) -> tuple[float, float]:
+def frequency_range(text: str) -> tuple[float, float]:
     """Return the lowest and the highest frequency [Hz] of ``--range``."""
     if re.fullmatch(f"{NUMBER}:{NUMBER}", text):
         low, high = map(float, text.split(":"))
@@ -106,22 +109,32 @@ def _range(text: str) -> tuple[float, float]:
     raise SceneError(f"--range {text}: must be LOW:HIGH in hertz, 0 < LOW < HIGH, such as 50:5000")
 
 
-def _write(response: FrequencyResponse, target: Path, formats: list[ResponseFormat], pictures: bool) -> output.Drawn:
-    """Write the files of the formats and the picture; return them, and why there is no picture."""
-    from warp_plate.result.frequency_response import WRITERS
+def formats_of(target: Path, to: list[ResponseFormat] | None, writers: Writers) -> list[ResponseFormat]:
+    """Return the formats of ``--to``, and that of the ending of ``--out``."""
+    by_ending = {ending: name for name, (ending, _) in writers.items()}
+    return [*(to or ()), *([by_ending[target.suffix.lower()]] if target.suffix.lower() in by_ending else ())]
+
+
+def write_and_draw(
+    result: Any,
+    target: Path,
+    formats: list[ResponseFormat],
+    writers: Writers,
+    draw: Callable[[Any, Path], object] | None,
+) -> output.Drawn:
+    """Write the files of the formats and the picture, if any; return them, and why there is no picture."""
     from warp_plate.viz.plots.frame import save_plots
-    from warp_plate.viz.plots.responses import draw_frequency_response
 
     written = []
     for name in dict.fromkeys(formats):
-        ending, write = WRITERS[name]
+        ending, write = writers[name]
         file = target if target.suffix.lower() == ending else target.with_suffix(ending)
-        write(response, file)
+        write(result, file)
         written.append(file)
-    if not pictures:
+    if draw is None:
         return written, None
     ending = target.suffix if target.suffix.lower() in PICTURES else ".png"
-    drawn, missing = save_plots(partial(draw_frequency_response, response), target, [ending])
+    drawn, missing = save_plots(partial(draw, result), target, [ending])
     return [*written, *drawn], missing
 
 

@@ -29,6 +29,8 @@ from warp_plate.scene.errors import SceneError
 
 # Terms beyond one for each radian of phase over half the plate: all errors are below 1e-12.
 FURTHER = 12
+# Frequencies whose resistances are in memory at a time.
+BLOCK_FREQUENCIES = 16
 # A point nearer to the plate than so many of its spacings of integration is refused.
 NEAREST = 3.0
 
@@ -42,9 +44,12 @@ class Air:
     sound_speed: float = 343.2
     """Speed of sound [m/s]."""
 
-    def wavenumber(self, frequencies: np.ndarray) -> np.ndarray:
+    def wavenumber(self, frequencies: np.ndarray | float) -> np.ndarray:
         """Return wavenumbers k [1/m] of frequencies [Hz]."""
         return 2 * math.pi * np.asarray(frequencies, dtype=float) / self.sound_speed
+
+
+AIR = Air()
 
 
 class FarField:
@@ -79,44 +84,59 @@ class FarField:
         return np.asarray(real + 1j * imaginary)
 
 
-def radiation_resistances(plate: ModalPlate, frequencies: np.ndarray, air: Air = Air()) -> np.ndarray:
-    """Return (n, modes, modes) R [1/s]: modal velocities q̇ exp(iωt) [m√kg/s] of frequencies (n,) [Hz] radiate
-    ½ q̇ᴴ R q̇ [W]."""
-    k, modes = air.wavenumber(frequencies), len(plate.frequencies)
-    highest = float(k.max())
-    count = math.ceil(_phase(plate, highest)) + FURTHER
-    refuse_beyond_memory(8.0 * modes**2 * (len(k) + 2 * min(count, len(k))), f"frequencies: {len(k)} of {modes} modes")
-    field = FarField(plate, highest)
-    if len(k) <= count:
-        shares = np.stack([_resistance_by_square(plate, field, one) for one in k])
-    else:
+class Radiation:
+    """Radiation resistances of modes, for frequencies up to a highest one.
+
+    Modal velocities q̇ exp(iωt) [m√kg/s] radiate ½ q̇ᴴ R q̇ [W].
+    """
+
+    def __init__(self, plate: ModalPlate, highest: float, air: Air = AIR) -> None:
+        """``highest`` frequency [Hz]. SceneError: the plate has too many modes for this machine's memory."""
+        self.plate, self.air, self._highest = plate, air, float(air.wavenumber(highest))
+        count, modes = math.ceil(self._phase(self._highest)) + FURTHER, len(plate.frequencies)
+        refuse_beyond_memory(24.0 * count * modes**2, f"frequency = {highest:g}: sound of {modes} modes")
+        self.far_field = FarField(plate, self._highest)
         nodes = chebyshev.chebpts1(count)
-        at_nodes = [_resistance_by_square(plate, field, highest * math.sqrt((node + 1) / 2)) for node in nodes]
-        values = np.reshape(at_nodes, (count, -1))
-        polynomials = np.linalg.solve(chebyshev.chebvander(nodes, count - 1), values)
-        shares = (chebyshev.chebvander(2 * (k / highest) ** 2 - 1, count - 1) @ polynomials).reshape(-1, modes, modes)
-    return np.asarray(air.density * air.sound_speed * k[:, None, None] ** 2 * shares)
+        at_nodes = [self._resistance_by_square(self._highest * math.sqrt((node + 1) / 2)) for node in nodes]
+        # (polynomials, modes²) of R/ρck²
+        self._polynomials = np.linalg.solve(chebyshev.chebvander(nodes, count - 1), np.reshape(at_nodes, (count, -1)))
 
+    def resistances(self, frequencies: np.ndarray) -> np.ndarray:
+        """Return (n, modes, modes) R [1/s] at frequencies (n,) [Hz]."""
+        k, modes = self.air.wavenumber(frequencies), len(self.plate.frequencies)
+        values = chebyshev.chebvander(2 * (k / self._highest) ** 2 - 1, len(self._polynomials) - 1)
+        shares = (values @ self._polynomials).reshape(-1, modes, modes)
+        return np.asarray(self.air.density * self.air.sound_speed * k[:, None, None] ** 2 * shares)
 
-def _phase(plate: ModalPlate, wavenumber: float) -> float:
-    """Return the phase [rad] of a wave from the middle of the plate to a corner."""
-    return wavenumber * math.hypot(*plate.scene.plate.size) / 2
+    def powers(self, frequencies: np.ndarray, amplitudes: np.ndarray) -> np.ndarray:
+        """Return (n, loads) mean radiated powers [W] of modal amplitudes (n, modes, loads) at frequencies (n,) [Hz]."""
+        powers = np.zeros((len(frequencies), amplitudes.shape[2]))
+        for start in range(0, len(frequencies), BLOCK_FREQUENCIES):
+            some = slice(start, start + BLOCK_FREQUENCIES)
+            rates = 2j * math.pi * frequencies[some, None, None] * amplitudes[some]
+            resistances = self.resistances(frequencies[some])
+            for part in (rates.real, rates.imag):
+                powers[some] += 0.5 * (part * (resistances @ part)).sum(axis=1)
+        return powers
 
+    def _phase(self, wavenumber: float) -> float:
+        """Return the phase [rad] of a wave from the middle of the plate to a corner."""
+        return wavenumber * math.hypot(*self.plate.scene.plate.size) / 2
 
-def _resistance_by_square(plate: ModalPlate, field: FarField, wavenumber: float) -> np.ndarray:
-    """Return R/ρck² [m⁴/kg] of one wavenumber [1/m]: opposite directions have conjugate V."""
-    phase = math.ceil(_phase(plate, wavenumber))
-    heights, shares = np.polynomial.legendre.leggauss(phase // 2 + FURTHER)
-    around = phase + FURTHER
-    azimuth = math.pi * (np.arange(around) + 0.5) / around
-    sine = np.sqrt(1 - ((heights + 1) / 2) ** 2)
-    waves = field.at(wavenumber, np.repeat(sine, around), np.tile(azimuth, sine.size))
-    waves *= np.sqrt(np.repeat(shares / 2, around) * (2 * math.pi / around))[:, None]
-    return np.asarray(waves.real.T @ waves.real + waves.imag.T @ waves.imag) / (4 * math.pi**2)
+    def _resistance_by_square(self, wavenumber: float) -> np.ndarray:
+        """Return (modes, modes) R/ρck² [m⁴/kg] of a wavenumber [1/m]: opposite directions have conjugate V."""
+        phase = math.ceil(self._phase(wavenumber))
+        heights, shares = np.polynomial.legendre.leggauss(phase // 2 + FURTHER)
+        around = phase + FURTHER
+        azimuth = math.pi * (np.arange(around) + 0.5) / around
+        sine = np.sqrt(1 - ((heights + 1) / 2) ** 2)
+        waves = self.far_field.at(wavenumber, np.repeat(sine, around), np.tile(azimuth, sine.size))
+        waves *= np.sqrt(np.repeat(shares / 2, around) * (2 * math.pi / around))[:, None]
+        return np.asarray(waves.real.T @ waves.real + waves.imag.T @ waves.imag) / (4 * math.pi**2)
 
 
 def pressures(
-    plate: ModalPlate, frequencies: np.ndarray, amplitudes: np.ndarray, points: np.ndarray, air: Air = Air()
+    plate: ModalPlate, frequencies: np.ndarray, amplitudes: np.ndarray, points: np.ndarray, air: Air = AIR
 ) -> np.ndarray:
     """Return (n, points, loads) pressures [Pa] at points (points, 3) x, y, z [m] in front of the plate, z above it, of
     modal amplitudes (n, modes, loads) at frequencies (n,) [Hz]. SceneError: a point is too near to the plate."""
@@ -129,9 +149,12 @@ def pressures(
     distances = np.sqrt(((points[:, None, :2] - places) ** 2).sum(axis=-1) + points[:, 2:] ** 2)
     shapes = plate.at_points(places)
     pressures = np.empty((len(frequencies), len(points), amplitudes.shape[2]), dtype=complex)
-    for index, (k, motion) in enumerate(zip(air.wavenumber(frequencies), amplitudes, strict=True)):
-        omega = k * air.sound_speed
-        kernel = np.exp(-1j * k * distances) * (weights / distances)
-        displacements = shapes.T @ motion.real + 1j * (shapes.T @ motion.imag)
-        pressures[index] = -(omega**2) * air.density / (2 * math.pi) * (kernel @ displacements)
+    for start in range(0, len(frequencies), BLOCK_FREQUENCIES):
+        some = slice(start, start + BLOCK_FREQUENCIES)
+        modes = np.moveaxis(amplitudes[some], 0, 1)
+        motion = np.tensordot(shapes, modes.real, (0, 0)) + 1j * np.tensordot(shapes, modes.imag, (0, 0))
+        for index, k in enumerate(air.wavenumber(frequencies[some])):
+            kernel = np.exp(-1j * k * distances) * (weights / distances)
+            acceleration = -((k * air.sound_speed) ** 2) * motion[:, index]
+            pressures[start + index] = air.density / (2 * math.pi) * (kernel @ acceleration)
     return pressures

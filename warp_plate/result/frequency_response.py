@@ -16,6 +16,7 @@ Quantity = Literal["receptance", "mobility", "accelerance"]
 # Power of iω by which the displacement is multiplied.
 DERIVATIVES: Mapping[str, int] = {name: power for power, name in enumerate(get_args(Quantity))}
 UNITS: Mapping[str, str] = {"receptance": "m/N", "mobility": "(m/s)/N", "accelerance": "(m/s²)/N"}
+UNDAMPED = "The plate has undamped modes: their peaks have no height; frequencies beside them are shown."
 FORMAT = hdf5.FileFormat("frequency response", 1)
 
 
@@ -81,8 +82,7 @@ class FrequencyResponse:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Lines that the command prints after "!"."""
-        line = "The plate has undamped modes: their peaks have no height; frequencies beside them are shown."
-        return (line,) * self.undamped
+        return (UNDAMPED,) * self.undamped
 
 
 def write_csv(response: FrequencyResponse, path: Path) -> None:

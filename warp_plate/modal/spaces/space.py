@@ -100,7 +100,7 @@ class FunctionSpace(Protocol):
         polynomials P_i(x) P_j(y) of so many degrees along x and y over the sides of ``plate.size``."""
 
     def quadrature(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return points (n, 2) [m] and weights (n,) [m²] that integrate products of functions over the plate."""
+        """Return points (n, 2) [m] and weights (n,) [m²] that integrate a function times a smooth one."""
 
     def region_matrix(self, region: Area | Target, within: Area | None = None) -> Matrix:
         """Return the mass matrix [kg] of a rectangle or target, or of its part in the rectangle ``within``."""

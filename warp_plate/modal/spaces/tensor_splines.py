@@ -138,7 +138,7 @@ class TensorSplines(SplineProducts):
         return np.einsum("jb,ia->baji", sides[1], sides[0]).reshape(*counts[::-1], self.unknowns)
 
     def quadrature(self) -> tuple[np.ndarray, np.ndarray]:
-        (x, across), (y, up) = (gauss(splines.breaks, splines.degree + 1) for splines in self.along)
+        (x, across), (y, up) = (gauss(splines.breaks, splines.degree // 2 + 2) for splines in self.along)
         return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2), np.outer(up, across).ravel()
 
     def region_matrix(self, region: Area | Target, within: Area | None = None) -> Matrix:

@@ -1,0 +1,93 @@
+"""The sound of a drive: levels of a mode in resonance, reciprocity, outlines, the A-weighting, and the command."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from support.commands import error_of, output_of
+from support.scenes import refused, scene_of
+from support.scenes_of_outlines import outlined
+from warp_plate.modal.radiation import Air
+from warp_plate.result.sound import a_weighting
+from warp_plate.studies.sound import sound
+
+# Frequencies [Hz] and values [dB] of IEC 61672-1, table 3.
+A_WEIGHTING = {31.5: -39.4, 63: -26.2, 125: -16.1, 250: -8.6, 1000: 0.0, 2000: 1.2, 4000: 1.0, 8000: -1.1}
+POINT = (0.3, -0.1, 0.8)
+
+
+def test_the_a_weighting_is_that_of_the_standard():
+    exact = np.array([1000 * 10 ** (round(10 * math.log10(f / 1000)) / 10) for f in A_WEIGHTING])
+    np.testing.assert_allclose(a_weighting(exact), list(A_WEIGHTING.values()), atol=0.06)
+
+
+def test_a_small_plate_is_a_point_source():
+    """Far away and at low frequencies, the pressure is that of the volume that it moves."""
+    made = scene_of(size=(0.02, 0.02), damping=50.0, frequency=100.0)
+    found = sound(made, [(0.01, 0.01, 3.0)], (50.0, 200.0))
+    level, power = np.abs(found.pressures[0, found.at_drive]), found.power[found.at_drive]
+    air = Air()
+    assert power == pytest.approx(level**2 / (2 * air.density * air.sound_speed) * 2 * math.pi * 9.0, rel=1e-3)
+    assert np.ptp(found.directivity) < 0.1
+    assert found.power_level[found.at_drive] == pytest.approx(10 * math.log10(power / 1e-12))
+
+
+def test_levels_follow_the_drive():
+    made = scene_of(damping=20.0)
+    loud = made
+    for index in range(3):
+        loud = loud.replace(f"actuators[{index}].magnitude", 10 * made.actuators[index].magnitude)
+    quiet, loud = (sound(scene, [POINT], (100.0, 400.0)) for scene in (made, loud))
+    np.testing.assert_allclose(loud.power_level - quiet.power_level, 20.0)
+    np.testing.assert_allclose(loud.pressure_levels - quiet.pressure_levels, 20.0)
+    np.testing.assert_allclose(loud.efficiency, quiet.efficiency)
+    assert quiet.frequencies[quiet.at_drive] == made.drive.frequency
+    assert np.all((quiet.efficiency > 0) & (quiet.efficiency < 1.2))
+
+
+def test_a_disc_sounds_the_same_to_all_sides():
+    made = outlined({"disc": (0.1, 0.1, 0.1)}, actuators=[(0.09, 0.11, 0.09, 0.11)])
+    found = sound(made, [(0.4, 0.1, 0.5), (0.1, -0.2, 0.5)], (200.0, 400.0))
+    np.testing.assert_allclose(found.pressures[0], found.pressures[1], rtol=1e-6)
+    np.testing.assert_allclose(found.directivity[0], found.directivity[1], atol=1e-6)
+
+
+def test_json_files_picture_and_text(command, write_scene):
+    pytest.importorskip("matplotlib")
+    made = write_scene(damping=10.0)
+    asked = ("--at", "0.3,-0.1,0.8", "--range", "100:400")
+    expected = sound(made, [POINT], (100.0, 400.0))
+    record = json.loads(output_of(command("sound", "panel.toml", *asked, "--json", "--to", "csv", "--out", "s.svg")))
+    for name in ("frequencies", "power", "power_level", "efficiency", "localization_factor"):
+        assert record[name] == pytest.approx(getattr(expected, name).tolist(), rel=1e-6)
+    assert record["pressure_levels"] == [pytest.approx(expected.pressure_levels[0].tolist())]
+    assert record["files"] == ["s.csv", "s.svg"]
+    rows = np.loadtxt("s.csv", delimiter=",", skiprows=1)
+    np.testing.assert_allclose(rows[:, 1], expected.power, rtol=1e-6)
+    for words in ("sound power", "A-weighted", "frequency [Hz]", "(0.3, −0.1, 0.8) m"):
+        assert f"<!-- {words} -->" in Path("s.svg").read_text(encoding="utf-8")
+    out = output_of(command("sound", "panel.toml", *asked, "--no-pictures", "--out", "s.h5"))
+    for part in ("100 to 400 Hz", "the drive's", "0.3,-0.1,0.8", "wrote s.h5"):
+        assert part in out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--at", "0.1,0.1"), "--at 0.1,0.1: must be X,Y,Z in metres"),
+        (("--at", "0.1,0.1,-1"), "must lie in front of the plate"),
+        (("--range", "20:100"), "must hold the drive's frequency of 290 Hz"),
+        (("--range", "400:100"), "--range 400:100: must be LOW:HIGH"),
+    ],
+)
+def test_what_is_refused(command, write_scene, words, message):
+    write_scene(damping=10.0)
+    assert message in error_of(command("sound", "panel.toml", *words))
+    assert [path.name for path in Path().iterdir()] == ["panel.toml"]
+
+
+def test_nonlinear_scenes_are_refused():
+    assert "effects.stretching" in refused(sound, scene_of(effects={"stretching": {}}))

@@ -1,0 +1,95 @@
+"""The sound of a linear plate under the scene's drive, over frequencies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from warp_plate.modal.modes import solve_modes
+from warp_plate.modal.poles import adaptive_frequencies
+from warp_plate.modal.radiation import AIR, Air, Radiation, pressures
+from warp_plate.plate.designs import scene_phasors
+from warp_plate.result.sound import Sound
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene, SceneSource
+from warp_plate.studies.frequency_response import check_linear, default_range, target_middles
+
+# Directions of a plane, and the least level that is told apart from silence [dB].
+ANGLES, LEAST_LEVEL = np.linspace(-90.0, 90.0, 181), -60.0
+# Distance of the default point from the plate [m].
+DISTANCE = 1.0
+
+
+def sound(
+    scene: SceneSource,
+    points: Sequence[tuple[float, float, float]] = (),
+    frequency_range: tuple[float, float] | None = None,
+    air: Air = AIR,
+) -> Sound:
+    """Return the steady sound of a plate in a rigid baffle under the drive of its scene, at frequencies that resolve
+    every resonance.
+
+    Args:
+        scene: Linear scene; its grid, window and waveforms are not used, and all actuators have the same frequency.
+        points: Points (x, y, z) [m] where the pressure is computed, z above the plate (default: 1 m above the middle of
+            each target).
+        frequency_range: Lowest and highest frequency [Hz] (default: as of ``frf``).
+        air: The medium.
+
+    Raises:
+        SceneError: The scene is not linear, a point is too near to the plate, the range is invalid, or the plate has
+            too many modes.
+    """
+    scene = Scene.load(scene)
+    check_linear(scene, frequency_range)
+    low, high = frequency_range or default_range(scene)
+    drive = scene.drive.frequency
+    if not low <= drive <= high:
+        raise SceneError(f"frequency_range = {low:g}:{high:g}: must hold the drive's frequency of {drive:g} Hz")
+    plate = solve_modes(scene, high, key=f"frequency_range = {low:g}:{high:g}" if frequency_range else None)
+    frequencies = np.union1d(adaptive_frequencies(*plate.resonances, low, high), [drive])
+    amplitudes = plate.respond(frequencies, plate.actuator_forces() @ scene_phasors(scene)[:, None])
+    places = np.array(points or [(x, y, DISTANCE) for x, y in target_middles(scene)], dtype=float)
+    radiation = Radiation(plate, high, air)
+    power = radiation.powers(frequencies, amplitudes)[:, 0]
+    space, vectors = plate.space, plate.vectors[: plate.space.unknowns]
+    squares = _squares(amplitudes[:, :, 0], vectors.T @ (space.scatter(space.form(1.0)) @ vectors))
+    energies = [_squares(amplitudes[:, :, 0], plate.kinetic_matrix(region)) for region in (scene.target, "plate")]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        # A piston radiates ρc ∫ v² dA, on average ½ ρc ω² ∫ |u|² dA.
+        efficiency = power / (air.density * air.sound_speed * (2 * np.pi * frequencies) ** 2 * squares / 2)
+        factor = energies[0] / energies[1]
+    shown = (plate.frequencies >= low) & (plate.frequencies <= high)
+    at_drive = amplitudes[np.searchsorted(frequencies, drive), :, 0]
+    return Sound(
+        title=scene.title,
+        frequencies=frequencies,
+        power=power,
+        efficiency=efficiency,
+        localization_factor=factor,
+        points=places,
+        pressures=pressures(plate, frequencies, amplitudes, places, air)[:, :, 0].T,
+        natural_frequencies=plate.frequencies[shown],
+        loss_factors=plate.loss_factors[shown],
+        drive_frequency=drive,
+        angles=ANGLES,
+        directivity=_directivity(radiation, drive, at_drive),
+    )
+
+
+def _squares(amplitudes: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """Return (n,) qᴴ M q of amplitudes (n, modes) and a symmetric matrix."""
+    return np.asarray(sum((part * (part @ matrix)).sum(axis=1) for part in (amplitudes.real, amplitudes.imag)))
+
+
+def _directivity(radiation: Radiation, frequency: float, amplitudes: np.ndarray) -> np.ndarray:
+    """Return (2, angles) levels far away [dB] in the planes along x and along y, at most 0."""
+    k = float(radiation.air.wavenumber(frequency))
+    planes = [
+        np.abs(radiation.far_field.at(k, np.sin(np.radians(ANGLES)), np.full(ANGLES.shape, azimuth)) @ amplitudes)
+        for azimuth in (0.0, np.pi / 2)
+    ]
+    largest = np.max(planes)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.maximum(np.nan_to_num(20 * np.log10(planes / largest), nan=LEAST_LEVEL), LEAST_LEVEL)
