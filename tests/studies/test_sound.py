@@ -10,6 +10,8 @@ import pytest
 from support.commands import error_of, output_of
 from support.scenes import refused, scene_of
 from support.scenes_of_outlines import outlined
+from warp_plate import Scene, specify
+from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.radiation import Air
 from warp_plate.result.sound import a_weighting
 from warp_plate.studies.sound import sound
@@ -91,3 +93,58 @@ def test_what_is_refused(command, write_scene, words, message):
 
 def test_nonlinear_scenes_are_refused():
     assert "effects.stretching" in refused(sound, scene_of(effects={"stretching": {}}))
+
+
+@pytest.fixture(scope="module")
+def quiet_console():
+    """The answer for the console with a limit of sound."""
+    keys = ["specification.frequency=225.0", "specification.guard=0.03", "specification.limits.sound=45.0"]
+    return specify(Scene.load("console", [*keys, "specification.elsewhere.relative_db=3"]))
+
+
+def test_the_drive_of_a_specification_keeps_its_limit_of_sound(quiet_console):
+    margin = next(margin for margin in quiet_console.margins if margin.requirement == "sound")
+    heard = sound(quiet_console.driven_scene(), [(0.1, 0.1, 1.0)], (200.0, 250.0))
+    level = heard.power_level[heard.at_drive] + heard.weighting[heard.at_drive]
+    assert margin.reached == pytest.approx(level, abs=0.01)
+    assert margin.reached <= 45.0 + 1e-5
+    assert margin.unit == "dB(A)"
+    assert quiet_console.bound_db == pytest.approx(quiet_console.contrast_db, abs=1e-4)
+
+
+def test_no_quiet_drive_has_less_than_the_proved_contrast(quiet_console, random):
+    """By Rayleigh's double integral over nodes 5 mm apart, for 3000 drives near the best and far from it."""
+    scene = quiet_console.scene
+    plate = solve_modes(scene, 225.0)
+    (width, height), air, omega = scene.plate.size, Air(), 2 * math.pi * 225.0
+    x, y = np.linspace(0, width, 63), np.linspace(0, height, 27)
+    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    amplitudes = plate.respond(np.array([225.0]), plate.actuator_forces())[0] / scene.unit_drives
+    motion = -(omega**2) * plate.at_points(points).T @ amplitudes
+    distances = np.linalg.norm(points[:, None] - points, axis=-1)
+    k, ends = omega / air.sound_speed, [np.where((at == 0) | (at == at[-1]), 0.5, 1.0) for at in (y, x)]
+    weights = np.outer(*ends).ravel() * width * height / (62 * 26)
+    kernel = air.density * air.sound_speed * k**2 / (2 * math.pi) * np.sinc(k * distances / math.pi)
+    kernel *= np.outer(weights, weights)
+    velocity = motion / (1j * omega)
+    power = velocity.conj().T @ kernel @ velocity / 2
+    x0, x1, y0, y1 = scene.target.area
+    beyond = np.maximum(np.maximum([x0, y0] - points, points - [x1, y1]), 0)
+    aside = np.hypot(*beyond.T)
+    turn = np.linspace(0, 2 * math.pi, 241)
+    corners = np.column_stack([np.where(np.cos(turn) > 0, x1, x0), np.where(np.sin(turn) > 0, y1, y0)])
+    rim = corners + 0.03 * np.column_stack([np.cos(turn), np.sin(turn)])  # of the guard
+    on_rim = -(omega**2) * plate.at_points(rim).T @ amplitudes
+    inside, outside = motion[aside < 1e-9], np.concatenate([motion[aside > 0.03 - 1e-9], on_rim])
+    best = quiet_console.drive
+    spread = 10 ** random.uniform(-4, 1, (3000, 1)) * np.abs(best).max()
+    drives = best + spread * (random.normal(size=(3000, 6)) + 1j * random.normal(size=(3000, 6)))
+    at_target = inside @ drives.T
+    in_phase = (at_target * np.exp(-1j * np.angle(at_target.mean(axis=0)))).real.min(axis=0)
+    drives *= (9.80665 / np.maximum(in_phase, 1e-9))[:, None]
+    limit = 10 ** ((45.0 - a_weighting(np.array(225.0))) / 10) * 1e-12
+    radiated = np.einsum("di,ij,dj->d", drives.conj(), power, drives).real
+    permitted = (np.abs(drives) <= 0.5).all(axis=1) & (radiated <= limit)
+    contrast = 20 * np.log10(np.abs(outside @ drives.T).max(axis=0) / 9.80665)
+    assert permitted.sum() > 20
+    assert contrast[permitted].min() >= quiet_console.bound_db - 0.1  # a maximum between nodes is up to 0.1 dB higher

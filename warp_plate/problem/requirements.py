@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import shapely
 
 from warp_plate.modal.modes import ModalPlate
+from warp_plate.modal.radiation import Radiation
 from warp_plate.problem.worst_points import Region, make_region, shape_of
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.specification import Allowance, Level, Specification
@@ -43,6 +45,12 @@ class Requirements:
     specification: Specification
     aims: tuple[Aim, ...]
     rests: tuple[Rest, ...]
+    plate: ModalPlate
+
+    @cached_property
+    def radiation(self) -> Radiation:
+        """The sound of the plate's modes."""
+        return Radiation(self.plate, self.plate.highest)
 
     def wanted(self, frequency: float) -> np.ndarray:
         """Return the (aims,) wanted peak accelerations [m/s²] at a frequency [Hz]."""
@@ -91,7 +99,7 @@ def make_requirements(plate: ModalPlate) -> Requirements:
             raise SceneError(f"specification.elsewhere[{index}].area: nothing of it is outside targets and their guard")
         name = "elsewhere" if allowance.area is None else f"x {x0:g} to {x1:g}, y {y0:g} to {y1:g} m"
         rests.append(Rest(name, allowance, make_region(plate, shape, spacing)))
-    return Requirements(specification, tuple(aims), tuple(rests))
+    return Requirements(specification, tuple(aims), tuple(rests), plate)
 
 
 def _key_of(aim: Aim, labels: dict[str, str]) -> str:

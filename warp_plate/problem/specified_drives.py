@@ -21,6 +21,7 @@ from warp_plate.modal.modes import ModalPlate
 from warp_plate.optimize.cones import STEPS, Block, LeastScale, least_scale_of_squares
 from warp_plate.problem.requirements import Aim, Requirements
 from warp_plate.problem.worst_points import Region, Values
+from warp_plate.result.sound import POWER_REFERENCE, a_weighting
 from warp_plate.result.specified import RegionLevels
 from warp_plate.scene.errors import SceneError
 
@@ -36,6 +37,25 @@ GAIN, SEARCHES, FEW_STEPS = 1e-5, 3, 1
 # Programs ask for this much more than the specification, so that their rounding does not violate it.
 MARGIN = 2e-8
 FIRST = 16  # samples of a region that programs begin with
+
+
+@dataclass(frozen=True)
+class Power:
+    """A limited power of all actuators."""
+
+    name: str
+    unit: str  # unit in which it is shown: W, or dB(A) re 1 pW
+    limit: float  # [W]
+    factor: np.ndarray  # (rows, actuators) F: ‖F z‖² is the power [W] of parts z of the largest drives
+    weighting: float = 0.0  # of a level [dB]
+
+    def shown(self, power: float) -> float:
+        """Return a power [W] in the unit."""
+        return power if self.unit == "W" else 10 * math.log10(max(power, 1e-300) / POWER_REFERENCE) + self.weighting
+
+    def of(self, drive: np.ndarray) -> float:
+        """Return the power [W] of a drive (actuators,)."""
+        return float(np.linalg.norm(self.factor @ drive) ** 2)
 
 
 @dataclass
@@ -93,12 +113,20 @@ class Tone:
         return _factor(self._coefficients.conj().T @ (region.mean_matrix @ self._coefficients))
 
     @cached_property
-    def power_factor(self) -> np.ndarray:
-        """(rows, actuators) factor of the mean mechanical power [W] of all actuators."""
-        forces = self.plate.actuator_forces() * self.largest
+    def powers(self) -> list[Power]:
+        """Limited powers that all actuators share."""
+        powers, limits = [], self.requirements.specification.limits
         velocity = self._amplitudes / (1j * self._omega)
-        admittance = forces.T @ velocity
-        return _factor((admittance + admittance.conj().T) / 4)
+        if limits.power is not None:
+            admittance = (self.plate.actuator_forces() * self.largest).T @ velocity
+            powers.append(Power("power", "W", limits.power, _factor((admittance + admittance.conj().T) / 4)))
+        if limits.sound is not None:
+            frequency = np.array([self.frequency])
+            weighting = float(a_weighting(frequency)[0])
+            limit = POWER_REFERENCE * 10 ** ((limits.sound - weighting) / 10)
+            radiated = velocity.conj().T @ (self.requirements.radiation.resistances(frequency)[0] @ velocity)
+            powers.append(Power("sound", "dB(A)", limit, _factor(radiated / 2), weighting))
+        return powers
 
     @cached_property
     def wanted(self) -> np.ndarray:
@@ -136,8 +164,7 @@ class Tone:
                 wanted.append(np.exp(1j * phase) * rows)
         rests = [] if scaled == "actuators alone" else self._rests()
         blocks = [Block(rows / self._unit(index, level), scaled == "elsewhere") for index, rows in rests]
-        if (power := self.requirements.specification.limits.power) is not None:
-            blocks.append(Block(self.power_factor[None] / math.sqrt(power), scaled != "elsewhere"))
+        blocks += [Block(power.factor[None] / math.sqrt(power.limit), scaled != "elsewhere") for power in self.powers]
         return np.concatenate(wanted), squares, blocks
 
     def _rests(self) -> list[tuple[int, np.ndarray]]:
@@ -250,6 +277,8 @@ class Tone:
         for index, (rest, part) in enumerate(zip(self.requirements.rests, result.allowed[1:], strict=False)):
             at = _at(self.points["rest", index][part.argmax()]) if rest.allowance.measure == "worst" else " in the mean"
             named.append((f"{rest.allowance.text} {rest.name}{at}", float(part.sum())))
+        parts = [float(part.sum()) for part in result.allowed[len(result.allowed) - len(self.powers) :]]
+        named += [(f"the limit of {power.name}", part) for power, part in zip(self.powers, parts, strict=False)]
         parts = result.allowed[0].tolist() if result.allowed else []
         return named + list(zip([actuator.name for actuator in self.plate.scene.actuators], parts, strict=False))
 
@@ -280,8 +309,7 @@ class Tone:
         lowest = float(in_aims.min())
         parts = [in_rests / [1.0 if rest.allowance.relative_db is None else lowest for rest in self.requirements.rests]]
         parts += [np.abs(drive), 1 / in_aims]
-        if (power := self.requirements.specification.limits.power) is not None:
-            parts.append(np.array([np.linalg.norm(self.power_factor @ drive) / math.sqrt(power)]))
+        parts.append(np.sqrt([power.of(drive) / power.limit for power in self.powers]))
         return bool((np.concatenate(parts) <= 1 + tolerance).all())
 
     def _measured(self, measure: str, region: Region, drive: np.ndarray) -> float:

@@ -113,6 +113,8 @@ class DriveLimits(Table):
     """Largest peak of the voltage of each piezo patch."""
     power: Annotated[Positive | None, Unit("W"), Field(examples=[0.01])] = None
     """Largest mean mechanical power of all actuators together."""
+    sound: Annotated[float | None, Field(ge=-200, le=200, examples=[40.0]), Unit("dB(A)")] = None
+    """Largest A-weighted sound power level, re 1 pW, of the plate in a baffle; see docs/sound.md."""
 
 
 class Specification(Table):

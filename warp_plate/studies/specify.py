@@ -253,9 +253,10 @@ def _margins(tone: Tone, drive: np.ndarray, levels: Ratios, limits: np.ndarray) 
     unit = "V" if tone.plate.scene.piezo else "N"
     for actuator, limit, part in zip(tone.plate.scene.actuators, limits.tolist(), np.abs(drive).tolist(), strict=True):
         margins.append(Margin(actuator.name, limit, limit * part, unit, -_decibels(part)))
-    if (power := tone.requirements.specification.limits.power) is not None:
-        spent = float(np.linalg.norm(tone.power_factor @ drive) ** 2)
-        margins.append(Margin("power", power, spent, "W", -_decibels(spent / power) / 2))
+    for power in tone.powers:
+        spent = power.of(drive)
+        limit, value = power.shown(power.limit), power.shown(spent)
+        margins.append(Margin(power.name, limit, value, power.unit, -_decibels(spent / power.limit) / 2))
     return margins
 
 
