@@ -1,5 +1,6 @@
 """Measurements from strangers: bombs, complex frequencies, loud signals and headings of any length end in a line."""
 
+import io
 from pathlib import Path
 
 import h5py
@@ -9,8 +10,10 @@ import scipy
 
 from support.commands import error_of
 from support.scenes import refused
+from warp_plate.fitting.measured_modes import read_modes
 from warp_plate.fitting.measured_responses import read_responses
-from warp_plate.plate.files import read_beside
+from warp_plate.plate.files import read_beside, read_table
+from warp_plate.plate.waveforms import wav_channels
 
 FIT = {"fit": {"free": {"plate.young_modulus": (6e8, 2e9)}}}
 
@@ -70,6 +73,55 @@ def test_half_precision_is_read_without_warnings(tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["frequency"], file["response"] = np.array([[10, 20, 30], [1, 2, 3]], np.float16)
     np.testing.assert_array_equal(read_responses(tmp_path / "a.h5", 1).responses, [[1, 2, 3]])
+
+
+def test_arrays_of_mat_files_are_unpacked_to_a_limit(tmp_path, monkeypatch):
+    monkeypatch.setattr("warp_plate.result.hdf5.UNPACKED_BYTES", 2**16)
+    arrays = {"frequency": np.arange(20.0), "response": np.zeros((20, 4096))}
+    scipy.io.savemat(tmp_path / "a.mat", arrays, do_compression=True)
+    monkeypatch.setattr(scipy.io, "loadmat", None)
+    assert "holds more than 4096 numbers when unpacked" in refusal_of_responses(tmp_path / "a.mat")
+    for content in (np.array([np.ones(9), "x"], dtype=object), {"a": np.ones(9)}, scipy.sparse.eye_array(3)):
+        scipy.io.savemat(tmp_path / "a.mat", {"frequency": [1.0, 2.0], "response": content})
+        assert "response is not an array of numbers" in refusal_of_responses(tmp_path / "a.mat")
+
+
+def test_samples_that_a_wav_file_states_but_does_not_hold():
+    content = io.BytesIO()
+    scipy.io.wavfile.write(content, 1000, np.ones((8, 2), np.int16))
+    data = bytearray(content.getvalue())
+    at = data.index(b"data") + 4
+    with_chunk = data[:12] + b"JUNK\x01\0\0\0ab" + data[12:]
+    for each, place in ((data, at), (with_chunk, at + 10)):
+        assert wav_channels(bytes(each))[0].shape == (2, 8)
+        for stated in (33, 64, 10**9):
+            each[place : place + 4] = stated.to_bytes(4, "little")
+            with pytest.raises(ValueError, match=f"states {stated} bytes of samples and holds 32"):
+                wav_channels(bytes(each))
+        each[place : place + 4] = b"\xff" * 4  # of recorders that did not know the end
+        assert wav_channels(bytes(each))[0].shape == (2, 8)
+
+
+def test_too_many_samples_of_a_wav_file_are_refused_before_they_are_converted(monkeypatch):
+    monkeypatch.setattr("warp_plate.plate.waveforms.MOST_SAMPLES", 15)
+    content = io.BytesIO()
+    scipy.io.wavfile.write(content, 1000, np.ones((8, 2), np.int16))
+    with pytest.raises(ValueError, match="16 samples; at most 15 are read"):
+        wav_channels(content.getvalue())
+
+
+def test_a_mask_of_too_many_numbers(tmp_path, monkeypatch):
+    monkeypatch.setattr("warp_plate.plate.files.MOST_NUMBERS", 5)
+    (tmp_path / "a.csv").write_text("1,1,1\n1,1,1\n")
+    assert "target.mask = 'a.csv': holds 6 numbers; at most 5" in refused(
+        read_table, "target.mask", "a.csv", tmp_path, 0, 1
+    )
+
+
+def test_headings_of_any_number_are_shortened(tmp_path):
+    for text in (",".join(f"c{number}" for number in range(9999)), ",".join(["c"] * 9999)):
+        (tmp_path / "a.csv").write_text(text + "\n")
+        assert len(refused(read_modes, tmp_path / "a.csv")) < 400 + len(str(tmp_path))
 
 
 def test_a_signal_too_loud_for_its_squares(tmp_path):

@@ -6,6 +6,7 @@ Universal files hold modes (dataset 55), places of nodes (15), and frequency res
 from __future__ import annotations
 
 import math
+import textwrap
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -65,7 +66,7 @@ def read_modes(path: Path) -> MeasuredModes:
     columns = read_columns(path)
     cells = columns.get("frequency", [])
     if not 1 <= len(cells) <= MOST_MODES:
-        named = ", ".join(columns)
+        named = textwrap.shorten(", ".join(columns), 200)
         raise SceneError(f"{path}: needs 1 to {MOST_MODES} numbers in a column 'frequency'; the columns are: {named}")
     table = {name: column_numbers(path, name, columns[name]) for name in MODE_COLUMNS if name in columns}
     order = np.argsort(table.get("mode", table["frequency"]), kind="stable")
@@ -163,7 +164,9 @@ def read_columns(path: Path) -> dict[str, Cells]:
     heading, *rows = ([cell.strip() for cell in line.split(separator)] for _, line in lines)
     names = [name.strip('"').partition("[")[0].strip().lower() for name in heading]
     if len(set(names)) < len(names):
-        raise SceneError(f"{path}: line {lines[0][0]} names two columns alike: {', '.join(names)}")
+        raise SceneError(
+            f"{path}: line {lines[0][0]} names two columns alike: {textwrap.shorten(', '.join(names), 200)}"
+        )
     columns: dict[str, Cells] = {name: [] for name in names}
     for (number, _), row in zip(lines[1:], rows, strict=True):
         if len(row) != len(names):

@@ -16,6 +16,7 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
 FILE_BYTES, MOST_ROWS, MOST_COLUMNS = 2**27, 2**22, 2**16
+MOST_NUMBERS = 2**22  # of a mask or map, whose integrals need some 200 bytes for each
 # Tables cached after they are read.
 MOST_TABLES = 4
 
@@ -64,6 +65,8 @@ def read_table(key: str, name: str, folder: Path | None, low: float, high: float
         table, numbers = _table(data)
         if not table.size:
             raise ValueError("holds no numbers")
+        if table.size > MOST_NUMBERS:
+            raise ValueError(f"holds {table.size} numbers; at most {MOST_NUMBERS} are possible")
         for row, column in np.argwhere(~((low <= table) & (table <= high)))[:1].tolist():
             where = f"row {numbers[row]}, column {column + 1}"
             raise ValueError(f"{where}: {table[row, column]:g} is no number from {low:g} to {high:g}")

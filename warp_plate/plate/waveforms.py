@@ -203,6 +203,12 @@ def wav_channels(data: bytes) -> tuple[np.ndarray, float]:
     stated = int.from_bytes(data[4:8], "little") + 8
     if len(data) < stated < 2**32 - 2**16:  # recorders that do not know the end yet write the largest number
         raise ValueError("the WAV file ends too early")
+    at = len(b"RIFF....WAVE")
+    while at + 8 <= len(data):  # through the chunks: name, size, content to a whole word
+        name, size = data[at : at + 4], int.from_bytes(data[at + 4 : at + 8], "little")
+        if name == b"data" and len(data) - at - 8 < size < 2**31 - 2**16:
+            raise ValueError(f"states {size} bytes of samples and holds {len(data) - at - 8}")
+        at += 8 + size + size % 2 if name != b"data" else len(data)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of chunks that SciPy does not know
@@ -210,6 +216,8 @@ def wav_channels(data: bytes) -> tuple[np.ndarray, float]:
     except Exception as error:  # of many kinds, for files of any content
         reason = " ".join(str(error).split())
         raise ValueError(f"a WAV file without samples, or damaged: {reason}") from None
+    if samples.size > MOST_SAMPLES:
+        raise ValueError(f"{samples.size} samples; at most {MOST_SAMPLES} are read")
     values = np.atleast_2d(samples.T).astype(float)
     if samples.dtype.kind != "f":
         values = (values - 128 * (samples.dtype == np.uint8)) / 2.0 ** (8 * samples.dtype.itemsize - 1)

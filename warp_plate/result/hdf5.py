@@ -18,7 +18,8 @@ from warp_plate.scene.errors import SceneError
 
 # Endings of files of other programs: MAT files of MATLAB, and HDF5 files such as those of xarray.
 MAT, HDF5 = (".mat",), (".h5", ".hdf5", ".nc")
-UNPACKED_BYTES = 2**28  # of the arrays of such an HDF5 file, which may be compressed
+UNPACKED_BYTES = 2**28  # of the arrays of such a file, which may be compressed
+NUMBERS_OF_MAT = "double", "single", "int", "uint", "logical"  # first letters of classes
 
 
 @dataclass(frozen=True)
@@ -172,10 +173,16 @@ def read_arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
 
 
 def _mat(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
-    from scipy.io import loadmat
+    from scipy.io import loadmat, whosmat
 
     if h5py.is_hdf5(path):
         raise SceneError("a MAT file of version 7.3; save it with -v7")
+    stated = [(name, shape, kind) for name, shape, kind in whosmat(path) if name in names]
+    for name, _, kind in stated:
+        if not kind.startswith(NUMBERS_OF_MAT):  # structs, cells and sparse arrays are not read at all
+            raise SceneError(f"{name} is not an array of numbers")
+    if sum(16 * math.prod(shape) for _, shape, _ in stated) > UNPACKED_BYTES:
+        raise SceneError(f"holds more than {UNPACKED_BYTES // 16} numbers when unpacked")
     arrays = loadmat(path, variable_names=list(names))
     return {name: values for name, values in arrays.items() if name in names}
 
