@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from support.scenes import MATERIAL, scene_of
+from support.scenes import refused
 from support.scenes_of_outlines import dimensionless, outlined
 from warp_plate.modal.assemble import make_galerkin, make_space
 from warp_plate.modal.modes import solve_modes
@@ -194,6 +195,13 @@ def test_point_supports():
     corners = [{"point": point} for point in ((0.0, 0.0), (0.2, 0.0), (0.2, 0.2), (0.0, 0.2))]
     square = outlined({"rectangle": (0.2, 0.2)}, "free", material=HARD, supports=corners)
     assert dimensionless(square, lowest(square, 6), 0.2)[:2] == pytest.approx([7.11088, 15.77024], rel=1e-5)
+
+
+def test_springs_that_are_too_stiff():
+    for stiffness in (1e18, 1e30):
+        support = {"point": (0.05, 0.1), "stiffness": stiffness}
+        scene = outlined({"rectangle": (0.2, 0.2)}, "free", supports=[support])
+        assert "supports, edges: a spring is too stiff beside the plate" in refused(solve_modes, scene, 0.0, 6)
 
 
 def test_soft_supports_are_springs():

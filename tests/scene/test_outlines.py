@@ -7,7 +7,7 @@ import pytest
 
 from support.scenes import refused
 from support.scenes_of_outlines import outlined
-from warp_plate import Scene
+from warp_plate import Scene, check, modes
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.plate.bending import make_bending
 from warp_plate.resolve import resolve
@@ -101,6 +101,15 @@ def test_supports_are_not_stepped():
     scene = outlined(DISC, supports=[{"point": (0.1, 0.1)}])
     assert resolve(scene, "cpu").engine == "modes"
     assert "supports: cannot be stepped in time" in refused(scene.check_stepped)
+
+
+@pytest.mark.parametrize("edge", ["clamped", {"translation": 1e3, "rotation": 1.0}])
+def test_plates_that_are_not_stepped_are_checked(edge):
+    scene = outlined(DISC, edge, supports=[{"point": (0.1, 0.1)}] if edge == "clamped" else [])
+    checked = check(scene, "cpu")
+    assert checked.path == "modal"
+    assert not checked.numerics
+    assert checked.slowest_frequency == pytest.approx(modes(scene).frequencies[0])
 
 
 @pytest.mark.parametrize(

@@ -153,8 +153,12 @@ def _from_curvatures(galerkin: Galerkin, vectors: np.ndarray) -> np.ndarray:
 
 
 def _buckled(scene: Scene) -> SceneError:
-    """Return the error for a plate that in-plane forces T buckle: for some μ < 1, K − T + μT is singular."""
+    """Return the error for a plate that in-plane forces T buckle: for some μ < 1, K − T + μT is singular; or for one
+    whose springs are too stiff for the precision."""
     forces = {term.factors: term for term in scene.terms if term.factors in IN_PLANE}
+    if not forces:  # then rounding has made K indefinite
+        rule = "leave out the stiffness of a rigid support, and write edges as clamped or supported"
+        return SceneError(f"supports, edges: a spring is too stiff beside the plate; {rule}")
     free = scene.effects.keeping(lambda effect: all(term.factors not in IN_PLANE for term in effect.terms(scene.plate)))
     space = make_space(scene, (INTERVALS, INTERVALS))
     pressed, bare = (make_galerkin(one, space).stiffness for one in (scene, scene.model_copy(update={"effects": free})))

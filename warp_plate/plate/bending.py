@@ -116,7 +116,6 @@ def _outlined(scene: Scene, grid: OutlineGrid, section: Section, spacing: tuple[
     Masses next to a held piece are raised until no row of K is larger, for its mass, than the largest away from the
     outline, so that the outline does not shorten the time step (Gershgorin's theorem).
     """
-    scene.check_stepped()
     if grid.narrow is not None:
         x, y = grid.narrow
         raise SceneError(f"grid.nodes: the plate is too narrow at x = {x:.4g}, y = {y:.4g} m for these; use more")
@@ -201,11 +200,12 @@ def _with_terms(bare: Bending, terms: Sequence[Term]) -> Bending:
 
 def _applied_elsewhere(term: Term) -> bool:
     """Return whether ``attachments``, ``_edge_compliances``, ``section.laminates`` (mass per area), ``losses`` (viscous
-    damping) or the modal engine (damping that is not stepped) applies a term."""
+    damping) or the modal engine (damping that is not stepped, springs along outlines) applies a term."""
     slope_of_edge = term.role == "stiffness" and isinstance(term.place, Edge) and term.factors == SLOPE
     per_area = term.role in ("mass", "damping") and term.distributed and term.factors == DISPLACEMENT
     by_modes = term.role == "hysteretic" or term.multiple_of == "modes"
-    return isinstance(term.place, Patch) or slope_of_edge or per_area or by_modes
+    along_outline = isinstance(term.place, Edge) and term.place.side not in EDGE_LINES
+    return isinstance(term.place, Patch) or slope_of_edge or per_area or by_modes or along_outline
 
 
 def stiffness_parts(bending: Bending) -> dict[str, scipy.sparse.csr_array]:

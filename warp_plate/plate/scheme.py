@@ -111,6 +111,8 @@ def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = 
     """
     plate, grid = scene.plate, scene.grid
     check_grid(scene, moment_form)
+    if stepped:
+        scene.check_stepped()
     surface_density = plate.density * plate.thickness
     stability, bending = find_limit(scene, moment_form)
     time_step = _time_step(scene, stability.time_step, allow_unstable, stepped)
