@@ -36,6 +36,7 @@ OWNERS = {
     **{name: {"cli"} for name in ("cyclopts", "rich")},
     "h5py": {"result"},
     "pyuff": {"fitting"},
+    **{name: {"outline"} for name in ("ezdxf", "svgelements")},
     "pydantic": {"scene", "effects"},
     "cma": {"optimize"},
     "clarabel": {"optimize"},

@@ -12,8 +12,9 @@ from support.commands import error_of
 from support.scenes import refused
 from warp_plate.fitting.measured_modes import read_modes
 from warp_plate.fitting.measured_responses import read_responses
-from warp_plate.plate.files import read_beside, read_table
+from warp_plate.plate.files import read_table
 from warp_plate.plate.waveforms import wav_channels
+from warp_plate.scene.load import read_beside
 
 FIT = {"fit": {"free": {"plate.young_modulus": (6e8, 2e9)}}}
 

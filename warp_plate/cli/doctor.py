@@ -17,7 +17,15 @@ from warp_plate.cli import options, output
 from warp_plate.cli.explore import has_desktop
 
 # A module of each extra that commands use.
-EXTRAS = {"viz": "pyvista", "web": "trame", "cma": "cma", "cluster": "distributed", "data": "xarray", "uff": "pyuff"}
+EXTRAS = {
+    "viz": "pyvista",
+    "web": "trame",
+    "cma": "cma",
+    "cluster": "distributed",
+    "data": "xarray",
+    "uff": "pyuff",
+    "cad": "ezdxf",
+}
 
 
 @dataclass(frozen=True)

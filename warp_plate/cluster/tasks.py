@@ -16,9 +16,10 @@ import warp as wp
 
 from warp_plate._version import __version__
 from warp_plate.plate.designs import Designs
-from warp_plate.plate.files import named_files, read_beside
+from warp_plate.plate.files import named_files
 from warp_plate.plate.weights import NO_AREAS, REGIONS, Region, region_weights
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.load import read_beside
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import processor_of
 from warp_plate.solve.solver import PlateSolver

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import os
 import re
 from collections.abc import Iterator
 from functools import lru_cache
@@ -13,34 +12,13 @@ from pathlib import Path
 import numpy as np
 
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.load import read_beside
 from warp_plate.scene.model import Scene
 
-FILE_BYTES, MOST_ROWS, MOST_COLUMNS = 2**27, 2**22, 2**16
+MOST_ROWS, MOST_COLUMNS = 2**22, 2**16
 MOST_NUMBERS = 2**22  # of a mask or map, whose integrals need some 200 bytes for each
 # Tables cached after they are read.
 MOST_TABLES = 4
-
-
-def read_beside(key: str, name: str, folder: Path | None) -> bytes:
-    """Return the content of a file in the scene's folder, None if the scene was not read from a file; ``key`` names it.
-
-    Raises:
-        SceneError: There is no folder, the file is not in it, or it is too large.
-    """
-    head = f"{key} = {name!r}"
-    if folder is None:
-        raise SceneError(f"{head}: this scene was not read from a file, so its folder is unknown; give one")
-    try:
-        path = Path(os.path.realpath(folder / name))
-        if path.parent != folder.resolve():
-            raise SceneError(f"{head}: leads out of the scene's folder; put a copy of the file there")
-        if not path.is_file() and not path.is_symlink():  # one that leads to itself cannot be read
-            raise SceneError(f"{head}: no such file beside the scene file")
-        if path.stat().st_size > FILE_BYTES:
-            raise SceneError(f"{head}: {path.stat().st_size} bytes; at most {FILE_BYTES} are read")
-        return path.read_bytes()
-    except OSError as error:
-        raise SceneError(f"{head}: cannot be read: {error.strerror}") from None
 
 
 def named_files(scene: Scene) -> dict[str, str]:

@@ -16,9 +16,10 @@ from pathlib import Path
 import numpy as np
 import scipy
 
-from warp_plate.plate.files import read_beside, read_numbers
+from warp_plate.plate.files import read_numbers
 from warp_plate.scene.drive import Burst, Chirp, SampledFile, SampledSignal
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.load import read_beside
 
 # Each sample takes some 100 bytes while it is read: six minutes at 44.1 kHz.
 MOST_SAMPLES = 2**24

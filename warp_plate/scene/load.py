@@ -1,5 +1,6 @@
-"""The TOML text of scenes: read from presets and files, and written from tables."""
+"""The TOML text of scenes, read from presets and files and written from tables; and the files that scenes name."""
 
+import os
 import re
 import tomllib
 from importlib import resources
@@ -10,6 +11,8 @@ from warp_plate.scene.errors import SceneError, toml_text
 
 # A scene is about a page long; a larger file is something else. Maps belong in files of their own.
 SCENE_BYTES = 2**22
+# Largest file that a scene may name.
+FILE_BYTES = 2**27
 # The TOML parser takes minutes for a dotted key of very many parts, so these are refused first, outside of texts and
 # comments. What is not closed ends with its line or the file: whatever begins matches, which keeps the search linear.
 _TEXT = re.compile(
@@ -49,6 +52,28 @@ def read_scene_text(source: str | Path) -> tuple[str, Path | None]:
         return path.read_text(encoding="utf-8-sig"), path.parent
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(f"{name}: cannot be read as UTF-8 text: {error}") from None
+
+
+def read_beside(key: str, name: str, folder: Path | None) -> bytes:
+    """Return the content of a file in the scene's folder, None if the scene was not read from a file; ``key`` names it.
+
+    Raises:
+        SceneError: There is no folder, the file is not in it, or it is too large.
+    """
+    head = f"{key} = {name!r}"
+    if folder is None:
+        raise SceneError(f"{head}: this scene was not read from a file, so its folder is unknown; give one")
+    try:
+        path = Path(os.path.realpath(folder / name))
+        if path.parent != folder.resolve():
+            raise SceneError(f"{head}: leads out of the scene's folder; put a copy of the file there")
+        if not path.is_file() and not path.is_symlink():  # one that leads to itself cannot be read
+            raise SceneError(f"{head}: no such file beside the scene file")
+        if path.stat().st_size > FILE_BYTES:
+            raise SceneError(f"{head}: {path.stat().st_size} bytes; at most {FILE_BYTES} are read")
+        return path.read_bytes()
+    except OSError as error:
+        raise SceneError(f"{head}: cannot be read: {error.strerror}") from None
 
 
 def parse_toml(text: str, name: str) -> dict[str, Any]:

@@ -30,6 +30,7 @@ from warp_plate.scene.keys import (
     value_of,
 )
 from warp_plate.scene.load import dump_toml, parse_toml, read_scene_text
+from warp_plate.scene.outline import with_drawing
 from warp_plate.scene.tables import SceneTables
 from warp_plate.scene.target import NamedTarget, Target
 
@@ -60,15 +61,18 @@ class Scene(SceneTables):
         if isinstance(source, Scene):
             return source
         text, folder = read_scene_text(source)
-        return Scene.parse(text, str(source), assignments).in_folder(folder)
+        return Scene.parse(text, str(source), assignments, folder).in_folder(folder)
 
     @staticmethod
-    def parse(text: str, name: str, assignments: Sequence[str] = ()) -> Scene:
-        """Return the scene of a TOML text, or raise a SceneError that begins with ``name``; see :meth:`load`."""
+    def parse(text: str, name: str, assignments: Sequence[str] = (), folder: Path | None = None) -> Scene:
+        """Return the scene of a TOML text, or raise a SceneError that begins with ``name``; see :meth:`load`.
+
+        An outline is read from a file in ``folder``.
+        """
         tables = parse_toml(text, name)
         assign(tables, assignments)
         try:
-            return Scene.from_tables(tables)
+            return Scene.from_tables(with_drawing(tables, folder))
         except SceneError as error:
             raise SceneError(f"{name}: {error}") from None
 

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Annotated, Any, Self
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from warp_plate.effects.edges import EdgeCondition, Edges
+from warp_plate.outline.contours import piece_of_row
 from warp_plate.outline.outline import Outline, bounds, make_outline
 from warp_plate.outline.pieces import Piece, ellipse, rounded, straight
-from warp_plate.scene.errors import toml_text
-from warp_plate.scene.fields import Coordinate, NotNegative, Point, Positive, Table, Unit
+from warp_plate.scene.errors import SceneError, toml_text
+from warp_plate.scene.fields import Coordinate, Name, NotNegative, Point, Positive, Table, Unit, check_file_name
+from warp_plate.scene.load import read_beside
 
-SHAPES = ("disc", "ellipse", "rectangle", "polygon")
+SHAPES = ("disc", "ellipse", "rectangle", "polygon", "path")
 # Keys that belong to some of the shapes only.
 ONLY_FOR = {"corner_radius": ("rectangle", "polygon"), "angle": ("rectangle",), "centre": ("rectangle",)}
 
@@ -40,6 +43,14 @@ class ClosedCurve(Table):
         Field(examples=[[[0.0, 0.0], [0.1, 0.0], [0.05, 0.08]]]),
     ] = None
     """Corners x, y in order, clockwise or counterclockwise; sides must not cross."""
+    path: Annotated[
+        Annotated[tuple[Annotated[tuple[Coordinate, ...], Field(max_length=7)], ...], Field(max_length=2000)] | None,
+        Unit("m, rad"),
+        Field(examples=[[[0.0, 0.0], [0.1, 0.0, 0.1, 0.05, math.pi], [0.1, 0.1]]]),
+    ] = None
+    """Pieces in order, each from its first point x, y to that of the next: straight ``[x, y]``, an arc
+    ``[x, y, cx, cy, angle]`` about a centre, positive counterclockwise, or an arc of an ellipse
+    ``[x, y, cx, cy, qx, qy, angle]`` through a point q at a quarter of its turn. Drawings become this."""
     corner_radius: Annotated[NotNegative, Unit("m"), Field(examples=[0.008])] = 0.0
     """Radius of the arcs at the corners of a rectangle or polygon."""
     angle: Annotated[Coordinate, Unit("rad"), Field(examples=[0.5])] = 0.0
@@ -49,16 +60,33 @@ class ClosedCurve(Table):
 
     @model_validator(mode="after")
     def _one_shape(self) -> Self:
-        given = [name for name in SHAPES if getattr(self, name) is not None]
+        given = [name for name in (*SHAPES, "file") if getattr(self, name, None) is not None]
         if len(given) > 1:
             raise ValueError(f"{given[1]}: {given[0]} is given too; write one of them")
-        if not given:
-            raise ValueError("disc: no shape is given; write one of disc, ellipse, rectangle and polygon")
         for key, shapes in ONLY_FOR.items():
-            if getattr(self, key) and given[0] not in shapes:
+            if given and getattr(self, key) and given[0] not in shapes:
                 raise ValueError(f"{key}: not for {given[0]}; only for {' and '.join(shapes)}")
+        if given == ["file"]:
+            return self
+        if not given:
+            raise ValueError(f"disc: no shape is given; write one of {', '.join(SHAPES)}")
         self.loop(None, "")
         return self
+
+    def _path(self, condition: Any, edge: str) -> list[Piece]:
+        rows, pieces = self.path or (), []
+        for index, (row, ahead) in enumerate(zip(rows, (*rows[1:], *rows[:1]), strict=True)):
+            if len(row) not in (2, 5, 7):
+                raise ValueError(f"path[{index}]: {len(row)} numbers; write 2 (straight), 5 (arc) or 7 (of an ellipse)")
+            if len(row) > 2 and not 1e-9 < abs(row[-1]) <= 2 * math.pi:
+                raise ValueError(f"path[{index}]: an angle of {row[-1]:g}; write one from -2π to 2π, not 0")
+            try:
+                pieces.append(piece_of_row(row, ahead, f"piece {index}", condition, edge))
+            except ValueError as error:
+                raise ValueError(f"path[{index}]: {error}") from None
+        if not pieces:
+            raise ValueError("path: has no pieces")
+        return pieces
 
     @property
     def shape(self) -> str:
@@ -71,6 +99,8 @@ class ClosedCurve(Table):
         value = getattr(self, self.shape)
         if self.shape == "polygon" and len(value) > 6:
             return f"polygon of {len(value)} corners"
+        if self.shape == "path":
+            return f"path of {len(value)} pieces"
         return f"{self.shape} = {toml_text(value)}"
 
     def loop(self, condition: Any, edge: str) -> list[Piece]:
@@ -81,6 +111,8 @@ class ClosedCurve(Table):
         if self.ellipse is not None:
             x, y, first, second, angle = self.ellipse
             return [ellipse((x, y), (first, second), angle, condition, edge)]
+        if self.path is not None:
+            return self._path(condition, edge)
         if self.polygon is not None:
             corners = np.array(self.polygon)
             for index, (corner, ahead) in enumerate(zip(corners, np.roll(corners, -1, axis=0), strict=True)):
@@ -110,6 +142,29 @@ class ClosedCurve(Table):
 
 class PlateOutline(ClosedCurve):
     """The outline of the plate, in place of ``plate.size``. Its coordinates are those of the scene, from 0 on."""
+
+    file: Annotated[Name | None, Field(examples=["panel.svg"])] = None
+    """SVG or DXF file beside the scene file. The largest contour is the outline, with the lower left corner of its
+    bounding box at 0, 0, and those inside are holes. Reading a scene puts ``path`` in place of the file."""
+    unit: Annotated[Literal["m", "mm", "inch"] | None, Field(examples=["mm"])] = None
+    """Unit of the coordinates in the file, if it does not say."""
+    layer: Annotated[Name | None, Field(examples=["cut"])] = None
+    """Layer of a DXF file, or id or label of an element or group of an SVG file, that alone is read."""
+    tolerance: Annotated[Positive | None, Unit("m"), Field(examples=[1e-6])] = None
+    """Largest distance of Bézier curves and splines of the file from the arcs that replace them; by default 1e-5 of
+    the longer side of what is drawn."""
+    holes_edge: Annotated[EdgeCondition | None, Field(examples=["free"])] = None
+    """Condition of the edges of holes in the file, by default free."""
+
+    @model_validator(mode="after")
+    def _keys_of_file(self) -> Self:
+        if self.file is not None:
+            check_file_name("file", self.file, (".svg", ".dxf"))
+            return self
+        for key in ("unit", "layer", "tolerance", "holes_edge"):
+            if getattr(self, key) is not None:
+                raise ValueError(f"{key}: not for {self.shape}; only for file")
+        return self
 
 
 class Hole(ClosedCurve):
@@ -159,3 +214,31 @@ def outline_of(outline: PlateOutline, holes: tuple[Hole, ...], edges: Edges) -> 
     loops |= {f"plate.holes[{index}]": hole.loop(hole.edge, f"holes[{index}]") for index, hole in enumerate(holes)}
     parts = {f"parts[{index}]": (part.from_point, part.to_point, part.edge) for index, part in enumerate(edges.parts)}
     return make_outline(loops, parts)
+
+
+def with_drawing(tables: dict[str, Any], folder: Path | None) -> dict[str, Any]:
+    """Return the tables of a scene with paths in place of a file of its outline, whose holes follow those written.
+
+    Raises:
+        SceneError: The file is missing, broken, or draws no outline.
+    """
+    plate = tables.get("plate")
+    if not isinstance(plate, dict) or not isinstance(table := plate.get("outline"), dict) or "file" not in table:
+        return tables
+    try:
+        outline = PlateOutline.model_validate(table)
+    except ValidationError:  # reported by the validation of the scene
+        return tables
+    from warp_plate.outline.drawings import read_drawing
+
+    name = outline.file or ""
+    data = read_beside("plate.outline.file", name, folder)
+    try:
+        path, *holes = read_drawing(data, Path(name).suffix.lower(), outline.unit, outline.tolerance, outline.layer)
+    except ValueError as error:
+        raise SceneError(f"plate.outline.file = {name!r}: {error}") from None
+    edge = table.get("holes_edge", "free")
+    inside = [{"path": hole, "edge": edge} for hole in holes]
+    if isinstance(written := plate.get("holes", []), list):
+        written = [*written, *inside]
+    return {**tables, "plate": {**plate, "outline": {"path": path}, "holes": written}}

@@ -68,6 +68,8 @@ class Plate(Table):
             outline = PlateOutline.model_validate(tables["outline"])
         except ValidationError:  # reported by the validation of ``outline``
             return {**tables, "size": (1.0, 1.0)}
+        if outline.file is not None:
+            raise ValueError(f"outline.file: {outline.file!r} is read with a scene file beside it; write that, or path")
         x0, x1, y0, y1 = outline_of(outline, (), Edges()).bounds
         if min(x0, y0) < -1e-9 * max(x1 - x0, y1 - y0):
             raise ValueError(f"outline: reaches to x = {x0:.6g}, y = {y0:.6g} m; move it to x, y from 0 on")

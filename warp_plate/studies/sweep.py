@@ -16,12 +16,13 @@ from warp_plate.cluster.pool import WorkerPool
 from warp_plate.interrupts import SecondInterrupt, check_interrupt, deferred_interrupts
 from warp_plate.modal.continuous_modes import MOST_MODES
 from warp_plate.modal.solver import MODAL
-from warp_plate.plate.files import digests, read_beside
+from warp_plate.plate.files import digests
 from warp_plate.resolve import Purpose, choose_engine, refuse_nonlinear_modes, resolve_for_sweep
 from warp_plate.result.checkpoint import ENDING
 from warp_plate.result.sweep import REFUSED, RUN, Sweep, load_sweep, save_sweep
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import label_of
+from warp_plate.scene.load import read_beside
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.scene.vary import Plan, counted, make_plan, parse_vary, value_text
 from warp_plate.solve.devices import find_device, processor_of

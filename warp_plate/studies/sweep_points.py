@@ -19,7 +19,7 @@ from warp_plate.modal.continuous_modes import linear_part
 from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.solver import MODAL
 from warp_plate.plate.designs import scene_phasors
-from warp_plate.plate.files import named_files, read_beside
+from warp_plate.plate.files import named_files
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.evaluate_cases import reference_phasors
 from warp_plate.problem.methods import resolve_search
@@ -28,6 +28,7 @@ from warp_plate.quantities.region_quantities import REGION_QUANTITIES
 from warp_plate.resolve import resolve
 from warp_plate.result.sweep import Sweep, SweepOutput
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.load import read_beside
 from warp_plate.scene.model import Scene
 from warp_plate.scene.vary import Plan, parse_frequencies
 from warp_plate.solve.devices import find_device

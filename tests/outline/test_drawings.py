@@ -1,0 +1,203 @@
+"""Drawings: random outlines written and read back, curves within their tolerance, and broken files refused."""
+
+import io
+import math
+
+import ezdxf
+import numpy as np
+import pytest
+import svgelements
+
+from support.drawings import dxf_of, svg_of
+from warp_plate.outline.contours import piece_of_row
+from warp_plate.outline.drawings import read_drawing
+from warp_plate.outline.outline import make_outline
+
+
+def outline_of_rows(loops):
+    return make_outline(
+        {
+            str(number): [
+                piece_of_row(row, ahead, f"piece {index}", None, "")
+                for index, (row, ahead) in enumerate(zip(rows, [*rows[1:], rows[0]], strict=True))
+            ]
+            for number, rows in enumerate(loops)
+        }
+    )
+
+
+def random_loops(generator):
+    """Return rows of a random star of lines and arcs, with a round and an elliptic hole."""
+    count = generator.integers(5, 12)
+    angles = 2 * math.pi * (np.arange(count) + generator.uniform(-0.3, 0.3, count)) / count
+    corners = (generator.uniform(40, 60, count) * np.exp(1j * angles)).tolist()
+    rows = []
+    for start, end in zip(corners, [*corners[1:], corners[0]], strict=True):
+        rows.append([start.real, start.imag])
+        turn = generator.uniform(0.05, 0.4) * generator.choice([-1, 1])
+        if generator.random() < 0.5:
+            centre = (start + end) / 2 + 1j * (end - start) / (2 * math.tan(turn / 2))
+            rows[-1] += [centre.real, centre.imag, turn]
+    x, y = generator.uniform(-9, 9, 2).tolist()
+    ratio, direction = generator.uniform(0.2, 0.9), np.exp(1j * generator.uniform(0, 6))
+    centre = 12 * direction
+    first = 3 * np.exp(1j * generator.uniform(0, 6))
+    second = centre + 1j * ratio * first
+    ellipse = [(centre + first).real, (centre + first).imag, centre.real, centre.imag, second.real, second.imag]
+    x, y = x / 9 - 8 * direction.real, y / 9 - 8 * direction.imag
+    loops = [rows, [[*ellipse, 2 * math.pi]], [[x + 2, y, x, y, -2 * math.pi]]]
+    return [[[float(number) for number in row] for row in loop] for loop in loops]
+
+
+def assert_same(loops, read, scale, rel):
+    """Assert that an outline is another one scaled and shifted: area, length, and points on it."""
+    expected, outline = outline_of_rows(loops), outline_of_rows(read)
+    assert outline.area == pytest.approx(expected.area * scale**2, rel=rel)
+    assert outline.length == pytest.approx(expected.length * scale, rel=rel)
+    assert outline.bounds[::2] == pytest.approx((0, 0), abs=1e-14)
+    points = np.concatenate([piece.points(np.linspace(0, 1, 5)) for piece in expected.pieces])
+    points = (points - expected.bounds[::2]) * scale
+    distances = [min(piece.nearest(point)[1] for piece in outline.pieces) for point in points[::17]]
+    assert max(distances) < 1e-6 * scale
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_random_outlines_are_read_as_written(seed):
+    generator = np.random.default_rng(seed)
+    for _ in range(7):
+        loops = random_loops(generator)
+        assert_same(loops, read_drawing(dxf_of(loops).encode(), ".dxf"), 1e-3, 1e-12)
+        shift = "translate(3,4) rotate(90) scale(2)"
+        read = read_drawing(svg_of(loops).encode(), ".svg")
+        assert_same(loops, read, 1e-3, 1e-8)  # an arc of an ellipse by its ends and radii is ill-conditioned
+        moved = outline_of_rows(read_drawing(svg_of(loops, shift).encode(), ".svg"))
+        assert moved.area == pytest.approx(4 * outline_of_rows(read).area, rel=1e-8)
+
+
+CURVES = {
+    "circle": "M 0,50 C 0,22.4 22.4,0 50,0 C 77.6,0 100,22.4 100,50 S 77.6,100 50,100 C 22.4,100 0,77.6 0,50 Z",
+    "drop": "M 0,0 C 150,10 -20,90 100,100 Q 0,100 0,0 Z",
+    "control points twice": "M 0,0 C 0,0 80,20 80,20 C 80,20 20,70 0,90 Z",
+    "skewed": "M 0,0 C 40,-30 60,30 100,0 S 100,100 50,100 T 0,50 Z",
+}
+
+
+@pytest.mark.parametrize("name", CURVES)
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-5, 1e-7])
+def test_curves_become_smooth_arcs_within_the_tolerance(name, tolerance):
+
+    text = f'<svg xmlns="http://www.w3.org/2000/svg"><path d="{CURVES[name]}"/></svg>'
+    outline = outline_of_rows(read_drawing(text.encode(), ".svg", "mm", tolerance))
+    segments = [segment for segment in svgelements.Path(CURVES[name]) if not isinstance(segment, svgelements.Move)]
+    points = np.array([complex(*segment.point(t)) for segment in segments for t in np.linspace(0, 1, 301)]) * 1e-3
+    points = np.stack([points.real - points.real.min(), points.imag.max() - points.imag], axis=-1)
+    shift = points.min(axis=0)
+    distances = [min(piece.nearest(point)[1] for piece in outline.pieces) for point in points[::67] - shift]
+    assert max(distances) < 2 * tolerance  # the corner of the bounding box is known to the tolerance too
+    corners = sum(abs(angle - math.pi) > 1e-5 for *_, angle in outline.corners())
+    assert corners <= len(segments)
+
+
+def test_rational_splines_of_dxf():
+    document = ezdxf.new("R2010")
+    document.header["$INSUNITS"] = 1
+    space = document.modelspace()
+    spline = space.add_rational_spline([(0, 0), (9, -2), (12, 7), (4, 12), (-3, 5)], [1, 2, 1, 1, 3])
+    space.add_line((-3, 5), (0, 0))
+    stream = io.StringIO()
+    document.write(stream)
+    outline = outline_of_rows(read_drawing(stream.getvalue().encode(), ".dxf", tolerance=1e-6))
+    tool = spline.construction_tool()
+    t = np.linspace(tool.knots()[tool.degree], tool.knots()[-tool.degree - 1], 20001)
+    points = np.array([tuple(point)[:2] for point in tool.points(t)]) * 0.0254
+    x, y = points.T
+    area = abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
+    assert outline.area == pytest.approx(area, rel=1e-5)
+    distances = [min(piece.nearest(p)[1] for piece in outline.pieces) for p in (points - points.min(axis=0))[::997]]
+    assert max(distances) < 2e-6
+
+
+def svg(body, size='width="100mm" height="100mm" viewBox="0 0 100 100"', head=""):
+    return f'{head}<svg xmlns="http://www.w3.org/2000/svg" {size}>{body}</svg>'.encode()
+
+
+def dxf(*entities):
+    groups = "".join(f"{code}\n{value}\n" for entity in entities for code, value in entity)
+    return f"0\nSECTION\n2\nENTITIES\n{groups}0\nENDSEC\n0\nEOF\n".encode()
+
+
+def line(*ends):
+    return [(0, "LINE"), (8, "0"), *zip((10, 20, 11, 21), ends, strict=True)]
+
+
+SQUARE = (line(0, 0, 9, 0), line(9, 9, 9, 0), line(9, 9, 0, 9), line(0, 9, 0, 0))
+
+
+@pytest.mark.parametrize(
+    ("data", "suffix", "message"),
+    [
+        (b"\xff\xfe<", ".svg", "not UTF-8"),
+        (b"", ".svg", "not SVG"),
+        (b"<html/>", ".svg", "unit"),
+        (svg("<path d='M0 0"), ".svg", "not SVG"),
+        (svg("", head='<!DOCTYPE svg [<!ENTITY a "aaaa">]>'), ".svg", "'<!ENTITY'"),
+        (svg("<use href='#a'/>"), ".svg", "'<use'"),
+        (svg(""), ".svg", "holds no contours"),
+        (svg("<path id='a' d='M1 1h0'/>"), ".svg", "holds no contours"),
+        (
+            svg("<path id='a' d='M0 0L1e300 0L5 5Z'/>"),
+            ".svg",
+            "path 'a', piece 1: its coordinates are not numbers up to",
+        ),
+        (svg("<path id='a' d='M0 0C0 1e308 0 0 1 0Z'/>"), ".svg", "path 'a': cannot be read: its coordinates"),
+        (svg("<rect width='9' height='9' transform='scale(0)'/>"), ".svg", "holds no contours"),
+        (
+            svg("<rect width='9' height='9'/>", "width='90px'"),
+            ".svg",
+            "state no unit of length; write unit",
+        ),
+        (
+            svg("<path id='rim' d='M 0 0 H 50 V 50 H 0'/>"),
+            ".svg",
+            r"path 'rim', piece 1 ends at \(0, 0\), where nothing",
+        ),
+        (svg("<path id='rim' d='M 0 0 L 50 50 V 0 L 0 50 Z'/>"), ".svg", "path 'rim', piece 1 crosses or touches path"),
+        (svg("<rect id='a' width='9' height='9'/><circle id='b' r='5'/>"), ".svg", "rect 'a', piece .* circle 'b'"),
+        (
+            svg("<rect id='a' width='9' height='9'/><circle id='b' cx='50' r='2'/>"),
+            ".svg",
+            "contour of circle 'b': is off",
+        ),
+        (svg("<path d='M0 0H9V9H0Z M9 9H20V20H9Z'/>"), ".svg", r"ends at \(9, 9\), where it meets shape 1, piece"),
+        (b"", ".dxf", "cannot be read as DXF"),
+        (dxf(*SQUARE[:3]), ".dxf", "INSUNITS state no unit"),
+        (b"AutoCAD Binary DXF\r\n\x1a\x00", ".dxf", "cannot be read as DXF"),
+    ],
+)
+def test_broken_files_are_refused_by_the_names_of_their_pieces(data, suffix, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        read_drawing(data, suffix)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("entities", "message"),
+    [
+        (SQUARE[:3], r"LINE \w+ ends at \(0, 0\), where nothing begins"),
+        ((*SQUARE, SQUARE[0]), r"ends at .*, where it meets LINE \w+, LINE \w+; .* twice"),
+        ((*SQUARE, line(20, 0, 30, 0)), r"LINE \w+ ends at \(20, 0\)"),
+        ((*SQUARE, [(0, "INSERT"), (2, "screw"), (10, 1), (20, 1)]), r"INSERT \w+: is not read; explode it"),
+        ((*SQUARE, [(0, "CIRCLE"), (10, 4), (20, 4), (40, 0)]), r"CIRCLE \w+: cannot be read: it has no radius"),
+        ((*SQUARE, [(0, "CIRCLE"), (10, 4), (20, 4), (40, 2), (210, 1), (220, 0), (230, 0)]), "plane of x and y"),
+        ((*SQUARE, [(0, "CIRCLE"), (10, 9), (20, 4), (40, 2)]), r"LINE \w+ crosses or touches CIRCLE \w+"),
+    ],
+)
+def test_dxf_entities_are_refused_by_their_handles(entities, message):
+    with pytest.raises(ValueError, match=message):
+        read_drawing(dxf(*entities), ".dxf", "mm")
+
+
+def test_ends_that_nearly_meet_are_joined():
+    entities = (line(0, 0, 9, 4e-6), line(9, 9, 9, 0), line(9, 9, 0, 9), line(0, 9, 3e-6, 0))
+    (rows,) = read_drawing(dxf(*entities), ".dxf", "mm")
+    assert outline_of_rows([rows]).area == pytest.approx(81e-6, rel=1e-6)

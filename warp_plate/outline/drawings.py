@@ -1,0 +1,300 @@
+"""Outlines drawn by other programs: SVG and DXF files, read into closed contours."""
+
+from __future__ import annotations
+
+import cmath
+import io
+import logging
+import math
+import re
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from warp_plate.outline.contours import LEAST_TURN, Curve, arcs_of_curve, chord, joined, mapped, rows_of_loop
+from warp_plate.outline.outline import bounds, make_outline
+from warp_plate.outline.pieces import Arc, Piece, Straight
+
+MOST_BYTES, MOST_PIECES = 10**7, 2000
+# Metres in each unit; those of SVG sizes, pixels as CSS has them; those of $INSUNITS in DXF files.
+UNITS = {"m": 1.0, "mm": 1e-3, "inch": 0.0254}
+SVG_UNITS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "pt": 0.0254 / 72, "pc": 0.0254 / 6, "Q": 2.5e-4}
+PIXEL = 0.0254 / 96
+DXF_UNITS = {1: 0.0254, 2: 0.3048, 4: 1e-3, 5: 1e-2, 6: 1.0, 13: 1e-6, 14: 0.1}
+# Flattened curves are this part of the drawing's longer side off, unless a tolerance is given.
+TOLERANCE = 1e-5
+# Entities of DXF files that draw no contour.
+SILENT = {"TEXT", "MTEXT", "DIMENSION", "POINT", "LEADER", "MLEADER", "MULTILEADER", "HATCH", "ATTDEF", "ATTRIB",
+          "VIEWPORT", "IMAGE", "TOLERANCE", "XLINE", "RAY"}  # fmt: skip
+# A straight, circular or elliptic piece, or a smooth curve between two parameters with its name.
+Drawn = Piece | tuple[str, Curve, float, float]
+# Largest coordinate, and what the libraries raise on files that are not as they expect.
+FARTHEST = 1e12
+BROKEN = (ArithmeticError, AttributeError, LookupError, TypeError, RecursionError)
+LABEL = "{http://www.inkscape.org/namespaces/inkscape}label"
+
+
+@np.errstate(all="ignore")
+def read_drawing(
+    data: bytes, suffix: str, unit: str | None = None, tolerance: float | None = None, layer: str | None = None
+) -> list[list[list[float]]]:
+    """Return the contours of a drawing as rows of numbers [m] of :func:`rows_of_loop`, the outline first, then holes.
+
+    The lower left corner of the outline is the origin. ``suffix`` is ".svg" or ".dxf", ``unit`` one of ``UNITS``,
+    ``tolerance`` the largest distance [m] of arcs from curves, ``layer`` the layer, or the id or label in an SVG file.
+
+    Raises:
+        ValueError: The file is broken or has no unit, or its contours are open, touch or cross.
+    """
+    if len(data) > MOST_BYTES:
+        raise ValueError(f"{len(data)} bytes; at most {MOST_BYTES} are read")
+    reader = _read_svg if suffix == ".svg" else _read_dxf
+    try:
+        # DXF files before 2007 have code pages; letters beyond ASCII are in names and texts alone.
+        text = data.decode("utf-8-sig", "replace" if suffix == ".dxf" else "strict")
+        scale, drawn = reader(text, None if unit is None else UNITS[unit], layer)
+    except UnicodeDecodeError:
+        raise ValueError("not UTF-8 text") from None
+    except BROKEN as error:
+        raise ValueError(f"cannot be read: {' '.join(str(error).split())}") from None
+    rough = [part if isinstance(part, Piece) else _chord(*part) for part in drawn]
+    if not rough:
+        raise ValueError("holds no contours" + (f" in {layer!r}" if layer else ""))
+    for piece in rough:
+        _check(piece)
+    x0, x1, y0, y1 = bounds(rough)
+    within = TOLERANCE * max(x1 - x0, y1 - y0) if tolerance is None else tolerance / abs(scale)
+    flat: list[Piece] = []
+    for part in drawn:
+        for piece in (part,) if isinstance(part, Piece) else arcs_of_curve(part[1], *part[2:], within, part[0]):
+            _check(piece)
+            flat.append(piece)
+            if len(flat) > MOST_PIECES:
+                raise ValueError(f"more than {MOST_PIECES} pieces, arcs of flattened curves included; simplify it")
+    if not (contours := joined(flat)):
+        raise ValueError("holds no contours of any length")
+    matrix = scale * np.diag([1.0, -1.0 if suffix == ".svg" else 1.0])
+    outer = [mapped(piece, matrix, np.zeros(2)) for piece in contours[0]]
+    shift = -np.array(bounds(outer)[::2])
+    loops = {f"the contour of {loop[0].name}": [mapped(piece, matrix, shift) for piece in loop] for loop in contours}
+    outline = make_outline(loops)
+    return [rows_of_loop(loop) for loop in outline.loops]
+
+
+def _check(piece: Piece) -> None:
+    if not np.abs(bounds([piece])).max() < FARTHEST:
+        raise ValueError(f"{piece.name}: its coordinates are not numbers up to {FARTHEST:g}")
+
+
+def _chord(name: str, curve: Curve, low: float, high: float) -> Piece:
+    return chord(curve(low)[0], curve(high)[0], name)
+
+
+def _read_svg(text: str, unit: float | None, layer: str | None) -> tuple[float, list[Drawn]]:
+    """Return metres in a user unit, and what an SVG file draws, in user units with y downwards."""
+    # Entities and clones can stand for far more than the file holds.
+    if (banned := re.search(r"<!ENTITY|<(?:[\w.-]+:)?use[\s/>]", text)) is not None:
+        raise ValueError(f"holds {banned[0].strip()!r}, which is not read; unlink clones and save as plain SVG")
+    try:
+        import svgelements as svg
+    except ImportError:
+        raise ValueError("SVG files need svgelements: pip install 'warp-plate[cad]'") from None
+    try:
+        _, root = next(ElementTree.iterparse(io.StringIO(text), ["start"]))
+        if root.tag.rpartition("}")[2] != "svg":
+            raise ValueError(f"not SVG: its root is {root.tag!r}")
+        scale = _svg_unit(root.attrib, unit)
+        document = svg.SVG.parse(io.StringIO(text), reify=False)
+    except (ElementTree.ParseError, StopIteration) as error:
+        raise ValueError(f"not SVG: {error}") from None
+    undo = svg.Matrix(document.viewbox_transform or "")
+    undo.inverse()
+    drawn: list[Drawn] = []
+    for number, (element, chosen) in enumerate(_svg_shapes(svg, document, layer), 1):
+        if chosen:
+            name = f"{type(element).__name__.lower()} {element.id!r}" if element.id else f"shape {number}"
+            try:
+                drawn += _svg_pieces(svg, element, element.transform * undo, name)
+            except (*BROKEN, ValueError) as error:
+                raise ValueError(f"{name}: cannot be read: {error}") from None
+    return scale, drawn
+
+
+def _svg_unit(size: Any, unit: float | None) -> float:
+    """Return metres in a user unit, from the attributes of the root or as given."""
+    number = r"\s*([\d.]+(?:[eE][+-]?\d+)?)\s*"
+    sides = [re.fullmatch(rf"{number}([a-zA-Z%]*)\s*", size.get(side, "")) for side in ("width", "height")]
+    units = [SVG_UNITS.get(side[2]) if side else None for side in sides]
+    box = [float(part) for part in re.split(r"[\s,]+", size.get("viewBox", "").strip()) if part]
+    stated = None
+    if any(units):
+        ratios = [PIXEL] * (not box)
+        for side, metres, extent in zip(sides, units, box[2:4], strict=False):
+            if side and metres and extent > 0:
+                ratios.append(float(side[1]) * metres / extent)
+        if size.get("preserveAspectRatio", "").startswith("none") and max(ratios) > (1 + 1e-6) * min(ratios):
+            raise ValueError("its width and height stretch its viewBox, which is not read; save it without")
+        stated = min(ratios, default=None)
+    return _unit(stated, unit, "its width and height")
+
+
+def _unit(stated: float | None, unit: float | None, where: str) -> float:
+    """Return metres in a unit of a file, as stated in it or as given; ValueError: neither, or both and they differ."""
+    if stated is None and unit is None:
+        raise ValueError(f"{where} state no unit of length; write unit as one of {', '.join(UNITS)}")
+    if stated and unit and abs(stated / unit - 1) > 1e-6:
+        raise ValueError(f"{where} state a unit of {stated:.6g} m, but unit one of {unit:g} m; delete unit")
+    return stated or unit or 1.0
+
+
+def _svg_shapes(svg: Any, group: Any, layer: str | None, chosen: bool = False) -> Iterator[tuple[Any, bool]]:
+    """Yield all shapes below a group, and whether they are, or lie in, the layer."""
+    for element in group:
+        attributes = element.values.get("attributes", element.values)
+        here = chosen or layer is None or layer in (element.id, attributes.get(LABEL))
+        if isinstance(element, svg.Group):
+            yield from _svg_shapes(svg, element, layer, here)
+        elif isinstance(element, svg.Shape):
+            yield element, here
+
+
+def _svg_pieces(svg: Any, shape: Any, transform: Any, name: str) -> Iterator[Drawn]:
+    matrix = np.array([[transform.a, transform.c], [transform.b, transform.d]])
+    shift = np.array([transform.e, transform.f])
+    if isinstance(shape, svg.Ellipse | svg.Circle):
+        axes = np.diag([float(shape.rx), float(shape.ry)])
+        yield mapped(
+            Arc(None, "", name, np.array([shape.cx, shape.cy], float), axes, (0.0, 2 * math.pi)), matrix, shift
+        )
+        return
+    count = 0
+    for segment in shape.segments(transformed=False):
+        if isinstance(segment, svg.Move):
+            continue
+        count += 1
+        label, ends = f"{name}, piece {count}", np.array([segment.start, segment.end], dtype=float)
+        if isinstance(segment, svg.Arc):
+            centre = np.array(segment.center, dtype=float)
+            axes = np.stack([np.array(end, dtype=float) - centre for end in (segment.prx, segment.pry)], axis=1)
+            cosine, sine = np.linalg.solve(axes, ends[0] - centre)
+            angle = math.atan2(sine, cosine)
+            yield mapped(Arc(None, "", label, centre, axes, (angle, angle + segment.sweep)), matrix, shift)
+        elif isinstance(segment, svg.CubicBezier | svg.QuadraticBezier):
+            yield label, _bezier(np.array(list(segment), dtype=float) @ matrix.T + shift), 0.0, 1.0
+        else:
+            yield mapped(Straight(None, "", label, ends), matrix, shift)
+
+
+def _bezier(controls: np.ndarray) -> Curve:
+    """Return the curve of control points (3 or 4, 2)."""
+    if not np.abs(controls).max() < FARTHEST:
+        raise ValueError(f"its coordinates are not numbers up to {FARTHEST:g}")
+    points = controls @ np.array([1, 1j])
+    degree = len(points) - 1
+    slopes = degree * np.diff(points)
+    rows = {n: [math.comb(n, i) for i in range(n + 1)] for n in (degree, degree - 1)}
+
+    def curve(t: float) -> tuple[complex, complex]:
+        value, slope = (
+            sum(w * (1 - t) ** (n - i) * t**i * complex(p) for i, (w, p) in enumerate(zip(rows[n], given, strict=True)))
+            for n, given in ((degree, points), (degree - 1, slopes))
+        )
+        return value, slope
+
+    return curve
+
+
+def _read_dxf(text: str, unit: float | None, layer: str | None) -> tuple[float, list[Drawn]]:
+    """Return metres in a unit of a DXF file, and what it draws."""
+    try:
+        import ezdxf
+    except ImportError:
+        raise ValueError("DXF files need ezdxf: pip install 'warp-plate[cad]'") from None
+    logging.getLogger("ezdxf").setLevel(logging.CRITICAL)
+    try:
+        document = ezdxf.read(io.StringIO(text))
+    except ezdxf.DXFError as error:
+        raise ValueError(f"cannot be read as DXF: {' '.join(str(error).split())}") from None
+    # Files of R12 may have no such variable, for which ezdxf has a default.
+    units = document.header.get("$INSUNITS", 0) if "$INSUNITS" in text else 0
+    scale = _unit(DXF_UNITS.get(units), unit, "its $INSUNITS")
+    drawn: list[Drawn] = []
+    for entity in document.modelspace():
+        kind, name = entity.dxftype(), f"{entity.dxftype()} {entity.dxf.get('handle', '')}"
+        if kind in SILENT or layer not in (None, entity.dxf.get("layer", "0")):
+            continue
+        try:
+            parts = list(_dxf_pieces(entity, kind, name))
+        except (*BROKEN, ValueError, ezdxf.DXFError) as error:
+            raise ValueError(f"{name}: cannot be read: {error}") from None
+        if not parts:
+            raise ValueError(f"{name}: is not read; explode it into lines, arcs, polylines or splines, or name a layer")
+        drawn += parts
+    return scale, drawn
+
+
+def _dxf_pieces(entity: Any, kind: str, name: str) -> Iterator[Drawn]:
+    """Yield the pieces of an entity; none if it is of another kind."""
+    normal = np.array(entity.dxf.get("extrusion", (0, 0, 1)), dtype=float)
+    if abs(normal[:2]).max() > 1e-9:
+        raise ValueError("it does not lie in the plane of x and y")
+    # Arcs, circles and polylines seen from below are mirrored.
+    mirror = np.diag([1.0 if normal[2] > 0 else -1.0, 1.0])
+    still = np.zeros(2)
+    if kind == "LINE":
+        yield Straight(None, "", name, _plane(entity.dxf.start, entity.dxf.end))
+    elif kind in ("ARC", "CIRCLE"):
+        first, last = (entity.dxf.start_angle, entity.dxf.end_angle) if kind == "ARC" else (0.0, 360.0)
+        arc = _arc(
+            name, _plane(entity.dxf.center)[0], entity.dxf.radius * np.eye(2), math.radians(first), math.radians(last)
+        )
+        yield mapped(arc, mirror, still)
+    elif kind == "ELLIPSE":
+        major = _plane(entity.dxf.major_axis)[0]
+        minor = entity.dxf.ratio * normal[2] * np.array([-major[1], major[0]])
+        axes = np.stack([major, minor], axis=1)
+        yield _arc(name, _plane(entity.dxf.center)[0], axes, entity.dxf.start_param, entity.dxf.end_param)
+    elif kind == "LWPOLYLINE" or (kind == "POLYLINE" and entity.is_2d_polyline and not entity.dxf.flags & 6):
+        if kind == "LWPOLYLINE":
+            corners = [(complex(x, y), bulge) for x, y, bulge in entity.get_points("xyb")]
+        else:
+            corners = [(complex(*_plane(row.dxf.location)[0]), row.dxf.bulge) for row in entity.vertices]
+        for index, ((start, bulge), (end, _)) in enumerate(pairwise([*corners, *corners[: entity.is_closed]]), 1):
+            yield mapped(_bulge(start, end, bulge, f"{name}, piece {index}"), mirror, still)
+    elif kind == "SPLINE":
+        spline = entity.construction_tool()
+
+        def curve(t: float) -> tuple[complex, complex]:
+            point, slope = spline.derivative(t, 1)
+            return complex(*_plane(point)[0]), complex(*_plane(slope)[0])
+
+        knots = sorted(set(spline.knots()))
+        for low, high in pairwise([knot for knot in knots if 0 <= knot <= spline.max_t]):
+            yield name, curve, low, high
+
+
+def _plane(*points: Any) -> np.ndarray:
+    """Return x and y (n, 2) of points in space."""
+    return np.array([tuple(point) for point in points], dtype=float)[:, :2]
+
+
+def _arc(name: str, centre: Any, axes: np.ndarray, first: float, last: float) -> Piece:
+    """Return the counterclockwise arc between two angles [rad]; a whole ellipse if they agree."""
+    sweep = (last - first) % (2 * math.pi)
+    sweep = 2 * math.pi if min(sweep, 2 * math.pi - sweep) < 1e-9 else sweep
+    if not abs(np.linalg.det(axes)) > 0:
+        raise ValueError("it has no radius")
+    return Arc(None, "", name, np.array(centre, dtype=float), axes, (first, first + sweep))
+
+
+def _bulge(start: complex, end: complex, bulge: float, name: str) -> Piece:
+    """Return the piece between two vertices; its bulge is the tangent of a quarter of the turn."""
+    if abs(bulge) < LEAST_TURN or start == end:
+        return chord(start, end, name)
+    centre = (start + end) / 2 + 1j * (end - start) * (1 - bulge**2) / (4 * bulge)
+    angle = cmath.phase(start - centre)
+    axes = abs(start - centre) * np.eye(2)
+    return Arc(None, "", name, np.array([centre.real, centre.imag]), axes, (angle, angle + 4 * math.atan(bulge)))
