@@ -11,6 +11,7 @@ import pytest
 
 from warp_plate import Scene
 from warp_plate.scene.load import preset_text
+from warp_plate.scene.outline import with_drawing
 
 DOCS = Path(__file__).parents[1] / "docs"
 README = (DOCS.parent / "README.md").read_text(encoding="utf-8")
@@ -43,6 +44,9 @@ BESIDES = {
     "fit": {"free": {"plate.density": [900.0, 1100.0]}},
     "focus": {"points": [[0.06, 0.05]], "highest": 1000.0},
 }
+# The drawing that an example names.
+PANEL = """<svg xmlns="http://www.w3.org/2000/svg" width="200mm" height="200mm" viewBox="0 0 200 200">
+<g id="cut"><rect width="200" height="200" rx="20"/><circle cx="120" cy="90" r="5"/></g></svg>"""
 
 
 def fenced(page, language):
@@ -96,7 +100,7 @@ def test_commands_and_code_run(page, tmp_path):
 @pytest.mark.parametrize(
     "block", [each for page in PAGES for each in fenced(page, "toml")], ids=lambda block: block.partition("\n")[0]
 )
-def test_tables_are_those_of_a_scene(block):
+def test_tables_are_those_of_a_scene(block, tmp_path):
     tables = tomllib.loads(preset_text("paper"))
     del tables["grid"]
     besides = {"drive": {"burst": {"duration": 0.01}}} if "[search.delay]" in block else BESIDES
@@ -105,12 +109,13 @@ def test_tables_are_those_of_a_scene(block):
             tables[name] = {**tables.get(name, {}), **table} if isinstance(table, dict) else table
     if "[plate.outline]" in block:
         del tables["plate"]["size"]
-        tables["edges"] = tomllib.loads(block)["edges"]
+        tables["edges"] = tomllib.loads(block).get("edges", {})
     if "[[targets]]" in block:
         del tables["target"]
     elif "target" in tomllib.loads(block):
         tables["target"] = tomllib.loads(block)["target"]
-    Scene.from_tables(tables)
+    (tmp_path / "panel.svg").write_text(PANEL)
+    Scene.from_tables(with_drawing(tables, tmp_path))
 
 
 @pytest.mark.slow

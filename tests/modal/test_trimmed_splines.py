@@ -9,8 +9,7 @@ import math
 import numpy as np
 import pytest
 
-from support.scenes import MATERIAL, scene_of
-from support.scenes import refused
+from support.scenes import MATERIAL, refused, scene_of
 from support.scenes_of_outlines import dimensionless, outlined
 from warp_plate.modal.assemble import make_galerkin, make_space
 from warp_plate.modal.modes import solve_modes

@@ -138,7 +138,7 @@ SQUARE = (line(0, 0, 9, 0), line(9, 9, 9, 0), line(9, 9, 0, 9), line(0, 9, 0, 0)
     [
         (b"\xff\xfe<", ".svg", "not UTF-8"),
         (b"", ".svg", "not SVG"),
-        (b"<html/>", ".svg", "unit"),
+        (b"<html/>", ".svg", "not SVG: its root is 'html'"),
         (svg("<path d='M0 0"), ".svg", "not SVG"),
         (svg("", head='<!DOCTYPE svg [<!ENTITY a "aaaa">]>'), ".svg", "'<!ENTITY'"),
         (svg("<use href='#a'/>"), ".svg", "'<use'"),

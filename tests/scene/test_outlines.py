@@ -51,7 +51,7 @@ def test_an_edge_is_clamped_unless_it_is_written():
             {"plate.outline": {"disc": (0.1, 0.1, 0.1), "polygon": [(0, 0), (1, 0), (0, 1)]}},
             "polygon: disc is given too",
         ),
-        ({"plate.outline": {}}, "no shape is given; write one of disc, ellipse, rectangle and polygon"),
+        ({"plate.outline": {}}, "no shape is given; write one of disc, ellipse, rectangle, polygon, path"),
         ({"plate.outline": {"disc": (0.1, 0.1, 0.1), "corner_radius": 0.01}}, "corner_radius: not for disc"),
         ({"plate.outline": {"rectangle": (0.2, 0.1), "corner_radius": 0.06}}, "corner_radius: 0.06 m does not fit"),
         ({"plate.outline": {"disc": (0.0, 0.1, 0.1)}}, "plate.outline: reaches to x = -0.1, y = 0 m; move it"),
