@@ -22,7 +22,7 @@ from warp_plate.result.export import (
 )
 from warp_plate.result.focus import FocusResult
 from warp_plate.result.model import Result
-from warp_plate.scene.errors import SceneError, printable
+from warp_plate.scene.errors import SceneError, check_type, printable
 from warp_plate.solve.run import Progress
 
 DRIVES: tuple[Format, ...] = ("drive-wav", "drive-csv")
@@ -77,6 +77,8 @@ def export(
     Raises:
         SceneError: Unknown case, nothing recorded, a drive that does not repeat, or a file that cannot be written.
     """
+    check_type("result", result, Result, FocusResult)
+    check_type("path", path, str, Path)
     path = Path(path)
     if to not in get_args(Format):
         raise SceneError(f"to = {to!r}: must be one of {', '.join(get_args(Format))}")

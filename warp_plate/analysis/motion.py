@@ -19,7 +19,7 @@ from warp_plate.resolve import Resolved, resolve
 from warp_plate.result.case import Case, case_scene, only_actuator, target_cases
 from warp_plate.result.model import Result
 from warp_plate.result.motion import Motion, SteadyMotion
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, check_type
 from warp_plate.scene.grid import Record
 from warp_plate.scene.model import Scene
 from warp_plate.solve.run import Progress, Run
@@ -54,6 +54,7 @@ def motion(
     Raises:
         SceneError: Unknown case, or see :func:`motions`.
     """
+    check_type("result", result, Result)
     return motions(result.scene, result.select_cases([case or result.main_name]), span, frames, device)[0]
 
 
@@ -149,7 +150,7 @@ def _common_span(
     scenes: Mapping[str, Scene], span: tuple[float, float] | None, end: float, frames: int
 ) -> tuple[float, float]:
     """Return the span, by default the one that holds the usual spans of all scenes [s]."""
-    spans = [span] if span else [usual_span(scene, end, frames) for scene in scenes.values()]
+    spans = [span] if span is not None else [usual_span(scene, end, frames) for scene in scenes.values()]
     first, last = min(start for start, _ in spans), max(stop for _, stop in spans)
     longest = max(scene.window.end for scene in scenes.values())
     if 0 <= first < last <= longest * (1 + 1e-9):

@@ -27,7 +27,7 @@ from warp_plate.fitting.measured_responses import MeasuredResponses, read_respon
 from warp_plate.fitting.panel_responses import PanelResponses
 from warp_plate.modal.continuous_modes import linear_part
 from warp_plate.modal.modes import solve_modes
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, check_type
 from warp_plate.scene.model import Scene, SceneSource
 
 # Functions along each side, relative to those of other commands: frequencies are right to 5e-6, in a third of the time.
@@ -60,6 +60,7 @@ def fit(scene: SceneSource, data: str | Path | Sequence[str | Path]) -> ModeFit 
         SceneError: A file cannot be read, or does not fit the scene; or see :func:`fit_panel`.
     """
     loaded = Scene.load(scene)
+    check_type("data", data, str, Path, Sequence)
     paths = [Path(data)] if isinstance(data, str | Path) else [Path(path) for path in data]
     if loaded.measurement:
         return fit_responses(loaded, read_responses(paths, len(loaded.measurement), loaded.fit))

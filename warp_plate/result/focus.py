@@ -10,6 +10,7 @@ import numpy as np
 
 from warp_plate.result.hdf5 import FileFormat, write_along
 from warp_plate.result.layouts import Dataset, read_fields, write_fields
+from warp_plate.scene.errors import check_type
 from warp_plate.scene.model import Scene
 
 FORMAT = FileFormat("focus", 1)
@@ -136,6 +137,7 @@ class FocusResult:
 
 def save_focus(result: FocusResult, path: str | Path) -> Path:
     """Write the waveforms and their results as an HDF5 file, and return its path."""
+    check_type("result", result, FocusResult)
     with FORMAT.create(path) as file:
         names = [actuator.name for actuator in result.scene.actuators]
         write_along(file, "actuator", names, "1", "names of the actuators")

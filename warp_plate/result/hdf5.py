@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 
 from warp_plate.result.atomic_io import check_seal, make_seal, write_atomically
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, check_type
 
 # Endings of files of other programs: MAT files of MATLAB, and HDF5 files such as those of xarray.
 MAT, HDF5 = (".mat",), (".h5", ".hdf5", ".nc")
@@ -32,6 +32,7 @@ class FileFormat:
     @contextmanager
     def create(self, path: str | Path) -> Iterator[h5py.File]:
         """Yield a file that is written atomically at the end, or raise a SceneError; see :func:`atomic_path`."""
+        check_type("path", path, str, Path)
         # Composed in memory, because HDF5 does not reliably report a full disk.
         with h5py.File("in memory", "w", driver="core", backing_store=False) as file:
             file.attrs["format"] = f"warp-plate {self.kind} {self.version}"
@@ -43,6 +44,7 @@ class FileFormat:
     @contextmanager
     def open(self, path: str | Path) -> Iterator[h5py.File]:
         """Yield a file opened for reading; raise a SceneError if it is missing, damaged or of another kind."""
+        check_type("path", path, str, Path)
         path = Path(path)
         try:
             check_seal(path)

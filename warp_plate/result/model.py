@@ -20,7 +20,7 @@ from warp_plate.quantities.region_quantities import REGION_QUANTITIES
 from warp_plate.result.case import Case, Cases, aligned, case_scene, motion_table, target_cases
 from warp_plate.result.hdf5 import FileFormat, write_along
 from warp_plate.result.layouts import Counts, Dataset, Datasets, read_fields, write_fields
-from warp_plate.scene.errors import SceneError, printable
+from warp_plate.scene.errors import SceneError, check_type, printable
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Objective
 
@@ -276,6 +276,7 @@ def crosstalk(result: Result) -> np.ndarray:
 
 def save_result(result: Result, path: str | Path) -> Path:
     """Write a result file atomically and return its path, or raise a SceneError."""
+    check_type("result", result, Result)
     scene, robust = result.scene, result.robust
     with FORMAT.create(path) as file:
         for axis, side, count in zip("xy", scene.plate.size, scene.grid.nodes, strict=True):

@@ -21,7 +21,7 @@ import h5py
 import numpy as np
 
 from warp_plate.result import hdf5, layouts
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, check_type
 from warp_plate.scene.keys import label_of, scalar_keys, unit_of
 from warp_plate.scene.model import Scene
 from warp_plate.scene.vary import MOST_POINTS, Plan, counted, parse_frequencies, value_text
@@ -134,6 +134,7 @@ class Sweep:
 
 def save_sweep(sweep: Sweep, path: str | Path) -> Path:
     """Write a sweep file atomically and return its path, or raise a SceneError."""
+    check_type("sweep", sweep, Sweep)
     plan, scene = sweep.plan, sweep.scene
     with FORMAT.create(path) as file:
         layouts.write_fields(file, sweep)

@@ -18,6 +18,13 @@ class SceneError(ValueError):
         super().__init__(line if len(line) <= LONGEST else f"{line[:LONGEST]} ...")
 
 
+def check_type(key: str, value: object, *kinds: type) -> None:
+    """Raise a SceneError that names the argument ``key`` unless its value is of one of the kinds."""
+    if not isinstance(value, kinds):
+        names = " or ".join(kind.__name__ for kind in kinds)
+        raise SceneError(f"{key}: must be a {names}, not a {type(value).__name__}")
+
+
 def printable(text: str) -> str:
     """Return the text with control characters escaped as in a Python literal (``\\x1b``); line ends stay."""
     return "".join(

@@ -13,7 +13,7 @@ from pydantic import PrivateAttr, ValidationError, model_validator
 
 from warp_plate.effects.table import check_modal_tables
 from warp_plate.scene.actuator import Actuator
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, check_type
 from warp_plate.scene.explain_errors import explain_error
 from warp_plate.scene.fields import Area, check_area
 from warp_plate.scene.grid import Grid, grid_by_waves
@@ -60,6 +60,7 @@ class Scene(SceneTables):
         """
         if isinstance(source, Scene):
             return source
+        check_type("scene", source, Scene, str, Path)
         text, folder = read_scene_text(source)
         return Scene.parse(text, str(source), assignments, folder).in_folder(folder)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import warp as wp
 
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, check_type
 
 MOST_THREADS = 1024  # each takes memory
 WARP_GUIDE = "https://nvidia.github.io/warp/stable/user_guide/installation.html"
@@ -28,6 +28,7 @@ def find_device(name: str) -> wp.Device:
         SceneError: Warp knows no such device here, cannot compile for it, or has no folder to do so.
         ImportError: Warp's library cannot be loaded.
     """
+    check_type("device", name, str)
     if wp.config.log_level == wp.LOG_INFO:  # Warp's default, at which it greets on standard output
         wp.config.log_level = wp.LOG_ERROR
     try:

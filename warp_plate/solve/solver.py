@@ -20,7 +20,7 @@ from warp_plate.plate.designs import (
 )
 from warp_plate.plate.scheme import Discretization, discretize
 from warp_plate.plate.weights import NO_AREAS, Region, bilinear
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, check_type
 from warp_plate.scene.model import Scene
 from warp_plate.solve.batching import Batch, import_drives
 from warp_plate.solve.compiled_scene import CompiledScene, paths_of, why_streaming
@@ -116,6 +116,9 @@ class PlateSolver:
         started = time.perf_counter()
         if chunk is not None and chunk < 1:
             raise SceneError(f"chunk = {chunk}: must be at least 1 plate")
+        check_type("scene", scene, Scene, Discretization)
+        check_type("per_plate", per_plate, PerPlate)
+        check_type("areas", areas, Mapping)
         self.device = find_device(device)
         self._lock = threading.RLock()
         if self.device.is_cuda:

@@ -19,7 +19,7 @@ from warp_plate.modal.spaces.space import Matrix
 from warp_plate.plate.designs import scene_phasors
 from warp_plate.quantities.region_quantities import mean_square
 from warp_plate.result.frequency_response import DERIVATIVES, FrequencyResponse, Quantity
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, check_type
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.scene.target import Target
 
@@ -54,8 +54,12 @@ def frf(
         SceneError: The scene is not linear, an actuator is unknown, a point is off the plate, or the range is invalid.
     """
     scene = Scene.load(scene)
-    inputs = inputs or [actuator.name for actuator in scene.actuators]
-    points = points or scene.record.points or target_middles(scene)
+    check_type("inputs", inputs, Sequence, np.ndarray)
+    check_type("points", points, Sequence, np.ndarray)
+    if quantity not in DERIVATIVES:
+        raise SceneError(f"quantity = {quantity!r}: must be one of {', '.join(DERIVATIVES)}")
+    inputs = inputs if len(inputs) else [actuator.name for actuator in scene.actuators]
+    points = points if len(points) else scene.record.points or target_middles(scene)
     check_linear(scene, frequency_range)
     _check_on_plate(scene, "points", points)
     _check_on_plate(scene, "inputs", inputs)
@@ -115,7 +119,11 @@ def target_middles(scene: Scene) -> list[Point]:
 def _check_on_plate(scene: Scene, argument: str, places: Sequence[str | Point]) -> None:
     """Raise a SceneError, which names the argument, unless all places but names are points on the plate."""
     width, height = scene.plate.size
-    for x, y in (place for place in places if not isinstance(place, str)):
+    for place in (place for place in places if not isinstance(place, str)):
+        try:
+            x, y = map(float, place)
+        except (TypeError, ValueError):
+            raise SceneError(f"{argument}: must be a list of points (x, y), not of {place!r}") from None
         if not (0 <= x <= width and 0 <= y <= height):
             raise SceneError(f"{argument} = {x:g},{y:g}: is off the plate of {width:g} × {height:g} m")
 

@@ -22,7 +22,7 @@ from warp_plate.analysis.motion import motions
 from warp_plate.fitting.measured_modes import column_numbers, read_columns
 from warp_plate.plate.weights import region_weights
 from warp_plate.result.model import Result
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, check_type
 
 MOST_POINTS = 2000
 NORMAL = 1.96  # half-width of 95 % intervals in standard deviations
@@ -85,6 +85,7 @@ def verify(result: Result, data: Path | MeasuredField, case: str | None = None) 
     Raises:
         SceneError: The file is invalid, or the points are not on the panel or all lie on one line.
     """
+    check_type("result", result, Result)
     ((name, chosen),) = result.select_cases([case or result.main_name]).items()
     scene = result.case_scene(chosen)
     measured = average_readings(read_field(data) if isinstance(data, Path) else data)

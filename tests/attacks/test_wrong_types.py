@@ -1,0 +1,53 @@
+"""Arguments of public functions that are of another type: one line that names the argument."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import warp_plate
+from support.scenes import refused, scene_of
+
+SCENE = scene_of((9, 9), damping=88.5, window=(0.001, 0.004))
+WRONG = (None, 5, float("nan"), b"paper", ["paper"], {}, np.zeros(3), object(), ValueError("a"))
+# Functions by their arguments, with what else they need.
+OF_SCENES = "check", "fit", "focus", "frf", "localize", "modes", "simulate", "specify", "sweep", "PlateSolver"
+OTHERS = {"fit": {"data": "a.csv"}, "sweep": {"vary": ["drive.frequency=280,290"]}}
+OF_PATHS = "load_checkpoint", "load_focus", "load_result", "load_sweep"
+OF_RESULTS = {"export": ("a.csv", "csv"), "motion": (), "save_result": ("a.h5",), "save_focus": ("a.h5",),
+              "save_sweep": ("a.h5",), "verify": ("a.csv",)}  # fmt: skip
+
+
+@pytest.mark.parametrize("wrong", WRONG, ids=repr)
+def test_arguments_of_wrong_types(wrong, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    kind = f", not a {type(wrong).__name__}"
+    for name in OF_SCENES:
+        message = refused(lambda name=name: getattr(warp_plate, name)(wrong, **OTHERS.get(name, {})))
+        assert message.startswith("scene: must be a Scene or ")
+        assert message.endswith(kind)
+    for name in OF_PATHS:
+        assert refused(getattr(warp_plate, name), wrong) == f"path: must be a str or Path{kind}"
+    for name, others in OF_RESULTS.items():
+        message = refused(getattr(warp_plate, name), wrong, *others)
+        assert message.startswith(("result: must be a ", "sweep: must be a Sweep"))
+        assert message.endswith(kind)
+    assert refused(warp_plate.PlateSolver, SCENE, wrong) == f"device: must be a str{kind}"
+    assert refused(lambda: warp_plate.PlateSolver(SCENE, "cpu", per_plate=wrong)).endswith(kind)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_points_in_arrays():
+    places = np.array([[0.05, 0.05], [0.1, 0.1]])
+    of_array = warp_plate.frf(SCENE, inputs=places, points=places, frequency_range=(50, 100))
+    of_list = warp_plate.frf(SCENE, inputs=places.tolist(), points=places.tolist(), frequency_range=(50, 100))
+    np.testing.assert_array_equal(of_array.responses, of_list.responses)
+    for points in ([1, 2], [None], [[0.1, 0.1, 0.1]], np.zeros(3)):
+        assert refused(lambda points=points: warp_plate.frf(SCENE, points=points)).startswith("points: must be a list")
+    assert "quantity = None: must be one of" in refused(lambda: warp_plate.frf(SCENE, quantity=None))
+
+
+def test_a_scene_may_be_a_preset_a_path_or_a_scene(tmp_path):
+    (tmp_path / "a.toml").write_text(SCENE.to_toml(), encoding="utf-8")
+    for source in (SCENE, str(tmp_path / "a.toml"), Path(tmp_path / "a.toml")):
+        assert warp_plate.Scene.load(source) == SCENE
