@@ -31,6 +31,8 @@ def test_json_table_and_files(command, damped):
     for name in ("localization_factor", "bound", "natural_frequencies", "loss_factors"):
         assert record[name] == pytest.approx(getattr(expected, name).tolist(), rel=1e-6)
     assert record["mean_square_velocity"][1] == pytest.approx(expected.mean_square_velocity[1].tolist(), rel=1e-6)
+    assert record["errors"]["bound"] == pytest.approx(expected.errors.bound.tolist(), rel=1e-6)
+    assert [len(row) for row in record["errors"]["responses"]] == [len(expected.frequencies)] * 2
     assert record["files"] == ["found.csv", "found.h5", "found.svg"]
     assert sorted(path.name for path in Path().iterdir()) == ["found.csv", "found.h5", "found.svg", "panel.toml"]
     drawn = Path("found.svg").read_text(encoding="utf-8")
@@ -42,7 +44,7 @@ def test_json_table_and_files(command, damped):
 def test_text_names_responses_and_undamped_plates(command, write_scene):
     write_scene(damping=10.0)
     out = output_of(command("frf", "panel.toml", "--no-pictures", "--range", "20:60", "--out", "found.csv"))
-    for part in ("0 → 0.05,0.05", "(m/s)/N", "20 to 60 Hz", "wrote found.csv"):
+    for part in ("0 → 0.05,0.05", "(m/s)/N", "± (%)", "20 to 60 Hz", "wrote found.csv"):
         assert part in out
     assert "undamped" not in out
     write_scene()

@@ -165,6 +165,45 @@ def test_no_peak_is_missed(scene, effects):
     assert found.frequencies[[0, -1]] == pytest.approx([20, 200])
 
 
+MAP = {"young_modulus": [[1.0, 0.6, 1.3], [0.7, 1.2, 0.8]]}
+JUMP = {"area": (0.03, 0.11, 0.02, 0.1), "thickness": 8e-4, "young_modulus": 2e10, "density": 3000.0}
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [{"damping": {"viscous": 1.0}, "variation": MAP}, {"loss_factor": {"eta": 0.001}, "layers": [JUMP]}],
+    ids=["map", "layer"],
+)
+def test_errors_hold_the_curves_of_many_more_functions(scene, effects):
+    """Also beside sharp resonances, whose peaks the layer shifts by more than their widths."""
+    coarse = scene(size=(0.2, 0.16), effects=effects)
+    made = coarse.with_tables(grid={**coarse.grid.model_dump(exclude_unset=True), "modal_density": 0.6})
+    found = frf(made, ["0", "1"], POINTS, (15, 60))
+    plate = solve_modes(made, 60, density=2.5)
+    forces = np.stack(
+        [
+            plate.patch_forces([actuator.area])[:, 0] / np.prod(np.diff(np.reshape(actuator.area, (2, 2))))
+            for actuator in made.actuators[:2]
+        ],
+        axis=1,
+    )
+    amplitudes = plate.respond(found.frequencies, forces)
+    omega = 2 * math.pi * found.frequencies
+    true = {"responses": omega * np.abs(np.moveaxis(amplitudes, 1, 2) @ plate.at_points(POINTS)).reshape(-1, 4).T}
+    driven = plate.respond(found.frequencies, plate.actuator_forces() @ scene_phasors(made)[:, None])[:, :, 0]
+    target, whole = (plate.kinetic_matrix(region) for region in (made.target, "plate"))
+    share = [np.einsum("fm,mn,fn->f", driven.conj(), matrix, driven).real for matrix in (target, whole)]
+    true["localization_factor"] = share[0] / share[1]
+    for curve, values in true.items():
+        least, largest = found.band(curve)
+        assert least.shape == getattr(found, curve).shape
+        inside = np.isfinite(least)
+        assert ((least <= values) & (values <= largest))[inside].all()
+        assert inside.mean() > 0.9
+    assert 0 < found.errors.frequencies.max() < 0.2
+    assert np.median(found.errors.localization_factor) < 0.02
+
+
 def test_undamped_plates_have_finite_responses_beside_their_resonances(scene):
     found = frf(scene(), frequency_range=(20, 200))
     assert found.undamped
@@ -213,10 +252,14 @@ def test_csv_has_a_column_for_each_part(response, tmp_path):
     np.testing.assert_allclose(values[:, 0], response.frequencies, rtol=1e-14)
     np.testing.assert_allclose(values[:, 1:9:2] + 1j * values[:, 2:9:2], response.responses.T, rtol=1e-8)
     parts = np.column_stack([response.localization_factor, response.bound, *response.mean_square_velocity])
-    np.testing.assert_allclose(values[:, 9:], parts, rtol=1e-8)
+    np.testing.assert_allclose(values[:, 9:13], parts, rtol=1e-8)
+    errors = response.errors
+    parts = [errors.frequencies, *errors.responses, errors.localization_factor, errors.bound]
+    np.testing.assert_allclose(values[:, 13:].T, [*parts, *errors.mean_square_velocity], rtol=1e-8)
+    assert heading[14] == "error 2 → 0.05,0.07 [(m/s²)/N]"
     assert heading[0] == "frequency [Hz]"
     assert heading[3] == "Re 2 → 0.13,0.11 [(m/s²)/N]"
-    assert len(heading) == values.shape[1] == 13
+    assert len(heading) == values.shape[1] == 22
 
 
 def test_xarray_opens_the_hdf5_file(response, tmp_path):
@@ -231,4 +274,7 @@ def test_xarray_opens_the_hdf5_file(response, tmp_path):
         np.testing.assert_array_equal(data.mean_square_velocity.sel(input="2"), response.mean_square_velocity[0])
         np.testing.assert_array_equal(data.bound, response.bound)
         np.testing.assert_array_equal(data.natural_frequency, response.natural_frequencies)
+        np.testing.assert_array_equal(data.response_error, response.errors.responses)
+        np.testing.assert_array_equal(data.mean_square_velocity_error, response.errors.mean_square_velocity)
+        assert data.frequency_error.dims == data.bound_error.dims == ("frequency",)
         assert (data["real"].units, data.frequency.units) == ("(m/s^2)/N", "Hz")

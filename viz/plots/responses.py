@@ -64,13 +64,15 @@ def draw_frequency_response(response: FrequencyResponse, path: str | Path) -> No
         unit = length_unit([extent])[0]
         labels = [f"{name} → {place} {unit}" for name in names for place in places]
         for index, look in _plot(magnitude, x, np.abs(response.responses), labels).items():
+            _draw_band(magnitude, x, response.band("responses"), index, look["color"])
             phase.plot(x, _unbroken(response.responses[index]), **look)
         phase.set(ylabel="phase [°]", ylim=(-190, 190), yticks=(-180, -90, 0, 90, 180))
         set_frequency_axes(x, response.natural_frequencies, panels)
         _set_log_axis(magnitude, np.abs(response.responses), MOST_DECADES, f"{response.quantity} [{response.unit}]")
         if several:
             _draw_localization(response, others[0])
-            _plot(others[1], x, response.mean_square_velocity, names)
+            for index, look in _plot(others[1], x, response.mean_square_velocity, names).items():
+                _draw_band(others[1], x, response.band("mean_square_velocity"), index, look["color"])
             label = "mean square\nvelocity [(m/s)²/N²]"
             _set_log_axis(others[1], response.mean_square_velocity, 2 * MOST_DECADES, label)
             _add_legend(others[1], len(names))
@@ -84,9 +86,16 @@ def _draw_localization(response: FrequencyResponse, axes: Axes) -> None:
     axes.plot(response.frequencies, response.bound, color=BOUND, linewidth=1.0, linestyle="--", label="bound")
     factor = response.localization_factor
     axes.plot(response.frequencies, factor, color=FACTOR, linewidth=1.2, label="drive of the scene")
+    for curve, colour in (("bound", BOUND), ("localization_factor", FACTOR)):
+        _draw_band(axes, response.frequencies, response.band(curve), ..., colour)
     largest = np.nanmax([response.bound, factor], initial=0.01)
     axes.set(ylabel="localization\nfactor", ylim=(0, 1.05 * min(largest, 1)))
     _add_legend(axes, 0)
+
+
+def _draw_band(axes: Axes, x: np.ndarray, band: tuple[np.ndarray, np.ndarray], index: Any, colour: str) -> None:
+    """Draw the values that one of the true curves can have, with their numerical errors."""
+    axes.fill_between(x, band[0][index], band[1][index], color=colour, alpha=0.2, linewidth=0)
 
 
 def set_frequency_axes(x: np.ndarray, natural: np.ndarray, panels: Sequence[Axes]) -> None:

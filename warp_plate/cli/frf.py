@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
 from collections.abc import Callable, Mapping
@@ -147,6 +148,7 @@ def _as_json(name: str, scene: Scene, response: FrequencyResponse) -> dict[str, 
         "inputs": response.inputs,
         **output.attributes(response, "localization_factor", "bound", "mean_square_velocity"),
         **output.attributes(response, "natural_frequencies", "loss_factors", "undamped"),
+        "errors": dataclasses.asdict(response.errors),
     }
 
 
@@ -159,18 +161,23 @@ def _print(name: str, scene: Scene, response: FrequencyResponse, console: Consol
         f"{high:g} Hz, {count} modes\n"
     )
     peaks = []
-    for label, values in list(zip(response.labels, response.responses, strict=True))[:MOST_ROWS]:
+    errors = response.errors
+    for index, (label, values) in list(enumerate(zip(response.labels, response.responses, strict=True)))[:MOST_ROWS]:
         at = int(np.abs(values).argmax())
-        phase = np.degrees(np.angle(values[at]))
-        numbers = ((abs(values[at]), ".4g"), (response.frequencies[at], ".6g"), (phase, ".1f"))
-        peaks.append([label, *(output.number_text(*number) for number in numbers)])
-    output.print_rows(console, ("response", f"largest ({response.unit})", "at (Hz)", "phase (°)"), peaks)
+        of_value, of_frequency = errors.responses[index, at] / abs(values[at] or 1), errors.frequencies[at]
+        phase, frequency = np.degrees(np.angle(values[at])), response.frequencies[at]
+        numbers = [abs(values[at]), 100 * of_value, frequency, 100 * of_frequency, phase]
+        peaks.append([label, *map(output.number_text, numbers, (".4g", ".2g", ".6g", ".2g", ".1f"))])
+    headings = ("response", f"largest ({response.unit})", "± (%)", "at (Hz)", "± (%)", "phase (°)")
+    output.print_rows(console, headings, peaks)
     if len(response.labels) > MOST_ROWS:
         console.print(f"and {len(response.labels) - MOST_ROWS} more, in the files of --to and in --json")
-    best = int(np.nanargmax(response.bound))
+    best, of_drive = int(np.nanargmax(response.bound)), np.nanmax(errors.localization_factor, initial=0)
     console.print(
-        f"\nLocalization factor of the scene's drive: {_extremes(response.localization_factor)}; the best drive at "
-        f"each frequency reaches up to {response.bound[best]:.4f}, at {response.frequencies[best]:.6g} Hz."
+        f"\nLocalization factor of the scene's drive: {_extremes(response.localization_factor)}, with errors of at "
+        f"most {of_drive:.2g}; the best drive at each frequency reaches up to {response.bound[best]:.4f} ± "
+        f"{errors.bound[best]:.2g}, at {response.frequencies[best]:.6g} Hz. Errors hold for curves whose resonances "
+        f"are shifted, by at most {100 * errors.frequencies.max():.2g} %."
     )
     output.print_warnings(console, response.warnings)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from warp_plate.result import hdf5
 from warp_plate.result.atomic_io import write_table
@@ -17,7 +18,29 @@ Quantity = Literal["receptance", "mobility", "accelerance"]
 DERIVATIVES: Mapping[str, int] = {name: power for power, name in enumerate(get_args(Quantity))}
 UNITS: Mapping[str, str] = {"receptance": "m/N", "mobility": "(m/s)/N", "accelerance": "(m/s²)/N"}
 UNDAMPED = "The plate has undamped modes: their peaks have no height; frequencies beside them are shown."
-FORMAT = hdf5.FileFormat("frequency response", 1)
+FORMAT = hdf5.FileFormat("frequency response", 2)
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseErrors:
+    """Numerical errors of a :class:`FrequencyResponse`: of its frequencies, and of the values of its curves.
+
+    The true curves, drawn over frequencies that are shifted by at most ``frequencies``, lie within the others of those
+    computed. Near a sharp resonance the shift matters more.
+
+    Attributes:
+        frequencies: (frequencies,) relative shifts of the resonances up to the next one [1].
+        responses: (inputs · points, frequencies) absolute errors of the complex responses [``unit``].
+        localization_factor: (frequencies,) absolute errors of the localization factor [1].
+        bound: (frequencies,) absolute errors of the bound [1].
+        mean_square_velocity: (inputs, frequencies) absolute errors of the mean square velocity [(m/s)²/N²].
+    """
+
+    frequencies: np.ndarray
+    responses: np.ndarray
+    localization_factor: np.ndarray
+    bound: np.ndarray
+    mean_square_velocity: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +63,7 @@ class FrequencyResponse:
         natural_frequencies: (modes,) natural frequencies of the undamped plate between the first and the last of
             ``frequencies`` [Hz].
         loss_factors: (modes,) loss factors of these modes.
+        errors: Numerical errors of the frequencies and of all curves.
     """
 
     title: str
@@ -54,6 +78,7 @@ class FrequencyResponse:
     mean_square_velocity: np.ndarray
     natural_frequencies: np.ndarray
     loss_factors: np.ndarray
+    errors: ResponseErrors
 
     @property
     def unit(self) -> str:
@@ -73,6 +98,27 @@ class FrequencyResponse:
     def __repr__(self) -> str:
         counts = f"{len(self.inputs)} inputs, {len(self.points)} points, {len(self.frequencies)} frequencies"
         return f"<FrequencyResponse {counts} from {self.frequencies[0]:g} to {self.frequencies[-1]:g} Hz>"
+
+    def band(self, curve: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return the least and the largest values that the true curve can have at each frequency; NaN at the ends of
+        the range, beyond which a resonance may be shifted. Peaks between two frequencies are up to 1 % higher.
+
+        Args:
+            curve: Attribute with errors: "responses" (of which the magnitudes are taken), "localization_factor",
+                "bound" or "mean_square_velocity".
+        """
+        x, shifts = self.frequencies, self.errors.frequencies * self.frequencies
+        values, errors = np.abs(np.atleast_2d(getattr(self, curve))), np.atleast_2d(getattr(self.errors, curve))
+        least, largest = np.maximum(values - errors, 0), values + errors
+        ends = np.searchsorted(x, x - shifts), np.searchsorted(x, x + shifts, side="right")
+        for bounds, extreme in ((least, np.minimum), (largest, np.maximum)):
+            between = PchipInterpolator(x, np.nan_to_num(bounds), axis=1)  # without overshoot
+            at_ends = [between(x - shifts), between(x + shifts)]
+            inside = [extreme.reduce(bounds[:, low:high], axis=1) for low, high in zip(*ends, strict=True)]
+            bounds[:] = extreme.reduce(np.stack([np.transpose(inside), *at_ends]))
+            bounds[:, (x - shifts < x[0]) | (x + shifts > x[-1])] = np.nan
+        shape = getattr(self, curve).shape
+        return least.reshape(shape), largest.reshape(shape)
 
     @property
     def undamped(self) -> bool:
@@ -94,7 +140,13 @@ def write_csv(response: FrequencyResponse, path: Path) -> None:
     heading += [f"mean square velocity, {name} [(m/s)²/N²]" for name in response.inputs]
     parts = np.stack([response.responses.real, response.responses.imag], axis=1).reshape(-1, len(response.frequencies))
     columns = [response.frequencies, *parts, response.localization_factor, response.bound]
-    write_table(path, heading, [np.column_stack([*columns, *response.mean_square_velocity])])
+    columns += [*response.mean_square_velocity]
+    errors = response.errors
+    heading += ["relative error of frequencies [1]", *(f"error {name} [{response.unit}]" for name in response.labels)]
+    heading += ["error of localization factor [1]", "error of bound [1]"]
+    heading += [f"error of mean square velocity, {name} [(m/s)²/N²]" for name in response.inputs]
+    columns += [errors.frequencies, *errors.responses, errors.localization_factor, errors.bound]
+    write_table(path, heading, [np.column_stack([*columns, *errors.mean_square_velocity])])
 
 
 def write_hdf5(response: FrequencyResponse, path: Path) -> None:
@@ -122,6 +174,14 @@ def write_hdf5(response: FrequencyResponse, path: Path) -> None:
         write(factor, "1", meaning, "frequency", name="localization_factor")
         write(response.bound, "1", "bound on the localization factor", "frequency", name="bound")
         write(response.mean_square_velocity, "(m/s)^2/N^2", "mean square velocity", "input", "frequency")
+        errors, pair = response.errors, ("pair", "frequency")
+        write(errors.frequencies, "1", "relative error of frequencies", "frequency", name="frequency_error")
+        write(errors.responses, unit, f"error of the complex {quantity}", *pair, name="response_error")
+        meaning = "error of the localization factor"
+        write(errors.localization_factor, "1", meaning, "frequency", name="localization_factor_error")
+        write(errors.bound, "1", "error of the bound", "frequency", name="bound_error")
+        meaning, name = "error of the mean square velocity", "mean_square_velocity_error"
+        write(errors.mean_square_velocity, "(m/s)^2/N^2", meaning, "input", "frequency", name=name)
         write(response.natural_frequencies, "Hz", "natural frequency, undamped", "mode")
         write(response.loss_factors, "1", "loss factor", "mode")
 

@@ -5,6 +5,10 @@ kinetic matrices of the target and of the plate, the mean kinetic energies over 
 With q of a unit pressure on each actuator in the columns of Q, drives z have the localization factor
 zᴴQᴴTQz / zᴴQᴴPQz, and the largest eigenvalue of that pair bounds it. Near a sharp resonance all columns of Q are nearly
 parallel, so the matrices are formed with Q's left singular vectors.
+
+Errors come from a second solution with fewer functions. Near a sharp resonance a shift of the peak by its width changes
+all of the response. So shifts of frequencies and errors of values are told apart: the second solution is evaluated at
+frequencies mapped so that its natural frequencies meet those of the first.
 """
 
 from __future__ import annotations
@@ -12,13 +16,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from warp_plate.modal.modes import ModalPlate, solve_modes
 from warp_plate.modal.poles import adaptive_frequencies, as_sparse, multiply_modes
 from warp_plate.modal.spaces.space import Matrix
 from warp_plate.plate.designs import scene_phasors
 from warp_plate.quantities.region_quantities import mean_square
-from warp_plate.result.frequency_response import DERIVATIVES, FrequencyResponse, Quantity
+from warp_plate.result.frequency_response import DERIVATIVES, FrequencyResponse, Quantity, ResponseErrors
 from warp_plate.scene.errors import SceneError, check_type
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.scene.target import Target
@@ -29,6 +34,10 @@ MODES_SHOWN = 6
 AMPLITUDES_AT_ONCE = 2**22
 # Combinations of actuators with a smaller part of the largest amplitude cancel out.
 RANK_TOLERANCE = 1e-12
+# Functions along each side of the second solution, relative to the first. An error is FACTOR times the change between
+# them (3.3 times it where they converge as the first power of the spacing, as where rigidity jumps), and besides these
+# parts of a frequency and of a value. A change is the largest of AROUND neighbouring frequencies: it may cross zero.
+COARSER, FACTOR, LEAST_SHIFT, LEAST_ERROR, AROUND = 1 / 1.3, 4.0, 1e-6, 5e-4, 9
 Point = tuple[float, float]
 
 
@@ -67,7 +76,9 @@ def frf(
     plate = solve_modes(scene, high, key=f"frequency_range = {low:g}:{high:g}" if frequency_range else None)
     places, forces = input_forces(plate, inputs)
     frequencies = adaptive_frequencies(*plate.resonances, low, high)
-    responses, factor, bound, velocity = _responses(plate, frequencies, forces, plate.at_points(points))
+    responses, factor, bound, velocity = curves = _responses(plate, frequencies, forces, plate.at_points(points))
+    shifts, of_responses, *of_others = _errors(plate, high, frequencies, inputs, points, curves)
+    derivative = (2j * np.pi * frequencies) ** DERIVATIVES[quantity]
     shown = (plate.frequencies >= low) & (plate.frequencies <= high)
     return FrequencyResponse(
         title=scene.title,
@@ -76,13 +87,37 @@ def frf(
         input_places=places,
         points=np.array(points, dtype=float),
         frequencies=frequencies,
-        responses=(2j * np.pi * frequencies) ** DERIVATIVES[quantity] * responses,
+        responses=derivative * responses,
         localization_factor=factor,
         bound=bound,
         mean_square_velocity=velocity,
         natural_frequencies=plate.frequencies[shown],
         loss_factors=plate.loss_factors[shown],
+        errors=ResponseErrors(shifts, np.abs(derivative) * of_responses, *of_others),
     )
+
+
+def _errors(
+    plate: ModalPlate,
+    high: float,
+    frequencies: np.ndarray,
+    inputs: Sequence[str | Point],
+    points: Sequence[Point],
+    curves: Sequence[np.ndarray],
+) -> list[np.ndarray]:
+    """Return the attributes of :class:`ResponseErrors`, those of receptances first, for curves up to ``high`` [Hz]."""
+    coarser = solve_modes(plate.scene, high, density=COARSER)
+    count = min(plate.frequencies.size, coarser.frequencies.size)
+    natural, mapped = plate.frequencies[:count], coarser.frequencies[:count]
+    elastic = (natural > 0) & (mapped > 0)
+    natural, mapped = np.append(0.0, natural[elastic]), np.append(0.0, mapped[elastic])
+    shifts = FACTOR * np.maximum.accumulate(np.abs(mapped[1:] / natural[1:] - 1)) + LEAST_SHIFT
+    next_mode = np.minimum(np.searchsorted(natural[1:], frequencies), shifts.size - 1)
+    forces, shapes = input_forces(coarser, inputs)[1], coarser.at_points(points)
+    others = _responses(coarser, np.interp(frequencies, natural, mapped), forces, shapes)
+    changes = [maximum_filter1d(np.abs(b - a), AROUND) for a, b in zip(curves, others, strict=True)]
+    parts = zip(curves, changes, strict=True)
+    return [shifts[next_mode], *(FACTOR * change + LEAST_ERROR * np.abs(curve) for curve, change in parts)]
 
 
 def respond_to_drive(scene: Scene, frequencies: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
