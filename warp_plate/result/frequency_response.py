@@ -108,14 +108,17 @@ class FrequencyResponse:
                 "bound" or "mean_square_velocity".
         """
         x, shifts = self.frequencies, self.errors.frequencies * self.frequencies
-        values, errors = np.abs(np.atleast_2d(getattr(self, curve))), np.atleast_2d(getattr(self.errors, curve))
-        least, largest = np.maximum(values - errors, 0), values + errors
+        complex_values, errors = (np.atleast_2d(getattr(source, curve)) for source in (self, self.errors))
+        values = np.abs(complex_values)
+        at_ends = np.array([[np.interp(x + side * shifts, x, row) for row in complex_values] for side in (-1, 1)])
+        # Between two frequencies, responses may be nearer to zero than at both.
+        least = np.maximum(values - errors - np.abs(at_ends - complex_values).max(axis=0), 0)
+        largest = values + errors
         ends = np.searchsorted(x, x - shifts), np.searchsorted(x, x + shifts, side="right")
         for bounds, extreme in ((least, np.minimum), (largest, np.maximum)):
             between = PchipInterpolator(x, np.nan_to_num(bounds), axis=1)  # without overshoot
-            at_ends = [between(x - shifts), between(x + shifts)]
             inside = [extreme.reduce(bounds[:, low:high], axis=1) for low, high in zip(*ends, strict=True)]
-            bounds[:] = extreme.reduce(np.stack([np.transpose(inside), *at_ends]))
+            bounds[:] = extreme.reduce(np.stack([np.transpose(inside), between(x - shifts), between(x + shifts)]))
             bounds[:, (x - shifts < x[0]) | (x + shifts > x[-1])] = np.nan
         shape = getattr(self, curve).shape
         return least.reshape(shape), largest.reshape(shape)

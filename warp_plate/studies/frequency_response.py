@@ -37,7 +37,7 @@ RANK_TOLERANCE = 1e-12
 # Functions along each side of the second solution, relative to the first. An error is FACTOR times the change between
 # them (3.3 times it where they converge as the first power of the spacing, as where rigidity jumps), and besides these
 # parts of a frequency and of a value. A change is the largest of AROUND neighbouring frequencies: it may cross zero.
-COARSER, FACTOR, LEAST_SHIFT, LEAST_ERROR, AROUND = 1 / 1.3, 4.0, 1e-6, 5e-4, 9
+COARSER, FACTOR, LEAST_SHIFT, LEAST_ERROR, AROUND = 1 / 1.3, 4.0, 1e-6, 5e-4, 25
 Point = tuple[float, float]
 
 
