@@ -169,6 +169,8 @@ SQUARE = (line(0, 0, 9, 0), line(9, 9, 9, 0), line(9, 9, 0, 9), line(0, 9, 0, 0)
             "contour of circle 'b': is off",
         ),
         (svg("<path d='M0 0H9V9H0Z M9 9H20V20H9Z'/>"), ".svg", r"ends at \(9, 9\), where it meets shape 1, piece"),
+        (svg(" " * 2_000_000), ".svg", "at most 2000000 are read"),
+        (svg(f"<path d='M0 0{'L1 1' * 3000}Z'/>"), ".svg", "more than 2000 pieces"),
         (b"", ".dxf", "cannot be read as DXF"),
         (dxf(*SQUARE[:3]), ".dxf", "INSUNITS state no unit"),
         (b"AutoCAD Binary DXF\r\n\x1a\x00", ".dxf", "cannot be read as DXF"),

@@ -8,7 +8,7 @@ import logging
 import math
 import re
 from collections.abc import Iterator
-from itertools import pairwise
+from itertools import islice, pairwise
 from typing import Any
 from xml.etree import ElementTree
 
@@ -18,7 +18,8 @@ from warp_plate.outline.contours import LEAST_TURN, Curve, arcs_of_curve, chord,
 from warp_plate.outline.outline import bounds, make_outline
 from warp_plate.outline.pieces import Arc, Piece, Straight
 
-MOST_BYTES, MOST_PIECES = 10**7, 2000
+# SVG files are read at some 10 s for a megabyte, DXF files at some seconds.
+MOST_BYTES, MOST_PIECES = {".svg": 2 * 10**6, ".dxf": 10**7}, 2000
 # Metres in each unit; those of SVG sizes, pixels as CSS has them; those of $INSUNITS in DXF files.
 UNITS = {"m": 1.0, "mm": 1e-3, "inch": 0.0254}
 SVG_UNITS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "pt": 0.0254 / 72, "pc": 0.0254 / 6, "Q": 2.5e-4}
@@ -49,8 +50,8 @@ def read_drawing(
     Raises:
         ValueError: The file is broken or has no unit, or its contours are open, touch or cross.
     """
-    if len(data) > MOST_BYTES:
-        raise ValueError(f"{len(data)} bytes; at most {MOST_BYTES} are read")
+    if len(data) > MOST_BYTES[suffix]:
+        raise ValueError(f"{len(data)} bytes; at most {MOST_BYTES[suffix]} are read")
     reader = _read_svg if suffix == ".svg" else _read_dxf
     try:
         # DXF files before 2007 have code pages; letters beyond ASCII are in names and texts alone.
@@ -117,9 +118,11 @@ def _read_svg(text: str, unit: float | None, layer: str | None) -> tuple[float, 
         if chosen:
             name = f"{type(element).__name__.lower()} {element.id!r}" if element.id else f"shape {number}"
             try:
-                drawn += _svg_pieces(svg, element, element.transform * undo, name)
+                drawn += islice(_svg_pieces(svg, element, element.transform * undo, name), MOST_PIECES + 1)
             except (*BROKEN, ValueError) as error:
                 raise ValueError(f"{name}: cannot be read: {error}") from None
+            if len(drawn) > MOST_PIECES:
+                break  # refused with the arcs of curves
     return scale, drawn
 
 
@@ -227,12 +230,14 @@ def _read_dxf(text: str, unit: float | None, layer: str | None) -> tuple[float, 
         if kind in SILENT or layer not in (None, entity.dxf.get("layer", "0")):
             continue
         try:
-            parts = list(_dxf_pieces(entity, kind, name))
+            parts = list(islice(_dxf_pieces(entity, kind, name), MOST_PIECES + 1))
         except (*BROKEN, ValueError, ezdxf.DXFError) as error:
             raise ValueError(f"{name}: cannot be read: {error}") from None
         if not parts:
             raise ValueError(f"{name}: is not read; explode it into lines, arcs, polylines or splines, or name a layer")
         drawn += parts
+        if len(drawn) > MOST_PIECES:
+            break  # refused with the arcs of curves
     return scale, drawn
 
 
