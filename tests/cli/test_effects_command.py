@@ -38,6 +38,7 @@ def test_costs_and_table(write_scene, capsys):
     assert math.isfinite(without.price)
     assert math.isfinite(softer.price)
     assert influence.bare_step > 0
+    assert influence.warnings == tuple(warning_texts(panel, influence.peak)) != ()
     print_influence(influence, output.console())
     text = " ".join(capsys.readouterr().out.split())
     for part in ("price of a step", "damping on", "without damping: left out", f"× {softer.steps:.3g}"):

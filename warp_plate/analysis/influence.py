@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warp_plate.analysis.warnings import Finding, find_warnings, with_one_frequency
 from warp_plate.effects.edges import Edges, ElasticEdge
 from warp_plate.effects.effect import Setting
 from warp_plate.effects.table import Effects, effect_type
@@ -52,6 +53,12 @@ class Influence:
     # Time of a step of a plate without effects, with clamped or supported edges [s]; None if the scene needs modes
     bare_step: float | None
     toggles: tuple[EffectToggle, ...]  # one for each effect
+    findings: tuple[Finding, ...]  # numbers of the scene with their thresholds
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Lines that the command prints after "!"."""
+        return tuple(finding.sentence for finding in self.findings if finding.exceeded)
 
 
 def measure_effects(
@@ -109,7 +116,7 @@ def measure_effects(
             steps = (stepped[""].specialized.scheme.steps / stepped[name].specialized.scheme.steps) ** sign
         factor, peak = results.get(name, (None, None))
         toggles.append(EffectToggle(name, on, price, deviation, steps, factor, peak, text))
-    return Influence(*results[""], bare_step, tuple(toggles))
+    return Influence(*results[""], bare_step, tuple(toggles), tuple(find_warnings(resolved.scene, results[""][1])))
 
 
 def _alternative(resolved: Resolved, name: str) -> tuple[PlateSolver | ModalSolver | None, str]:
@@ -201,12 +208,6 @@ def setting_of(scene: Scene) -> Setting:
     areas = tuple(actuator.area for actuator in scene.actuators)
     spot = scene.target.area or _middle_of_target(scene)
     return Setting(scene.plate, scene.drive_angular_frequency, scene.window.end, areas, spot)
-
-
-def with_one_frequency(scene: Scene) -> Scene:
-    """Return the scene with all actuators at the drive's frequency."""
-    actuators = tuple(actuator.model_copy(update={"frequency": None}) for actuator in scene.actuators)
-    return scene.model_copy(update={"actuators": actuators})
 
 
 def _clamped(scene: Scene) -> Scene:

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from warp_plate.accuracy.configurations import percent
-from warp_plate.analysis.influence import with_one_frequency
 from warp_plate.effects.effect import Edge, losses
 from warp_plate.effects.layers import film
 from warp_plate.modal.continuous_modes import linear_part
@@ -146,6 +145,12 @@ def accuracy_warnings(scene: Scene, accuracy: Mapping[str, Any], modes_option: s
         means.append(f"a soft start, drive.ramp = {min(ramp, scene.window.start or ramp):.1g} s")
     advice = f": write {' or '.join(means)}" if means else ""
     return [f"The localization factor has an error of up to {percent(error)}, not {percent(asked)}{advice}."]
+
+
+def with_one_frequency(scene: Scene) -> Scene:
+    """Return the scene with all actuators at the drive's frequency."""
+    actuators = tuple(actuator.model_copy(update={"frequency": None}) for actuator in scene.actuators)
+    return scene.model_copy(update={"actuators": actuators})
 
 
 def wavelengths(scene: Scene) -> tuple[float, float]:

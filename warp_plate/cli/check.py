@@ -65,7 +65,6 @@ def effects(
         Effects to switch, such as damping edges (default: all).
     """
     from warp_plate.analysis.influence import measure_effects
-    from warp_plate.analysis.warnings import find_warnings
     from warp_plate.resolve import resolve
 
     loaded, scene = changes.load(scene)
@@ -73,21 +72,20 @@ def effects(
         loaded = resolve(loaded, device, purpose="replay").scene
         with output.progress_bar("switching effects", shown=not json) as progress:
             influence = measure_effects(loaded, device, progress, names)
-    findings = find_warnings(loaded, influence.peak)
     record = {
         "scene": scene,
         "localization_factor": influence.localization_factor,
         "peak_displacement": influence.peak,
         "bare_step_seconds": influence.bare_step,
         "effects": list(map(vars, influence.toggles)),
-        "numbers": list(map(vars, findings)),
-        "warnings": [finding.sentence for finding in findings if finding.exceeded],
+        "numbers": list(map(vars, influence.findings)),
+        "warnings": influence.warnings,
     }
 
     def show(console: Console) -> None:
         console.print(f"{loaded.title or scene}\n")
         print_influence(influence, console)
-        _print_findings(findings, console)
+        _print_findings(influence.findings, console)
 
     output.report(json, lambda: record, show)
 
