@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from support.commands import output_of, until
+from support.commands import ENDS_WITH_PARENT, output_of, until
 from support.commands import start_program as start
 from support.scenes import scene_of
 from warp_plate import PlateSolver, __version__, load_checkpoint, load_result
@@ -47,6 +47,19 @@ def test_programs_of_tests_that_run_in_the_background_can_be_interrupted():
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     process = start("-c", "import signal; print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)")
     assert end(process)[:3] == (0, "True\n", "")
+
+
+@pytest.mark.skipif(not ENDS_WITH_PARENT, reason="setpriv of util-linux is not installed")
+def test_programs_of_tests_that_are_killed_end():
+    """Also those that nobody waits for: the tests' own process is killed, and cannot end them itself."""
+    code = "import time; print('started', flush=True); time.sleep(600)"
+    start_one = f"from support.commands import start_program as start; print(start('-c', {code!r}, stdout=None).pid, "
+    folders = os.pathsep.join([str(Path(__file__).parents[1]), os.environ["PYTHONPATH"]])
+    tests = start("-c", start_one + "flush=True); input()", stdin=-1, env={**os.environ, "PYTHONPATH": folders})
+    lines = {tests.stdout.readline().strip(), tests.stdout.readline().strip()}
+    assert "started" in lines
+    tests.kill()
+    assert tests.communicate(timeout=60)[0] == ""  # its end is closed by the last process that could write
 
 
 @pytest.mark.parametrize("number", ["SIGTERM", pytest.param("SIGINT", marks=pytest.mark.slow)])

@@ -1,6 +1,7 @@
 """Commands: what they write, and programs of their own."""
 
 import atexit
+import shutil
 import signal
 import subprocess
 import sys
@@ -8,6 +9,9 @@ import time
 import unicodedata
 
 from warp_plate.interrupts import TERMINAL_SIGNALS
+
+# Words of util-linux before a command, which becomes the process itself: Linux kills it when its parent ends.
+ENDS_WITH_PARENT = [setpriv, "--pdeathsig", "KILL"] if (setpriv := shutil.which("setpriv")) else []
 
 
 def output_of(answer):
@@ -30,12 +34,13 @@ def error_of(answer):
 def start_program(*arguments, **options):
     """Start Python with arguments such as ``-m warp_plate``; its standard output and error are pipes.
 
-    It ends with the tests at the latest, and Ctrl-C ends it even where they ignore it, as in the background.
+    It ends with the tests at the latest, on Linux even if they are killed, and Ctrl-C ends it even where they ignore
+    it, as in the background.
     """
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     before = {number: signal.signal(number, signal.default_int_handler) for number in TERMINAL_SIGNALS}
     try:
-        process = subprocess.Popen([sys.executable, *map(str, arguments)], **{**pipes, **options})
+        process = subprocess.Popen([*ENDS_WITH_PARENT, sys.executable, *map(str, arguments)], **{**pipes, **options})
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
