@@ -12,7 +12,6 @@ import numpy as np
 from warp_plate.result.case import target_cases
 from warp_plate.result.motion import Motion
 from warp_plate.scene.errors import printable
-from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
 from warp_plate.viz.fields import TALLEST, DrawingScale, colour_map
 
@@ -102,12 +101,6 @@ def size_text(size: Sequence[float]) -> str:
 def point_text(point: Sequence[float], size: Sequence[float]) -> str:
     """Return a point (x, y) [m] of a plate of this size, without its unit."""
     return ", ".join(f"{at * length_unit(size)[1]:.5g}" for at in point)
-
-
-def rectangle(area: Area) -> Path:
-    """Return the closed outline of an area."""
-    x0, x1, y0, y1 = area
-    return [(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)]
 
 
 def legend_entries(scene: Scene) -> list[tuple[str, str]]:
@@ -217,7 +210,7 @@ def name_actuators(
     return their places, at rest, and the (actuators,) indices of the nodes (ny, nx) whose heights they follow."""
     import pyvista
 
-    front = np.array([(actuator.area[0], actuator.area[2]) for actuator in scene.actuators]).reshape(-1, 2)
+    front = np.array([(actuator.box[0], actuator.box[2]) for actuator in scene.actuators]).reshape(-1, 2)
     columns, rows = np.rint(front / scene.plate.size * (np.array(nodes[::-1]) - 1)).astype(int).T
     places = pyvista.PolyData(np.column_stack([front, np.zeros(len(front))]))
     plotter.add_point_labels(

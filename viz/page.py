@@ -111,7 +111,7 @@ def page_data(
 
 def _names(scene: Scene) -> list[list[Any]]:
     """Return the name of each actuator and the corner of its patch nearest to the viewer [m]."""
-    return [[shortened(actuator.name), actuator.area[0], actuator.area[2]] for actuator in scene.actuators]
+    return [[shortened(actuator.name), actuator.box[0], actuator.box[2]] for actuator in scene.actuators]
 
 
 def _legend(scale: DrawingScale) -> dict[str, Any]:

@@ -144,7 +144,7 @@ def paper_with(lines):
 @pytest.mark.parametrize(
     ("lines", "named", "right"),
     [
-        ("[target]", "target.area: no shape is given", "area, disc, polygon and mask"),
+        ("[target]", "target.area: no shape is given", "area, disc, ellipse, rectangle, polygon and mask"),
         ("[target]\narea = [0.0, 0.1, 0.0, 0.1]\ndisc = [0.1, 0.1, 0.05]", "target.disc: area is given too", "one of"),
         ("[target]\ndisc = [0.1, 0.1, 0.11]", "target.disc: [0.1, 0.1, 0.11]", "radius in 0 ... 0.2"),
         ("[target]\ndisc = [0.1, 0.1, 1e-9]", "target.disc: a radius of 1e-09 m", "at least 1e-07"),

@@ -17,8 +17,8 @@ from warp_plate.result.case import relative_to_own, target_cases
 from warp_plate.result.model import crosstalk
 from warp_plate.result.motion import Motion
 from warp_plate.scene.errors import printable
-from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
+from warp_plate.scene.target import PlateRegion
 from warp_plate.viz.annotations import (
     EDGE_STYLES,
     INK,
@@ -26,7 +26,6 @@ from warp_plate.viz.annotations import (
     edges_by_kind,
     frame_caption,
     length_unit,
-    rectangle,
     shortened,
 )
 from warp_plate.viz.fields import DrawingScale, PictureStyle, colour_map, motion_scales
@@ -80,13 +79,10 @@ def draw_layout(scene: Scene, path: Path) -> None:
     width, height = drawn_size(scene, LENGTH)
     with figure(path, (max(width, 2.6) + 0.7, height + 0.9), font_size=8, dpi=110) as fig:
         axes, handles = fig.subplots(), _outline_handles(scene)
-        layers = [
-            axes.fill(*zip(*rectangle(layer.area), strict=True), color=LAYER, alpha=0.3, label="layer")[0]
-            for layer in scene.layers
-        ]
+        layers = [axes.fill(*layer.flattened().T, color=LAYER, alpha=0.3, label="layer")[0] for layer in scene.layers]
         handles += layers[:1]
         for attachment in attachments(scene.terms):
-            draw_outline(axes, attachment.area, OSCILLATOR)
+            draw_outline(axes, attachment.region, OSCILLATOR)
         if attachments(scene.terms):
             handles.append(line_handle("oscillator", color=OSCILLATOR, linewidth=0.9))
         draw_parts(axes, scene)
@@ -135,11 +131,10 @@ def draw_edges(axes: Axes, scene: Scene) -> None:
     axes.spines[:].set_visible(False)
 
 
-def draw_outline(axes: Axes, area: Area, colour: str, style: str = "-") -> None:
-    """Draw the outline of a rectangle."""
-    corners = zip(*rectangle(area), strict=True)
+def draw_outline(axes: Axes, region: PlateRegion, colour: str, style: str = "-") -> None:
+    """Draw the outline of a region."""
     look = {"linewidth": 0.9, "linestyle": style, "path_effects": light_rim(0.9)}
-    axes.plot(*corners, color=colour, clip_on=False, zorder=2, **look)
+    axes.plot(*region.closed_path().T, color=colour, clip_on=False, zorder=2, **look)
 
 
 def light_rim(width: float) -> list[Any]:
@@ -187,9 +182,9 @@ def draw_parts(axes: Axes, scene: Scene) -> None:
 def draw_actuators(axes: Axes, scene: Scene, length: float = LENGTH) -> None:
     """Draw the outlines of actuators, with their names if these fit on a plate of this longer side [inch]."""
     for actuator in scene.actuators:
-        draw_outline(axes, actuator.area, INK)
+        draw_outline(axes, actuator, INK)
     names = [shortened(actuator.name) for actuator in scene.actuators]
-    patches = np.array([actuator.area for actuator in scene.actuators]).reshape(-1, 2, 2)
+    patches = np.array([actuator.box for actuator in scene.actuators]).reshape(-1, 2, 2)
     letter = 0.6 * NAME_SIZE / 72 / length * max(scene.plate.size)
     middles = place_names(names, patches, np.array([(0.0, side) for side in scene.plate.size]), letter)
     centred = {"ha": "center", "va": "center", "zorder": 5}

@@ -14,13 +14,13 @@ from warp_plate.analysis.warnings import (
     target_warnings,
     warning_texts,
 )
-from warp_plate.plate.shapes import clipped, target_outlines
+from warp_plate.outline.outline import shared_areas
+from warp_plate.plate.shapes import target_outlines
 from warp_plate.problem.design_variables import has_design_tables
 from warp_plate.problem.methods import unread_keys
 from warp_plate.problem.objectives import keeps_limit
 from warp_plate.result.case import target_cases
 from warp_plate.result.model import Result
-from warp_plate.scene.target import area_within
 from warp_plate.scene.vary import counted
 
 # Part of a range within which a value is its end.
@@ -100,8 +100,7 @@ def drive_warnings(result: Result) -> list[str]:
             actuator.name
             for actuator in result.case_scene(result.cases[case]).actuators
             if (table.actuators is None or actuator.name in table.actuators)
-            and sum(abs(area_within(clipped(outline, actuator.area))) for outline in outlines)
-            > IN_TARGET * actuator.patch_area
+            and shared_areas([actuator.flattened()], outlines).sum() > IN_TARGET * actuator.patch_area
         ]
         if inside:
             lines.append(

@@ -14,7 +14,7 @@ from warp_plate.effects.effect import Edge, losses
 from warp_plate.effects.layers import film
 from warp_plate.modal.continuous_modes import linear_part
 from warp_plate.modal.modes import solve_modes
-from warp_plate.outline.outline import Outline
+from warp_plate.outline.outline import Outline, shared_areas
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.signals import carrier_frequencies, highest_frequency
 from warp_plate.plate.waveforms import read_samples
@@ -228,9 +228,8 @@ def _points(scene: Scene) -> Finding:
 
 def _added_mass(scene: Scene) -> Finding:
     plate, named, added = scene.plate, bool(scene.layers), 0.0
-    for layer in scene.layers or film(tuple(actuator.area for actuator in scene.actuators)):
-        x0, x1, y0, y1 = layer.area
-        added += (2 if layer.both else 1) * (x1 - x0) * (y1 - y0) * layer.thickness * layer.density
+    for layer in scene.layers or film(scene.actuators):
+        added += (2 if layer.both else 1) * layer.patch_area * layer.thickness * layer.density
     value = added / (plate.area * plate.thickness * plate.density)
     subject = "Layers add" if named else "The scene names no layers; a film of 110 µm on each actuator would add"
     fact = f"{subject} {percent(value)} to the plate's mass (threshold {percent(MOST_ADDED_MASS)})"
@@ -321,10 +320,9 @@ def _turns(scene: Scene) -> Finding:
 
 def _overlap(scene: Scene) -> Finding:
     """Return the finding about the largest share of a patch that another one covers."""
-    x0, x1, y0, y1 = np.array([actuator.area for actuator in scene.actuators]).T
-    sides = (np.minimum.outer(high, high) - np.maximum.outer(low, low) for low, high in ((x0, x1), (y0, y1)))
-    shared = np.prod([np.maximum(side, 0) for side in sides], axis=0)
-    shares = np.triu(shared / np.minimum.outer(areas := (x1 - x0) * (y1 - y0), areas), k=1)
+    patches = [actuator.flattened() for actuator in scene.actuators]
+    shared = shared_areas(patches, patches)
+    shares = np.triu(shared / np.minimum.outer(np.diag(shared), np.diag(shared)), k=1)
     value, fact = float(shares.max()), "No two actuators overlap"
     if value > ROUNDED:
         first, second = (scene.actuators[at].name for at in np.unravel_index(shares.argmax(), shares.shape))
@@ -335,7 +333,7 @@ def _overlap(scene: Scene) -> Finding:
 
 def _off_plate(scene: Scene, outline: Outline) -> Finding:
     """Return the finding about the largest part of a patch that is off the plate."""
-    parts = [1 - outline.share(actuator.area) for actuator in scene.actuators]
+    parts = [1 - outline.share(actuator.flattened()) for actuator in scene.actuators]
     value, name = max(parts), scene.actuators[int(np.argmax(parts))].name
     fact = (
         f'Of actuator "{name}" {percent(value)} reach over the outline' if value > ROUNDED else "None reaches over it"

@@ -17,7 +17,7 @@ import warp as wp
 from warp_plate._version import __version__
 from warp_plate.plate.designs import Designs
 from warp_plate.plate.files import named_files
-from warp_plate.plate.weights import NO_AREAS, REGIONS, Region, region_weights
+from warp_plate.plate.weights import NO_AREAS, REGIONS, RegionLike, region_weights
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.load import read_beside
 from warp_plate.scene.model import Scene
@@ -63,7 +63,9 @@ class SolverSpec:
     key: str = field(default_factory=lambda: uuid4().hex)  # identifies a solver that a worker has built
 
     @staticmethod
-    def of(scene: Scene, device: str, path: str, areas: Mapping[str, Region] = NO_AREAS, **options: Any) -> SolverSpec:
+    def of(
+        scene: Scene, device: str, path: str, areas: Mapping[str, RegionLike] = NO_AREAS, **options: Any
+    ) -> SolverSpec:
         """Return the spec of ``PlateSolver(scene, device, path, ...)``, with areas as weights."""
         weights = region_weights(scene, areas)[len(REGIONS) :]
         options["areas"] = dict(zip(areas, weights, strict=True))

@@ -18,6 +18,7 @@ from typing import Any, ClassVar, Literal, Protocol, Self, TypeAlias
 import numpy as np
 
 from warp_plate.scene.fields import Area, Table
+from warp_plate.scene.target import PlateRegion
 
 Role = Literal["mass", "stiffness", "damping", "hysteretic"]
 Derivative = Literal["", "x", "y", "xx", "yy", "xy", "n"]
@@ -38,10 +39,10 @@ class Edge:
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """A rectangle whose mean displacement a term acts on, relative to an attached mass, or to the ground where mass is
+    """A region whose mean displacement a term acts on, relative to an attached mass, or to the ground where mass is
     zero."""
 
-    area: Area  # Rectangle x0, x1, y0, y1 [m]
+    region: PlateRegion  # Where
     mass: float = 0.0  # Attached mass, which has a displacement of its own [kg]
 
 
@@ -95,7 +96,7 @@ class Setting:
     plate: Panel  # The table ``[plate]``
     angular_frequency: float  # Angular frequency of the drive [rad/s]
     end: float  # End of the run [s]
-    patches: tuple[Area, ...]  # Rectangles of the actuators [m]
+    patches: tuple[PlateRegion, ...]  # Where actuators are
     spot: Area  # Rectangle in the target [m]
 
 
@@ -183,7 +184,7 @@ def losses(terms: Iterable[Term]) -> Losses:
 class Attachment:
     """A mass on a patch with its spring and damper; see :class:`Patch`."""
 
-    area: Area
+    region: PlateRegion
     mass: float
     stiffness: float
     damping: float
@@ -199,7 +200,7 @@ def attachments(terms: Iterable[Term]) -> list[Attachment]:
             values = patches.setdefault(term.place, {"stiffness": 0.0, "damping": 0.0})
             values[term.role] += term.coefficient
             labels[term.place] = term.label
-    return [Attachment(patch.area, patch.mass, **values, label=labels[patch]) for patch, values in patches.items()]
+    return [Attachment(patch.region, patch.mass, **values, label=labels[patch]) for patch, values in patches.items()]
 
 
 def per_mode(values: float | tuple[float, ...], count: int) -> np.ndarray:

@@ -8,14 +8,13 @@ from typing import Annotated, Any, Self
 from pydantic import Field, model_validator
 
 from warp_plate.effects.effect import Effect, Panel, Patch, Setting, Term
-from warp_plate.scene.fields import Area, NotNegative, Unit
+from warp_plate.scene.fields import NotNegative, Unit
+from warp_plate.scene.target import PlateRegion
 
 
-class Oscillator(Effect):
+class Oscillator(Effect, PlateRegion):
     """A mass on a patch of the plate, held by a spring and a damper: a fingertip, a foam pad."""
 
-    area: Annotated[Area, Unit("m"), Field(examples=[[0.1, 0.115, 0.05, 0.065]])]
-    """Rectangle x0, x1, y0, y1 of the patch."""
     mass: Annotated[NotNegative, Unit("kg"), Field(examples=[5e-3])] = 0.0
     """Mass; without mass the spring and damper are fixed to the ground."""
     stiffness: Annotated[NotNegative, Unit("N/m"), Field(examples=[2000.0])] = 0.0
@@ -30,7 +29,7 @@ class Oscillator(Effect):
         return self
 
     def terms(self, plate: Panel) -> Iterator[Term]:
-        patch = Patch(self.area, self.mass)
+        patch = Patch(self.region, self.mass)
         yield Term("stiffness", self.stiffness, place=patch, label="oscillator")
         yield Term("damping", self.damping, place=patch, label="oscillator")
 

@@ -20,7 +20,8 @@ from warp_plate.effects.shear_layer import ShearLayer
 from warp_plate.effects.stretching import Stretching
 from warp_plate.effects.tension import Tension
 from warp_plate.effects.variation import LEAST_FACTOR, MOST_FACTOR, Variation
-from warp_plate.scene.fields import Area, Table
+from warp_plate.scene.fields import Table
+from warp_plate.scene.target import PlateRegion
 
 # Table of the maps of factors.
 FACTOR_MAPS = "effects.variation"
@@ -139,9 +140,9 @@ class Effects(Table):
         return {f"{FACTOR_MAPS}.{key}": value for key, value in named if isinstance(value, str)}
 
     @property
-    def areas(self) -> dict[str, Area]:
-        """Rectangles of layers and attachments [m], by key."""
-        return {f"{key}.area": row.area for key, row in self.rows if isinstance(row, Layer | Oscillator)}
+    def regions(self) -> dict[str, PlateRegion]:
+        """Layers and attachments, by key."""
+        return {key: row for key, row in self.rows if isinstance(row, Layer | Oscillator)}
 
     @property
     def section_keys(self) -> list[str]:

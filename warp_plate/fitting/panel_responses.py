@@ -147,7 +147,7 @@ class _Loads:
 
     def __init__(self, galerkin: Galerkin, omega: np.ndarray) -> None:
         rows, scene = galerkin.scene.measurement, galerkin.scene
-        areas = {actuator.name: actuator.area for actuator in scene.actuators}
+        patches = {actuator.name: actuator for actuator in scene.actuators}
         driven = [(row.actuator, row.force_at) for row in rows]
         kinds = list(dict.fromkeys(driven))
         forces = []
@@ -155,9 +155,8 @@ class _Loads:
             if point is not None:
                 forces.append(galerkin.space.at_points([point])[0])
             else:
-                x0, x1, y0, y1 = areas[str(name)]
-                integrals = galerkin.space.patch_integrals(np.array([areas[str(name)]]))[0]
-                forces.append(integrals / ((x1 - x0) * (y1 - y0)))
+                patch = patches[str(name)]
+                forces.append(galerkin.space.region_integrals([patch])[0] / patch.patch_area)
         masses = len(galerkin.masses)
         self.forces = np.pad(np.array(forces).T, ((0, masses), (0, 0)))
         self.sensors = np.pad(galerkin.space.at_points([row.point for row in rows]).T, ((0, masses), (0, 0)))

@@ -14,6 +14,7 @@ energies (A. W. Leissa, J. Sound Vib. 31, 1973, pp. 257-293).
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -29,11 +30,13 @@ from warp_plate.plate.bending import join_masses
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
-from warp_plate.scene.target import Target
+from warp_plate.scene.target import PlateRegion, Target
 
 # Largest stiffness of an attached spring, relative to the largest entry of the plate's own stiffness, which rounding
 # would hide beside a stiffer one. A spring of a thousandth of this already acts as a rigid one.
 STIFFEST = 1e10
+# Step of the difference quotients by the places of actuators that are no rectangles, as a part of the longer side.
+DIFFERENCE = 1e-5
 
 
 @dataclass(frozen=True)
@@ -119,6 +122,8 @@ def _forms(scene: Scene, space: FunctionSpace, role: Role) -> np.ndarray:
 def load_integrals(galerkin: Galerkin, areas: np.ndarray) -> np.ndarray:
     """Return (rectangles, unknowns of the plate) loads of unit drives of the scene's actuators in rectangles
     (..., actuators, 4) x0, x1, y0, y1 [m]."""
+    if not rectangular(galerkin.scene):
+        return galerkin.space.region_integrals(_placed(galerkin.scene, areas))
     if not galerkin.scene.piezo:
         return galerkin.space.patch_integrals(areas)
     rectangles = np.asarray(areas, dtype=float).reshape(-1, 4)
@@ -126,10 +131,36 @@ def load_integrals(galerkin: Galerkin, areas: np.ndarray) -> np.ndarray:
     return -moments[:, None] * galerkin.space.curvature_integrals(rectangles)
 
 
+def load_slopes(galerkin: Galerkin, areas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return derivatives (rectangles, unknowns of the plate) of :func:`load_integrals` by x and by y of the places."""
+    if rectangular(galerkin.scene):
+        return galerkin.space.patch_slopes(areas)
+    step, slopes = DIFFERENCE * max(galerkin.scene.plate.size), []
+    for shift in np.array([(1, 1, 0, 0), (0, 0, 1, 1)]) * step:
+        ahead, behind = (load_integrals(galerkin, areas + sign * shift) for sign in (1, -1))
+        slopes.append((ahead - behind) / (2 * step))
+    return slopes[0], slopes[1]
+
+
+def rectangular(scene: Scene) -> bool:
+    """Return whether all actuators are rectangles with sides along x and y."""
+    return all(actuator.area is not None for actuator in scene.actuators)
+
+
+def _placed(scene: Scene, areas: np.ndarray) -> list[PlateRegion]:
+    """Return the actuators' regions with their bounding boxes in places (..., actuators, 4) [m]."""
+    boxes = np.asarray(areas, dtype=float).reshape(-1, 4).tolist()
+    patches = itertools.cycle(scene.actuators)
+    return [
+        PlateRegion.model_construct(**{**dict(patch.region), **patch.placed((x0 + x1) / 2, (y0 + y1) / 2)})
+        for patch, (x0, x1, y0, y1) in zip(patches, boxes, strict=False)
+    ]
+
+
 def _patch_means(space: FunctionSpace, attached: Sequence[Attachment]) -> np.ndarray:
     """Return (attachments, unknowns of the plate) mean values of the functions over the patches."""
-    rectangles = np.array([attachment.area for attachment in attached], dtype=float).reshape(-1, 4)
-    return space.patch_integrals(rectangles) / space.areas_within(rectangles)[:, None]
+    regions = [attachment.region for attachment in attached]
+    return space.region_integrals(regions) / space.region_areas(regions)[:, None]
 
 
 def _with_links(space: FunctionSpace, attached: Sequence[Attachment], values: np.ndarray, key: str) -> Matrix:

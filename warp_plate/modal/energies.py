@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 import warp as wp
 
+from warp_plate.modal.assemble import rectangular
 from warp_plate.modal.device_tones import DeviceToneMatrices
 from warp_plate.modal.gram import Means, ToneMatrices, gram_matrices
 from warp_plate.modal.modes import ModalPlate
@@ -47,6 +48,7 @@ class ModalEnergies:
         window = None if plate.scene.steady else plate.scene.window
         self._means = Means(plate, regions, window, quantity == "velocity")
         on_device = device is not None and device.is_cuda and plate.proportional and plate.scene.outline is None
+        on_device = on_device and rectangular(plate.scene)
         self._device = device if on_device else None
         self._tones = plate.scene.drive.waveform_key is None
 

@@ -242,7 +242,7 @@ def trial_forces(plate: ModalPlate) -> np.ndarray:
     scene = plate.scene
     if scene.piezo:
         return plate.actuator_forces()
-    areas = np.array([actuator.area for actuator in scene.actuators])
+    areas = np.array([actuator.box for actuator in scene.actuators])
     half = np.stack([areas[:, 1] - areas[:, 0], areas[:, 3] - areas[:, 2]], axis=1) / 2
     spaces = actuator_spaces(scene, per_plate_of(scene))
     low, high = spaces[:, [0, 2]] + half, spaces[:, [1, 3]] - half

@@ -28,7 +28,7 @@ from warp_plate.plate.signals import highest_frequency
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene, SceneSource
-from warp_plate.scene.target import Target
+from warp_plate.scene.target import PlateRegion, Target
 
 # Intervals between knots along the longer side: at least so many, and so many for each half-wave at the highest
 # frequency; along the shorter side fewer, but of less size.
@@ -147,9 +147,13 @@ class ModalPlate:
         """Return (modes, areas) ∫ φ dA [m²/√kg] over rectangles x0, x1, y0, y1 [m], the modal forces of 1 N/m²."""
         return np.asarray(self._plate_vectors.T @ self.space.patch_integrals(np.asarray(areas, dtype=float)).T)
 
+    def region_forces(self, regions: Sequence[PlateRegion]) -> np.ndarray:
+        """Return (modes, regions) the same over the parts of regions on the plate."""
+        return np.asarray(self._plate_vectors.T @ self.space.region_integrals(regions).T)
+
     def actuator_forces(self) -> np.ndarray:
         """Return (modes, actuators) modal forces of 1 N/m², or of 1 V on piezo patches, for the scene's actuators."""
-        return self.drive_forces([actuator.area for actuator in self.scene.actuators])
+        return self.drive_forces([actuator.box for actuator in self.scene.actuators])
 
     def drive_forces(self, areas: Sequence[Area] | np.ndarray) -> np.ndarray:
         """Return (modes, areas) the same of the actuators in places (..., actuators, 4) x0, x1, y0, y1 [m]."""

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.modal.assemble import load_integrals
+from warp_plate.modal.assemble import load_integrals, load_slopes
 from warp_plate.modal.gram import Means, lasting_poles, mean_exponential, mean_exponential_with_time
 from warp_plate.modal.loads import ExponentialLoads, exponential_loads
 from warp_plate.modal.modes import ModalPlate
@@ -75,7 +75,7 @@ def energy_slopes(
 
 def _patch_forces(plate: ModalPlate, areas: np.ndarray) -> np.ndarray:
     """Return (3, designs, modes, M) modal forces over areas (designs, M, 4) and their slopes by x and y."""
-    integrals = np.stack([load_integrals(plate.galerkin, areas), *plate.space.patch_slopes(areas)])
+    integrals = np.stack([load_integrals(plate.galerkin, areas), *load_slopes(plate.galerkin, areas)])
     forces = integrals @ plate.vectors[: integrals.shape[2]]
     return np.asarray(forces.reshape(3, *areas.shape[:2], -1).swapaxes(2, 3))
 

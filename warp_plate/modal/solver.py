@@ -31,7 +31,7 @@ from warp_plate.plate.scheme import check_grid, sampling_step
 from warp_plate.plate.section import make_section
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies, highest_frequency
 from warp_plate.plate.stability_limit import find_limit
-from warp_plate.plate.weights import NO_AREAS, REGIONS, Region, node_positions, region_weights, weigh_region
+from warp_plate.plate.weights import NO_AREAS, REGIONS, RegionLike, node_positions, region_weights, weigh_region
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.target import Target
@@ -53,7 +53,7 @@ def trace_step(scene: Scene, moment_form: bool = False) -> float:
     return sampling_step(scene, limit)
 
 
-def _has_curve(region: Region) -> bool:
+def _has_curve(region: RegionLike) -> bool:
     return isinstance(region, tuple) or (isinstance(region, Target) and region.mask is None)
 
 
@@ -125,7 +125,7 @@ class ModalSolver:
         self,
         scene: Scene | ModalGrid,
         device: str = "auto",
-        areas: Mapping[str, Region] = NO_AREAS,
+        areas: Mapping[str, RegionLike] = NO_AREAS,
         per_plate: PerPlate = NO_PER_PLATE,
         quantity: Quantity = "velocity",
         plate: ModalPlate | None = None,
@@ -226,7 +226,7 @@ class ModalSolver:
         frequency = actuator_frequencies(self.scene) if values.frequency is None else values.frequency
         delay = actuator_delays(self.scene) if values.delay is None else values.delay
         areas = (
-            np.array([[actuator.area for actuator in self.scene.actuators]]) if values.edges is None else values.edges
+            np.array([[actuator.box for actuator in self.scene.actuators]]) if values.edges is None else values.edges
         )
         shape = designs.drives.shape
         return np.broadcast_to(frequency, shape), areas, np.broadcast_to(delay, shape)

@@ -91,14 +91,10 @@ class Outline:
         """Return a closed polyline (n, 2) [m] for each loop, the outer edge first, with arcs in steps of ``turn``."""
         return [np.concatenate([piece.polyline(turn) for piece in loop]) for loop in self.loops]
 
-    def share(self, area: tuple[float, float, float, float]) -> float:
-        """Return the part of a rectangle x0, x1, y0, y1 [m] that is on the plate."""
-        import shapely
-
-        x0, x1, y0, y1 = area
-        shell, *holes = self.polygons()
-        box = shapely.box(x0, y0, x1, y1)
-        return float(shapely.area(shapely.intersection(box, shapely.Polygon(shell, holes))) / box.area)
+    def share(self, corners: np.ndarray) -> float:
+        """Return the part of a polygon (corners, 2) [m] that is on the plate."""
+        shared = shared_areas([corners], [self.polygons()[0]]) - shared_areas([corners], self.polygons()[1:]).sum()
+        return float(shared[0, 0] / shared_areas([corners], [corners])[0, 0])
 
     def corners(self) -> Iterator[tuple[Piece, Piece, float]]:
         """Yield the pieces before and after each corner or change of condition, and the angle of the plate between
@@ -111,6 +107,14 @@ class Outline:
                 turn = float(np.arctan2(x0 * y1 - y0 * x1, x0 * x1 + y0 * y1))
                 if abs(turn) > SNAP or before.condition != after.condition:
                     yield before, after, np.pi - turn
+
+
+def shared_areas(first: Sequence[np.ndarray], second: Sequence[np.ndarray]) -> np.ndarray:
+    """Return (first, second) areas [m²] that polygons (corners, 2) share with others."""
+    import shapely
+
+    one, two = (np.array([shapely.Polygon(corners) for corners in polygons]) for polygons in (first, second))
+    return np.asarray(shapely.area(shapely.intersection(one[:, None], two)))
 
 
 def make_outline(loops: Mapping[str, Sequence[Piece]], parts: Mapping[str, Any] | None = None) -> Outline:

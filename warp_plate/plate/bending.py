@@ -23,7 +23,7 @@ import scipy
 from warp_plate.effects.effect import DISPLACEMENT, IN_PLANE, SLOPE, Attachment, Edge, Patch, Term, attachments
 from warp_plate.plate.outline_grid import OutlineGrid, outline_grid
 from warp_plate.plate.section import Section, make_section
-from warp_plate.plate.weights import EDGE_LINES, moving_nodes, node_positions, on_plate, overlap
+from warp_plate.plate.weights import EDGE_LINES, covered_cells, moving_nodes, on_plate
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
@@ -311,11 +311,8 @@ def buckling_factor(bending: Bending) -> float:
 
 def _patch_shares(scene: Scene, attached: Sequence[Attachment]) -> np.ndarray:
     """Return (attachments, ny, nx) shares of the nodes in the mean displacement of each patch."""
-    x, y = node_positions(scene)
-    areas = (attachment.area for attachment in attached)
-    shares = np.array([np.outer(overlap(y, y0, y1), overlap(x, x0, x1)) for x0, x1, y0, y1 in areas])
-    shares = on_plate(scene, shares.reshape(-1, y.size, x.size))
-    return np.array([share / share.sum() for share in shares]).reshape(-1, y.size, x.size)
+    shares = (on_plate(scene, covered_cells(scene, attachment.region)) for attachment in attached)
+    return np.array([share / share.sum() for share in shares]).reshape(-1, *scene.grid.nodes[::-1])
 
 
 def mass_matrix(bending: Bending) -> np.ndarray:

@@ -60,7 +60,7 @@ def per_plate_of(scene: Scene) -> PerPlate:
     if position is not None:
         area = position.area or (0.0, scene.plate.size[0], 0.0, scene.plate.size[1])
         moved = [actuator.name in (position.actuators or [actuator.name]) for actuator in scene.actuators]
-        areas = tuple(area if moves else actuator.area for moves, actuator in zip(moved, scene.actuators, strict=True))
+        areas = tuple(area if moves else actuator.box for moves, actuator in zip(moved, scene.actuators, strict=True))
     searched = [table for table in (search.frequency, search.delay) if table is not None]
     return PerPlate(
         frequency=search.frequency is not None,
@@ -71,12 +71,17 @@ def per_plate_of(scene: Scene) -> PerPlate:
     )
 
 
-def carriers_of(scene: Scene, per_plate: PerPlate) -> int:
+def carriers_of(scene: Scene, per_plate: PerPlate, by_modes: bool = True) -> int:
     """Return the number of separate carriers of each plate, 0, 1 or one an actuator; SceneError: the scene has no
     carrier or burst that could differ, or a load that cannot be moved."""
     if per_plate.centre and scene.grid.load == "nodes":
         raise SceneError(
             'grid.load = "nodes": actuators would jump from node to node; to move them write "overlap" or "moments"'
+        )
+    if per_plate.centre and not by_modes and (moved := [row for row in scene.actuators if row.area is None]):
+        raise SceneError(
+            f"search.position: in time steps only actuators with area move, and {moved[0].name!r} has "
+            f"{moved[0].description}; leave out grid.nodes, or search by modes (--evaluator modal)"
         )
     if per_plate.centre and scene.piezo:
         raise SceneError('actuators: piezo patches (kind = "piezo") cannot be moved from plate to plate')
@@ -150,7 +155,7 @@ def actuator_spaces(scene: Scene, per_plate: PerPlate) -> np.ndarray:
 
 def _edges(scene: Scene, per_plate: PerPlate, centre: np.ndarray) -> np.ndarray:
     """Return (plates, actuators, 4) rectangles of actuators around other centres."""
-    areas = np.array([actuator.area for actuator in scene.actuators])
+    areas = np.array([actuator.box for actuator in scene.actuators])
     half = np.stack([areas[:, 1] - areas[:, 0], areas[:, 3] - areas[:, 2]], axis=1) / 2
     low, high = centre - half, centre + half
     spaces, slack = actuator_spaces(scene, per_plate), SLACK * np.array(scene.plate.size)
@@ -230,9 +235,8 @@ def scene_with(
         for actuator, value in zip(actuators, values.tolist(), strict=True):
             actuator[name] = None if shared else value
     if centre is not None:
-        for actuator, (x, y) in zip(actuators, centre.tolist(), strict=True):
-            x0, x1, y0, y1 = actuator["area"]
-            actuator["area"] = (*_span_around(x, x0, x1), *_span_around(y, y0, y1))
+        for actuator, patch, (x, y) in zip(actuators, scene.actuators, centre.tolist(), strict=True):
+            actuator |= patch.placed(x, y)
     return scene.with_tables(drive=drive, actuators=actuators)
 
 
@@ -246,12 +250,5 @@ def scene_phasors(scene: Scene) -> np.ndarray:
 
 def actuator_centres(scene: Scene) -> np.ndarray:
     """Return (actuators, 2) x, y of the actuators' centres [m]."""
-    areas = np.array([actuator.area for actuator in scene.actuators])
+    areas = np.array([actuator.box for actuator in scene.actuators])
     return np.stack([(areas[:, 0] + areas[:, 1]) / 2, (areas[:, 2] + areas[:, 3]) / 2], axis=1)
-
-
-def _span_around(middle: float, low: float, high: float) -> tuple[float, float]:
-    """Return low and high moved to another middle; unchanged to the last bit if the middle is the same."""
-    if middle == (low + high) / 2:
-        return low, high
-    return middle - (high - low) / 2, middle + (high - low) / 2

@@ -20,17 +20,20 @@ plane, gives N = ½∫ u_x² + κu_y² dA / ∫ dA/C: what counts is the harmoni
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from warp_plate.effects.effect import DISPLACEMENT
+from warp_plate.effects.layers import Layer
 from warp_plate.effects.table import FACTOR_MAPS, FACTOR_RANGE
 from warp_plate.plate.files import read_table
-from warp_plate.plate.weights import node_positions
+from warp_plate.plate.weights import covered_cells, node_positions
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
+from warp_plate.scene.target import PlateRegion
 
 # Keys of ``[plate]`` that maps of factors multiply.
 VARIED = ("thickness", "young_modulus", "density")
@@ -69,20 +72,68 @@ class _Parts(NamedTuple):
 def make_section(scene: Scene) -> Section:
     """Return the section of a scene's plate at the nodes of its grid."""
     plate, (nx, ny), layers = scene.plate, scene.grid.nodes, scene.layers
-    along_x = _parts(plate.size[0], nx, [place for layer in layers for place in layer.area[:2]])
-    along_y = _parts(plate.size[1], ny, [place for layer in layers for place in layer.area[2:]])
+    along_x = _parts(plate.size[0], nx, [place for layer in layers if layer.area for place in layer.area[:2]])
+    along_y = _parts(plate.size[1], ny, [place for layer in layers if layer.area for place in layer.area[2:]])
     at_parts = np.ix_(along_y.node, along_x.node)
     factors = {key: values[at_parts] for key, values in factors_at(scene, *node_positions(scene)).items()}
-    rigidities, twist, mass, stretches = laminates(scene, along_x.middle, along_y.middle, factors)
-    if layers:
+    sections = [_section(scene, along_x, along_y, factors, over) for over in (None, *shaped_layers(scene))]
+    section = sections[0]
+    if len(sections) > 1:
+        cell = covered_cells(scene, PlateRegion.model_construct(area=(0.0, plate.size[0], 0.0, plate.size[1])))
+        covered = np.stack([covered_cells(scene, layer) for layer in shaped_layers(scene)]) / cell
+        shares = np.concatenate([1 - covered.sum(axis=0, keepdims=True), covered])
+        section = _mixed(sections, shares, (shares * cell).sum(axis=(1, 2)) / cell.sum())
+    stretch_x, stretch_y = (float(plate.area / soft) for soft in section.softness)
+    return Section(*section.rigidities, section.twist, section.mass, (stretch_x, stretch_y))
+
+
+class _Fields(NamedTuple):
+    """The section at the nodes, and ∫ dA/C along x and along y."""
+
+    rigidities: Rigidities
+    twist: np.ndarray
+    mass: np.ndarray
+    softness: Sequence[Any]
+
+
+def _section(
+    scene: Scene, along_x: _Parts, along_y: _Parts, factors: dict[str, np.ndarray], over: Layer | None
+) -> _Fields:
+    """Return the section with rectangular layers, and another one over the whole plate."""
+    rigidities, twist, mass, stretches = laminates(scene, along_x.middle, along_y.middle, factors, over)
+    if scene.layers:
         x_first = _across_y(_across_x(rigidities, along_x), along_y)
         y_first = _across_x(_across_y(rigidities, along_y), along_x)
         xx, xy, yy = ((first + second) / 2 for first, second in zip(x_first, y_first, strict=True))
         rigidities = xx, xy, yy
     twist, mass = (along_y.mean(along_x.mean(values, 1), 0) for values in (twist, mass))
-    area = plate.area
-    stretch_x, stretch_y = (float(area / (along_y.length @ (1 / values) @ along_x.length)) for values in stretches)
-    return Section(*rigidities, twist, mass, (stretch_x, stretch_y))
+    return _Fields(rigidities, twist, mass, [along_y.length @ (1 / values) @ along_x.length for values in stretches])
+
+
+class _Phases(NamedTuple):
+    """Parts of the nodes' cells, each of one laminate, whose place in the cell does not count."""
+
+    shares: np.ndarray  # (phases, ny, nx)
+
+    def mean(self, values: np.ndarray, axis: int) -> np.ndarray:
+        """Return the means over the nodes' cells of values (phases, ny, nx)."""
+        return np.asarray((self.shares * values).sum(axis=0))
+
+
+def _mixed(sections: Sequence[_Fields], shares: np.ndarray, of_plate: np.ndarray) -> _Fields:
+    """Return the section of cells of which ``shares`` (phases, ny, nx) have the sections, and of the plate the parts
+    (phases,): the mean of cuts across x and across y, so that errors fall as the first power of the spacing."""
+    phases = _Phases(shares)
+    xx, xy, yy = (np.stack(fields) for fields in zip(*(section.rigidities for section in sections), strict=True))
+    both = zip(_across_x((xx, xy, yy), phases), _across_y((xx, xy, yy), phases), strict=True)
+    xx, xy, yy = ((first + second) / 2 for first, second in both)
+    twist, mass = (phases.mean(np.stack([getattr(s, name) for s in sections]), 0) for name in ("twist", "mass"))
+    return _Fields((xx, xy, yy), twist, mass, of_plate @ [section.softness for section in sections])
+
+
+def shaped_layers(scene: Scene) -> list[Layer]:
+    """Return the layers other than rectangles along x and y."""
+    return [layer for layer in scene.layers if layer.area is None]
 
 
 def factors_at(scene: Scene, x: np.ndarray, y: np.ndarray) -> dict[str, np.ndarray]:
@@ -126,10 +177,11 @@ def _parts(length: float, nodes: int, cuts: list[float]) -> _Parts:
 
 
 def laminates(
-    scene: Scene, x: np.ndarray, y: np.ndarray, factors: dict[str, np.ndarray]
+    scene: Scene, x: np.ndarray, y: np.ndarray, factors: dict[str, np.ndarray], over: Layer | None = None
 ) -> tuple[Rigidities, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
     """Return rigidities and twist [N·m], mass [kg/m²] and membrane stiffness [N/m] at points x, y [m], with the factors
-    of :func:`factors_at` at the points (y, x)."""
+    of :func:`factors_at` at the points (y, x), rectangular layers and one of another shape, which is ``over`` all of
+    the points."""
     plate, ratio = scene.plate, scene.plate.poisson_ratio
     thickness = plate.thickness * factors["thickness"]
     mass = plate.density * factors["density"] * thickness
@@ -143,7 +195,7 @@ def laminates(
     membrane = 12 * factors["young_modulus"] * factors["thickness"] / plate.thickness**2
     along_x, along_y = of_plate[0] * membrane, of_plate[2] * membrane
     if scene.layers:
-        added, layers, mass = _with_layers(scene, x, y, thickness, factors["young_modulus"], mass)
+        added, layers, mass = _with_layers(scene, x, y, (thickness, factors["young_modulus"], mass), over)
         bend_xx, bend_xy, bend_yy = bend_xx + added, bend_xy + ratio * added, bend_yy + added
         twist, along_x, along_y = twist + (1 - ratio) / 2 * added, along_x + layers, along_y + layers
     for term in scene.terms:
@@ -153,18 +205,23 @@ def laminates(
 
 
 def _with_layers(
-    scene: Scene, x: np.ndarray, y: np.ndarray, thickness: np.ndarray, stiffer: np.ndarray, mass: np.ndarray
+    scene: Scene, x: np.ndarray, y: np.ndarray, fields: tuple[np.ndarray, np.ndarray, np.ndarray], over: Layer | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the contributions of layers to the rigidity [N·m] and to the membrane stiffness [N/m], and the total
-    mass [kg/m²], for a plate with a thickness [m], factor of Young's modulus and mass at points (y, x)."""
-    plate = scene.plate
+    mass [kg/m²], for a plate with thickness [m], factor of Young's modulus and mass as ``fields`` at points (y, x)."""
+    plate, (thickness, stiffer, mass) = scene.plate, fields
     stretch = plate_alone = plate.young_modulus * stiffer * thickness
     first, second = np.zeros_like(stretch), stretch * thickness**2 / 12  # moments of E about the plate's middle
     bare = second / (1 - plate.poisson_ratio**2)
     top = {1: thickness / 2, -1: thickness / 2}
     for layer in scene.layers:
-        x0, x1, y0, y1 = layer.area
-        covered = np.outer((y > y0) & (y < y1), (x > x0) & (x < x1))
+        if layer.area is not None:
+            x0, x1, y0, y1 = layer.area
+            covered = np.outer((y > y0) & (y < y1), (x > x0) & (x < x1))
+        elif layer is over:
+            covered = np.ones((y.size, x.size), dtype=bool)
+        else:
+            continue
         height = covered * layer.thickness
         for face in (1, -1) if layer.both else (1,):
             middle, stiffness = top[face] + height / 2, layer.young_modulus * height
@@ -177,7 +234,7 @@ def _with_layers(
     return added, (stretch - plate_alone) / (1 - plate.poisson_ratio**2), mass
 
 
-def _across_x(rigidities: Rigidities, parts: _Parts, axis: int = 1) -> Rigidities:
+def _across_x(rigidities: Rigidities, parts: _Parts | _Phases, axis: int = 1) -> Rigidities:
     """Return the means of the module's docstring over each node's cell along x."""
     xx, xy, yy = rigidities
     soft = 1 / parts.mean(1 / xx, axis)
@@ -185,7 +242,7 @@ def _across_x(rigidities: Rigidities, parts: _Parts, axis: int = 1) -> Rigiditie
     return soft, coupled, parts.mean(yy - xy**2 / xx, axis) + coupled**2 / soft
 
 
-def _across_y(rigidities: Rigidities, parts: _Parts) -> Rigidities:
+def _across_y(rigidities: Rigidities, parts: _Parts | _Phases) -> Rigidities:
     """Return the same means along y."""
     yy, xy, xx = _across_x(rigidities[::-1], parts, axis=0)
     return xx, xy, yy

@@ -22,12 +22,10 @@ from warp_plate.plate.files import read_table
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene, Target
-from warp_plate.scene.target import area_within
+from warp_plate.scene.target import PlateRegion, area_within
 
 # Corners of the polygon for a disc, which has its area and an outline off by at most 2e-7 of the radius.
 DISC_CORNERS = 4096
-# The same for outlines in pictures.
-OUTLINE_CORNERS = 96
 # Rounding of a sum that is zero, relative to the polygon's height.
 ZERO = 1e-13
 
@@ -85,19 +83,31 @@ def shape_weights(scene: Scene, key: str, target: Target, within: Area | None = 
     rectangle ``within`` x0, x1, y0, y1 [m] the target does not count (default: everywhere).
     """
     moments = scene.grid.load == "moments"
-    across, up = (lagrange(count, 4) if moments else cells(count) for count in scene.grid.nodes)
-    spacing = np.array(scene.plate.size) / (np.array(scene.grid.nodes) - 1)
-    corners = target.corners(DISC_CORNERS)
-    if corners is not None:
-        if within is not None:
-            corners = clipped(corners, within)
-        return polygon_weights(corners / spacing, across, up)
+    if target.mask is None:
+        return region_cells(scene, target, moments, within)
+    across, up = _axes(scene, moments)
+    spacing = _spacing(scene)
     values = read_mask(scene, key, target)
     x0, x1, y0, y1 = (0.0, scene.plate.size[0], 0.0, scene.plate.size[1]) if within is None else within
     along_x = _mask_matrix(across, values.shape[1], x0 / spacing[0], x1 / spacing[0])
     along_y = _mask_matrix(up, values.shape[0], y0 / spacing[1], y1 / spacing[1])
     weights: np.ndarray = (along_x @ (along_y @ values).T).T
     return weights
+
+
+def region_cells(scene: Scene, region: PlateRegion, moments: bool, within: Area | None = None) -> np.ndarray:
+    """Return (ny, nx) weights of a region in cells, by moments or by overlap; see :func:`shape_weights`."""
+    corners = clipped(region.flattened(DISC_CORNERS), within or (0.0, scene.plate.size[0], 0.0, scene.plate.size[1]))
+    return polygon_weights(corners / _spacing(scene), *_axes(scene, moments))
+
+
+def _axes(scene: Scene, moments: bool) -> tuple[Axis, Axis]:
+    across, up = (lagrange(count, 4) if moments else cells(count) for count in scene.grid.nodes)
+    return across, up
+
+
+def _spacing(scene: Scene) -> np.ndarray:
+    return np.array(scene.plate.size) / (np.array(scene.grid.nodes) - 1)
 
 
 def bounds(scene: Scene, key: str, target: Target) -> Area:
@@ -233,8 +243,8 @@ def target_outlines(scene: Scene, key: str, target: Target) -> list[np.ndarray]:
 
     Those of a mask are its contours at ½; none if its file is gone, as of a result that was moved.
     """
-    if (corners := target.corners(OUTLINE_CORNERS)) is not None:
-        return [np.concatenate([corners, corners[:1]])]
+    if target.mask is None:
+        return [target.closed_path()]
     from contourpy import contour_generator
 
     try:

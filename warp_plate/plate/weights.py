@@ -15,15 +15,16 @@ from typing import Any
 import numpy as np
 
 from warp_plate.plate.outline_grid import outline_grid
-from warp_plate.plate.shapes import lagrange, shape_weights
+from warp_plate.plate.shapes import lagrange, region_cells, shape_weights
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
-from warp_plate.scene.model import Scene, Target
+from warp_plate.scene.model import Scene
+from warp_plate.scene.target import PlateRegion, Target
 
 REGIONS = ("plate", "target")
-# x0, x1, y0, y1 [m] of a rectangle; a shape; or weights (ny, nx) in cells.
-Region = Area | Target | np.ndarray
-NO_AREAS: Mapping[str, Region] = MappingProxyType({})
+# x0, x1, y0, y1 [m] of a rectangle; another region; or weights (ny, nx) in cells.
+RegionLike = Area | PlateRegion | np.ndarray
+NO_AREAS: Mapping[str, RegionLike] = MappingProxyType({})
 # The nodes of each side in an array (ny, nx).
 EDGE_LINES: dict[str, Any] = {"left": np.s_[:, 0], "bottom": np.s_[0], "right": np.s_[:, -1], "top": np.s_[-1]}
 
@@ -84,14 +85,14 @@ def patches(scene: Scene) -> np.ndarray:
     x, y = node_positions(scene)
     if scene.piezo:  # no load in all, near an outline as elsewhere
         pairs = zip(scene.piezo_moments, scene.actuators, strict=True)
-        fields = np.stack([-moment * curvatures(x, y, actuator.area) for moment, actuator in pairs])
+        fields = np.stack([-moment * curvatures(x, y, actuator.box) for moment, actuator in pairs])
     else:
-        fields = np.stack([on_plate(scene, _rectangle(weigh, x, y, actuator.area)) for actuator in scene.actuators])
+        fields = np.stack([on_plate(scene, covered_cells(scene, actuator, weigh)) for actuator in scene.actuators])
     fields[:, ~moving_nodes(scene)] = 0
     for index, field in enumerate(fields):
         if not field.any():
             raise SceneError(
-                f"actuators[{index}].area = {list(scene.actuators[index].area)}: covers no node that can move on "
+                f"actuators[{index}].{scene.actuators[index].description}: covers no node that can move on "
                 f'a grid of {x.size} x {y.size} nodes; enlarge it, use more nodes, or load = "overlap"'
             )
     return fields
@@ -131,13 +132,13 @@ def on_plate(scene: Scene, cells: np.ndarray) -> np.ndarray:
     return grid.count(cells / _rectangle(overlap, x, y, (x[0], x[-1], y[0], y[-1])))
 
 
-def region_weights(scene: Scene, areas: Mapping[str, Region] = NO_AREAS) -> np.ndarray:
+def region_weights(scene: Scene, areas: Mapping[str, RegionLike] = NO_AREAS) -> np.ndarray:
     """Return (regions, ny, nx) weights of the REGIONS and of further ``areas`` by name, in cells.
 
     They are by moments if loads are, otherwise by overlap. SceneError: a target covers no moving node, or has no mask.
     """
     width, height = scene.plate.size
-    regions: dict[str, Region] = {"plate": (0.0, width, 0.0, height), "target": scene.target, **areas}
+    regions: dict[str, RegionLike] = {"plate": (0.0, width, 0.0, height), "target": scene.target, **areas}
     return np.stack([weigh_region(scene, name, region) for name, region in regions.items()])
 
 
@@ -167,13 +168,15 @@ def node_positions(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     return np.linspace(0, width, nx), np.linspace(0, height, ny)
 
 
-def weigh_region(scene: Scene, name: str, region: Region) -> np.ndarray:
+def weigh_region(scene: Scene, name: str, region: RegionLike) -> np.ndarray:
     """Return the weights (ny, nx) of one region, in cells; its name is for errors. See :func:`region_weights`."""
     if isinstance(region, np.ndarray):
         return region
-    if not isinstance(region, Target):
-        weigh = moments if scene.grid.load == "moments" else overlap
+    weigh = moments if scene.grid.load == "moments" else overlap
+    if not isinstance(region, PlateRegion):
         return on_plate(scene, _rectangle(weigh, *node_positions(scene), region))
+    if not isinstance(region, Target):
+        return on_plate(scene, covered_cells(scene, region, weigh))
     key = name if name == "target" else f"targets ({name!r})"
     if region.area is None:
         field = on_plate(scene, shape_weights(scene, key, region))
@@ -186,6 +189,16 @@ def weigh_region(scene: Scene, name: str, region: Region) -> np.ndarray:
             "use more nodes"
         )
     return field
+
+
+def covered_cells(scene: Scene, region: PlateRegion, weigh: Callable[..., np.ndarray] = overlap) -> np.ndarray:
+    """Return (ny, nx) parts of the nodes' cells that a region covers, by ``overlap``, ``moments`` or ``inside``."""
+    x, y = node_positions(scene)
+    if region.area is not None:
+        return _rectangle(weigh, x, y, region.area)
+    if weigh is inside:
+        return region.contains(np.stack(np.meshgrid(x, y), axis=-1)).astype(float)
+    return region_cells(scene, region, weigh is moments)
 
 
 def _rectangle(weigh: Callable[..., np.ndarray], x: np.ndarray, y: np.ndarray, area: Area) -> np.ndarray:

@@ -149,7 +149,7 @@ class Place(DesignVariable):
         for name in areas.keys() - set(names):
             raise SceneError(f"search.position.areas.{name}: no such actuator moves; those that do: {', '.join(names)}")
         for actuator, name in zip(moving, names, strict=True):
-            patch, area = scene.actuators[actuator].area, areas.get(name, everywhere)
+            patch, area = scene.actuators[actuator].box, areas.get(name, everywhere)
             key = f"areas.{name}" if name in areas else "area"
             for axis, side, first in (("x", width, 0), ("y", height, 2)):
                 low, high, start, stop = *patch[first : first + 2], *area[first : first + 2]

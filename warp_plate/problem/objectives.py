@@ -16,7 +16,7 @@ import numpy as np
 from warp_plate.modal.solver import ModalGrid
 from warp_plate.plate.scheme import Discretization
 from warp_plate.plate.shapes import bounds, shape_weights
-from warp_plate.plate.weights import Region, localization_factor
+from warp_plate.plate.weights import RegionLike, localization_factor
 from warp_plate.quantities.region_quantities import LEAST_REST, MOST_DECIBELS, REGION_QUANTITIES, RegionSizes
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.search import Objective
@@ -37,7 +37,7 @@ class Objectives:
     terms: tuple[Objective, ...]  # the scene's objectives
     # regions that a solver must sum beside the plate and the target, by name: the cells of the target, as weights (ny,
     # nx), then all targets of a scene with several
-    regions: Mapping[str, Region]
+    regions: Mapping[str, RegionLike]
     sizes: RegionSizes  # areas and masses of target and rest, and areas of the target's cells
 
     @property

@@ -232,7 +232,7 @@ class Clearance:
 
     def __init__(self, scene: Scene) -> None:
         table, self._scene = scene.search.position, scene
-        areas = np.array([actuator.area for actuator in scene.actuators])
+        areas = np.array([actuator.box for actuator in scene.actuators])
         size = np.stack([areas[:, 1] - areas[:, 0], areas[:, 3] - areas[:, 2]], axis=1)
         names = [actuator.name for actuator in scene.actuators]
         moves = np.array([table is not None and name in (table.actuators or names) for name in names])

@@ -84,7 +84,7 @@ def scenario_bytes(actuators: int) -> float:
 
 def _patches(scene: Scene) -> np.ndarray:
     """Return the ends (actuators, axis, 2) of the actuators' patches [m]."""
-    return np.array([actuator.area for actuator in scene.actuators]).reshape(-1, 2, 2)
+    return np.array([actuator.box for actuator in scene.actuators]).reshape(-1, 2, 2)
 
 
 def _on_plate(scene: Scene, centre: np.ndarray) -> np.ndarray:
@@ -130,8 +130,11 @@ def _moved_actuators(scene: Scene, offset: np.ndarray) -> list[dict[str, Any]]:
     shift = _on_plate(scene, centre + offset) - centre
     # An actuator without offset keeps its place to the last bit.
     moved = np.where(offset[..., None] == 0, areas, areas + shift[..., None])
-    pairs = zip(scene.actuators, moved, strict=True)
-    return [{**actuator.model_dump(), "area": tuple(area.ravel().tolist())} for actuator, area in pairs]
+    tables = []
+    for actuator, area, middle in zip(scene.actuators, moved, (centre + shift).tolist(), strict=True):
+        shape = {"area": tuple(area.ravel().tolist())} if actuator.area is not None else actuator.placed(*middle)
+        tables.append({**actuator.model_dump(), **shape})
+    return tables
 
 
 def _per_plate(scene: Scene, place: float) -> PerPlate:
@@ -139,7 +142,7 @@ def _per_plate(scene: Scene, place: float) -> PerPlate:
     per_plate = per_plate_of(scene)
     if not place:
         return per_plate
-    areas = np.array(per_plate.areas or [actuator.area for actuator in scene.actuators])
+    areas = np.array(per_plate.areas or [actuator.box for actuator in scene.actuators])
     wider = np.clip(areas + place * np.array([-1, 1, -1, 1]), 0, np.repeat(scene.plate.size, 2))
     return replace(per_plate, centre=True, areas=tuple(map(tuple, wider.tolist())))
 

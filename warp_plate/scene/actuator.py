@@ -7,23 +7,22 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, mod
 from warp_plate.scene.fields import (
     LARGEST,
     SMALLEST,
-    Area,
     Density,
     Gain,
     Instant,
     Moderate,
     Name,
     Positive,
-    Table,
     Unit,
     YoungModulus,
 )
+from warp_plate.scene.target import PlateRegion
 
 # Keys that a piezo patch must have, and those that it may have.
 PIEZO, PIEZO_OPTIONS = ("d31", "thickness", "young_modulus"), ("density", "capacitance")
 
 
-class Actuator(Table):
+class Actuator(PlateRegion):
     """A patch that presses on the plate, or a piezo patch on its upper face that bends it.
 
     A file gives ``magnitude`` or ``force``. With a force, ``magnitude`` is force / area. The force is what is stored,
@@ -32,8 +31,6 @@ class Actuator(Table):
 
     name: Annotated[Name, Field(examples=["left"])]
     """Name, different for each actuator."""
-    area: Annotated[Area, Field(examples=[[0.02, 0.03, 0.055, 0.065]])]
-    """Rectangle x0, x1, y0, y1; for a disc, the square of the same area."""
     magnitude: Annotated[Moderate, Unit("drive"), Field(examples=[0.5])] = 1.0
     """Amplitude of the pressure or the voltage, see ``Scene.drive_unit``."""
     force: Annotated[Moderate | None, Unit("N"), Field(examples=[1e-3])] = None
@@ -58,12 +55,6 @@ class Actuator(Table):
     """Capacitance, for electrical energies."""
 
     @property
-    def patch_area(self) -> float:
-        """Area of the patch [m²]."""
-        x0, x1, y0, y1 = self.area
-        return (x1 - x0) * (y1 - y0)
-
-    @property
     def amplitude_key(self) -> Literal["magnitude", "force"]:
         """Key that gives the amplitude in the scene file."""
         return "magnitude" if self.force is None else "force"
@@ -77,6 +68,8 @@ class Actuator(Table):
     @model_validator(mode="after")
     def _keys_of_kind(self) -> Self:
         if self.kind == "piezo":
+            if self.area is None:
+                raise ValueError(f"{self.shape}: piezo patches are rectangles; write area = [x0, x1, y0, y1]")
             for key in PIEZO:
                 if getattr(self, key) is None:
                     raise ValueError(f'{key}: missing; kind = "piezo" takes {", ".join(PIEZO)}')
@@ -90,7 +83,7 @@ class Actuator(Table):
 
     @model_validator(mode="after")
     def _magnitude_of_force(self) -> Self:
-        x0, x1, y0, y1 = self.area
+        x0, x1, y0, y1 = self.box
         if self.force is None or not (x0 < x1 and y0 < y1):  # the scene refuses such an area
             return self
         area = self.amplitude_area
@@ -105,7 +98,7 @@ class Actuator(Table):
 
     @model_serializer(mode="wrap")
     def _without_derived(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        tables: dict[str, Any] = dump(self)
+        tables: dict[str, Any] = {"name": self.name, **dump(self)}
         if self.force is not None:
             tables.pop("magnitude", None)
         return tables

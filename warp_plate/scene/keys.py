@@ -15,7 +15,7 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import shown_unit, unit_in
 from warp_plate.scene.load import parse_toml
 from warp_plate.scene.tables import SceneTables
-from warp_plate.scene.target import SHAPES
+from warp_plate.scene.target import PlateRegion, Target
 
 # Lists of named tables; a key may have the name in place of the index.
 NAMED = ("actuators", "targets")
@@ -28,7 +28,7 @@ INDEX_NAMES = {
 }
 # Tables with properties of the panel, which a fit may change; keys of actuators there that searches change, too.
 PANEL = ("plate.", "edges.", "effects.", "actuators[", "measurement[")
-DRIVEN = ("area", "magnitude", "force", "phase", "frequency", "delay")
+DRIVEN = (*PlateRegion.model_fields, "magnitude", "force", "phase", "frequency", "delay")
 # Keys of an actuator that exclude each other.
 ALTERNATIVES = {"magnitude": "force", "force": "magnitude"}
 _PART = re.compile(r"([A-Za-z_]\w*)|\[(\d+)\]")
@@ -241,6 +241,6 @@ def _excluded(path: list[str | int], last: str | int, holder: Any) -> list[str]:
         return [key for key in holder if key != "accuracy"] if last == "accuracy" else ["accuracy"]
     if path[:1] == ["actuators"] and last in ALTERNATIVES:
         return [ALTERNATIVES[str(last)]]
-    if path[:1] in (["target"], ["targets"]) and last in SHAPES:
-        return [shape for shape in SHAPES if shape != last]
+    if path[:1] in (["target"], ["targets"], ["actuators"], ["effects"]) and last in Target.shapes:
+        return [shape for shape in Target.shapes if shape != last]
     return []

@@ -11,6 +11,7 @@ from typing import Any
 
 from pydantic import PrivateAttr, ValidationError, model_validator
 
+from warp_plate.effects.layers import check_layers
 from warp_plate.effects.table import check_modal_tables
 from warp_plate.scene.actuator import Actuator
 from warp_plate.scene.errors import SceneError, check_type
@@ -32,7 +33,7 @@ from warp_plate.scene.keys import (
 from warp_plate.scene.load import dump_toml, parse_toml, read_scene_text
 from warp_plate.scene.outline import with_drawing
 from warp_plate.scene.tables import SceneTables
-from warp_plate.scene.target import NamedTarget, Target
+from warp_plate.scene.target import NamedTarget, PlateRegion, Target
 
 # Largest angle above π of a corner whose edges may be supported [rad].
 REENTRANT = 0.01
@@ -228,18 +229,17 @@ SceneSource = Scene | str | Path
 
 def _check_tables(scene: SceneTables) -> None:
     """Check that the tables of a scene fit together."""
-    actuators, size = scene.actuators, scene.plate.size
-    _check_outline(scene)
+    actuators = scene.actuators
     _check_areas(scene)
+    _check_outline(scene)
     _check_names("actuators", actuators)
     check_links(scene)
-    for key, target in scene.targets_by_key.items():
-        target.check(key, size)
     _check_names("targets", scene.targets)
     if scene.targets and scene.target not in [target.unnamed for target in scene.targets]:
         raise ValueError("target: there are [[targets]] too, and it is none of them; write one of the two")
     for index, layer in enumerate(scene.effects.layers):
         scene.plate.check_thin(layer.thickness, f"effects.layers[{index}].thickness: ")
+    check_layers(scene.effects.layers)
     _check_piezo(scene)
     _check_drive(scene)
     drives = ("ramp", "burst", "chirp", "signal", "electrostatic")
@@ -276,11 +276,14 @@ def _check_outline(scene: SceneTables) -> None:
     for index, support in enumerate(scene.supports):
         for end in support.ends:
             scene.plate.check_point(f"supports[{index}].{'line' if support.line else 'point'}", end)
-    areas = {f"actuators[{index}].area": row.area for index, row in enumerate(scene.actuators)}
-    areas |= {f"{key}.area": target.area for key, target in scene.targets_by_key.items() if target.area is not None}
-    for key, area in (areas | scene.effects.areas).items():
-        if outline.share(area) == 0:
-            raise ValueError(f"{key}: {list(area)} is off the plate; move it inside the outline, outside its holes")
+    regions: dict[str, PlateRegion] = {f"actuators[{index}]": row for index, row in enumerate(scene.actuators)}
+    regions |= {key: target for key, target in scene.targets_by_key.items() if target.mask is None}
+    for key, region in (regions | scene.effects.regions).items():
+        if outline.share(region.flattened()) == 0:
+            value = list(getattr(region, region.shape))
+            raise ValueError(
+                f"{key}.{region.shape}: {value} is off the plate; move it inside the outline, outside its holes"
+            )
     if scene.supports and scene.nonlinear_key is not None:
         raise ValueError(f"supports: not with {scene.nonlinear_key}, which modes do not know; delete one of them")
     for before, after, angle in outline.corners():
@@ -293,13 +296,16 @@ def _check_outline(scene: SceneTables) -> None:
 
 
 def _check_areas(scene: SceneTables) -> None:
-    areas: dict[str, Area] = {
-        f"actuators[{index}].area ({row.name!r})": row.area for index, row in enumerate(scene.actuators)
-    }
+    over = scene.outline is not None
+    for index, row in enumerate(scene.actuators):
+        row.check(f"actuators[{index}]", scene.plate.size, over, f" ({row.name!r})")
+    for key, region in (scene.targets_by_key | scene.effects.regions).items():
+        region.check(key, scene.plate.size, over)
+    areas: dict[str, Area] = {}
     if (position := scene.search.position) is not None:
         areas |= {} if position.area is None else {"search.position.area": position.area}
         areas |= {f"search.position.areas.{name}": area for name, area in (position.areas or {}).items()}
-    for key, area in (areas | scene.effects.areas).items():
+    for key, area in areas.items():
         check_area(key, area, scene.plate.size)
 
 

@@ -7,42 +7,23 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from warp_plate.effects.edges import EdgeCondition, Edges
 from warp_plate.outline.contours import piece_of_row
-from warp_plate.outline.outline import Outline, bounds, make_outline
-from warp_plate.outline.pieces import Piece, ellipse, rounded, straight
-from warp_plate.scene.errors import SceneError, toml_text
-from warp_plate.scene.fields import Coordinate, Name, NotNegative, Point, Positive, Table, Unit, check_file_name
+from warp_plate.outline.outline import Outline, make_outline
+from warp_plate.outline.pieces import Piece
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.fields import Coordinate, Name, Point, Positive, Table, Unit, check_file_name
 from warp_plate.scene.load import read_beside
-
-SHAPES = ("disc", "ellipse", "rectangle", "polygon", "path")
-# Keys that belong to some of the shapes only.
-ONLY_FOR = {"corner_radius": ("rectangle", "polygon"), "angle": ("rectangle",), "centre": ("rectangle",)}
+from warp_plate.scene.target import Shape
 
 
-class ClosedCurve(Table):
-    """A closed curve, given by exactly one of its shapes."""
+class ClosedCurve(Shape):
+    """A closed curve, which may be a path, given by exactly one of its shapes."""
 
-    disc: Annotated[tuple[Coordinate, Coordinate, Positive] | None, Unit("m"), Field(examples=[[0.02, 0.02, 0.02]])] = (
-        None
-    )
-    """Centre x, y and radius."""
-    ellipse: Annotated[
-        tuple[Coordinate, Coordinate, Positive, Positive, Coordinate] | None,
-        Unit("m, rad"),
-        Field(examples=[[0.1, 0.06, 0.1, 0.06, 0.0]]),
-    ] = None
-    """Centre x, y, half axes, and the angle of the first of them from x in radians."""
-    rectangle: Annotated[tuple[Positive, Positive] | None, Unit("m"), Field(examples=[[0.07, 0.15]])] = None
-    """Sides, which are along x and y unless ``angle`` turns them."""
-    polygon: Annotated[
-        Annotated[tuple[Point, ...], Field(min_length=3, max_length=1000)] | None,
-        Field(examples=[[[0.0, 0.0], [0.1, 0.0], [0.05, 0.08]]]),
-    ] = None
-    """Corners x, y in order, clockwise or counterclockwise; sides must not cross."""
+    shapes = (*Shape.shapes, "path")
+
     path: Annotated[
         Annotated[tuple[Annotated[tuple[Coordinate, ...], Field(max_length=7)], ...], Field(max_length=2000)] | None,
         Unit("m, rad"),
@@ -51,27 +32,10 @@ class ClosedCurve(Table):
     """Pieces in order, each from its first point x, y to that of the next: straight ``[x, y]``, an arc
     ``[x, y, cx, cy, angle]`` about a centre, positive counterclockwise, or an arc of an ellipse
     ``[x, y, cx, cy, qx, qy, angle]`` through a point q at a quarter of its turn. Drawings become this."""
-    corner_radius: Annotated[NotNegative, Unit("m"), Field(examples=[0.008])] = 0.0
-    """Radius of the arcs at the corners of a rectangle or polygon."""
-    angle: Annotated[Coordinate, Unit("rad"), Field(examples=[0.5])] = 0.0
-    """Angle from x of a rectangle's first side."""
-    centre: Annotated[Point | None, Field(examples=[[0.05, 0.05]])] = None
-    """Centre x, y of a rectangle; of an outline, by default, where it touches the axes from x, y ≥ 0."""
 
-    @model_validator(mode="after")
-    def _one_shape(self) -> Self:
-        given = [name for name in (*SHAPES, "file") if getattr(self, name, None) is not None]
-        if len(given) > 1:
-            raise ValueError(f"{given[1]}: {given[0]} is given too; write one of them")
-        for key, shapes in ONLY_FOR.items():
-            if given and getattr(self, key) and given[0] not in shapes:
-                raise ValueError(f"{key}: not for {given[0]}; only for {' and '.join(shapes)}")
-        if given == ["file"]:
-            return self
-        if not given:
-            raise ValueError(f"disc: no shape is given; write one of {', '.join(SHAPES)}")
-        self.loop(None, "")
-        return self
+    def loop(self, condition: Any = None, edge: str = "") -> list[Piece]:
+        """Return the pieces of the curve, with a condition and the key of their edge."""
+        return super().loop(condition, edge) if self.path is None else self._path(condition, edge)
 
     def _path(self, condition: Any, edge: str) -> list[Piece]:
         rows, pieces = self.path or (), []
@@ -88,60 +52,12 @@ class ClosedCurve(Table):
             raise ValueError("path: has no pieces")
         return pieces
 
-    @property
-    def shape(self) -> str:
-        """Name of the shape that is given, one of ``SHAPES``."""
-        return next(name for name in SHAPES if getattr(self, name) is not None)
-
-    @property
-    def description(self) -> str:
-        """Key and value of the shape, for messages and tables."""
-        value = getattr(self, self.shape)
-        if self.shape == "polygon" and len(value) > 6:
-            return f"polygon of {len(value)} corners"
-        if self.shape == "path":
-            return f"path of {len(value)} pieces"
-        return f"{self.shape} = {toml_text(value)}"
-
-    def loop(self, condition: Any, edge: str) -> list[Piece]:
-        """Return the pieces of the curve, with a condition and the key of their edge."""
-        if self.disc is not None:
-            *middle, radius = self.disc
-            return [ellipse((middle[0], middle[1]), (radius, radius), 0.0, condition, edge)]
-        if self.ellipse is not None:
-            x, y, first, second, angle = self.ellipse
-            return [ellipse((x, y), (first, second), angle, condition, edge)]
-        if self.path is not None:
-            return self._path(condition, edge)
-        if self.polygon is not None:
-            corners = np.array(self.polygon)
-            for index, (corner, ahead) in enumerate(zip(corners, np.roll(corners, -1, axis=0), strict=True)):
-                if (corner == ahead).all():
-                    raise ValueError(f"polygon[{index}]: the next corner is the same; write no corner twice")
-        else:
-            corners = self._rectangle_corners()
-        return self._rounded(corners, condition, edge)
-
-    def _rounded(self, corners: np.ndarray, condition: Any, edge: str) -> list[Piece]:
-        try:
-            return rounded(straight(corners, condition, edge), self.corner_radius)
-        except ValueError as error:
-            raise ValueError(f"corner_radius: {self.corner_radius:g} m does not fit: {error}") from None
-
-    def _rectangle_corners(self) -> np.ndarray:
-        assert self.rectangle is not None
-        cosine, sine = math.cos(self.angle), math.sin(self.angle)
-        signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
-        corners = np.asarray(signs * np.array(self.rectangle) / 2 @ np.array([[cosine, sine], [-sine, cosine]]))
-        if self.centre is not None:
-            return corners + self.centre
-        curve = self._rounded(corners, None, "")
-        x0, _, y0, _ = bounds(curve)
-        return corners - (x0, y0)
-
 
 class PlateOutline(ClosedCurve):
     """The outline of the plate, in place of ``plate.size``. Its coordinates are those of the scene, from 0 on."""
+
+    shapes = (*ClosedCurve.shapes, "file")
+    needs_centre = False
 
     file: Annotated[Name | None, Field(examples=["panel.svg"])] = None
     """SVG or DXF file beside the scene file. The largest contour is the outline, with the lower left corner of its
@@ -172,12 +88,6 @@ class Hole(ClosedCurve):
 
     edge: Annotated[EdgeCondition, Field(examples=["free"])] = "free"
     """Condition of its edge."""
-
-    @model_validator(mode="after")
-    def _placed(self) -> Self:
-        if self.rectangle is not None and self.centre is None:
-            raise ValueError("centre: is missing; write the centre x, y of the rectangular hole")
-        return self
 
 
 class Support(Table):

@@ -22,7 +22,7 @@ from warp_plate.scene.links import Link
 from warp_plate.scene.outline import Hole, PlateOutline, Support, outline_of
 from warp_plate.scene.search import Search
 from warp_plate.scene.specification import Specification
-from warp_plate.scene.target import NamedTarget, Target
+from warp_plate.scene.target import NamedTarget, PlateRegion, Target
 
 # Beyond any panel [m]; below most lengths of panels in millimetres.
 LONGEST, THICKEST = 50.0, 0.5
@@ -158,7 +158,7 @@ class SceneTables(Table):
     @property
     def layers(self) -> tuple[Layer, ...]:
         """Layers of the plate, among them the bodies of piezo patches that have a density."""
-        keys = ("area", "thickness", "young_modulus", "density")
+        keys = (*PlateRegion.model_fields, "thickness", "young_modulus", "density")
         patches = (patch for patch in self.actuators if patch.density is not None)
         return (*self.effects.layers, *(Layer(**{key: getattr(patch, key) for key in keys}) for patch in patches))
 

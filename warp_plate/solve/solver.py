@@ -19,7 +19,7 @@ from warp_plate.plate.designs import (
     check_designs,
 )
 from warp_plate.plate.scheme import Discretization, discretize
-from warp_plate.plate.weights import NO_AREAS, Region, bilinear
+from warp_plate.plate.weights import NO_AREAS, RegionLike, bilinear
 from warp_plate.scene.errors import SceneError, check_type
 from warp_plate.scene.model import Scene
 from warp_plate.solve.batching import Batch, import_drives
@@ -108,7 +108,7 @@ class PlateSolver:
         chunk: int | None = None,
         threads: int | None = None,
         allow_unstable: bool = False,
-        areas: Mapping[str, Region] = NO_AREAS,
+        areas: Mapping[str, RegionLike] = NO_AREAS,
         per_plate: PerPlate = NO_PER_PLATE,
         quantity: Quantity = "velocity",
         memory_share: float = 1.0,

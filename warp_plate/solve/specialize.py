@@ -14,7 +14,7 @@ from warp_plate.plate.designs import actuator_spaces
 from warp_plate.plate.scheme import Discretization
 from warp_plate.plate.signals import running_sums, waves_apart
 from warp_plate.plate.stability_limit import needs_moment_form
-from warp_plate.plate.weights import NO_AREAS, REGIONS, Region, reachable_nodes, weigh_region
+from warp_plate.plate.weights import NO_AREAS, REGIONS, RegionLike, reachable_nodes, weigh_region
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import cpu_threads, load_kernel
@@ -35,7 +35,7 @@ class Specialized:
         discretization: Discretization,
         device: wp.Device,
         threads: int | None = None,
-        areas: Mapping[str, Region] = NO_AREAS,
+        areas: Mapping[str, RegionLike] = NO_AREAS,
         quantity: Quantity = "velocity",
     ) -> None:
         self.discretization, self.device, self.quantity = discretization, device, quantity
@@ -99,7 +99,7 @@ class Specialized:
         """Rate, in the kernels' units, that the loads' work adds at most in a step; cached as ``masses``."""
         norms = np.linalg.norm(self.patches.numpy().astype(float), axis=1)
         if self.discretization.per_plate.centre:  # the largest norms wherever the actuators are
-            areas = np.array([actuator.area for actuator in self.scene.actuators])
+            areas = np.array([actuator.box for actuator in self.scene.actuators])
             sides = np.stack([areas[:, 1] - areas[:, 0], areas[:, 3] - areas[:, 2]], axis=1)
             covered = (sides / self.scheme.spacing + 2).prod(axis=1)
             norms = np.maximum(norms, self.share.max() * np.sqrt(covered))

@@ -175,7 +175,7 @@ def check_linear(scene: Scene, frequency_range: tuple[float, float] | None) -> N
 
 def input_forces(plate: ModalPlate, inputs: Sequence[str | Point]) -> tuple[np.ndarray, np.ndarray]:
     """Return (inputs, 2) middles [m] and (modes, inputs) modal forces [1/√kg] of 1 N on actuators or at points."""
-    areas = {actuator.name: actuator.area for actuator in plate.scene.actuators}
+    patches = {actuator.name: actuator for actuator in plate.scene.actuators}
     places, columns = [], []
     if plate.scene.piezo and any(isinstance(name, str) for name in inputs):
         raise SceneError("inputs: piezo patches take volts; name points x,y that a force of 1 N acts on")
@@ -184,11 +184,11 @@ def input_forces(plate: ModalPlate, inputs: Sequence[str | Point]) -> tuple[np.n
             places.append(name)
             columns.append(plate.at_points([name])[:, 0])
             continue
-        if name not in areas:
-            raise SceneError(f"inputs = {name}: is neither a point nor an actuator; there are {', '.join(areas)}")
-        x0, x1, y0, y1 = areas[name]
+        if name not in patches:
+            raise SceneError(f"inputs = {name}: is neither a point nor an actuator; there are {', '.join(patches)}")
+        x0, x1, y0, y1 = patches[name].box
         places.append(((x0 + x1) / 2, (y0 + y1) / 2))
-        columns.append(plate.patch_forces([areas[name]])[:, 0] / ((x1 - x0) * (y1 - y0)))
+        columns.append(plate.region_forces([patches[name]])[:, 0] / patches[name].patch_area)
     return np.array(places, dtype=float), np.stack(columns, axis=1)
 
 

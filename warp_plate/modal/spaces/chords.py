@@ -19,6 +19,8 @@ from numpy.polynomial import legendre
 from warp_plate.modal.spaces.splines import Splines, overlapping_pairs
 from warp_plate.outline.outline import Outline
 from warp_plate.outline.pieces import Arc, Monotone, Piece
+from warp_plate.scene.fields import Area
+from warp_plate.scene.target import PlateRegion
 
 Curve = Sequence[Piece]
 
@@ -108,6 +110,8 @@ class Chords:
         sampled = np.empty((len(fields(self.x.ravel()[:1], self.ordinates[:1])), *self.x.shape))
         for number, y in enumerate(self.ordinates):
             some = np.flatnonzero(self.chord == number)
+            if not some.size:
+                continue
             values = np.stack(fields(self.x[some].ravel(), np.array([y])))
             sampled[:, some] = values.reshape(len(values), some.size, -1)
         return sampled
@@ -194,6 +198,12 @@ def make_chords(
     if not x:
         return _empty(along, s_x.size)
     return Chords(along, np.concatenate(x), np.concatenate(weights), np.concatenate(chord), np.concatenate(lines))
+
+
+def curves_of(region: PlateRegion, within: Area | None = None) -> list[Curve]:
+    """Return the curves that hold a region, or its part in a rectangle x0, x1, y0, y1 [m]."""
+    inner = [] if within is None else [PlateRegion.model_construct(area=within)]
+    return [part.loop() for part in (region, *inner)]
 
 
 def _empty(along: tuple[LocalSplines, LocalSplines], points: int) -> Chords:

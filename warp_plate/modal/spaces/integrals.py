@@ -4,22 +4,24 @@ Every entry is an integral ∫ C(x, y) X_i X_k Y_j Y_l dA of a field and of deri
 it a product of three matrices: pairs of functions of y, the field at Gauss's points, pairs of functions of x. Pairs
 that never overlap are left out, so that the same product yields small dense matrices and large sparse ones.
 
-The sides of a rectangular region and the lines of a mask are further breaks of Gauss's rule. A disc or polygon is cut
-into chords along x, with Gauss's rule along each chord, and along y for the integrals over the chords. These are smooth
-in y between knots, corners, and the points of the outline where a chord ends on a line across which the mass or the
-splines are not smooth. On a disc the rule is in the angle θ, y = y₀ + r sin θ, as the chords' length r cos θ is smooth
-in it.
+The sides of a rectangular region and the lines of a mask are further breaks of Gauss's rule. Regions of other shapes
+are cut into chords, see :mod:`warp_plate.modal.spaces.chords`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import TypeAlias
 
 import numpy as np
 
-from warp_plate.effects.effect import Term
+from warp_plate.effects.effect import DISPLACEMENT, Factors, Term
+from warp_plate.effects.layers import Layer
+from warp_plate.modal.spaces.chords import Chords, Curve, curves_of
 from warp_plate.modal.spaces.knots import lines
 from warp_plate.modal.spaces.splines import (
     Pairs,
@@ -30,24 +32,38 @@ from warp_plate.modal.spaces.splines import (
     side_products,
     weighted_products,
 )
-from warp_plate.plate.section import bilinear, factors_at, laminates
-from warp_plate.plate.shapes import clipped, read_mask
+from warp_plate.plate.section import bilinear, factors_at, laminates, shaped_layers
+from warp_plate.plate.shapes import read_mask
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
-from warp_plate.scene.target import Target
+from warp_plate.scene.target import PlateRegion, Target
 
 # With this many breaks between two knots (fine maps), this many Gauss points between two breaks suffice.
 FINE, FINE_RULE = 4, 3
 # Gauss points between two lines of the plate for its mean wave.
 POINTS_OF_MEAN = 2
-# Corners of the polygon for the part of a disc in a rectangle.
-DISC_CORNERS = 512
-Field: TypeAlias = "np.ndarray | float"
+Field: TypeAlias = "np.ndarray | float | OnChords"
 
 
-class SplineProducts:
+@dataclass(frozen=True, eq=False)
+class OnChords:
+    """A field on a part of the plate."""
+
+    chords: Chords
+    values: np.ndarray  # (segments, points) at the points of the rule
+
+    def __rmul__(self, factor: float) -> OnChords:
+        return OnChords(self.chords, factor * self.values)
+
+
+Cuts: TypeAlias = "tuple[Sequence[float], Sequence[float]]"
+
+
+class SplineProducts(ABC):
     """What the function spaces of products of splines X_i(x) Y_j(y) share; x is fastest."""
 
+    scene: Scene
+    integrals: Integrals  # the plate with its rectangular layers
     along: tuple[Splines, Splines]  # splines of x and of y
 
     @property
@@ -64,6 +80,91 @@ class SplineProducts:
         """Mean distances between knots along x and along y [m]."""
         x, y = (float(np.diff(splines.breaks).mean()) for splines in self.along)
         return x, y
+
+    @property
+    @abstractmethod
+    def unknowns(self) -> int:
+        """Number of functions."""
+
+    @abstractmethod
+    def patch_integrals(self, areas: np.ndarray) -> np.ndarray:
+        """Return (areas, unknowns) integrals over rectangles (areas, 4) x0, x1, y0, y1 [m]."""
+
+    @abstractmethod
+    def _chords(self, curves: Sequence[Curve] = (), cuts: Cuts = ((), ())) -> Chords:
+        """Return the rule on the part of the plate inside curves, with further breaks along x and y [m]."""
+
+    @abstractmethod
+    def _form_on(self, chords: Chords, coefficient: np.ndarray | float, factors: Factors) -> np.ndarray:
+        """Return the integral of a term over the points of a rule, like ``form``."""
+
+    @abstractmethod
+    def _tables(self, vectors: np.ndarray) -> np.ndarray:
+        """Return (n, y, x) coefficients of all products of splines of vectors (unknowns, n)."""
+
+    @abstractmethod
+    def _on_chords(self, chords: Chords) -> np.ndarray:
+        """Return (unknowns,) integrals of the functions over the points of a rule."""
+
+    def region_integrals(self, regions: Sequence[PlateRegion]) -> np.ndarray:
+        rows = [
+            self.patch_integrals(np.array([region.area]))[0]
+            if region.area is not None
+            else self._on_chords(self._chords(curves_of(region)))
+            for region in regions
+        ]
+        return np.array(rows).reshape(-1, self.unknowns)
+
+    def region_areas(self, regions: Sequence[PlateRegion]) -> np.ndarray:
+        whole = self.scene.outline is None
+        areas = (region.patch_area if whole else self._chords(curves_of(region)).weights.sum() for region in regions)
+        return np.array(list(areas), dtype=float)
+
+    @cached_property
+    def _layers(self) -> list[tuple[OnChords, ...]]:
+        """What each layer of another shape than a rectangle adds to Dx, D1, Dy, Dxy and the mass per area."""
+        return [tuple(self._added(layer, self._chords(curves_of(layer)))) for layer in shaped_layers(self.scene)]
+
+    def _added(self, layer: Layer, chords: Chords) -> Iterator[OnChords]:
+        bare = chords.sampled(self.integrals.fields_at)
+        for values in chords.sampled(partial(self.integrals.fields_at, over=layer)) - bare:
+            yield OnChords(chords, values)
+
+    def _layer_masses(self, target: Target, within: Area | None) -> Iterator[np.ndarray]:
+        """Yield the integrals of what such layers add to the mass of a region."""
+        for layer in shaped_layers(self.scene):
+            if target.mask is None:
+                chords = self._chords([*curves_of(target, within), *curves_of(layer)])
+                share: np.ndarray | float = 1.0
+            else:
+                cuts, mask = mask_of(self.scene, target)
+                chords = self._chords(curves_of(layer, within), cuts)
+                (share,) = chords.sampled(mask)
+            *_, mass = self._added(layer, chords)
+            yield self._form_on(chords, mass.values * share, DISPLACEMENT)
+
+    def _density(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return the mass per area [kg/m²] on the grid (y, x) of points [m]."""
+        density = self.integrals.fields_at(x, y)[-1]
+        for layer in shaped_layers(self.scene):
+            inside = layer.contains(np.stack(np.meshgrid(x, y), axis=-1))
+            density = np.where(inside, self.integrals.fields_at(x, y, layer)[-1], density)
+        return density
+
+    def _bending_on(self, vectors: np.ndarray, chords: Chords, fields: Sequence[np.ndarray | float]) -> np.ndarray:
+        """Return (n, n) bending energies of vectors (unknowns, n) on chords, from their curvatures."""
+        tables = self._tables(vectors)
+        xx, xy, yy = (chords.sums(tables, *orders).reshape(len(tables), -1) for orders in ((2, 0), (1, 1), (0, 2)))
+        weights = chords.weights
+        bend_xx, bend_xy, bend_yy, twist, *_ = (
+            np.broadcast_to(weights * field, weights.shape).ravel() for field in fields
+        )
+        coupled = (bend_xy * xx) @ yy.T
+        return np.asarray((bend_xx * xx) @ xx.T + (bend_yy * yy) @ yy.T + 4 * (twist * xy) @ xy.T + coupled + coupled.T)
+
+    def _section(self, axis: int) -> list[float]:
+        """Return where the fields of the section are not smooth along x (0) or y (1) [m]."""
+        return [place for place, _ in lines(self.scene, axis)]
 
 
 def bending_terms(fields: Sequence[Field]) -> Iterator[Term]:
@@ -89,7 +190,7 @@ class Integrals:
     ) -> None:
         """Prepare the rule; ``cuts`` are further breaks along x and y [m]."""
         self.scene, self.along = scene, (along_x, along_y)
-        self._varied = bool(scene.layers or scene.effects.factor_maps)
+        self._varied = any(layer.area for layer in scene.layers) or bool(scene.effects.factor_maps)
         self.breaks = tuple(
             np.unique(np.clip([*splines.breaks, *(place for place, _ in lines(scene, axis)), *cuts[axis]], 0, side))
             for axis, (splines, side) in enumerate(zip(self.along, scene.plate.size, strict=True))
@@ -106,15 +207,15 @@ class Integrals:
         """(2,) rows and columns of the pairs of functions of x and of y that overlap."""
         return overlapping_pairs(self.along[0]), overlapping_pairs(self.along[1])
 
-    def fields(self) -> tuple[Field, ...]:
+    def fields(self) -> tuple[np.ndarray | float, ...]:
         """Return Dx, D1, Dy, Dxy [N·m] and the mass per area [kg/m²] at Gauss's points (y, x), or as numbers."""
         if self._varied:
             return self.fields_at(*self.points)
         return tuple(float(field[0, 0]) for field in self.fields_at(self.points[0][:1], self.points[1][:1]))
 
-    def fields_at(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return the fields of :meth:`fields` at points (y, x) [m]."""
-        (bend_xx, bend_xy, bend_yy), twist, mass, _ = laminates(self.scene, x, y, factors_at(self.scene, x, y))
+    def fields_at(self, x: np.ndarray, y: np.ndarray, over: Layer | None = None) -> tuple[np.ndarray, ...]:
+        """Return the fields of :meth:`fields` at points (y, x) [m], with a layer of another shape ``over`` them all."""
+        (bend_xx, bend_xy, bend_yy), twist, mass, _ = laminates(self.scene, x, y, factors_at(self.scene, x, y), over)
         return bend_xx, bend_xy, bend_yy, twist, mass
 
     def inside(self, area: Area) -> np.ndarray:
@@ -127,7 +228,7 @@ class Integrals:
         """Weights [m²] of Gauss's points (y, x)."""
         return np.outer(self._weights[1], self._weights[0])
 
-    def values(self, field: Field, x: tuple[int, int] = (0, 0), y: tuple[int, int] = (0, 0)) -> np.ndarray:
+    def values(self, field: np.ndarray | float, x: tuple[int, int] = (0, 0), y: tuple[int, int] = (0, 0)) -> np.ndarray:
         """Return (pairs of y, pairs of x) ∫ field · u^(x₀, y₀) u^(x₁, y₁) dA of a number or of values at Gauss's points
         (y, x), with derivatives along x and y of the first factor, of the rows' functions, and of the second."""
         if isinstance(field, float):
@@ -151,16 +252,15 @@ def mean_wave_frequency(scene: Scene) -> float:
 def region_values(
     scene: Scene, along: tuple[Splines, Splines], region: Area | Target, within: Area | None
 ) -> np.ndarray:
-    """Return ∫ ρH u u dA over a region [kg], for each pair of functions of y and of x; see ``region_matrix``."""
+    """Return ∫ ρH u u dA over a rectangle or mask [kg], for each pair of functions of y and of x; see
+    ``region_matrix``."""
     area = region.area if isinstance(region, Target) else region
     if area is not None:
         area = _common(area, within)
         integrals = Integrals(scene, *along, (area[:2], area[2:]))
         return integrals.values(integrals.fields()[-1] * integrals.inside(area))
     assert isinstance(region, Target)
-    if region.mask is not None:
-        return _over_mask(scene, along, region, within)
-    return _over_chords(scene, along, region, within)
+    return _over_mask(scene, along, region, within)
 
 
 def _common(first: Area, second: Area | None) -> Area:
@@ -171,74 +271,19 @@ def _common(first: Area, second: Area | None) -> Area:
 
 def _over_mask(scene: Scene, along: tuple[Splines, Splines], target: Target, within: Area | None) -> np.ndarray:
     """Return the values of a mask, which is bilinear between its numbers."""
+    cuts, share = mask_of(scene, target)
+    area = _common((0.0, scene.plate.size[0], 0.0, scene.plate.size[1]), within)
+    integrals = Integrals(scene, *along, ([*cuts[0], *area[:2]], [*cuts[1], *area[2:]]))
+    (shares,) = share(*integrals.points)
+    return integrals.values(integrals.fields()[-1] * shares * integrals.inside(area))
+
+
+def mask_of(scene: Scene, target: Target) -> tuple[Cuts, Callable[[np.ndarray, np.ndarray], list[np.ndarray]]]:
+    """Return the lines of a target's mask along x and y [m], and the function of x and y [m] of its shares."""
     key = next((key for key, listed in scene.targets_by_key.items() if listed == target), "target")
-    mask = read_mask(scene, key, target)
-    (width, height), (rows, columns) = scene.plate.size, mask.shape
-    area = _common((0.0, width, 0.0, height), within)
-    cuts = [*np.linspace(0, width, max(columns, 2)), *area[:2]], [*np.linspace(0, height, max(rows, 2)), *area[2:]]
-    integrals = Integrals(scene, *along, cuts)
-    x, y = integrals.points
-    share = bilinear(mask, x / width, y / height)
-    return integrals.values(integrals.fields()[-1] * share * integrals.inside(area))
-
-
-def _over_chords(scene: Scene, along: tuple[Splines, Splines], target: Target, within: Area | None) -> np.ndarray:
-    """Return the values of a disc or polygon; part of a disc counts as part of a polygon of DISC_CORNERS corners."""
-    integrals = Integrals(scene, *along)
-    count, (breaks_x, breaks_y) = integrals.rule, integrals.breaks
-    places = np.array([place for place, _ in lines(scene, 0)])
-    if target.disc is not None and within is None:
-        y, weights, chords = _disc_chords(target.disc, places, breaks_y, count)
-    else:
-        corners = target.corners(DISC_CORNERS)
-        assert corners is not None
-        corners = corners if within is None else clipped(corners, within)
-        y, weights, chords = _polygon_chords(corners, places, breaks_y, count)
-    rows, columns = integrals.pairs[0]
-    along_x = np.empty((y.size, rows.size))
-    for number, (low, high) in enumerate(chords):
-        inside = breaks_x[(breaks_x > low) & (breaks_x < high)]
-        x, shares = gauss(np.concatenate([[low], inside, [high]]), count)
-        values = along[0].values(x)
-        density = integrals.fields_at(x, y[number : number + 1])[-1][0]
-        along_x[number] = (values[rows] * values[columns]) @ (shares * density * weights[number])
-    rows, columns = integrals.pairs[1]
-    values = along[1].values(y)
-    return np.asarray((values[rows] * values[columns]) @ along_x)
-
-
-def _disc_chords(
-    disc: tuple[float, float, float], places: np.ndarray, breaks: np.ndarray, count: int
-) -> tuple[np.ndarray, np.ndarray, list[tuple[float, float]]]:
-    """Return ordinates [m], weights and ends [m] of the chords of a disc x, y, radius [m], by ``count`` Gauss points
-    between places along x at which integrals are not smooth in the chords' ends, and breaks along y [m]."""
-    x, y, radius = disc
-    half = np.abs(places - x) / radius
-    ends = np.arccos(half[half < 1])
-    cuts = np.arcsin(np.clip((breaks - y) / radius, -1, 1))
-    angle, weight = gauss(np.unique(np.concatenate([[-math.pi / 2, 0, math.pi / 2], cuts, ends, -ends])), count)
-    half = radius * np.cos(angle)
-    return y + radius * np.sin(angle), weight * half, list(zip(x - half, x + half, strict=True))
-
-
-def _polygon_chords(
-    corners: np.ndarray, places: np.ndarray, breaks: np.ndarray, count: int
-) -> tuple[np.ndarray, np.ndarray, list[tuple[float, float]]]:
-    """Return the same of a polygon (corners, 2) [m]; an ordinate returns for each chord at it."""
-    if len(corners) < 3:
-        return np.empty(0), np.empty(0), []
-    (x0, y0), (x1, y1) = corners.T, np.roll(corners, -1, axis=0).T
-    share = (places[:, None] - x0) / np.where(x1 == x0, math.inf, x1 - x0)
-    ends = (y0 + share * (y1 - y0))[(share > 0) & (share < 1)]
-    inside = breaks[(breaks > y0.min()) & (breaks < y0.max())]
-    y, weights = gauss(np.unique(np.concatenate([y0, inside, ends])), count)
-    ordinates, shares, chords = [], [], []
-    for at, weight in zip(y, weights, strict=True):
-        crossed = (y0 < at) != (y1 < at)
-        x = np.sort((x0 + (x1 - x0) * (at - y0) / np.where(crossed, y1 - y0, 1))[crossed])
-        for low, high in zip(x[::2], x[1::2], strict=True):
-            if high > low:
-                ordinates.append(at)
-                shares.append(weight)
-                chords.append((low, high))
-    return np.array(ordinates), np.array(shares), chords
+    mask, (width, height) = read_mask(scene, key, target), scene.plate.size
+    lines_x, lines_y = (
+        np.linspace(0, side, max(count, 2)).tolist()
+        for side, count in zip((width, height), mask.shape[::-1], strict=True)
+    )
+    return (lines_x, lines_y), lambda x, y: [bilinear(mask, x / width, y / height)]

@@ -16,7 +16,7 @@ from warp_plate.effects.effect import attachments
 from warp_plate.modal.spaces.splines import Splines, make_splines
 from warp_plate.outline.outline import Outline, bounds
 from warp_plate.outline.pieces import Piece
-from warp_plate.plate.section import factor_arrays
+from warp_plate.plate.section import factor_arrays, shaped_layers
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Point
 from warp_plate.scene.model import Scene
@@ -34,6 +34,8 @@ KINK, MOST_KINKS = 0.01, 36
 CORNER_INTERVALS = (0.3, 0.09)
 # The same on either side of the edges of layers, whose corners are singular too: fewer if there are many edges.
 LAYER_INTERVALS = (0.3, 0.09, 0.027)
+# Intervals, in place of one, within the bounding box of a layer that is no rectangle.
+SHAPED_INTERVALS = 3
 # Interval at a hole as a part of its width, and at a singular corner as a part of the square of the others over the
 # side, so that more functions show the error; their growth with the distance, and samples of that along a side.
 HOLE_INTERVAL, CORNER_INTERVAL, HOLE_GROWTH, CORNER_GROWTH, SAMPLES = 0.1, 0.06, 0.6, 0.7, 2000
@@ -130,9 +132,9 @@ def lines(scene: Scene, axis: int, degree: int = DEGREE) -> list[tuple[float, in
     loaded = attachments(scene.terms)
     places: list[tuple[float, int]] = []
     if len(loaded) <= MOST_PATCHES:
-        ends = (position for attachment in loaded for position in attachment.area[2 * axis : 2 * axis + 2])
-        places += [(position, degree - 2) for position in ends]
-    places += [(position, 1) for layer in scene.layers for position in layer.area[2 * axis : 2 * axis + 2]]
+        areas = (attachment.region.area for attachment in loaded)
+        places += [(position, degree - 2) for area in areas if area for position in area[2 * axis : 2 * axis + 2]]
+    places += [(place, 1) for layer in scene.layers if layer.area for place in layer.area[2 * axis : 2 * axis + 2]]
     kinks = _kinks(scene)
     followed = _most(kinks) <= MOST_KINKS
     return places + [(place, 2 if sharp and followed else degree) for place, sharp in kinks[axis].items()]
@@ -166,7 +168,7 @@ def _degree(scene: Scene) -> int:
 def _near_layers(scene: Scene, axis: int, interval: float) -> list[float]:
     """Return further knots along x (0) or y (1) [m] near the edges of layers; SceneError: two edges nearly coincide."""
     edges = [
-        {place for layer in scene.layers for place in layer.area[2 * i : 2 * i + 2] if 0 < place < side}
+        {place for layer in scene.layers if layer.area for place in layer.area[2 * i : 2 * i + 2] if 0 < place < side}
         for i, side in enumerate(scene.plate.size)
     ]
     places, parts = [], LAYER_INTERVALS[: max(1, 4 - len(edges[axis]) // 2)] if all(edges) else ()
@@ -180,6 +182,11 @@ def _near_layers(scene: Scene, axis: int, interval: float) -> list[float]:
         steps = [part * min(interval, high - low) for part in parts if high - low > NARROW * interval]
         places += [low + step for step in steps if low in edges[axis]]
         places += [high - step for step in steps if high in edges[axis]]
+    # Curvatures jump across the edges of other layers, which no knots follow: the smaller the intervals the better.
+    for layer in shaped_layers(scene):
+        low, high = layer.box[2 * axis : 2 * axis + 2]
+        inner = np.linspace(low, high, math.ceil(SHAPED_INTERVALS * (high - low) / interval) + 1).tolist()
+        places += [place for place in inner if 0 < place < side]
     return places
 
 

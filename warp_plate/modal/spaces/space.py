@@ -15,7 +15,7 @@ import scipy
 from warp_plate.effects.effect import DISPLACEMENT, Factors, Term
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
-from warp_plate.scene.target import Target
+from warp_plate.scene.target import PlateRegion, Target
 
 Matrix: TypeAlias = scipy.sparse.csr_array
 
@@ -86,8 +86,11 @@ class FunctionSpace(Protocol):
     def patch_integrals(self, areas: np.ndarray) -> np.ndarray:
         """Return (areas, unknowns) integrals over rectangles (areas, 4) x0, x1, y0, y1 [m]."""
 
-    def areas_within(self, areas: np.ndarray) -> np.ndarray:
-        """Return (areas,) areas [m²] of the parts of rectangles (areas, 4) on the plate."""
+    def region_integrals(self, regions: Sequence[PlateRegion]) -> np.ndarray:
+        """Return (regions, unknowns) integrals over the parts of regions on the plate."""
+
+    def region_areas(self, regions: Sequence[PlateRegion]) -> np.ndarray:
+        """Return (regions,) areas [m²] of the parts of regions on the plate."""
 
     def patch_slopes(self, areas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return (areas, unknowns) derivatives of :meth:`patch_integrals` by the rectangles' places."""

@@ -4,20 +4,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from functools import lru_cache
+from dataclasses import replace
+from functools import cached_property, lru_cache
 
 import numpy as np
 import scipy
 from numpy.polynomial import legendre
 
 from warp_plate.effects.effect import DISPLACEMENT, SLOPE, Factors, Term
-from warp_plate.modal.spaces.integrals import Field, Integrals, SplineProducts, bending_terms, region_values
+from warp_plate.modal.spaces.chords import Chords, Curve, LocalSplines, curves_of, make_chords
+from warp_plate.modal.spaces.integrals import (
+    Cuts,
+    Field,
+    Integrals,
+    OnChords,
+    SplineProducts,
+    bending_terms,
+    region_values,
+)
 from warp_plate.modal.spaces.knots import plate_splines
 from warp_plate.modal.spaces.space import Matrix
 from warp_plate.modal.spaces.splines import Splines, end_products, gauss, overlapping_pairs, side_products
+from warp_plate.outline.outline import Outline
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
-from warp_plate.scene.target import Target
+from warp_plate.scene.target import PlateRegion, Target
 
 # Derivatives along x and y of the factors of terms.
 ORDERS = {"": (0, 0), "x": (1, 0), "y": (0, 1), "xx": (2, 0), "xy": (1, 1), "yy": (0, 2)}
@@ -47,18 +58,23 @@ class TensorSplines(SplineProducts):
 
     @property
     def plate_mass(self) -> float:
-        return float((self.integrals.weights * self.integrals.fields()[-1]).sum())
+        added = (float((mass.chords.weights * mass.values).sum()) for *_, mass in self._layers)
+        return sum(added, start=float((self.integrals.weights * self.integrals.fields()[-1]).sum()))
 
     def density(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        return self.integrals.fields_at(x, y)[-1]
+        return self._density(x, y)
 
     def bending_terms(self) -> Iterator[Term]:
-        return bending_terms(self.integrals.fields())
+        for fields in (self.integrals.fields(), *self._layers):
+            yield from bending_terms(fields)
 
     def mass_matrix(self) -> Matrix:
-        return self.scatter(self.form(self.integrals.fields()[-1]))
+        first, *others = (self.form(fields[-1]) for fields in (self.integrals.fields(), *self._layers))
+        return self.scatter(sum(others, start=first))
 
     def form(self, coefficient: Field, factors: Factors = DISPLACEMENT) -> np.ndarray:
+        if isinstance(coefficient, OnChords):
+            return self._form_on(coefficient.chords, coefficient.values, factors)
         x, y = zip(*(ORDERS[factor] for factor in factors), strict=True)
         return self.integrals.values(coefficient, x=x, y=y)
 
@@ -94,6 +110,8 @@ class TensorSplines(SplineProducts):
                 total += (field[part].ravel() * first) @ second.T
             coupled = (bend_xy[part].ravel() * xx) @ yy.T
             total += coupled + coupled.T
+        for layer in self._layers:
+            total += self._bending_on(vectors, layer[0].chords, [field.values for field in layer])
         return total
 
     def at_points(self, points: Sequence[tuple[float, float]] | np.ndarray) -> np.ndarray:
@@ -113,10 +131,6 @@ class TensorSplines(SplineProducts):
     def patch_integrals(self, areas: np.ndarray) -> np.ndarray:
         x0, x1, y0, y1 = np.asarray(areas, dtype=float).reshape(-1, 4).T
         return _products(self.along[1].integrals(y0, y1), self.along[0].integrals(x0, x1))
-
-    def areas_within(self, areas: np.ndarray) -> np.ndarray:
-        x0, x1, y0, y1 = areas.T
-        return np.asarray((x1 - x0) * (y1 - y0))
 
     def patch_slopes(self, areas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         along_x, along_y = self.along
@@ -142,7 +156,44 @@ class TensorSplines(SplineProducts):
         return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2), np.outer(up, across).ravel()
 
     def region_matrix(self, region: Area | Target, within: Area | None = None) -> Matrix:
-        return self.scatter(region_values(self.scene, self.along, region, within))
+        target = region if isinstance(region, Target) else Target.model_construct(area=region)
+        if target.area is not None or target.mask is not None:
+            values = region_values(self.scene, self.along, target, within)
+        else:
+            chords = self._chords(curves_of(target, within))
+            (density,) = chords.sampled(lambda x, y: self.integrals.fields_at(x, y)[-1:])
+            values = self._form_on(chords, density, DISPLACEMENT)
+        return self.scatter(sum(self._layer_masses(target, within), start=values))
+
+    @cached_property
+    def _whole(self) -> tuple[Outline, tuple[LocalSplines, LocalSplines]]:
+        """The plate, and all splines on the knots, among them those that the conditions of the edges leave out."""
+        x, y = (LocalSplines(replace(splines, left_out=(0, 0))) for splines in self.along)
+        width, height = self.scene.plate.size
+        return Outline((tuple(PlateRegion.model_construct(area=(0.0, width, 0.0, height)).loop()),)), (x, y)
+
+    def _chords(self, curves: Sequence[Curve] = (), cuts: Cuts = ((), ())) -> Chords:
+        outline, along = self._whole
+        count = self.integrals.rule
+        breaks = [*self._section(0), *cuts[0]], [*self._section(1), *cuts[1]]
+        return make_chords(outline, along, (count, count + 1), breaks, curves)
+
+    def _tables(self, vectors: np.ndarray) -> np.ndarray:
+        left_out = (splines.left_out for splines in reversed(self.along))
+        return np.pad(vectors.T.reshape(-1, *self.shape), [(0, 0), *left_out])
+
+    def _on_chords(self, chords: Chords) -> np.ndarray:
+        rows, columns = (_used(splines) for splines in reversed(self.along))
+        return chords.integrals()[rows, columns].ravel()
+
+    def _form_on(self, chords: Chords, coefficient: np.ndarray | float, factors: Factors) -> np.ndarray:
+        x, y = zip(*(ORDERS[factor] for factor in factors), strict=True)
+        values = chords.form(coefficient, (x[0], x[1]), (y[0], y[1]))
+        used = []
+        for splines, whole in zip(reversed(self.along), reversed(self._whole[1]), strict=True):
+            some = np.arange(whole.splines.functions)[_used(splines)]
+            used.append(np.isin(overlapping_pairs(whole.splines), some).all(axis=0))
+        return np.asarray(values[np.ix_(*used)])
 
     def parity_bases(self) -> list[Matrix]:
         """Return bases (unknowns, n) of the motions that are even or odd about the middle of each side.
@@ -180,6 +231,11 @@ def _values(along_y: Matrix, along_x: Matrix, coefficients: np.ndarray) -> np.nd
     strips = (along_y @ coefficients.reshape(rows, -1)).reshape(-1, columns, modes).transpose(1, 2, 0)
     values = (along_x @ strips.reshape(columns, -1)).reshape(along_x.shape[0], modes, -1)
     return np.ascontiguousarray(values.transpose(1, 2, 0)).reshape(modes, -1)
+
+
+def _used(splines: Splines) -> slice:
+    """Return which of all splines on the knots the conditions of the ends do not leave out."""
+    return slice(splines.left_out[0], splines.left_out[0] + splines.functions)
 
 
 def _parities(count: int) -> list[np.ndarray]:

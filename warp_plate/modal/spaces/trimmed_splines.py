@@ -17,27 +17,28 @@ import scipy
 from numpy.polynomial import legendre
 
 from warp_plate.effects.effect import DISPLACEMENT, SLOPE, Factors, Term
-from warp_plate.modal.spaces.chords import Chords, Curve, LocalSplines, make_chords
+from warp_plate.modal.spaces.chords import Chords, Curve, LocalSplines, curves_of, make_chords
 from warp_plate.modal.spaces.integrals import (
-    DISC_CORNERS,
+    Cuts,
     Field,
     Integrals,
+    OnChords,
     SplineProducts,
     bending_terms,
+    mask_of,
     mean_wave_frequency,
 )
-from warp_plate.modal.spaces.knots import lines, outline_splines
+from warp_plate.modal.spaces.knots import outline_splines
 from warp_plate.modal.spaces.space import Matrix
 from warp_plate.modal.spaces.splines import gauss, overlapping_pairs
 from warp_plate.modal.spaces.tensor_splines import ORDERS
-from warp_plate.outline.pieces import Piece, Straight, ellipse, straight
+from warp_plate.outline.pieces import Piece, Straight
 from warp_plate.plate.memory import refuse_beyond_memory
-from warp_plate.plate.section import bilinear
-from warp_plate.plate.shapes import clipped, read_mask
+from warp_plate.plate.section import shaped_layers
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
 from warp_plate.scene.outline import Support
-from warp_plate.scene.target import Target
+from warp_plate.scene.target import PlateRegion, Target
 
 # Eigenvalues of the energy below this part of the largest are those of functions that depend on the others.
 RANK = 1e-13
@@ -67,8 +68,8 @@ class TrimmedSplines(SplineProducts):
         self._pieces = (*self.outline.pieces, *(_line(key, support) for key, support in lines if support.line))
         self.along = outline_splines(scene, 0, intervals[0]), outline_splines(scene, 1, intervals[1])
         self._local = LocalSplines(self.along[0]), LocalSplines(self.along[1])
-        self._fields = Integrals(scene, *self.along)
-        self._varied = bool(scene.layers or scene.effects.factor_maps)
+        self.integrals = Integrals(scene, *self.along)
+        self._varied = any(layer.area for layer in scene.layers) or bool(scene.effects.factor_maps)
         size = self.shape[0] * self.shape[1]
         refuse_beyond_memory(8.0 * size**2 * DENSE_MATRICES, f"plate.outline: {size} functions")
         self.chords = self._chords()
@@ -82,19 +83,24 @@ class TrimmedSplines(SplineProducts):
 
     @property
     def plate_mass(self) -> float:
-        return float((self.chords.weights * self._fields_on(self.chords)[-1]).sum())
+        added = (float((mass.chords.weights * mass.values).sum()) for *_, mass in self._layers)
+        return sum(added, start=float((self.chords.weights * self._fields_on(self.chords)[-1]).sum()))
 
     def density(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        return np.where(self._covered(x, y), self._fields.fields_at(x, y)[-1], 0.0)
+        return np.where(self._covered(x, y), self._density(x, y), 0.0)
 
     def bending_terms(self) -> Iterator[Term]:
-        return bending_terms(self._fields_on(self.chords))
+        for fields in (self._fields_on(self.chords), *self._layers):
+            yield from bending_terms(fields)
 
     def mass_matrix(self) -> Matrix:
-        return self.scatter(self.form(self._fields_on(self.chords)[-1]))
+        first, *others = (self.form(fields[-1]) for fields in (self._fields_on(self.chords), *self._layers))
+        return self.scatter(sum(others, start=first))
 
     def form(self, coefficient: Field, factors: Factors = DISPLACEMENT) -> np.ndarray:
-        return self._form(self.chords, coefficient, factors)
+        if isinstance(coefficient, OnChords):
+            return self._form_on(coefficient.chords, coefficient.values, factors)
+        return self._form_on(self.chords, coefficient, factors)
 
     def edge_form(self, side: str, coefficients: Mapping[Factors, float]) -> np.ndarray:
         total = np.zeros((self.basis.shape[0],) * 2)
@@ -116,14 +122,10 @@ class TrimmedSplines(SplineProducts):
 
     def bending_energies(self, vectors: np.ndarray) -> np.ndarray:
         """Return (n, n) Φᵀ B Φ of vectors Φ (unknowns, n), from their curvatures at Gauss's points."""
-        tables = (self.basis @ vectors).T.reshape(-1, *self.shape)
-        xx, xy, yy = (self.chords.sums(tables, *orders).reshape(len(tables), -1) for orders in ((2, 0), (1, 1), (0, 2)))
-        weights = self.chords.weights
-        bend_xx, bend_xy, bend_yy, twist, _ = (
-            np.broadcast_to(weights * field, weights.shape).ravel() for field in self._fields_on(self.chords)
-        )
-        coupled = (bend_xy * xx) @ yy.T
-        return np.asarray((bend_xx * xx) @ xx.T + (bend_yy * yy) @ yy.T + 4 * (twist * xy) @ xy.T + coupled + coupled.T)
+        total = self._bending_on(vectors, self.chords, self._fields_on(self.chords))
+        for layer in self._layers:
+            total += self._bending_on(vectors, layer[0].chords, [field.values for field in layer])
+        return total
 
     def at_points(self, points: Sequence[tuple[float, float]] | np.ndarray) -> np.ndarray:
         places = np.asarray(points, dtype=float).reshape(-1, 2)
@@ -169,17 +171,19 @@ class TrimmedSplines(SplineProducts):
         target = region if isinstance(region, Target) else Target.model_construct(area=region)
         if target.mask is not None:
             return self._over_mask(target, within)
-        chords = self._chords(_curves(target, within))
-        return self.scatter(self._form(chords, self._fields_on(chords)[-1], DISPLACEMENT))
-
-    def areas_within(self, areas: np.ndarray) -> np.ndarray:
-        return np.array([self._chords([_rectangle(area)]).weights.sum() for area in areas])
+        chords = self._chords(curves_of(target, within))
+        values = self._form_on(chords, self._fields_on(chords)[-1], DISPLACEMENT)
+        return self.scatter(sum(self._layer_masses(target, within), start=values))
 
     def region_mass(self, region: Area | Target) -> float:
         """Return the mass [kg] of the part of a rectangle or target, no mask, on the plate."""
         target = region if isinstance(region, Target) else Target.model_construct(area=region)
-        chords = self._chords(_curves(target, None))
-        return float((chords.weights * self._fields_on(chords)[-1]).sum())
+        chords = self._chords(curves_of(target))
+        mass = float((chords.weights * self._fields_on(chords)[-1]).sum())
+        for layer in shaped_layers(self.scene):
+            *_, added = self._added(layer, self._chords([*curves_of(target), *curves_of(layer)]))
+            mass += float((added.chords.weights * added.values).sum())
+        return mass
 
     def parity_bases(self) -> list[Matrix]:
         return [scipy.sparse.eye_array(self.unknowns, format="csr")]
@@ -190,19 +194,18 @@ class TrimmedSplines(SplineProducts):
     def is_near(self, other: TrimmedSplines, share: float) -> bool:
         return self.basis is other.basis
 
-    def _chords(self, curves: Sequence[Curve] = (), cuts: tuple[Sequence[float], Sequence[float]] = ((), ())) -> Chords:
-        """Return the rule on the part of the plate inside curves."""
+    def _chords(self, curves: Sequence[Curve] = (), cuts: Cuts = ((), ())) -> Chords:
         count = self.degree + (3 if self._varied else 1)
-        section = [[*(place for place, _ in lines(self.scene, axis)), *cuts[axis]] for axis in (0, 1)]
+        section = [[*self._section(axis), *cuts[axis]] for axis in (0, 1)]
         return make_chords(self.outline, self._local, (count, count + 1), (section[0], section[1]), curves)
 
-    def _fields_on(self, chords: Chords) -> tuple[Field, ...]:
+    def _fields_on(self, chords: Chords) -> tuple[np.ndarray | float, ...]:
         """Return Dx, D1, Dy, Dxy [N·m] and the mass per area [kg/m²] at the points of a rule, or as numbers."""
         if not self._varied:
-            return self._fields.fields()
-        return tuple(chords.sampled(self._fields.fields_at))
+            return self.integrals.fields()
+        return tuple(chords.sampled(self.integrals.fields_at))
 
-    def _form(self, chords: Chords, coefficient: Field, factors: Factors) -> np.ndarray:
+    def _form_on(self, chords: Chords, coefficient: np.ndarray | float, factors: Factors) -> np.ndarray:
         """Return the full matrix of a form over the products of splines."""
         x, y = zip(*(ORDERS[factor] for factor in factors), strict=True)
         values = chords.form(coefficient, (x[0], x[1]), (y[0], y[1]))
@@ -230,9 +233,15 @@ class TrimmedSplines(SplineProducts):
         """Return (areas, unknowns) integrals of a sum of derivatives over the parts of rectangles on the plate."""
         rows = []
         for area in np.asarray(areas, dtype=float).reshape(-1, 4):
-            chords = self._chords([_rectangle(area)])
+            chords = self._chords(curves_of(PlateRegion.model_construct(area=tuple(area.tolist()))))
             rows.append(sum(chords.integrals(x=x, y=y).ravel() for x, y in orders))
         return np.array(rows).reshape(-1, self.basis.shape[0]) @ self.basis
+
+    def _tables(self, vectors: np.ndarray) -> np.ndarray:
+        return np.asarray((self.basis @ vectors).T.reshape(-1, *self.shape))
+
+    def _on_chords(self, chords: Chords) -> np.ndarray:
+        return np.asarray(chords.integrals().ravel() @ self.basis)
 
     def _over_line(self, axis: int, at: float, low: float, high: float) -> np.ndarray:
         """Return (products,) integrals along a line at x (0) or y (1) from ``low`` to ``high`` of the other [m]."""
@@ -250,15 +259,12 @@ class TrimmedSplines(SplineProducts):
 
     def _over_mask(self, target: Target, within: Area | None) -> Matrix:
         """Return the mass matrix of a mask, which is bilinear between its numbers."""
-        key = next((key for key, listed in self.scene.targets_by_key.items() if listed == target), "target")
-        mask, size = read_mask(self.scene, key, target), self.scene.plate.size
-        cuts = [
-            np.linspace(0, side, max(count, 2)).tolist() for side, count in zip(size, mask.shape[::-1], strict=True)
-        ]
-        whole = Target.model_construct(area=(0.0, size[0], 0.0, size[1]))
-        chords = self._chords(_curves(whole, within), (cuts[0], cuts[1]))
-        (share,) = chords.sampled(lambda x, y: [bilinear(mask, x / size[0], y / size[1])])
-        return self.scatter(self._form(chords, self._fields_on(chords)[-1] * share, DISPLACEMENT))
+        (cuts, mask), size = mask_of(self.scene, target), self.scene.plate.size
+        whole = PlateRegion.model_construct(area=(0.0, size[0], 0.0, size[1]))
+        chords = self._chords(curves_of(whole, within), cuts)
+        (share,) = chords.sampled(mask)
+        values = self._form_on(chords, self._fields_on(chords)[-1] * share, DISPLACEMENT)
+        return self.scatter(sum(self._layer_masses(target, within), start=values))
 
     def _make_basis(self) -> np.ndarray:
         """Return (products, unknowns) independent functions that keep the conditions of the edges."""
@@ -317,22 +323,6 @@ def _line(key: str, support: Support) -> Straight:
     """Return the piece of a line support."""
     condition = "supported" if support.stiffness is None else "free"
     return Straight(condition, key, key, np.array(support.line, dtype=float))
-
-
-def _rectangle(area: np.ndarray) -> Curve:
-    x0, x1, y0, y1 = area
-    return straight([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], None, "")
-
-
-def _curves(target: Target, within: Area | None) -> list[Curve]:
-    """Return the curve of a region, or of its part in a rectangle."""
-    if target.disc is not None and within is None:
-        x, y, radius = target.disc
-        return [[ellipse((x, y), (radius, radius), 0.0, None, "")]]
-    corners = target.corners(DISC_CORNERS)
-    assert corners is not None
-    corners = corners if within is None else clipped(corners, within)
-    return [straight(corners, None, "") if len(corners) else []]
 
 
 def _widths(knots: np.ndarray, degree: int) -> np.ndarray:
