@@ -30,9 +30,9 @@ PARETO = np.geomspace(1 / 8, 8, 13)
 SAME = 1e-4  # relative difference of two scales that counts as none
 # Relative violation that counts as none; part of a certificate above which a requirement is named.
 NOTHING, NAMED = 1e-7, 0.02
-# Density of the splines that errors are estimated with: far fewer than those of the answer, whose error is less than
-# the difference.
-COARSER = 1 / 1.3
+# Density of the splines that errors are estimated with, and the error of the answer over the difference, for errors
+# that fall with the power 1.6 of the density.
+COARSER, CAUTION = 1 / 1.3, 2.0
 # Points of the map along the longer side of the plate.
 MAP_POINTS = 161
 # Levels over those wanted (aims,), and over those allowed (rests,).
@@ -265,10 +265,15 @@ def _interval(tone: Tone, drive: np.ndarray, levels: Ratios) -> tuple[float, flo
     scene = tone.plate.scene
     other = solve_modes(scene, tone.plate.highest / scene.grid.modal_density, density=COARSER)
     coarser = replace(tone, plate=other, requirements=make_requirements(other), points={})
-    both = [_level_and_contrast(tone, levels), _level_and_contrast(coarser, coarser.reached(drive))]
-    value, coarse = (pair[1 if tone.requirements.rests else 0] for pair in both)
-    half = abs(coarse - value)
-    return value - half, value + half
+    of_level, of_contrast = _level_and_contrast(tone, levels)
+    in_aims, in_rests = coarser.reached(drive)
+    if not tone.requirements.rests:
+        half = CAUTION * abs(float(in_aims.min()) - of_level)
+        return of_level - half, of_level + half
+    # Errors of the two levels count each, though they may cancel out in their ratio.
+    ratios = (float(in_aims.min()) / of_level, float(in_rests.max() / levels[1].max()))
+    half = CAUTION * sum(abs(_decibels(ratio)) for ratio in ratios)
+    return of_contrast - half, of_contrast + half
 
 
 def _gains(result: LeastScale, limits: np.ndarray) -> np.ndarray:
