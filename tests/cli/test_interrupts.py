@@ -205,3 +205,29 @@ def test_a_solver_can_be_used_after_an_interrupted_run(device, path, phasors):
         run_for_long()
     heard.set()
     np.testing.assert_array_equal(solver.run(drives).energy, expected)
+
+
+# Sends Ctrl-C in the third program of a specification.
+SPECIFYING = """
+import os, signal, sys
+from warp_plate.problem.specified_drives import Tone
+
+solve, calls = Tone.solve, []
+
+def interrupted(*arguments, **options):
+    calls.append(arguments)
+    if len(calls) == 3:
+        os.kill(os.getpid(), signal.SIGINT)
+    return solve(*arguments, **options)
+
+Tone.solve = interrupted
+from warp_plate.cli.main import main
+main(sys.argv[1:])
+"""
+
+
+def test_a_specification_ends_in_one_line_and_writes_nothing(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    status, out, err, _ = end(start("-c", SPECIFYING, "specify", "console", "--json"))
+    assert (status, out, err) == (130, "", "warp-plate: interrupted\n")
+    assert not list(tmp_path.iterdir())

@@ -98,6 +98,17 @@ def test_intervals_hold_and_a_spring_is_found(random):
     assert found.values == pytest.approx(truth, rel=0.1)
 
 
+def test_linked_springs_are_fitted_as_one():
+    """Lévy's frequencies of equal springs along two edges."""
+    spring, sides = 3e3, ({"translation": 1e3}, "supported", {"translation": 1e3}, "supported")
+    keys = ["edges.left.translation", "edges.right.translation"]
+    scene = scene_of(size=SIZE, edges=sides, links={"gasket": {"keys": keys}}, fit={"free": {"gasket": (1e2, 1e5)}})
+    exact = levy_frequencies(lambda x: isotropic(**MATERIAL), SIZE, ((spring, 0.0), (spring, 0.0)), 400.0)[:10]
+    found = fit_modes(scene, MeasuredModes("data.csv", exact, np.full(10, np.nan)))
+    assert found.values == pytest.approx([spring], rel=1e-3)
+    assert found.scene.edges.left.translation == found.scene.edges.right.translation == found.values[0]
+
+
 def test_command(command, write_scene, random):
     write_scene(stiff_panel(free=MODULI))
     Path("data.csv").write_text(
