@@ -26,6 +26,7 @@ from warp_plate.problem.starts import BRENT_STEPS, candidate_frequencies
 from warp_plate.result.checkpoint import Checkpoint
 from warp_plate.result.model import TargetSearch
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.search import SWARMS
 from warp_plate.studies.spectrum import spectrum_frequencies
 from warp_plate.studies.unfinished import CheckpointFile
 
@@ -104,12 +105,19 @@ def search_optimizer(problem: Problem, seed: int, state: Mapping[str, Any] | Non
     try:
         search, slopes = problem.scene.search, problem.slopes
         frequencies = candidate_frequencies(problem.parametrization, problem.plates.designs.solver)
-        start, candidates = (problem.start, None) if frequencies is None else (None, frequencies[:, None])
+        candidates = None if frequencies is None else frequencies[:, None]
+        start = problem.start if candidates is None and not _starts_anywhere(problem) else None
         return make_optimizer(search, problem.space, seed, problem.quadratic, state, slopes, start, candidates)
     except SceneError:
         raise
     except ValueError as error:
         raise SceneError(f"checkpoint: {error}") from None
+
+
+def _starts_anywhere(problem: Problem) -> bool:
+    """Return whether a search is of a swarm that a particle at the scene's own places would hold there: each place has
+    its best drive. Those places are then compared at the end."""
+    return problem.projected and (problem.scene.search.method or "pso") in SWARMS
 
 
 def find_position(problem: Problem, seed: int) -> np.ndarray | None:
@@ -149,18 +157,22 @@ def finish_search(
     if position is None:
         return None, evaluations, history
     best, further = optimizer.result.fbest, 0
+    if _starts_anywhere(problem) and problem.start is not None:
+        at_start, further = float(problem.losses(problem.start[None])[0]), 1
+        position, best = (problem.start, at_start) if at_start < best else (position, best)
     problem.complete(position)  # refuse places without clearance before the descent
     by_modes = problem.evaluator_name == MODAL and problem.scenario_losses is None
     if by_modes and not problem.parametrization.only_drives and not interrupted:
         if isinstance(optimizer, ExactSearch):
-            position, best, further = _refine(problem, position, best, optimizer.positions[:, 0])
+            position, best, more = _refine(problem, position, best, optimizer.positions[:, 0])
         else:
-            position, best, further = polish(problem, position, best)
+            position, best, more = polish(problem, position, best)
+        further += more
     elif nominal_position is not None or problem.objectives.limits:
         other = problem.with_best_drive(position) if nominal_position is None else nominal_position
         loss = float(problem.losses(other[None])[0])
         if loss < best:
-            position, best, further = other, loss, 1
+            position, best, further = other, loss, further + 1
     history = with_further_evaluations(problem, history, further, best)
     return problem.complete(position), evaluations + further, history
 
