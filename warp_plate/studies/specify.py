@@ -31,8 +31,8 @@ SAME = 1e-4  # relative difference of two scales that counts as none
 # Relative violation that counts as none; part of a certificate above which a requirement is named.
 NOTHING, NAMED = 1e-7, 0.02
 # Density of the splines that errors are estimated with, and the error of the answer over the difference, for errors
-# that fall with the power 1.6 of the density.
-COARSER, CAUTION = 1 / 1.3, 2.0
+# that fall with the power 1.1 of the density.
+COARSER, CAUTION = 1 / 1.3, 3.0
 # Points of the map along the longer side of the plate.
 MAP_POINTS = 161
 # Levels over those wanted (aims,), and over those allowed (rests,).
