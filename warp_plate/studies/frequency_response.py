@@ -115,9 +115,8 @@ def _errors(
     next_mode = np.minimum(np.searchsorted(natural[1:], frequencies), shifts.size - 1)
     forces, shapes = input_forces(coarser, inputs)[1], coarser.at_points(points)
     others = _responses(coarser, np.interp(frequencies, natural, mapped), forces, shapes)
-    changes = [maximum_filter1d(np.abs(b - a), AROUND) for a, b in zip(curves, others, strict=True)]
-    parts = zip(curves, changes, strict=True)
-    return [shifts[next_mode], *(FACTOR * change + LEAST_ERROR * np.abs(curve) for curve, change in parts)]
+    changes = [FACTOR * np.abs(b - a) + LEAST_ERROR * np.abs(a) for a, b in zip(curves, others, strict=True)]
+    return [shifts[next_mode], *(maximum_filter1d(change, AROUND) for change in changes)]
 
 
 def respond_to_drive(scene: Scene, frequencies: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
