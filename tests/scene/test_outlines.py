@@ -9,7 +9,7 @@ from support.scenes import refused
 from support.scenes_of_outlines import outlined
 from warp_plate import Scene, check, modes
 from warp_plate.modal.solver import ModalSolver
-from warp_plate.plate.bending import make_bending
+from warp_plate.plate.scheme import make_scheme
 from warp_plate.resolve import resolve
 
 DISC = {"disc": (0.1, 0.1, 0.1)}
@@ -125,7 +125,7 @@ def test_what_has_no_time_steps_on_an_outline_is_taken_by_modes(edge, holes, eff
     scene = outlined(DISC, edge, holes, effects=effects)
     assert resolve(scene, "cpu").engine == "modes"
     assert (message := refused(scene.check_stepped)).startswith(f"{key}: ")
-    assert message == refused(make_bending, scene)
+    assert message == refused(make_scheme, scene)
     run = ModalSolver(scene, "cpu").run([[1.0]], points=[(0.1, 0.12)])
     assert run.energy[0, 1] > 0
     assert np.abs(run.trace).max() > 0
