@@ -196,6 +196,39 @@ def test_point_supports():
     assert dimensionless(square, lowest(square, 6), 0.2)[:2] == pytest.approx([7.11088, 15.77024], rel=1e-5)
 
 
+def test_supports_of_a_plate_given_by_its_size():
+    """A square with supported edges: its modes with a node in the middle stay, and its diagonal makes two triangles of
+    it, whose modes with four supported corners have ωL²√(ρH/D) = (m² + n²)π² with m ≠ n."""
+    exact = math.pi**2 * np.array([5, 10, 13])
+    for place in ({"point": (0.1, 0.1)}, {"line": ((0.0, 0.0), (0.2, 0.2))}):
+        scene = scene_of(size=(0.2, 0.2), edges=("supported",) * 4, supports=[place])
+        values = dimensionless(scene, lowest(scene, 6), 0.2)
+        assert np.abs(values[:, None] / exact - 1).min(axis=0) == pytest.approx(0, abs=1e-6)
+    elastic = {"translation": 3e3, "rotation": 0.4}
+    edges, line = ("free", "clamped", elastic, "supported"), {"line": ((0.0, 0.1), (0.2, 0.1)), "stiffness": 1e4}
+    scene = scene_of(size=(0.2, 0.2), edges=edges, supports=[line])
+    parts = [((0, 0), (0.2, 0), "clamped"), ((0.2, 0), (0.2, 0.2), elastic), ((0.2, 0.2), (0, 0.2), "supported")]
+    parts = [{"from": first, "to": last, "edge": edge} for first, last, edge in parts]
+    other = outlined({"rectangle": (0.2, 0.2)}, "free", parts=parts, supports=[line])
+    assert lowest(scene, 6) == pytest.approx(lowest(other, 6), rel=1e-6)
+
+
+def test_dense_knots_at_points_keep_rigid_motions():
+    """A free plate on three points; the rank of its functions must not lose the turns about the points."""
+    points = [{"point": point} for point in ((0.1, 0.0), (0.0, 0.2), (0.2, 0.2))]
+    scene = scene_of(size=(0.2, 0.2), edges=("free",) * 4, supports=points)
+    denser = scene.with_tables(grid={"modal_density": 1.5})
+    assert lowest(denser, 6) == pytest.approx(lowest(scene, 6), rel=1e-6)
+
+
+def test_a_ring_in_a_disc():
+    """Modes of a supported disc with n nodal diameters and a nodal circle there stay as they are."""
+    root = 0.441744286801  # radius of the nodal circle of the second axisymmetric mode over that of the disc
+    scene = outlined(DISC, "supported", material=HARD, supports=[{"ring": (0.1, 0.1, 0.1 * root)}])
+    values = dimensionless(scene, lowest(scene, 6), 0.1)
+    assert np.abs(values / 29.7200047321 - 1).min() < 1e-4
+
+
 def test_springs_that_are_too_stiff():
     for stiffness in (1e18, 1e30):
         support = {"point": (0.05, 0.1), "stiffness": stiffness}

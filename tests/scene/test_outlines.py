@@ -61,10 +61,11 @@ def test_an_edge_is_clamped_unless_it_is_written():
         ({"plate.holes": [{"rectangle": (0.1, 0.04)}]}, "plate.holes[0].centre: is missing"),
         ({"supports": [{"point": (0.01, 0.01)}]}, "supports[0].point: [0.01, 0.01] is off the plate"),
         (
-            {"supports": [{"line": ((0.05, 0.1), (0.1, 0.12))}]},
-            "supports[0].line: [[0.05, 0.1], [0.1, 0.12]] is neither",
+            {"supports": [{"line": ((0.05, 0.1), (0.05, 0.1))}]},
+            "supports[0].line: [[0.05, 0.1], [0.05, 0.1]] has no length",
         ),
-        ({"supports": [{}]}, "supports[0].point: write either point or line"),
+        ({"supports": [{"ring": (0.1, 0.1, 0.12)}]}, "supports[0].ring: leaves the plate; keep all of it inside"),
+        ({"supports": [{}]}, "supports[0].point: write one of point, line and ring"),
         ({"actuators[0].area": (0.0, 0.01, 0.0, 0.01)}, "actuators[0].area: [0.0, 0.01, 0.0, 0.01] is off the plate"),
         ({"edges.left": "free"}, "edges.left: the plate has an outline; write edges.outline"),
         ({"edges.parts": [{**PART, "to": (0.1, 0.1)}]}, "edges.parts[0].to_point: [0.1, 0.1] is 0.1 m off the outline"),
@@ -85,7 +86,6 @@ def test_wrong_tables_are_refused_in_one_line(changes, message):
 def test_a_rectangle_by_its_size_takes_no_keys_of_outlines():
     scene = Scene.load("paper")
     assert "edges.outline: the plate has no outline" in refused(scene.replace, "edges.outline", "free")
-    assert "supports: need an outline" in refused(scene.replace, "supports", [{"point": (0.1, 0.1)}])
     assert "plate.holes: need an outline" in refused(scene.replace, "plate.holes", [{"disc": (0.1, 0.1, 0.01)}])
 
 

@@ -9,6 +9,7 @@ from functools import reduce
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import PrivateAttr, ValidationError, model_validator
 
 from warp_plate.effects.layers import check_layers
@@ -37,6 +38,8 @@ from warp_plate.scene.target import NamedTarget, PlateRegion, Target
 
 # Largest angle above π of a corner whose edges may be supported [rad].
 REENTRANT = 0.01
+# Points of a support's curve that must be on the plate.
+SUPPORT_SAMPLES = 129
 # Tables whose numbers have tolerances: in a specification, whose frequency is its own, and in a search.
 VARIED = (*PANEL, "target.", "targets[")
 SEARCHED = (*VARIED, "drive.", "window.")
@@ -266,16 +269,19 @@ def _check_tables(scene: SceneTables) -> None:
 
 
 def _check_outline(scene: SceneTables) -> None:
-    """Check that a plate with an outline has nothing that it excludes."""
+    """Check that a plate with an outline or supports has nothing that these exclude."""
     if (outline := scene.outline) is None:
-        if scene.supports:
-            raise ValueError("supports: need an outline; write plate.outline = { rectangle = [width, height] }")
         return
     if scene.effects.stretches:
-        raise ValueError("effects.stretching: not with plate.outline; delete one of them")
+        key = "supports" if scene.plate.outline is None else "plate.outline"
+        raise ValueError(f"effects.stretching: not with {key}; delete one of them")
     for index, support in enumerate(scene.supports):
+        key = f"supports[{index}].{next(name for name in ('point', 'line', 'ring') if getattr(support, name))}"
         for end in support.ends:
-            scene.plate.check_point(f"supports[{index}].{'line' if support.line else 'point'}", end)
+            scene.plate.check_point(key, end)
+        curve = support.piece(key)
+        if curve is not None and not outline.contains(curve.points(np.linspace(0, 1, SUPPORT_SAMPLES))).all():
+            raise ValueError(f"{key}: leaves the plate; keep all of it inside the outline, outside the holes")
     regions: dict[str, PlateRegion] = {f"actuators[{index}]": row for index, row in enumerate(scene.actuators)}
     regions |= {key: target for key, target in scene.targets_by_key.items() if target.mask is None}
     for key, region in (regions | scene.effects.regions).items():

@@ -7,12 +7,13 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from warp_plate.effects.edges import EdgeCondition, Edges
 from warp_plate.outline.contours import piece_of_row
 from warp_plate.outline.outline import Outline, make_outline
-from warp_plate.outline.pieces import Piece
+from warp_plate.outline.pieces import Piece, Straight, ellipse, straight
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Coordinate, Name, Point, Positive, Table, Unit, check_file_name
 from warp_plate.scene.load import read_beside
@@ -91,30 +92,39 @@ class Hole(ClosedCurve):
 
 
 class Support(Table):
-    """A support of a plate with an outline besides its edges, which holds the displacement; rigid without
-    ``stiffness``."""
+    """A support of the plate besides its edges, which holds the displacement; rigid without ``stiffness``."""
 
     point: Annotated[Point | None, Field(examples=[[0.01, 0.01]])] = None
     """Point x, y."""
     line: Annotated[tuple[Point, Point] | None, Field(examples=[[[0.0, 0.05], [0.1, 0.05]]])] = None
-    """Ends of a line along x or y."""
+    """Ends of a straight line."""
+    ring: Annotated[tuple[Coordinate, Coordinate, Positive] | None, Unit("m"), Field(examples=[[0.1, 0.1, 0.05]])] = (
+        None
+    )
+    """Centre x, y and radius of a circle that is held."""
     stiffness: Annotated[Positive | None, Unit("N/m or N/m²"), Field(examples=[1e5])] = None
-    """Stiffness of a point, or per length of a line."""
+    """Stiffness of a point, or per length of a line or ring."""
 
     @model_validator(mode="after")
     def _one_place(self) -> Self:
-        if (self.point is None) == (self.line is None):
-            raise ValueError("point: write either point or line")
-        if self.line is not None:
-            (x0, y0), (x1, y1) = self.line
-            if (x0 == x1) == (y0 == y1):
-                raise ValueError(f"line: {[list(end) for end in self.line]} is neither along x nor along y; turn it")
+        if sum(place is not None for place in (self.point, self.line, self.ring)) != 1:
+            raise ValueError("point: write one of point, line and ring")
+        if self.line is not None and self.line[0] == self.line[1]:
+            raise ValueError(f"line: {[list(end) for end in self.line]} has no length; write point, or move an end")
         return self
 
     @property
     def ends(self) -> tuple[Point, ...]:
         """The point, or the ends of the line."""
         return (self.point,) if self.point is not None else self.line or ()
+
+    def piece(self, key: str) -> Piece | None:
+        """Return the curve of a line or ring as an edge of a key, supported if it is rigid; None for a point."""
+        condition = "supported" if self.stiffness is None else "free"
+        if self.ring is not None:
+            x, y, radius = self.ring
+            return ellipse((x, y), (radius, radius), 0.0, condition, key)
+        return Straight(condition, key, key, np.array(self.line, dtype=float)) if self.line else None
 
 
 @lru_cache
@@ -124,6 +134,15 @@ def outline_of(outline: PlateOutline, holes: tuple[Hole, ...], edges: Edges) -> 
     loops |= {f"plate.holes[{index}]": hole.loop(hole.edge, f"holes[{index}]") for index, hole in enumerate(holes)}
     parts = {f"parts[{index}]": (part.from_point, part.to_point, part.edge) for index, part in enumerate(edges.parts)}
     return make_outline(loops, parts)
+
+
+@lru_cache
+def outline_of_rectangle(size: tuple[float, float], edges: Edges) -> Outline:
+    """Return the geometry of a plate given by its size, with the edges of its four sides."""
+    (width, height), sides = size, ("bottom", "right", "top", "left")
+    loop = straight([(0, 0), (width, 0), (width, height), (0, height)], None, "")
+    pieces = [piece.on(getattr(edges, side), side) for piece, side in zip(loop, sides, strict=True)]
+    return make_outline({"plate.size": pieces}, {})
 
 
 def with_drawing(tables: dict[str, Any], folder: Path | None) -> dict[str, Any]:

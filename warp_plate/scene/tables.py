@@ -19,7 +19,7 @@ from warp_plate.scene.fit import Fit, Measurement
 from warp_plate.scene.focus import Focus
 from warp_plate.scene.grid import DEFAULT_ACCURACY, Grid, Record, Window
 from warp_plate.scene.links import Link
-from warp_plate.scene.outline import Hole, PlateOutline, Support, outline_of
+from warp_plate.scene.outline import Hole, PlateOutline, Support, outline_of, outline_of_rectangle
 from warp_plate.scene.search import Search
 from warp_plate.scene.specification import Specification
 from warp_plate.scene.target import NamedTarget, PlateRegion, Target
@@ -184,8 +184,10 @@ class SceneTables(Table):
 
     @property
     def outline(self) -> Outline | None:
-        """Geometry of the plate's outline; None for a rectangle by ``plate.size``."""
-        return None if self.plate.outline is None else outline_of(self.plate.outline, self.plate.holes, self.edges)
+        """Geometry of the plate's outline; None for a rectangle by ``plate.size`` without supports."""
+        if self.plate.outline is None:
+            return outline_of_rectangle(self.plate.size, self.edges) if self.supports else None
+        return outline_of(self.plate.outline, self.plate.holes, self.edges)
 
     @property
     def edge_conditions(self) -> tuple[tuple[str, Any], ...]:
@@ -206,7 +208,7 @@ class SceneTables(Table):
     @property
     def uniform(self) -> bool:
         """True if the plate is an isotropic, homogeneous rectangle, clamped or supported along all edges."""
-        varied = self.effects.section_keys or self.layers or self.plate.outline
+        varied = self.effects.section_keys or self.layers or self.plate.outline or self.supports
         return not varied and all(edge in ("clamped", "supported") for _, edge in self.edge_conditions)
 
     @property

@@ -118,8 +118,12 @@ def _spread(side: float, interval: float, spans: list[tuple[float, float, float,
 
 
 def _on_edge(support: Support, end: Point, outline: Outline) -> bool:
-    """Return whether the end of a support's line lies on an edge, so that it is no end in the plate."""
-    return support.line is not None and min(piece.nearest(end)[1] for piece in outline.pieces) < ON_EDGE
+    """Return whether the end of a support's line lies on an edge, or its point on a corner, where moments are not
+    singular: a force on a convex corner bends the plate smoothly."""
+    if support.point is not None:
+        corners = (after.start for _, after, angle in outline.corners() if angle < math.pi - STRAIGHT)
+        return any(math.dist(corner, end) < ON_EDGE for corner in corners)
+    return min(piece.nearest(end)[1] for piece in outline.pieces) < ON_EDGE
 
 
 def _is_singular(before: Piece, after: Piece, angle: float) -> bool:

@@ -32,16 +32,18 @@ from warp_plate.modal.spaces.knots import outline_splines
 from warp_plate.modal.spaces.space import Matrix
 from warp_plate.modal.spaces.splines import gauss, overlapping_pairs
 from warp_plate.modal.spaces.tensor_splines import ORDERS
-from warp_plate.outline.pieces import Piece, Straight
+from warp_plate.outline.pieces import Piece
 from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.plate.section import shaped_layers
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
-from warp_plate.scene.outline import Support
 from warp_plate.scene.target import PlateRegion, Target
 
 # Eigenvalues of the energy below this part of the largest are those of functions that depend on the others.
 RANK = 1e-13
+# Squared frequency by which the mass counts in the energy, over that of about the first mode: rigid motions of plates
+# without held edges, small beside what bends between dense knots, must stay far above RANK.
+HELD, LOOSE = 30, 3e4
 # Singular values of the moments below this part of the largest are those of moments that depend on the others.
 MOMENTS = 1e-4
 # Products with less of their mass on the plate than this part take no part.
@@ -64,8 +66,8 @@ class TrimmedSplines(SplineProducts):
     def __init__(self, scene: Scene, intervals: tuple[int, int], like: TrimmedSplines | None = None) -> None:
         assert scene.outline is not None
         self.scene, self.intervals, self.outline = scene, intervals, scene.outline
-        lines = ((f"supports[{index}]", support) for index, support in enumerate(scene.supports))
-        self._pieces = (*self.outline.pieces, *(_line(key, support) for key, support in lines if support.line))
+        curves = (support.piece(f"supports[{index}]") for index, support in enumerate(scene.supports))
+        self._pieces = (*self.outline.pieces, *(curve for curve in curves if curve is not None))
         self.along = outline_splines(scene, 0, intervals[0]), outline_splines(scene, 1, intervals[1])
         self._local = LocalSplines(self.along[0]), LocalSplines(self.along[1])
         self.integrals = Integrals(scene, *self.along)
@@ -270,7 +272,8 @@ class TrimmedSplines(SplineProducts):
         """Return (products, unknowns) independent functions that keep the conditions of the edges."""
         stiffness = sum(self.form(term.coefficient, term.factors) for term in self.bending_terms())
         mass = self.form(self._fields_on(self.chords)[-1])
-        lowest = 30 * (2 / np.pi * mean_wave_frequency(self.scene) / self.outline.area) ** 2
+        held = any(piece.condition in ("clamped", "supported") for piece in self.outline.pieces)
+        lowest = (HELD if held else LOOSE) * (2 / np.pi * mean_wave_frequency(self.scene) / self.outline.area) ** 2
         energy = stiffness + lowest * mass
         sizes = np.outer(*(_widths(splines.knots, splines.degree) for splines in reversed(self.along))).ravel()
         share = np.diag(mass) / (self.plate_mass / self.outline.area * sizes)
@@ -317,12 +320,6 @@ class TrimmedSplines(SplineProducts):
         cuts = np.unique(np.concatenate([[low, high], *crossed]))
         t, weights = gauss(cuts[(cuts >= low) & (cuts <= high)], self.degree + 2)
         return t, weights * np.linalg.norm(piece.tangents(t), axis=1)
-
-
-def _line(key: str, support: Support) -> Straight:
-    """Return the piece of a line support."""
-    condition = "supported" if support.stiffness is None else "free"
-    return Straight(condition, key, key, np.array(support.line, dtype=float))
 
 
 def _widths(knots: np.ndarray, degree: int) -> np.ndarray:
