@@ -96,7 +96,9 @@ def _nodes_of(outline: Outline, size: tuple[float, float], nodes: tuple[int, int
 
 def outlined_nodes(scene: Scene, shape: tuple[int, ...]) -> OutlinedNodes | None:
     """Return the nodes of fields of a shape (..., ny, nx); None for a rectangle."""
-    return None if scene.outline is None else _nodes_of(scene.outline, scene.plate.size, (shape[-1], shape[-2]))
+    if scene.plate.outline is None or scene.outline is None:
+        return None
+    return _nodes_of(scene.outline, scene.plate.size, (shape[-1], shape[-2]))
 
 
 def continued(scene: Scene, fields: np.ndarray, straight: bool = True) -> np.ndarray:
@@ -110,7 +112,7 @@ def clip(artist: Any, axes: Axes, scene: Scene) -> None:
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path
 
-    if scene.outline is None:
+    if scene.plate.outline is None or scene.outline is None:
         return
     loops = [Path([*line, line[0]], closed=True) for line in scene.outline.polygons()]
     artist.set_clip_path(PathPatch(Path.make_compound_path(*loops), transform=axes.transData))

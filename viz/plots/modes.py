@@ -105,7 +105,7 @@ def refined(scene: Scene, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
     from scipy.interpolate import RectBivariateSpline
 
     fine_x, fine_y = map(np.linspace, (0, 0), scene.plate.size, ((count - 1) * refine + 1 for count in nodes))
-    order = 3 if scene.outline is None else 1  # beyond the rim of an outline there is nothing to interpolate
+    order = 3 if scene.plate.outline is None else 1  # beyond the rim of an outline there is nothing to interpolate
     return fine_x, fine_y, RectBivariateSpline(y, x, clean, kx=order, ky=order)(fine_y, fine_x)
 
 
