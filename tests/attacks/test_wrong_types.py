@@ -18,7 +18,7 @@ OF_RESULTS = {"export": ("a.csv", "csv"), "motion": (), "save_result": ("a.h5",)
               "save_sweep": ("a.h5",), "verify": ("a.csv",)}  # fmt: skip
 
 
-@pytest.mark.parametrize("wrong", WRONG, ids=repr)
+@pytest.mark.parametrize("wrong", WRONG, ids=lambda value: type(value).__name__)
 def test_arguments_of_wrong_types(wrong, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     kind = f", not a {type(wrong).__name__}"

@@ -8,7 +8,6 @@ import pytest
 from support.grid_modes import natural_modes
 from support.oracle import check_run, reference, run_on_a_block
 from warp_plate import PlateSolver, Scene, SceneError
-from warp_plate.plate.bending import make_bending
 from warp_plate.plate.outline_grid import outline_grid
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import patches, region_weights
@@ -176,4 +175,4 @@ def test_what_time_steps_do_not_know_is_refused_by_name(change, words):
     plate = made.plate.model_dump(exclude_none=True) | change.get("plate", {})
     made = made.with_tables(**change | {"plate": plate})
     with pytest.raises(SceneError, match=words):
-        make_bending(made)
+        make_scheme(made)

@@ -55,6 +55,8 @@ def check_run(run, made, exact, points=()):
     """Compare energies, displacements and traces of a run with :func:`reference`."""
     (energy, history), scheme, tolerance = exact, make_scheme(made), TOLERANCE[made.grid.precision]
     assert (energy > 0).all()
+    if made.effects.stretches:  # rounding grows
+        tolerance *= 10
     total = energy.max(axis=1)[:, None]
     np.testing.assert_allclose(run.energy / total, energy / total, rtol=0, atol=tolerance)
     largest = np.abs(history).max(axis=(1, 2, 3))[:, None]
