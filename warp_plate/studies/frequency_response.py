@@ -37,7 +37,9 @@ RANK_TOLERANCE = 1e-12
 # Functions along each side of the second solution, relative to the first. An error is FACTOR times the change between
 # them (3.3 times it where they converge as the first power of the spacing, as where rigidity jumps), and besides these
 # parts of a frequency and of a value. A change is the largest of AROUND neighbouring frequencies: it may cross zero.
-COARSER, FACTOR, LEAST_SHIFT, LEAST_ERROR, AROUND = 1 / 1.3, 4.0, 1e-6, 5e-4, 25
+COARSER, FACTOR, LEAST_SHIFT, AROUND = 1 / 1.3, 4.0, 1e-6, 25
+# Of responses at points, and of means over regions.
+LEAST_ERRORS = (2e-3, 5e-4, 5e-4, 5e-4)
 Point = tuple[float, float]
 
 
@@ -115,8 +117,11 @@ def _errors(
     next_mode = np.minimum(np.searchsorted(natural[1:], frequencies), shifts.size - 1)
     forces, shapes = input_forces(coarser, inputs)[1], coarser.at_points(points)
     others = _responses(coarser, np.interp(frequencies, natural, mapped), forces, shapes)
-    changes = [FACTOR * np.abs(b - a) + LEAST_ERROR * np.abs(a) for a, b in zip(curves, others, strict=True)]
-    return [shifts[next_mode], *(maximum_filter1d(change, AROUND) for change in changes)]
+    errors = [
+        maximum_filter1d(FACTOR * np.abs(other - curve) + least * np.abs(curve), AROUND)
+        for curve, other, least in zip(curves, others, LEAST_ERRORS, strict=True)
+    ]
+    return [shifts[next_mode], *errors]
 
 
 def respond_to_drive(scene: Scene, frequencies: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
