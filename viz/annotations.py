@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warp_plate.outline.pieces import ellipse
 from warp_plate.result.case import target_cases
 from warp_plate.result.motion import Motion
 from warp_plate.scene.errors import printable
 from warp_plate.scene.model import Scene
 from warp_plate.viz.fields import TALLEST, DrawingScale, colour_map
+from warp_plate.viz.outlined import on_plate
 
 if TYPE_CHECKING:
     import pyvista
@@ -65,11 +67,14 @@ EDGE_STYLES = {
     "supported": EdgeStyle(INK, 1.2, "-", "supported"),
     "springs": EdgeStyle("#e6820e", 2.2, ":", "on springs"),
     "free": EdgeStyle(GRID, 1.2, "--", "free"),
+    "support": EdgeStyle("#7b2d8b", 1.6, "-", "support"),
 }
+# Radius of the circle that stands for a support at a point, of the plate's longer side.
+POINT_SUPPORT = 0.014
 
 
 def edges_by_kind(scene: Scene) -> dict[str, list[Path]]:
-    """Return the ends of the edges of every kind in the scene, in the order of EDGE_STYLES."""
+    """Return the ends of the edges and supports of every kind in the scene, in the order of EDGE_STYLES."""
     (x0, y0), (x1, y1) = (0.0, 0.0), scene.plate.size
     ends = {"left": [(x0, y0), (x0, y1)], "bottom": [(x0, y0), (x1, y0)]}
     ends |= {"right": [(x1, y0), (x1, y1)], "top": [(x0, y1), (x1, y1)]}
@@ -79,6 +84,13 @@ def edges_by_kind(scene: Scene) -> dict[str, list[Path]]:
         kinds[_kind(piece.condition)].append([(x, y) for x, y in piece.polyline().tolist()])
     for name, edge in () if pieces else scene.edges:
         kinds[_kind(edge)].append(ends[name])
+    radius = POINT_SUPPORT * max(scene.plate.size)
+    for support in scene.supports:
+        if support.point is not None:
+            paths = on_plate(scene, [ellipse(support.point, (radius, radius), 0.0, "", "").polyline()])
+        else:
+            paths = [piece.polyline() for piece in [support.piece("")] if piece is not None]
+        kinds["support"] += [[(x, y) for x, y in path.tolist()] for path in paths]
     return {kind: edges for kind, edges in kinds.items() if edges}
 
 

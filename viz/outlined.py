@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -116,4 +117,18 @@ def clip(artist: Any, axes: Axes, scene: Scene) -> None:
         return
     loops = [Path([*line, line[0]], closed=True) for line in scene.outline.polygons()]
     artist.set_clip_path(PathPatch(Path.make_compound_path(*loops), transform=axes.transData))
+    artist.set_in_layout(False)  # a clipped image would push titles out of the figure
     axes.spines[:].set_visible(False)
+
+
+def on_plate(scene: Scene, paths: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Return the closed outlines (points, 2) [m] of what lies on the plate inside closed paths (points, 2) [m]."""
+    if scene.outline is None:
+        return list(paths)
+    import shapely
+
+    shell, *holes = scene.outline.polygons()
+    covered = [shapely.make_valid(shapely.Polygon(path)) for path in paths]
+    parts = shapely.get_parts(shapely.intersection(covered, shapely.Polygon(shell, holes)))
+    rings = [ring for part in parts if part.area > 0 for ring in (part.exterior, *part.interiors)]
+    return [shapely.get_coordinates(ring) for ring in rings]

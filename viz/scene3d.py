@@ -19,7 +19,7 @@ from warp_plate.scene.model import Scene
 from warp_plate.viz import annotations
 from warp_plate.viz.annotations import EDGE_STYLES, GRID, INK, LEGEND_WIDTH, TARGET, edges_by_kind
 from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions, DrawingScale, motion_scales
-from warp_plate.viz.outlined import OutlinedNodes, outlined_nodes
+from warp_plate.viz.outlined import OutlinedNodes, on_plate, outlined_nodes
 
 if TYPE_CHECKING:
     import pyvista
@@ -41,17 +41,6 @@ class SurfaceLines:
     weights: np.ndarray  # (points, 3) barycentric coordinates of the points in their triangles
 
 
-def _on_plate(scene: Scene, paths: list[np.ndarray]) -> list[np.ndarray]:
-    """Return the parts of paths (points, 2) [m] on a plate with an outline, beyond which they have no height."""
-    if scene.outline is None:
-        return paths
-    import shapely
-
-    shell, *holes = scene.outline.polygons()
-    inside = shapely.intersection([shapely.LineString(path) for path in paths], shapely.Polygon(shell, holes))
-    return [shapely.get_coordinates(part) for part in shapely.get_parts(inside) if part.length > 0]
-
-
 class PlateMeshes:
     """Meshes of one plate; for the arguments see :meth:`update`.
 
@@ -71,8 +60,8 @@ class PlateMeshes:
         paths = {
             "grid": grid.inner_lines(),
             **edges_by_kind(scene),
-            "target": _on_plate(scene, outlines(scene)),
-            "actuators": _on_plate(scene, [actuator.closed_path() for actuator in scene.actuators]),
+            "target": on_plate(scene, outlines(scene)),
+            "actuators": on_plate(scene, [actuator.closed_path() for actuator in scene.actuators]),
         }
         self.lines = {name: grid.lines(drawn) for name, drawn in paths.items() if drawn}
         self.update(displacement, scale, values)

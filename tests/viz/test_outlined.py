@@ -4,11 +4,12 @@ import h5py
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+import shapely
 
 from warp_plate import Scene
 from warp_plate.result.export import write_vtkhdf
 from warp_plate.viz.fields import drawing_scale
-from warp_plate.viz.outlined import OutlinedNodes, continued, outlined_nodes
+from warp_plate.viz.outlined import OutlinedNodes, continued, on_plate, outlined_nodes
 from warp_plate.viz.plots.frame import figure
 from warp_plate.viz.plots.plan import draw_field
 from warp_plate.viz.scene3d import PlateMeshes
@@ -51,6 +52,18 @@ def test_fields_are_continued_along_straight_lines(ring, plane):
     outer = np.abs(np.linalg.norm(nodes.moved - middle, axis=1) - RADIUS)
     inner = np.abs(np.linalg.norm(nodes.moved - [0.04, 0.035], axis=1) - HOLE)
     assert np.minimum(outer, inner).max() < 2e-4 * RADIUS
+
+
+def test_parts_are_drawn_on_the_plate_alone(ring):
+    """A rectangle from the middle of the disc to its lower left, and over a hole, loses what is beyond."""
+    path = np.array([(0.0, 0.0), (0.05, 0.0), (0.05, 0.05), (0.0, 0.05), (0.0, 0.0)])
+    (clipped,) = on_plate(ring, [path])
+    x, y = clipped.T
+    area = abs(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1])) / 2
+    quarter = np.pi * RADIUS**2 / 4
+    covered = shapely.Point(0.04, 0.035).buffer(HOLE, 64).intersection(shapely.Polygon(path)).area
+    assert area == pytest.approx(quarter - covered, rel=1e-3)
+    assert on_plate(ring, [0.1 * path + (0.038, 0.033)]) == []  # inside the hole
 
 
 def test_the_surface_ends_at_the_outline(ring, plane):

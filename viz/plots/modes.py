@@ -87,9 +87,9 @@ def _draw_shape(axes: Axes, scene: Scene, shape: np.ndarray, cmap: str) -> objec
     if np.nanmin(field) < 0 < np.nanmax(field):
         clip(axes.contour(fine_x, fine_y, field, levels=[0.0], colors=INK, linewidths=0.9), axes, scene)
     for layer in scene.layers:
-        draw_outline(axes, layer, TARGET)
+        draw_outline(axes, scene, layer, TARGET)
     for attachment in attachments(scene.terms):
-        draw_outline(axes, attachment.region, TARGET, ":")
+        draw_outline(axes, scene, attachment.region, TARGET, ":")
     draw_edges(axes, scene)
     return mesh
 

@@ -29,7 +29,7 @@ from warp_plate.viz.annotations import (
     shortened,
 )
 from warp_plate.viz.fields import DrawingScale, PictureStyle, colour_map, motion_scales
-from warp_plate.viz.outlined import clip, continued
+from warp_plate.viz.outlined import clip, continued, on_plate
 from warp_plate.viz.plots.frame import add_panels, figure
 from warp_plate.viz.scene3d import rows_and_columns
 
@@ -56,7 +56,7 @@ def draw_plan(scene: Scene, motions: Sequence[Motion], path: Path, style: Pictur
     rows, columns = rows_and_columns(len(motions))
     width, height = drawn_size(scene, LENGTH)
     wide, lines = width + 0.45 + 0.6 * style.colours.separate, 1 + (len(fields[0]) > 1)
-    size = (max(columns * wide, 3.2) + 0.9 - 0.6 * style.colours.separate, rows * (height + 0.6 + 0.15 * lines) + 0.3)
+    size = (max(columns * wide, 3.2) + 0.9 - 0.6 * style.colours.separate, rows * (height + 0.75 + 0.15 * lines) + 0.3)
     with figure(path, size, font_size=8) as fig:
         panels = add_panels(fig, len(motions), columns)
         for index, (axes, motion, scale, values) in enumerate(zip(panels, motions, scales, fields, strict=True)):
@@ -80,9 +80,11 @@ def draw_layout(scene: Scene, path: Path) -> None:
     with figure(path, (max(width, 2.6) + 0.7, height + 0.9), font_size=8, dpi=110) as fig:
         axes, handles = fig.subplots(), _outline_handles(scene)
         layers = [axes.fill(*layer.flattened().T, color=LAYER, alpha=0.3, label="layer")[0] for layer in scene.layers]
+        for layer in layers:
+            clip(layer, axes, scene)
         handles += layers[:1]
         for attachment in attachments(scene.terms):
-            draw_outline(axes, attachment.region, OSCILLATOR)
+            draw_outline(axes, scene, attachment.region, OSCILLATOR)
         if attachments(scene.terms):
             handles.append(line_handle("oscillator", color=OSCILLATOR, linewidth=0.9))
         draw_parts(axes, scene)
@@ -131,10 +133,11 @@ def draw_edges(axes: Axes, scene: Scene) -> None:
     axes.spines[:].set_visible(False)
 
 
-def draw_outline(axes: Axes, region: PlateRegion, colour: str, style: str = "-") -> None:
-    """Draw the outline of a region."""
+def draw_outline(axes: Axes, scene: Scene, region: PlateRegion, colour: str, style: str = "-") -> None:
+    """Draw the outline of the part of a region that is on the plate."""
     look = {"linewidth": 0.9, "linestyle": style, "path_effects": light_rim(0.9)}
-    axes.plot(*region.closed_path().T, color=colour, clip_on=False, zorder=2, **look)
+    for path in on_plate(scene, [region.closed_path()]):
+        axes.plot(*path.T, color=colour, clip_on=False, zorder=2, **look)
 
 
 def light_rim(width: float) -> list[Any]:
@@ -174,7 +177,7 @@ def draw_field(axes: Axes, scene: Scene, values: np.ndarray, scale: DrawingScale
 def draw_parts(axes: Axes, scene: Scene) -> None:
     """Draw actuators, targets and edges."""
     draw_actuators(axes, scene)
-    for outline in outlines(scene):
+    for outline in on_plate(scene, outlines(scene)):
         axes.plot(*outline.T, color=TARGET, linewidth=1.4, clip_on=False, zorder=4, path_effects=light_rim(1.4))
     draw_edges(axes, scene)
 
@@ -182,7 +185,7 @@ def draw_parts(axes: Axes, scene: Scene) -> None:
 def draw_actuators(axes: Axes, scene: Scene, length: float = LENGTH) -> None:
     """Draw the outlines of actuators, with their names if these fit on a plate of this longer side [inch]."""
     for actuator in scene.actuators:
-        draw_outline(axes, actuator, INK)
+        draw_outline(axes, scene, actuator, INK)
     names = [shortened(actuator.name) for actuator in scene.actuators]
     patches = np.array([actuator.box for actuator in scene.actuators]).reshape(-1, 2, 2)
     letter = 0.6 * NAME_SIZE / 72 / length * max(scene.plate.size)
