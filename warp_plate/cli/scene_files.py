@@ -19,7 +19,7 @@ def init(name: str, /, *, out: Path | None = None) -> None:
     ----------
     name
         The preset: paper, paper-supported, touch-panel, cantilever-display, composite-panel, large-amplitude,
-        focusing-glass, four-fingers or console.
+        focusing-glass, four-fingers, console, watch or trackpad.
     out
         The file to write (default: NAME.toml in this folder). An existing file is never overwritten.
     """
