@@ -36,11 +36,22 @@ def test_a_kernel_cut_short(write_scene, tmp_path):
     write_scene(damping=88.5)
     cache = {"WARP_CACHE_PATH": str(tmp_path / "cache")}
     output_of(simulate(**cache))
-    for file in tmp_path.glob("cache/*/*/*.o"):
-        file.write_bytes(file.read_bytes()[:-1000])
-    status, _, err = simulate(**cache)
-    assert status == 2
-    assert "delete this folder of compiled kernels" in err.splitlines()[-1]  # LLVM has a line before
+    objects, tables = ([*tmp_path.glob(f"cache/*/*/*.{ending}")] for ending in ("o", "meta"))
+    damages = [
+        *((tables, damage) for damage in (lambda data: b"", lambda data: data[: len(data) // 2], lambda data: b"\xff")),
+        (objects, lambda data: data[:-1000]),
+    ]
+    for files, damage in damages:
+        assert files
+        saved = {file: file.read_bytes() for file in files}
+        for file, data in saved.items():
+            file.write_bytes(damage(data))
+        status, _, err = simulate(**cache)
+        assert status == 2
+        assert "delete this folder of compiled kernels" in err.splitlines()[-1]
+        assert len(err.splitlines()) <= 2  # LLVM has a line before
+        for file, data in saved.items():
+            file.write_bytes(data)
 
 
 @pytest.mark.parametrize("threads", ["1025", "9" * 5000, "²"])

@@ -1,6 +1,7 @@
 """Choice of the device, GPUs that Warp cannot use, the cores of the CPU, and the folder of compiled kernels."""
 
 import contextlib
+import json
 import logging
 import os
 import platform
@@ -194,6 +195,10 @@ def load_kernel(kernel: wp.Kernel, device: wp.Device, block_dim: int | None = No
         try:
             wp.load_module(module=kernel.module, device=device, block_dim=block_dim)
         except Exception as error:
-            if not str(error).startswith("Failed to load"):  # Warp has no class for this
+            # Of objects, for which Warp has no class, and of the JSON beside them.
+            damaged = isinstance(error, json.JSONDecodeError | UnicodeDecodeError)
+            if not damaged and not str(error).startswith("Failed to load"):
                 raise
-            raise SceneError(f"{wp.config.kernel_cache_dir}: {error}; delete this folder of compiled kernels") from None
+            reason = f"a .meta file is damaged: {error}" if damaged else str(error)
+            folder = wp.config.kernel_cache_dir
+            raise SceneError(f"{folder}: {reason}; delete this folder of compiled kernels") from None
