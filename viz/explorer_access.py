@@ -12,7 +12,7 @@ import ipaddress
 import math
 import secrets
 import socket
-from collections.abc import Callable, Collection
+from collections.abc import Awaitable, Callable, Collection
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, TypeGuard
 from urllib.parse import parse_qs, urlsplit
@@ -28,6 +28,8 @@ PAGE_NEEDS = "data: blob: 'unsafe-inline' 'unsafe-eval'"
 SIDES = (16, 4096)
 # Largest absolute value of a number of a mouse event: positions are shares of the picture.
 LARGEST_EVENT = 10.0
+# Longest message of a page, and the header of a message: its number, the place of this part, the length of all [bytes].
+LONGEST_MESSAGE, HEADER = 2**20, 12
 # A remote procedure: the object whose method it is, and the method.
 Procedure = tuple[object, Callable[..., Any]]
 
@@ -84,9 +86,11 @@ def _is_address(name: str) -> bool:
 
 
 def limit_calls(server: Any, sliders: Collection[str]) -> None:
-    """Let browsers call only those procedures of a trame server that the page calls, with arguments like the page's.
+    """Let browsers call only those procedures of a trame server that the page calls, with arguments like the page's,
+    in messages of one part.
 
-    Without this they could stop the server, and replace the page that later viewers get.
+    Without this they could stop the server, replace the page that later viewers get, and fill the memory: wslink
+    allocates what the first part of a message claims as the length of all.
 
     Args:
         server: The server, before it starts.
@@ -94,6 +98,19 @@ def limit_calls(server: Any, sliders: Collection[str]) -> None:
     """
     for handler in server._ws_handlers:
         handler.functionMap = _page_calls(handler.functionMap, sliders)
+        handler.onMessage = _whole_messages(handler.onMessage)
+
+
+def _whole_messages(receive: Callable[..., Awaitable[None]]) -> Callable[..., Awaitable[None]]:
+    """Return a receiver of messages that disconnects clients that send parts of messages, or too long ones."""
+
+    async def receive_whole(is_binary: bool, message: Any, client: str) -> None:
+        length = len(message.data) - HEADER
+        if is_binary and not int.from_bytes(message.data[8:HEADER], "little") == length <= LONGEST_MESSAGE:
+            raise ValueError("not a whole message")
+        await receive(is_binary, message, client)
+
+    return receive_whole
 
 
 def is_number(value: object) -> TypeGuard[float]:

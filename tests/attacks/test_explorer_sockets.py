@@ -205,6 +205,25 @@ def test_viewers_can_neither_end_the_page_nor_change_it(served):
     asyncio.run(asyncio.wait_for(talk(), PATIENCE))
 
 
+def test_messages_get_no_memory_that_they_only_claim(served):
+    """wslink takes messages in parts, and allocates the length of all at the first one."""
+    address, secret = session(served)
+
+    async def talk():
+        async with aiohttp.ClientSession() as client:
+            for number in range(8):
+                async with client.ws_connect(address) as opened:
+                    await greet(opened, secret)
+                    await opened.send_bytes(number.to_bytes(4, "little") + bytes(4) + (2**30).to_bytes(4, "little"))
+                    while not opened.closed:
+                        await opened.receive(timeout=PATIENCE)
+            async with client.ws_connect(address) as other:
+                await greet(other, secret)
+                assert "state" in (await answers_to(other, call("trame.state.get")))["result"]
+
+    asyncio.run(asyncio.wait_for(talk(), PATIENCE))
+
+
 @st.composite
 def messages(draw):
     """A message of wslink, of any method and arguments, or nearly one."""
