@@ -1,4 +1,4 @@
-"""Work on the rows of large arrays, shared among threads.
+"""Work on the rows of large arrays, shared among threads, and arrays shared among callers.
 
 NumPy releases Python's lock inside a block and treats each row by itself, so that no number depends on the cut.
 """
@@ -7,6 +7,8 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+
+import numpy as np
 
 # Fewest rows of a block; threads do not pay for less. More threads than MOST_THREADS wait for each other.
 FEWEST_ROWS = 8192
@@ -24,6 +26,13 @@ def over_blocks(task: Callable[[slice], object], rows: int) -> None:
         task(blocks[0])
     elif blocks:
         list(_pool().map(task, blocks))
+
+
+def read_only(*arrays: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return arrays that are kept for later callers after forbidding to write to them."""
+    for array in arrays:
+        array.flags.writeable = False
+    return arrays
 
 
 @cache

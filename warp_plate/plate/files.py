@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from warp_plate.row_blocks import read_only
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.load import read_beside
 from warp_plate.scene.model import Scene
@@ -101,8 +102,7 @@ def _read_rows(data: bytes) -> tuple[np.ndarray, list[int]]:
 def _table(data: bytes) -> tuple[np.ndarray, list[int]]:
     """Return what :func:`_read_rows` does, read only; a plate is asked for its maps often."""
     table, numbers = _read_rows(data)
-    table.flags.writeable = False
-    return table, numbers
+    return read_only(table)[0], numbers
 
 
 def _is_number(cell: str) -> bool:

@@ -20,6 +20,7 @@ import numpy as np
 import scipy
 
 from warp_plate.outline.outline import Outline
+from warp_plate.row_blocks import read_only
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
@@ -113,7 +114,7 @@ def make_outline_grid(outline: Outline, size: tuple[float, float], counts: tuple
     own = np.where(held, area - strip, _total(bent, complete))
     weights = [np.where(supported, one, own) * complete for one in along]
     both = np.where(supported, area, weights[0]) * complete
-    return OutlineGrid(
+    grid = OutlineGrid(
         moves=moves,
         shares=shares,
         centres=(1 / lengths[WAYS[0]] + 1 / lengths[WAYS[1]], 1 / lengths[WAYS[2]] + 1 / lengths[WAYS[3]]),
@@ -126,6 +127,9 @@ def make_outline_grid(outline: Outline, size: tuple[float, float], counts: tuple
         deep=inside & (near.distance > 3 * max(geometry.spacing)),
         narrow=narrow or narrow_when_bent or narrow_when_twisted,
     )
+    read_only(grid.moves, *grid.centres, *grid.squares, grid.products, grid.twist, grid.strips, grid.normals)
+    read_only(grid.held, grid.deep, grid.shares.data, grid.shares.indices, grid.shares.indptr)
+    return grid
 
 
 class _Nearest(NamedTuple):

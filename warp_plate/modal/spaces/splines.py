@@ -16,6 +16,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.polynomial import legendre
 
+from warp_plate.row_blocks import read_only
+
 # Number of splines that each end leaves out.
 CONDITIONS = {"free": 0, "supported": 1, "clamped": 2}
 # Corners closer to each other than this fraction of the side are replaced by the sharpest one.
@@ -43,7 +45,7 @@ class Splines:
     @cached_property
     def breaks(self) -> np.ndarray:
         """(intervals + 1,) positions of the knots without repetitions [m]."""
-        return np.unique(self.knots)
+        return read_only(np.unique(self.knots))[0]
 
     def values(self, x: np.ndarray, derivative: int = 0) -> np.ndarray:
         """Return (functions, points) values of a derivative at x [m], of discontinuous ones those to the right."""
@@ -105,10 +107,14 @@ def make_splines(
         knots.append(np.linspace(low, high, count + 1)[1:-1])
         repeated = degree + 1 if high == length else degree - continuous[float(high)]
         knots.append(np.full(repeated, high))
-    return Splines(np.concatenate(knots), degree, (CONDITIONS[ends[0]], CONDITIONS[ends[1]]))
+    (all_knots,) = read_only(np.concatenate(knots))
+    return Splines(all_knots, degree, (CONDITIONS[ends[0]], CONDITIONS[ends[1]]))
 
 
-_leggauss = lru_cache(legendre.leggauss)
+@lru_cache
+def _leggauss(points: int) -> tuple[np.ndarray, ...]:
+    """Return positions and weights of Gauss's rule from -1 to 1."""
+    return read_only(*legendre.leggauss(points))
 
 
 def gauss(breaks: np.ndarray, points: int) -> tuple[np.ndarray, np.ndarray]:
@@ -137,7 +143,7 @@ def _bsplines(knots: np.ndarray, degree: int, x: np.ndarray, derivative: int = 0
 def side_products(splines: Splines, first: int, second: int) -> np.ndarray:
     """Return (pairs,) ∫ of two derivatives over a whole side, the first of the function in the row."""
     products, of_pairs = weighted_products(splines, (first, second), *gauss(splines.breaks, splines.degree + 1))
-    return np.asarray(products.sum(axis=1)[of_pairs])
+    return read_only(np.asarray(products.sum(axis=1)[of_pairs]))[0]
 
 
 @lru_cache(PRODUCTS_KEPT)
@@ -146,7 +152,7 @@ def end_products(splines: Splines, high: bool, derivative: int) -> np.ndarray:
     place = splines.breaks[-1 if high else 0]
     values = splines.values(np.array([place]), derivative)[:, 0]
     rows, columns = overlapping_pairs(splines)
-    return np.asarray(values[rows] * values[columns])
+    return read_only(np.asarray(values[rows] * values[columns]))[0]
 
 
 def weighted_products(
@@ -165,7 +171,8 @@ def _unordered(splines: Splines) -> tuple[Pairs, np.ndarray]:
     """Return the distinct unordered pairs, and the index of each pair among them."""
     ordered = np.sort(np.stack(overlapping_pairs(splines)), axis=0)
     (first, second), of_pairs = np.unique(ordered, axis=1, return_inverse=True)
-    return (first, second), of_pairs.ravel()
+    first, second, of_pairs = read_only(first, second, of_pairs.ravel())
+    return (first, second), of_pairs
 
 
 @lru_cache(PRODUCTS_KEPT)
@@ -173,5 +180,5 @@ def overlapping_pairs(splines: Splines) -> Pairs:
     """Return rows and columns of all pairs of functions that are not zero in a common interval."""
     index = np.arange(splines.functions)
     near = np.abs(index[:, None] - index) <= splines.degree
-    rows, columns = np.nonzero(near)
+    rows, columns = read_only(*np.nonzero(near))
     return rows, columns

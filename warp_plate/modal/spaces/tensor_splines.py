@@ -26,6 +26,7 @@ from warp_plate.modal.spaces.knots import plate_splines
 from warp_plate.modal.spaces.space import Matrix
 from warp_plate.modal.spaces.splines import Splines, end_products, gauss, overlapping_pairs, side_products
 from warp_plate.outline.outline import Outline
+from warp_plate.row_blocks import read_only
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
 from warp_plate.scene.target import PlateRegion, Target
@@ -251,4 +252,6 @@ def _places(along_x: Splines, along_y: Splines) -> Matrix:
     (row_x, column_x), (row_y, column_y) = overlapping_pairs(along_x), overlapping_pairs(along_y)
     count, unknowns = along_x.functions, along_x.functions * along_y.functions
     rows, columns = row_y[:, None] * count + row_x, column_y[:, None] * count + column_x
-    return Matrix((np.arange(rows.size), (rows.ravel(), columns.ravel())), (unknowns, unknowns))
+    places = Matrix((np.arange(rows.size), (rows.ravel(), columns.ravel())), (unknowns, unknowns))
+    read_only(places.data, places.indices, places.indptr)
+    return places
