@@ -22,6 +22,9 @@ def test_json_and_files(command, write_scene):
     assert record["files"] == ["panel-focus.h5", "panel-focus.png"]
     found, read = focus(scene), load_focus("panel-focus.h5")
     assert record["unit"] == "m"
+    assert record["warnings"] == list(found.warnings)
+    assert set(read.warnings) == set(found.warnings)
+    assert [line.partition(":")[0] for line in found.warnings] == [name.replace("_", " ") for name in found.methods]
     assert record["methods"].keys() == found.methods.keys() == read.methods.keys()
     for name, method in record["methods"].items():
         for figure in ("peak", "focus_area", "contrast_db", "energy", "gap"):
@@ -32,6 +35,8 @@ def test_json_and_files(command, write_scene):
     again = output_of(command("focus", "panel.toml", "--set", "focus.energy=0.001", "--no-pictures"))
     for words in ("one bit", "peak (m)", "energy", "crosstalk at most", "wrote panel-focus.h5"):
         assert words in again
+    for line in load_focus("panel-focus.h5").warnings:
+        assert line in again
 
 
 def test_waveforms_are_exported_and_played_on_another_panel(command, write_scene):

@@ -60,7 +60,7 @@ def _as_json(name: str, result: FocusResult) -> dict[str, object]:
     assert result.scene.focus is not None
     return {
         **output.attributes(result.scene.focus, "points", "quantity", "time", "rate", "lowest", "highest"),
-        **output.attributes(result, "unit", "modes", "bound", "condition", "half_wave", "seconds"),
+        **output.attributes(result, "unit", "modes", "bound", "condition", "half_wave", "seconds", "warnings"),
         "methods": {method: _method_as_json(result, method) for method in result.methods},
     }
 
@@ -94,29 +94,5 @@ def _print(name: str, result: FocusResult, console: Console) -> None:
     console.print(
         f"Energy in ({result.scene.drive_unit})²·s. Gap: relative distance of the peak from the bound of all waveforms."
     )
-    for method in result.methods:
-        if remarks := _remarks(result, method):
-            console.print(f"{method.replace('_', ' ')}: {', '.join(remarks)}")
-
-
-def _remarks(result: FocusResult, name: str) -> list[str]:
-    """Return what a line says of a method, for all foci together."""
-    import numpy as np
-
-    from warp_plate.accuracy.configurations import percent
-
-    method, others, remarks = result.methods[name], ~np.eye(len(result.bound), dtype=bool), []
-    wish = "burst" if result.wished is None else "wish"
-    if others.any():
-        remarks.append(f"crosstalk at most {method.crosstalk_db[others].max():.1f} dB")
-    if method.misfit is not None:
-        remarks.append(f"{wish} followed within {percent(method.misfit.max())}")
-    if method.electrical_energy is not None:
-        remarks.append(f"electrical energy at most {method.electrical_energy.max():.3g} J")
-    if (panels := method.panels) is not None:
-        worst = [f"{panels.crosstalk_db.max():.1f} dB"] if others.any() else []
-        worst += [] if panels.misfit is None else [percent(panels.misfit.max())]
-        least = np.abs(panels.peak).min()
-        worst.append(f"peak at least {least:.3g} {result.unit}")
-        remarks.append(f"on {len(panels.peak)} panels {', '.join(worst)}")
-    return remarks
+    for line in result.warnings:
+        console.print(line)

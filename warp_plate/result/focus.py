@@ -134,6 +134,34 @@ class FocusResult:
         assert self.scene.focus is not None
         return UNITS[self.scene.focus.quantity]
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Lines that the command prints below its tables: what else moves, of each method for all foci together."""
+        lines = ((method.replace("_", " "), self._remarks(method)) for method in self.methods)
+        return tuple(f"{name}: {', '.join(remarks)}" for name, remarks in lines if remarks)
+
+    def _remarks(self, name: str) -> list[str]:
+        method, others, remarks = self.methods[name], ~np.eye(len(self.bound), dtype=bool), []
+        wish = "burst" if self.wished is None else "wish"
+        if others.any():
+            remarks.append(f"crosstalk at most {method.crosstalk_db[others].max():.1f} dB")
+        if method.misfit is not None:
+            remarks.append(f"{wish} followed within {_percent(method.misfit)}")
+        if method.electrical_energy is not None:
+            remarks.append(f"electrical energy at most {method.electrical_energy.max():.3g} J")
+        if (panels := method.panels) is not None:
+            worst = [f"{panels.crosstalk_db.max():.1f} dB"] if others.any() else []
+            worst += [] if panels.misfit is None else [_percent(panels.misfit)]
+            least = np.abs(panels.peak).min()
+            worst.append(f"peak at least {least:.3g} {self.unit}")
+            remarks.append(f"on {len(panels.peak)} panels {', '.join(worst)}")
+        return remarks
+
+
+def _percent(parts: np.ndarray) -> str:
+    """Return the largest part in percent."""
+    return f"{100 * parts.max():.3g} %"
+
 
 def save_focus(result: FocusResult, path: str | Path) -> Path:
     """Write the waveforms and their results as an HDF5 file, and return its path."""
