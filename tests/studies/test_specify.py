@@ -264,6 +264,8 @@ def test_waveforms_that_are_not_used_are_said():
     [
         (["specification.level={}"], "specification.level.acceleration_g: no level is given"),
         (["specification.level={velocity=1,displacement=2}"], "specification.level.displacement: velocity is given"),
+        (["specification.frequency=1e-30"], "specification.frequency = 1e-30: must be at least 0.01 Hz"),
+        (["specification.frequency=[0.001,180]"], "specification.frequency = 0.001: must be at least 0.01 Hz"),
         (["specification.frequency=[250,180]"], "write the lower frequency first"),
         (["specification.limits.voltage=3"], "specification.limits.voltage: not of actuators that press; write force"),
         (["specification.level={velocity=1,target='a'}"], "'a': there are no [[targets]]"),

@@ -23,6 +23,8 @@ from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.scene.specification import Specification
 from warp_plate.studies.frequency_response import check_linear
 
+# Lowest frequency [Hz]: levels are accelerations, which vanish below all measure under a slower drive.
+LOWEST = 0.01
 # Frequencies of a range that are tried, besides resonances, and the relative accuracy of the best one.
 TRIED, FREQUENCY_ACCURACY = 24, 1e-5
 # Multiples of the wanted levels on the curve of level against contrast.
@@ -97,8 +99,13 @@ def specify(
 
 
 def _range(scene: Scene, specification: Specification) -> tuple[float, float]:
+    """Return the lowest and the highest frequency [Hz]; SceneError: one is below ``LOWEST``."""
     frequency = specification.frequency or scene.drive.frequency
-    return frequency if isinstance(frequency, tuple) else (frequency, frequency)
+    low, high = frequency if isinstance(frequency, tuple) else (frequency, frequency)
+    if low < LOWEST:
+        key = "specification.frequency" if specification.frequency else "drive.frequency"
+        raise SceneError(f"{key} = {low:g}: must be at least {LOWEST:g} Hz, as slower drives hardly accelerate a plate")
+    return low, high
 
 
 def _notes(scene: Scene, specification: Specification, frequency: float) -> list[str]:
