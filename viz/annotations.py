@@ -15,7 +15,6 @@ from warp_plate.result.motion import Motion
 from warp_plate.scene.errors import printable
 from warp_plate.scene.model import Scene
 from warp_plate.viz.fields import TALLEST, DrawingScale, colour_map
-from warp_plate.viz.outlined import on_plate
 
 if TYPE_CHECKING:
     import pyvista
@@ -86,11 +85,9 @@ def edges_by_kind(scene: Scene) -> dict[str, list[Path]]:
         kinds[_kind(edge)].append(ends[name])
     radius = POINT_SUPPORT * max(scene.plate.size)
     for support in scene.supports:
-        if support.point is not None:
-            paths = on_plate(scene, [ellipse(support.point, (radius, radius), 0.0, "", "").polyline()])
-        else:
-            paths = [piece.polyline() for piece in [support.piece("")] if piece is not None]
-        kinds["support"] += [[(x, y) for x, y in path.tolist()] for path in paths]
+        circle = None if support.point is None else ellipse(support.point, (radius, radius), 0.0, "", "")
+        if (piece := circle or support.piece("")) is not None:
+            kinds["support"].append([(x, y) for x, y in piece.polyline().tolist()])
     return {kind: edges for kind, edges in kinds.items() if edges}
 
 

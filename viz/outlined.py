@@ -122,13 +122,13 @@ def clip(artist: Any, axes: Axes, scene: Scene) -> None:
 
 
 def on_plate(scene: Scene, paths: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Return the closed outlines (points, 2) [m] of what lies on the plate inside closed paths (points, 2) [m]."""
+    """Return the outer outlines (points, 2) [m], closed, of what lies on the plate inside closed paths."""
     if scene.outline is None:
         return list(paths)
     import shapely
 
     shell, *holes = scene.outline.polygons()
-    covered = [shapely.make_valid(shapely.Polygon(path)) for path in paths]
+    valid = {"method": "structure", "keep_collapsed": False}
+    covered = [shapely.make_valid(shapely.Polygon(path), **valid) for path in paths]
     parts = shapely.get_parts(shapely.intersection(covered, shapely.Polygon(shell, holes)))
-    rings = [ring for part in parts if part.area > 0 for ring in (part.exterior, *part.interiors)]
-    return [shapely.get_coordinates(ring) for ring in rings]
+    return [shapely.get_coordinates(part.exterior) for part in parts if part.area > 0]

@@ -57,9 +57,12 @@ class PlateMeshes:
         self._outlined = grid.outlined
         self.surface = pyvista.PolyData.from_regular_faces(grid.points(), grid.triangles())
         self.surface.point_data[SCALARS] = np.zeros(displacement.size)
+        edges: dict[str, list[Any]] = dict(edges_by_kind(scene))
+        for path in edges.pop("support", ()):
+            edges.setdefault("support", []).extend(on_plate(scene, [path]) if len(path) > 2 else [path])
         paths = {
             "grid": grid.inner_lines(),
-            **edges_by_kind(scene),
+            **edges,
             "target": on_plate(scene, outlines(scene)),
             "actuators": on_plate(scene, [actuator.closed_path() for actuator in scene.actuators]),
         }

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 LENGTH = 2.3
 # Size of actuators' names [pt].
 NAME_SIZE = 6
-LAYER, OSCILLATOR = "#8c6bb1", "#e6820e"
+LAYER, OSCILLATOR, PLATE = "#8c6bb1", "#e6820e", "#eef1f4"
 # Most letters of a line of a target's name.
 NAME_WIDTH = 13
 
@@ -79,6 +79,9 @@ def draw_layout(scene: Scene, path: Path) -> None:
     width, height = drawn_size(scene, LENGTH)
     with figure(path, (max(width, 2.6) + 0.7, height + 0.9), font_size=8, dpi=110) as fig:
         axes, handles = fig.subplots(), _outline_handles(scene)
+        if scene.plate.outline is not None:
+            x, y = scene.plate.size
+            clip(axes.fill([0, x, x, 0], [0, 0, y, y], color=PLATE, zorder=0)[0], axes, scene)
         layers = [axes.fill(*layer.flattened().T, color=LAYER, alpha=0.3, label="layer")[0] for layer in scene.layers]
         for layer in layers:
             clip(layer, axes, scene)
