@@ -54,6 +54,8 @@ COMMANDS = {
         "localize strong-and-quiet.toml",
         f"render strong-and-quiet-localize.h5 {PLAN} --case equal --case best",
     ),
+    "outlines-trackpad.png": ("trackpad-modes.png", "modes trackpad"),
+    "outlines-watch.png": ("watch-localize-surfaces.png", "localize watch"),
     "paper-accuracy.png": ("paper-accuracy.png", "accuracy paper"),
     "paper-surfaces.png": ("paper-localize-surfaces.png", "localize paper"),
     "robust-touch-panel.png": ("robust-touch-panel-localize-robust.png", "localize robust-touch-panel.toml"),
@@ -95,6 +97,7 @@ SCRIPTS = {
     f"explain-{path.stem.removeprefix('plot_').replace('_', '-')}.png": path
     for path in DOCS.glob("examples/gallery/explanations/*.py")
 }
+SCRIPTS["outlines.png"] = DOCS / "examples" / "gallery" / "plates" / "plot_outlines.py"
 done: set[str] = set()
 
 
@@ -187,6 +190,26 @@ def targets(name: str) -> Path:
     return Path(name)
 
 
+def bracket(name: str) -> Path:
+    """Draw the plan of a bracket with holes, held by two bolts."""
+    import warp_plate as wpl
+    from warp_plate.viz.plots.plan import draw_layout
+
+    corners = [(0, 0), (0.12, 0), (0.12, 0.04), (0.04, 0.04), (0.04, 0.12), (0, 0.12)]
+    holes = [{"disc": (x, 0.02, 0.005), "edge": "clamped"} for x in (0.06, 0.1)]
+    steel = {"thickness": 2e-3, "young_modulus": 2e11, "poisson_ratio": 0.3, "density": 7850.0}
+    scene = wpl.Scene(
+        plate=steel | {
+            "outline": {"polygon": corners, "corner_radius": 0.006}, "holes": [*holes, {"disc": (0.02, 0.1, 0.008)}],
+        },
+        edges={"outline": "free"}, supports=[{"line": ((0.0, 0.04), (0.04, 0.04))}], drive=wpl.Drive(frequency=400),
+        actuators=[wpl.Actuator(name="A", disc=(0.02, 0.065, 0.008)), wpl.Actuator(name="B", disc=(0.02, 0.02, 0.008))],
+        target=wpl.Target(area=(0.0, 0.04, 0.08, 0.12)),
+    )  # fmt: skip
+    draw_layout(scene, Path(name))
+    return Path(name)
+
+
 def page(name: str) -> Path:
     """Photograph the page that ``render`` writes."""
     warp_plate("localize paper")
@@ -260,7 +283,7 @@ class chromium:
         self.started.stop()
 
 
-OTHERS = {"explore-page.png": explorer, "hard-cases.png": hard_cases}
+OTHERS = {"explore-page.png": explorer, "hard-cases.png": hard_cases, "outlines-bracket.png": bracket}
 OTHERS |= {"targets.png": targets, "view-page.png": page, "view-window.png": window}
 
 if __name__ == "__main__":

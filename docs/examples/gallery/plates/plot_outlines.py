@@ -2,7 +2,7 @@
 Plates of any outline
 =====================
 
-First modes of six glass plates. Edges: dashed free, thin supported, thick clamped, dotted on springs. Circles: supports.
+First modes of six glass plates. Edges: dashed free, thin supported, thick clamped, dotted sprung. Circles: supports.
 """
 
 import matplotlib.pyplot as plt
