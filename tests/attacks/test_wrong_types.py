@@ -1,6 +1,7 @@
 """Arguments of public functions that are of another type: one line that names the argument."""
 
 from pathlib import Path
+from types import NoneType
 
 import numpy as np
 import pytest
@@ -16,6 +17,12 @@ OTHERS = {"fit": {"data": "a.csv"}, "sweep": {"vary": ["drive.frequency=280,290"
 OF_PATHS = "load_checkpoint", "load_focus", "load_result", "load_sweep"
 OF_RESULTS = {"export": ("a.csv", "csv"), "motion": (), "save_result": ("a.h5",), "save_focus": ("a.h5",),
               "save_sweep": ("a.h5",), "verify": ("a.csv",)}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def result():
+    """The result of a run."""
+    return warp_plate.simulate(SCENE, device="cpu", estimate=False)
 
 
 @pytest.mark.parametrize("wrong", WRONG, ids=lambda value: type(value).__name__)
@@ -35,6 +42,40 @@ def test_arguments_of_wrong_types(wrong, tmp_path, monkeypatch):
     assert refused(warp_plate.PlateSolver, SCENE, wrong) == f"device: must be a str{kind}"
     assert refused(lambda: warp_plate.PlateSolver(SCENE, "cpu", per_plate=wrong)).endswith(kind)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("wrong", [*WRONG, (1, "a"), (1, 2, 3), 10**400, "ab"], ids=lambda value: type(value).__name__)
+def test_further_arguments_of_wrong_types(wrong, result):
+    """One line that begins with the argument, whatever else is valid."""
+    calls = {
+        "points": lambda: warp_plate.sound(SCENE, points=wrong),
+        "air": lambda: warp_plate.sound(SCENE, air=wrong),
+        "path": lambda: warp_plate.PlateSolver(SCENE, "cpu", path=wrong),
+        "quantity": lambda: warp_plate.PlateSolver(SCENE, "cpu", quantity=wrong),
+        "drive": lambda: warp_plate.simulate(SCENE, device="cpu", drive=wrong),
+        "estimate": lambda: warp_plate.simulate(SCENE, device="cpu", estimate=wrong),
+    }
+    if np.shape(wrong) != (3,):
+        calls["points[0]"] = lambda: warp_plate.sound(SCENE, points=[wrong])
+    if wrong is not None:
+        calls |= {
+            "frequency_range": lambda: warp_plate.frf(SCENE, frequency_range=wrong),
+            "frequency_range ": lambda: warp_plate.sound(SCENE, frequency_range=wrong),
+            "span": lambda: warp_plate.motion(result, span=wrong),
+            "progress": lambda: warp_plate.simulate(SCENE, device="cpu", progress=wrong),
+        }
+    if not isinstance(wrong, int | None):
+        calls |= {
+            "case": lambda: warp_plate.motion(result, case=0.5 if isinstance(wrong, str) else wrong),
+            "frames": lambda: warp_plate.motion(result, frames=wrong),
+            "chunk": lambda: warp_plate.PlateSolver(SCENE, "cpu", chunk=wrong),
+        }
+    if not isinstance(wrong, NoneType) and repr(wrong) != "5":
+        calls["threads"] = lambda: warp_plate.PlateSolver(SCENE, "cpu", threads=wrong)
+    for argument, call in calls.items():
+        message = refused(call)
+        assert message.removeprefix("--").startswith(argument.strip()), message
+        assert "must be" in message or "no such" in message
 
 
 def test_points_in_arrays():

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from types import NoneType
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from warp_plate.resolve import Resolved, resolve
 from warp_plate.result.case import Case, case_scene, only_actuator, target_cases
 from warp_plate.result.model import Result
 from warp_plate.result.motion import Motion, SteadyMotion
-from warp_plate.scene.errors import SceneError, check_type
+from warp_plate.scene.errors import SceneError, check_type, check_whole, numbers_of
 from warp_plate.scene.grid import Record
 from warp_plate.scene.model import Scene
 from warp_plate.solve.run import Progress, Run
@@ -55,6 +56,11 @@ def motion(
         SceneError: Unknown case, or see :func:`motions`.
     """
     check_type("result", result, Result)
+    check_type("case", case, str, NoneType)
+    if frames is not None:
+        check_whole("frames", frames)
+    if span is not None:
+        numbers_of("span", span, 2, "start and end in seconds")
     return motions(result.scene, result.select_cases([case or result.main_name]), span, frames, device)[0]
 
 

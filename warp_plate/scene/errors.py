@@ -5,6 +5,8 @@ import json
 import math
 import unicodedata
 from collections.abc import Mapping
+from numbers import Integral
+from typing import Any, cast
 
 # Characters of an error; files from others may have as many names as they like.
 LONGEST = 10_000
@@ -21,8 +23,26 @@ class SceneError(ValueError):
 def check_type(key: str, value: object, *kinds: type) -> None:
     """Raise a SceneError that names the argument ``key`` unless its value is of one of the kinds."""
     if not isinstance(value, kinds):
-        names = " or ".join(kind.__name__ for kind in kinds)
+        names = " or ".join(kind.__name__.removesuffix("Type") for kind in kinds)
         raise SceneError(f"{key}: must be a {names}, not a {type(value).__name__}")
+
+
+def check_whole(key: str, value: object, highest: float = math.inf) -> None:
+    """Raise a SceneError that names the argument ``key`` unless its value is a whole number from 1 to ``highest``."""
+    if isinstance(value, bool) or not isinstance(value, Integral) or not 1 <= int(value) <= highest:
+        end = "on" if highest == math.inf else f"to {highest:g}"
+        raise SceneError(f"{key} = {value!r}: must be a whole number from 1 {end}")
+
+
+def numbers_of(key: str, value: object, count: int, what: str) -> list[float]:
+    """Return so many numbers of a sequence; a SceneError names the argument ``key`` and says ``what`` it must be."""
+    try:
+        numbers = [] if isinstance(value, str | bytes | Mapping) else [float(number) for number in cast(Any, value)]
+    except (TypeError, ValueError, OverflowError):
+        numbers = []
+    if len(numbers) != count:
+        raise SceneError(f"{key} = {value!r}: must be {what}")
+    return numbers
 
 
 def printable(text: str) -> str:

@@ -20,11 +20,11 @@ from warp_plate.plate.designs import (
 )
 from warp_plate.plate.scheme import Discretization, discretize
 from warp_plate.plate.weights import NO_AREAS, RegionLike, bilinear
-from warp_plate.scene.errors import SceneError, check_type
+from warp_plate.scene.errors import SceneError, check_type, check_whole
 from warp_plate.scene.model import Scene
 from warp_plate.solve.batching import Batch, import_drives
 from warp_plate.solve.compiled_scene import CompiledScene, paths_of, why_streaming
-from warp_plate.solve.devices import find_device
+from warp_plate.solve.devices import MOST_THREADS, find_device
 from warp_plate.solve.parts import Records, run_parts, run_parts_on_device, states_for
 from warp_plate.solve.run import Progress, Run
 from warp_plate.solve.specialize import Quantity, Specialized, effect_names
@@ -114,8 +114,12 @@ class PlateSolver:
         memory_share: float = 1.0,
     ) -> None:
         started = time.perf_counter()
-        if chunk is not None and chunk < 1:
-            raise SceneError(f"chunk = {chunk}: must be at least 1 plate")
+        if chunk is not None:
+            check_whole("chunk", chunk)
+        if threads is not None:
+            check_whole("threads", threads, MOST_THREADS)
+        check_type("path", path, str)
+        check_type("quantity", quantity, str)
         check_type("scene", scene, Scene, Discretization)
         check_type("per_plate", per_plate, PerPlate)
         check_type("areas", areas, Mapping)

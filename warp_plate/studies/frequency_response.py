@@ -24,7 +24,7 @@ from warp_plate.modal.spaces.space import Matrix
 from warp_plate.plate.designs import scene_phasors
 from warp_plate.quantities.region_quantities import mean_square
 from warp_plate.result.frequency_response import DERIVATIVES, FrequencyResponse, Quantity, ResponseErrors
-from warp_plate.scene.errors import SceneError, check_type
+from warp_plate.scene.errors import SceneError, check_type, numbers_of
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.scene.target import Target
 
@@ -74,8 +74,8 @@ def frf(
     check_linear(scene, frequency_range)
     _check_on_plate(scene, "points", points)
     _check_on_plate(scene, "inputs", inputs)
-    low, high = frequency_range or default_range(scene)
-    plate = solve_modes(scene, high, key=f"frequency_range = {low:g}:{high:g}" if frequency_range else None)
+    low, high = default_range(scene) if frequency_range is None else map(float, frequency_range)
+    plate = solve_modes(scene, high, key=f"frequency_range = {low:g}:{high:g}" if frequency_range is not None else None)
     places, forces = input_forces(plate, inputs)
     frequencies = adaptive_frequencies(*plate.resonances, low, high)
     responses, factor, bound, velocity = curves = _responses(plate, frequencies, forces, plate.at_points(points))
@@ -171,10 +171,12 @@ def check_linear(scene: Scene, frequency_range: tuple[float, float] | None) -> N
     """Raise a SceneError unless the scene is linear and the range is valid."""
     if scene.nonlinear_table is not None:
         raise SceneError(f"{scene.nonlinear_table}: frequency responses are those of a linear plate without it")
-    low, high = frequency_range or (1.0, 2.0)
+    if frequency_range is None:
+        return
+    what = "two positive frequencies in hertz, the lower one first"
+    low, high = numbers_of("frequency_range", frequency_range, 2, what)
     if not 0 < low < high < np.inf:
-        what = "must be two positive frequencies in hertz, the lower one first"
-        raise SceneError(f"frequency_range = {low:g}:{high:g}: {what}")
+        raise SceneError(f"frequency_range = {low:g}:{high:g}: must be {what}")
 
 
 def input_forces(plate: ModalPlate, inputs: Sequence[str | Point]) -> tuple[np.ndarray, np.ndarray]:

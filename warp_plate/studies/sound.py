@@ -11,7 +11,7 @@ from warp_plate.modal.poles import adaptive_frequencies
 from warp_plate.modal.radiation import AIR, Air, Radiation, pressures
 from warp_plate.plate.designs import scene_phasors
 from warp_plate.result.sound import Sound
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, check_type, numbers_of
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.studies.frequency_response import check_linear, default_range, target_middles
 
@@ -42,15 +42,18 @@ def sound(
             too many modes.
     """
     scene = Scene.load(scene)
+    check_type("points", points, Sequence, np.ndarray)
+    check_type("air", air, Air)
     check_linear(scene, frequency_range)
-    low, high = frequency_range or default_range(scene)
+    given = [numbers_of(f"points[{index}]", point, 3, "x, y, z in metres") for index, point in enumerate(points)]
+    places = np.array(given or [[x, y, DISTANCE] for x, y in target_middles(scene)])
+    low, high = default_range(scene) if frequency_range is None else map(float, frequency_range)
     drive = scene.drive.frequency
     if not low <= drive <= high:
         raise SceneError(f"frequency_range = {low:g}:{high:g}: must hold the drive's frequency of {drive:g} Hz")
-    plate = solve_modes(scene, high, key=f"frequency_range = {low:g}:{high:g}" if frequency_range else None)
+    plate = solve_modes(scene, high, key=f"frequency_range = {low:g}:{high:g}" if frequency_range is not None else None)
     frequencies = np.union1d(adaptive_frequencies(*plate.resonances, low, high), [drive])
     amplitudes = plate.respond(frequencies, plate.actuator_forces() @ scene_phasors(scene)[:, None])
-    places = np.array(points or [(x, y, DISTANCE) for x, y in target_middles(scene)], dtype=float)
     radiation = Radiation(plate, high, air)
     power = radiation.powers(frequencies, amplitudes)[:, 0]
     space, vectors = plate.space, plate.vectors[: plate.space.unknowns]
