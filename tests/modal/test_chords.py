@@ -1,6 +1,7 @@
 """Gauss's rule on chords: exact areas and moments, positive weights, points on the plate."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -50,10 +51,16 @@ def test_rounded_corners_holes_and_regions():
     assert apart.weights.size == 0
 
 
-def test_forms_are_sums_over_the_points():
-    chords = make_chords(make_outline({"outline": disc(1, 1, 1)}), LOCAL, (6, 7))
+@pytest.mark.parametrize("block", [2**14, 7])
+def test_forms_are_sums_over_the_points(block):
+    """Also where not all segments are in one block."""
+    chords = replace(make_chords(make_outline({"outline": disc(1, 1, 1)}), LOCAL, (6, 7)), block=block)
     u = np.random.default_rng(0).normal(size=(SPLINES[1].functions, SPLINES[0].functions))
-    xx, yy = chords.sums(u[None], 2, 0)[0], chords.sums(u[None], 0, 2)[0]
+    blocks = [values for _, values in chords.sums(u[None], ((2, 0), (0, 2)))]
+    xx, yy = (
+        np.concatenate([values[0] for values in of_order]).reshape(chords.x.shape)
+        for of_order in zip(*blocks, strict=True)
+    )
     field = 1 + chords.x * chords.y
     (row_x, column_x), (row_y, column_y) = (overlapping_pairs(splines) for splines in SPLINES)
     values = chords.form(field, (2, 0), (0, 2))

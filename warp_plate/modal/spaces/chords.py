@@ -8,7 +8,7 @@ root of the distance resolves.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -82,6 +82,7 @@ class Chords:
     weights: np.ndarray  # (segments, points) [m²]
     chord: np.ndarray  # (segments,) index of the ordinate
     ordinates: np.ndarray  # (ordinates,) y [m]
+    block: int = 2**14  # segments whose products are in memory at once
 
     @property
     def y(self) -> np.ndarray:
@@ -105,6 +106,10 @@ class Chords:
         along_x = [self.along[0].local(self._intervals[0], self.x, derivative) for derivative in range(3)]
         return along_x, [self.along[1].dense(self.ordinates, derivative) for derivative in range(3)]
 
+    def _blocks(self) -> list[slice]:
+        """Slices that are all segments, each of neighbouring chords."""
+        return [slice(first, first + self.block) for first in range(0, len(self.chord), self.block)]
+
     def sampled(self, fields: Callable[[np.ndarray, np.ndarray], Sequence[np.ndarray]]) -> np.ndarray:
         """Return (n, segments, points) of n ``fields`` (y, x) by their function of x (nx,) and y (ny,) [m]."""
         sampled = np.empty((len(fields(self.x.ravel()[:1], self.ordinates[:1])), *self.x.shape))
@@ -120,16 +125,20 @@ class Chords:
         """Return (pairs of y, pairs of x) ∫ field · u^(x₀, y₀) u^(x₁, y₁) dA of a number or of values at the points,
         with derivatives along x and y of the first factor and of the second."""
         along_x, along_y = self._values
-        local = (along_x[x[0]] * (self.weights * field)[:, :, None]).transpose(0, 2, 1) @ along_x[x[1]]
         rows, columns = overlapping_pairs(self.along[0].splines)
         pair = np.zeros((self.along[0].splines.functions,) * 2, dtype=int)
         pair[rows, columns] = np.arange(rows.size)
-        index = self._columns
-        places = self.chord[:, None, None] * rows.size + pair[index[:, :, None], index[:, None, :]]
-        over_x = np.bincount(places.ravel(), local.ravel(), self.ordinates.size * rows.size)
+        index, weighted, over_x = self._columns, self.weights * field, np.zeros((self.ordinates.size, rows.size))
+        for some in self._blocks():
+            local = (along_x[x[0]][some] * weighted[some, :, None]).transpose(0, 2, 1) @ along_x[x[1]][some]
+            low, high = self.chord[some].min(), self.chord[some].max() + 1
+            places = (self.chord[some] - low)[:, None, None] * rows.size
+            places = places + pair[index[some, :, None], index[some, None, :]]
+            sums = np.bincount(places.ravel(), local.ravel(), (high - low) * rows.size)
+            over_x[low:high] += sums.reshape(-1, rows.size)
         rows_y, columns_y = overlapping_pairs(self.along[1].splines)
         products = along_y[y[0]][:, rows_y] * along_y[y[1]][:, columns_y]
-        return np.asarray(products.T @ over_x.reshape(self.ordinates.size, rows.size))
+        return np.asarray(products.T @ over_x)
 
     def integrals(self, values: np.ndarray | float = 1.0, x: int = 0, y: int = 0) -> np.ndarray:
         """Return (..., functions of y, functions of x) ∫ values · u^(x, y) dA of values (..., segments, points)."""
@@ -140,12 +149,21 @@ class Chords:
         np.add.at(over_x, (self.chord[:, None], self._columns), np.moveaxis(local, (-2, -1), (0, 1)))
         return np.moveaxis(np.tensordot(along_y[y].T, over_x, axes=1), (0, 1), (-2, -1))
 
-    def sums(self, coefficients: np.ndarray, x: int, y: int) -> np.ndarray:
-        """Return (n, segments, points) values of a derivative of sums (n, functions of y, functions of x)."""
-        along_x, along_y = self._values
-        of_chord = np.einsum("lj,nji->nli", along_y[y], coefficients, optimize=True)
-        columns = of_chord[:, self.chord[:, None], self._columns]
-        return np.einsum("spi,nsi->nsp", along_x[x], columns, optimize=True)
+    def sums(
+        self, coefficients: np.ndarray, orders: Sequence[tuple[int, int]]
+    ) -> Iterator[tuple[slice, list[np.ndarray]]]:
+        """Yield blocks of segments, and there (n, points) values of derivatives of sums (n, functions of y, functions
+        of x), by their ``orders`` along x and y."""
+        (along_x, along_y), columns = self._values, self._columns
+        for some in self._blocks():
+            low, high = self.chord[some].min(), self.chord[some].max() + 1
+            values = []
+            for x, y in orders:
+                of_chord = np.einsum("lj,nji->nli", along_y[y][low:high], coefficients, optimize=True)
+                local = of_chord[:, self.chord[some, None] - low, columns[some]]
+                value = np.einsum("spi,nsi->nsp", along_x[x][some], local, optimize=True)
+                values.append(value.reshape(len(coefficients), -1))
+            yield some, values
 
 
 def make_chords(

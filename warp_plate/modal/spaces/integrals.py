@@ -153,14 +153,13 @@ class SplineProducts(ABC):
 
     def _bending_on(self, vectors: np.ndarray, chords: Chords, fields: Sequence[np.ndarray | float]) -> np.ndarray:
         """Return (n, n) bending energies of vectors (unknowns, n) on chords, from their curvatures."""
-        tables = self._tables(vectors)
-        xx, xy, yy = (chords.sums(tables, *orders).reshape(len(tables), -1) for orders in ((2, 0), (1, 1), (0, 2)))
-        weights = chords.weights
-        bend_xx, bend_xy, bend_yy, twist, *_ = (
-            np.broadcast_to(weights * field, weights.shape).ravel() for field in fields
-        )
-        coupled = (bend_xy * xx) @ yy.T
-        return np.asarray((bend_xx * xx) @ xx.T + (bend_yy * yy) @ yy.T + 4 * (twist * xy) @ xy.T + coupled + coupled.T)
+        energies = np.zeros((vectors.shape[1],) * 2)
+        weighted = [np.broadcast_to(chords.weights * field, chords.weights.shape) for field in fields[:4]]
+        for some, (xx, xy, yy) in chords.sums(self._tables(vectors), ((2, 0), (1, 1), (0, 2))):
+            bend_xx, bend_xy, bend_yy, twist = (values[some].ravel() for values in weighted)
+            coupled = (bend_xy * xx) @ yy.T
+            energies += (bend_xx * xx) @ xx.T + (bend_yy * yy) @ yy.T + 4 * (twist * xy) @ xy.T + coupled + coupled.T
+        return energies
 
     def _section(self, axis: int) -> list[float]:
         """Return where the fields of the section are not smooth along x (0) or y (1) [m]."""
