@@ -7,6 +7,7 @@ import pytest
 import shapely
 
 from support.scenes import scene_of
+from warp_plate import Scene
 from warp_plate.modal.modes import solve_modes
 from warp_plate.problem.worst_points import make_region
 
@@ -54,3 +55,17 @@ def test_the_summit_of_an_oblique_ridge_is_found(region, random):
 def test_a_field_without_maxima_has_few_peaks(region):
     flat = np.ones(len(region.samples))
     assert len(region.peaks(flat)) <= 200
+
+
+def test_regions_end_at_the_outline():
+    """A disc with a round hole: no sample beyond the edges, and means over what is on the plate."""
+    tables = Scene.load("watch").model_dump(include={"plate", "edges", "drive", "actuators", "effects"})
+    tables["plate"]["holes"] = [{"disc": (0.019, 0.024, 0.004)}]
+    scene = Scene.from_tables({**tables, "target": {"disc": (0.03, 0.01, 0.002)}, "grid": {"modal_density": 0.5}})
+    plate = solve_modes(scene, 1e4)
+    region = make_region(plate, shapely.box(0.019, 0.0, 0.038, 0.038), 5e-4)
+    assert scene.outline.contains(region.samples).all()
+    assert region.shape.area == pytest.approx(math.pi / 2 * (0.019**2 - 0.004**2), rel=1e-4)
+    values = plate.space.at_points(region.samples)
+    ones = np.linalg.lstsq(values, np.ones(len(values)))[0]
+    assert ones @ (region.mean_matrix @ ones) == pytest.approx(1, rel=1e-4)

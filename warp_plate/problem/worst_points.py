@@ -16,7 +16,9 @@ import shapely
 
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.spaces.space import Matrix
+from warp_plate.outline.pieces import Arc
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
 from warp_plate.scene.target import Target
 
 # Corners of a disc or of a quarter of a rounded corner.
@@ -26,6 +28,8 @@ CORNERS = 256
 FEWEST, MISSED, MOST = 12, 0.03, 200
 # Width of a seam [of the longer side] within which points count as those of a region.
 SEAM = 1e-9
+# Largest turn [rad] of a side of the polygon that stands for a plate with an outline.
+TURN = 2e-3
 Values = Callable[[np.ndarray], np.ndarray]
 NEIGHBOURS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
 # Rounds of steps, the factor by which each reduces them, and the steps along a line and around a point.
@@ -50,7 +54,8 @@ def shape_of(key: str, target: Target) -> shapely.Geometry:
 class Region:
     """A part of the plate with its samples."""
 
-    shape: shapely.Geometry  # its shape [m], wider by the seam
+    shape: shapely.Geometry  # its part on the plate [m], wider by the seam
+    uncut: shapely.Geometry  # its part in the box around the plate [m], wider by the seam
     plate: ModalPlate  # the plate
     x: np.ndarray  # (nx,) [m]
     y: np.ndarray  # (ny,) [m]
@@ -66,7 +71,7 @@ class Region:
     def mean_matrix(self) -> Matrix:
         """(unknowns, unknowns) matrix of the mean square over the region, by mass."""
         outlines = []
-        for polygon in shapely.get_parts(self.shape):
+        for polygon in shapely.get_parts(self.uncut):
             for sign, ring in ((1, polygon.exterior), *((-1, ring) for ring in polygon.interiors)):
                 corners = tuple(map(tuple, shapely.get_coordinates(ring)[:-1]))
                 target = Target.model_construct(area=None, disc=None, mask=None, polygon=corners)
@@ -178,6 +183,15 @@ def _spacing(positions: np.ndarray) -> float:
     return float(positions[1] - positions[0]) if len(positions) > 1 else 0.0
 
 
+def _plate_shape(scene: Scene) -> shapely.Geometry:
+    """Return the polygon [m] of a plate with an outline, narrower by what its sides may cut off hollow arcs."""
+    assert scene.outline is not None
+    shell, *holes = scene.outline.polygons(TURN)
+    axes = [np.linalg.norm(piece.axes, axis=0).max() for piece in scene.outline.pieces if isinstance(piece, Arc)]
+    hidden = TURN**2 / 8 * max(axes, default=0.0)
+    return shapely.buffer(shapely.Polygon(shell, holes), -hidden, join_style="mitre")
+
+
 def make_region(plate: ModalPlate, shape: shapely.Geometry, spacing: float, fewest: int = 2) -> Region:
     """Return a region with samples at most ``spacing`` [m] apart, at least ``fewest`` along each side of its box.
 
@@ -185,8 +199,8 @@ def make_region(plate: ModalPlate, shape: shapely.Geometry, spacing: float, fewe
         SceneError: The region is empty.
     """
     size = plate.scene.plate.size
-    board = shapely.box(0.0, 0.0, *size)
-    shape = shapely.intersection(shape, board)
+    uncut = shapely.intersection(shape, shapely.box(0.0, 0.0, *size))
+    shape = shapely.intersection(uncut, _plate_shape(plate.scene)) if plate.scene.plate.outline else uncut
     if shape.is_empty or shape.area <= 0:
         raise SceneError("specification.guard: leaves nothing of the plate outside the targets; write a narrower one")
     x0, y0, x1, y1 = shape.bounds
@@ -201,7 +215,7 @@ def make_region(plate: ModalPlate, shape: shapely.Geometry, spacing: float, fewe
         for ring in (polygon.exterior, *polygon.interiors):
             step = min(spacing, ring.length / (4 * fewest))
             lines.append(shapely.get_coordinates(shapely.segmentize(ring, step))[:-1])
-    seamed = shapely.buffer(shape, SEAM * max(size))
+    seamed, uncut = (shapely.buffer(part, SEAM * max(size)) for part in (shape, uncut))
     shapely.prepare(seamed)
     inside = shapely.contains_xy(seamed, *np.meshgrid(x, y))
-    return Region(seamed, plate, x, y, inside, tuple(lines))
+    return Region(seamed, uncut, plate, x, y, inside, tuple(lines))
