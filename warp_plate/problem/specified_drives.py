@@ -9,17 +9,17 @@ points allows more than the specification, so that its bound is one of the speci
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.optimize.cones import STEPS, Block, LeastScale, least_scale_of_squares
-from warp_plate.problem.requirements import Aim, Requirements
+from warp_plate.problem.requirements import Aim, Power, Requirements
 from warp_plate.problem.worst_points import Region, Values
 from warp_plate.result.sound import POWER_REFERENCE, a_weighting
 from warp_plate.result.specified import RegionLevels
@@ -37,25 +37,11 @@ GAIN, SEARCHES, FEW_STEPS = 1e-5, 3, 1
 # Programs ask for this much more than the specification, so that their rounding does not violate it.
 MARGIN = 2e-8
 FIRST = 16  # samples of a region that programs begin with
-
-
-@dataclass(frozen=True)
-class Power:
-    """A limited power of all actuators."""
-
-    name: str
-    unit: str  # unit in which it is shown: W, or dB(A) re 1 pW
-    limit: float  # [W]
-    factor: np.ndarray  # (rows, actuators) F: ‖F z‖² is the power [W] of parts z of the largest drives
-    weighting: float = 0.0  # of a level [dB]
-
-    def shown(self, power: float) -> float:
-        """Return a power [W] in the unit."""
-        return power if self.unit == "W" else 10 * math.log10(max(power, 1e-300) / POWER_REFERENCE) + self.weighting
-
-    def of(self, drive: np.ndarray) -> float:
-        """Return the power [W] of a drive (actuators,)."""
-        return float(np.linalg.norm(self.factor @ drive) ** 2)
+AT = " at ({:.4g}, {:.4g}) m"
+# Part of the largest change of a region by which all of it may be off besides.
+ELSEWHERE = 0.2
+# Levels over those wanted (aims,), and over those allowed (rests,).
+Ratios: TypeAlias = "tuple[np.ndarray, np.ndarray]"
 
 
 @dataclass
@@ -271,11 +257,11 @@ class Tone:
         for index, aim in (*fixed, *others):
             count = 1 if aim.level.measure == "mean" else len(self.points["aim", index])
             part = result.wanted[place : place + count]
-            at = "" if aim.level.measure == "mean" or not len(part) else _at(self.points["aim", index][part.argmax()])
+            at = "" if aim.level.measure == "mean" or not len(part) else AT.format(*self.points["aim", index][part.argmax()])
             named.append((f"{aim.level.text} in {aim.name}{at}", float(part.sum())))
             place += count
         for index, (rest, part) in enumerate(zip(self.requirements.rests, result.allowed[1:], strict=False)):
-            at = _at(self.points["rest", index][part.argmax()]) if rest.allowance.measure == "worst" else " in the mean"
+            at = AT.format(*self.points["rest", index][part.argmax()]) if rest.allowance.measure == "worst" else " in the mean"
             named.append((f"{rest.allowance.text} {rest.name}{at}", float(part.sum())))
         parts = [float(part.sum()) for part in result.allowed[len(result.allowed) - len(self.powers) :]]
         named += [(f"the limit of {power.name}", part) for power, part in zip(self.powers, parts, strict=False)]
@@ -297,10 +283,32 @@ class Tone:
 
     def reached(self, drive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the levels under a drive over those wanted (aims,), and over those allowed (rests,)."""
-        aims, rests = self.requirements.aims, self.requirements.rests
-        in_aims = [self._measured(aim.level.measure, aim.region, drive) for aim in aims]
-        in_rests = [self._measured(rest.allowance.measure, rest.region, drive) for rest in rests]
-        return np.array(in_aims) / self.wanted, np.array(in_rests) / self.allowed
+        in_aims, in_rests = self._per_region(lambda measure, region: self._measured(measure, region, drive))
+        return in_aims / self.wanted, in_rests / self.allowed
+
+    def _per_region(self, function: Callable[[str, Region], float | list[float]]) -> Ratios:
+        """Return a function of measure and region for all (aims,) and (rests,)."""
+        aims = [function(aim.level.measure, aim.region) for aim in self.requirements.aims]
+        rests = [function(rest.allowance.measure, rest.region) for rest in self.requirements.rests]
+        return np.array(aims), np.array(rests)
+
+    def errors(self, other: Tone, drive: np.ndarray, caution: float) -> tuple[Ratios, Ratios]:
+        """Return the least and the largest levels under a drive, over those reached: of the (aims,) and (rests,), if
+        accelerations may be off by ``caution`` times their changes to another solution and a part of the largest."""
+
+        def ends(measure: str, region: Region) -> list[float]:
+            values = self._sampled(region, drive)
+            changes = np.abs(other.rows(region.samples) @ drive - values)
+            changes = caution * (changes + ELSEWHERE * changes.max())  # they may cross zero
+            sizes = [np.abs(values) + sign * changes for sign in (0, -1, 1)]
+            if measure == "mean":
+                size, change = (float(np.sqrt(np.mean(part**2))) for part in (sizes[0], changes))
+                return [max(1 - change / size, 0.0), 1 + change / size]
+            middle, *others = (float(part.max() if measure == "worst" else part.min()) for part in sizes)
+            return [max(end / middle, 0.0) for end in others]
+
+        (low_aims, high_aims), (low_rests, high_rests) = (part.reshape(-1, 2).T for part in self._per_region(ends))
+        return (low_aims, low_rests), (high_aims, high_rests)
 
     def is_met(self, drive: np.ndarray, tolerance: float) -> bool:
         """Return whether a drive meets the specification to a relative tolerance; levels that are relative to the
@@ -308,8 +316,7 @@ class Tone:
         in_aims, in_rests = self.reached(drive)
         lowest = float(in_aims.min())
         parts = [in_rests / [1.0 if rest.allowance.relative_db is None else lowest for rest in self.requirements.rests]]
-        parts += [np.abs(drive), 1 / in_aims]
-        parts.append(np.sqrt([power.of(drive) / power.limit for power in self.powers]))
+        parts += [np.abs(drive), 1 / in_aims, np.sqrt([power.of(drive) / power.limit for power in self.powers])]
         return bool((np.concatenate(parts) <= 1 + tolerance).all())
 
     def _measured(self, measure: str, region: Region, drive: np.ndarray) -> float:
@@ -373,10 +380,6 @@ def solve_together(
         settled = not any(added)
         drive = result.drive if squares else None
     return result
-
-
-def _at(point: np.ndarray) -> str:
-    return f" at ({point[0]:.4g}, {point[1]:.4g}) m"
 
 
 def _size(unit: float, acceleration: np.ndarray) -> np.ndarray:

@@ -6,7 +6,6 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TypeAlias
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from warp_plate.modal.modes import ModalPlate, solve_modes
 from warp_plate.optimize.cones import LeastScale
 from warp_plate.optimize.optimizer import minimum_near
 from warp_plate.problem.requirements import make_requirements
-from warp_plate.problem.specified_drives import Scaled, Tone, solve_together
+from warp_plate.problem.specified_drives import Ratios, Scaled, Tone, solve_together
 from warp_plate.result.specified import Margin, Scatter, SpecifiedDrive
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import resolved_key, value_of
@@ -32,13 +31,10 @@ PARETO = np.geomspace(1 / 8, 8, 13)
 SAME = 1e-4  # relative difference of two scales that counts as none
 # Relative violation that counts as none; part of a certificate above which a requirement is named.
 NOTHING, NAMED = 1e-7, 0.02
-# Density of the splines that errors are estimated with, and the error of the answer over the difference, for errors
-# that fall with the power 1.1 of the density.
+# Density of the splines that errors are estimated with, and the error of the answer over the difference.
 COARSER, CAUTION = 1 / 1.3, 3.0
 # Points of the map along the longer side of the plate.
 MAP_POINTS = 161
-# Levels over those wanted (aims,), and over those allowed (rests,).
-Ratios: TypeAlias = "tuple[np.ndarray, np.ndarray]"
 # Rounds of a drive for all cases of the tolerances, and those of one of several frequencies that are tried for it.
 ROTATIONS, FEW_ROTATIONS, ROBUST_TRIED = 12, 2, 5
 
@@ -272,15 +268,11 @@ def _interval(tone: Tone, drive: np.ndarray, levels: Ratios) -> tuple[float, flo
     scene = tone.plate.scene
     other = solve_modes(scene, tone.plate.highest / scene.grid.modal_density, density=COARSER)
     coarser = replace(tone, plate=other, requirements=make_requirements(other), points={})
-    of_level, of_contrast = _level_and_contrast(tone, levels)
-    in_aims, in_rests = coarser.reached(drive)
+    ends = tone.errors(coarser, drive, CAUTION)
+    low, high = ((levels[0] * in_aims, levels[1] * in_rests) for in_aims, in_rests in ends)
     if not tone.requirements.rests:
-        half = CAUTION * abs(float(in_aims.min()) - of_level)
-        return of_level - half, of_level + half
-    # Errors of the two levels count each, though they may cancel out in their ratio.
-    ratios = (float(in_aims.min()) / of_level, float(in_rests.max() / levels[1].max()))
-    half = CAUTION * sum(abs(_decibels(ratio)) for ratio in ratios)
-    return of_contrast - half, of_contrast + half
+        return float(low[0].min()), float(high[0].min())
+    return _contrast(tone, low[1].max() / high[0].min()), _contrast(tone, high[1].max() / max(low[0].min(), 1e-300))
 
 
 def _gains(result: LeastScale, limits: np.ndarray) -> np.ndarray:
