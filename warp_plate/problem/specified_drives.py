@@ -252,16 +252,16 @@ class Tone:
     def binding(self, result: LeastScale) -> list[tuple[str, float]]:
         """Return what the proof of a program of this tone alone rests on, in words, with its part of the proof."""
         named, place = [], 0
-        fixed = [row for row in enumerate(self.requirements.aims) if self._is_fixed(row[1])]
-        others = [row for row in enumerate(self.requirements.aims) if not self._is_fixed(row[1])]
-        for index, aim in (*fixed, *others):
-            count = 1 if aim.level.measure == "mean" else len(self.points["aim", index])
+        for index, aim in sorted(enumerate(self.requirements.aims), key=lambda row: not self._is_fixed(row[1])):
+            points = self.points["aim", index]
+            count = 1 if aim.level.measure == "mean" else len(points)
             part = result.wanted[place : place + count]
-            at = "" if aim.level.measure == "mean" or not len(part) else AT.format(*self.points["aim", index][part.argmax()])
+            at = "" if aim.level.measure == "mean" or not len(part) else AT.format(*points[part.argmax()])
             named.append((f"{aim.level.text} in {aim.name}{at}", float(part.sum())))
             place += count
         for index, (rest, part) in enumerate(zip(self.requirements.rests, result.allowed[1:], strict=False)):
-            at = AT.format(*self.points["rest", index][part.argmax()]) if rest.allowance.measure == "worst" else " in the mean"
+            points = self.points["rest", index]
+            at = AT.format(*points[part.argmax()]) if rest.allowance.measure == "worst" else " in the mean"
             named.append((f"{rest.allowance.text} {rest.name}{at}", float(part.sum())))
         parts = [float(part.sum()) for part in result.allowed[len(result.allowed) - len(self.powers) :]]
         named += [(f"the limit of {power.name}", part) for power, part in zip(self.powers, parts, strict=False)]
