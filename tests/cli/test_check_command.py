@@ -52,6 +52,13 @@ def test_numbers_and_words_of_the_paper(command):
     assert [" ".join(lines[row].split()[:-3]) for row in rows] == passed
 
 
+def test_supports_of_a_heavy_plate(command, write_scene):
+    points = [{"point": [0.05, 0.05]}, {"point": [0.15, 0.15]}, {"ring": [0.1, 0.1, 0.02]}]
+    write_scene(name="table", supports=points)
+    text = output_of(command("check", "table.toml", "--set", "plate.density=5e4", "--device", "cpu"))
+    assert "200 × 200 × 0.5 mm, 1 kg; all edges clamped; held at 2 points, 1 ring" in " ".join(text.split())
+
+
 def test_the_cost_of_searches_that_take_modes_or_are_refused(command, write_scene):
     def search_of(name):
         return json.loads(output_of(command("check", f"{name}.toml", "--device", "cpu", "--json")))["search"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -11,7 +12,6 @@ import numpy as np
 from warp_plate.accuracy.configurations import seconds_text
 from warp_plate.analysis.warnings import Finding, find_warnings, slowest_frequency, wavelengths
 from warp_plate.modal.solver import MODAL
-from warp_plate.plate.bending import mass_matrix
 from warp_plate.plate.memory import memory_room
 from warp_plate.plate.scheme import Scheme, discretize
 from warp_plate.plate.signals import carrier_frequencies, highest_frequency
@@ -139,7 +139,9 @@ def check(scene: SceneSource, device: str = "auto", allow_unstable: bool = False
     bending, plate = scheme.bending, scene.plate
     mass = plate.area * plate.thickness * plate.density
     if bending is not None:
-        mass = float(mass_matrix(bending).sum())
+        # Nodes off an outline have a weight of 1, and masses beside its held pieces are raised.
+        weight = bending.weight if bending.grid is None else bending.grid.count(np.ones(bending.weight.shape))
+        mass = plate.area * float(np.average(bending.mass, weights=weight))
     return Check(
         plate=_plate_text(scene, mass),
         mass=mass,
@@ -177,7 +179,11 @@ def _plate_text(scene: Scene, mass: float) -> str:
     size = f"{1e3 * width:g} × {1e3 * height:g} × {1e3 * scene.plate.thickness:g} mm"
     if scene.plate.outline is not None:
         size += f", {scene.plate.outline.description}{', with holes' * bool(scene.plate.holes)}"
-    return f"{size}, {1e3 * mass:.4g} g{' with layers' * bool(scene.layers)}; {around}"
+    weight = f"{mass:.4g} kg" if mass >= 1 else f"{1e3 * mass:.4g} g"
+    kinds = Counter(next(kind for kind in ("point", "line", "ring") if getattr(row, kind)) for row in scene.supports)
+    supports = ", ".join(f"{count} {kind}{'s'[: count > 1]}" for kind, count in kinds.items())
+    held = f"; held at {supports}" if supports else ""
+    return f"{size}, {weight}{' with layers' * bool(scene.layers)}; {around}{held}"
 
 
 def _drive_text(scene: Scene) -> str:
