@@ -123,7 +123,9 @@ def test_errors_are_one_line_and_status_2(command, recorded, write_scene):
 
 
 def test_init_writes_a_preset_and_never_overwrites(command, recorded):
-    assert "paper.toml" in output_of(command("init", "paper"))
+    assert "run it with: warp-plate localize paper.toml" in output_of(command("init", "paper"))
+    assert "run it with: warp-plate specify console.toml" in output_of(command("init", "console"))
+    assert "run it with: warp-plate focus four-fingers.toml" in output_of(command("init", "four-fingers"))
     assert Path("paper.toml").read_text(encoding="utf-8") == preset_text("paper")
     assert command("init", "paper-supported", "--out", "other.toml")[0] == 0
     assert Scene.load("other.toml") == Scene.load("paper-supported")

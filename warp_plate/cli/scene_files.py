@@ -11,6 +11,9 @@ from rich.console import Console
 from warp_plate.cli import options, output
 from warp_plate.scene.errors import SceneError, printable
 
+# Commands that read a table of their own, and the line of a preset that opens it.
+COMMANDS = {"specify": "\n[specification]", "focus": "\n[focus"}
+
 
 def init(name: str, /, *, out: Path | None = None) -> None:
     """Write a preset as a TOML file to edit.
@@ -36,7 +39,8 @@ def init(name: str, /, *, out: Path | None = None) -> None:
         with suppress(OSError, ValueError):
             path.unlink()  # what a full disk took of it
         raise SceneError(f"{path}: cannot be written: {error}") from None
-    print(printable(f"wrote {path}; run it with: warp-plate localize {path}"))
+    command = next((command for command, table in COMMANDS.items() if table in text), "localize")
+    print(printable(f"wrote {path}; run it with: warp-plate {command} {path}"))
 
 
 def keys(*tables: str, json: options.Json = False) -> None:
