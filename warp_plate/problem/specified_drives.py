@@ -253,14 +253,14 @@ class Tone:
         """Return what the proof of a program of this tone alone rests on, in words, with its part of the proof."""
         named, place = [], 0
         for index, aim in sorted(enumerate(self.requirements.aims), key=lambda row: not self._is_fixed(row[1])):
-            points = self.points["aim", index]
+            points = self.points.get(("aim", index), np.empty((0, 2)))
             count = 1 if aim.level.measure == "mean" else len(points)
             part = result.wanted[place : place + count]
             at = "" if aim.level.measure == "mean" or not len(part) else AT.format(*points[part.argmax()])
             named.append((f"{aim.level.text} in {aim.name}{at}", float(part.sum())))
             place += count
         for index, (rest, part) in enumerate(zip(self.requirements.rests, result.allowed[1:], strict=False)):
-            points = self.points["rest", index]
+            points = self.points.get(("rest", index), np.empty((0, 2)))
             at = AT.format(*points[part.argmax()]) if rest.allowance.measure == "worst" else " in the mean"
             named.append((f"{rest.allowance.text} {rest.name}{at}", float(part.sum())))
         parts = [float(part.sum()) for part in result.allowed[len(result.allowed) - len(self.powers) :]]
