@@ -6,6 +6,7 @@ They raise DrawingUnavailable if VTK cannot draw here, and OSError if the file c
 from __future__ import annotations
 
 import math
+import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from functools import partial
@@ -165,19 +166,31 @@ def _write_gif(path: Path, pictures: Iterator[Image.Image], sample: Image.Image,
 
 def _write_mp4(path: Path, pictures: Iterator[Image.Image], sample: Image.Image, frames: int, rate: float) -> None:
     """Write an MP4 (H.264), which repeats its frames until it has at least six seconds."""
-    from imageio_ffmpeg import write_frames
+    from imageio_ffmpeg import get_ffmpeg_exe
 
-    size = (sample.width // 2 * 2, sample.height // 2 * 2)  # H.264 requires even sides
-    quality = ["-crf", "18", "-movflags", "+faststart"]
-    encoder = write_frames(path, size, fps=rate, quality=None, macro_block_size=2, output_params=quality)
-    encoder.send(None)
-    with closing(encoder):
-        drawn = []
-        for picture in pictures:
-            drawn.append(picture.crop((0, 0, *size)).tobytes())
-            encoder.send(drawn[-1])
-        for pixels in drawn * (math.ceil(LEAST_DURATION * rate / frames) - 1):
-            encoder.send(pixels)
+    width, height = (sample.width // 2 * 2, sample.height // 2 * 2)  # H.264 requires even sides
+    raw = f"-f rawvideo -vcodec rawvideo -s {width}x{height} -pix_fmt rgb24 -r {rate:.2f}".split()
+    codec = ["-an", "-vcodec", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-movflags", "+faststart"]
+    # Not by imageio_ffmpeg.write_frames, which ignores the exit status, so that a full disk would cut the movie short.
+    command = [get_ffmpeg_exe(), "-y", *raw, "-i", "-", *codec, "-v", "quiet", str(path)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE) as encoder:
+        assert encoder.stdin is not None
+        try:
+            drawn = []
+            for picture in pictures:
+                drawn.append(picture.crop((0, 0, width, height)).tobytes())
+                encoder.stdin.write(drawn[-1])
+            for pixels in drawn * (math.ceil(LEAST_DURATION * rate / frames) - 1):
+                encoder.stdin.write(pixels)
+        except BrokenPipeError:
+            pass  # it ended early
+        except BaseException:
+            encoder.kill()
+            raise
+        finally:
+            encoder.communicate()
+    if encoder.returncode:
+        raise OSError(f"its encoder ended with status {encoder.returncode}; is the disk full?")
 
 
 def largest_frame(motions: Sequence[Motion], quantity: str = "displacement") -> int:

@@ -66,6 +66,22 @@ def test_movies_play_all_frames(render, drawing, tmp_path):
     assert np.abs(played[0] - played[3]).mean() > np.abs(played[0] - played[6]).mean()
 
 
+def test_a_movie_that_is_cut_short_is_not_kept(render, drawing, tmp_path):
+    resource = pytest.importorskip("resource", reason="Windows has no limit on the size of files")
+    options = ["--out", "a.mp4", "--frames", "6", "--rate", "12", "--case", "best"]
+    output_of(render(*options))
+    movie, before = (tmp_path / "a.mp4").read_bytes(), resource.getrlimit(resource.RLIMIT_FSIZE)
+    for share in (0.2, 0.95):  # as on a full disk
+        resource.setrlimit(resource.RLIMIT_FSIZE, (int(share * len(movie)), before[1]))
+        try:
+            refused = render(*options)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        assert "a.mp4: cannot be written: its encoder ended with status" in error_of(refused)
+        assert (tmp_path / "a.mp4").read_bytes() == movie
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mp4"]
+
+
 def test_pages_and_plans_need_no_window(render, monkeypatch, tmp_path):
     """A browser or Matplotlib draws them, without VTK's windows."""
     (tmp_path / "vtkmodules.py").write_text("raise SystemExit(1)", encoding="utf-8")  # of trial drawings

@@ -85,6 +85,19 @@ def test_a_vtkhdf_series_reads_back_in_vtk(oblong, tmp_path):
         check_field(pyvista.wrap(reader.GetOutputDataObject(0)), oblong, index)
 
 
+def test_a_full_disk_refuses_a_vtkhdf_series(oblong, tmp_path):
+    """HDF5 itself would crash on it."""
+    resource = pytest.importorskip("resource", reason="Windows has no limit on the size of files")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4000, before[1]))
+    try:
+        with pytest.raises(SceneError, match=r"run\.vtkhdf: cannot be written: File too large"):
+            write_vtkhdf(oblong.scene, oblong.times, displacements(oblong), tmp_path / "run.vtkhdf")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert not list(tmp_path.iterdir())
+
+
 def read_csv(path):
     with path.open(encoding="utf-8", newline="") as file:
         heading, *rows = csv.reader(file)

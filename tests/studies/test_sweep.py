@@ -198,6 +198,19 @@ def test_a_point_without_memory_is_given_up_and_others_run(swept_plate, error):
         list(run_here(start, [1], run))
 
 
+def test_points_that_no_file_holds_are_not_said_to_be_saved(swept_plate, tmp_path):
+    start = start_sweep(SweepRequest(swept_plate, vary=plan_of(swept_plate, "drive.frequency=200:300:3"), what="check"))
+    (tmp_path / "disk").mkdir()
+
+    def on_progress(done, total, note):
+        if done == 2:
+            (tmp_path / "disk").rename(tmp_path / "gone")
+
+    file = CheckpointFile(tmp_path / "disk" / "a.checkpoint.h5", every=0)
+    assert run_sweep(start, on_progress, file).finished
+    assert file.saved.progress == load_sweep(tmp_path / "gone" / "a.checkpoint.h5").progress == "1 of 3 points"
+
+
 def test_a_result_that_cannot_be_written_leaves_all_points(swept_plate, tmp_path):
     found = sweep(swept_plate, ["drive.frequency=200,300"], "check", device="cpu")
     unfinished = CheckpointFile(tmp_path / "a.checkpoint.h5")

@@ -17,13 +17,13 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Literal
 
-import h5py
 import numpy as np
 
 from warp_plate.effects.table import TRAVELLING
 from warp_plate.plate.weights import REGIONS, node_positions, region_weights
 from warp_plate.result.atomic_io import atomic_paths, write_table
 from warp_plate.result.case import Case
+from warp_plate.result.hdf5 import create_hdf5
 from warp_plate.result.model import Result
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -57,7 +57,7 @@ def write_vtkhdf(scene: Scene, times: np.ndarray, fields: Mapping[str, np.ndarra
         SceneError: there are no times, or the file cannot be written.
     """
     constant = {name: field[None] for name, field in _constant_fields(scene, times).items()}
-    with atomic_paths(path) as (temporary,), h5py.File(temporary, "w") as file:
+    with create_hdf5(path) as file:
         root = file.create_group("VTKHDF")
         nx, ny = scene.grid.nodes
         root.attrs["Version"] = np.array([2, 0])

@@ -4,7 +4,7 @@ Files are written atomically. On reading, links, data in other files and dataset
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +22,22 @@ UNPACKED_BYTES = 2**28  # of the arrays of such a file, which may be compressed
 NUMBERS_OF_MAT = "double", "single", "int", "uint", "logical"  # first letters of classes
 
 
+@contextmanager
+def create_hdf5(path: Path, end: Callable[[bytes], bytes] = lambda content: b"") -> Iterator[h5py.File]:
+    """Yield an HDF5 file that is written atomically at the end, followed by a function of its content.
+
+    It is composed in memory, because HDF5 does not reliably report a full disk, and may crash on it.
+
+    Raises:
+        SceneError: it cannot be written; see :func:`atomic_path`.
+    """
+    with h5py.File("in memory", "w", driver="core", backing_store=False) as file:
+        yield file
+        file.flush()
+        content: bytes = file.id.get_file_image()
+    write_atomically(content + end(content), path)
+
+
 @dataclass(frozen=True)
 class FileFormat:
     """A kind of file, such as "result", with the version of its layout."""
@@ -33,13 +49,9 @@ class FileFormat:
     def create(self, path: str | Path) -> Iterator[h5py.File]:
         """Yield a file that is written atomically at the end, or raise a SceneError; see :func:`atomic_path`."""
         check_type("path", path, str, Path)
-        # Composed in memory, because HDF5 does not reliably report a full disk.
-        with h5py.File("in memory", "w", driver="core", backing_store=False) as file:
+        with create_hdf5(Path(path), make_seal) as file:
             file.attrs["format"] = f"warp-plate {self.kind} {self.version}"
             yield file
-            file.flush()
-            content: bytes = file.id.get_file_image()
-        write_atomically(content + make_seal(content), Path(path))
 
     @contextmanager
     def open(self, path: str | Path) -> Iterator[h5py.File]:

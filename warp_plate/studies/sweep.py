@@ -179,7 +179,9 @@ def run_sweep(
         current = replace(current, device="", processor="")  # the workers report theirs
 
     def now() -> Sweep:
-        return replace(current, seconds=start.seconds + time.perf_counter() - started)
+        arrays = {name: array.copy() for name, array in values.items()}
+        seconds = start.seconds + time.perf_counter() - started
+        return replace(current, values=arrays, status=status.copy(), reasons=dict(reasons), seconds=seconds)
 
     chosen = start
     if pending and (start.evaluator != MODAL or len(QUANTITIES[start.what].evaluators) > 1):
