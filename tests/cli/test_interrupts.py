@@ -183,6 +183,31 @@ def test_files_are_written_whole_or_not_at_all(target, endless, write_scene, com
     assert sorted(path.name for path in Path().iterdir()) == names
 
 
+@pytest.mark.parametrize(
+    ("line", "file"),
+    [
+        ("frf paper --to csv --range 20:60", "paper-frf.csv"),
+        ("sound paper --to hdf5 --range 200:300", "paper-sound.h5"),
+        ("focus panel.toml", "panel-focus.h5"),
+        ("fit panel.toml --data measured.csv", "panel.fitted.toml"),
+    ],
+)
+def test_pictures_are_left_out_on_interrupts(line, file, command, write_scene, monkeypatch):
+    pytest.importorskip("matplotlib")
+    points = {"points": [(0.07, 0.06)], "highest": 200.0, "time": 0.01, "rate": 4000}
+    write_scene(damping=10.0, fit={"free": {"plate.young_modulus": (1e8, 1e10)}}, focus=points)
+    Path("measured.csv").write_text("frequency\n21.5\n44.0\n44.3\n64.9\n", encoding="utf-8")
+
+    def interrupted(*arguments, **options):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(5)
+
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", interrupted)
+    out = output_of(command(*line.split()))
+    assert out.replace("\n", " ").endswith(f"wrote {file} no pictures: interrupted by Ctrl-C ")
+    assert sorted(path.name for path in Path().iterdir()) == sorted({"measured.csv", "panel.toml", file})
+
+
 def test_a_solver_can_be_used_after_an_interrupted_run(device, path, phasors):
     scene = scene_of(precision="float32", window=(0.01, 0.3))
     solver = PlateSolver(scene, device, path, 2)

@@ -50,10 +50,9 @@ def focus(
     played = None if waveforms is None else load_focus(waveforms)
     with output.scene_errors(scene):
         result = compute(loaded, played)
-    written = [save_focus(result, target)]
-    draw = partial(draw_focus, result, colours=chosen)
-    drawn, missing = save_plots(draw, target, [".png"]) if files.pictures else ([], None)
-    output.report(files.json, _as_json, _print, scene, result, written=([*written, *drawn], missing))
+    draw = partial(save_plots, partial(draw_focus, result, colours=chosen), target, [".png"])
+    written = output.write_files({target: partial(save_focus, result)}, draw if files.pictures else None)
+    output.report(files.json, _as_json, _print, scene, result, written=written)
 
 
 def _as_json(name: str, result: FocusResult) -> dict[str, object]:

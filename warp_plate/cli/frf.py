@@ -126,17 +126,13 @@ def write_and_draw(
     """Write the files of the formats and the picture, if any; return them, and why there is no picture."""
     from warp_plate.viz.plots.frame import save_plots
 
-    written = []
-    for name in dict.fromkeys(formats):
+    saves: dict[Path, Callable[[Path], object]] = {}
+    for name in formats:
         ending, write = writers[name]
-        file = target if target.suffix.lower() == ending else target.with_suffix(ending)
-        write(result, file)
-        written.append(file)
-    if draw is None:
-        return written, None
+        saves[target if target.suffix.lower() == ending else target.with_suffix(ending)] = partial(write, result)
     ending = target.suffix if target.suffix.lower() in PICTURES else ".png"
-    drawn, missing = save_plots(partial(draw, result), target, [ending])
-    return [*written, *drawn], missing
+    plots = None if draw is None else partial(save_plots, partial(draw, result), target, [ending])
+    return output.write_files(saves, plots)
 
 
 def _as_json(name: str, scene: Scene, response: FrequencyResponse) -> dict[str, object]:

@@ -54,9 +54,9 @@ def fit(
     with output.scene_errors(scene):
         fitted = fit_files(loaded, data)
     heading = f"{FITTED} to {', '.join(repr(path.name) for path in data)}"
-    write_atomically(f"{heading}\n{fitted.scene.to_toml()}".encode(), target)
-    drawn, missing = _draw(fitted, target) if files.pictures else ([], None)
-    output.report(files.json, _fit_as_json, _print_fit, scene, fitted, written=([target, *drawn], missing))
+    save = partial(write_atomically, f"{heading}\n{fitted.scene.to_toml()}".encode())
+    written = output.write_files({target: save}, partial(_draw, fitted, target) if files.pictures else None)
+    output.report(files.json, _fit_as_json, _print_fit, scene, fitted, written=written)
 
 
 def _draw(fitted: ModeFit | ResponseFit, target: Path) -> output.Drawn:

@@ -286,20 +286,26 @@ def writing_problem(path: Path) -> str:
     return ""
 
 
-def write_files(
-    path: Path, save: Callable[[Path], object], draw: Callable[[Path], Drawn], pictures: bool = True
-) -> Drawn:
-    """Save a file, completely even on Ctrl-C, draw its pictures, and return the files written."""
+def write_files(saves: Mapping[Path, Callable[[Path], object]], draw: Callable[[], Drawn] | None) -> Drawn:
+    """Save files, completely even on Ctrl-C, draw pictures, and return the files written.
+
+    Ctrl-C after the files are saved leaves out pictures.
+
+    Args:
+        saves: Functions that save a file, by its path.
+        draw: Function that draws the pictures (default: none).
+    """
     from warp_plate.interrupts import deferred_interrupts
 
     files: list[Path] = []
     try:
         with deferred_interrupts():
-            save(path)
-            files.append(path)
-        drawn, missing = draw(path) if pictures else ([], None)
+            for path, save in saves.items():
+                save(path)
+                files.append(path)
+        drawn, missing = ([], None) if draw is None else draw()
     except KeyboardInterrupt:
-        if not files:
+        if not files or len(files) < len(saves):
             raise
         drawn, missing = [], "no pictures: interrupted by Ctrl-C"
     return files + drawn, missing
@@ -311,7 +317,7 @@ def write_measurements(path: Path, record: Mapping[str, object], draw: Callable[
     from warp_plate.viz.plots.frame import save_plots
 
     save = partial(write_atomically, f"{dumps(record, indent=1)}\n".encode())
-    return write_files(path, save, partial(save_plots, partial(draw, record)), pictures)
+    return write_files({path: save}, partial(save_plots, partial(draw, record), path) if pictures else None)
 
 
 def write_result(result: Result, path: Path, pictures: bool, colours: ColourOptions) -> Drawn:
@@ -320,4 +326,4 @@ def write_result(result: Result, path: Path, pictures: bool, colours: ColourOpti
     from warp_plate.viz import draw_all
 
     draw = partial(draw_all, result, path.with_suffix(""), colours)
-    return write_files(path, partial(save_result, result), lambda _: draw(), pictures)
+    return write_files({path: partial(save_result, result)}, draw if pictures else None)

@@ -97,9 +97,9 @@ def sweep(
             show(len(start.plan) - len(start.pending), len(start.plan), start.progress)
             note = "{} of {}: {}".format
             result = run_sweep(start, lambda *done: show(*done[:2], note(*done)), file, pool)
-        draw = partial(save_plots, partial(draw_sweep, result, colormap=colormap))
+        draw = partial(save_plots, partial(draw_sweep, result, colormap=colormap), target)
         save = partial(save_finished, result, file=file, force=files.force)
-        written = output.write_files(target, save, draw, files.pictures)
+        written = output.write_files({target: save}, draw if files.pictures else None)
     output.report(files.json, _as_json, _print, result, written=written)
 
 
