@@ -71,6 +71,10 @@ COMMANDS = {
         f"render places-localize.h5 {PLAN} --limits each --case single --case best",
     ),
     "specify-console.png": ("console-specify.png", "specify console"),
+    "specify-tolerances.png": (
+        "console-specify.png",
+        "specify console --set specification.tolerance={gasket=0.3}",
+    ),
     "sweep-paper.png": (
         "paper-sweep.png",
         "sweep paper --vary drive.frequency=200:400:41 effects.damping.viscous=log:10:300:17",

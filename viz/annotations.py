@@ -114,9 +114,17 @@ def point_text(point: Sequence[float], size: Sequence[float]) -> str:
 
 def legend_entries(scene: Scene) -> list[tuple[str, str]]:
     """Return text and colour of every kind of outline."""
-    styles = [EDGE_STYLES[kind] for kind in edges_by_kind(scene)]
-    edges = [(f"{'━━' if style.width > 2 else '──'} {style.label}", style.colour) for style in styles]
+    edges = []
+    for kind in edges_by_kind(scene):
+        style = EDGE_STYLES[kind]
+        sign = "○" if kind == "support" and only_points(scene) else "━━" if style.width > 2 else "──"
+        edges.append((f"{sign} {style.label}", style.colour))
     return [("□ target", TARGET), ("□ actuator", INK), *edges]
+
+
+def only_points(scene: Scene) -> bool:
+    """Return true if all supports besides the edges are points, which are drawn as circles."""
+    return all(support.point is not None for support in scene.supports)
 
 
 def case_label(name: str, scene: Scene, actuator: str = "") -> str:

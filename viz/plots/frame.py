@@ -99,9 +99,10 @@ def number_log_axis(axis: Axis, intervals: int = 5) -> None:
 
     low, high = axis.get_view_interval()
     decades = np.log10(high / low)
+    # Without powers of ten; to one decimal, so that frequencies of any range are plain.
+    plain = low >= 1e-4 and high <= 1e6 if decades < 2 else low >= 0.1 and high <= 1e5
     # Below two decades, powers of ten alone are too few ticks; below one decade, so are 1, 2 and 5.
-    powers = LogLocator(subs=(1, 2, 5) if decades < 2 else (1,))
+    powers = LogLocator(subs=(1, 2, 5) if decades < 2 + 0.5 * plain else (1,))
     axis.set_major_locator(MaxNLocator(intervals, steps=[1, 2, 5, 10]) if decades < 1 else powers)
-    plain = decades < 2 and low >= 1e-4 and high <= 1e6  # without powers of ten
     axis.set_major_formatter("{x:g}" if plain else LogFormatterSciNotation(minor_thresholds=(np.inf, np.inf)))
     axis.set_minor_formatter(NullFormatter())

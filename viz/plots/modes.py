@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_plate.effects.effect import attachments
+from warp_plate.scene.errors import printable
 from warp_plate.scene.model import Scene
 from warp_plate.viz.annotations import INK, TARGET, size_text
 from warp_plate.viz.fields import DEFAULT_COLOURS, ColourOptions, colour_map
@@ -44,14 +46,16 @@ def draw_modes(
         raise ValueError("there are no shapes to draw")
     rows, columns = layout(count, scene.plate.size)
     width, height = drawn_size(scene, LENGTH)
-    size = (max(columns * (width + 0.15), 3.2) + 0.9, rows * (height + 0.35) + 0.45)
+    size = (max(columns * (width + 0.15), 3.2) + 0.9, rows * (height + 0.35) + 0.75)
     with figure(path, size, font_size=8) as fig:
+        title = f"{scene.title or 'Natural modes'}, {size_text(scene.plate.size)}"
+        fig.suptitle(textwrap.fill(printable(title), int(13 * size[0])), fontsize=9)
         panels = add_panels(fig, count, columns)
         for number, (axes, frequency, shape) in enumerate(zip(panels, frequencies, shapes, strict=True), 1):
             mesh = _draw_shape(axes, scene, shape, colours.colormap or CMAP)
             axes.set_title(f"{number}: {frequency_text(frequency)}", fontsize=8, pad=4)
         bar = fig.colorbar(mesh, ax=panels, shrink=min(1.0, 1.2 / rows + 0.2), aspect=18, pad=0.02)
-        bar.set_label(f"displacement over its largest, plate of {size_text(scene.plate.size)}")
+        bar.set_label("displacement over\nits largest")
         handles = [*edge_handles(scene), line_handle("nodal line", color=INK, linewidth=0.9)]
         if scene.layers:
             handles.append(line_handle("layer", color=TARGET, linewidth=0.9))

@@ -26,6 +26,7 @@ from warp_plate.viz.annotations import (
     edges_by_kind,
     frame_caption,
     length_unit,
+    only_points,
     shortened,
 )
 from warp_plate.viz.fields import DrawingScale, PictureStyle, colour_map, motion_scales
@@ -71,14 +72,14 @@ def draw_plan(scene: Scene, motions: Sequence[Motion], path: Path, style: Pictur
                 _add_bar(fig, scale, axes)
         if not style.colours.separate:
             _add_bar(fig, scales[0], panels)
-        fig.legend(handles=_outline_handles(scene), loc="outside lower center", ncols=6, fontsize=7)
+        fig.legend(handles=outline_handles(scene), loc="outside lower center", ncols=6, fontsize=7)
 
 
 def draw_layout(scene: Scene, path: Path) -> None:
     """Draw edges, targets, actuators, layers and attached masses of a scene."""
     width, height = drawn_size(scene, LENGTH)
     with figure(path, (max(width, 2.6) + 0.7, height + 0.9), font_size=8, dpi=110) as fig:
-        axes, handles = fig.subplots(), _outline_handles(scene)
+        axes, handles = fig.subplots(), outline_handles(scene)
         if scene.plate.outline is not None:
             x, y = scene.plate.size
             clip(axes.fill([0, x, x, 0], [0, 0, y, y], color=PLATE, zorder=0)[0], axes, scene)
@@ -152,8 +153,10 @@ def light_rim(width: float) -> list[Any]:
 
 def edge_handles(scene: Scene) -> list[Line2D]:
     """Return legend handles of the kinds of edges in the scene."""
-    styles = [EDGE_STYLES[kind] for kind in edges_by_kind(scene)]
-    return [line_handle(style.label, **style.matplotlib) for style in styles]
+    circle = {"linestyle": "", "marker": "o", "markerfacecolor": "none", "markersize": 4}
+    looks = [(kind, EDGE_STYLES[kind]) for kind in edges_by_kind(scene)]
+    as_circle = {"support": circle} if only_points(scene) else {}
+    return [line_handle(style.label, **{**style.matplotlib, **as_circle.get(kind, {})}) for kind, style in looks]
 
 
 def line_handle(label: str, **style: Any) -> Line2D:
@@ -220,7 +223,7 @@ def _add_bar(fig: Figure, scale: DrawingScale, axes: Axes | Sequence[Axes]) -> N
     bar.set_ticks(scale.ticks, labels=[f"{tick:.4g}".replace("-", "−") for tick in scale.ticks])
 
 
-def _outline_handles(scene: Scene) -> list[Artist]:
+def outline_handles(scene: Scene) -> list[Artist]:
     target = line_handle("target", color=TARGET, linewidth=1.4)
     return [target, line_handle("actuator", color=INK, linewidth=0.9), *edge_handles(scene)]
 

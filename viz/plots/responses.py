@@ -254,9 +254,10 @@ def draw_focus(result: FocusResult, path: str | Path, colours: ColourOptions = D
             scale = drawing_scale(shown, result.scene.plate.size, FIELDS[table.quantity], colours=colours)
             _draw_plate(row[0], result, field, scale)
             area = f"{short_number(1e6 * method.focus_area[0])} mm² at −6 dB"
-            row[0].set_title(
-                f"{name.replace('_', ' ')}: {area}\ncolours to ±{scale.clim[1]:.4g} {scale.unit}", fontsize=8
-            )
+            ends = f"colours to ±{scale.clim[1]:.4g} {scale.unit}"
+            if result.wished is None:
+                ends = f"t = {1e3 * table.time:.4g} ms, {ends}"
+            row[0].set_title(f"{name.replace('_', ' ')}: {area}\n{ends}", fontsize=8)
             _draw_waveforms(row[1], result, method)
             _draw_foci(row[2], result, method)
         rows[0][1].set_title("waveforms of the actuators", fontsize=8)

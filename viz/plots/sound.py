@@ -50,8 +50,10 @@ def draw_sound(sound: Sound, path: str | Path) -> None:
         set_frequency_axes(x, sound.natural_frequencies, panels)
         for axes in panels:
             axes.axvline(sound.drive_frequency, color=INK, linewidth=0.7, linestyle=":")
-        top = power.get_xaxis_transform()
-        power.text(sound.drive_frequency, 0.99, " drive", transform=top, va="top", ha="left", fontsize=8, color=INK)
+        right = sound.drive_frequency > np.sqrt(x[0] * x[-1])
+        look = {"ha": "right" if right else "left", "va": "top", "fontsize": 8, "color": INK}
+        text = "drive " if right else " drive"
+        factor.text(sound.drive_frequency, 0.97, text, transform=factor.get_xaxis_transform(), **look)
         for axes in panels[:-1]:
             axes.tick_params(labelbottom=False)
         _draw_directivity(sound, fig.add_subplot(grid[:, 1], projection="polar"))

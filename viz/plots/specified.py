@@ -12,7 +12,7 @@ from warp_plate.viz.annotations import GRID, INK, shortened
 from warp_plate.viz.fields import colour_map
 from warp_plate.viz.outlined import clip, continued
 from warp_plate.viz.plots.frame import figure
-from warp_plate.viz.plots.plan import draw_parts, drawn_size, label_sides
+from warp_plate.viz.plots.plan import draw_parts, drawn_size, label_sides, outline_handles
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,26 +20,36 @@ if TYPE_CHECKING:
 # Longer side of the plate [inch]; lowest level of the map [dB]; colours.
 LENGTH, LOWEST = 5.0, -40.0
 MET, MISSED, LIMIT = "#1b7837", "#b2182b", "#b2182b"
+DRIVE = "#3182bd"
+# Marker of the drive for the nominal scene, beside that for all cases of the tolerances.
+NOMINAL = {"color": INK, "marker": "x", "markersize": 5, "linestyle": "none"}
 
 
 def draw_specified(answer: SpecifiedDrive, path: str | Path) -> None:
     """Draw the answer to a specification."""
     width, height = drawn_size(answer.scene, LENGTH)
     spectrum, pareto = len(answer.frequencies) > 1, answer.pareto_levels.size > 0
-    lower = [draw for draw, shown in ((_draw_spectrum, spectrum), (_draw_pareto, pareto)) if shown]
+    plots = ((_draw_spectrum, spectrum), (_draw_pareto, pareto), (_draw_cases, len(answer.scatter) > 0))
+    lower = [draw for draw, shown in plots if shown]
     with figure(path, (max(width + 2.8, 7.2), height + 1.2 + 2.2 * bool(lower)), font_size=9) as fig:
         rows = fig.subfigures(1 + bool(lower), 1, height_ratios=[height + 1.0, 2.2][: 1 + bool(lower)], squeeze=False)
         field, drive = rows[0, 0].subplots(1, 2, width_ratios=[width, 1.9])
         _draw_map(answer, field)
         _draw_drive(answer, drive)
+        rows[0, 0].legend(handles=outline_handles(answer.scene), loc="outside lower center", ncols=6, fontsize=7)
         if lower:
             for axes, draw in zip(np.atleast_1d(rows[1, 0].subplots(1, len(lower))), lower, strict=True):
                 draw(answer, axes)
                 axes.grid(True, color=GRID, linewidth=0.4, alpha=0.4)
         words = "met" if answer.feasible else "not met" if not answer.proved else "cannot be met"
         colour = MET if answer.feasible else MISSED
-        title = f"{answer.scene.title or 'Specification'}: {words}, {answer.frequency:.5g} Hz"
-        fig.suptitle(title, fontsize=11, color=colour)
+        words = f"{words}, {answer.frequency:.5g} Hz"
+        if answer.scatter:
+            met, cases = sum(case.met for case in answer.scatter), len(answer.scatter)
+            of = f"all {cases}" if met == cases else f"{met} of {cases}"
+            words = f"one drive at {answer.robust_frequency:.5g} Hz meets {of} cases of the tolerances"
+            colour = MET if met == cases else MISSED
+        fig.suptitle(f"{answer.scene.title or 'Specification'}: {words}", fontsize=11, color=colour)
 
 
 def _draw_map(answer: SpecifiedDrive, axes: Axes) -> None:
@@ -56,18 +66,25 @@ def _draw_map(answer: SpecifiedDrive, axes: Axes) -> None:
     label_sides(axes, answer.scene)
     bar = axes.figure.colorbar(image, ax=axes, orientation="horizontal", aspect=30, shrink=0.8)
     bar.set_label("peak acceleration over the level wanted [dB]")
+    frequency = answer.robust_frequency if answer.scatter else answer.frequency
+    guard = answer.scene.specification.guard if answer.scene.specification and answer.guard else 0.0
+    dashed = f"; dashed: guard of {1e3 * guard:g} mm, levels elsewhere hold beyond" if guard else ""
+    axes.set_title(f"{frequency:.5g} Hz{dashed}", fontsize=8)
 
 
 def _draw_drive(answer: SpecifiedDrive, axes: Axes) -> None:
-    names, peaks = [shortened(name) for name in answer.peaks], np.abs(answer.drive)
+    names = [shortened(name) for name in answer.peaks]
+    drive, label = (answer.robust_drive, "for all cases") if answer.scatter else (answer.drive, "drive")
     places = np.arange(len(names))[::-1]
     axes.barh(places, answer.limits, color="none", edgecolor=LIMIT, linewidth=0.9, label="limit")
-    axes.barh(places, peaks, color="#3182bd", height=0.55, label="drive")
-    for place, phase in zip(places, answer.phases.values(), strict=True):
-        text = f"{round(np.degrees(phase)) or 0}°".replace("-", "−")
+    axes.barh(places, np.abs(drive), color=DRIVE, height=0.55, label=label)
+    if answer.scatter:
+        axes.plot(np.abs(answer.drive), places, **NOMINAL, label="nominal")
+    for place, phase in zip(places, -np.angle(drive, deg=True), strict=True):
+        text = f"{round(phase) or 0}°".replace("-", "−")
         axes.annotate(text, (1.02, place), xycoords=("axes fraction", "data"), va="center", fontsize=8, color=INK)
     axes.set(yticks=places, yticklabels=names, xlabel=f"peak [{answer.unit}], phase lag at the right")
-    axes.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
+    axes.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, columnspacing=1, handlelength=1.2)
 
 
 def _draw_spectrum(answer: SpecifiedDrive, axes: Axes) -> None:
@@ -88,16 +105,45 @@ def _draw_pareto(answer: SpecifiedDrive, axes: Axes) -> None:
     axes.plot(answer.pareto_levels, answer.pareto_contrasts, color="#d94801", linewidth=1.4, marker=".", markersize=4)
     _draw_allowed(answer, axes)
     axes.axvline(1.0, color=INK, linewidth=0.8, linestyle=":")
-    axes.set(xscale="log", xlabel="level in the target over that wanted", ylabel="least contrast [dB]")
-    axes.xaxis.set_major_formatter("{x:g}")
-    axes.set_xticks([0.125, 0.25, 0.5, 1, 2, 4, 8], minor=False)
+    label = f"least contrast [dB]\nat {answer.frequency:.5g} Hz"
+    axes.set(xscale="log", xlabel="level in the target over that wanted", ylabel=label)
+    axes.set_xticks([1 / 8, 1 / 4, 1 / 2, 1, 2, 4, 8], ["1/8", "1/4", "1/2", "1", "2", "4", "8"])
     axes.minorticks_off()
 
 
-def _draw_allowed(answer: SpecifiedDrive, axes: Axes) -> None:
+def _draw_cases(answer: SpecifiedDrive, axes: Axes) -> None:
+    """Draw level and contrast in all cases of the tolerances, under the nominal drive and the one for all."""
+    numbers = np.arange(1.0, len(answer.scatter) + 1)
+    contrasts = np.array([[case.nominal_db, case.robust_db] for case in answer.scatter])
+    compared = bool(np.isfinite(contrasts).all())
+    x_nominal, x_robust = contrasts.T if compared else (numbers, numbers)
+    levels = np.array([[case.nominal_level, case.robust_level] for case in answer.scatter])
+    met = np.array([case.met for case in answer.scatter])
+    axes.plot(x_nominal, levels[:, 0], **NOMINAL)
+    for colour, shown in ((DRIVE, met), (LIMIT, ~met)):
+        axes.plot(x_robust[shown], levels[shown, 1], "o", color=colour, markersize=4)
+    changes = [case.changes for case in answer.scatter]
+    title = f"{len(changes)} cases of the tolerances"
+    if len(changes[0]) == 1:
+        ((key, least),) = changes[0].items()
+        title = f"{shortened(key)} ± {100 * (1 - least):.3g} %"
+        for case, sign in ((0, "−"), (-1, "+")):
+            for x, y in zip((x_nominal[case], x_robust[case]), levels[case], strict=True):
+                text = f"{sign}{100 * (1 - least):.3g} %"
+                axes.annotate(text, (x, y), (5, -2), textcoords="offset points", va="top", fontsize=7, color=INK)
+    axes.axhline(1.0, color=INK, linewidth=0.8, linestyle=":")
+    if compared:
+        _draw_allowed(answer, axes, upright=True)
+    axes.margins(0.2)
+    axes.set(xlabel="contrast [dB]" if compared else "case", ylabel="level in the target\nover that wanted")
+    axes.set_title(title, fontsize=8)
+
+
+def _draw_allowed(answer: SpecifiedDrive, axes: Axes, upright: bool = False) -> None:
     specification = answer.scene.specification
     assert specification is not None
     relative = [row.relative_db for row in specification.allowances if row.relative_db is not None]
     if relative:
-        axes.axhline(max(relative), color=LIMIT, linewidth=1.0, linestyle="--", label="allowed")
+        draw = axes.axvline if upright else axes.axhline
+        draw(max(relative), color=LIMIT, linewidth=1.0, linestyle="--", label="allowed")
         axes.legend(fontsize=8)

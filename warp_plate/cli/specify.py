@@ -83,7 +83,8 @@ def _print(source: str, answer: SpecifiedDrive, console: Console) -> None:
     headings = ["actuator", f"limit ({unit})", f"peak ({unit})", "phase lag (°)"]
     if answer.scatter:
         drives.append((answer.robust_peaks, answer.robust_phases))
-        headings += [f"for all cases: peak ({unit})", "phase lag (°)"]
+        headings[2] = f"at {answer.frequency:.6g} Hz: peak ({unit})"
+        headings += [f"for all cases, at {answer.robust_frequency:.6g} Hz: peak ({unit})", "phase lag (°)"]
     rows = [
         [name, f"{limit:.4g}", *(cell for one in drives for cell in (f"{one[0][name]:.4g}", _degrees(one[1][name])))]
         for name, limit in zip(answer.peaks, answer.limits.tolist(), strict=True)
@@ -102,7 +103,7 @@ def _print(source: str, answer: SpecifiedDrive, console: Console) -> None:
             f"{high:.3f} dB; no drive within the limits has less than {answer.bound_db:.2f} dB."
         )
     if answer.feasible:
-        console.print(f"The least limits that would do: {100 * answer.effort:.3g} % of those given.")
+        console.print(f"A drive within {100 * answer.effort:.3g} % of the limits meets the specification, too.")
     if answer.scatter:
         _print_tolerances(answer, console)
     for line in answer.warnings:
@@ -125,6 +126,8 @@ def _print_levels(answer: SpecifiedDrive, console: Console) -> None:
     measures = ("weakest", "mean", "worst")
     headings = ["peaks", *(f"{measure} ({unit})" for unit in ("g", "µm") for measure in measures)]
     output.print_rows(console, headings, rows, "")
+    if (beyond := answer.where_elsewhere) is not None:
+        console.print(f"{beyond}\n")
 
 
 def _print_tolerances(answer: SpecifiedDrive, console: Console) -> None:

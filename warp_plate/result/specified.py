@@ -76,7 +76,8 @@ class SpecifiedDrive:
     efforts: np.ndarray  # (n,) least multiple of the limits that reaches the levels at each
     pareto_levels: np.ndarray  # (m,) multiples of the wanted levels
     pareto_contrasts: np.ndarray  # (m,) least contrast at each [dB]
-    field_db: np.ndarray  # (ny, nx) acceleration over the least wanted level [dB]
+    # (ny, nx) acceleration of the nominal plate over the least wanted level [dB]; with tolerances, under the one drive
+    field_db: np.ndarray
     guard: Sequence[np.ndarray]  # closed outlines (points, 2) [m] of where levels elsewhere hold
     scatter: Sequence[Scatter]
     robust_frequency: float  # frequency of the one drive for all cases [Hz]; NaN without tolerances
@@ -114,7 +115,15 @@ class SpecifiedDrive:
 
     @property
     def verdict(self) -> str:
-        """Whether a drive meets the specification, in words."""
+        """Whether a drive meets the specification, and one drive all cases of its tolerances, in words."""
+        if not self.scatter:
+            return self._verdict
+        met, cases = sum(case.met for case in self.scatter), len(self.scatter)
+        several = f"in all {cases} cases" if met == cases else f"in {met} of {cases} cases"
+        return f"{self._verdict}; within tolerances one drive at {self.robust_frequency:.6g} Hz meets it {several}"
+
+    @property
+    def _verdict(self) -> str:
         at, tried = f"at {self.frequency:.6g} Hz", len(self.frequencies)
         specification = self.scene.specification
         band = specification is not None and specification.band
@@ -131,6 +140,16 @@ class SpecifiedDrive:
         if tried > 1:
             return f"no drive meets the specification at any of the {tried} frequencies tried; {at} is the nearest"
         return f"{at} no drive meets the specification"
+
+    @property
+    def where_elsewhere(self) -> str | None:
+        """Where the levels elsewhere hold, in words; None without any."""
+        specification = self.scene.specification
+        if specification is None or not specification.allowances:
+            return None
+        if specification.guard == 0:
+            return "Levels elsewhere hold right beside the targets: specification.guard is 0."
+        return f"Levels elsewhere hold farther than {1e3 * specification.guard:g} mm from the targets (the guard)."
 
     @property
     def robust(self) -> bool:

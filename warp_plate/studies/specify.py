@@ -89,8 +89,9 @@ def specify(
         met, notes = sum(case.met for case in scatter), list(answer.notes)
         if met < len(scatter):
             notes.append(f"the one drive for all cases meets the specification in {met} of {len(scatter)} cases")
-        robust = robust * answer.limits
-        answer = replace(answer, scatter=scatter, robust_frequency=frequency, robust_drive=robust, notes=notes)
+        field = _field(replace(tone, frequency=frequency), robust)
+        answer = replace(answer, scatter=scatter, robust_frequency=frequency, notes=notes, field_db=field)
+        answer = replace(answer, robust_drive=robust * answer.limits)
     return answer
 
 
