@@ -53,7 +53,7 @@ def test_rings(around):
     hole = {"disc": (0.1, 0.1, 0.05), "edge": inner}
     scene = outlined(DISC, outer, [hole], material=HARD, actuators=[(0.02, 0.04, 0.09, 0.11)])
     values = dimensionless(scene, lowest(scene), 0.1)
-    assert values[: len(RINGS[around])] == pytest.approx(RINGS[around], rel=1e-5)
+    assert values[: len(RINGS[around])] == pytest.approx(RINGS[around], rel=2e-5)
 
 
 @pytest.mark.parametrize("edge", ["clamped", "supported", "free", {"translation": 3e3, "rotation": 0.4}])
@@ -219,6 +219,17 @@ def test_dense_knots_at_points_keep_rigid_motions():
     scene = scene_of(size=(0.2, 0.2), edges=("free",) * 4, supports=points)
     denser = scene.with_tables(grid={"modal_density": 1.5})
     assert lowest(denser, 6) == pytest.approx(lowest(scene, 6), rel=1e-6)
+
+
+def test_dense_knots_at_the_ends_of_a_clamp_keep_smooth_motions():
+    """A free square that part of a side clamps. The second frequency [Hz] lies below those of conforming elements with
+    cubic polynomials, of 20, 40 and 80 a side: 4.0554, 4.0158, 3.9956."""
+    part = {"edge": "clamped", "from": (0.09, 0.0), "to": (0.17, 0.0)}
+    glass = {"thickness": 1e-4, "young_modulus": 7e10, "poisson_ratio": 0.3, "density": 2500.0}
+    for density in (1.0, 1.4):
+        scene = outlined({"rectangle": (0.2, 0.2)}, "free", parts=[part], material=glass)
+        values = lowest(scene.with_tables(grid={"modal_density": density}), 2)
+        assert values == pytest.approx([1.803, 3.98], rel=3e-3)
 
 
 def test_a_ring_in_a_disc():

@@ -41,9 +41,9 @@ from warp_plate.scene.target import PlateRegion, Target
 
 # Eigenvalues of the energy below this part of the largest are those of functions that depend on the others.
 RANK = 1e-13
-# Squared frequency by which the mass counts in the energy, over that of about the first mode: rigid motions of plates
-# without held edges, small beside what bends between dense knots, must stay far above RANK.
-HELD, LOOSE = 30, 3e4
+# Squared frequency by which the mass counts in the energy, over that of about the first mode: smooth motions, whose
+# energy is small beside that of what bends between dense knots, must stay far above RANK.
+LOWEST = 1e3
 # Singular values of the moments below this part of the largest are those of moments that depend on the others.
 MOMENTS = 1e-4
 # Products with less of their mass on the plate than this part take no part.
@@ -272,8 +272,7 @@ class TrimmedSplines(SplineProducts):
         """Return (products, unknowns) independent functions that keep the conditions of the edges."""
         stiffness = sum(self.form(term.coefficient, term.factors) for term in self.bending_terms())
         mass = self.form(self._fields_on(self.chords)[-1])
-        held = any(piece.condition in ("clamped", "supported") for piece in self.outline.pieces)
-        lowest = (HELD if held else LOOSE) * (2 / np.pi * mean_wave_frequency(self.scene) / self.outline.area) ** 2
+        lowest = LOWEST * (2 / np.pi * mean_wave_frequency(self.scene) / self.outline.area) ** 2
         energy = stiffness + lowest * mass
         sizes = np.outer(*(_widths(splines.knots, splines.degree) for splines in reversed(self.along))).ravel()
         share = np.diag(mass) / (self.plate_mass / self.outline.area * sizes)
