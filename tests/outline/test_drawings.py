@@ -133,6 +133,11 @@ def line(*ends):
 SQUARE = (line(0, 0, 9, 0), line(9, 9, 9, 0), line(9, 9, 0, 9), line(0, 9, 0, 0))
 
 
+SPLINE = [(0, "SPLINE"), (100, "AcDbEntity"), (100, "AcDbSpline"), (70, 8), (71, 3)]
+SPLINE += [(40, knot) for knot in (0, 0, 0, 0, 1, 1, 1, 1)]
+CONTROLS = [*zip((10, 20) * 4, (0, 0, 9, 0, 9, 9, 0, 0), strict=True)]
+
+
 @pytest.mark.parametrize(
     ("data", "suffix", "message"),
     [
@@ -170,6 +175,25 @@ SQUARE = (line(0, 0, 9, 0), line(9, 9, 9, 0), line(9, 9, 0, 9), line(0, 9, 0, 0)
         ),
         (svg("<path d='M0 0H9V9H0Z M9 9H20V20H9Z'/>"), ".svg", r"ends at \(9, 9\), where it meets shape 1, piece"),
         (svg(" " * 2_000_000), ".svg", "at most 2000000 are read"),
+        (svg("<use href='#a'/>").decode().encode("utf-16-le"), ".svg", r"holds '\\x00'"),
+        (svg(f"<style>{'a{' * 20_000}</style>"), ".svg", "a style sheet of 40000 bytes; at most 20000 are read"),
+        (svg("<path id='a' d='M0 0L9 0L9 9L nan 9Z'/>"), ".svg", "path 'a': d = 'M0 0L9 0L9 9L nan 9Z' is not read"),
+        (svg("<path id='a' d='M0 0L9'/>"), ".svg", "path 'a': d = 'M0 0L9' is not read"),
+        (svg("<path id='a' d='L9 0L9 9Z'/>"), ".svg", "path 'a': d = 'L9 0L9 9Z' is not read"),
+        (svg("<polygon points='0 0 9 0 nan 5 9 9'/>"), ".svg", "polygon: points = '0 0 9 0 nan 5 9 9' is not read"),
+        (svg("<rect width='5em' height='9'/>"), ".svg", "rect: width = '5em' is not read"),
+        (svg("<g transform='rotate(45deg)'><path d='M0 0'/></g>"), ".svg", r"g: transform = 'rotate\(45deg\)' is not"),
+        (svg("", "width='1mm' viewBox='a b'"), ".svg", "its viewBox = 'a b' is not four numbers"),
+        (svg("", "width='0mm' height='0mm' viewBox='0 0 9 9'"), ".svg", "state no unit of length"),
+        (
+            svg("", "width='9mm' height='18mm' viewBox='0 0 9 9' preserveAspectRatio='xMidYMid slice'"),
+            ".svg",
+            "stretch its viewBox",
+        ),
+        (b"<svg xmlns='urn:x' width='9mm'/>", ".svg", "not SVG: its root is '{urn:x}svg'"),
+        (svg("<rect visibility='hidden' width='9' height='9'/><path/>"), ".svg", "holds no contours"),
+        (svg("<symbol><rect width='9' height='9'/></symbol>"), ".svg", "holds no contours"),
+        (bytes(999), ".dxf", r"cannot be read as DXF: Invalid group code \"\?\?"),
         (svg(f"<path d='M0 0{'L1 1' * 3000}Z'/>"), ".svg", "more than 2000 pieces"),
         (b"", ".dxf", "cannot be read as DXF"),
         (dxf(*SQUARE[:3]), ".dxf", "INSUNITS state no unit"),
@@ -187,6 +211,11 @@ def test_broken_files_are_refused_by_the_names_of_their_pieces(data, suffix, mes
     [
         (SQUARE[:3], r"LINE \w+ ends at \(0, 0\), where nothing begins"),
         ((*SQUARE, SQUARE[0]), r"ends at .*, where it meets LINE \w+, LINE \w+; .* twice"),
+        ((*SQUARE, [(0, "ARC"), (10, 4), (20, 4), (40, 2), (50, "1e300"), (51, 30)]), r"ARC \w+ ends at"),
+        ((*SQUARE, [(0, "FOO"), (5, "AB")]), "FOO AB: is not read; explode it"),
+        ((*SQUARE, [*line(1, 1, 2, 2), (31, 5)]), r"LINE \w+: cannot be read: it does not lie in the plane"),
+        (([*SPLINE, *[(41, 0)] * 4, *CONTROLS],), r"SPLINE \w+: cannot be read: float division"),
+        (([*SPLINE, *CONTROLS * 501],), r"SPLINE \w+: cannot be read: it has more than 2000 points; simplify it"),
         ((*SQUARE, line(20, 0, 30, 0)), r"LINE \w+ ends at \(20, 0\)"),
         ((*SQUARE, [(0, "INSERT"), (2, "screw"), (10, 1), (20, 1)]), r"INSERT \w+: is not read; explode it"),
         ((*SQUARE, [(0, "CIRCLE"), (10, 4), (20, 4), (40, 0)]), r"CIRCLE \w+: cannot be read: it has no radius"),
@@ -203,3 +232,19 @@ def test_ends_that_nearly_meet_are_joined():
     entities = (line(0, 0, 9, 4e-6), line(9, 9, 9, 0), line(9, 9, 0, 9), line(0, 9, 3e-6, 0))
     (rows,) = read_drawing(dxf(*entities), ".dxf", "mm")
     assert outline_of_rows([rows]).area == pytest.approx(81e-6, rel=1e-6)
+
+
+def test_arcs_without_radius_are_straight():
+    """SVG 1.1, appendix F.6: arcs without a radius are lines, and those without a length nothing."""
+    (rows,) = read_drawing(svg("<path d='M0 0 A0 5 0 1 1 10 0 L5 5 A9 9 0 0 0 5 5 Z'/>"), ".svg")
+    assert np.array(rows) == pytest.approx(1e-3 * np.array([(0, 5), (5, 0), (10, 5)]))
+
+
+def test_hidden_layers_are_skipped():
+    document = ezdxf.new("R2010")
+    document.layers.add("construction").freeze()
+    document.modelspace().add_lwpolyline([(0, 0), (9, 0), (9, 9)], close=True)
+    document.modelspace().add_circle((4, 2), 1, dxfattribs={"layer": "construction"})
+    stream = io.StringIO()
+    document.write(stream)
+    assert len(read_drawing(stream.getvalue().encode(), ".dxf", "m")) == 1

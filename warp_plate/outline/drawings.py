@@ -30,12 +30,26 @@ TOLERANCE = 1e-5
 # Entities of DXF files that draw no contour.
 SILENT = {"TEXT", "MTEXT", "DIMENSION", "POINT", "LEADER", "MLEADER", "MULTILEADER", "HATCH", "ATTDEF", "ATTRIB",
           "VIEWPORT", "IMAGE", "TOLERANCE", "XLINE", "RAY"}  # fmt: skip
+DRAWN = {"LINE", "ARC", "CIRCLE", "ELLIPSE", "LWPOLYLINE", "POLYLINE", "SPLINE"}
 # A straight, circular or elliptic piece, or a smooth curve between two parameters with its name.
 Drawn = Piece | tuple[str, Curve, float, float]
 # Largest coordinate, and what the libraries raise on files that are not as they expect.
 FARTHEST = 1e12
 BROKEN = (ArithmeticError, AttributeError, LookupError, TypeError, RecursionError)
 LABEL = "{http://www.inkscape.org/namespaces/inkscape}label"
+# What attributes of SVG shapes may hold, for what else they hold would be skipped in silence.
+NUMBERS = r"[\s\d.,eE+-]*"
+LENGTH = r"\s*[+-]?[\d.]+(?:[eE][+-]?\d+)?(?:px|mm|cm|in|pt|pc|Q|%)?\s*"
+ATTRIBUTES = {
+    "d": r"\s*(?:[Mm][\s\d.,+\-MmZzLlHhVvCcSsQqTtAaEe]*)?",
+    "points": NUMBERS,
+    "transform": rf"(?:[\s,]*(?:matrix|translate|scale|rotate|skewX|skewY)\s*\({NUMBERS}\))*[\s,]*",
+} | dict.fromkeys(("x", "y", "width", "height", "rx", "ry", "cx", "cy", "r", "x1", "y1", "x2", "y2"), LENGTH)
+SVG_SHAPES = ("g", "path", "rect", "circle", "ellipse", "line", "polyline", "polygon")
+# Elements whose shapes are drawn where others refer to them, and bytes of a style sheet that are read in a second.
+REFERRED, MOST_STYLE = ("symbol", "mask", "marker", "pattern", "clipPath"), 20_000
+# Characters of names in messages; arcs that turn by less [rad] are straight.
+LONGEST_NAME, STRAIGHT = 60, 1e-6
 
 
 @np.errstate(all="ignore")
@@ -60,7 +74,7 @@ def read_drawing(
     except UnicodeDecodeError:
         raise ValueError("not UTF-8 text") from None
     except BROKEN as error:
-        raise ValueError(f"cannot be read: {' '.join(str(error).split())}") from None
+        raise ValueError(f"cannot be read: {_line(error)}") from None
     rough = [part if isinstance(part, Piece) else _chord(*part) for part in drawn]
     if not rough:
         raise ValueError("holds no contours" + (f" in {layer!r}" if layer else ""))
@@ -70,11 +84,15 @@ def read_drawing(
     within = TOLERANCE * max(x1 - x0, y1 - y0) if tolerance is None else tolerance / abs(scale)
     flat: list[Piece] = []
     for part in drawn:
-        for piece in (part,) if isinstance(part, Piece) else arcs_of_curve(part[1], *part[2:], within, part[0]):
-            _check(piece)
-            flat.append(piece)
-            if len(flat) > MOST_PIECES:
-                raise ValueError(f"more than {MOST_PIECES} pieces, arcs of flattened curves included; simplify it")
+        try:
+            for piece in (part,) if isinstance(part, Piece) else arcs_of_curve(part[1], *part[2:], within, part[0]):
+                _check(piece)
+                flat.append(piece)
+                if len(flat) > MOST_PIECES:
+                    raise ValueError(f"more than {MOST_PIECES} pieces, arcs of flattened curves included; simplify it")
+        except BROKEN as error:
+            name = part.name if isinstance(part, Piece) else part[0]
+            raise ValueError(f"{name}: cannot be read: {_line(error)}") from None
     if not (contours := joined(flat)):
         raise ValueError("holds no contours of any length")
     matrix = scale * np.diag([1.0, -1.0 if suffix == ".svg" else 1.0])
@@ -83,6 +101,11 @@ def read_drawing(
     loops = {f"the contour of {loop[0].name}": [mapped(piece, matrix, shift) for piece in loop] for loop in contours}
     outline = make_outline(loops)
     return [rows_of_loop(loop) for loop in outline.loops]
+
+
+def _line(error: Exception) -> str:
+    """Return the message of a library as a part of a line."""
+    return "".join(letter if letter.isprintable() else "?" for letter in " ".join(str(error).split())[:200])
 
 
 def _check(piece: Piece) -> None:
@@ -96,27 +119,29 @@ def _chord(name: str, curve: Curve, low: float, high: float) -> Piece:
 
 def _read_svg(text: str, unit: float | None, layer: str | None) -> tuple[float, list[Drawn]]:
     """Return metres in a user unit, and what an SVG file draws, in user units with y downwards."""
-    # Entities and clones can stand for far more than the file holds.
-    if (banned := re.search(r"<!ENTITY|<(?:[\w.-]+:)?use[\s/>]", text)) is not None:
+    # Entities and clones can stand for far more than the file holds; zero bytes hide them from this search.
+    if (banned := re.search(r"<!ENTITY|<(?:[\w.-]+:)?use[\s/>]|\0", text)) is not None:
         raise ValueError(f"holds {banned[0].strip()!r}, which is not read; unlink clones and save as plain SVG")
     try:
         import svgelements as svg
     except ImportError:
         raise ValueError("SVG files need svgelements: pip install 'warp-plate[cad]'") from None
     try:
-        _, root = next(ElementTree.iterparse(io.StringIO(text), ["start"]))
-        if root.tag.rpartition("}")[2] != "svg":
-            raise ValueError(f"not SVG: its root is {root.tag!r}")
-        scale = _svg_unit(root.attrib, unit)
-        document = svg.SVG.parse(io.StringIO(text), reify=False)
-    except (ElementTree.ParseError, StopIteration) as error:
+        root = ElementTree.parse(io.StringIO(text)).getroot()
+    except ElementTree.ParseError as error:
         raise ValueError(f"not SVG: {error}") from None
+    if root.tag not in ("svg", "{http://www.w3.org/2000/svg}svg"):
+        raise ValueError(f"not SVG: its root is {root.tag[:200]!r}")
+    scale = _svg_unit(root.attrib, unit)
+    _check_svg(svg, root)
+    document = svg.SVG.parse(io.StringIO(ElementTree.tostring(root, "unicode")), reify=False)
     undo = svg.Matrix(document.viewbox_transform or "")
     undo.inverse()
     drawn: list[Drawn] = []
     for number, (element, chosen) in enumerate(_svg_shapes(svg, document, layer), 1):
         if chosen:
-            name = f"{type(element).__name__.lower()} {element.id!r}" if element.id else f"shape {number}"
+            label = element.id and element.id[:LONGEST_NAME]
+            name = f"{type(element).__name__.lower()} {label!r}" if label else f"shape {number}"
             try:
                 drawn += islice(_svg_pieces(svg, element, element.transform * undo, name), MOST_PIECES + 1)
             except (*BROKEN, ValueError) as error:
@@ -126,19 +151,44 @@ def _read_svg(text: str, unit: float | None, layer: str | None) -> tuple[float, 
     return scale, drawn
 
 
+def _check_svg(svg: Any, root: ElementTree.Element) -> None:
+    """Remove what is not drawn itself from a tree; ValueError: an attribute of a shape is not read as it is written."""
+    for parent in root.iter():
+        for child in list(parent):
+            tag = child.tag.rpartition("}")[2]
+            if tag in REFERRED or (tag == "path" and not child.get("d")):
+                parent.remove(child)
+            elif tag == "style" and len(child.text or "") > MOST_STYLE:
+                raise ValueError(f"a style sheet of {len(child.text or '')} bytes; at most {MOST_STYLE} are read")
+            for key, value in child.items() if tag in SVG_SHAPES else ():
+                try:
+                    readable = key not in ATTRIBUTES or re.fullmatch(ATTRIBUTES[key], value) is not None
+                    if readable and key == "d":
+                        svg.Path(value)
+                except ValueError:
+                    readable = False
+                if not readable:
+                    name = f"{tag} {child.get('id', '')[:LONGEST_NAME]!r}" if child.get("id") else tag
+                    raise ValueError(f"{name}: {key} = {value[:LONGEST_NAME]!r} is not read; save it as plain SVG")
+
+
 def _svg_unit(size: Any, unit: float | None) -> float:
     """Return metres in a user unit, from the attributes of the root or as given."""
-    number = r"\s*([\d.]+(?:[eE][+-]?\d+)?)\s*"
+    number = r"\s*((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,2})?)\s*"
     sides = [re.fullmatch(rf"{number}([a-zA-Z%]*)\s*", size.get(side, "")) for side in ("width", "height")]
     units = [SVG_UNITS.get(side[2]) if side else None for side in sides]
-    box = [float(part) for part in re.split(r"[\s,]+", size.get("viewBox", "").strip()) if part]
+    try:
+        box = [float(part) for part in re.split(r"[\s,]+", size.get("viewBox", "").strip()) if part]
+    except ValueError:
+        raise ValueError(f"its viewBox = {size['viewBox'][:LONGEST_NAME]!r} is not four numbers") from None
     stated = None
     if any(units):
         ratios = [PIXEL] * (not box)
         for side, metres, extent in zip(sides, units, box[2:4], strict=False):
-            if side and metres and extent > 0:
+            if side and metres and float(side[1]) > 0 and 0 < extent < FARTHEST:
                 ratios.append(float(side[1]) * metres / extent)
-        if size.get("preserveAspectRatio", "").startswith("none") and max(ratios) > (1 + 1e-6) * min(ratios):
+        fitted = re.search("none|slice", size.get("preserveAspectRatio", "")) is None
+        if ratios and not fitted and max(ratios) > (1 + 1e-6) * min(ratios):
             raise ValueError("its width and height stretch its viewBox, which is not read; save it without")
         stated = min(ratios, default=None)
     return _unit(stated, unit, "its width and height")
@@ -160,7 +210,7 @@ def _svg_shapes(svg: Any, group: Any, layer: str | None, chosen: bool = False) -
         here = chosen or layer is None or layer in (element.id, attributes.get(LABEL))
         if isinstance(element, svg.Group):
             yield from _svg_shapes(svg, element, layer, here)
-        elif isinstance(element, svg.Shape):
+        elif isinstance(element, svg.Shape) and element.values.get("visibility") not in ("hidden", "collapse"):
             yield element, here
 
 
@@ -178,8 +228,10 @@ def _svg_pieces(svg: Any, shape: Any, transform: Any, name: str) -> Iterator[Dra
         if isinstance(segment, svg.Move):
             continue
         count += 1
+        if None in (segment.start, segment.end):
+            raise ValueError("its path does not begin with a point")
         label, ends = f"{name}, piece {count}", np.array([segment.start, segment.end], dtype=float)
-        if isinstance(segment, svg.Arc):
+        if isinstance(segment, svg.Arc) and abs(segment.sweep) > STRAIGHT and min(segment.rx, segment.ry) > 0:
             centre = np.array(segment.center, dtype=float)
             axes = np.stack([np.array(end, dtype=float) - centre for end in (segment.prx, segment.pry)], axis=1)
             cosine, sine = np.linalg.solve(axes, ends[0] - centre)
@@ -220,19 +272,22 @@ def _read_dxf(text: str, unit: float | None, layer: str | None) -> tuple[float, 
     try:
         document = ezdxf.read(io.StringIO(text))
     except ezdxf.DXFError as error:
-        raise ValueError(f"cannot be read as DXF: {' '.join(str(error).split())}") from None
+        raise ValueError(f"cannot be read as DXF: {_line(error)}") from None
     # Files of R12 may have no such variable, for which ezdxf has a default.
     units = document.header.get("$INSUNITS", 0) if "$INSUNITS" in text else 0
     scale = _unit(DXF_UNITS.get(units), unit, "its $INSUNITS")
     drawn: list[Drawn] = []
     for entity in document.modelspace():
         kind, name = entity.dxftype(), f"{entity.dxftype()} {entity.dxf.get('handle', '')}"
-        if kind in SILENT or layer not in (None, entity.dxf.get("layer", "0")):
+        on = entity.dxf.get("layer", "0") if entity.dxf.is_supported("layer") else "0"
+        of_layer = document.layers.get(on) if document.layers.has_entry(on) else None
+        hidden = of_layer is not None and (of_layer.is_off() or of_layer.is_frozen())
+        if kind in SILENT or hidden or layer not in (None, on):
             continue
         try:
-            parts = list(islice(_dxf_pieces(entity, kind, name), MOST_PIECES + 1))
+            parts = list(islice(_dxf_pieces(entity, kind, name), MOST_PIECES + 1)) if kind in DRAWN else []
         except (*BROKEN, ValueError, ezdxf.DXFError) as error:
-            raise ValueError(f"{name}: cannot be read: {error}") from None
+            raise ValueError(f"{name}: cannot be read: {_line(error)}") from None
         if not parts:
             raise ValueError(f"{name}: is not read; explode it into lines, arcs, polylines or splines, or name a layer")
         drawn += parts
@@ -250,6 +305,8 @@ def _dxf_pieces(entity: Any, kind: str, name: str) -> Iterator[Drawn]:
     mirror = np.diag([1.0 if normal[2] > 0 else -1.0, 1.0])
     still = np.zeros(2)
     if kind == "LINE":
+        if abs(entity.dxf.end.z - entity.dxf.start.z) > 1e-9 * abs(entity.dxf.end - entity.dxf.start):
+            raise ValueError("it does not lie in the plane of x and y")
         yield Straight(None, "", name, _plane(entity.dxf.start, entity.dxf.end))
     elif kind in ("ARC", "CIRCLE"):
         first, last = (entity.dxf.start_angle, entity.dxf.end_angle) if kind == "ARC" else (0.0, 360.0)
@@ -270,6 +327,8 @@ def _dxf_pieces(entity: Any, kind: str, name: str) -> Iterator[Drawn]:
         for index, ((start, bulge), (end, _)) in enumerate(pairwise([*corners, *corners[: entity.is_closed]]), 1):
             yield mapped(_bulge(start, end, bulge, f"{name}, piece {index}"), mirror, still)
     elif kind == "SPLINE":
+        if max(len(entity.control_points), len(entity.fit_points)) > MOST_PIECES:
+            raise ValueError(f"it has more than {MOST_PIECES} points; simplify it")
         spline = entity.construction_tool()
 
         def curve(t: float) -> tuple[complex, complex]:
@@ -278,6 +337,7 @@ def _dxf_pieces(entity: Any, kind: str, name: str) -> Iterator[Drawn]:
 
         knots = sorted(set(spline.knots()))
         for low, high in pairwise([knot for knot in knots if 0 <= knot <= spline.max_t]):
+            curve(low), curve(high)  # errors of the library, here with the name of the entity
             yield name, curve, low, high
 
 
@@ -292,6 +352,7 @@ def _arc(name: str, centre: Any, axes: np.ndarray, first: float, last: float) ->
     sweep = 2 * math.pi if min(sweep, 2 * math.pi - sweep) < 1e-9 else sweep
     if not abs(np.linalg.det(axes)) > 0:
         raise ValueError("it has no radius")
+    first %= 2 * math.pi
     return Arc(None, "", name, np.array(centre, dtype=float), axes, (first, first + sweep))
 
 
