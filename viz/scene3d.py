@@ -223,7 +223,8 @@ def line_layers(meshes: PlateMeshes) -> list[LineLayer]:
     """Return all lines of a plate in drawing order, with a target's line beside that of an edge."""
     styles = {"grid": (GRID, 0.033, 300), "target": (TARGET, 0.125, 500), "actuators": (INK, 0.1, 600)}
     for kind, edge in EDGE_STYLES.items():
-        styles[kind] = (edge.colour, edge.width / 18, 400 if kind == "clamped" else 560)
+        wide = kind in ("clamped", "springs")  # wider than a target's line, which lies on it
+        styles[kind] = (edge.colour, (3.2 if wide else edge.width) / 18, 400 if wide else 560)
     layers = []
     for name, lines in meshes.lines.items():
         colour, width, offset = styles[name]

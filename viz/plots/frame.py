@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -75,7 +76,8 @@ def save_plots(
 
 
 def with_unit(label: str, unit: str) -> str:
-    """Return the label of an axis with its unit; "1" is no unit."""
+    """Return the label of an axis with its unit, as "m^2/s^2" is stored; "1" is no unit."""
+    unit = re.sub(r"\^(\d)", lambda power: power[1].translate(SUPERSCRIPTS), unit)
     return f"{label} [{unit}]".strip() if unit != "1" else label
 
 

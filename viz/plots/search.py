@@ -126,7 +126,8 @@ def draw_spectrum(result: Result, path: str | Path) -> None:
         axes.set(ylim=(0, None), xlim=spectrum["frequency"][[0, -1]])
         # Short ticks, so that many of them hide no curve.
         ticks = {"color": "#b2182b", "linewidth": 0.9, "transform": axes.get_xaxis_transform()}
-        axes.vlines(spectrum["resonances"], 0, 0.05, label="natural frequency", **ticks)
+        axes.vlines(spectrum["resonances"], 0, 0.05, **ticks)
+        axes.plot([], [], "|", color=ticks["color"], markersize=7, label="natural frequency")
         if case.frequency is not None:
             point = (case.frequency[0], case.localization_factor)
             axes.plot(*point, "o", color="#e6820e", markersize=5, clip_on=False, label="best of the search", zorder=4)
@@ -145,7 +146,8 @@ def draw_robust(result: Result, path: str | Path) -> None:
             # Failed plates count as worst, so the curve starts at their share.
             ordered = np.sort(np.where(np.isfinite(values), values, -np.inf))
             finite = np.isfinite(ordered)
-            curve = {"where": "post", "color": colour, "linewidth": 1.4}
+            dashes = "--" if name == "nominal" else "-"  # shows the other one below
+            curve = {"where": "post", "color": colour, "linewidth": 1.4, "linestyle": dashes}
             axes.step(ordered[finite], fraction[finite], label=f"{name} drive", **curve)
             if np.isfinite(tail):
                 label = f"{name}, mean of worst 5 %: {tail:.4f}"

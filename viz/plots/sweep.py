@@ -104,7 +104,8 @@ def _draw_curves(figure: Figure, sweep: Sweep, lines: bool) -> None:
             axes.set_xscale("log" if logarithmic else "linear")
         _set_axis(row[0].yaxis, label, unit)
         if len(names) > 1:
-            row[-1].legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
+            title = "mode" if all(name.isdigit() for name in names) else None
+            row[-1].legend(title=title, title_fontsize=8, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
     for key, axes in enumerate(grid[-1]):
         _set_key_axis(axes.xaxis, sweep, key, 6 if lines else 4)
 
