@@ -235,6 +235,15 @@ def test_coinciding_curves_can_all_be_seen(tmp_path, samples):
     assert all(count(picture, colour) > count(legend, colour) + 40 for colour in LINE_COLOURS[:4])
 
 
+def test_a_map_of_one_value_says_which(drawn):
+    sweep = random_sweep(PAIR, "localize", None)
+    sweep.values.update({name: np.linspace(0.2, 0.7, len(sweep.plan)) for name in sweep.values})
+    sweep.values["equal"] = np.full(len(sweep.plan), 0.25)
+    figure, _ = drawn(draw_sweep, replace(sweep, status=np.ones_like(sweep.status)))
+    texts = [text.get_text() for axes in figure.axes for text in axes.texts]
+    assert [text for text in texts if "everywhere" in text] == ["0.25 everywhere"]
+
+
 def test_cell_edges_lie_halfway_between_values():
     np.testing.assert_allclose(cell_edges(np.array([1.0, 2.0, 4.0]), False), [0.5, 1.5, 3.0, 5.0])
     np.testing.assert_allclose(cell_edges(np.array([1.0, 100.0]), True), [0.1, 10.0, 1000.0])

@@ -151,6 +151,7 @@ def _draw_map(axes: Axes, sweep: Sweep, field: np.ndarray, values: np.ndarray, c
     from matplotlib.patheffects import Normal, Stroke
     from matplotlib.ticker import MaxNLocator
 
+    rim = [Stroke(linewidth=1.3, foreground="#00000090"), Normal()]
     x, y = map(positions, sweep.plan.coordinates)
     log_x, log_y = sweep.plan.logarithmic
     axes.set(facecolor=REFUSED_GREY, xscale="log" if log_x else "linear", yscale="log" if log_y else "linear")
@@ -159,13 +160,15 @@ def _draw_map(axes: Axes, sweep: Sweep, field: np.ndarray, values: np.ndarray, c
         high = low
     edges = cell_edges(x, log_x), cell_edges(y, log_y)
     mesh = axes.pcolormesh(*edges, field.T, cmap=colour_map(cmap), vmin=low, vmax=high, rasterized=True)
+    if np.isfinite(field).all() and np.ptp(field) <= CONSTANT * np.abs(field).max():
+        text = f"{field.flat[0]:.3g} everywhere"
+        axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", color="white", path_effects=rim)
     numbers = all(values.dtype.kind == "f" for values in sweep.plan.coordinates)
     if low < high and min(field.shape) > 1 and numbers and np.isfinite(field).any():
         levels = MaxNLocator(CONTOURS).tick_values(low, high)
         levels = levels[(levels > np.nanmin(field)) & (levels < np.nanmax(field))]
         if levels.size:
             lines = axes.contour(x, y, field.T, levels=levels, colors="white", linewidths=0.7)
-            rim = [Stroke(linewidth=1.3, foreground="#00000090"), Normal()]
             for text in axes.clabel(lines, fontsize=6.5, fmt="%.3g"):
                 text.set_path_effects(rim)
     return mesh
