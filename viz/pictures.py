@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 SUPERSAMPLING = 1.25
 # Of figure 2: most plates in a row; of more recorded times, some are left out evenly. Font and sizes in pixels.
 MOST_COLUMNS, FONT_SIZE, ROW_HEIGHT, KEY_WIDTH = 6, 20, 480, 180
+# Part of the largest displacement below which a plate hardly moves.
+AT_REST = 0.1
 # Height of a plate's picture over its width; least duration of an MP4, which repeats its frames [s].
 ASPECT, LEAST_DURATION = 0.78, 6.0
 # In hundredths of a second, in which GIF counts; most viewers slow down shorter frames.
@@ -78,7 +80,7 @@ def draw_all(
 
 def draw_surfaces(result: Result, path: str | Path, colours: ColourOptions = DEFAULT_COLOURS) -> None:
     """Draw figure 2 of the paper as a PNG: a row for each case, by default with limits of its own, a column for each
-    recorded time.
+    recorded time. Without ``record.times``, a time when hardly anything moves is left out.
 
     Raises ValueError if the result holds no displacement, and DrawingUnavailable if VTK cannot draw here.
     """
@@ -87,6 +89,10 @@ def draw_surfaces(result: Result, path: str | Path, colours: ColourOptions = DEF
     cases, scene = ordered_cases(result), result.scene
     times = result.times.size
     shown = np.linspace(0, times - 1, min(times, MOST_COLUMNS)).round().astype(int).tolist()
+    if not scene.record.times:
+        peaks = np.array([np.nan_to_num(np.abs(case.displacement)).max(axis=(1, 2)) for case in cases.values()])
+        moving = (peaks > AT_REST * peaks.max(axis=1, keepdims=True)).any(axis=0)
+        shown = [index for index in shown if moving[index]] or shown
     width = min(730, max(520, (1600 - KEY_WIDTH) // len(shown)))
     weights = [width] * len(shown) + [KEY_WIDTH]
     font_size = round(SUPERSAMPLING * FONT_SIZE)

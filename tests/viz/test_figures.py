@@ -79,6 +79,17 @@ def test_all_pictures_that_a_result_holds(paper_run, drawing, tmp_path):
     assert (picture[[0, 1, 2, -3, -2, -1]] > 250).all()
 
 
+def test_a_time_when_all_plates_are_at_rest_is_not_drawn(paper_run, drawing, tmp_path):
+    scale = np.array([0.05, 1.0])[:, None, None]
+    cases = {name: replace(case, displacement=scale * case.displacement) for name, case in paper_run.cases.items()}
+    resting = replace(paper_run, cases=cases, scene=paper_run.scene.replace("record.times", ()))
+    viz.draw_surfaces(resting, tmp_path / "one.png")
+    assert pixels(tmp_path / "one.png").shape[1] == pytest.approx(910, abs=30)
+    cases["best"] = paper_run.cases["best"]
+    viz.draw_surfaces(replace(resting, cases=cases), tmp_path / "two.png")
+    assert pixels(tmp_path / "two.png").shape[1] == pytest.approx(1600, abs=50)
+
+
 def test_the_best_never_falls_and_infinite_means_are_gaps(paper_run):
     """Beside the bound, the drives that need no search and the published factor, of results that have them."""
     from matplotlib.figure import Figure
