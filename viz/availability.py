@@ -15,6 +15,8 @@ import sys
 import threading
 from contextlib import suppress
 
+from warp_plate.interrupts import deferred_interrupts
+
 WINDOW_VARIABLE = "VTK_DEFAULT_OPENGL_WINDOW"
 X_WINDOW, OSMESA_WINDOW = "vtkXOpenGLRenderWindow", "vtkOSOpenGLRenderWindow"
 EXTRA, LIBRARIES = "pip install 'warp-plate[viz]'", ("matplotlib", "pyvista", "PIL", "imageio_ffmpeg")
@@ -88,7 +90,8 @@ def set_up_renderer() -> None:
     os.environ.setdefault("EGL_LOG_LEVEL", "fatal")
     if sys.platform.startswith("linux"):
         os.environ[WINDOW_VARIABLE] = working_window()[0]
-    from vtkmodules.vtkCommonCore import vtkLogger
+    with deferred_interrupts():  # one that comes while libraries of VTK are loaded may crash Python
+        from vtkmodules.vtkCommonCore import vtkLogger
 
     # VTK warns of every library that it would have preferred, as of a missing X server.
     vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warp_plate.interrupts import deferred_interrupts
 from warp_plate.result.atomic_io import atomic_paths
 from warp_plate.result.case import only_actuator
 from warp_plate.result.model import Result
@@ -242,10 +243,11 @@ def off_screen_plotter(size: tuple[int, int], **options: Any) -> Iterator[tuple[
 
 def make_plotter(size: tuple[int, int], **options: Any) -> pyvista.Plotter:
     """Return an empty white plotter without lights; size in pixels, options as of ``pyvista.Plotter``."""
-    import pyvista
+    with deferred_interrupts():  # one that comes while libraries of VTK are loaded may crash Python
+        import pyvista
 
-    theme = pyvista.themes.DocumentTheme()
-    plotter = pyvista.Plotter(border=False, window_size=list(size), theme=theme, lighting="none", **options)
-    # VTK's anti-aliasing breaks wide lines here and there.
-    plotter.disable_anti_aliasing()
+        theme = pyvista.themes.DocumentTheme()
+        plotter = pyvista.Plotter(border=False, window_size=list(size), theme=theme, lighting="none", **options)
+        # VTK's anti-aliasing breaks wide lines here and there.
+        plotter.disable_anti_aliasing()
     return plotter

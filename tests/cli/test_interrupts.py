@@ -144,6 +144,35 @@ def test_a_command_that_starts_ends_in_one_line(module, endless):
     assert [path.name for path in Path().iterdir()] == ["panel.toml"]
 
 
+# Sends Ctrl-C while a text is executed, as libraries do when they are imported.
+EXECUTING = """
+import os, signal, sys
+from warp_plate.cli import main
+main.load = lambda name: exec("os.kill(os.getpid(), signal.SIGINT)")
+main.main(sys.argv[1:])
+"""
+
+
+def test_the_status_is_that_of_an_interrupt_wherever_it_comes(endless):
+    status, out, err, _ = end(start("-c", EXECUTING, "check", "panel.toml"))
+    assert (status, out, err) == (130, "", "warp-plate: interrupted\n")
+
+
+# Sends Ctrl-C while VTK is imported, and prints whether that went on.
+DRAWING = STARTING.replace(
+    "main(sys.argv", "import atexit; atexit.register(lambda: print('pyvista.plotting' in sys.modules))\nmain(sys.argv"
+)
+
+
+def test_vtk_is_loaded_whole(endless, command):
+    """Where Ctrl-C comes while its libraries are loaded, Python may crash."""
+    pytest.importorskip("pyvista")
+    output_of(command("simulate", "panel.toml", *QUICK))
+    code = DRAWING.format(module="pyvista.core")
+    status, out, err, _ = end(start("-c", code, "render", "panel-simulate.h5", "--device", "cpu"))
+    assert (status, out, err) == (130, "True\n", "warp-plate: interrupted\n")
+
+
 # Sends a signal when the modules of a command that is done are cleared.
 ENDING = """
 import os, signal, sys

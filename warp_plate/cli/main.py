@@ -8,6 +8,7 @@ import logging
 import os
 import sys
 import time
+from collections import namedtuple
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -101,6 +102,8 @@ def main(arguments: list[str] | None = None) -> None:
         _run(sys.argv[1:] if arguments is None else arguments)
     except KeyboardInterrupt as interrupt:
         print(f"warp-plate: interrupted{interrupt}", file=sys.stderr)
+        # Python ends by SIGINT if Ctrl-C came in an exec() of a text, until another text is executed, as here.
+        namedtuple("Handled", "")
         sys.exit(130)
     except (ImportError, SystemError) as error:  # the latter where memory runs out inside an import
         log(f"a library cannot be loaded: {error.__cause__ or error}; is it damaged, or memory limited?")
