@@ -168,6 +168,17 @@ WITH_A_SPIKE = ((0.0, 0.0), (0.1, 0.0), (0.1, 0.1), (0.097, 0.1), (0.097, 0.05),
             {"plate": {"outline": {"polygon": WITH_A_SPIKE}}, "edges": {"outline": "free"}, "actuators": [MIDDLE]},
             "grid.nodes: the plate is too narrow at x = 0.09",
         ),
+        *[
+            (
+                {
+                    "plate": {"outline": {"ellipse": (0.1, 0.1, 0.1, 0.001, 0.78)}, "thickness": 1e-4},
+                    "edges": {"outline": edge},
+                    "actuators": [{"name": "whole", "disc": (0.1, 0.1, 0.01), "force": 1.0}],
+                },
+                "grid.nodes = .*21, 21.: the plate is too narrow for these; use more",
+            )
+            for edge in ("clamped", "supported", "free")
+        ],
     ],
 )
 def test_what_time_steps_do_not_know_is_refused_by_name(change, words):

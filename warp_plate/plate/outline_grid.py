@@ -97,6 +97,8 @@ def make_outline_grid(outline: Outline, size: tuple[float, float], counts: tuple
         | (corners[:-1, :-1] | corners[1:, :-1] | corners[:-1, 1:] | corners[1:, 1:])
     )
     held &= complete
+    if not (complete.any() and cells.any()):
+        raise SceneError(f"grid.nodes = [{x.size}, {y.size}]: the plate is too narrow for these; use more")
 
     shares, narrow = geometry.share(nodes, moves)
     bent, narrow_when_bent = geometry.share(nodes, complete)
