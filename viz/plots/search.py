@@ -76,7 +76,8 @@ def plot_history(axes: Axes, result: Result) -> None:
     for name, (level, look) in levels.items():
         axes.axhline(level, linewidth=1.0, label=f"{name}: {_number(level)}", **look)
     _write_target(axes, result.scene)
-    axes.set(xlabel="iteration", xlim=(1, best.size) if best.size > 1 else (0, 2))
+    beside = 0.0 if marker is None else 0.02 * best.size  # room for whole markers
+    axes.set(xlabel="iteration", xlim=(1 - beside, best.size + beside) if best.size > 1 else (0, 2))
     _fit_limits(axes, [*best, *(level for level, _ in levels.values())])
     label_axis(axes.yaxis, "localization factor" if result.only_localization else "weighted sum of objectives", "1")
     axes.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 5, 10], integer=True))
