@@ -193,6 +193,7 @@ def test_shapes_in_text(tmp_path):
         ("a.wav", b"RIFF", "not a WAV file"),
         ("a.csv", b"f,re\n1,2\n", "needs the columns frequency, real and imaginary part of each response"),
         ("a.csv", b"1,1,1\n1,1,1\n", "frequencies must rise, from 0 hertz or above"),
+        ("a.csv", b"1,1,1\nnan,1,1\n", "frequencies must rise, from 0 hertz or above"),
         ("a.csv", b"0,0,0\n1,1,1\n", "1 frequencies; 2 to 4000 can be fitted"),
         ("a.csv", b"1,1,1\n2,0,0\n", "response 1 at 2 Hz is 0+0j; must be a complex number other than 0"),
         ("a.csv", b"1,1,1\n2,1e300,0\n", "response 1 at 2 Hz is 1e+300+0j; must be a complex number other than 0"),

@@ -94,11 +94,17 @@ def test_command(command, lossy_run, tmp_path, monkeypatch):
     )
 
 
+NOISE = "".join(f"{x},{y},1,2\n" for x in (0.02, 0.1, 0.18) for y in (0.02, 0.1, 0.15))
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("x,y\n1,2\n", "has no column 'velocity'; the columns are: x, y"),
         ("x,y,velocity\n0.1,0.1,no\n", "line 2, velocity = 'no': must be a number, 0 or more"),
+        ("x,y,velocity\n0.1,0.1,1e308\n", "line 2, velocity = '1e308': must be a number, 0 or more and below 1e+30"),
+        ("x,y,velocity\n0.1,0.1,1e-308\n", "needs velocities that are not all 0"),
+        (f"x,y,velocity,uncertainty\n{NOISE}", "velocities are not above their uncertainty; measure with less noise"),
         ("x,y,velocity\n0.1,0.1,0\n", "needs velocities that are not all 0"),
         ("x,y,velocity\n0.1,0.1,1\n", "1 points; 4 to 2000 are possible"),
         ("x,y,velocity\n0.1,0.1,1\n0.11,0.1,1\n0.12,0.1,1\n9,0.1,1\n", "a point is off the plate"),

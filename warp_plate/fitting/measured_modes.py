@@ -25,7 +25,9 @@ LIMITS = {
     "frequency": (SMALLEST, LARGEST, f"a number above {SMALLEST:g} and below {LARGEST:g} (hertz)"),
     "damping": (SMALLEST, 1.0, f"a ratio above {SMALLEST:g} and below 1, or empty"),
     "mode": (0.0, MOST_MODES + 1, f"a whole number from 1 to {MOST_MODES}, different in each line"),
-    **dict.fromkeys(("x", "y", "velocity", "uncertainty"), (-SMALLEST, math.inf, "a number, 0 or more")),
+    **dict.fromkeys(
+        ("x", "y", "velocity", "uncertainty"), (-SMALLEST, LARGEST, f"a number, 0 or more and below {LARGEST:g}")
+    ),
 }
 # First word of columns with shapes, and the rule for their numbers.
 SHAPE, NUMBER = "shape", (-LARGEST, LARGEST, f"a number of at most {LARGEST:g}")

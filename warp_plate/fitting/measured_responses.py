@@ -61,7 +61,7 @@ def read_responses(paths: Path | Sequence[Path], count: int, fit: Fit | None = N
         raise SceneError(f"{len(paths)} files of data for {count} tables [[measurement]]; each file holds as many")
     parts = [_read(path, count // len(paths), fit.signals if fit else None) for path in paths]
     for path, (columns, _) in zip(paths, parts, strict=True):
-        if not np.array_equal(columns[0], parts[0][0][0]):
+        if not np.array_equal(columns[0], parts[0][0][0], equal_nan=True):
             raise SceneError(f"{path}: is at other frequencies than {paths[0]}")
     source = ", ".join(map(str, paths))
     frequencies, responses = parts[0][0][0].real, np.vstack([columns[1:] for columns, _ in parts])

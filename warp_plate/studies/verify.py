@@ -23,6 +23,7 @@ from warp_plate.fitting.measured_modes import column_numbers, read_columns
 from warp_plate.plate.weights import region_weights
 from warp_plate.result.model import Result
 from warp_plate.scene.errors import SceneError, check_type
+from warp_plate.scene.fields import SMALLEST
 
 MOST_POINTS = 2000
 NORMAL = 1.96  # half-width of 95 % intervals in standard deviations
@@ -83,7 +84,7 @@ def verify(result: Result, data: Path | MeasuredField, case: str | None = None) 
         case: Name of the drive (default: the best one, or the one that was simulated).
 
     Raises:
-        SceneError: The file is invalid, or the points are not on the panel or all lie on one line.
+        SceneError: The file is invalid, the velocities are noise, or the points are not on the panel or on one line.
     """
     check_type("result", result, Result)
     ((name, chosen),) = result.select_cases([case or result.main_name]).items()
@@ -102,6 +103,8 @@ def verify(result: Result, data: Path | MeasuredField, case: str | None = None) 
     seen = (target @ promised**2) / (plate @ promised**2)
     true = np.sum(weights[1] * field**2) / np.sum(weights[0] * field**2)
     whole = plate @ (squares if noise is None else squares - noise**2)
+    if not whole > 0:
+        raise SceneError(f"{measured.source}: velocities are not above their uncertainty; measure with less noise")
     factor = target @ (squares if noise is None else squares - noise**2) / whole
     deviation = math.nan
     if noise is not None:
@@ -126,7 +129,7 @@ def read_field(path: Path) -> MeasuredField:
     if missing := [name for name in COLUMNS[:3] if name not in columns]:
         raise SceneError(f"{path}: has no column {missing[0]!r}; the columns are: {', '.join(columns)}")
     table = {name: column_numbers(path, name, columns[name]) for name in COLUMNS if name in columns}
-    if not any(table["velocity"]):
+    if not any(table["velocity"] > SMALLEST):
         raise SceneError(f"{path}: needs velocities that are not all 0")
     points = np.stack([table["x"], table["y"]], axis=1)
     return MeasuredField(str(path), points, table["velocity"], table.get("uncertainty"))
