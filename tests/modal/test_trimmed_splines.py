@@ -12,7 +12,7 @@ import pytest
 from support.scenes import MATERIAL, refused, scene_of
 from support.scenes_of_outlines import dimensionless, outlined
 from warp_plate.modal.assemble import make_galerkin, make_space
-from warp_plate.modal.modes import solve_modes
+from warp_plate.modal.modes import errors_of_frequencies, solve_modes
 from warp_plate.scene.target import Target
 
 DISC = {"disc": (0.1, 0.1, 0.1)}
@@ -238,6 +238,16 @@ def test_a_ring_in_a_disc():
     scene = outlined(DISC, "supported", material=HARD, supports=[{"ring": (0.1, 0.1, 0.1 * root)}])
     values = dimensionless(scene, lowest(scene, 6), 0.1)
     assert np.abs(values / 29.7200047321 - 1).min() < 1e-4
+
+
+def test_errors_of_frequencies_hold_where_they_fall_unevenly():
+    """Of a square with round corners the first frequency changes less than the others in the second solution."""
+    scene = outlined({"rectangle": (0.2, 0.2), "corner_radius": 0.04}).with_tables(grid={"modal_density": 0.5})
+    coarse = solve_modes(scene, 0.0, 6).frequencies[:6]
+    exact = lowest(scene.with_tables(grid={"modal_density": 1.6}), 6)
+    errors = errors_of_frequencies(scene, coarse)
+    assert (np.abs(coarse / exact - 1) < errors).all()
+    assert errors.max() < 1e-2
 
 
 def test_springs_that_are_too_stiff():
