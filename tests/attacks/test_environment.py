@@ -74,12 +74,15 @@ def test_a_link_is_followed_and_stays(write_scene, command):
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no such pipes")
 def test_a_pipe_and_a_loop_are_refused(write_scene, command):
-    write_scene(damping=88.5)
+    write_scene(damping=88.5, fit={"free": {"plate.young_modulus": (1e8, 1e10)}})
     Path("loop.h5").symlink_to("loop.h5")
     assert "leads to itself" in error_of(command("simulate", "panel.toml", *QUICK, "--out", "loop.h5"))
     os.mkfifo("pipe.h5")
     assert "is a pipe" in error_of(command("simulate", "panel.toml", *QUICK, "--out", "pipe.h5"))
     assert Path("pipe.h5").is_fifo()
+    for name in ("pipe.h5", "."):  # reading from a pipe may never end
+        assert f"{name}: is a folder, a pipe or a device" in error_of(command("check", name))
+        assert f"{name}: is a folder, a pipe or a device" in error_of(command("fit", "panel.toml", "--data", name))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such limit")

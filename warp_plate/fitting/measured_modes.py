@@ -146,6 +146,8 @@ def _shapes_and_points(
 
 def check_file(path: Path, most: int = TABLE_BYTES) -> None:
     """Raise a SceneError unless a file is there that is small enough."""
+    if path.exists() and not path.is_file():
+        raise SceneError(f"{path}: is a folder, a pipe or a device; data are read from files")
     if not path.is_file():
         raise SceneError(f"{path}: no such file")
     if path.stat().st_size > most:

@@ -41,6 +41,8 @@ def read_scene_text(source: str | Path) -> tuple[str, Path | None]:
     if name in preset_names():
         return preset_text(name), None
     try:
+        if path.exists() and not path.is_file():
+            raise SceneError(f"{name}: is a folder, a pipe or a device; scenes are read from files")
         if not path.is_file():
             hint = " (the name of a preset has no suffix)" if path.stem in preset_names() else ""
             raise SceneError(
