@@ -52,7 +52,7 @@ def test_modes_are_as_many_as_asked_for():
     assert len(few.frequencies) == 6 < len(many.frequencies)
     assert few.frequencies == pytest.approx(many.frequencies[:6], rel=1e-6)
     assert few.shapes(few.frequencies[:0], few.frequencies[:0]).shape == (6, 0, 0)
-    with pytest.raises(warp_plate.SceneError, match="count = 0: must be at least 1"):
+    with pytest.raises(warp_plate.SceneError, match="count = 0: must be a whole number from 1 on"):
         warp_plate.modes("paper", count=0)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import warp_plate
-from support.scenes import refused, scene_of
+from support.scenes import MATERIAL, refused, scene_of
 
 SCENE = scene_of((9, 9), damping=88.5, window=(0.001, 0.004))
 WRONG = (None, 5, float("nan"), b"paper", ["paper"], {}, np.zeros(3), object(), ValueError("a"))
@@ -83,9 +83,22 @@ def test_points_in_arrays():
     of_array = warp_plate.frf(SCENE, inputs=places, points=places, frequency_range=(50, 100))
     of_list = warp_plate.frf(SCENE, inputs=places.tolist(), points=places.tolist(), frequency_range=(50, 100))
     np.testing.assert_array_equal(of_array.responses, of_list.responses)
-    for points in ([1, 2], [None], [[0.1, 0.1, 0.1]], np.zeros(3)):
+    for points in ([1, 2], [None], [[0.1, 0.1, 0.1]], np.zeros(3), "ab", np.array(0.1), [(10**400, 0.1)]):
         assert refused(lambda points=points: warp_plate.frf(SCENE, points=points)).startswith("points: must be a list")
     assert "quantity = None: must be one of" in refused(lambda: warp_plate.frf(SCENE, quantity=None))
+
+
+def test_points_off_an_outline_have_no_responses():
+    scene = SCENE.with_tables(plate={**MATERIAL, "outline": {"disc": (0.1, 0.1, 0.1)}}, edges={"outline": "clamped"},
+                              actuators=[{"name": "a", "area": (0.08, 0.1, 0.08, 0.1), "force": 1.0}])  # fmt: skip
+    for key in ("points", "inputs"):
+        message = refused(lambda key=key: warp_plate.frf(scene, frequency_range=(50, 100), **{key: [(0.01, 0.01)]}))
+        assert message == f"{key} = 0.01,0.01: is off the plate; name a point inside the outline, not in a hole"
+
+
+@pytest.mark.parametrize("count", [0, -1, 2.5, np.float32(3), "3", [3], float("nan"), True])
+def test_counts_of_modes_are_whole_numbers(count):
+    assert refused(lambda: warp_plate.modes(SCENE, count)).startswith(f"count = {count!r}: must be a whole number")
 
 
 def test_a_scene_may_be_a_preset_a_path_or_a_scene(tmp_path):

@@ -9,7 +9,7 @@ import numpy as np
 
 from warp_plate.effects.effect import attachments
 from warp_plate.modal.modes import UNCUT, ModalPlate, solve_modes
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, check_whole
 from warp_plate.scene.model import Scene, SceneSource
 
 # Points along the longer and least along the shorter side at which shapes are returned.
@@ -52,8 +52,7 @@ def modes(scene: SceneSource, count: int | None = None, highest: float | None = 
         raise SceneError(f"highest = {highest:g}: must be a frequency above 0 (hertz)")
     if count is None:
         return solve_modes(scene, highest)
-    if count < 1:
-        raise SceneError(f"count = {count}: must be at least 1")
+    check_whole("count", count)
     return solve_modes(scene, 0.0 if highest is None else highest, count).part(np.arange(count))
 
 

@@ -67,6 +67,8 @@ def frf(
     scene = Scene.load(scene)
     check_type("inputs", inputs, Sequence, np.ndarray)
     check_type("points", points, Sequence, np.ndarray)
+    if isinstance(points, str | bytes) or (isinstance(points, np.ndarray) and points.ndim == 0):
+        raise SceneError(f"points: must be a list of points (x, y), not {points!r}")
     if quantity not in DERIVATIVES:
         raise SceneError(f"quantity = {quantity!r}: must be one of {', '.join(DERIVATIVES)}")
     inputs = inputs if len(inputs) else [actuator.name for actuator in scene.actuators]
@@ -161,10 +163,14 @@ def _check_on_plate(scene: Scene, argument: str, places: Sequence[str | Point]) 
     for place in (place for place in places if not isinstance(place, str)):
         try:
             x, y = map(float, place)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise SceneError(f"{argument}: must be a list of points (x, y), not of {place!r}") from None
         if not (0 <= x <= width and 0 <= y <= height):
             raise SceneError(f"{argument} = {x:g},{y:g}: is off the plate of {width:g} × {height:g} m")
+        if scene.outline is not None and not scene.outline.contains([(x, y)]).all():
+            raise SceneError(
+                f"{argument} = {x:g},{y:g}: is off the plate; name a point inside the outline, not in a hole"
+            )
 
 
 def check_linear(scene: Scene, frequency_range: tuple[float, float] | None) -> None:
