@@ -33,6 +33,10 @@ COMMANDS = {
         "localize mask.toml --baselines",
         f"render mask-localize.h5 {PLAN} --limits each --case time_reversal --case inverse_filter --case best",
     ),
+    "coils.png": (
+        "pmma-frf.png",
+        "frf exciters/pmma.toml --quantity impedance --range 20:5000",
+    ),
     "crosstalk.png": ("three-targets-localize-crosstalk.png", "localize three-targets.toml"),
     "focusing-four-fingers.png": ("four-fingers-focus.png", "focus four-fingers"),
     "focusing.gif": (

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_plate.result.focus import FocusedWaveforms, FocusResult
-from warp_plate.result.frequency_response import UNITS, FrequencyResponse
+from warp_plate.result.frequency_response import IMPEDANCE, UNITS, FrequencyResponse
 from warp_plate.viz.annotations import GRID, INK, length_unit, point_text, shortened
 from warp_plate.viz.fields import (
     DEFAULT_COLOURS,
@@ -62,22 +62,27 @@ def draw_frequency_response(response: FrequencyResponse, path: str | Path) -> No
         names = [_input_label(response, index, extent) for index in range(len(response.inputs))]
         places = [f"({point_text(point, [extent])})" for point in response.points]
         unit = length_unit([extent])[0]
+        of_coils = response.quantity == IMPEDANCE
         labels = [f"{name} → {place} {unit}" for name in names for place in places]
+        labels = [shortened(label) for label in response.labels] if of_coils else labels
         for index, look in _plot(magnitude, x, np.abs(response.responses), labels).items():
             _draw_band(magnitude, x, response.band("responses"), index, look["color"])
             phase.plot(x, _unbroken(response.responses[index]), **look)
         phase.set(ylabel="phase [°]", ylim=(-190, 190), yticks=(-180, -90, 0, 90, 180))
+        if of_coils and not several:  # which is passive
+            phase.set(ylim=(-95, 95), yticks=(-90, -45, 0, 45, 90))
         set_frequency_axes(x, response.natural_frequencies, panels)
         _set_log_axis(magnitude, np.abs(response.responses), MOST_DECADES, f"{response.quantity} [{response.unit}]")
         if several:
             _draw_localization(response, others[0])
             for index, look in _plot(others[1], x, response.mean_square_velocity, names).items():
                 _draw_band(others[1], x, response.band("mean_square_velocity"), index, look["color"])
-            label = "mean square\nvelocity [(m/s)²/N²]"
+            label = f"mean square\nvelocity [{response.velocity_unit}]"
             _set_log_axis(others[1], response.mean_square_velocity, 2 * MOST_DECADES, label)
             _add_legend(others[1], len(names))
         _add_legend(magnitude, len(response.responses), marked=response.natural_frequencies.size > 0)
-        fig.suptitle(response.title or f"{response.quantity} of the plate", fontsize=10)
+        what = "coils" if of_coils else "the plate"
+        fig.suptitle(response.title or f"{response.quantity} of {what}", fontsize=10)
         fig.align_ylabels()
 
 

@@ -20,7 +20,7 @@ from warp_plate.scene.errors import SceneError
 if TYPE_CHECKING:
     import numpy as np
 
-    from warp_plate.result.frequency_response import FrequencyResponse
+    from warp_plate.result.frequency_response import CoilResponse, FrequencyResponse
     from warp_plate.scene.model import Scene
 
 PICTURES = (".png", ".svg", ".pdf")
@@ -39,18 +39,19 @@ class ResponseOptions:
 
     Attributes:
         inputs: Name of an actuator, or a point X,Y in metres on which 1 N acts; may be repeated (default: all
-            actuators).
+            actuators, or of impedances all coils).
         at: Point X,Y in metres that responds; may be repeated (default: the scene's record.points, or the middle of
             each target).
         range: Lowest and highest frequency in hertz, LOW:HIGH (default: from half the lowest natural frequency, or half
             the drive's frequency if that is lower, to twice the drive's frequency, and at least to the sixth mode).
-        quantity: Displacement (receptance), velocity (mobility) or acceleration (accelerance) per force.
+        quantity: Displacement (receptance), velocity (mobility) or acceleration (accelerance) per force, or the
+            impedance of coils.
     """
 
     inputs: Annotated[list[str] | None, Parameter(name="--from", negative="", allow_leading_hyphen=True)] = None
     at: Annotated[list[str] | None, Parameter(negative="", allow_leading_hyphen=True)] = None
     range: str | None = None
-    quantity: Literal["receptance", "mobility", "accelerance"] = "mobility"
+    quantity: Literal["receptance", "mobility", "accelerance", "impedance"] = "mobility"
 
 
 def frf(
@@ -62,7 +63,7 @@ def frf(
     to: Annotated[list[ResponseFormat] | None, Parameter(negative="")] = None,
     files: options.FileOptions = options.FileOptions(),
 ) -> None:
-    """Show frequency responses of a linear plate, its localization factor and its mean square velocity.
+    """Show frequency responses of a linear plate or impedances of coils, localization factor and mean square velocity.
 
     Responses are steady, for a force of 1 N; an actuator spreads it evenly over its patch. Frequencies are spaced so
     that every resonance is resolved, however sharp. They are drawn as a picture (.png, .svg or .pdf).
@@ -88,7 +89,7 @@ def frf(
     sources = [
         text if text in names or not re.fullmatch(POINT, text) else _point(text) for text in responses.inputs or ()
     ]
-    with output.scene_errors(scene, inputs="from", points="at", frequency_range="range"):
+    with output.scene_errors(scene, inputs="from", points="at", frequency_range="range", quantity="quantity"):
         response = compute(loaded, sources, points, limits, responses.quantity)
     drawn = write_and_draw(response, target, formats, WRITERS, draw_frequency_response if files.pictures else None)
     output.report(files.json, _as_json, _print, scene, loaded, response, written=files.check_drawn(target, drawn))
@@ -145,7 +146,17 @@ def _as_json(name: str, scene: Scene, response: FrequencyResponse) -> dict[str, 
         **output.attributes(response, "localization_factor", "bound", "mean_square_velocity"),
         **output.attributes(response, "natural_frequencies", "loss_factors", "undamped"),
         "errors": dataclasses.asdict(response.errors),
+        **({} if response.coils is None else {"coils": _coils_as_json(response.coils)}),
     }
+
+
+def _coils_as_json(coils: CoilResponse) -> dict[str, object]:
+    """Return the motion of coils, complex numbers as their real and imaginary parts."""
+    parts: dict[str, object] = {"names": coils.names}
+    for name in ("voltage", "current", "stroke"):
+        values = getattr(coils, name)
+        parts[name] = {"real": values.real, "imaginary": values.imag}
+    return parts | output.attributes(coils, "electrical_power", "mechanical_power")
 
 
 def _print(name: str, scene: Scene, response: FrequencyResponse, console: Console) -> None:
@@ -168,6 +179,14 @@ def _print(name: str, scene: Scene, response: FrequencyResponse, console: Consol
     output.print_rows(console, headings, peaks)
     if len(response.labels) > MOST_ROWS:
         console.print(f"and {len(response.labels) - MOST_ROWS} more, in the files of --to and in --json")
+    if response.coils is not None and scene.drive.frequency in response.frequencies:
+        at, coils = int(np.searchsorted(response.frequencies, scene.drive.frequency)), response.coils
+        columns = (abs(coils.voltage), abs(coils.current), coils.electrical_power, coils.mechanical_power)
+        numbers = np.transpose([values[:, at] for values in (*columns, 1e3 * abs(coils.stroke))]).tolist()
+        console.print(f"\nCoils under the scene's drive at {scene.drive.frequency:g} Hz (peaks, and mean powers):\n")
+        headings = ("coil", "voltage (V)", "current (A)", "electrical (W)", "mechanical (W)", "stroke (mm)")
+        rows = [[name, *(f"{number:.4g}" for number in row)] for name, row in zip(coils.names, numbers, strict=True)]
+        output.print_rows(console, headings, rows)
     best, of_drive = int(np.nanargmax(response.bound)), np.nanmax(errors.localization_factor, initial=0)
     console.print(
         f"\nLocalization factor of the scene's drive: {_extremes(response.localization_factor)}, with errors of at "

@@ -143,8 +143,8 @@ def load_slopes(galerkin: Galerkin, areas: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def rectangular(scene: Scene) -> bool:
-    """Return whether all actuators are rectangles with sides along x and y."""
-    return all(actuator.area is not None for actuator in scene.actuators)
+    """Return whether all actuators but coils, which stay in their places, are rectangles with sides along x and y."""
+    return all(actuator.area is not None or actuator.kind == "coil" for actuator in scene.actuators)
 
 
 def _placed(scene: Scene, areas: np.ndarray) -> list[PlateRegion]:

@@ -62,7 +62,7 @@ def gram_matrices(
     plate, window, regions = means.plate, means.window, means.regions
     if window is None:
         rate = 2j * math.pi * frequency[:, None, :] if means.velocity else 1
-        forced = plate.respond_each(frequency, forces) * rate
+        forced = plate.respond_to_drives(frequency, forces) * rate
         same = frequency[:, :, None] == frequency[:, None, :]
         mixed = [(forced.conj().mT @ multiply_modes(region, forced)) * same for region in regions]
         return np.stack([real_form(np.zeros_like(product), product) for product in mixed], axis=1)

@@ -19,6 +19,7 @@ import numpy as np
 
 from warp_plate.effects.effect import per_mode
 from warp_plate.modal.assemble import Galerkin, load_integrals, make_galerkin, make_space
+from warp_plate.modal.coils import Coils
 from warp_plate.modal.eigenproblem import SPARSE, bending_energies, solve_eigenproblem
 from warp_plate.modal.poles import NEGLIGIBLE, CoupledModes, Poles, make_poles
 from warp_plate.modal.spaces.integrals import mean_wave_frequency
@@ -113,6 +114,14 @@ class ModalPlate:
         return CoupledModes(self.angular_frequencies**2, self.damping, self.hysteretic, self.highest)
 
     @cached_property
+    def coils(self) -> Coils | None:
+        """The scene's coils, which the modes are those of the plate without; None if there are none."""
+        patches = [self.scene.actuators[index] for index in self.scene.coil_indices]
+        if not patches:
+            return None
+        return Coils(self, self.region_forces(patches) / self.space.region_areas(patches))
+
+    @cached_property
     def _poles(self) -> dict[float, Poles]:
         return {}
 
@@ -125,7 +134,10 @@ class ModalPlate:
 
     @property
     def resonances(self) -> tuple[np.ndarray, np.ndarray]:
-        """Frequencies and half-widths [Hz] of all resonances, or of the lowest modes if damping couples them."""
+        """Frequencies and half-widths [Hz] of all resonances, or of the lowest if damping or coils couple modes."""
+        if self.coils is not None:
+            both = [self.coils.resonances(opened) for opened in (True, False)]
+            return np.concatenate([both[0][0], both[1][0]]), np.concatenate([both[0][1], both[1][1]])
         if self.coupled is not None:
             return self.coupled.resonances
         return self.frequencies, self.damping_ratios * self.frequencies
@@ -153,12 +165,42 @@ class ModalPlate:
         return np.asarray(self._plate_vectors.T @ self.space.region_integrals(regions).T)
 
     def actuator_forces(self) -> np.ndarray:
-        """Return (modes, actuators) modal forces of 1 N/m², or of 1 V on piezo patches, for the scene's actuators."""
+        """Return (modes, actuators) modal forces of 1 N/m², 1 V on piezo patches or 1 N of coils, for the scene's
+        actuators."""
         return self.drive_forces([actuator.box for actuator in self.scene.actuators])
 
     def drive_forces(self, areas: Sequence[Area] | np.ndarray) -> np.ndarray:
         """Return (modes, areas) the same of the actuators in places (..., actuators, 4) x0, x1, y0, y1 [m]."""
-        return np.asarray(self._plate_vectors.T @ load_integrals(self.galerkin, np.asarray(areas, dtype=float)).T)
+        forces = np.asarray(self._plate_vectors.T @ load_integrals(self.galerkin, np.asarray(areas, dtype=float)).T)
+        if self.coils is not None:  # which stay in their places
+            for column, index in enumerate(self.coils.indices):
+                forces[:, index :: len(self.scene.actuators)] = self.coils.means[:, [column]]
+        return forces
+
+    def drive_gains(self, frequency: np.ndarray) -> np.ndarray | float:
+        """Return the (n, actuators) complex factors of the response to unit forces of the actuators at frequencies (n,
+        actuators or 1) [Hz] that make it that to unit drives: the force [N] per volt or ampere of coils, and 1."""
+        if self.coils is None:
+            return 1.0
+        omega = 2 * math.pi * np.broadcast_to(frequency, (len(frequency), len(self.scene.actuators)))
+        if (omega == omega[:, :1]).all():
+            return self.coils.gains(omega[:, 0])
+        columns = [self.coils.gains(omega[:, index])[:, index] for index in range(omega.shape[1])]
+        return np.stack(columns, axis=1)
+
+    def respond_to_drives(self, frequency: np.ndarray, forces: np.ndarray) -> np.ndarray:
+        """Return the (plates, modes, actuators) steady response to unit drives at frequencies (plates, actuators or 1)
+        [Hz], from modal forces (plates or 1, modes, actuators), see :meth:`drive_forces`."""
+        amplitudes = self.respond_each(frequency, forces)
+        return amplitudes if self.coils is None else amplitudes * np.asarray(self.drive_gains(frequency))[:, None, :]
+
+    def respond_to_drive(self, frequencies: np.ndarray, phasors: np.ndarray) -> np.ndarray:
+        """Return the (n, modes, 1) steady response to the phasors (actuators,) of a drive at frequencies (n,) [Hz]."""
+        forces = self.actuator_forces()
+        if self.coils is None:
+            return self.respond(frequencies, forces @ phasors[:, None])
+        loads = (forces * np.asarray(self.drive_gains(frequencies[:, None]))[:, None, :]) @ phasors[:, None]
+        return self.respond_each(frequencies[:, None], loads)
 
     def displacement(self, amplitudes: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return displacements (..., ny, nx) [m] of modal amplitudes (..., modes) on the grid of x and y [m]."""
@@ -194,14 +236,22 @@ class ModalPlate:
         """Return the (plates, modes, loads) steady response, see :meth:`respond`, of plates to forces (plates or 1,
         modes, loads) at separate frequencies (plates, loads or 1) [Hz]."""
         omega = 2 * math.pi * frequency
-        if self.coupled is None:
+        if self.coupled is None and self.coils is None:
             with np.errstate(divide="ignore", invalid="ignore"):
                 return np.asarray(forces / self.dynamic_stiffness(omega).mT)
-        loads = np.broadcast_to(forces, (len(omega), *forces.shape[1:]))
+        respond = self.respond_alone if self.coils is None else self.coils.respond
+        loads = np.broadcast_to(forces, (max(len(omega), len(forces)), *forces.shape[1:]))
         if (omega == omega[:, :1]).all():
-            return self.coupled.respond(omega[:, 0], loads)
-        alone = self.coupled.respond(omega.ravel(), loads.mT.reshape(omega.size, -1, 1))
+            return respond(omega[:, 0], loads)
+        alone = respond(omega.ravel(), loads.mT.reshape(omega.size, -1, 1))
         return alone.reshape(loads.mT.shape).mT
+
+    def respond_alone(self, omega: np.ndarray, forces: np.ndarray) -> np.ndarray:
+        """Return the (n, modes, loads) response without coils to forces (n, modes, loads) at ω (n,) [rad/s]."""
+        if self.coupled is not None:
+            return self.coupled.respond(omega, forces)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(forces / self.dynamic_stiffness(omega)[:, :, None])
 
     def dynamic_stiffness(self, omega: np.ndarray) -> np.ndarray:
         """Return (..., modes) Λ + iH + iωC − ω² of the modes without their coupling, at ω (...) [rad/s]."""

@@ -114,7 +114,7 @@ def _steady_motion(
     forces, frequency = plate.actuator_forces(), actuator_frequencies(plate.scene)
     rates = 2j * math.pi * frequency
     responses = [plate.respond(tone, forces[:, [k]])[0, :, 0] for k, tone in enumerate(frequency[:, None])]
-    columns = np.stack(responses, axis=1) * (rates if velocity else 1)
+    columns = np.stack(responses, axis=1) * plate.drive_gains(frequency[None]) * (rates if velocity else 1)
     rotation = np.exp(rates[:, None] * times)
     return np.asarray(((columns if outputs is None else outputs @ columns)[:, None] * drives @ rotation).real)
 

@@ -31,6 +31,8 @@ from warp_plate.modal.poles import Poles, multiply_modes
 from warp_plate.plate.signals import actuator_delays
 from warp_plate.scene.grid import Window
 
+# Relative step of the difference quotients by the frequency of plates with coils.
+DIFFERENCE = 1e-6
 # Numbers of the arrays of a block of designs.
 SLOPES_AT_ONCE = 2**22
 
@@ -75,6 +77,9 @@ def energy_slopes(
 
 def _patch_forces(plate: ModalPlate, areas: np.ndarray) -> np.ndarray:
     """Return (3, designs, modes, M) modal forces over areas (designs, M, 4) and their slopes by x and y."""
+    if plate.coils is not None:  # which stay in their places, as do all actuators beside them
+        forces = np.moveaxis(plate.drive_forces(areas).reshape(-1, *areas.shape[:2]), 0, 1)
+        return np.stack([forces, 0 * forces, 0 * forces])
     integrals = np.stack([load_integrals(plate.galerkin, areas), *load_slopes(plate.galerkin, areas)])
     forces = integrals @ plate.vectors[: integrals.shape[2]]
     return np.asarray(forces.reshape(3, *areas.shape[:2], -1).swapaxes(2, 3))
@@ -84,9 +89,13 @@ def _steady(means: Means, phasors: np.ndarray, frequency: np.ndarray, forces: np
     """Return the arrays of :class:`EnergySlopes` in the steady state."""
     plate = means.plate
     rate = 2j * math.pi * frequency[:, None, :]
-    unit, by_x, by_y = (plate.respond_each(frequency, force) for force in forces)
-    # By iω of the dynamic stiffness, times the amplitudes.
-    by_rate = -plate.respond_each(frequency, 2 * rate * unit + multiply_modes(plate.damping, unit))
+    unit, by_x, by_y = (plate.respond_to_drives(frequency, force) for force in forces)
+    if plate.coils is None:
+        # By iω of the dynamic stiffness, times the amplitudes.
+        by_rate = -plate.respond_each(frequency, 2 * rate * unit + multiply_modes(plate.damping, unit))
+    else:
+        ends = (plate.respond_to_drives(frequency * (1 + side), forces[0]) for side in (DIFFERENCE, -DIFFERENCE))
+        by_rate = np.subtract(*ends) / (2 * DIFFERENCE * rate)
     if means.velocity:
         by_rate = rate * by_rate + unit
         unit, by_x, by_y = rate * unit, rate * by_x, rate * by_y

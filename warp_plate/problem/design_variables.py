@@ -204,7 +204,11 @@ def only_ratios(scene: Scene) -> bool:
 
 
 def magnitude_unit(scene: Scene) -> float:
-    """Return the drive for a magnitude of one: the largest of the scene's actuators, or 1 if all are 0."""
+    """Return the drive for a magnitude of one: the largest of the scene's actuators, or 1 if all are 0; SceneError:
+    their units differ."""
+    if len(set(scene.magnitude_units)) > 1:
+        rule = "search, compare or explore drives in one unit; simulate, frf, sound and specify take several"
+        raise SceneError(f"actuators: magnitudes in {scene.drive_unit} have no common scale; {rule}")
     return max(abs(actuator.magnitude) for actuator in scene.actuators) or 1.0
 
 

@@ -13,10 +13,12 @@ from scipy.interpolate import PchipInterpolator
 from warp_plate.result import hdf5
 from warp_plate.result.atomic_io import write_table
 
-Quantity = Literal["receptance", "mobility", "accelerance"]
+# Quantities of points per force, and that of the terminals of coils.
+Quantity = Literal["receptance", "mobility", "accelerance", "impedance"]
+IMPEDANCE = "impedance"
 # Power of iω by which the displacement is multiplied.
-DERIVATIVES: Mapping[str, int] = {name: power for power, name in enumerate(get_args(Quantity))}
-UNITS: Mapping[str, str] = {"receptance": "m/N", "mobility": "(m/s)/N", "accelerance": "(m/s²)/N"}
+DERIVATIVES: Mapping[str, int] = {name: power for power, name in enumerate(get_args(Quantity)[:3])}
+UNITS: Mapping[str, str] = {"receptance": "m/N", "mobility": "(m/s)/N", "accelerance": "(m/s²)/N", "impedance": "Ω"}
 UNDAMPED = "The plate has undamped modes: their peaks have no height; frequencies beside them are shown."
 FORMAT = hdf5.FileFormat("frequency response", 2)
 
@@ -44,26 +46,50 @@ class ResponseErrors:
 
 
 @dataclass(frozen=True, eq=False)
+class CoilResponse:
+    """Steady motion of coils under the drive of the scene, all actuators at the same frequency; amplitudes of exp(iωt).
+
+    Attributes:
+        names: (coils,) names of the coils.
+        voltage: (coils, frequencies) complex voltages at the terminals [V].
+        current: (coils, frequencies) complex currents [A].
+        stroke: (coils, frequencies) complex displacements of the patches relative to the magnets [m].
+        electrical_power: (coils, frequencies) mean power into the terminals [W].
+        mechanical_power: (coils, frequencies) mean power of the force Bl i on patch and magnet [W].
+    """
+
+    names: tuple[str, ...]
+    voltage: np.ndarray
+    current: np.ndarray
+    stroke: np.ndarray
+    electrical_power: np.ndarray
+    mechanical_power: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class FrequencyResponse:
-    """Steady responses of a plate to unit forces that vary as exp(iωt).
+    """Steady responses of a plate to unit forces that vary as exp(iωt); or impedances of coils on it.
 
     Attributes:
         title: Title of the scene, or its name.
-        quantity: Quantity at the points per force: displacement, velocity or acceleration.
-        inputs: (inputs,) names of the actuators, or "X,Y" of points, on which 1 N acts, evenly over a patch.
+        quantity: Quantity at the points per force: displacement, velocity or acceleration; or voltage of a coil per
+            current, the terminals of all others being open.
+        inputs: (inputs,) names of the actuators, or "X,Y" of points, on which 1 N acts, evenly over a patch; of
+            impedances, the coils in which 1 A flows.
         input_places: (inputs, 2) middles of the inputs [m].
-        points: (points, 2) x, y of the outputs [m].
+        points: (points, 2) x, y of the outputs [m]; of impedances, the middles of the same coils.
         frequencies: (frequencies,) [Hz], rising.
         responses: (inputs · points, frequencies) complex responses in ``unit``, the points of the first input first.
         localization_factor: (frequencies,) localization factor of the drive of the scene, all actuators at the same
             frequency; NaN where it moves nothing.
         bound: (frequencies,) largest localization factor that any drive of the actuators has.
-        mean_square_velocity: (inputs, frequencies) square of the velocity under a force of amplitude 1 N, averaged over
-            time and the mass of the plate [(m/s)²/N²].
+        mean_square_velocity: (inputs, frequencies) square of the velocity under a force of amplitude 1 N, or a current
+            of 1 A, averaged over time and the mass of the plate [``velocity_unit``].
         natural_frequencies: (modes,) natural frequencies of the undamped plate between the first and the last of
-            ``frequencies`` [Hz].
+            ``frequencies`` [Hz]; with coils, the resonances of plate and coils with open terminals.
         loss_factors: (modes,) loss factors of these modes.
         errors: Numerical errors of the frequencies and of all curves.
+        coils: Motion of the coils under the drive of the scene; None without coils.
     """
 
     title: str
@@ -79,11 +105,17 @@ class FrequencyResponse:
     natural_frequencies: np.ndarray
     loss_factors: np.ndarray
     errors: ResponseErrors
+    coils: CoilResponse | None = None
 
     @property
     def unit(self) -> str:
         """Unit of the responses."""
         return UNITS[self.quantity]
+
+    @property
+    def velocity_unit(self) -> str:
+        """Unit of the mean square velocity."""
+        return "(m/s)²/A²" if self.quantity == IMPEDANCE else "(m/s)²/N²"
 
     @property
     def pairs(self) -> list[tuple[str, tuple[float, float]]]:
@@ -92,7 +124,9 @@ class FrequencyResponse:
 
     @property
     def labels(self) -> list[str]:
-        """Names of the pairs, such as "left → 0.1,0.05"."""
+        """Names of the pairs, such as "left → 0.1,0.05"; of impedances "left", or "left → right" for a mutual one."""
+        if self.quantity == IMPEDANCE:
+            return [one if one == other else f"{one} → {other}" for one in self.inputs for other in self.inputs]
         return [f"{name} → {x:g},{y:g}" for name, (x, y) in self.pairs]
 
     def __repr__(self) -> str:
@@ -140,21 +174,29 @@ def write_csv(response: FrequencyResponse, path: Path) -> None:
     for label in response.labels:
         heading += [f"Re {label} [{response.unit}]", f"Im {label} [{response.unit}]"]
     heading += ["localization factor [1]", "bound [1]"]
-    heading += [f"mean square velocity, {name} [(m/s)²/N²]" for name in response.inputs]
+    heading += [f"mean square velocity, {name} [{response.velocity_unit}]" for name in response.inputs]
     parts = np.stack([response.responses.real, response.responses.imag], axis=1).reshape(-1, len(response.frequencies))
     columns = [response.frequencies, *parts, response.localization_factor, response.bound]
     columns += [*response.mean_square_velocity]
     errors = response.errors
     heading += ["relative error of frequencies [1]", *(f"error {name} [{response.unit}]" for name in response.labels)]
     heading += ["error of localization factor [1]", "error of bound [1]"]
-    heading += [f"error of mean square velocity, {name} [(m/s)²/N²]" for name in response.inputs]
+    heading += [f"error of mean square velocity, {name} [{response.velocity_unit}]" for name in response.inputs]
     columns += [errors.frequencies, *errors.responses, errors.localization_factor, errors.bound]
-    write_table(path, heading, [np.column_stack([*columns, *errors.mean_square_velocity])])
+    columns += [*errors.mean_square_velocity]
+    if response.coils is not None:
+        for index, name in enumerate(response.coils.names):
+            current, stroke = response.coils.current[index], response.coils.stroke[index]
+            heading += [f"Re current, {name} [A]", f"Im current, {name} [A]", f"electrical power, {name} [W]"]
+            heading += [f"Re stroke, {name} [m]", f"Im stroke, {name} [m]"]
+            columns += [current.real, current.imag, response.coils.electrical_power[index], stroke.real, stroke.imag]
+    write_table(path, heading, [np.column_stack(columns)])
 
 
 def write_hdf5(response: FrequencyResponse, path: Path) -> None:
     """Write a file laid out as netCDF-4 lays out its own, with the dimensions frequency, pair, input and mode."""
     unit, quantity, names = response.unit.replace("²", "^2"), response.quantity, list(response.inputs)
+    squared = response.velocity_unit.replace("²", "^2")
     places = np.array([point for _, point in response.pairs])
     modes = np.arange(1, len(response.natural_frequencies) + 1)
     with FORMAT.create(path) as file:
@@ -176,7 +218,7 @@ def write_hdf5(response: FrequencyResponse, path: Path) -> None:
         factor, meaning = response.localization_factor, "localization factor of the drive"
         write(factor, "1", meaning, "frequency", name="localization_factor")
         write(response.bound, "1", "bound on the localization factor", "frequency", name="bound")
-        write(response.mean_square_velocity, "(m/s)^2/N^2", "mean square velocity", "input", "frequency")
+        write(response.mean_square_velocity, squared, "mean square velocity", "input", "frequency")
         errors, pair = response.errors, ("pair", "frequency")
         write(errors.frequencies, "1", "relative error of frequencies", "frequency", name="frequency_error")
         write(errors.responses, unit, f"error of the complex {quantity}", *pair, name="response_error")
@@ -184,7 +226,7 @@ def write_hdf5(response: FrequencyResponse, path: Path) -> None:
         write(errors.localization_factor, "1", meaning, "frequency", name="localization_factor_error")
         write(errors.bound, "1", "error of the bound", "frequency", name="bound_error")
         meaning, name = "error of the mean square velocity", "mean_square_velocity_error"
-        write(errors.mean_square_velocity, "(m/s)^2/N^2", meaning, "input", "frequency", name=name)
+        write(errors.mean_square_velocity, squared, meaning, "input", "frequency", name=name)
         write(response.natural_frequencies, "Hz", "natural frequency, undamped", "mode")
         write(response.loss_factors, "1", "loss factor", "mode")
 

@@ -1,9 +1,10 @@
-"""The table ``[[actuators]]``: the patches that press on the plate or bend it."""
+"""The table ``[[actuators]]``: the patches that press on the plate or bend it, and coils."""
 
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
+from warp_plate.effects.coil import CoilKeys
 from warp_plate.scene.fields import (
     LARGEST,
     SMALLEST,
@@ -22,17 +23,13 @@ from warp_plate.scene.target import PlateRegion
 PIEZO, PIEZO_OPTIONS = ("d31", "thickness", "young_modulus"), ("density", "capacitance")
 
 
-class Actuator(PlateRegion):
-    """A patch that presses on the plate, or a piezo patch on its upper face that bends it.
-
-    A file gives ``magnitude`` or ``force``. With a force, ``magnitude`` is force / area. The force is what is stored,
-    so it is kept if the size of the patch changes.
-    """
+class DrivenPatch(PlateRegion):
+    """A patch that presses on the plate, or a piezo patch on its upper face that bends it."""
 
     name: Annotated[Name, Field(examples=["left"])]
     """Name, different for each actuator."""
     magnitude: Annotated[Moderate, Unit("drive"), Field(examples=[0.5])] = 1.0
-    """Amplitude of the pressure or the voltage, see ``Scene.drive_unit``."""
+    """Amplitude of the pressure or the voltage, see ``Scene.drive_unit``; coils have ``voltage`` or ``current``."""
     force: Annotated[Moderate | None, Unit("N"), Field(examples=[1e-3])] = None
     """Amplitude of the patch's total force, in place of the magnitude."""
     phase: Annotated[Moderate, Unit("rad"), Field(examples=[1.57])] = 0.0
@@ -41,8 +38,8 @@ class Actuator(PlateRegion):
     """Frequency (default: that of the drive)."""
     delay: Annotated[Instant | None, Field(examples=[0.002])] = None
     """Start of the burst (default: that of the drive)."""
-    kind: Annotated[Literal["pressure", "piezo"], Field(examples=["piezo"])] = "pressure"
-    """How the patch acts; all keys below are for "piezo"."""
+    kind: Annotated[Literal["pressure", "piezo", "coil"], Field(examples=["piezo"])] = "pressure"
+    """How the patch acts; keys from ``d31`` to ``capacitance`` are for "piezo", those from ``model`` on for "coil"."""
     d31: Annotated[Gain | None, Unit("m/V"), Field(examples=[-1.9e-10])] = None
     """Transverse charge coefficient, negative for ceramics."""
     thickness: Annotated[Positive | None, Unit("m"), Field(examples=[2e-4])] = None
@@ -54,10 +51,25 @@ class Actuator(PlateRegion):
     capacitance: Annotated[Positive | None, Unit("F"), Field(examples=[2e-8])] = None
     """Capacitance, for electrical energies."""
 
+
+class Actuator(CoilKeys, DrivenPatch):
+    """A patch that presses on the plate, a piezo patch on its upper face that bends it, or a coil.
+
+    A file gives ``magnitude`` or ``force``. With a force, ``magnitude`` is force / area. The force is what is stored,
+    so it is kept if the size of the patch changes. A coil has a ``voltage`` or a ``current`` instead.
+    """
+
     @property
-    def amplitude_key(self) -> Literal["magnitude", "force"]:
+    def amplitude_key(self) -> Literal["magnitude", "force", "voltage", "current"]:
         """Key that gives the amplitude in the scene file."""
+        if self.kind == "coil":
+            return "current" if self.voltage is None else "voltage"
         return "magnitude" if self.force is None else "force"
+
+    @property
+    def amplitude_unit(self) -> str | None:
+        """Unit of the number under ``amplitude_key``; None where it is ``Scene.drive_unit``."""
+        return {"magnitude": None, "force": "N", "voltage": "V", "current": "A"}[self.amplitude_key]
 
     @property
     def amplitude_area(self) -> float:
@@ -67,6 +79,16 @@ class Actuator(PlateRegion):
 
     @model_validator(mode="after")
     def _keys_of_kind(self) -> Self:
+        if self.kind == "coil":
+            if self.force is not None:
+                raise ValueError(
+                    f"force: {self.force:g} N, but a coil takes volts or amperes; write voltage or current"
+                )
+            if "magnitude" in self.model_fields_set:
+                raise ValueError(
+                    f"magnitude: {self.magnitude:g}, but a coil takes voltage or current; write one of them"
+                )
+            self._derive("magnitude", getattr(self, self.amplitude_key))
         if self.kind == "piezo":
             if self.area is None:
                 raise ValueError(f"{self.shape}: piezo patches are rectangles; write area = [x0, x1, y0, y1]")
@@ -78,7 +100,8 @@ class Actuator(PlateRegion):
             return self
         for key in (*PIEZO, *PIEZO_OPTIONS):
             if (value := getattr(self, key)) is not None:
-                raise ValueError(f'{key}: {value:g}, but the patch presses; write kind = "piezo", or delete the key')
+                does = "presses" if self.kind == "pressure" else "holds a coil"
+                raise ValueError(f'{key}: {value:g}, but the patch {does}; write kind = "piezo", or delete the key')
         return self
 
     @model_validator(mode="after")
@@ -99,6 +122,6 @@ class Actuator(PlateRegion):
     @model_serializer(mode="wrap")
     def _without_derived(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
         tables: dict[str, Any] = {"name": self.name, **dump(self)}
-        if self.force is not None:
+        if self.amplitude_key != "magnitude":
             tables.pop("magnitude", None)
         return tables

@@ -28,9 +28,9 @@ INDEX_NAMES = {
 }
 # Tables with properties of the panel, which a fit may change; keys of actuators there that searches change, too.
 PANEL = ("plate.", "edges.", "effects.", "actuators[", "measurement[")
-DRIVEN = (*PlateRegion.model_fields, "magnitude", "force", "phase", "frequency", "delay")
 # Keys of an actuator that exclude each other.
-ALTERNATIVES = {"magnitude": "force", "force": "magnitude"}
+ALTERNATIVES = {"magnitude": "force", "force": "magnitude", "voltage": "current", "current": "voltage"}
+DRIVEN = (*PlateRegion.model_fields, *ALTERNATIVES, "phase", "frequency", "delay")
 _PART = re.compile(r"([A-Za-z_]\w*)|\[(\d+)\]")
 _KEY = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*|\[\d{1,9}\])*")
 

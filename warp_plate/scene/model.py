@@ -244,6 +244,7 @@ def _check_tables(scene: SceneTables) -> None:
         scene.plate.check_thin(layer.thickness, f"effects.layers[{index}].thickness: ")
     check_layers(scene.effects.layers)
     _check_piezo(scene)
+    scene.check_coils()
     _check_drive(scene)
     drives = ("ramp", "burst", "chirp", "signal", "electrostatic")
     check_modal_tables(scene.effects, {f"drive.{name}": getattr(scene.drive, name) or None for name in drives})
@@ -327,8 +328,10 @@ def _check_piezo(scene: SceneTables) -> None:
     if not scene.piezo:
         return
     for index, actuator in enumerate(scene.actuators):
+        if actuator.kind == "coil":
+            continue
         if actuator.thickness is None:
-            raise ValueError(f'actuators[{index}].kind: "pressure" beside "piezo"; all must be of one kind')
+            raise ValueError(f'actuators[{index}].kind: "pressure" beside "piezo"; all but coils must be of one kind')
         scene.plate.check_thin(actuator.thickness, f"actuators[{index}].thickness: ")
     tables = {"drive.electrostatic": scene.drive.electrostatic, "search.position": scene.search.position}
     excluded = [key for key, table in tables.items() if table is not None]

@@ -133,18 +133,39 @@ class SceneTables(Table):
 
     @property
     def piezo(self) -> bool:
-        """True if the actuators are piezo patches, driven by voltages."""
+        """True if actuators are piezo patches, driven by voltages; then all but coils are."""
         return any(actuator.kind == "piezo" for actuator in self.actuators)
 
     @property
+    def coil_indices(self) -> list[int]:
+        """Indices of the actuators that are coils."""
+        return [index for index, actuator in enumerate(self.actuators) if actuator.kind == "coil"]
+
+    def check_coils(self) -> None:
+        """Raise ValueError, naming the key, if the scene has what coils exclude: they are solved for steady tones."""
+        if not self.coil_indices:
+            return
+        head = f'actuators[{self.coil_indices[0]}].kind: "coil"'
+        transient = self.drive.waveform_key or self.nonlinear_table or (None if self.focus is None else "focus")
+        if transient is not None:
+            raise ValueError(f"{head} is solved for steady tones of linear plates; delete {transient}")
+        robust = self.search.robust
+        moved = {"search.position": self.search.position, "search.robust.place": robust and robust.place}
+        for key in (key for key, value in moved.items() if value):
+            raise ValueError(f"{head} keeps its place; delete {key}")
+
+    @property
     def piezo_moments(self) -> list[float]:
-        """Bending moment per length and volt [N/V] of each piezo patch.
+        """Bending moment per length and volt [N/V] of each piezo patch, 0 of coils.
 
         It is E d31 / (1 − ν) times the distance of the patch's middle from the neutral plane: the plate's own, or that
         of plate and patch if the patch has a density and so counts as a layer. Poisson's ratio is the plate's.
         """
         plate, moments = self.plate, []
         for patch in self.actuators:
+            if patch.kind == "coil":
+                moments.append(0.0)
+                continue
             assert patch.d31 is not None
             assert patch.thickness is not None
             assert patch.young_modulus is not None
@@ -174,13 +195,21 @@ class SceneTables(Table):
 
     @property
     def unit_drives(self) -> list[float]:
-        """Force [N] of each actuator at a magnitude of 1; 1 V for piezo patches."""
-        return [1.0 if self.piezo else actuator.patch_area for actuator in self.actuators]
+        """Force [N] of each actuator at a magnitude of 1; 1 V for piezo patches, 1 V or 1 A for coils."""
+        return [actuator.patch_area if actuator.kind == "pressure" else 1.0 for actuator in self.actuators]
+
+    @property
+    def magnitude_units(self) -> list[str]:
+        """Unit of the magnitude of each actuator."""
+        pressed = "N/m²" if self.drive.electrostatic is None else "V"
+        units = {"magnitude": "V" if self.piezo else pressed, "force": pressed, "voltage": "V", "current": "A"}
+        return [units[actuator.amplitude_key] for actuator in self.actuators]
 
     @property
     def drive_unit(self) -> str:
-        """Unit of all magnitudes, N/m² or, for electrostatic actuators and piezo patches, V."""
-        return "V" if self.piezo or self.drive.electrostatic is not None else "N/m²"
+        """Unit of all magnitudes, N/m² or, for electrostatic actuators, piezo patches and coils, V; or A. Several are
+        joined, as "N/m² or V"."""
+        return " or ".join(dict.fromkeys(self.magnitude_units))
 
     @property
     def outline(self) -> Outline | None:
@@ -250,6 +279,8 @@ class SceneTables(Table):
 
     def _unstepped(self) -> Iterator[tuple[str, str, str]]:
         """Yield the keys that have no time steps, what of each, and what else to do about it."""
+        for index in self.coil_indices[:1]:
+            yield f"actuators[{index}].kind", "a coil ", ""
         if self.supports:
             yield "supports", "", ""
         if (key := self.effects.first(lambda effect: not effect.stepped)) is not None:
@@ -274,8 +305,9 @@ class SceneTables(Table):
 
     @property
     def steady_key(self) -> str | None:
-        """First effect that is defined for steady tones alone, without motion in time; None if none."""
-        return self.effects.first(lambda effect: effect.steady)
+        """First effect or coil that is defined for steady tones alone, without motion in time; None if none."""
+        effect = self.effects.first(lambda effect: effect.steady)
+        return effect or next((f"actuators[{index}].kind" for index in self.coil_indices), None)
 
     @property
     def nonharmonic_key(self) -> str | None:

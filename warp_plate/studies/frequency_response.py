@@ -23,7 +23,14 @@ from warp_plate.modal.poles import adaptive_frequencies, as_sparse, multiply_mod
 from warp_plate.modal.spaces.space import Matrix
 from warp_plate.plate.designs import scene_phasors
 from warp_plate.quantities.region_quantities import mean_square
-from warp_plate.result.frequency_response import DERIVATIVES, FrequencyResponse, Quantity, ResponseErrors
+from warp_plate.result.frequency_response import (
+    DERIVATIVES,
+    IMPEDANCE,
+    CoilResponse,
+    FrequencyResponse,
+    Quantity,
+    ResponseErrors,
+)
 from warp_plate.scene.errors import SceneError, check_type, numbers_of
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.scene.target import Target
@@ -50,13 +57,16 @@ def frf(
     frequency_range: tuple[float, float] | None = None,
     quantity: Quantity = "mobility",
 ) -> FrequencyResponse:
-    """Return the steady responses of points to unit forces, at frequencies that resolve every resonance.
+    """Return the steady responses of points to unit forces, or the impedances of coils.
+
+    They are those at frequencies that resolve every resonance.
 
     Args:
         scene: Linear scene; its grid, window and waveforms are not used.
         inputs: Names of actuators, over which 1 N is spread evenly, and points (x, y) [m] at which 1 N acts (default:
-            all actuators).
-        points: Points (x, y) [m] that respond (default: ``record.points``, or the middles of the targets).
+            all actuators); of impedances, names of coils (default: all coils).
+        points: Points (x, y) [m] that respond (default: ``record.points``, or the middles of the targets); none of
+            impedances.
         frequency_range: Lowest and highest frequency [Hz] (default: from half the lowest natural frequency, or half the
             frequency of the drive if that is lower, to twice the latter, and at least to the sixth mode).
         quantity: Quantity that responds.
@@ -69,8 +79,10 @@ def frf(
     check_type("points", points, Sequence, np.ndarray)
     if isinstance(points, str | bytes) or (isinstance(points, np.ndarray) and points.ndim == 0):
         raise SceneError(f"points: must be a list of points (x, y), not {points!r}")
-    if quantity not in DERIVATIVES:
-        raise SceneError(f"quantity = {quantity!r}: must be one of {', '.join(DERIVATIVES)}")
+    if quantity not in (*DERIVATIVES, IMPEDANCE):
+        raise SceneError(f"quantity = {quantity!r}: must be one of {', '.join(DERIVATIVES)} and {IMPEDANCE}")
+    if quantity == IMPEDANCE:
+        inputs, points = _terminals(scene, inputs, points)
     inputs = inputs if len(inputs) else [actuator.name for actuator in scene.actuators]
     points = points if len(points) else scene.record.points or target_middles(scene)
     check_linear(scene, frequency_range)
@@ -79,11 +91,23 @@ def frf(
     low, high = default_range(scene) if frequency_range is None else map(float, frequency_range)
     plate = solve_modes(scene, high, key=f"frequency_range = {low:g}:{high:g}" if frequency_range is not None else None)
     places, forces = input_forces(plate, inputs)
-    frequencies = adaptive_frequencies(*plate.resonances, low, high)
-    responses, factor, bound, velocity = curves = _responses(plate, frequencies, forces, plate.at_points(points))
-    shifts, of_responses, *of_others = _errors(plate, high, frequencies, inputs, points, curves)
-    derivative = (2j * np.pi * frequencies) ** DERIVATIVES[quantity]
-    shown = (plate.frequencies >= low) & (plate.frequencies <= high)
+    frequencies, natural, lost = (
+        adaptive_frequencies(*plate.resonances, low, high),
+        plate.frequencies,
+        plate.loss_factors,
+    )
+    if plate.coils is not None:
+        if low <= scene.drive.frequency <= high:
+            frequencies = np.union1d(frequencies, [scene.drive.frequency])
+        natural, widths = plate.coils.resonances(opened=True)
+        lost = 2 * widths / natural
+    terminals = inputs if quantity == IMPEDANCE else ()
+    responses, factor, bound, velocity = curves = _responses(
+        plate, frequencies, forces, plate.at_points(points), terminals
+    )
+    shifts, of_responses, *of_others = _errors(plate, high, frequencies, inputs, points, curves, terminals)
+    derivative = (2j * np.pi * frequencies) ** DERIVATIVES.get(quantity, 0)
+    shown = (natural >= low) & (natural <= high)
     return FrequencyResponse(
         title=scene.title,
         quantity=quantity,
@@ -95,10 +119,37 @@ def frf(
         localization_factor=factor,
         bound=bound,
         mean_square_velocity=velocity,
-        natural_frequencies=plate.frequencies[shown],
-        loss_factors=plate.loss_factors[shown],
+        natural_frequencies=natural[shown],
+        loss_factors=lost[shown],
         errors=ResponseErrors(shifts, np.abs(derivative) * of_responses, *of_others),
+        coils=_coil_response(plate, frequencies),
     )
+
+
+def _terminals(scene: Scene, inputs: Sequence[str | Point], points: Sequence[Point]) -> tuple[list[str], list[Point]]:
+    """Return the names of coils (default: all) and their middles [m]; SceneError: an input is none, or there are
+    points."""
+    boxes = {scene.actuators[index].name: scene.actuators[index].box for index in scene.coil_indices}
+    if not boxes:
+        raise SceneError(f'quantity = "{IMPEDANCE}": no actuator is a coil; write kind = "coil" for one of them')
+    if len(points):
+        raise SceneError(f"points = {points[0]}: the {IMPEDANCE} is that of terminals of coils; leave out points")
+    names = [str(name) for name in inputs] or list(boxes)
+    for name in names:
+        if name not in boxes:
+            raise SceneError(f"inputs = {name}: is no coil; there are {', '.join(boxes)}")
+    return names, [((x0 + x1) / 2, (y0 + y1) / 2) for x0, x1, y0, y1 in (boxes[name] for name in names)]
+
+
+def _coil_response(plate: ModalPlate, frequencies: np.ndarray) -> CoilResponse | None:
+    """Return the motion of the coils under the scene's drive; None without coils."""
+    if plate.coils is None:
+        return None
+    phasors = scene_phasors(plate.scene)
+    amplitudes = plate.respond_to_drive(frequencies, phasors)
+    motion = plate.coils.motion(2 * np.pi * frequencies, amplitudes, phasors[:, None])
+    keys = ("voltage", "current", "stroke", "electrical_power", "mechanical_power")
+    return CoilResponse(plate.coils.names, *(getattr(motion, key)[:, :, 0].T for key in keys))
 
 
 def _errors(
@@ -108,6 +159,7 @@ def _errors(
     inputs: Sequence[str | Point],
     points: Sequence[Point],
     curves: Sequence[np.ndarray],
+    terminals: Sequence[str | Point],
 ) -> list[np.ndarray]:
     """Return the attributes of :class:`ResponseErrors`, those of receptances first, for curves up to ``high`` [Hz]."""
     coarser = solve_modes(plate.scene, high, density=COARSER)
@@ -118,7 +170,7 @@ def _errors(
     shifts = FACTOR * np.maximum.accumulate(np.abs(mapped[1:] / natural[1:] - 1)) + LEAST_SHIFT
     next_mode = np.minimum(np.searchsorted(natural[1:], frequencies), shifts.size - 1)
     forces, shapes = input_forces(coarser, inputs)[1], coarser.at_points(points)
-    others = _responses(coarser, np.interp(frequencies, natural, mapped), forces, shapes)
+    others = _responses(coarser, np.interp(frequencies, natural, mapped), forces, shapes, terminals)
     errors = [
         maximum_filter1d(FACTOR * np.abs(other - curve) + least * np.abs(curve), AROUND)
         for curve, other, least in zip(curves, others, LEAST_ERRORS, strict=True)
@@ -133,6 +185,9 @@ def respond_to_drive(scene: Scene, frequencies: np.ndarray) -> tuple[np.ndarray,
     forces = plate.actuator_forces() @ scene_phasors(scene)[:, None]
     nowhere = np.zeros((len(forces), 0))
     _, factor, bound, velocity = _responses(plate, frequencies, forces, nowhere)
+    if plate.coils is not None:  # whose forces depend on the frequency
+        driven = plate.respond_to_drive(frequencies, scene_phasors(scene))
+        velocity = _mean_square_velocity(plate, frequencies, driven, _plate_mass(plate)).T
     return velocity[0], factor, bound
 
 
@@ -189,7 +244,7 @@ def input_forces(plate: ModalPlate, inputs: Sequence[str | Point]) -> tuple[np.n
     """Return (inputs, 2) middles [m] and (modes, inputs) modal forces [1/√kg] of 1 N on actuators or at points."""
     patches = {actuator.name: actuator for actuator in plate.scene.actuators}
     places, columns = [], []
-    if plate.scene.piezo and any(isinstance(name, str) for name in inputs):
+    if any(isinstance(name, str) and name in patches and patches[name].kind == "piezo" for name in inputs):
         raise SceneError("inputs: piezo patches take volts; name points x,y that a force of 1 N acts on")
     for name in inputs:
         if not isinstance(name, str):
@@ -205,27 +260,46 @@ def input_forces(plate: ModalPlate, inputs: Sequence[str | Point]) -> tuple[np.n
 
 
 def _responses(
-    plate: ModalPlate, frequencies: np.ndarray, forces: np.ndarray, shapes: np.ndarray
+    plate: ModalPlate,
+    frequencies: np.ndarray,
+    forces: np.ndarray,
+    shapes: np.ndarray,
+    terminals: Sequence[str | Point] = (),
 ) -> tuple[np.ndarray, ...]:
     """Return receptances (inputs · points, n) under forces (modes, inputs) at shapes (modes, points) [1/√kg], and the
-    last attributes of :class:`FrequencyResponse`, block by block."""
+    last attributes of :class:`FrequencyResponse`, block by block; or impedances of the coils named ``terminals``."""
     scene, inputs = plate.scene, forces.shape[1]
     loads = np.column_stack([forces, plate.actuator_forces()])
-    # Without masses on springs, all of the kinetic energy is the plate's.
-    attached = bool(plate.galerkin.masses)
-    of_plate = plate.kinetic_matrix("plate") if attached else None
-    of_target = _moved_by(plate, scene.target)
-    drive, mass, blocks = scene_phasors(scene), plate.space.plate_mass, []
+    of_plate, of_target = _plate_mass(plate), _moved_by(plate, scene.target)
+    drive, blocks = scene_phasors(scene), []
     for chosen in np.array_split(frequencies, -(-len(frequencies) * loads.size // AMPLITUDES_AT_ONCE)):
         amplitudes = plate.respond(chosen, loads)
         unit, driven = amplitudes[:, :, :inputs], amplitudes[:, :, inputs:]
+        if plate.coils is not None:
+            driven = driven * plate.coils.gains(2 * np.pi * chosen)[:, None, :]
         at_points = (np.moveaxis(unit, 1, 2) @ shapes).reshape(len(chosen), -1)
-        momentum = unit if of_plate is None else multiply_modes(of_plate, unit)
-        squares = np.einsum("fmi,fmi->fi", unit.conj(), momentum).real
-        velocity = mean_square((2 * np.pi * chosen[:, None]) ** 2 * squares / 4, mass)
+        if terminals and plate.coils is not None:
+            impedances, unit = plate.coils.impedance(2 * np.pi * chosen)
+            named = [plate.coils.names.index(str(name)) for name in terminals]
+            at_points, unit = impedances[:, named][:, :, named].mT.reshape(len(chosen), -1), unit[:, :, named]
+        velocity = _mean_square_velocity(plate, chosen, unit, of_plate)
         blocks.append((at_points, *_localization(driven, drive, of_target, of_plate), velocity))
     responses, factor, bound, velocity = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
     return responses.T, factor, bound, velocity.T
+
+
+def _plate_mass(plate: ModalPlate) -> np.ndarray | None:
+    """Return the kinetic matrix of the plate; None without masses on springs, where all energy is the plate's."""
+    return plate.kinetic_matrix("plate") if plate.galerkin.masses else None
+
+
+def _mean_square_velocity(
+    plate: ModalPlate, frequencies: np.ndarray, amplitudes: np.ndarray, of_plate: np.ndarray | None
+) -> np.ndarray:
+    """Return the (n, loads) mean square velocity [m²/s²] of amplitudes (n, modes, loads) at frequencies (n,) [Hz]."""
+    momentum = amplitudes if of_plate is None else multiply_modes(of_plate, amplitudes)
+    squares = np.einsum("fmi,fmi->fi", amplitudes.conj(), momentum).real
+    return mean_square((2 * np.pi * frequencies[:, None]) ** 2 * squares / 4, plate.space.plate_mass)
 
 
 def _moved_by(plate: ModalPlate, target: Target) -> tuple[np.ndarray, np.ndarray | Matrix]:

@@ -53,7 +53,7 @@ def sound(
         raise SceneError(f"frequency_range = {low:g}:{high:g}: must hold the drive's frequency of {drive:g} Hz")
     plate = solve_modes(scene, high, key=f"frequency_range = {low:g}:{high:g}" if frequency_range is not None else None)
     frequencies = np.union1d(adaptive_frequencies(*plate.resonances, low, high), [drive])
-    amplitudes = plate.respond(frequencies, plate.actuator_forces() @ scene_phasors(scene)[:, None])
+    amplitudes = plate.respond_to_drive(frequencies, scene_phasors(scene))
     radiation = Radiation(plate, high, air)
     power = radiation.powers(frequencies, amplitudes)[:, 0]
     space, vectors = plate.space, plate.vectors[: plate.space.unknowns]

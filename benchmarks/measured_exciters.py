@@ -1,0 +1,122 @@
+"""Impedances of measured loudspeaker panels: python benchmarks/measured_exciters.py FOLDER [--json FILE].
+
+FOLDER holds files of github.com/Homeswinghome/DML-simulation-test-cases: NAME.txt (plate, material, exciter) and Z_NAME
+(frequency [Hz], impedance [Ω], phase [°]). Free plates with an exciter in the middle, whose magnet is held. Nothing is
+fitted but the series resistance. The table has rms differences of |Z| in dB, and the first peaks of the PMMA panel.
+"""
+
+from __future__ import annotations
+
+import argparse
+import configparser
+import json
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from warp_plate import Scene
+from warp_plate.studies.frequency_response import frf
+
+PANELS = {
+    "PMMA": ("PMMA3d5_FFFF_42x30.txt", "Z_PMMA3d5_42x30.txt"),
+    "plywood": ("PWD5d15_585x407_FFFF.txt", "Z_PWD5_FFFF.txt"),
+    "foam": ("EPS12d55_582x406_FFFF.txt", "Z_EPS12d55_582x406.txt"),
+}
+BANDS = ((20.0, 200.0), (200.0, 1000.0), (1000.0, 5000.0), (200.0, 5000.0))
+# Radius of the coil [m], and half the band around a measured peak in which the computed one is sought.
+RADIUS, AROUND = 0.0125, 0.06
+PEAKS = (41.0, 87.2, 176.1, 233.6)
+
+
+def scene_of(file: Path) -> Scene:
+    """Return the scene of a file of parameters."""
+    table = configparser.ConfigParser()
+    table.read(file)
+    numbers = {key: float(value) for part in ("plate", "material") for key, value in table[part].items()}
+    width, height, thickness = numbers["lxmm"] / 1e3, numbers["lymm"] / 1e3, numbers["h"]
+    along, across = numbers["ex"], numbers["ey"]
+    share = thickness**3 / 12 / (1 - numbers["nux"] * numbers["nuy"])
+    rigidities = {"Dx": along * share, "Dy": across * share, "D1": numbers["nuy"] * along * share}
+    place = (float(table["exciter"][f"pos{axis}"]) * side for axis, side in (("x", width), ("y", height)))
+    return Scene.from_tables(
+        {
+            "title": table["testcase"]["casetitle"],
+            "plate": {
+                "size": (width, height),
+                "thickness": thickness,
+                "young_modulus": (along * across) ** 0.5,
+                "poisson_ratio": (numbers["nux"] * numbers["nuy"]) ** 0.5,
+                "density": numbers["rho"],
+            },
+            "edges": dict.fromkeys(("left", "bottom", "right", "top"), "free"),
+            "effects": {
+                "orthotropic": {**rigidities, "Dxy": numbers["gxy"] * thickness**3 / 12},
+                "modal_damping": {"ratio": numbers["zetamd"]},
+            },
+            "drive": {"frequency": 200.0},
+            "target": {"area": (0.0, width / 2, 0.0, height / 2)},
+            "actuators": [
+                {"name": "coil", "kind": "coil", "model": "DAEX25VT-4", "voltage": 2.0, "disc": (*place, RADIUS)}
+            ],
+        }
+    )
+
+
+def compare(scene: Scene, measured: np.ndarray) -> dict[str, object]:
+    """Return differences from measured impedances (n, 3): frequency, magnitude and phase."""
+    frequency, magnitude, _ = measured[(measured[:, 0] >= BANDS[0][0]) & (measured[:, 0] <= BANDS[-1][1])].T
+    response = frf(scene, quantity="impedance", frequency_range=(20.0, 5000.0))
+    computed = np.interp(frequency, response.frequencies, response.responses[0])
+    fitted = (frequency >= BANDS[-1][0]) & (frequency <= BANDS[-1][1])
+
+    def decibels(added: float) -> np.ndarray:
+        return 20 * np.log10(np.abs(computed + added) / magnitude)
+
+    added = minimize_scalar(lambda value: (decibels(value)[fitted] ** 2).sum(), bounds=(-2.0, 5.0)).x
+    errors = decibels(added)
+    rms = {}
+    for low, high in BANDS:
+        band = (frequency >= low) & (frequency <= high)
+        rms[f"{low:g} to {high:g} Hz"] = float(np.sqrt(np.mean(errors[band] ** 2)))
+    return {
+        "resistance": scene.actuators[0].coil.resistance + float(added),
+        "rms_db": rms,
+        "largest_error_bar": float((response.errors.responses / np.abs(response.responses)).max()),
+        "peaks": [
+            _peaks(peak, frequency, magnitude, response.frequencies, response.responses[0] + added) for peak in PEAKS
+        ],
+    }
+
+
+def _peaks(
+    near: float, frequency: np.ndarray, magnitude: np.ndarray, computed_at: np.ndarray, computed: np.ndarray
+) -> tuple[float, float]:
+    """Return the frequencies of the measured and of the computed peak near a frequency."""
+    peaks = []
+    for x, values in ((frequency, magnitude), (computed_at, np.abs(computed))):
+        inside = np.flatnonzero(np.abs(x / near - 1) < AROUND)
+        peaks.append(float(x[inside[values[inside].argmax()]]))
+    return peaks[0], peaks[1]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    results = {}
+    for name, (parameters, impedance) in PANELS.items():
+        results[name] = found = compare(scene_of(options.folder / parameters), np.loadtxt(options.folder / impedance))
+        rms = ", ".join(f"{band}: {value:.2f} dB" for band, value in found["rms_db"].items())
+        print(f"{name}: series resistance {found['resistance']:.2f} Ω; rms of |Z| {rms}")
+    for measured, computed in results["PMMA"]["peaks"]:
+        print(
+            f"PMMA: peak measured at {measured:.1f} Hz, computed at {computed:.1f} Hz, {computed / measured - 1:+.1%}"
+        )
+    if options.json is not None:
+        options.json.write_text(json.dumps(results, indent=1), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

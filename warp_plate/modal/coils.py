@@ -1,0 +1,182 @@
+"""Coils on a plate in steady motion, see :mod:`warp_plate.effects.coil`; each is eliminated at every frequency.
+
+Let k_b = k + iω(r + Bl²/Ze) be the dynamic stiffness between patch and magnet, without Bl²/Ze where the current is
+given, m_b = κ + iωρ − ω²M that of the magnet, infinite if it is fixed, and F = Bl U/Ze or Bl i the force of the blocked
+coil. With the compliance c = 1/(k_b + m_b), the stroke between patch and magnet and the force on the plate are
+
+    ū − z = (1 − k_b c) ū + c F,     f = (1 − k_b c) F − S ū,     S = k_b (1 − k_b c) − ω² m.
+
+With the receptance A of the plate without coils, modal forces p and means B of the modes over the patches, the plate
+moves by q = (A⁻¹ + B S Bᵀ)⁻¹ p. By Woodbury's formula this takes a system of as many unknowns as there are coils.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import scipy
+
+from warp_plate.effects.coil import Coil
+from warp_plate.scene.model import Scene
+
+# Modes, from the lowest, whose resonances with coils are computed, and largest half-width of one over its frequency.
+MOST_MODES, WIDEST = 300, 0.9
+
+
+class BarePlate(Protocol):
+    """A plate without its coils; see :class:`warp_plate.modal.modes.ModalPlate`."""
+
+    @property
+    def scene(self) -> Scene: ...
+    @property
+    def angular_frequencies(self) -> np.ndarray: ...
+    @property
+    def damping(self) -> np.ndarray: ...
+    @property
+    def hysteretic(self) -> np.ndarray: ...
+
+    def respond_alone(self, omega: np.ndarray, forces: np.ndarray) -> np.ndarray:
+        """Return the (n, modes, loads) response to modal forces (n, modes, loads) at ω (n,) [rad/s]."""
+
+
+@dataclass(frozen=True)
+class CoilMotion:
+    """Steady motion of coils, complex amplitudes (n, coils, drives)."""
+
+    omega: np.ndarray  # (n,) [rad/s]
+    voltage: np.ndarray  # [V] at the terminals
+    current: np.ndarray  # [A]
+    stroke: np.ndarray  # ū − z [m]
+    magnet: np.ndarray  # z [m]
+    force_factor: np.ndarray  # (coils,) Bl [N/A]
+
+    @property
+    def electrical_power(self) -> np.ndarray:
+        """(n, coils, drives) mean power into the terminals [W]."""
+        return np.asarray((self.voltage * self.current.conj()).real / 2)
+
+    @property
+    def mechanical_power(self) -> np.ndarray:
+        """(n, coils, drives) mean power of the force Bl i on patch and magnet [W]."""
+        velocity = 1j * self.omega[:, None, None] * self.stroke
+        return np.asarray((self.force_factor[:, None] * self.current * velocity.conj()).real / 2)
+
+
+@dataclass(frozen=True)
+class _Elements:
+    """Numbers (n, coils) of the coils at n frequencies."""
+
+    blocked: np.ndarray  # Ze [Ω]
+    ratio: np.ndarray  # 1 − k_b c
+    compliance: np.ndarray  # c [m/N]
+    stiffness: np.ndarray  # S [N/m]
+
+
+class Coils:
+    """The coils of a scene on the modes of its plate.
+
+    Args:
+        plate: Plate of a scene with coils.
+        means: (modes, coils) mean shapes over their patches [1/√kg].
+    """
+
+    def __init__(self, plate: BarePlate, means: np.ndarray) -> None:
+        self._plate, self.indices, self.means = plate, plate.scene.coil_indices, means
+        actuators = [plate.scene.actuators[index] for index in self.indices]
+        self.names = tuple(actuator.name for actuator in actuators)
+        self._coils: list[Coil] = [actuator.coil for actuator in actuators]
+        self._by_voltage = np.array([actuator.voltage is not None for actuator in actuators])
+        self.force_factor = np.array([coil.force_factor for coil in self._coils])
+        self._actuators = len(plate.scene.actuators)
+
+    def respond(self, omega: np.ndarray, forces: np.ndarray, opened: bool = False) -> np.ndarray:
+        """Return (n, modes, loads) amplitudes under modal forces (n, modes, loads) at ω (n,) [rad/s].
+
+        Terminals of voltages are shorted and those of currents open, or all are open if ``opened``.
+        """
+        count, stiffness = forces.shape[2], self._elements(omega, opened).stiffness[:, :, None]
+        loads = np.concatenate([forces, np.broadcast_to(self.means, (len(omega), *self.means.shape))], axis=2)
+        both = self._plate.respond_alone(omega, loads)
+        alone, patches = both[:, :, :count], both[:, :, count:]
+        system = np.eye(len(self._coils)) + stiffness * (self.means.T @ patches)
+        return np.asarray(alone - patches @ np.linalg.solve(system, stiffness * (self.means.T @ alone)))
+
+    def gains(self, omega: np.ndarray) -> np.ndarray:
+        """Return (n, actuators) forces [N] on patches per volt or ampere at ω (n,) [rad/s]; 1 for other actuators."""
+        elements, gains = self._elements(omega), np.ones((len(omega), self._actuators), dtype=complex)
+        gains[:, self.indices] = self.force_factor * elements.ratio / np.where(self._by_voltage, elements.blocked, 1)
+        return gains
+
+    def motion(self, omega: np.ndarray, amplitudes: np.ndarray, drives: np.ndarray) -> CoilMotion:
+        """Return the motion of the coils at ω (n,) [rad/s] where the plate has amplitudes (n, modes, drives) under
+        phasors (actuators, drives) of the sources."""
+        elements, source = self._elements(omega), drives[self.indices]
+        blocked, by_voltage = elements.blocked[:, :, None], self._by_voltage[:, None]
+        factor, patches = self.force_factor[:, None], self.means.T @ amplitudes
+        force = factor * source / np.where(by_voltage, blocked, 1)
+        stroke = elements.ratio[:, :, None] * patches + elements.compliance[:, :, None] * force
+        induced = 1j * omega[:, None, None] * factor * stroke
+        current = np.where(by_voltage, (source - induced) / blocked, source)
+        voltage = np.where(by_voltage, source, blocked * current + induced)
+        return CoilMotion(omega, voltage, current, stroke, patches - stroke, self.force_factor)
+
+    def impedance(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the impedances (n, coils, coils) [Ω] at ω (n,) [rad/s], voltage by current, the terminals of all other
+        coils being open, and the amplitudes (n, modes, coils) of the plate per ampere."""
+        elements = self._elements(omega, opened=True)
+        forces = self.means * (self.force_factor * elements.ratio)[:, None, :]
+        amplitudes = self.respond(omega, forces, opened=True)
+        strokes = elements.ratio[:, :, None] * (self.means.T @ amplitudes)
+        diagonal = np.eye(len(self._coils)) * (elements.compliance * self.force_factor)[:, None, :]
+        induced = 1j * omega[:, None, None] * self.force_factor[:, None] * (strokes + diagonal)
+        return induced + np.eye(len(self._coils)) * elements.blocked[:, None, :], amplitudes
+
+    def resonances(self, opened: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Return frequencies, rising, and half-widths [Hz] of the resonances of the lowest modes with the coils.
+
+        All terminals are open if ``opened``; otherwise those of voltages are shorted, without inductance.
+        """
+        squares = self._plate.angular_frequencies**2
+        count, size = min(len(squares), MOST_MODES), len(self._coils)
+        low, one = np.ix_(range(count), range(count)), np.eye(count + size)
+        mass, loss, stiff = (np.zeros((count + size, count + size), dtype=complex) for _ in range(3))
+        mass[low], loss[low] = np.eye(count), self._plate.damping[low]
+        stiff[low] = np.diag(squares[:count]) + 1j * self._plate.hysteretic[low]
+        for index, (coil, by_voltage) in enumerate(zip(self._coils, self._by_voltage, strict=True)):
+            patch, magnet = np.pad(self.means[:count, index], (0, size)), one[count + index]
+            # The unknown of a magnet that is fixed moves nothing.
+            between, of_magnet = (patch - magnet, coil.magnet_mass) if coil.magnet_mass else (patch, 1.0)
+            induced = coil.force_factor**2 / coil.resistance if by_voltage and not opened else 0.0
+            parts = (
+                (mass, coil.moving_mass, of_magnet, 0.0),
+                (loss, 0.0, coil.magnet_damping, coil.suspension_damping + induced),
+                (stiff, 0.0, coil.magnet_stiffness, coil.suspension_stiffness),
+            )
+            for matrix, *factors in parts:
+                for factor, row in zip(factors, (patch, magnet, between), strict=True):
+                    matrix += factor * np.outer(row, row)
+        system = np.block([[np.zeros_like(mass), one], [-np.linalg.solve(mass, np.hstack([stiff, loss]))]])
+        poles = scipy.linalg.eigvals(system) / (2j * math.pi)
+        poles = poles[(poles.real > 0) & (poles.imag < WIDEST * np.abs(poles))]
+        poles = poles[np.argsort(poles.real)]
+        return poles.real, np.maximum(poles.imag, 0)
+
+    def _elements(self, omega: np.ndarray, opened: bool = False) -> _Elements:
+        shorted = self._by_voltage & (not opened)
+        columns = [_element(coil, omega, short) for coil, short in zip(self._coils, shorted.tolist(), strict=True)]
+        return _Elements(*(np.stack(rows, axis=1) for rows in zip(*columns, strict=True)))
+
+
+def _element(coil: Coil, omega: np.ndarray, shorted: bool) -> tuple[np.ndarray, ...]:
+    """Return the numbers (n,) of a coil in the order of :class:`_Elements`."""
+    rate, blocked = 1j * omega, coil.blocked_impedance(omega)
+    losses = coil.suspension_damping + (coil.force_factor**2 / blocked if shorted else 0)
+    between, compliance = coil.suspension_stiffness + rate * losses, np.zeros(omega.shape, dtype=complex)
+    if coil.magnet_mass > 0:
+        of_magnet = coil.magnet_stiffness + rate * coil.magnet_damping - omega**2 * coil.magnet_mass
+        compliance = 1 / (between + of_magnet)
+    ratio = 1 - between * compliance
+    return blocked, ratio, compliance, between * ratio - omega**2 * coil.moving_mass
