@@ -127,7 +127,7 @@ def dense_motion(plate, omega):
 
 
 def test_the_motion_is_that_of_one_system_of_all_unknowns():
-    made = panel()
+    made = panel(coupled=True)
     plate, frequencies = solve_modes(made, 400.0), np.array([47.0, 120.0, 290.0])
     amplitudes = plate.respond_to_drive(frequencies, scene_phasors(made))
     motion = plate.coils.motion(2 * math.pi * frequencies, amplitudes, scene_phasors(made)[:, None])
@@ -140,7 +140,7 @@ def test_the_motion_is_that_of_one_system_of_all_unknowns():
 
 def test_what_goes_in_is_lost():
     """Electrical power, and that of the force beside the coils, is the heat of coils, springs, dampers and plate."""
-    made = panel()
+    made = panel(coupled=True)
     plate, frequencies, phasors = solve_modes(made, 400.0), np.array([47.0, 120.0, 290.0]), scene_phasors(made)
     omega = 2 * math.pi * frequencies
     amplitudes = plate.respond_to_drive(frequencies, phasors)

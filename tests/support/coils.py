@@ -20,8 +20,10 @@ COILS = [
 ]
 
 
-def panel(actuators=COILS):
-    """Return a panel with coils, whose modes a damper couples."""
-    tables = {"damping": {"viscous": 20.0}, "loss_factor": {"eta": 0.01}}
-    tables["oscillators"] = [{"area": (0.12, 0.15, 0.05, 0.08), "mass": 0.002, "stiffness": 400.0, "damping": 1.0}]
+def panel(actuators=COILS, coupled=False):
+    """Return a panel with coils; its modes may be coupled by a damper on a patch."""
+    tables = {"damping": {"viscous": 20.0}}
+    if coupled:
+        tables["loss_factor"] = {"eta": 0.01}
+        tables["oscillators"] = [{"area": (0.12, 0.15, 0.05, 0.08), "mass": 0.002, "stiffness": 400.0, "damping": 1.0}]
     return scene_of(size=(0.2, 0.16), effects=tables).with_tables(actuators=actuators)

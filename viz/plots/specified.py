@@ -76,14 +76,18 @@ def _draw_drive(answer: SpecifiedDrive, axes: Axes) -> None:
     names = [shortened(name) for name in answer.peaks]
     drive, label = (answer.robust_drive, "for all cases") if answer.scatter else (answer.drive, "drive")
     places = np.arange(len(names))[::-1]
-    axes.barh(places, answer.limits, color="none", edgecolor=LIMIT, linewidth=0.9, label="limit")
-    axes.barh(places, np.abs(drive), color=DRIVE, height=0.55, label=label)
+    limits, unit = answer.limits, f"peak [{answer.unit}]"
+    sizes = np.ones_like(limits)
+    if len(set(answer.units)) > 1:
+        sizes, unit = limits, "peak over limit"
+    axes.barh(places, limits / sizes, color="none", edgecolor=LIMIT, linewidth=0.9, label="limit")
+    axes.barh(places, np.abs(drive) / sizes, color=DRIVE, height=0.55, label=label)
     if answer.scatter:
-        axes.plot(np.abs(answer.drive), places, **NOMINAL, label="nominal")
+        axes.plot(np.abs(answer.drive) / sizes, places, **NOMINAL, label="nominal")
     for place, phase in zip(places, -np.angle(drive, deg=True), strict=True):
         text = f"{round(phase) or 0}°".replace("-", "−")
         axes.annotate(text, (1.02, place), xycoords=("axes fraction", "data"), va="center", fontsize=8, color=INK)
-    axes.set(yticks=places, yticklabels=names, xlabel=f"peak [{answer.unit}], phase lag at the right")
+    axes.set(yticks=places, yticklabels=names, xlabel=f"{unit}, phase lag at the right")
     axes.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, columnspacing=1, handlelength=1.2)
 
 

@@ -54,7 +54,7 @@ def specify(
 
 def _as_json(source: str, answer: SpecifiedDrive) -> dict[str, object]:
     names = ("feasible", "proved", "frequency", "contrast_db", "bound_db", "interval", "effort", "largest_level")
-    driven = "voltages" if answer.unit == "V" else "forces"
+    driven = {"V": "voltages", "N": "forces", "A": "currents"}.get(answer.unit, "drives")
     record = {
         "scene": source,
         **output.attributes(answer, *names),

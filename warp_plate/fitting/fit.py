@@ -215,6 +215,9 @@ class ResponseFit(FittedPanel):
 
 def fit_responses(scene: Scene, measured: MeasuredResponses) -> ResponseFit:
     """Fit the keys under ``[fit.free]`` of a scene to measured frequency responses."""
+    if scene.coil_indices:
+        key = f"actuators[{scene.coil_indices[0]}].kind"
+        raise SceneError(f"{key}: responses are fitted without coils; measure the panel before they are mounted")
     free = free_numbers(scene)
     coarse, exact = (_Prediction(free, measured, coarse) for coarse in (True, False))
     stages = [_LogErrors(measured, width) for width in WIDTHS]

@@ -155,7 +155,9 @@ def _table(scene: Scene) -> Focus:
     if scene.nonlinear_table is not None:
         raise SceneError(f"{scene.nonlinear_table}: waveforms are focused on a linear plate without it")
     if scene.steady:
-        raise SceneError(f"{scene.steady_key}: has no motion in time; take viscous damping or effects.modal_damping")
+        instead = "take viscous damping or effects.modal_damping" if scene.effects.first(lambda one: one.steady) else ""
+        rule = instead or "waveforms are focused by actuators that press, or piezo patches"
+        raise SceneError(f"{scene.steady_key}: has no motion in time; {rule}")
     return scene.focus
 
 

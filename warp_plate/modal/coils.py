@@ -23,7 +23,8 @@ from warp_plate.effects.coil import Coil
 from warp_plate.scene.model import Scene
 
 # Modes, from the lowest, whose resonances with coils are computed, and largest half-width of one over its frequency.
-MOST_MODES, WIDEST = 300, 0.9
+# Half-widths below a part of the frequency are rounding.
+MOST_MODES, WIDEST, ROUNDING = 300, 0.9, 1e-10
 
 
 class BarePlate(Protocol):
@@ -105,9 +106,13 @@ class Coils:
         return np.asarray(alone - patches @ np.linalg.solve(system, stiffness * (self.means.T @ alone)))
 
     def gains(self, omega: np.ndarray) -> np.ndarray:
-        """Return (n, actuators) forces [N] on patches per volt or ampere at ω (n,) [rad/s]; 1 for other actuators."""
-        elements, gains = self._elements(omega), np.ones((len(omega), self._actuators), dtype=complex)
-        gains[:, self.indices] = self.force_factor * elements.ratio / np.where(self._by_voltage, elements.blocked, 1)
+        """Return (n, actuators) forces [N] on patches per volt or ampere at ω (n, actuators or 1) [rad/s]; 1 for other
+        actuators."""
+        gains = np.ones((len(omega), self._actuators), dtype=complex)
+        omega = np.broadcast_to(omega, gains.shape)
+        for index, coil, by_voltage in zip(self.indices, self._coils, self._by_voltage.tolist(), strict=True):
+            blocked, ratio, *_ = _element(coil, omega[:, index], by_voltage)
+            gains[:, index] = coil.force_factor * ratio / (blocked if by_voltage else 1.0)
         return gains
 
     def motion(self, omega: np.ndarray, amplitudes: np.ndarray, drives: np.ndarray) -> CoilMotion:
@@ -162,7 +167,7 @@ class Coils:
         poles = scipy.linalg.eigvals(system) / (2j * math.pi)
         poles = poles[(poles.real > 0) & (poles.imag < WIDEST * np.abs(poles))]
         poles = poles[np.argsort(poles.real)]
-        return poles.real, np.maximum(poles.imag, 0)
+        return poles.real, np.where(poles.imag > ROUNDING * poles.real, poles.imag, 0)
 
     def _elements(self, omega: np.ndarray, opened: bool = False) -> _Elements:
         shorted = self._by_voltage & (not opened)

@@ -180,26 +180,20 @@ class ModalPlate:
     def drive_gains(self, frequency: np.ndarray) -> np.ndarray | float:
         """Return the (n, actuators) complex factors of the response to unit forces of the actuators at frequencies (n,
         actuators or 1) [Hz] that make it that to unit drives: the force [N] per volt or ampere of coils, and 1."""
-        if self.coils is None:
-            return 1.0
-        omega = 2 * math.pi * np.broadcast_to(frequency, (len(frequency), len(self.scene.actuators)))
-        if (omega == omega[:, :1]).all():
-            return self.coils.gains(omega[:, 0])
-        columns = [self.coils.gains(omega[:, index])[:, index] for index in range(omega.shape[1])]
-        return np.stack(columns, axis=1)
+        return 1.0 if self.coils is None else self.coils.gains(2 * math.pi * frequency)
 
     def respond_to_drives(self, frequency: np.ndarray, forces: np.ndarray) -> np.ndarray:
         """Return the (plates, modes, actuators) steady response to unit drives at frequencies (plates, actuators or 1)
         [Hz], from modal forces (plates or 1, modes, actuators), see :meth:`drive_forces`."""
         amplitudes = self.respond_each(frequency, forces)
-        return amplitudes if self.coils is None else amplitudes * np.asarray(self.drive_gains(frequency))[:, None, :]
+        return amplitudes if self.coils is None else amplitudes * self.coils.gains(2 * math.pi * frequency)[:, None, :]
 
     def respond_to_drive(self, frequencies: np.ndarray, phasors: np.ndarray) -> np.ndarray:
         """Return the (n, modes, 1) steady response to the phasors (actuators,) of a drive at frequencies (n,) [Hz]."""
         forces = self.actuator_forces()
         if self.coils is None:
             return self.respond(frequencies, forces @ phasors[:, None])
-        loads = (forces * np.asarray(self.drive_gains(frequencies[:, None]))[:, None, :]) @ phasors[:, None]
+        loads = (forces * self.coils.gains(2 * math.pi * frequencies[:, None])[:, None, :]) @ phasors[:, None]
         return self.respond_each(frequencies[:, None], loads)
 
     def displacement(self, amplitudes: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:

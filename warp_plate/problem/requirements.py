@@ -12,7 +12,6 @@ import shapely
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.radiation import Radiation
 from warp_plate.problem.worst_points import Region, make_region, shape_of
-from warp_plate.result.sound import POWER_REFERENCE
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.specification import Allowance, Level, Specification
 
@@ -37,25 +36,6 @@ class Rest:
     name: str
     allowance: Allowance
     region: Region
-
-
-@dataclass(frozen=True)
-class Power:
-    """A limited power of all actuators."""
-
-    name: str
-    unit: str  # unit in which it is shown: W, or dB(A) re 1 pW
-    limit: float  # [W]
-    factor: np.ndarray  # (rows, actuators) F: ‖F z‖² is the power [W] of parts z of the largest drives
-    weighting: float = 0.0  # of a level [dB]
-
-    def shown(self, power: float) -> float:
-        """Return a power [W] in the unit."""
-        return power if self.unit == "W" else 10 * math.log10(max(power, 1e-300) / POWER_REFERENCE) + self.weighting
-
-    def of(self, drive: np.ndarray) -> float:
-        """Return the power [W] of a drive (actuators,)."""
-        return float(np.linalg.norm(self.factor @ drive) ** 2)
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,9 @@ import numpy as np
 
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.optimize.cones import STEPS, Block, LeastScale, least_scale_of_squares
-from warp_plate.problem.requirements import Aim, Power, Requirements
+from warp_plate.problem.limited_quantities import Limited, hermitian_factor, limited_quantities
+from warp_plate.problem.requirements import Aim, Requirements
 from warp_plate.problem.worst_points import Region, Values
-from warp_plate.result.sound import POWER_REFERENCE, a_weighting
 from warp_plate.result.specified import RegionLevels
 from warp_plate.scene.errors import SceneError
 
@@ -60,8 +60,8 @@ class Tone:
     def _amplitudes(self) -> np.ndarray:
         """(modes, actuators) modal accelerations [√kg·m/s²] of the actuators' largest drives."""
         plate, omega, forces = self.plate, self._omega, self.plate.actuator_forces() * self.largest
-        if plate.proportional:
-            amplitudes = -(omega**2) * plate.respond(np.array([self.frequency]), forces)[0]
+        if plate.proportional or plate.coils is not None:
+            amplitudes = -(omega**2) * plate.respond_to_drives(np.array([[self.frequency]]), forces[None])[0]
             if not np.isfinite(amplitudes).all():
                 what = "is a natural frequency of an undamped plate; write damping, or another frequency"
                 raise SceneError(f"specification.frequency: {self.frequency:g} Hz {what}")
@@ -96,23 +96,12 @@ class Tone:
 
     def mean_factor(self, region: Region) -> np.ndarray:
         """Return the factor R (rows, actuators): ‖R z‖ is the root mean square [m/s²] over a region, by mass."""
-        return _factor(self._coefficients.conj().T @ (region.mean_matrix @ self._coefficients))
+        return hermitian_factor(self._coefficients.conj().T @ (region.mean_matrix @ self._coefficients))
 
     @cached_property
-    def powers(self) -> list[Power]:
-        """Limited powers that all actuators share."""
-        powers, limits = [], self.requirements.specification.limits
-        velocity = self._amplitudes / (1j * self._omega)
-        if limits.power is not None:
-            admittance = (self.plate.actuator_forces() * self.largest).T @ velocity
-            powers.append(Power("power", "W", limits.power, _factor((admittance + admittance.conj().T) / 4)))
-        if limits.sound is not None:
-            frequency = np.array([self.frequency])
-            weighting = float(a_weighting(frequency)[0])
-            limit = POWER_REFERENCE * 10 ** ((limits.sound - weighting) / 10)
-            radiated = velocity.conj().T @ (self.requirements.radiation.resistances(frequency)[0] @ velocity)
-            powers.append(Power("sound", "dB(A)", limit, _factor(radiated / 2), weighting))
-        return powers
+    def limited(self) -> list[Limited]:
+        """What is limited besides the actuators' drives."""
+        return limited_quantities(self.requirements, self.plate, self.frequency, self.largest, self._amplitudes)
 
     @cached_property
     def wanted(self) -> np.ndarray:
@@ -150,7 +139,7 @@ class Tone:
                 wanted.append(np.exp(1j * phase) * rows)
         rests = [] if scaled == "actuators alone" else self._rests()
         blocks = [Block(rows / self._unit(index, level), scaled == "elsewhere") for index, rows in rests]
-        blocks += [Block(power.factor[None] / math.sqrt(power.limit), scaled != "elsewhere") for power in self.powers]
+        blocks += [Block(one.factor[None] / math.sqrt(one.limit), scaled != "elsewhere") for one in self.limited]
         return np.concatenate(wanted), squares, blocks
 
     def _rests(self) -> list[tuple[int, np.ndarray]]:
@@ -263,8 +252,8 @@ class Tone:
             points = self.points.get(("rest", index), np.empty((0, 2)))
             at = AT.format(*points[part.argmax()]) if rest.allowance.measure == "worst" else " in the mean"
             named.append((f"{rest.allowance.text} {rest.name}{at}", float(part.sum())))
-        parts = [float(part.sum()) for part in result.allowed[len(result.allowed) - len(self.powers) :]]
-        named += [(f"the limit of {power.name}", part) for power, part in zip(self.powers, parts, strict=False)]
+        parts = [float(part.sum()) for part in result.allowed[len(result.allowed) - len(self.limited) :]]
+        named += [(f"the limit of {one.name}", part) for one, part in zip(self.limited, parts, strict=False)]
         parts = result.allowed[0].tolist() if result.allowed else []
         return named + list(zip([actuator.name for actuator in self.plate.scene.actuators], parts, strict=False))
 
@@ -316,7 +305,7 @@ class Tone:
         in_aims, in_rests = self.reached(drive)
         lowest = float(in_aims.min())
         parts = [in_rests / [1.0 if rest.allowance.relative_db is None else lowest for rest in self.requirements.rests]]
-        parts += [np.abs(drive), 1 / in_aims, np.sqrt([power.of(drive) / power.limit for power in self.powers])]
+        parts += [np.abs(drive), 1 / in_aims, np.sqrt([one.of(drive) / one.limit for one in self.limited])]
         return bool((np.concatenate(parts) <= 1 + tolerance).all())
 
     def _measured(self, measure: str, region: Region, drive: np.ndarray) -> float:
@@ -392,9 +381,3 @@ def _shortfall(unit: float, phase: float | Literal["free"], acceleration: np.nda
     if phase == "free":
         return np.asarray(1 - np.abs(acceleration) / unit)
     return np.asarray(1 - (np.exp(1j * phase) * acceleration).real / unit)
-
-
-def _factor(matrix: np.ndarray) -> np.ndarray:
-    """Return R (rows, n) with RᴴR the part of a Hermitian matrix (n, n) that is not negative."""
-    values, vectors = np.linalg.eigh((matrix + matrix.conj().T) / 2)
-    return np.asarray((vectors * np.sqrt(np.maximum(values, 0))).conj().T)

@@ -181,7 +181,7 @@ def amplitudes_as_given(scene: Scene, magnitudes: Iterable[float]) -> list[tuple
         (
             actuator.amplitude_key,
             float(value) * actuator.amplitude_area,
-            scene.drive_unit if actuator.force is None else "N",
+            actuator.amplitude_unit or scene.drive_unit,
         )
         for actuator, value in zip(scene.actuators, magnitudes, strict=True)
     ]

@@ -59,9 +59,9 @@ class SpecifiedDrive:
     feasible: bool  # true if the drive meets the specification
     proved: bool  # true if it does; or if it is proved that none does at any frequency tried, or at one of a band
     frequency: float  # frequency of the drive [Hz]
-    drive: np.ndarray  # (actuators,) complex amplitudes, in ``unit``; NaN if no drive reaches the levels
-    limits: np.ndarray  # (actuators,) largest amplitudes, in ``unit``
-    unit: str  # "N" or "V"
+    drive: np.ndarray  # (actuators,) complex amplitudes, in ``units``; NaN if no drive reaches the levels
+    limits: np.ndarray  # (actuators,) largest amplitudes, in ``units``
+    units: tuple[str, ...]  # (actuators,) "N", "V" or "A"
     levels: Sequence[RegionLevels]
     margins: Sequence[Margin]
     contrast_db: float  # least contrast that the levels and limits allow [dB]; NaN without levels elsewhere
@@ -81,12 +81,17 @@ class SpecifiedDrive:
     guard: Sequence[np.ndarray]  # closed outlines (points, 2) [m] of where levels elsewhere hold
     scatter: Sequence[Scatter]
     robust_frequency: float  # frequency of the one drive for all cases [Hz]; NaN without tolerances
-    robust_drive: np.ndarray  # (actuators,) this drive, in ``unit``; NaN without tolerances
+    robust_drive: np.ndarray  # (actuators,) this drive, in ``units``; NaN without tolerances
     notes: Sequence[str]  # what should be known of the answer, in sentences
 
     @property
+    def unit(self) -> str:
+        """Unit of all drives and limits; several are joined, as "V or N"."""
+        return " or ".join(dict.fromkeys(self.units))
+
+    @property
     def peaks(self) -> dict[str, float]:
-        """Peak forces [N] or voltages [V] by the names of the actuators."""
+        """Peak forces [N], voltages [V] or currents [A] by the names of the actuators."""
         return self._named(np.abs(self.drive))
 
     @property

@@ -259,7 +259,8 @@ def _check_tables(scene: SceneTables) -> None:
         _check_keys(scene, "fit.free", scene.fit.free, PANEL)
     _check_focus(scene)
     if scene.specification is not None:
-        scene.specification.check([target.name for target in scene.targets], scene.plate.size, scene.piezo)
+        kinds = {actuator.kind for actuator in actuators}
+        scene.specification.check([target.name for target in scene.targets], scene.plate.size, kinds)
         _check_keys(scene, "specification.tolerance", scene.specification.tolerance, VARIED)
     for index, time in enumerate(scene.record.times):
         if time > scene.window.end * (1 + 1e-9):

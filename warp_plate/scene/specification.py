@@ -1,7 +1,7 @@
 """The table ``[specification]``: the levels that targets must reach, and those that are allowed elsewhere."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
@@ -110,7 +110,13 @@ class DriveLimits(Table):
     force: Annotated[Positive | None, Unit("N"), Field(examples=[0.5])] = None
     """Largest peak of the force of each actuator."""
     voltage: Annotated[Positive | None, Unit("V"), Field(examples=[100.0])] = None
-    """Largest peak of the voltage of each piezo patch."""
+    """Largest peak of the voltage of each piezo patch, and at the terminals of each coil."""
+    current: Annotated[Positive | None, Unit("A"), Field(examples=[1.0])] = None
+    """Largest peak of the current in each coil."""
+    heat: Annotated[Positive | None, Unit("W"), Field(examples=[10.0])] = None
+    """Largest mean heat of each coil."""
+    stroke: Annotated[Positive | None, Unit("m"), Field(examples=[1e-3])] = None
+    """Largest peak of the displacement of each coil relative to its magnet."""
     power: Annotated[Positive | None, Unit("W"), Field(examples=[0.01])] = None
     """Largest mean mechanical power of all actuators together."""
     sound: Annotated[float | None, Field(ge=-200, le=200, examples=[40.0]), Unit("dB(A)")] = None
@@ -172,8 +178,9 @@ class Specification(Table):
             raise ValueError(f"tolerance: {len(self.tolerance)} keys; at most {MOST_TOLERANCES} are varied together")
         return self
 
-    def check(self, targets: Sequence[str], size: tuple[float, float], piezo: bool) -> None:
-        """Raise ValueError, naming the key, unless the specification fits a scene's targets, plate and actuators."""
+    def check(self, targets: Sequence[str], size: tuple[float, float], kinds: Set[str]) -> None:
+        """Raise ValueError, naming the key, unless the specification fits a scene's targets, plate and kinds of
+        actuators."""
         for index, level in enumerate(self.levels):
             if level.target is not None and level.target not in targets:
                 there = f"the targets are {', '.join(targets)}" if targets else "there are no [[targets]]"
@@ -181,10 +188,14 @@ class Specification(Table):
         for index, allowance in enumerate(self.allowances):
             if allowance.area is not None:
                 check_area(f"specification.elsewhere[{index}].area", allowance.area, size)
-        wrong, right = ("force", "voltage") if piezo else ("voltage", "force")
-        if getattr(self.limits, wrong) is not None:
-            kind = "piezo patches" if piezo else "actuators that press"
-            raise ValueError(f"specification.limits.{wrong}: not of {kind}; write {right}")
+        limited = {"force": {"pressure"}, "voltage": {"piezo", "coil"}}
+        limited |= {key: {"coil"} for key in ("current", "heat", "stroke")}
+        names = {"pressure": "actuators that press", "piezo": "piezo patches", "coil": "coils"}
+        for key, some in limited.items():
+            if getattr(self.limits, key) is not None and not some & kinds:
+                right = " or ".join(other for other in limited if limited[other] & kinds)
+                there = " or ".join(names[kind] for kind in names if kind in kinds)
+                raise ValueError(f"specification.limits.{key}: not of {there}; write {right}")
 
 
 def _check_given(given: list[str], keys: list[str]) -> None:

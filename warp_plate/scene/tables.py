@@ -146,7 +146,7 @@ class SceneTables(Table):
         if not self.coil_indices:
             return
         head = f'actuators[{self.coil_indices[0]}].kind: "coil"'
-        transient = self.drive.waveform_key or self.nonlinear_table or (None if self.focus is None else "focus")
+        transient = self.drive.waveform_key or self.nonlinear_table
         if transient is not None:
             raise ValueError(f"{head} is solved for steady tones of linear plates; delete {transient}")
         robust = self.search.robust
@@ -197,6 +197,11 @@ class SceneTables(Table):
     def unit_drives(self) -> list[float]:
         """Force [N] of each actuator at a magnitude of 1; 1 V for piezo patches, 1 V or 1 A for coils."""
         return [actuator.patch_area if actuator.kind == "pressure" else 1.0 for actuator in self.actuators]
+
+    @property
+    def limit_units(self) -> list[str]:
+        """Unit of what limits the drive of each actuator: V or A of coils, V of piezo patches, otherwise N."""
+        return [actuator.amplitude_unit or ("V" if self.piezo else "N") for actuator in self.actuators]
 
     @property
     def magnitude_units(self) -> list[str]:

@@ -276,7 +276,7 @@ def _responses(
         amplitudes = plate.respond(chosen, loads)
         unit, driven = amplitudes[:, :, :inputs], amplitudes[:, :, inputs:]
         if plate.coils is not None:
-            driven = driven * plate.coils.gains(2 * np.pi * chosen)[:, None, :]
+            driven = driven * plate.coils.gains(2 * np.pi * chosen[:, None])[:, None, :]
         at_points = (np.moveaxis(unit, 1, 2) @ shapes).reshape(len(chosen), -1)
         if terminals and plate.coils is not None:
             impedances, unit = plate.coils.impedance(2 * np.pi * chosen)

@@ -118,12 +118,10 @@ def _notes(scene: Scene, specification: Specification, frequency: float) -> list
 def _largest_drives(scene: Scene, specification: Specification) -> np.ndarray:
     """Return the (actuators,) largest magnitudes, in the unit of the scene's drives."""
     limits, largest = specification.limits, []
-    for index, (actuator, unit) in enumerate(zip(scene.actuators, scene.unit_drives, strict=True)):
-        limit = abs(actuator.magnitude)
-        if scene.piezo and limits.voltage is not None:
-            limit = limits.voltage
-        elif limits.force is not None:
-            limit = limits.force / unit
+    units = zip(scene.actuators, scene.unit_drives, scene.limit_units, strict=True)
+    for index, (actuator, unit, shown) in enumerate(units):
+        allowed = {"V": limits.voltage, "A": limits.current, "N": limits.force}[shown]
+        limit = abs(actuator.magnitude) if allowed is None else allowed / unit
         if limit == 0:
             key = f"actuators[{index}].{actuator.amplitude_key} = 0"
             raise SceneError(f"{key}: allows no drive; raise it, or write specification.limits")
@@ -187,7 +185,7 @@ def _answer(
         frequency=tone.frequency,
         drive=drive * limits,
         limits=limits,
-        unit="V" if scene.piezo else "N",
+        units=tuple(scene.limit_units),
         levels=tone.extremes(drive),
         margins=_margins(tone, drive, levels, limits),
         contrast_db=contrast,
@@ -254,13 +252,13 @@ def _margins(tone: Tone, drive: np.ndarray, levels: Ratios, limits: np.ndarray) 
     for rest, allowed, ratio in zip(tone.requirements.rests, tone.allowed.tolist(), in_rests, strict=True):
         name = f"{rest.name}, {rest.allowance.measure} point".replace("mean point", "mean")
         margins.append(Margin(name, allowed, allowed * ratio, "m/s²", -_decibels(ratio)))
-    unit = "V" if tone.plate.scene.piezo else "N"
-    for actuator, limit, part in zip(tone.plate.scene.actuators, limits.tolist(), np.abs(drive).tolist(), strict=True):
+    scene, parts = tone.plate.scene, np.abs(drive).tolist()
+    for actuator, limit, part, unit in zip(scene.actuators, limits.tolist(), parts, scene.limit_units, strict=True):
         margins.append(Margin(actuator.name, limit, limit * part, unit, -_decibels(part)))
-    for power in tone.powers:
-        spent = power.of(drive)
-        limit, value = power.shown(power.limit), power.shown(spent)
-        margins.append(Margin(power.name, limit, value, power.unit, -_decibels(spent / power.limit) / 2))
+    for one in tone.limited:
+        square = one.of(drive)
+        limit, value = one.shown(one.limit), one.shown(square)
+        margins.append(Margin(one.name, limit, value, one.unit, -_decibels(square / one.limit) / 2))
     return margins
 
 
@@ -288,13 +286,10 @@ def _obstacles(
 ) -> list[str]:
     """Return sentences on what excludes each other, and what would do."""
     total = sum(part for _, part in binding) or 1.0
-    unit, limits = "V" if tone.plate.scene.piezo else "N", tone.largest * tone.plate.scene.unit_drives
-    names = {actuator.name: limit for actuator, limit in zip(tone.plate.scene.actuators, limits, strict=True)}
-    named = [
-        f"{names[text]:.3g} {unit} at {text}" if text in names else text
-        for text, part in sorted(binding, key=lambda row: -row[1])
-        if part > NAMED * total
-    ]
+    scene, limits = tone.plate.scene, tone.largest * tone.plate.scene.unit_drives
+    shown = zip(scene.actuators, limits, scene.limit_units, strict=True)
+    names = {actuator.name: f"{limit:.3g} {unit} at {actuator.name}" for actuator, limit, unit in shown}
+    named = [names.get(text, text) for text, part in sorted(binding, key=lambda row: -row[1]) if part > NAMED * total]
     if len(named) == 1:  # no actuator alone has a large part of the proof
         named.append("the limits of all actuators")
     sentences = []
@@ -302,7 +297,9 @@ def _obstacles(
         proved = "exclude each other" if result.bound > 1 else "were not met together"
         sentences.append(f"{', '.join(named[:-1])} and {named[-1]} {proved}")
     if math.isfinite(effort.scale):
-        sentences.append(f"{effort.scale:.3g} times the limits would do, {effort.scale * limits.max():.3g} {unit}")
+        alike = len(set(scene.limit_units)) == 1
+        largest = f", {effort.scale * limits.max():.3g} {scene.limit_units[0]}" if alike else ""
+        sentences.append(f"{effort.scale:.3g} times the limits would do{largest}")
     elif tone.requirements.rests and math.isfinite(result.scale):
         sentences.append(f"larger limits alone do not help; the contrast is {_contrast(tone, result.scale):.2f} dB")
     if not math.isfinite(result.scale):

@@ -10,8 +10,12 @@ import pytest
 from support.coils import COILS, panel
 from support.commands import error_of, output_of
 from support.scenes import refused
-from warp_plate import localize, simulate
+from warp_plate import localize, simulate, specify
+from warp_plate.fitting.fit import fit_responses
+from warp_plate.fitting.measured_responses import MeasuredResponses
+from warp_plate.focusing.focus import focus
 from warp_plate.modal.modes import solve_modes
+from warp_plate.plate.designs import scene_phasors
 from warp_plate.studies.frequency_response import frf, respond_to_drive
 from warp_plate.studies.sound import sound
 
@@ -43,11 +47,11 @@ def test_error_bars_hold_the_impedance_of_a_finer_plate(found):
 def test_coils_under_the_drive_meet_ohms_law(found):
     """With one coil alone, its current is its voltage by its impedance."""
     made = panel(COILS[:1])
-    alone = frf(made, quantity="impedance", frequency_range=(30.0, 400.0))
+    alone = frf(made, quantity="impedance", frequency_range=(200.0, 400.0))
     np.testing.assert_allclose(alone.coils.current[0], 2.0 / alone.responses[0], rtol=1e-9)
     np.testing.assert_allclose(alone.coils.electrical_power[0], 2.0 * (1 / alone.responses[0]).real, rtol=1e-9)
     assert made.drive.frequency in alone.frequencies
-    mobility = frf(made, frequency_range=(30.0, 400.0)).coils
+    mobility = frf(made, frequency_range=(200.0, 400.0)).coils
     np.testing.assert_allclose(mobility.stroke, alone.coils.stroke)
 
 
@@ -85,7 +89,7 @@ def test_json_files_and_text(command, found, tmp_path):
 def test_what_has_no_impedance_is_named(command, tmp_path, words, message):
     (tmp_path / "coils.toml").write_text(panel().to_toml(), encoding="utf-8")
     line = error_of(command("frf", str(tmp_path / "coils.toml"), "--quantity", "impedance", *words))
-    assert line.endswith(message)
+    assert line == f"warp-plate: {message}\n"
 
 
 def test_a_scene_without_coils_has_no_impedance():
@@ -134,3 +138,62 @@ def test_coils_beside_piezo_patches():
     alone = panel([patch])
     responses = [respond_to_drive(made, np.array([70.0, 290.0])) for made in (both, alone)]
     np.testing.assert_allclose(responses[0][0], responses[1][0], rtol=1e-6)
+
+
+LIMITS = {"voltage": 3.0, "current": 0.4, "heat": 0.5, "stroke": 2e-4, "force": 1.0, "power": 0.5}
+
+
+def specified(limits, level=0.1, **keys):
+    rows = {"level": {"acceleration_g": level}, "limits": limits, **keys}
+    return panel().with_tables(target={"area": (0.05, 0.08, 0.04, 0.07)}, specification=rows)
+
+
+def test_margins_of_coils_are_those_of_the_driven_scene():
+    answer = specify(specified(LIMITS, elsewhere={"relative_db": 0.0, "measure": "mean"}))
+    margins = {row.requirement: row.reached for row in answer.margins}
+    driven = frf(answer.driven_scene(), frequency_range=(289.0, 291.0))
+    at = int(np.searchsorted(driven.frequencies, 290.0))
+    coils, names = driven.coils, ("free", "sprung", "fixed")
+    assert [margins[f"current of {name}"] for name in names[:2]] == pytest.approx(
+        np.abs(coils.current[:2, at]), rel=1e-6
+    )
+    assert margins["voltage of fixed"] == pytest.approx(abs(coils.voltage[2, at]), rel=1e-6)
+    strokes = [margins[f"stroke of {name}"] for name in names]
+    assert strokes == pytest.approx(1e3 * np.abs(coils.stroke[:, at]), rel=1e-6)
+    # The heat of a coil is what its electrical power leaves over.
+    heat = coils.electrical_power[:, at] - coils.mechanical_power[:, at]
+    assert [margins[f"heat of {name}"] for name in names] == pytest.approx(heat, rel=1e-6)
+    plate, phasors = solve_modes(answer.driven_scene(), 290.0), scene_phasors(answer.driven_scene())
+    velocity = 2j * math.pi * 290.0 * plate.respond_to_drive(np.array([290.0]), phasors)[0, :, 0]
+    pressed = (np.conj(plate.actuator_forces()[:, 3] * phasors[3]) @ velocity).real / 2
+    assert margins["power"] == pytest.approx(coils.mechanical_power[:, at].sum() + pressed, rel=1e-6)
+    assert answer.units == ("V", "V", "A", "N")
+
+
+@pytest.mark.parametrize("key", ["current", "heat", "stroke", "voltage"])
+def test_a_limit_of_coils_bounds_the_level(key):
+    """A small one is in the way, with a proof."""
+    answer = specify(specified({**dict.fromkeys(LIMITS, 1e3), key: 1e-6}, level=5.0))
+    assert not answer.feasible
+    assert answer.proved
+    assert specify(specified(dict.fromkeys(LIMITS, 1e3), level=5.0)).feasible
+
+
+def test_limits_of_coils_need_coils():
+    line = refused(
+        panel(COILS[3:]).with_tables, specification={"level": {"acceleration_g": 1.0}, "limits": {"heat": 1.0}}
+    )
+    assert line == "specification.limits.heat: not of actuators that press; write force"
+
+
+def test_studies_without_coils_say_so():
+    made = panel(COILS[:1]).with_accuracy(0.01)
+    with_fit = made.with_tables(
+        fit={"free": {"plate.density": (500.0, 2000.0)}}, measurement=[{"point": (0.05, 0.05), "force_at": (0.1, 0.1)}]
+    )
+    measured = MeasuredResponses("x", np.array([100.0, 200.0]), np.ones((1, 2), dtype=complex), None)
+    line = refused(fit_responses, with_fit, measured)
+    assert line == "actuators[0].kind: responses are fitted without coils; measure the panel before they are mounted"
+    table = {"points": [(0.05, 0.05)], "highest": 500.0}
+    line = refused(focus, made.with_tables(focus=table))
+    assert line.startswith("actuators[0].kind: has no motion in time; ")

@@ -1,0 +1,99 @@
+"""Limits of a specification on quadratic quantities of a drive: powers, the sound, and what coils may bear."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from warp_plate.modal.coils import CoilMotion
+from warp_plate.modal.modes import ModalPlate
+from warp_plate.problem.requirements import Requirements
+from warp_plate.result.sound import POWER_REFERENCE, a_weighting
+
+
+@dataclass(frozen=True)
+class Limited:
+    """A limited quantity: a power, or the amplitude of a coil."""
+
+    name: str
+    unit: str  # unit in which it is shown: W, dB(A) re 1 pW, or V, A or mm of an amplitude
+    limit: float  # power [W], or square of an amplitude in SI units
+    factor: np.ndarray  # (rows, actuators) F: ‖F z‖² is the power or the square of parts z of the largest drives
+    weighting: float = 0.0  # of a level [dB]
+
+    def shown(self, square: float) -> float:
+        """Return a power [W], or an amplitude from its square, in the unit."""
+        if self.unit == "dB(A)":
+            return 10 * math.log10(max(square, 1e-300) / POWER_REFERENCE) + self.weighting
+        return square if self.unit == "W" else math.sqrt(square) * (1e3 if self.unit == "mm" else 1.0)
+
+    def of(self, drive: np.ndarray) -> float:
+        """Return the power [W], or the square of the amplitude, of a drive (actuators,)."""
+        return float(np.linalg.norm(self.factor @ drive) ** 2)
+
+
+def limited_quantities(
+    requirements: Requirements, plate: ModalPlate, frequency: float, largest: np.ndarray, accelerations: np.ndarray
+) -> list[Limited]:
+    """Return what a specification limits besides the actuators' drives, at a frequency [Hz].
+
+    ``largest`` (actuators,) are the largest drives, ``accelerations`` (modes, actuators) the modal ones under each.
+    """
+    limits, omega = requirements.specification.limits, 2 * math.pi * frequency
+    velocity, quantities = accelerations / (1j * omega), []
+    if limits.power is not None:
+        admittance = (plate.actuator_forces() * largest).T @ velocity
+        if plate.coils is not None:
+            motion = _coil_motion(plate, omega, largest, accelerations)
+            # The force of a coil acts on patch and magnet.
+            force = plate.coils.force_factor[:, None] * motion.current[0]
+            admittance[plate.coils.indices] = 0
+            admittance = admittance + force.conj().T @ (1j * omega * motion.stroke[0])
+        quantities.append(Limited("power", "W", limits.power, hermitian_factor((admittance + admittance.conj().T) / 4)))
+    if limits.sound is not None:
+        weighting = float(a_weighting(np.array([frequency]))[0])
+        limit = POWER_REFERENCE * 10 ** ((limits.sound - weighting) / 10)
+        radiated = velocity.conj().T @ (requirements.radiation.resistances(np.array([frequency]))[0] @ velocity)
+        quantities.append(Limited("sound", "dB(A)", limit, hermitian_factor(radiated / 2), weighting))
+    if plate.coils is not None:
+        quantities += _of_coils(requirements, plate, omega, largest, accelerations)
+    return quantities
+
+
+def _of_coils(
+    requirements: Requirements, plate: ModalPlate, omega: float, largest: np.ndarray, accelerations: np.ndarray
+) -> list[Limited]:
+    """Return the limited voltages, currents, heats and strokes of the coils."""
+    assert plate.coils is not None
+    limits, quantities = requirements.specification.limits, []
+    motion = _coil_motion(plate, omega, largest, accelerations)
+    for row, (index, name) in enumerate(zip(plate.coils.indices, plate.coils.names, strict=True)):
+        actuator = plate.scene.actuators[index]
+        resistance = float(actuator.coil.blocked_impedance(np.array([omega]))[0].real)
+        rows = {
+            # What drives a coil is limited as that of any actuator.
+            ("voltage", "V"): (limits.voltage if actuator.voltage is None else None, motion.voltage),
+            ("current", "A"): (limits.current if actuator.current is None else None, motion.current),
+            ("stroke", "mm"): (limits.stroke, motion.stroke),
+        }
+        for (quantity, unit), (limit, values) in rows.items():
+            if limit is not None:
+                quantities.append(Limited(f"{quantity} of {name}", unit, limit**2, values[0, [row]]))
+        if limits.heat is not None:
+            factor = math.sqrt(resistance / 2) * motion.current[0, [row]]
+            quantities.append(Limited(f"heat of {name}", "W", limits.heat, factor))
+    return quantities
+
+
+def _coil_motion(plate: ModalPlate, omega: float, largest: np.ndarray, accelerations: np.ndarray) -> CoilMotion:
+    """Return the motion of the coils under the largest drive of each actuator (1, coils, actuators)."""
+    assert plate.coils is not None
+    return plate.coils.motion(np.array([omega]), -accelerations[None] / omega**2, np.diag(largest))
+
+
+def hermitian_factor(matrix: np.ndarray) -> np.ndarray:
+    """Return R (rows, n) with RᴴR the part of a Hermitian matrix (n, n) that is not negative."""
+    values, vectors = np.linalg.eigh((matrix + matrix.conj().T) / 2)
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0))).conj().T)
