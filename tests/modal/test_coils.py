@@ -203,6 +203,24 @@ def test_every_peak_of_the_impedance_is_a_resonance():
     assert (distance.min(axis=1) < 1).all()
 
 
+def test_an_undamped_plate_is_damped_by_its_coil():
+    """At a natural frequency of the plate alone, the response is that between its neighbours."""
+    made = scene_of(size=(0.2, 0.16)).with_tables(actuators=COILS[:1])
+    plate = solve_modes(made, 200.0)
+    frequencies = plate.frequencies[0] * np.array([1 - 1e-5, 1, 1 + 1e-5])
+    low, middle, high = plate.respond(frequencies, plate.actuator_forces())
+    np.testing.assert_allclose(middle, (low + high) / 2, atol=1e-5 * np.abs(middle).max())
+
+
+def test_resonances_of_many_modes(monkeypatch):
+    """Beyond the modes that are solved for with the coils, they are those of the plate."""
+    plate = solve_modes(panel(), 200.0)
+    monkeypatch.setattr("warp_plate.modal.coils.MOST_MODES", 20)
+    centres, widths = plate.coils.resonances(opened=True)
+    np.testing.assert_allclose(centres[-400:], plate.frequencies[-400:])
+    np.testing.assert_allclose(widths[-400:], (plate.damping_ratios * plate.frequencies)[-400:])
+
+
 def test_keys_override_the_model():
     made = panel([{**COILS[0], "resistance": 4.98}])
     coil = made.actuators[0].coil

@@ -25,6 +25,8 @@ from warp_plate.scene.model import Scene
 # Modes, from the lowest, whose resonances with coils are computed, and largest half-width of one over its frequency.
 # Half-widths below a part of the frequency are rounding.
 MOST_MODES, WIDEST, ROUNDING = 300, 0.9, 1e-10
+# Relative distance of the frequency that is taken for a natural one of an undamped plate.
+BESIDE = 1e-8
 
 
 class BarePlate(Protocol):
@@ -102,8 +104,13 @@ class Coils:
         loads = np.concatenate([forces, np.broadcast_to(self.means, (len(omega), *self.means.shape))], axis=2)
         both = self._plate.respond_alone(omega, loads)
         alone, patches = both[:, :, :count], both[:, :, count:]
+        infinite = ~np.isfinite(both).all(axis=(1, 2))
+        both[infinite] = 0
         system = np.eye(len(self._coils)) + stiffness * (self.means.T @ patches)
-        return np.asarray(alone - patches @ np.linalg.solve(system, stiffness * (self.means.T @ alone)))
+        amplitudes = alone - patches @ np.linalg.solve(system, stiffness * (self.means.T @ alone))
+        if infinite.any():  # at natural frequencies of an undamped plate, which the coils may damp
+            amplitudes[infinite] = self.respond(omega[infinite] * (1 + BESIDE), forces[infinite], opened)
+        return np.asarray(amplitudes)
 
     def gains(self, omega: np.ndarray) -> np.ndarray:
         """Return (n, actuators) forces [N] on patches per volt or ampere at ω (n, actuators or 1) [rad/s]; 1 for other
@@ -140,9 +147,10 @@ class Coils:
         return induced + np.eye(len(self._coils)) * elements.blocked[:, None, :], amplitudes
 
     def resonances(self, opened: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Return frequencies, rising, and half-widths [Hz] of the resonances of the lowest modes with the coils.
+        """Return frequencies, rising, and half-widths [Hz] of the resonances with the coils.
 
-        All terminals are open if ``opened``; otherwise those of voltages are shorted, without inductance.
+        Those beyond the lowest MOST_MODES modes are the plate's alone. All terminals are open if ``opened``; otherwise
+        those of voltages are shorted, without inductance.
         """
         squares = self._plate.angular_frequencies**2
         count, size = min(len(squares), MOST_MODES), len(self._coils)
@@ -166,6 +174,9 @@ class Coils:
         system = np.block([[np.zeros_like(mass), one], [-np.linalg.solve(mass, np.hstack([stiff, loss]))]])
         poles = scipy.linalg.eigvals(system) / (2j * math.pi)
         poles = poles[(poles.real > 0) & (poles.imag < WIDEST * np.abs(poles))]
+        omega = self._plate.angular_frequencies[count:]
+        lost = np.diag(self._plate.damping)[count:] + np.diag(self._plate.hysteretic)[count:] / omega
+        poles = np.concatenate([poles, (omega + 0.5j * lost) / (2 * math.pi)])
         poles = poles[np.argsort(poles.real)]
         return poles.real, np.where(poles.imag > ROUNDING * poles.real, poles.imag, 0)
 
