@@ -30,6 +30,9 @@ def test_impedances_follow_the_coils_that_are_named(found):
     assert found.unit == "Ω"
     impedance, _ = solve_modes(panel(), 120.0).coils.impedance(2 * math.pi * found.frequencies)
     np.testing.assert_allclose(found.responses, impedance.mT.reshape(-1, 9).T, rtol=1e-9)
+    assert [found.labels[index] for index in found.distinct] == [
+        "free", "free → sprung", "free → fixed", "sprung", "sprung → fixed", "fixed"
+    ]  # fmt: skip
     part = frf(panel(), ["fixed", "free"], quantity="impedance", frequency_range=(30.0, 120.0))
     np.testing.assert_allclose(part.responses, found.responses[[8, 6, 2, 0]], rtol=1e-9)
     np.testing.assert_allclose(part.mean_square_velocity, found.mean_square_velocity[[2, 0]], rtol=1e-9)

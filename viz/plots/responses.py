@@ -65,9 +65,11 @@ def draw_frequency_response(response: FrequencyResponse, path: str | Path) -> No
         of_coils = response.quantity == IMPEDANCE
         labels = [f"{name} → {place} {unit}" for name in names for place in places]
         labels = [shortened(label) for label in response.labels] if of_coils else labels
-        for index, look in _plot(magnitude, x, np.abs(response.responses), labels).items():
-            _draw_band(magnitude, x, response.band("responses"), index, look["color"])
-            phase.plot(x, _unbroken(response.responses[index]), **look)
+        drawn, bands = response.responses[response.distinct], response.band("responses")
+        labels = [labels[index] for index in response.distinct]
+        for index, look in _plot(magnitude, x, np.abs(drawn), labels).items():
+            _draw_band(magnitude, x, bands, response.distinct[index], look["color"])
+            phase.plot(x, _unbroken(drawn[index]), **look)
         phase.set(ylabel="phase [°]", ylim=(-190, 190), yticks=(-180, -90, 0, 90, 180))
         if of_coils and not several:  # which is passive
             phase.set(ylim=(-95, 95), yticks=(-90, -45, 0, 45, 90))
@@ -80,7 +82,7 @@ def draw_frequency_response(response: FrequencyResponse, path: str | Path) -> No
             label = f"mean square\nvelocity [{response.velocity_unit}]"
             _set_log_axis(others[1], response.mean_square_velocity, 2 * MOST_DECADES, label)
             _add_legend(others[1], len(names))
-        _add_legend(magnitude, len(response.responses), marked=response.natural_frequencies.size > 0)
+        _add_legend(magnitude, len(drawn), marked=response.natural_frequencies.size > 0)
         what = "coils" if of_coils else "the plate"
         fig.suptitle(response.title or f"{response.quantity} of {what}", fontsize=10)
         fig.align_ylabels()

@@ -169,7 +169,8 @@ def _print(name: str, scene: Scene, response: FrequencyResponse, console: Consol
     )
     peaks = []
     errors = response.errors
-    for index, (label, values) in list(enumerate(zip(response.labels, response.responses, strict=True)))[:MOST_ROWS]:
+    for index in response.distinct[:MOST_ROWS]:
+        label, values = response.labels[index], response.responses[index]
         at = int(np.abs(values).argmax())
         of_value, of_frequency = errors.responses[index, at] / abs(values[at] or 1), errors.frequencies[at]
         phase, frequency = np.degrees(np.angle(values[at])), response.frequencies[at]
@@ -177,8 +178,8 @@ def _print(name: str, scene: Scene, response: FrequencyResponse, console: Consol
         peaks.append([label, *map(output.number_text, numbers, (".4g", ".2g", ".6g", ".2g", ".1f"))])
     headings = ("response", f"largest ({response.unit})", "± (%)", "at (Hz)", "± (%)", "phase (°)")
     output.print_rows(console, headings, peaks)
-    if len(response.labels) > MOST_ROWS:
-        console.print(f"and {len(response.labels) - MOST_ROWS} more, in the files of --to and in --json")
+    if len(response.distinct) > MOST_ROWS:
+        console.print(f"and {len(response.distinct) - MOST_ROWS} more, in the files of --to and in --json")
     if response.coils is not None and scene.drive.frequency in response.frequencies:
         at, coils = int(np.searchsorted(response.frequencies, scene.drive.frequency)), response.coils
         columns = (abs(coils.voltage), abs(coils.current), coils.electrical_power, coils.mechanical_power)

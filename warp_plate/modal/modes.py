@@ -234,7 +234,7 @@ class ModalPlate:
             with np.errstate(divide="ignore", invalid="ignore"):
                 return np.asarray(forces / self.dynamic_stiffness(omega).mT)
         respond = self.respond_alone if self.coils is None else self.coils.respond
-        loads = np.broadcast_to(forces, (max(len(omega), len(forces)), *forces.shape[1:]))
+        loads = np.broadcast_to(forces, (len(omega), *forces.shape[1:]))
         if (omega == omega[:, :1]).all():
             return respond(omega[:, 0], loads)
         alone = respond(omega.ravel(), loads.mT.reshape(omega.size, -1, 1))

@@ -129,6 +129,13 @@ class FrequencyResponse:
             return [one if one == other else f"{one} → {other}" for one in self.inputs for other in self.inputs]
         return [f"{name} → {x:g},{y:g}" for name, (x, y) in self.pairs]
 
+    @property
+    def distinct(self) -> list[int]:
+        """Indices of the pairs, of impedances between two coils only one of the two equal ones."""
+        count, points = len(self.inputs), len(self.points)
+        reciprocal = self.quantity == IMPEDANCE
+        return [row * points + column for row in range(count) for column in range(row if reciprocal else 0, points)]
+
     def __repr__(self) -> str:
         counts = f"{len(self.inputs)} inputs, {len(self.points)} points, {len(self.frequencies)} frequencies"
         return f"<FrequencyResponse {counts} from {self.frequencies[0]:g} to {self.frequencies[-1]:g} Hz>"
