@@ -1,8 +1,11 @@
 """Impedances of measured loudspeaker panels: python benchmarks/measured_exciters.py FOLDER [--json FILE].
 
-FOLDER holds files of github.com/Homeswinghome/DML-simulation-test-cases: NAME.txt (plate, material, exciter) and Z_NAME
-(frequency [Hz], impedance [Ω], phase [°]). Free plates with an exciter in the middle, whose magnet is held. Nothing is
-fitted but the series resistance. The table has rms differences of |Z| in dB, and the first peaks of the PMMA panel.
+FOLDER holds files of github.com/Homeswinghome/DML-simulation-test-cases: NAME.txt (plate, material, exciter), Z_NAME
+(frequency [Hz], impedance [Ω], phase [°]) and EFR_NAME (frequency, level of the pressure at 1 m [dB]). Plates are free,
+with an exciter in the middle whose magnet is held. Fitted are the series resistance, and a common gain of levels.
+
+Printed are rms differences of |Z| in dB, the first peaks of the PMMA panel, and rms differences of levels in third
+octaves; those computed are of a panel in a baffle, those measured of one without.
 """
 
 from __future__ import annotations
@@ -16,17 +19,22 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from warp_plate import Scene
+from warp_plate.modal.modes import solve_modes
+from warp_plate.modal.radiation import AIR, pressures
+from warp_plate.plate.designs import scene_phasors
 from warp_plate.studies.frequency_response import frf
 
 PANELS = {
-    "PMMA": ("PMMA3d5_FFFF_42x30.txt", "Z_PMMA3d5_42x30.txt"),
-    "plywood": ("PWD5d15_585x407_FFFF.txt", "Z_PWD5_FFFF.txt"),
-    "foam": ("EPS12d55_582x406_FFFF.txt", "Z_EPS12d55_582x406.txt"),
+    "PMMA": ("PMMA3d5_FFFF_42x30.txt", "PMMA3d5_42x30.txt"),
+    "plywood": ("PWD5d15_585x407_FFFF.txt", "PWD5_FFFF.txt"),
+    "foam": ("EPS12d55_582x406_FFFF.txt", "EPS12d55_582x406.txt"),
 }
 BANDS = ((20.0, 200.0), (200.0, 1000.0), (1000.0, 5000.0), (200.0, 5000.0))
 # Radius of the coil [m], and half the band around a measured peak in which the computed one is sought.
 RADIUS, AROUND = 0.0125, 0.06
 PEAKS = (41.0, 87.2, 176.1, 233.6)
+# Middles of third octaves [Hz] in which levels are compared, frequencies in each, and distance of the microphone [m].
+OCTAVES, IN_OCTAVE, DISTANCE = 1000 * 2 ** (np.arange(-6, 8) / 3), 40, 1.0
 
 
 def scene_of(file: Path) -> Scene:
@@ -100,16 +108,33 @@ def _peaks(
     return peaks[0], peaks[1]
 
 
+def compare_levels(scene: Scene, measured: np.ndarray) -> dict[str, object]:
+    """Return differences from measured levels (n, 2), frequency and dB, in third octaves, after a common gain."""
+    bands = OCTAVES[:, None] * 2 ** ((np.arange(IN_OCTAVE) + 0.5) / IN_OCTAVE / 3 - 1 / 6)
+    plate, frequencies = solve_modes(scene, float(bands.max())), bands.ravel()
+    place = np.array([[*np.array(scene.plate.size) / 2, DISTANCE]])
+    pressure = pressures(plate, frequencies, plate.respond_to_drive(frequencies, scene_phasors(scene)), place, AIR)
+    squares = np.abs(pressure[:, 0, 0]) ** 2, 10 ** (np.interp(frequencies, *measured.T) / 10)
+    computed, level = (10 * np.log10(part.reshape(bands.shape).mean(axis=1)) for part in squares)
+    differences = computed - level - np.mean(computed - level)
+    return {"rms_db": float(np.sqrt(np.mean(differences**2))), "differences_db": differences.round(2).tolist()}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     results = {}
-    for name, (parameters, impedance) in PANELS.items():
-        results[name] = found = compare(scene_of(options.folder / parameters), np.loadtxt(options.folder / impedance))
+    for name, (parameters, ending) in PANELS.items():
+        scene = scene_of(options.folder / parameters)
+        results[name] = found = compare(scene, np.loadtxt(options.folder / f"Z_{ending}"))
+        scene = scene.replace("actuators.coil.resistance", found["resistance"])
+        found["levels"] = compare_levels(scene, np.loadtxt(options.folder / f"EFR_{ending}"))
         rms = ", ".join(f"{band}: {value:.2f} dB" for band, value in found["rms_db"].items())
         print(f"{name}: series resistance {found['resistance']:.2f} Ω; rms of |Z| {rms}")
+        levels = found["levels"]
+        print(f"{name}: third octaves, 250 Hz to 5 kHz: rms {levels['rms_db']:.1f} dB, {levels['differences_db']}")
     for measured, computed in results["PMMA"]["peaks"]:
         print(
             f"PMMA: peak measured at {measured:.1f} Hz, computed at {computed:.1f} Hz, {computed / measured - 1:+.1%}"

@@ -73,7 +73,7 @@ class _Elements:
     """Numbers (n, coils) of the coils at n frequencies."""
 
     blocked: np.ndarray  # Ze [Ω]
-    ratio: np.ndarray  # 1 − k_b c
+    ratio: np.ndarray  # 1 − k_b c = m_b c
     compliance: np.ndarray  # c [m/N]
     stiffness: np.ndarray  # S [N/m]
 
@@ -190,9 +190,10 @@ def _element(coil: Coil, omega: np.ndarray, shorted: bool) -> tuple[np.ndarray, 
     """Return the numbers (n,) of a coil in the order of :class:`_Elements`."""
     rate, blocked = 1j * omega, coil.blocked_impedance(omega)
     losses = coil.suspension_damping + (coil.force_factor**2 / blocked if shorted else 0)
-    between, compliance = coil.suspension_stiffness + rate * losses, np.zeros(omega.shape, dtype=complex)
+    between = coil.suspension_stiffness + rate * losses
+    ratio, compliance = np.ones(omega.shape, dtype=complex), np.zeros(omega.shape, dtype=complex)
     if coil.magnet_mass > 0:
         of_magnet = coil.magnet_stiffness + rate * coil.magnet_damping - omega**2 * coil.magnet_mass
         compliance = 1 / (between + of_magnet)
-    ratio = 1 - between * compliance
+        ratio = of_magnet * compliance
     return blocked, ratio, compliance, between * ratio - omega**2 * coil.moving_mass
