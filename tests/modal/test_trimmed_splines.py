@@ -9,6 +9,7 @@ import math
 import numpy as np
 import pytest
 
+from support.grid_modes import natural_modes
 from support.scenes import MATERIAL, refused, scene_of
 from support.scenes_of_outlines import dimensionless, outlined
 from warp_plate.modal.assemble import make_galerkin, make_space
@@ -238,6 +239,24 @@ def test_a_ring_in_a_disc():
     scene = outlined(DISC, "supported", material=HARD, supports=[{"ring": (0.1, 0.1, 0.1 * root)}])
     values = dimensionless(scene, lowest(scene, 6), 0.1)
     assert np.abs(values / 29.7200047321 - 1).min() < 1e-4
+
+
+@pytest.mark.parametrize("radius", [0.01, 0.04])
+def test_supported_rectangles_with_round_corners(radius):
+    """As on the grid, whose errors are those of the sharp rectangle; the slope is not held where the edge bends."""
+    shapes = [{"rectangle": (0.2, 0.16), "corner_radius": part} for part in (radius, 0.0)]
+    on_grid, sharp = (
+        natural_modes(outlined(shape, "supported", grid={"nodes": (81, 65)}), 2).frequencies for shape in shapes
+    )
+    exact, values = lowest(outlined(shapes[1], "supported"), 2), lowest(outlined(shapes[0], "supported"), 2)
+    assert values == pytest.approx(on_grid / sharp * exact, rel=2e-3)
+
+
+def test_supported_polygons_with_round_corners():
+    """Of small radius and wide angles: the first frequency was 5 % too high."""
+    corners = [(0.17, 0.07), (0.16, 0.19), (0.1, 0.2), (0.0, 0.12), (0.05, 0.04), (0.15, 0.0)]
+    scene = outlined({"polygon": corners, "corner_radius": 0.004}, "supported")
+    assert lowest(scene, 6) == pytest.approx(lowest(scene.with_tables(grid={"modal_density": 1.3}), 6), rel=2e-3)
 
 
 def test_errors_of_frequencies_hold_where_they_fall_unevenly():

@@ -207,6 +207,17 @@ class Arc(Piece):
         return replace(self, angles=self.angles[::-1])
 
     @property
+    def least_radius(self) -> float:
+        """Least radius of curvature [m] of the whole ellipse."""
+        longer, shorter = np.linalg.svd(self.axes, compute_uv=False)
+        return float(shorter**2 / longer)
+
+    @property
+    def hollow(self) -> bool:
+        """True if the plate is outside the ellipse."""
+        return bool((self.angles[1] - self.angles[0]) * np.linalg.det(self.axes) < 0)
+
+    @property
     def closed(self) -> bool:
         return abs(self.angles[1] - self.angles[0]) > 2 * math.pi * (1 - END)
 

@@ -7,6 +7,7 @@ map of thickness, the curvature; and where the load jumps, at the edges of a pat
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -15,7 +16,7 @@ from warp_plate.effects.edges import ElasticEdge
 from warp_plate.effects.effect import attachments
 from warp_plate.modal.spaces.splines import Splines, make_splines
 from warp_plate.outline.outline import Outline, bounds
-from warp_plate.outline.pieces import Piece
+from warp_plate.outline.pieces import Arc, Piece
 from warp_plate.plate.section import factor_arrays, shaped_layers
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Point
@@ -39,6 +40,8 @@ SHAPED_INTERVALS = 3
 # Interval at a hole as a part of its width, and at a singular corner as a part of the square of the others over the
 # side, so that more functions show the error; their growth with the distance, and samples of that along a side.
 HOLE_INTERVAL, CORNER_INTERVAL, HOLE_GROWTH, CORNER_GROWTH, SAMPLES = 0.1, 0.06, 0.6, 0.7, 2000
+# Interval at an arc of a corner that is narrower than the others, as a part of its width.
+ARC_INTERVAL = 0.5
 # Largest distance of a point from an edge that it lies on [m].
 ON_EDGE = 1e-9
 # Least interval as a part of the others, and most further knots: with many places intervals are larger there.
@@ -86,18 +89,23 @@ def outline_splines(scene: Scene, axis: int, intervals: int) -> Splines:
 
 def _graded(scene: Scene, axis: int, interval: float) -> np.ndarray:
     """Return the knots along x (0) or y (1) [m] of a plate with an outline, ends included: nearer to each other at
-    small holes and at corners where moments are singular; none if there are no such places."""
+    small holes, arcs and corners where moments are singular; none if there are no such places."""
     outline, side = scene.outline, scene.plate.size[axis]
     assert outline is not None
     spans = []
     for hole in outline.loops[1:]:
-        x0, x1, y0, y1 = bounds(hole)
-        low, high = (x0, x1) if axis == 0 else (y0, y1)
-        spans.append((low, high, HOLE_INTERVAL * (high - low), HOLE_GROWTH))
+        low, high = _along(axis, hole)
+        width = min([high - low, *(4 * arc.least_radius for arc in hole if isinstance(arc, Arc) and arc.closed)])
+        spans.append((low, high, HOLE_INTERVAL * width, HOLE_GROWTH))
+    for arc in outline.pieces:
+        if isinstance(arc, Arc) and (arc.condition == "supported" or (arc.hollow and arc.condition != "free")):
+            low, high = _along(axis, [arc])
+            if not arc.closed and high - low < interval:
+                spans.append((low, high, ARC_INTERVAL * (high - low), CORNER_GROWTH))
     corners = [after.start[axis] for before, after, angle in outline.corners() if _is_singular(before, after, angle)]
     corners += [end[axis] for support in scene.supports for end in support.ends if not _on_edge(support, end, outline)]
     spans += [(place, place, CORNER_INTERVAL * interval**2 / side, CORNER_GROWTH) for place in corners]
-    for least in np.geomspace(LEAST_INTERVAL, 1, 12) * interval:
+    for least in np.geomspace(LEAST_INTERVAL, 1, 40) * interval:
         knots = _spread(side, interval, [(*span[:2], max(span[2], least), span[3]) for span in spans])
         if knots.size <= MOST_GRADED + side / interval:
             break
@@ -124,6 +132,12 @@ def _on_edge(support: Support, end: Point, outline: Outline) -> bool:
         corners = (after.start for _, after, angle in outline.corners() if angle < math.pi - STRAIGHT)
         return any(math.dist(corner, end) < ON_EDGE for corner in corners)
     return min(piece.nearest(end)[1] for piece in outline.pieces) < ON_EDGE
+
+
+def _along(axis: int, pieces: Sequence[Piece]) -> tuple[float, float]:
+    """Return the least and the largest x (0) or y (1) [m] of pieces."""
+    x0, x1, y0, y1 = bounds(pieces)
+    return (x0, x1) if axis == 0 else (y0, y1)
 
 
 def _is_singular(before: Piece, after: Piece, angle: float) -> bool:

@@ -32,7 +32,7 @@ from warp_plate.modal.spaces.knots import outline_splines
 from warp_plate.modal.spaces.space import Matrix
 from warp_plate.modal.spaces.splines import gauss, overlapping_pairs
 from warp_plate.modal.spaces.tensor_splines import ORDERS
-from warp_plate.outline.pieces import Piece
+from warp_plate.outline.pieces import Arc, Piece
 from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.plate.section import shaped_layers
 from warp_plate.scene.fields import Area
@@ -48,8 +48,10 @@ LOWEST = 1e3
 MOMENTS = 1e-4
 # Products with less of their mass on the plate than this part take no part.
 UNTOUCHED = 1e-22
-# An edge is divided into parts of about so many intervals; polynomials of a part beyond one for each interval.
-PART_INTERVALS, FURTHER = 6, 2
+# An edge is divided into parts of about so many intervals; polynomials of a part beyond one for each interval. Where
+# the curvature of an edge jumps, and at wide supported corners [rad], motions are not smooth along it, and so many
+# polynomials would hold the plate: fewer are taken.
+PART_INTERVALS, FURTHER, WIDE = 6, 2, 0.6 * np.pi
 # Matrices of all products that are in memory at a time.
 DENSE_MATRICES = 7
 
@@ -303,7 +305,7 @@ class TrimmedSplines(SplineProducts):
         sizes = [np.diff(side.breaks)[side.interval(middle[:, axis])] for axis, side in enumerate(self._local)]
         passed = np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0] / sizes[0], steps[:, 1] / sizes[1]))])
         parts = max(1, int(np.ceil(passed[-1] / PART_INTERVALS)))
-        count = int(np.ceil(passed[-1] / parts)) + FURTHER
+        count = max(1, int(np.ceil(passed[-1] / parts)) + self._further(piece))
         ends = np.interp(np.linspace(0, passed[-1], parts + 1), passed, t)
         for low, high in pairwise(ends.tolist()):
             at, weights = self._edge_rule(piece, low, high)
@@ -312,6 +314,14 @@ class TrimmedSplines(SplineProducts):
             yield functions.T @ self._rows(piece.points(at))
             if piece.condition == "clamped":
                 yield max(self.interval_sizes) * functions.T @ self._rows(piece.points(at), piece.normals(at))
+
+    def _further(self, piece: Piece) -> int:
+        """Return how many more polynomials than intervals a part of a piece has."""
+        loop = next((loop for loop in self.outline.loops if piece in loop and len(loop) > 1), ())
+        if any(isinstance(other, Arc) for other in loop):
+            return 0 if piece.condition == "clamped" and not isinstance(piece, Arc) else -1
+        wide = any(after in loop and angle > WIDE for _, after, angle in self.outline.corners())
+        return 0 if wide and piece.condition == "supported" else FURTHER
 
     def _edge_rule(self, piece: Piece, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
         """Return parameters and weights [m] of Gauss's rule along a part of a piece, cut at the knots."""
