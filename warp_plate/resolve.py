@@ -129,12 +129,15 @@ def choose_engine(
         return "modes"
     if path != "auto":
         return "steps"
-    # 3. An accuracy. Next to an outline the errors of grids fall slowly, so that modes always cost less.
-    if scene.grid.accuracy is not None and purpose not in ("survey", "replay"):
-        if scene.outline is not None and scene.linear:
-            return "modes"
+    # 3. No grid. Next to an outline the errors of grids fall slowly, so that modes always cost less.
+    anew = purpose not in ("survey", "replay")
+    unwritten = scene.grid.model_fields_set <= {"accuracy", "modal_density"}
+    if anew and unwritten and scene.linear and scene.outline is not None:
+        return "modes"
+    # 4. An accuracy.
+    if anew and scene.grid.accuracy is not None:
         return "any" if modes_pay or purpose == "simulate" else "steps"
-    # 4. A single run uses time steps. A search of places, frequencies or delays would have to run a plate for each of
+    # 5. A single run uses time steps. A search of places, frequencies or delays would have to run a plate for each of
     # them; modes run none for it, nor for exact searches and surveys.
     if purpose == "search":
         takes_modes = modes_pay and searched and search.robust is None

@@ -94,7 +94,9 @@ def test_plates_with_outlines_are_solved_by_modes_unless_a_grid_is_written():
     assert resolve(scene, "cpu").engine == "steps"
     tables = scene.model_dump()
     del tables["grid"]
-    assert resolve(Scene.from_tables(tables), "cpu").engine == "modes"
+    for grid in ({}, {"grid": {"modal_density": 1.2}}, {"grid": {"accuracy": 0.05}}):
+        for purpose in ("search", "simulate"):
+            assert resolve(Scene.from_tables(tables | grid), "cpu", purpose=purpose).engine == "modes"
 
 
 def test_supports_are_not_stepped():
