@@ -106,7 +106,7 @@ def test_electrical_energy_is_that_of_each_rise_of_the_voltage():
         ({"force": 1.0}, "force: 1 N, but a piezo patch takes volts"),
         ({"thickness": 0.5}, r"actuators\[0\].thickness: 0.5 m is not thin"),
         ({"kind": "pressure"}, "d31: -1.9e-10, but the patch presses"),
-        ({"kind": "coil"}, "kind"),
+        ({"kind": "magnet"}, "kind"),
         ({"d31": 0.0}, "d31"),
     ],
 )
