@@ -10,6 +10,7 @@ import pytest
 from support.coils import COILS, panel
 from support.commands import error_of, output_of
 from support.scenes import refused
+from support.scenes_of_outlines import outlined
 from warp_plate import localize, simulate, specify
 from warp_plate.fitting.fit import fit_responses
 from warp_plate.fitting.measured_responses import MeasuredResponses
@@ -56,6 +57,20 @@ def test_coils_under_the_drive_meet_ohms_law(found):
     assert made.drive.frequency in alone.frequencies
     mobility = frf(made, frequency_range=(200.0, 400.0)).coils
     np.testing.assert_allclose(mobility.stroke, alone.coils.stroke)
+
+
+def test_a_coil_around_a_hole():
+    """Its middle is off the plate, and a hole much smaller than its foot changes little."""
+    coil = {**COILS[0], "disc": (0.09, 0.07, 0.02)}
+    holed = outlined({"rectangle": (0.2, 0.16)}, holes=[{"disc": (0.09, 0.07, 0.004)}], damping=20.0)
+    whole = frf(
+        outlined({"rectangle": (0.2, 0.16)}, damping=20.0).with_tables(actuators=[coil]),
+        quantity="impedance",
+        frequency_range=(50.0, 90.0),
+    )
+    around = frf(holed.with_tables(actuators=[coil]), quantity="impedance", frequency_range=(50.0, 90.0))
+    np.testing.assert_allclose(around.coils.current[0], 2.0 / around.responses[0], rtol=1e-9)
+    np.testing.assert_allclose(around.responses[0, 0], whole.responses[0, 0], rtol=0.02)
 
 
 def test_json_files_and_text(command, found, tmp_path):

@@ -13,7 +13,7 @@ frequencies mapped so that its natural frequencies meet those of the first.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d
@@ -85,10 +85,11 @@ def frf(
         inputs, points = _terminals(scene, inputs, points)
     inputs = inputs if len(inputs) else [actuator.name for actuator in scene.actuators]
     points = points if len(points) else scene.record.points or target_middles(scene)
-    check_linear(scene, frequency_range)
-    _check_on_plate(scene, "points", points)
+    frequency_range = check_linear(scene, frequency_range)
+    if quantity != IMPEDANCE:  # a coil may stand around a hole
+        _check_on_plate(scene, "points", points)
     _check_on_plate(scene, "inputs", inputs)
-    low, high = default_range(scene) if frequency_range is None else map(float, frequency_range)
+    low, high = frequency_range or default_range(scene)
     plate = solve_modes(scene, high, key=f"frequency_range = {low:g}:{high:g}" if frequency_range is not None else None)
     places, forces = input_forces(plate, inputs)
     frequencies, natural, lost = (
@@ -228,16 +229,17 @@ def _check_on_plate(scene: Scene, argument: str, places: Sequence[str | Point]) 
             )
 
 
-def check_linear(scene: Scene, frequency_range: tuple[float, float] | None) -> None:
-    """Raise a SceneError unless the scene is linear and the range is valid."""
+def check_linear(scene: Scene, frequency_range: Iterable[float] | None) -> tuple[float, float] | None:
+    """Return the range [Hz], None if none is given; raise a SceneError unless it is valid and the scene is linear."""
     if scene.nonlinear_table is not None:
         raise SceneError(f"{scene.nonlinear_table}: frequency responses are those of a linear plate without it")
     if frequency_range is None:
-        return
+        return None
     what = "two positive frequencies in hertz, the lower one first"
     low, high = numbers_of("frequency_range", frequency_range, 2, what)
     if not 0 < low < high < np.inf:
         raise SceneError(f"frequency_range = {low:g}:{high:g}: must be {what}")
+    return low, high
 
 
 def input_forces(plate: ModalPlate, inputs: Sequence[str | Point]) -> tuple[np.ndarray, np.ndarray]:

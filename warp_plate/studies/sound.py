@@ -44,10 +44,10 @@ def sound(
     scene = Scene.load(scene)
     check_type("points", points, Sequence, np.ndarray)
     check_type("air", air, Air)
-    check_linear(scene, frequency_range)
+    frequency_range = check_linear(scene, frequency_range)
     given = [numbers_of(f"points[{index}]", point, 3, "x, y, z in metres") for index, point in enumerate(points)]
     places = np.array(given or [[x, y, DISTANCE] for x, y in target_middles(scene)])
-    low, high = default_range(scene) if frequency_range is None else map(float, frequency_range)
+    low, high = frequency_range or default_range(scene)
     drive = scene.drive.frequency
     if not low <= drive <= high:
         raise SceneError(f"frequency_range = {low:g}:{high:g}: must hold the drive's frequency of {drive:g} Hz")
