@@ -54,7 +54,8 @@ def result_html(result: Result) -> str:
 
     scene, cases, main = result.scene, ordered_cases(result), result.main_case
     text = io.StringIO()
-    console = output.console(file=text, width=160, force_jupyter=False)
+    # Kernels set FORCE_COLOR, whose escape sequences HTML shows as letters.
+    console = output.console(file=text, width=160, force_jupyter=False, force_terminal=False)
     if result.interrupted:
         console.print("Interrupted by Ctrl-C: the best so far is shown.")
     factors = [(case_label(name, scene), in_percent(case.localization_factor)) for name, case in cases.items()]

@@ -213,7 +213,8 @@ def test_actuators_are_named_where_all_names_fit(scene):
     assert dark[1] > dark[0]
 
 
-def test_results_show_tables_and_a_picture(drawing, paper_run):
+def test_results_show_tables_and_a_picture(drawing, paper_run, monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as kernels of notebooks do; \x1b is not XML
     html = result_html(paper_run)
     text = " ".join(text_of(html).split())
     for shown in ("equal drive 25.00 % ", "best drive found 68.53 % ", "upper left 0.5000 4.7124 1.5000 ", " ± 0.04"):
