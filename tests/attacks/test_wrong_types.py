@@ -44,6 +44,27 @@ def test_arguments_of_wrong_types(wrong, tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("wrong", WRONG, ids=lambda value: type(value).__name__)
+def test_arguments_of_sweeps_of_wrong_types(wrong):
+    arguments = {"source", "frequencies", "vary", "on_progress", "pool"}
+    if wrong is not None:
+        arguments |= {"what", "path", "evaluator"}
+    if not isinstance(wrong, int | None):
+        arguments |= {"samples", "seed", "count"}
+    for argument in arguments - ({"on_progress", "pool"} if wrong is None else set()):
+        message = refused(lambda name=argument: warp_plate.sweep(SCENE, **{"vary": ["plate.density=9,8"], name: wrong}))
+        assert message.startswith((argument, f"--{argument}")), message
+    message = refused(warp_plate.sweep, SCENE, [wrong])
+    assert message == f"vary[0]: must be a str, not a {type(wrong).__name__}"
+
+
+def test_ranges_that_are_iterators():
+    """A range is read once."""
+    of_tuple = warp_plate.frf(SCENE, frequency_range=(100, 400)).frequencies
+    assert np.array_equal(warp_plate.frf(SCENE, frequency_range=iter((100, 400))).frequencies, of_tuple)
+    assert warp_plate.sound(SCENE, frequency_range=map(float, (100, 400))).frequencies[-1] == 400
+
+
 @pytest.mark.parametrize("wrong", [*WRONG, (1, "a"), (1, 2, 3), 10**400, "ab"], ids=lambda value: type(value).__name__)
 def test_further_arguments_of_wrong_types(wrong, result):
     """One line that begins with the argument, whatever else is valid."""

@@ -7,7 +7,9 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from numbers import Integral
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 import numpy as np
@@ -20,7 +22,7 @@ from warp_plate.plate.files import digests
 from warp_plate.resolve import Purpose, choose_engine, refuse_nonlinear_modes, resolve_for_sweep
 from warp_plate.result.checkpoint import ENDING
 from warp_plate.result.sweep import REFUSED, RUN, Sweep, load_sweep, save_sweep
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, check_type
 from warp_plate.scene.keys import label_of
 from warp_plate.scene.load import read_beside
 from warp_plate.scene.model import Scene, SceneSource
@@ -89,6 +91,16 @@ def sweep(
     Raises:
         SceneError: ``vary`` or ``what`` is invalid, or all points are refused.
     """
+    for key, text in {"source": source, "frequencies": frequencies}.items():
+        check_type(key, text, str)
+    for key, name in {"what": what, "path": path, "evaluator": evaluator}.items():
+        check_type(key, name, str, NoneType)
+    for key, number in {"samples": samples, "seed": seed, "count": count}.items():
+        if not isinstance(number, Integral | None):
+            raise SceneError(f"{key} = {number!r}: must be a whole number")
+    check_type("pool", pool, WorkerPool, NoneType)
+    if on_progress is not None and not callable(on_progress):
+        raise SceneError(f"on_progress: must be a function or None, not a {type(on_progress).__name__}")
     request = SweepRequest(Scene.load(scene), source, vary, what, samples, seed, count, path, evaluator, frequencies)
     return run_sweep(start_sweep(request, device if pool is None else "auto"), on_progress, None, pool)
 
@@ -99,6 +111,9 @@ def start_sweep(request: SweepRequest, device: str = "auto") -> Sweep:
     kept: dict[str, Any] = DEFAULTS | {name: value for name, value in asked.items() if value is not None}
     scene, plan, what, count = request.scene, request.vary, kept["what"], kept["count"]
     if not isinstance(plan, Plan):
+        check_type("vary", plan, list, tuple, np.ndarray, Plan)
+        for index, text in enumerate(plan):
+            check_type(f"vary[{index}]", text, str)
         plan = make_plan([parse_vary(scene, text) for text in plan], request.samples, request.seed or 0)
     if what not in QUANTITIES:
         raise SceneError(f"--what {what}: must be one of {', '.join(QUANTITIES)}")
