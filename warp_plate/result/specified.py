@@ -168,4 +168,5 @@ class SpecifiedDrive:
 
     def __repr__(self) -> str:
         word = "feasible" if self.feasible else "infeasible" if self.proved else "not met"
-        return f"<SpecifiedDrive {word} at {self.frequency:g} Hz, contrast {self.contrast_db:.2f} dB>"
+        contrast = "" if np.isnan(self.contrast_db) else f", contrast {self.contrast_db:.2f} dB"
+        return f"<SpecifiedDrive {word} at {self.frequency:g} Hz{contrast}>"

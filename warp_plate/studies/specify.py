@@ -166,7 +166,10 @@ def _answer(
     scene, rests = tone.plate.scene, tone.requirements.rests
     whole = tone.solve("actuators alone")
     if not np.isfinite(whole.drive).all():
-        raise SceneError("specification.level: no drive reaches it, as at an edge that is held; write another level")
+        raise SceneError(
+            "specification.level: no drive reaches it at all points in phase: a held edge or a line that never moves "
+            'is in the target; add actuators, write measure = "mean", or make the target smaller'
+        )
     result = tone.solve(scaled, start=start if np.isfinite(start).all() else None)
     if not math.isfinite(result.scale) and whole.scale <= 1:
         result = tone.solve(scaled, start=whole.drive)
