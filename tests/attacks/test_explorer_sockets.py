@@ -205,16 +205,17 @@ def test_viewers_can_neither_end_the_page_nor_change_it(served):
     asyncio.run(asyncio.wait_for(talk(), PATIENCE))
 
 
-def test_messages_get_no_memory_that_they_only_claim(served):
-    """wslink takes messages in parts, and allocates the length of all at the first one."""
+def test_messages_are_whole_and_not_too_long(served):
+    """wslink takes messages in parts, and allocates at the first one the length that it claims for all."""
     address, secret = session(served)
+    claims = [number.to_bytes(4, "little") + bytes(4) + (2**30).to_bytes(4, "little") for number in range(8)]
 
     async def talk():
         async with aiohttp.ClientSession() as client:
-            for number in range(8):
+            for message in (*claims, call("a" * 2**20)):
                 async with client.ws_connect(address) as opened:
                     await greet(opened, secret)
-                    await opened.send_bytes(number.to_bytes(4, "little") + bytes(4) + (2**30).to_bytes(4, "little"))
+                    await opened.send_bytes(message)
                     while not opened.closed:
                         await opened.receive(timeout=PATIENCE)
             async with client.ws_connect(address) as other:

@@ -3,6 +3,7 @@
 import json
 from functools import partial
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -63,5 +64,7 @@ def test_ctrl_c_keeps_the_measurements(panel):
             raise KeyboardInterrupt
 
     found = report.measure_accuracy(panel, device="cpu", budget=4, on_progress=stop)
+    with pytest.raises(KeyboardInterrupt):  # before the first
+        report.measure_accuracy(panel, device="cpu", budget=4, on_progress=Mock(side_effect=KeyboardInterrupt))
     assert (found.interrupted, len(found.rows)) == (True, 3)
     assert found.as_json()["interrupted"]

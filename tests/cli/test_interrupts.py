@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ import pytest
 from support.commands import ENDS_WITH_PARENT, output_of, until
 from support.commands import start_program as start
 from support.scenes import scene_of
-from warp_plate import PlateSolver, __version__, load_checkpoint, load_result
+from warp_plate import CheckpointFile, PlateSolver, __version__, load_checkpoint, load_result, localize
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot send SIGINT to one process")
 QUICK = ["--device", "cpu", "--no-pictures", "--no-estimate"]
@@ -83,6 +84,29 @@ def test_a_search_ends_with_its_best_and_a_checkpoint(number, endless):
     assert result.cases["best"].localization_factor == found["localization_factor"]["best"]
     assert found["localization_factor"]["best"] == pytest.approx(found["history"][-1]["best"], abs=2e-6)
     assert not list(Path().rglob("*.part*"))
+
+
+def test_a_second_ctrl_c_ends_a_search_at_once(tmp_path):
+    """With the last checkpoint and without a result, as the state of the search may be half updated."""
+    scene, done = scene_of((9, 9), search={"particles": 4, "iterations": 9}), []
+    file = CheckpointFile(tmp_path / "a.checkpoint.h5", 0.0)
+
+    def on_progress(iterations, total, best):
+        done.append(iterations)
+        if iterations == 3:
+            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), signal.SIGINT)
+            done.append("not at once")
+
+    with pytest.raises(KeyboardInterrupt):
+        localize(scene, device="cpu", estimate=False, on_progress=on_progress, checkpoints=file)
+    assert (done, load_checkpoint(file.path).iterations) == ([1, 2, 3], 3)
+
+
+def test_an_estimate_is_left_out_on_interrupts(endless, command, monkeypatch):
+    monkeypatch.setattr("warp_plate.studies.simulate.estimate", Mock(side_effect=KeyboardInterrupt))
+    output_of(command("simulate", "panel.toml", "--device", "cpu", "--path", "resident", "--no-pictures"))
+    assert "estimate" not in load_result("panel-simulate.h5").accuracy
 
 
 def test_a_long_iteration_ends_within_a_launch(endless, write_scene):
@@ -218,11 +242,14 @@ def test_files_are_written_whole_or_not_at_all(target, endless, write_scene, com
         ("frf paper --to csv --range 20:60", "paper-frf.csv"),
         ("sound paper --to hdf5 --range 200:300", "paper-sound.h5"),
         ("focus panel.toml", "panel-focus.h5"),
+        ("simulate panel.toml --device cpu --no-estimate", "panel-simulate.h5"),
         ("fit panel.toml --data measured.csv", "panel.fitted.toml"),
     ],
 )
-def test_pictures_are_left_out_on_interrupts(line, file, command, write_scene, monkeypatch):
+def test_pictures_are_left_out_on_interrupts(line, file, command, write_scene, monkeypatch, request):
     pytest.importorskip("matplotlib")
+    if line.startswith("simulate"):
+        request.getfixturevalue("drawing")
     points = {"points": [(0.07, 0.06)], "highest": 200.0, "time": 0.01, "rate": 4000}
     write_scene(damping=10.0, fit={"free": {"plate.young_modulus": (1e8, 1e10)}}, focus=points)
     Path("measured.csv").write_text("frequency\n21.5\n44.0\n44.3\n64.9\n", encoding="utf-8")
@@ -231,7 +258,8 @@ def test_pictures_are_left_out_on_interrupts(line, file, command, write_scene, m
         os.kill(os.getpid(), signal.SIGINT)
         time.sleep(5)
 
-    monkeypatch.setattr("matplotlib.figure.Figure.savefig", interrupted)
+    for target in ("matplotlib.figure.Figure.savefig", "PIL.Image.Image.save"):
+        monkeypatch.setattr(target, interrupted)
     out = output_of(command(*line.split()))
     assert out.replace("\n", " ").endswith(f"wrote {file} no pictures: interrupted by Ctrl-C ")
     assert sorted(path.name for path in Path().iterdir()) == sorted({"measured.csv", "panel.toml", file})

@@ -138,6 +138,8 @@ def test_an_interrupted_sweep_is_resumed(swept_panel, command, interrupt_after):
     """The same command again gives bit-identical results."""
     command(*CHECKS, "--out", "full.h5")
     file = Path("panel-sweep.checkpoint.h5")
+    interrupt_after(0)
+    assert (command(*CHECKS), file.exists()) == ((130, "", "warp-plate: interrupted\n"), False)
     interrupt_after(4)
     status, out, err = command(*CHECKS)
     assert (status, out) == (130, "")

@@ -1,14 +1,15 @@
 """What workers get: blocks of plates between their limits, sent as their numbers."""
 
 import pickle
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from warp_plate import PlateSolver, Scene
 from warp_plate.cluster.evaluator import block_size
-from warp_plate.cluster.pool import BLOCK_NODE_STEPS
-from warp_plate.cluster.tasks import Evaluation
+from warp_plate.cluster.pool import BLOCK_NODE_STEPS, WorkerPool, WorkersGone
+from warp_plate.cluster.tasks import Evaluation, SolverSpec, make_solver
 from warp_plate.plate.designs import Designs
 
 
@@ -35,3 +36,32 @@ def test_a_plate_is_sent_as_its_numbers():
     assert bytes_a_plate(lambda count: Designs(np.ones((count, 4), complex))) == pytest.approx(64, abs=0.1)
     assert bytes_a_plate(designs) == pytest.approx(64 + 4 * 8 * 4, abs=0.1)
     assert bytes_a_plate(lambda count: Evaluation(np.ones((count, 2)), 0, {})) == pytest.approx(16, abs=0.1)
+
+
+def test_a_worker_keeps_a_solver_of_its_own_device_and_threads(scene, monkeypatch):
+    monkeypatch.setenv("WARP_PLATE_DEVICE", "cpu")
+    monkeypatch.delenv("WARP_PLATE_THREADS", raising=False)
+    spec = SolverSpec.of(scene((9, 9)), "cuda:99", "auto")
+    solver = make_solver(spec)
+    assert (solver.device.alias, solver.specialized.threads) == ("cpu", 1)
+    assert make_solver(pickle.loads(pickle.dumps(spec))) is solver
+    monkeypatch.setenv("WARP_PLATE_THREADS", "3")
+    assert make_solver(SolverSpec.of(scene((9, 9)), "cuda:99", "auto")).specialized.threads == 3
+
+
+def test_a_minute_passes_until_no_worker_is_left(monkeypatch):
+    """For the first one, and whenever all are lost."""
+    client, now = Mock(status="running", nthreads=dict), 0.0
+    monkeypatch.setattr("warp_plate.cluster.pool.time", Mock(monotonic=lambda: now))
+    pool = WorkerPool(client, "--cluster tcp://far:8786")
+    for start in (0.0, 1000.0):
+        now = start
+        if start:
+            client.nthreads = lambda: {"worker": 2}
+            assert pool.worker_count() == 2
+            client.nthreads = dict
+        now = start + 59
+        assert pool.worker_count() == 0
+        now = start + 61
+        with pytest.raises(WorkersGone, match="has had no worker for a minute"):
+            pool.worker_count()

@@ -18,6 +18,8 @@ from support.inline_pool import InlinePool, KilledWorker
 from support.worker_tasks import doubled, end_worker, process_number
 from support.workers import PLATES, assert_same_history, assert_same_run, random_phasors, small_search
 from warp_plate import CheckpointFile, PlateSolver, SceneError, load_checkpoint, load_result, localize, resume
+from warp_plate.cli.localize import _as_json
+from warp_plate.cli.options import WorkerOptions
 from warp_plate.cluster.evaluator import make_evaluator
 from warp_plate.cluster.opening import open_pool
 from warp_plate.cluster.pool import Task, WorkersGone, run_tasks
@@ -148,6 +150,7 @@ def test_pools_that_cannot_be(devices, cluster, line, monkeypatch):
 def test_a_device_beside_devices_is_refused(command):
     line = error_of(command("localize", "paper", "--devices", "cpu,cpu", "--device", "cpu"))
     assert "--device cpu: --devices cpu,cpu already says where plates run" in line
+    assert WorkerOptions(devices="cpu, cuda:0").local_device == "cpu"
 
 
 def test_workers_that_cannot_start_are_one_line(monkeypatch):
@@ -278,6 +281,7 @@ def test_lost_plates_are_in_the_result(tmp_path, scene, random):
     result = localize(panel, device="cpu", estimate=False, pool=Failing(under=22), checkpoints=file)
     assert result.lost_plates == {why: 2 * 22}
     assert load_checkpoint(tmp_path / "panel.checkpoint.h5").lost_plates[why] >= 22
+    assert _as_json(None, result)["lost"] == result.lost_plates
     assert result.evaluations == 2 * PLATES
     assert result.cases["best"].localization_factor > 0
     assert load_result(save_result(result, tmp_path / "panel.h5")).lost_plates == result.lost_plates
@@ -366,6 +370,9 @@ def test_workers_must_be_alike_and_have_their_device(scene):
     evaluator.run([[1, 1, 1]])
     pool.false = {"processor": "0.0"}
     evaluator.run([[1, 1, 1]])
+    pool.false = {"kind": "cuda"}
+    with pytest.raises(SceneError, match="workers: kind is cuda on one"):
+        evaluator.run([[1, 1, 1]])
     for name in ("warp", "warp_plate"):
         pool.false = {name: "0.0"}
         for other in (evaluator, make_evaluator(scene((9, 9)), "cpu", pool=pool)):

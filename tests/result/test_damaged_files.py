@@ -2,6 +2,7 @@
 
 import os
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -57,6 +58,16 @@ def test_a_changed_file_is_refused(kind, written_files, tmp_path, random):
             assert "damaged" in refusal_of(read, path)
     path.write_bytes(content)
     assert read(path).source == "panel"
+
+
+@pytest.mark.parametrize("kind", ["checkpoint", "result"])
+def test_the_last_line_is_verified_before_hdf5_opens_a_file(kind, written_files, tmp_path, monkeypatch):
+    content, read = written_files[kind]
+    data, line = content[: content.rindex(b"\nwarp-plate")], content.splitlines()[-1].decode()
+    assert line == f"warp-plate sha256 {sha256(data).hexdigest()} of {len(data):020d} bytes"
+    (tmp_path / "a.h5").write_bytes(content[:100] + bytes([content[100] ^ 1]) + content[101:])
+    monkeypatch.setattr("h5py.File", None)
+    assert "damaged" in refusal_of(read, tmp_path / "a.h5")
 
 
 @pytest.mark.parametrize("kind", ["checkpoint", "result"])

@@ -1,6 +1,8 @@
 """An interrupted search continues to the result of an uninterrupted one."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -8,8 +10,11 @@ import pytest
 from support.inline_pool import InlinePool
 from support.scenes import scene_of
 from support.searches import assert_same_results, interrupted_search
-from warp_plate import CheckpointFile, localize, resume
+from warp_plate import CheckpointFile, SceneError, load_checkpoint, localize, resume
+from warp_plate.result.checkpoint import Checkpoint, save_checkpoint
 from warp_plate.scene.grid import Grid
+from warp_plate.studies.localize import load_to_resume
+from warp_plate.studies.unfinished import device_like
 
 SEARCH = {"search": {"particles": 8, "iterations": 9, "seed": 3}, "record": {"points": ((0.1, 0.1),)}}
 
@@ -54,6 +59,28 @@ class Interrupted(InlinePool):
         return super().run(function, argument)
 
 
+def test_a_checkpoint_is_due_some_seconds_after_the_last(tmp_path, monkeypatch):
+    times = iter([0.0, 29.9, 30.0, 31.0, 60.9, 61.0])
+    monkeypatch.setattr("warp_plate.studies.unfinished.time", SimpleNamespace(monotonic=lambda: next(times)))
+    monkeypatch.setattr("warp_plate.studies.unfinished.save_checkpoint", lambda start, path: None)
+    file = CheckpointFile(tmp_path / "a.checkpoint.h5")
+    assert [file.due(), file.due()] == [False, True]
+    file.save(MagicMock(spec=Checkpoint))
+    assert [file.due(), file.due()] == [False, True]
+
+
+@pytest.mark.parametrize("error", [RuntimeError("of a driver"), SceneError("of a worker")])
+def test_an_error_leaves_a_checkpoint(error, tmp_path):
+    def fail(done, total, best):
+        if done == 2:
+            raise error
+
+    file = CheckpointFile(tmp_path / "a.checkpoint.h5", np.inf)
+    with pytest.raises(type(error), match="of a"):
+        localize(scene_of(**SEARCH), device="cpu", estimate=False, on_progress=fail, checkpoints=file)
+    assert load_checkpoint(file.path).iterations == 2
+
+
 def test_interrupted_between_ask_and_tell(tmp_path):
     """Positions are new and their losses unknown; nothing is lost or counted twice."""
     scene = scene_of(damping=88.5, **SEARCH)
@@ -80,7 +107,14 @@ def test_the_chosen_grid_is_kept(tmp_path):
 def test_another_device_and_other_versions_are_kept(tmp_path):
     _, checkpoint = interrupted_search(tmp_path, scene_of(**SEARCH), device="cpu", after=2)
     elsewhere = replace(checkpoint, device="cuda:7", processor="another one")
+    assert device_like(checkpoint) == "cpu"
     older = replace(elsewhere, versions={**checkpoint.versions, "warp": "0.1"})
+    lines = []
+    save_checkpoint(older, tmp_path / "older.checkpoint.h5")
+    load_to_resume(tmp_path / "older.checkpoint.h5", None, "cpu", lines.append)
+    assert "continues on cpu" in lines[0]
+    assert lines[0].endswith("which rounds differently: the result may differ")
+    assert "began with warp 0.1, this is " in lines[1]
     found = resume(older, estimate=False)
     assert found.device.startswith("cuda:7 (another one), then ")
     assert found.versions == {**checkpoint.versions, "warp": f"0.1, then {checkpoint.versions['warp']}"}
