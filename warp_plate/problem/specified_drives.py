@@ -291,10 +291,12 @@ class Tone:
             changes = caution * (changes + ELSEWHERE * changes.max())  # they may cross zero
             sizes = [np.abs(values) + sign * changes for sign in (0, -1, 1)]
             if measure == "mean":
-                size, change = (float(np.sqrt(np.mean(part**2))) for part in (sizes[0], changes))
-                return [max(1 - change / size, 0.0), 1 + change / size]
-            middle, *others = (float(part.max() if measure == "worst" else part.min()) for part in sizes)
-            return [max(end / middle, 0.0) for end in others]
+                middle, change = (float(np.sqrt(np.mean(part**2))) for part in (sizes[0], changes))
+                others = [middle - change, middle + change]
+            else:
+                middle, *others = (float(part.max() if measure == "worst" else part.min()) for part in sizes)
+            reached = self._measured(measure, region, drive)
+            return [max(1 + (end - middle) / reached, 0.0) for end in others]
 
         (low_aims, high_aims), (low_rests, high_rests) = (part.reshape(-1, 2).T for part in self._per_region(ends))
         return (low_aims, low_rests), (high_aims, high_rests)

@@ -95,7 +95,8 @@ def _graded(scene: Scene, axis: int, interval: float) -> np.ndarray:
     spans = []
     for hole in outline.loops[1:]:
         low, high = _along(axis, hole)
-        width = min([high - low, *(4 * arc.least_radius for arc in hole if isinstance(arc, Arc) and arc.closed)])
+        radii = [piece.least_radius for piece in hole if isinstance(piece, Arc)]
+        width = min(high - low, 4 * min(radii)) if len(radii) == len(hole) else high - low
         spans.append((low, high, HOLE_INTERVAL * width, HOLE_GROWTH))
     for arc in outline.pieces:
         if isinstance(arc, Arc) and (arc.condition == "supported" or (arc.hollow and arc.condition != "free")):

@@ -317,8 +317,8 @@ class TrimmedSplines(SplineProducts):
 
     def _further(self, piece: Piece) -> int:
         """Return how many more polynomials than intervals a part of a piece has."""
-        loop = next((loop for loop in self.outline.loops if piece in loop and len(loop) > 1), ())
-        if any(isinstance(other, Arc) for other in loop):
+        loop = next((loop for loop in self.outline.loops if piece in loop), ())
+        if any(_is_bent(*pair) for pair in zip(loop, (*loop[1:], *loop[:1]), strict=True)):
             return 0 if piece.condition == "clamped" and not isinstance(piece, Arc) else -1
         wide = any(after in loop and angle > WIDE for _, after, angle in self.outline.corners())
         return 0 if wide and piece.condition == "supported" else FURTHER
@@ -329,6 +329,15 @@ class TrimmedSplines(SplineProducts):
         cuts = np.unique(np.concatenate([[low, high], *crossed]))
         t, weights = gauss(cuts[(cuts >= low) & (cuts <= high)], self.degree + 2)
         return t, weights * np.linalg.norm(piece.tangents(t), axis=1)
+
+
+def _is_bent(before: Piece, after: Piece) -> bool:
+    """Return whether the curvature jumps between two pieces one of which is an arc."""
+    arcs = [piece for piece in (before, after) if isinstance(piece, Arc)]
+    if len(arcs) == 2:
+        (centre, form), (other, others) = ((arc.centre, arc.axes @ arc.axes.T) for arc in arcs)
+        return not (np.allclose(centre, other) and np.allclose(form, others, atol=1e-9 * np.abs(form).max()))
+    return bool(arcs)
 
 
 def _widths(knots: np.ndarray, degree: int) -> np.ndarray:
