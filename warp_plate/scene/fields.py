@@ -22,6 +22,8 @@ from pydantic import (
     NonNegativeInt,
     TypeAdapter,
     ValidationError,
+    ValidationInfo,
+    field_validator,
 )
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, PydanticCustomError
@@ -138,6 +140,16 @@ class Table(BaseModel, metaclass=_Documented):
     def __dir__(self) -> list[str]:
         return dir(type(self))
 
+    @field_validator("*", mode="before")
+    @classmethod
+    def _neither_texts_nor_booleans(cls, value: Any, info: ValidationInfo) -> Any:
+        """Refuse "4" and true for a number, which pydantic would take for 4 and 1."""
+        if isinstance(value, float | int | list | tuple | str | bytes) and type(value) not in (float, int):
+            number = _number_of(cls, str(info.field_name))
+            if number and any(isinstance(part, bool | str | bytes) for part in _leaves(value)):
+                raise PydanticCustomError("no_number", "must be {number}", {"number": number})
+        return value
+
     def _derive(self, key: str, value: object) -> None:
         """Set a key that follows from others, during validation: it does not count as written in the file."""
         self.__dict__[key] = value
@@ -170,6 +182,27 @@ def _types_in(annotation: Any) -> Iterator[Any]:
     yield annotation
     for inner in get_args(annotation):
         yield from _types_in(inner)
+
+
+@cache
+def _number_of(table: type[BaseModel], name: str) -> str:
+    """Return what a key must hold where it is made of numbers alone, else ""."""
+    annotation = table.model_fields[name].annotation
+    parts = list(_types_in(annotation))
+    if any(part in (str, bool) or isinstance(part, str) or _is_table(part) for part in parts):
+        return ""
+    several = "a list of " if any(get_origin(part) is tuple for part in parts) else ""
+    if float in parts:
+        return f"{several}numbers" if several else "a number"
+    return (f"{several}whole numbers" if several else "a whole number") if int in parts else ""
+
+
+def _leaves(value: Any) -> Iterator[Any]:
+    if not isinstance(value, list | tuple):
+        yield value
+        return
+    for item in value:
+        yield from _leaves(item)
 
 
 def unit_in(annotation: Any, metadata: Iterable[Any] = ()) -> str | None:
