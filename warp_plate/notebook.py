@@ -219,11 +219,14 @@ def render(
         DrawingUnavailable: a library that the file needs is not installed.
     """
     from warp_plate.analysis.motion import frame_at, motions, period_around
-    from warp_plate.scene.errors import SceneError
+    from warp_plate.result.model import Result
+    from warp_plate.scene.errors import SceneError, check_type
     from warp_plate.viz.availability import DrawingUnavailable
     from warp_plate.viz.fields import FIELDS, PictureStyle, colour_options
     from warp_plate.viz.pictures import ENDINGS, draw_motions, largest_frame, missing_library
 
+    check_type("result", result, Result)
+    check_type("path", path, str, Path)
     path, colours = Path(path), colour_options(colormap, limits)
     style = PictureStyle(quantity, width, heights, colours, plan, rate)
     if path.suffix.lower() not in ENDINGS:

@@ -58,8 +58,26 @@ def test_arguments_of_sweeps_of_wrong_types(wrong):
     assert message == f"vary[0]: must be a str, not a {type(wrong).__name__}"
 
 
-def test_ranges_that_are_iterators():
+@pytest.mark.parametrize("wrong", WRONG, ids=lambda value: type(value).__name__)
+def test_arguments_of_searches_and_pictures_of_wrong_types(wrong, result):
+    kind = type(wrong).__name__
+    for argument in ("source", "checkpoints", "pool", "on_progress", "seed"):
+        if argument != "source" and (wrong is None or (argument == "seed" and isinstance(wrong, int))):
+            continue
+        message = refused(lambda name=argument: warp_plate.localize(SCENE, device="cpu", **{name: wrong}))
+        assert message.startswith(argument)
+    assert refused(warp_plate.resume, wrong) == f"checkpoint: must be a Checkpoint, not a {kind}"
+    assert refused(warp_plate.view, wrong) == f"result: must be a Result, not a {kind}"
+    assert refused(warp_plate.render, result, wrong) == f"path: must be a str or Path, not a {kind}"
+    assert refused(warp_plate.verify, result, wrong) == f"data: must be a Path or MeasuredField, not a {kind}"
+    if wrong is not None and not isinstance(wrong, int):
+        assert refused(lambda: warp_plate.view(result, frames=wrong)).startswith("frames = ")
+        assert refused(lambda: warp_plate.measure_accuracy(SCENE, budget=wrong)).startswith("budget = ")
+
+
+def test_ranges_that_are_iterators(result):
     """A range is read once."""
+    assert warp_plate.motion(result, frames=2, span=iter((0.001, 0.004)), device="cpu").span == (0.001, 0.004)
     of_tuple = warp_plate.frf(SCENE, frequency_range=(100, 400)).frequencies
     assert np.array_equal(warp_plate.frf(SCENE, frequency_range=iter((100, 400))).frequencies, of_tuple)
     assert warp_plate.sound(SCENE, frequency_range=map(float, (100, 400))).frequencies[-1] == 400

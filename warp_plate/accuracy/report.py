@@ -6,12 +6,14 @@ import math
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
+from numbers import Real
 
 import numpy as np
 
 from warp_plate.accuracy.configurations import Configuration, make_configurations
 from warp_plate.accuracy.measure import MODAL, MODAL_DENSITIES, AccuracyRow, measure, measure_modal
 from warp_plate.accuracy.reference_solution import LEAST_ERROR, ReferenceSolution, find_reference_solution
+from warp_plate.scene.errors import SceneError
 from warp_plate.scene.grid import Grid
 from warp_plate.scene.model import Scene, SceneSource
 
@@ -106,6 +108,8 @@ def measure_accuracy(
         KeyboardInterrupt: no row has been measured yet.
     """
     scene = Scene.load(scene)
+    if not isinstance(budget, Real) or not 0 < float(budget) < math.inf:
+        raise SceneError(f"budget = {budget!r}: must be a time in seconds, greater than 0")
     started = time.perf_counter()
     reference = find_reference_solution(scene, device, 2 * LEAST_ERROR, BUDGET_SHARE * budget)
     points: list[float | Configuration | None] = [None]  # densities of functions, and grids; None for that of the scene

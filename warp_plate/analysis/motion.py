@@ -57,10 +57,6 @@ def motion(
     """
     check_type("result", result, Result)
     check_type("case", case, str, NoneType)
-    if frames is not None:
-        check_whole("frames", frames)
-    if span is not None:
-        numbers_of("span", span, 2, "start and end in seconds")
     return motions(result.scene, result.select_cases([case or result.main_name]), span, frames, device)[0]
 
 
@@ -108,6 +104,11 @@ def motions(
     Raises:
         SceneError: see :class:`PlateSolver`; the span is outside the run; or there are too few or too many frames.
     """
+    if frames is not None:
+        check_whole("frames", frames)
+    if span is not None:
+        start, stop = numbers_of("span", span, 2, "start and end in seconds")
+        span = start, stop
     scene = scene.model_copy(update={"record": Record()})
     resolved = resolve(scene, device, purpose="replay")
     grid = resolved.grid

@@ -27,6 +27,12 @@ def check_type(key: str, value: object, *kinds: type) -> None:
         raise SceneError(f"{key}: must be a {names}, not a {type(value).__name__}")
 
 
+def check_function(key: str, value: object) -> None:
+    """Raise a SceneError that names the argument ``key`` unless its value is a function or None."""
+    if value is not None and not callable(value):
+        raise SceneError(f"{key}: must be a function or None, not a {type(value).__name__}")
+
+
 def check_whole(key: str, value: object, highest: float = math.inf) -> None:
     """Raise a SceneError that names the argument ``key`` unless its value is a whole number from 1 to ``highest``."""
     if isinstance(value, bool) or not isinstance(value, Integral) or not 1 <= int(value) <= highest:

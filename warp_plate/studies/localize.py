@@ -6,7 +6,9 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from numbers import Integral
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 import numpy as np
@@ -24,7 +26,7 @@ from warp_plate.result.atomic_io import write_atomically
 from warp_plate.result.case import Case, target_cases
 from warp_plate.result.checkpoint import Checkpoint, load_checkpoint
 from warp_plate.result.model import Result, RobustComparison, TargetSearch, best_drive_scenes
-from warp_plate.scene.errors import SceneError, printable
+from warp_plate.scene.errors import SceneError, check_function, check_type, printable
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.solve.devices import processor_of
 from warp_plate.studies.baselines import baseline_cases, check_baselines
@@ -82,11 +84,13 @@ def localize(
         SceneError: see :class:`PlateSolver`; or the scene has no baselines.
     """
     written = Scene.load(scene)
+    check_type("source", source, str)
+    _check_arguments(on_progress, checkpoints, pool)
     if baselines:
         check_baselines(written)
     seed = written.search.seed if seed is None else seed
-    if not 0 <= seed < 2**63:
-        raise SceneError(f"seed = {seed}: must be an integer from 0 to 2^63 - 1")
+    if not isinstance(seed, Integral) or not 0 <= int(seed) < 2**63:
+        raise SceneError(f"seed = {seed!r}: must be an integer from 0 to 2^63 - 1")
     files = digests(written)
     resolved = resolve_search(written, device, path, evaluator)
     started = time.perf_counter()
@@ -109,6 +113,13 @@ def localize(
         **initial,
     )
     return _run(start, problem, on_progress, checkpoints, estimate=estimate, spectrum=spectrum, baselines=baselines)
+
+
+def _check_arguments(on_progress: object, checkpoints: object, pool: object) -> None:
+    """Raise a SceneError, before the search, if one of these is of another type."""
+    check_function("on_progress", on_progress)
+    check_type("checkpoints", checkpoints, CheckpointFile, NoneType)
+    check_type("pool", pool, WorkerPool, NoneType)
 
 
 def resume(
@@ -134,6 +145,8 @@ def resume(
         SceneError: the device does not exist, a file that the scene names is missing or has changed, or the checkpoint
             does not fit its scene.
     """
+    check_type("checkpoint", checkpoint, Checkpoint)
+    _check_arguments(on_progress, checkpoints, pool)
     if baselines:
         check_baselines(checkpoint.scene)
     started, matrices, earlier = time.perf_counter(), checkpoint.matrices, checkpoint.earlier_devices

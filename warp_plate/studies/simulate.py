@@ -20,7 +20,7 @@ from warp_plate.problem.design_variables import magnitude_unit
 from warp_plate.problem.evaluate_cases import cases_from_run, reference_phasors
 from warp_plate.resolve import Resolved, resolve
 from warp_plate.result.model import Result, load_result
-from warp_plate.scene.errors import SceneError, check_type
+from warp_plate.scene.errors import SceneError, check_function, check_type
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.solve.response import Response
 from warp_plate.solve.run import Progress, Run, run_with_peaks
@@ -58,8 +58,7 @@ def simulate(
         check_type(key, value, str)
     for key, flag in {"estimate": estimate, "allow_unstable": allow_unstable, "warnings": warnings}.items():
         check_type(key, flag, bool)
-    if progress is not None and not callable(progress):
-        raise SceneError(f"progress: must be a function or None, not a {type(progress).__name__}")
+    check_function("progress", progress)
     phasors = _phasors(scene, drive)
     drives = None if phasors is None else phasors[None]
     resolved = resolve(scene, device, purpose="simulate", path=path, phasors=drives, allow_unstable=allow_unstable)

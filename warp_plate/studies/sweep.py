@@ -22,7 +22,7 @@ from warp_plate.plate.files import digests
 from warp_plate.resolve import Purpose, choose_engine, refuse_nonlinear_modes, resolve_for_sweep
 from warp_plate.result.checkpoint import ENDING
 from warp_plate.result.sweep import REFUSED, RUN, Sweep, load_sweep, save_sweep
-from warp_plate.scene.errors import SceneError, check_type
+from warp_plate.scene.errors import SceneError, check_function, check_type
 from warp_plate.scene.keys import label_of
 from warp_plate.scene.load import read_beside
 from warp_plate.scene.model import Scene, SceneSource
@@ -99,8 +99,7 @@ def sweep(
         if not isinstance(number, Integral | None):
             raise SceneError(f"{key} = {number!r}: must be a whole number")
     check_type("pool", pool, WorkerPool, NoneType)
-    if on_progress is not None and not callable(on_progress):
-        raise SceneError(f"on_progress: must be a function or None, not a {type(on_progress).__name__}")
+    check_function("on_progress", on_progress)
     request = SweepRequest(Scene.load(scene), source, vary, what, samples, seed, count, path, evaluator, frequencies)
     return run_sweep(start_sweep(request, device if pool is None else "auto"), on_progress, None, pool)
 

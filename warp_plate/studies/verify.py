@@ -87,6 +87,7 @@ def verify(result: Result, data: Path | MeasuredField, case: str | None = None) 
         SceneError: The file is invalid, the velocities are noise, or the points are not on the panel or on one line.
     """
     check_type("result", result, Result)
+    check_type("data", data, Path, MeasuredField)
     ((name, chosen),) = result.select_cases([case or result.main_name]).items()
     scene = result.case_scene(chosen)
     measured = average_readings(read_field(data) if isinstance(data, Path) else data)
