@@ -7,12 +7,14 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
+from numbers import Real
+from types import NoneType
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from warp_plate.result.motion import Motion
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, check_type
 from warp_plate.scene.model import Scene
 
 if TYPE_CHECKING:
@@ -86,6 +88,7 @@ class PictureStyle:
 
 def colour_options(colormap: str | None, limits: str | float | None) -> ColourOptions:
     """Return the options from the texts of a command."""
+    check_type("limits", limits, str, Real, NoneType)
     with suppress(ValueError):
         limits = limits if limits is None else float(limits)
     return ColourOptions(colormap, limits)

@@ -133,6 +133,7 @@ def plot(
     from warp_plate.result.model import Result
     from warp_plate.result.sound import Sound
     from warp_plate.result.sweep import Sweep
+    from warp_plate.scene.errors import check_type
     from warp_plate.viz.availability import DrawingUnavailable, missing_plots
     from warp_plate.viz.fields import colour_options
     from warp_plate.viz.pictures import draw_all
@@ -140,6 +141,7 @@ def plot(
     from warp_plate.viz.plots.sound import draw_sound
     from warp_plate.viz.plots.sweep import draw_sweep
 
+    check_type("stem", stem, str, Path)
     colours = colour_options(colormap, limits)
     if isinstance(shown, Result):
         files, problem = draw_all(shown, stem, colours)

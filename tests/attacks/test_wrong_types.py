@@ -70,6 +70,14 @@ def test_arguments_of_searches_and_pictures_of_wrong_types(wrong, result):
     assert refused(warp_plate.view, wrong) == f"result: must be a Result, not a {kind}"
     assert refused(warp_plate.render, result, wrong) == f"path: must be a str or Path, not a {kind}"
     assert refused(warp_plate.verify, result, wrong) == f"data: must be a Path or MeasuredField, not a {kind}"
+    assert refused(warp_plate.plot, result, wrong) == f"stem: must be a str or Path, not a {kind}"
+    assert refused(lambda: warp_plate.specify("console", tolerances=wrong)).startswith("tolerances: must be a bool")
+    assert refused(warp_plate.Scene.parse, wrong, "a") == f"text: must be a str, not a {kind}"
+    assert refused(SCENE.replace, wrong, 1) == f"key: must be a str, not a {kind}"
+    assert refused(warp_plate.Scene.load, "paper", [wrong]) == f"assignments[0]: must be a str, not a {kind}"
+    assert refused(warp_plate.Scene.load, "paper", "drive.frequency=3") == (
+        "assignments: must be a list or tuple, not a str"
+    )
     if wrong is not None and not isinstance(wrong, int):
         assert refused(lambda: warp_plate.view(result, frames=wrong)).startswith("frames = ")
         assert refused(lambda: warp_plate.measure_accuracy(SCENE, budget=wrong)).startswith("budget = ")

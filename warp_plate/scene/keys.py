@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel
 
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, check_type
 from warp_plate.scene.fields import shown_unit, unit_in
 from warp_plate.scene.load import parse_toml
 from warp_plate.scene.tables import SceneTables
@@ -162,7 +162,9 @@ def assign(tables: dict[str, Any], assignments: Iterable[str]) -> None:
     Raises:
         SceneError: it is not KEY=VALUE, or the key does not lead into the tables.
     """
-    for assignment in assignments:
+    check_type("assignments", assignments, list, tuple)
+    for index, assignment in enumerate(assignments):
+        check_type(f"assignments[{index}]", assignment, str)
         key, equals, text = assignment.partition("=")
         if not equals or not key.strip():
             raise SceneError(f"--set {assignment}: must be KEY=VALUE, such as drive.frequency=300")
@@ -178,6 +180,7 @@ def put(tables: dict[str, Any], key: str, value: Any, shown: str) -> None:
     Raises:
         SceneError: the key does not lead into the tables; the message begins with ``shown``.
     """
+    check_type("key", key, str)
     rows = {table: tables[table] for table in NAMED if isinstance(tables.get(table), list)}
     names = {table: [str(row.get("name")) if isinstance(row, dict) else "" for row in rows[table]] for table in rows}
     key = _without_names(names, key.strip())

@@ -74,6 +74,7 @@ class Scene(SceneTables):
 
         An outline is read from a file in ``folder``.
         """
+        check_type("text", text, str)
         tables = parse_toml(text, name)
         assign(tables, assignments)
         try:
@@ -165,9 +166,9 @@ class Scene(SceneTables):
         Keys and what they exclude are those of ``--set``; the value None removes a table.
         """
         tables = self._tables()
+        put(tables, key, value, key)
         if "grid" not in self.model_fields_set and not key.startswith("grid"):
             del tables["grid"]
-        put(tables, key, value, key)
         return Scene.from_tables(tables).in_folder(self._folder)
 
     def with_values(self, values: Mapping[str, float | str]) -> Scene:

@@ -16,7 +16,7 @@ from warp_plate.optimize.optimizer import minimum_near
 from warp_plate.problem.requirements import make_requirements
 from warp_plate.problem.specified_drives import Ratios, Scaled, Tone, solve_together
 from warp_plate.result.specified import Margin, Scatter, SpecifiedDrive
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, check_function, check_type
 from warp_plate.scene.keys import resolved_key, value_of
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.scene.specification import Specification
@@ -56,6 +56,8 @@ def specify(
             of any size reaches the levels.
     """
     scene = Scene.load(scene)
+    check_type("tolerances", tolerances, bool)
+    check_function("on_progress", on_progress)
     specification = scene.specification
     if specification is None:
         raise SceneError("specification: is missing; write for example [specification] level = { acceleration_g = 1 }")
