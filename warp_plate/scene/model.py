@@ -394,7 +394,7 @@ def _check_keys(scene: SceneTables, where: str, names: Iterable[str], tables: tu
             listed = ", ".join(table.rstrip(".[") for table in tables)
             raise ValueError(f"{where}: {name}: is no real number of {listed}")
         if where.endswith("tolerance") and not value_of(scene, key):
-            raise ValueError(f"{where}: {name}: is no real number other than 0")
+            raise ValueError(f"{where}: {name}: is 0 or not written in the scene; write its number")
         if taken & {*linked}:
             raise ValueError(f"{where}: {name}: is there twice")
         taken |= {*linked}
