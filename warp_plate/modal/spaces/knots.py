@@ -7,7 +7,6 @@ map of thickness, the curvature; and where the load jumps, at the edges of a pat
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -94,13 +93,13 @@ def _graded(scene: Scene, axis: int, interval: float) -> np.ndarray:
     assert outline is not None
     spans = []
     for hole in outline.loops[1:]:
-        low, high = _along(axis, hole)
+        low, high = bounds(hole)[2 * axis : 2 * axis + 2]
         radii = [piece.least_radius for piece in hole if isinstance(piece, Arc)]
         width = min(high - low, 4 * min(radii)) if len(radii) == len(hole) else high - low
         spans.append((low, high, HOLE_INTERVAL * width, HOLE_GROWTH))
     for arc in outline.pieces:
         if isinstance(arc, Arc) and (arc.condition == "supported" or (arc.hollow and arc.condition != "free")):
-            low, high = _along(axis, [arc])
+            low, high = bounds([arc])[2 * axis : 2 * axis + 2]
             if not arc.closed and high - low < interval:
                 spans.append((low, high, ARC_INTERVAL * (high - low), CORNER_GROWTH))
     corners = [after.start[axis] for before, after, angle in outline.corners() if _is_singular(before, after, angle)]
@@ -133,12 +132,6 @@ def _on_edge(support: Support, end: Point, outline: Outline) -> bool:
         corners = (after.start for _, after, angle in outline.corners() if angle < math.pi - STRAIGHT)
         return any(math.dist(corner, end) < ON_EDGE for corner in corners)
     return min(piece.nearest(end)[1] for piece in outline.pieces) < ON_EDGE
-
-
-def _along(axis: int, pieces: Sequence[Piece]) -> tuple[float, float]:
-    """Return the least and the largest x (0) or y (1) [m] of pieces."""
-    x0, x1, y0, y1 = bounds(pieces)
-    return (x0, x1) if axis == 0 else (y0, y1)
 
 
 def _is_singular(before: Piece, after: Piece, angle: float) -> bool:

@@ -32,6 +32,7 @@ from warp_plate.modal.spaces.knots import outline_splines
 from warp_plate.modal.spaces.space import Matrix
 from warp_plate.modal.spaces.splines import gauss, overlapping_pairs
 from warp_plate.modal.spaces.tensor_splines import ORDERS
+from warp_plate.outline.outline import Outline
 from warp_plate.outline.pieces import Arc, Piece
 from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.plate.section import shaped_layers
@@ -284,7 +285,8 @@ class TrimmedSplines(SplineProducts):
         some = values > RANK * values[-1]
         basis = np.zeros((len(energy), int(some.sum())))
         basis[used] = unit[:, None] * vectors[:, some] / np.sqrt(values[some])
-        moments = [row for piece in self._pieces for row in self._moments(piece)]
+        further = dict(_further(self.outline))
+        moments = [row for piece in self._pieces for row in self._moments(piece, further.get(piece, FURTHER))]
         rigid = (support for support in self.scene.supports if support.stiffness is None)
         moments += [self._rows(np.array([support.point])) for support in rigid if support.point is not None]
         if not moments:
@@ -293,8 +295,9 @@ class TrimmedSplines(SplineProducts):
         kept = rows[sizes > MOMENTS * sizes[0]]
         return np.asarray(basis @ scipy.linalg.qr(kept.T)[0][:, len(kept) :])
 
-    def _moments(self, piece: Piece) -> Iterator[np.ndarray]:
-        """Yield rows (n, products) of what vanishes along a clamped or supported piece."""
+    def _moments(self, piece: Piece, further: int) -> Iterator[np.ndarray]:
+        """Yield rows (n, products) of what vanishes along a clamped or supported piece, with so many more polynomials
+        than intervals in each part."""
         if piece.condition not in ("clamped", "supported"):
             return
         if not piece.closed:
@@ -305,7 +308,7 @@ class TrimmedSplines(SplineProducts):
         sizes = [np.diff(side.breaks)[side.interval(middle[:, axis])] for axis, side in enumerate(self._local)]
         passed = np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0] / sizes[0], steps[:, 1] / sizes[1]))])
         parts = max(1, int(np.ceil(passed[-1] / PART_INTERVALS)))
-        count = max(1, int(np.ceil(passed[-1] / parts)) + self._further(piece))
+        count = max(1, int(np.ceil(passed[-1] / parts)) + further)
         ends = np.interp(np.linspace(0, passed[-1], parts + 1), passed, t)
         for low, high in pairwise(ends.tolist()):
             at, weights = self._edge_rule(piece, low, high)
@@ -315,20 +318,24 @@ class TrimmedSplines(SplineProducts):
             if piece.condition == "clamped":
                 yield max(self.interval_sizes) * functions.T @ self._rows(piece.points(at), piece.normals(at))
 
-    def _further(self, piece: Piece) -> int:
-        """Return how many more polynomials than intervals a part of a piece has."""
-        loop = next((loop for loop in self.outline.loops if piece in loop), ())
-        if any(_is_bent(*pair) for pair in zip(loop, (*loop[1:], *loop[:1]), strict=True)):
-            return 0 if piece.condition == "clamped" and not isinstance(piece, Arc) else -1
-        wide = any(after in loop and angle > WIDE for _, after, angle in self.outline.corners())
-        return 0 if wide and piece.condition == "supported" else FURTHER
-
     def _edge_rule(self, piece: Piece, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
         """Return parameters and weights [m] of Gauss's rule along a part of a piece, cut at the knots."""
         crossed = [piece.crossings(axis, splines.breaks) for axis, splines in enumerate(self.along)]
         cuts = np.unique(np.concatenate([[low, high], *crossed]))
         t, weights = gauss(cuts[(cuts >= low) & (cuts <= high)], self.degree + 2)
         return t, weights * np.linalg.norm(piece.tangents(t), axis=1)
+
+
+def _further(outline: Outline) -> Iterator[tuple[Piece, int]]:
+    """Yield pieces of an outline that take other than ``FURTHER`` polynomials, and how many."""
+    wide = {after for _, after, angle in outline.corners() if angle > WIDE}
+    for loop in outline.loops:
+        bent = any(_is_bent(*pair) for pair in zip(loop, (*loop[1:], *loop[:1]), strict=True))
+        for piece in loop:
+            if bent:
+                yield piece, 0 if piece.condition == "clamped" and not isinstance(piece, Arc) else -1
+            elif piece.condition == "supported" and not wide.isdisjoint(loop):
+                yield piece, 0
 
 
 def _is_bent(before: Piece, after: Piece) -> bool:
