@@ -43,10 +43,12 @@ def limited_quantities(
     """
     limits, omega = requirements.specification.limits, 2 * math.pi * frequency
     velocity, quantities = accelerations / (1j * omega), []
+    motion = None  # of the coils under the largest drive of each actuator (1, coils, actuators)
+    if plate.coils is not None:
+        motion = plate.coils.motion(np.array([omega]), -accelerations[None] / omega**2, np.diag(largest))
     if limits.power is not None:
         admittance = (plate.actuator_forces() * largest).T @ velocity
-        if plate.coils is not None:
-            motion = _coil_motion(plate, omega, largest, accelerations)
+        if plate.coils is not None and motion is not None:
             # The force of a coil acts on patch and magnet.
             force = plate.coils.force_factor[:, None] * motion.current[0]
             admittance[plate.coils.indices] = 0
@@ -57,18 +59,15 @@ def limited_quantities(
         limit = POWER_REFERENCE * 10 ** ((limits.sound - weighting) / 10)
         radiated = velocity.conj().T @ (requirements.radiation.resistances(np.array([frequency]))[0] @ velocity)
         quantities.append(Limited("sound", "dB(A)", limit, hermitian_factor(radiated / 2), weighting))
-    if plate.coils is not None:
-        quantities += _of_coils(requirements, plate, omega, largest, accelerations)
+    if motion is not None:
+        quantities += _of_coils(requirements, plate, omega, motion)
     return quantities
 
 
-def _of_coils(
-    requirements: Requirements, plate: ModalPlate, omega: float, largest: np.ndarray, accelerations: np.ndarray
-) -> list[Limited]:
+def _of_coils(requirements: Requirements, plate: ModalPlate, omega: float, motion: CoilMotion) -> list[Limited]:
     """Return the limited voltages, currents, heats and strokes of the coils."""
     assert plate.coils is not None
     limits, quantities = requirements.specification.limits, []
-    motion = _coil_motion(plate, omega, largest, accelerations)
     for row, (index, name) in enumerate(zip(plate.coils.indices, plate.coils.names, strict=True)):
         actuator = plate.scene.actuators[index]
         resistance = float(actuator.coil.blocked_impedance(np.array([omega]))[0].real)
@@ -85,12 +84,6 @@ def _of_coils(
             factor = math.sqrt(resistance / 2) * motion.current[0, [row]]
             quantities.append(Limited(f"heat of {name}", "W", limits.heat, factor))
     return quantities
-
-
-def _coil_motion(plate: ModalPlate, omega: float, largest: np.ndarray, accelerations: np.ndarray) -> CoilMotion:
-    """Return the motion of the coils under the largest drive of each actuator (1, coils, actuators)."""
-    assert plate.coils is not None
-    return plate.coils.motion(np.array([omega]), -accelerations[None] / omega**2, np.diag(largest))
 
 
 def hermitian_factor(matrix: np.ndarray) -> np.ndarray:
