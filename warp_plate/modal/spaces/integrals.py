@@ -23,6 +23,7 @@ from warp_plate.effects.effect import DISPLACEMENT, Factors, Term
 from warp_plate.effects.layers import Layer
 from warp_plate.modal.spaces.chords import Chords, Curve, curves_of
 from warp_plate.modal.spaces.knots import lines
+from warp_plate.modal.spaces.space import Matrix
 from warp_plate.modal.spaces.splines import (
     Pairs,
     Splines,
@@ -87,6 +88,24 @@ class SplineProducts(ABC):
         """Number of functions."""
 
     @abstractmethod
+    def form(self, coefficient: Field, factors: Factors = DISPLACEMENT) -> np.ndarray:
+        """Return the integral of a term over the plate, for pairs of products of splines."""
+
+    @abstractmethod
+    def scatter(self, values: np.ndarray) -> Matrix:
+        """Return the (unknowns, unknowns) matrix of a form."""
+
+    @abstractmethod
+    def _fields(self) -> tuple[np.ndarray | float, ...]:
+        """Return Dx, D1, Dy, Dxy [N·m] and the mass per area [kg/m²] at the points of the plate's rule, or as numbers,
+        without the layers of other shapes than rectangles."""
+
+    @property
+    @abstractmethod
+    def _weights(self) -> np.ndarray:
+        """Weights [m²] of the plate's rule."""
+
+    @abstractmethod
     def patch_integrals(self, areas: np.ndarray) -> np.ndarray:
         """Return (areas, unknowns) integrals over rectangles (areas, 4) x0, x1, y0, y1 [m]."""
 
@@ -105,6 +124,19 @@ class SplineProducts(ABC):
     @abstractmethod
     def _on_chords(self, chords: Chords) -> np.ndarray:
         """Return (unknowns,) integrals of the functions over the points of a rule."""
+
+    @property
+    def plate_mass(self) -> float:
+        added = (float((mass.chords.weights * mass.values).sum()) for *_, mass in self._layers)
+        return sum(added, start=float((self._weights * self._fields()[-1]).sum()))
+
+    def bending_terms(self) -> Iterator[Term]:
+        for fields in (self._fields(), *self._layers):
+            yield from bending_terms(fields)
+
+    def mass_matrix(self) -> Matrix:
+        first, *others = (self.form(fields[-1]) for fields in (self._fields(), *self._layers))
+        return self.scatter(sum(others, start=first))
 
     def region_integrals(self, regions: Sequence[PlateRegion]) -> np.ndarray:
         rows = [

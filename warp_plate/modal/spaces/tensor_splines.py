@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
 
@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 from numpy.polynomial import legendre
 
-from warp_plate.effects.effect import DISPLACEMENT, SLOPE, Factors, Term
+from warp_plate.effects.effect import DISPLACEMENT, SLOPE, Factors
 from warp_plate.modal.spaces.chords import Chords, Curve, LocalSplines, curves_of, make_chords
 from warp_plate.modal.spaces.integrals import (
     Cuts,
@@ -19,7 +19,6 @@ from warp_plate.modal.spaces.integrals import (
     Integrals,
     OnChords,
     SplineProducts,
-    bending_terms,
     region_values,
 )
 from warp_plate.modal.spaces.knots import plate_splines
@@ -57,21 +56,15 @@ class TensorSplines(SplineProducts):
     def unknowns(self) -> int:
         return self.along[0].functions * self.along[1].functions
 
-    @property
-    def plate_mass(self) -> float:
-        added = (float((mass.chords.weights * mass.values).sum()) for *_, mass in self._layers)
-        return sum(added, start=float((self.integrals.weights * self.integrals.fields()[-1]).sum()))
-
     def density(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         return self._density(x, y)
 
-    def bending_terms(self) -> Iterator[Term]:
-        for fields in (self.integrals.fields(), *self._layers):
-            yield from bending_terms(fields)
+    def _fields(self) -> tuple[np.ndarray | float, ...]:
+        return self.integrals.fields()
 
-    def mass_matrix(self) -> Matrix:
-        first, *others = (self.form(fields[-1]) for fields in (self.integrals.fields(), *self._layers))
-        return self.scatter(sum(others, start=first))
+    @property
+    def _weights(self) -> np.ndarray:
+        return self.integrals.weights
 
     def form(self, coefficient: Field, factors: Factors = DISPLACEMENT) -> np.ndarray:
         if isinstance(coefficient, OnChords):

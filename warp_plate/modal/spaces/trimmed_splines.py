@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 from numpy.polynomial import legendre
 
-from warp_plate.effects.effect import DISPLACEMENT, SLOPE, Factors, Term
+from warp_plate.effects.effect import DISPLACEMENT, SLOPE, Factors
 from warp_plate.modal.spaces.chords import Chords, Curve, LocalSplines, curves_of, make_chords
 from warp_plate.modal.spaces.integrals import (
     Cuts,
@@ -24,7 +24,6 @@ from warp_plate.modal.spaces.integrals import (
     Integrals,
     OnChords,
     SplineProducts,
-    bending_terms,
     mask_of,
     mean_wave_frequency,
 )
@@ -86,21 +85,15 @@ class TrimmedSplines(SplineProducts):
     def unknowns(self) -> int:
         return self.basis.shape[1]
 
-    @property
-    def plate_mass(self) -> float:
-        added = (float((mass.chords.weights * mass.values).sum()) for *_, mass in self._layers)
-        return sum(added, start=float((self.chords.weights * self._fields_on(self.chords)[-1]).sum()))
-
     def density(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         return np.where(self._covered(x, y), self._density(x, y), 0.0)
 
-    def bending_terms(self) -> Iterator[Term]:
-        for fields in (self._fields_on(self.chords), *self._layers):
-            yield from bending_terms(fields)
+    def _fields(self) -> tuple[np.ndarray | float, ...]:
+        return self._fields_on(self.chords)
 
-    def mass_matrix(self) -> Matrix:
-        first, *others = (self.form(fields[-1]) for fields in (self._fields_on(self.chords), *self._layers))
-        return self.scatter(sum(others, start=first))
+    @property
+    def _weights(self) -> np.ndarray:
+        return self.chords.weights
 
     def form(self, coefficient: Field, factors: Factors = DISPLACEMENT) -> np.ndarray:
         if isinstance(coefficient, OnChords):
@@ -127,7 +120,7 @@ class TrimmedSplines(SplineProducts):
 
     def bending_energies(self, vectors: np.ndarray) -> np.ndarray:
         """Return (n, n) Φᵀ B Φ of vectors Φ (unknowns, n), from their curvatures at Gauss's points."""
-        total = self._bending_on(vectors, self.chords, self._fields_on(self.chords))
+        total = self._bending_on(vectors, self.chords, self._fields())
         for layer in self._layers:
             total += self._bending_on(vectors, layer[0].chords, [field.values for field in layer])
         return total
@@ -274,7 +267,7 @@ class TrimmedSplines(SplineProducts):
     def _make_basis(self) -> np.ndarray:
         """Return (products, unknowns) independent functions that keep the conditions of the edges."""
         stiffness = sum(self.form(term.coefficient, term.factors) for term in self.bending_terms())
-        mass = self.form(self._fields_on(self.chords)[-1])
+        mass = self.form(self._fields()[-1])
         lowest = LOWEST * (2 / np.pi * mean_wave_frequency(self.scene) / self.outline.area) ** 2
         energy = stiffness + lowest * mass
         sizes = np.outer(*(_widths(splines.knots, splines.degree) for splines in reversed(self.along))).ravel()
