@@ -1,4 +1,4 @@
-"""What Warp's Python lacks: fused multiply-adds by name, flushing of denormals on a CPU, one set of compiler flags.
+"""Arithmetic that Warp's Python lacks: fused multiply-adds by name, flushing of denormals, and compiler flags.
 
 The compiler may fuse a·b + c in one of two loops over the same nodes and not in the other; a plate's numbers must not
 depend on which of them it takes.

@@ -1,4 +1,4 @@
-"""One step of one node: what kernels are compiled for, the structs they take, differences in space, and the update.
+"""Time step of a node: the key kernels are compiled for, the structs they take, differences in space, the update.
 
     ρH ü + c u̇ + D∇⁴u = f,   velocity form:  rate⁺ = decay·rate − stiffness·∇⁴u + load,   u⁺ = u + rate⁺
 

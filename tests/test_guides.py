@@ -115,7 +115,8 @@ def test_tables_are_those_of_a_scene(block, tmp_path):
     elif "target" in tomllib.loads(block):
         tables["target"] = tomllib.loads(block)["target"]
     (tmp_path / "panel.svg").write_text(PANEL)
-    Scene.from_tables(with_drawing(tables, tmp_path))
+    scene = Scene.from_tables(with_drawing(tables, tmp_path))
+    assert Scene.parse(scene.to_toml(), "scene").model_dump() == scene.model_dump()
 
 
 @pytest.mark.slow

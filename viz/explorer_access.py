@@ -1,4 +1,4 @@
-"""Who may use the explorer's page, and what its server does for them.
+"""Access to the explorer's page: who may use it, and what its server does for them.
 
 Requests must name this machine, and sockets bring the secret of this run, which is in the printed address. The browser
 sends that address as the referrer of the page's first request, which asks where the socket is. This avoids a cookie,

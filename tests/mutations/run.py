@@ -43,7 +43,7 @@ def caught(tree, python, words):
     return "" if run.returncode == 0 else [*failed, f"status {run.returncode}"][0]
 
 
-def test_fault(tree, python, fault, full):
+def try_fault(tree, python, fault, full):
     """Plant a fault in a copy of the tree; return its file and what caught it."""
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "copy"
@@ -67,7 +67,7 @@ def main():
         if options.names and fault["name"] not in options.names:
             continue
         started = time.perf_counter()
-        place, test = test_fault(options.tree.resolve(), options.python, fault, options.full)
+        place, test = try_fault(options.tree.resolve(), options.python, fault, options.full)
         survived += not test
         print(f"{fault['name']}: {place}: {test or 'SURVIVED'} ({time.perf_counter() - started:.0f} s)", flush=True)
     sys.exit(bool(survived))

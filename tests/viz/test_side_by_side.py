@@ -269,6 +269,7 @@ def test_another_field_changes_colours_but_not_heights(plates):
     ids=["displacement", "energy", "rms-velocity", "phase", "edges", "mode"],
 )
 def test_picture(drawing, scene, verify_image_cache, motions, quantity, supports):
+    """The fixture compares what is shown with tests/pictures, and fails if they differ."""
     verify_image_cache.error_value = verify_image_cache.warning_value = TOLERANCE
     columns = plate_subplots(len(motions), WIDTH, FONT_SIZE)
     plotter = make_plotter((sum(columns["col_weights"]), HEIGHT), off_screen=True, **columns)

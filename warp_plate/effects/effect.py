@@ -1,4 +1,4 @@
-"""What an effect is: a table of the scene, and the terms that it adds to the equation of motion.
+"""Effects: tables of the scene, and the terms that they add to the equation of motion.
 
 A linear plate is a sum of quadratic forms in its displacement u or velocity u̇,
 
@@ -91,7 +91,7 @@ class Panel(Protocol):
 
 @dataclass(frozen=True)
 class Setting:
-    """What typical values of an effect depend on."""
+    """Numbers of a scene on which typical values of an effect depend."""
 
     plate: Panel  # The table ``[plate]``
     angular_frequency: float  # Angular frequency of the drive [rad/s]

@@ -46,7 +46,7 @@ class Residuals(Protocol):
 
 
 class Prediction(Protocol):
-    """What is measured, as a function of unknowns within 0 ... 1."""
+    """Measured quantities as functions of unknowns within 0 ... 1."""
 
     evaluations: int
 

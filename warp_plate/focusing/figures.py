@@ -1,4 +1,4 @@
-"""What waveforms attain: motion of the foci, area and contrast of a focus, energies and limits; the moving plate."""
+"""Figures of merit of waveforms: motion, area and contrast of foci, energies and limits; and the moving plate."""
 
 from __future__ import annotations
 

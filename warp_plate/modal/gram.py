@@ -41,7 +41,7 @@ ROWS = 1024
 
 @dataclass(frozen=True)
 class Means:
-    """Which mean energies are computed: of what regions of a plate, and over what time."""
+    """Regions of a plate and the time over which mean energies are computed."""
 
     plate: ModalPlate  # Modes
     regions: Sequence[np.ndarray]  # Mass matrices (modes, modes), see :meth:`ModalPlate.kinetic_matrix`

@@ -135,7 +135,7 @@ def make_outline_grid(outline: Outline, size: tuple[float, float], counts: tuple
 
 
 class _Nearest(NamedTuple):
-    """What is nearest of the outline to points (...)."""
+    """Nearest places of the outline to points (...)."""
 
     kind: np.ndarray  # (...) its kind
     distance: np.ndarray  # (...) [m]

@@ -100,7 +100,7 @@ class Tone:
 
     @cached_property
     def limited(self) -> list[Limited]:
-        """What is limited besides the actuators' drives."""
+        """Limited quantities besides the actuators' drives."""
         return limited_quantities(self.requirements, self.plate, self.frequency, self.largest, self._amplitudes)
 
     @cached_property

@@ -20,7 +20,7 @@ UNITS = {"displacement": "m", "velocity": "m/s"}
 
 @dataclass(frozen=True, eq=False)
 class PanelFigures:
-    """What waveforms do on other panels within the tolerances of ``[search.robust]``."""
+    """Effect of waveforms on other panels within the tolerances of ``[search.robust]``."""
 
     peak: Annotated[np.ndarray, Dataset("m or m/s", "motion at the focus at its moment", ("panel", "foci"))]
     crosstalk_db: Annotated[

@@ -1,4 +1,4 @@
-"""How the fields of data classes are stored in HDF5 files, by the annotations of the fields.
+"""Layouts of data classes in HDF5 files, by the annotations of their fields.
 
     str, bool, int, float, Literal     attribute
     Scene                              attribute, TOML text

@@ -120,7 +120,7 @@ class SpecifiedDrive:
 
     @property
     def verdict(self) -> str:
-        """Whether a drive meets the specification, and one drive all cases of its tolerances, in words."""
+        """Sentence that says if a drive meets the specification, and if one drive meets all cases of its tolerances."""
         if not self.scatter:
             return self._verdict
         met, cases = sum(case.met for case in self.scatter), len(self.scatter)
@@ -148,7 +148,7 @@ class SpecifiedDrive:
 
     @property
     def where_elsewhere(self) -> str | None:
-        """Where the levels elsewhere hold, in words; None without any."""
+        """Sentence that says where the levels elsewhere hold; None without any."""
         specification = self.scene.specification
         if specification is None or not specification.allowances:
             return None

@@ -124,7 +124,7 @@ class DriveLimits(Table):
 
 
 class Specification(Table):
-    """What a drive must do: levels in the targets, levels elsewhere and limits of the actuators, for steady tones."""
+    """Requirements of a drive: levels in the targets and elsewhere, and limits of the actuators, for steady tones."""
 
     frequency: Annotated[
         Annotated[Annotated[Positive, Tag("one")] | Annotated[tuple[Positive, Positive], Tag("several")], _IS_LIST]

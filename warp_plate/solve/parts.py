@@ -33,7 +33,7 @@ FEWEST_PLATES = 64
 
 @dataclass(frozen=True)
 class Records:
-    """What a run keeps besides energies."""
+    """Displacements that a run records besides energies."""
 
     snapshots: Sequence[int]  # Steps at which displacements are kept
     samples: Set[int]  # Steps at which displacements are sampled for their peak

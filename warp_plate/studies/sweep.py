@@ -41,7 +41,7 @@ DEFAULTS = {"what": "localize", "count": 6, "path": "auto", "evaluator": None, "
 
 @dataclass(frozen=True)
 class SweepRequest:
-    """What a user asks for, see :func:`sweep`; None for what is left out."""
+    """Arguments of :func:`sweep`; None for those left out."""
 
     scene: Scene
     source: str = ""

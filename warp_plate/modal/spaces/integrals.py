@@ -61,7 +61,7 @@ Cuts: TypeAlias = "tuple[Sequence[float], Sequence[float]]"
 
 
 class SplineProducts(ABC):
-    """What the function spaces of products of splines X_i(x) Y_j(y) share; x is fastest."""
+    """Base of the function spaces of products of splines X_i(x) Y_j(y); x is fastest."""
 
     scene: Scene
     integrals: Integrals  # the plate with its rectangular layers
@@ -154,7 +154,7 @@ class SplineProducts(ABC):
 
     @cached_property
     def _layers(self) -> list[tuple[OnChords, ...]]:
-        """What each layer of another shape than a rectangle adds to Dx, D1, Dy, Dxy and the mass per area."""
+        """Return what each layer of another shape than a rectangle adds to Dx, D1, Dy, Dxy and the mass per area."""
         return [tuple(self._added(layer, self._chords(curves_of(layer)))) for layer in shaped_layers(self.scene)]
 
     def _added(self, layer: Layer, chords: Chords) -> Iterator[OnChords]:

@@ -1,4 +1,4 @@
-"""What the modal engine asks of the functions that a plate's displacement is a sum of.
+"""Protocol of function spaces: what the modal engine asks of the functions whose sum is the displacement.
 
 A new shape of plate is a new implementation in this folder. The functions keep the displacement of supported edges and
 the slope of clamped ones; other conditions follow from the energies.
