@@ -258,8 +258,6 @@ def test_wrong_keys_of_a_coil_are_named(keys, message):
 @pytest.mark.parametrize(
     ("tables", "key"),
     [
-        ({"drive": {"frequency": 290.0, "ramp": 0.01}}, "drive.ramp"),
-        ({"drive": {"frequency": 290.0, "burst": {"duration": 0.01}}}, "drive.burst"),
         ({"effects": {"stretching": {}}}, "effects.stretching"),
         ({"search": {"position": {}}}, "search.position"),
     ],
@@ -268,3 +266,19 @@ def test_what_a_coil_excludes_is_named(tables, key):
     line = refused(Scene.from_tables, {**panel().model_dump(), **tables})
     assert line.startswith('actuators[0].kind: "coil" ')
     assert line.endswith(f"delete {key}")
+
+
+@pytest.mark.parametrize(
+    ("tables", "key"),
+    [
+        ({"drive": {"frequency": 290.0, "ramp": 0.01}}, "drive.ramp"),
+        ({"drive": {"frequency": 290.0, "burst": {"duration": 0.01}}}, "drive.burst"),
+    ],
+)
+def test_a_lossy_inductance_has_no_motion_in_time(tables, key):
+    line = refused(Scene.from_tables, {**panel().model_dump(), **tables})
+    assert line == (
+        "actuators[0].eddy_resistance: is defined for steady tones alone; write eddy_resistance = [0, 0] and "
+        f"eddy_reactance = [0, 0], or delete {key}"
+    )
+    assert panel().steady_key == "actuators[0].eddy_resistance"

@@ -18,6 +18,9 @@ COILS = [
     },
     {"name": "pressed", "area": (0.02, 0.04, 0.12, 0.14), "force": 0.4},
 ]
+# The same without lossy inductance, which only steady tones have.
+LOSSLESS = {"eddy_resistance": (0.0, 0.0), "eddy_reactance": (0.0, 0.0)}
+LOSSLESS_COILS = [{**row, **LOSSLESS} if "model" in row else row for row in COILS]
 
 
 def panel(actuators=COILS, coupled=False):

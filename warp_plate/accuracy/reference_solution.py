@@ -19,6 +19,7 @@ import numpy as np
 
 from warp_plate.accuracy.configurations import refuse_many_modes
 from warp_plate.accuracy.richardson import Extrapolation, extrapolate
+from warp_plate.modal.coils_in_time import in_time
 from warp_plate.modal.gram import Means, gram_matrices
 from warp_plate.modal.modes import ModalPlate, solve_modes
 from warp_plate.modal.motion import fields
@@ -141,7 +142,7 @@ def refine_until(
 
 def solve_response(scene: Scene, density: float) -> tuple[ModalPlate, Response]:
     """Return modes by functions of a density, see :func:`solve_modes`, and Gram matrices of plate and target."""
-    plate = solve_modes(scene, highest=density * highest_frequency(scene), density=density)
+    plate = in_time(solve_modes(scene, highest=density * highest_frequency(scene), density=density))
     frequencies, loss = actuator_frequencies(scene), np.diag(plate.damping)[:, None] / 2
     apart = np.hypot(2 * math.pi * (plate.frequencies[:, None] - frequencies), loss).min()
     if not scene.steady and apart * scene.window.end < NEAREST_RESONANCE:  # mode and drive would cancel

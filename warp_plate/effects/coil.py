@@ -50,6 +50,11 @@ class Coil:
     magnet_stiffness: float = 0.0  # [N/m]
     magnet_damping: float = 0.0  # [N·s/m]
 
+    @property
+    def lossy_inductance_key(self) -> str | None:
+        """Key of a lossy inductance, which is defined for steady tones alone; None without."""
+        return next((key for key in ("eddy_resistance", "eddy_reactance") if getattr(self, key)[0] > 0), None)
+
     def blocked_impedance(self, omega: np.ndarray) -> np.ndarray:
         """Return Ze [Ω] of the coil at rest at ω [rad/s]."""
         (factor, power), (factor_x, power_x) = self.eddy_resistance, self.eddy_reactance

@@ -13,6 +13,7 @@ moves by q = (A⁻¹ + B S Bᵀ)⁻¹ p. By Woodbury's formula this takes a syst
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -90,9 +91,9 @@ class Coils:
         self._plate, self.indices, self.means = plate, plate.scene.coil_indices, means
         actuators = [plate.scene.actuators[index] for index in self.indices]
         self.names = tuple(actuator.name for actuator in actuators)
-        self._coils: list[Coil] = [actuator.coil for actuator in actuators]
-        self._by_voltage = np.array([actuator.voltage is not None for actuator in actuators])
-        self.force_factor = np.array([coil.force_factor for coil in self._coils])
+        self.numbers: list[Coil] = [actuator.coil for actuator in actuators]
+        self.by_voltage = np.array([actuator.voltage is not None for actuator in actuators])
+        self.force_factor = np.array([coil.force_factor for coil in self.numbers])
         self._actuators = len(plate.scene.actuators)
 
     def respond(self, omega: np.ndarray, forces: np.ndarray, opened: bool = False) -> np.ndarray:
@@ -106,7 +107,7 @@ class Coils:
         alone, patches = both[:, :, :count], both[:, :, count:]
         infinite = ~np.isfinite(both).all(axis=(1, 2))
         both[infinite] = 0
-        system = np.eye(len(self._coils)) + stiffness * (self.means.T @ patches)
+        system = np.eye(len(self.numbers)) + stiffness * (self.means.T @ patches)
         amplitudes = alone - patches @ np.linalg.solve(system, stiffness * (self.means.T @ alone))
         if infinite.any():  # at natural frequencies of an undamped plate, which the coils may damp
             amplitudes[infinite] = self.respond(omega[infinite] * (1 + BESIDE), forces[infinite], opened)
@@ -117,7 +118,7 @@ class Coils:
         actuators."""
         gains = np.ones((len(omega), self._actuators), dtype=complex)
         omega = np.broadcast_to(omega, gains.shape)
-        for index, coil, by_voltage in zip(self.indices, self._coils, self._by_voltage.tolist(), strict=True):
+        for index, coil, by_voltage in zip(self.indices, self.numbers, self.by_voltage.tolist(), strict=True):
             blocked, ratio, *_ = _element(coil, omega[:, index], by_voltage)
             gains[:, index] = coil.force_factor * ratio / (blocked if by_voltage else 1.0)
         return gains
@@ -126,7 +127,7 @@ class Coils:
         """Return the motion of the coils at ω (n,) [rad/s] where the plate has amplitudes (n, modes, drives) under
         phasors (actuators, drives) of the sources."""
         elements, source = self._elements(omega), drives[self.indices]
-        blocked, by_voltage = elements.blocked[:, :, None], self._by_voltage[:, None]
+        blocked, by_voltage = elements.blocked[:, :, None], self.by_voltage[:, None]
         factor, patches = self.force_factor[:, None], self.means.T @ amplitudes
         force = factor * source / np.where(by_voltage, blocked, 1)
         stroke = elements.ratio[:, :, None] * patches + elements.compliance[:, :, None] * force
@@ -142,9 +143,9 @@ class Coils:
         forces = self.means * (self.force_factor * elements.ratio)[:, None, :]
         amplitudes = self.respond(omega, forces, opened=True)
         strokes = elements.ratio[:, :, None] * (self.means.T @ amplitudes)
-        diagonal = np.eye(len(self._coils)) * (elements.compliance * self.force_factor)[:, None, :]
+        diagonal = np.eye(len(self.numbers)) * (elements.compliance * self.force_factor)[:, None, :]
         induced = 1j * omega[:, None, None] * self.force_factor[:, None] * (strokes + diagonal)
-        return induced + np.eye(len(self._coils)) * elements.blocked[:, None, :], amplitudes
+        return induced + np.eye(len(self.numbers)) * elements.blocked[:, None, :], amplitudes
 
     def resonances(self, opened: bool) -> tuple[np.ndarray, np.ndarray]:
         """Return frequencies, rising, and half-widths [Hz] of the resonances with the coils.
@@ -152,26 +153,14 @@ class Coils:
         Those beyond the lowest MOST_MODES modes are the plate's alone. All terminals are open if ``opened``; otherwise
         those of voltages are shorted, without inductance.
         """
-        squares = self._plate.angular_frequencies**2
-        count, size = min(len(squares), MOST_MODES), len(self._coils)
-        low, one = np.ix_(range(count), range(count)), np.eye(count + size)
-        mass, loss, stiff = (np.zeros((count + size, count + size), dtype=complex) for _ in range(3))
-        mass[low], loss[low] = np.eye(count), self._plate.damping[low]
-        stiff[low] = np.diag(squares[:count]) + 1j * self._plate.hysteretic[low]
-        for index, (coil, by_voltage) in enumerate(zip(self._coils, self._by_voltage, strict=True)):
-            patch, magnet = np.pad(self.means[:count, index], (0, size)), one[count + index]
-            # The unknown of a magnet that is fixed moves nothing.
-            between, of_magnet = (patch - magnet, coil.magnet_mass) if coil.magnet_mass else (patch, 1.0)
-            induced = coil.force_factor**2 / coil.resistance if by_voltage and not opened else 0.0
-            parts = (
-                (mass, coil.moving_mass, of_magnet, 0.0),
-                (loss, 0.0, coil.magnet_damping, coil.suspension_damping + induced),
-                (stiff, 0.0, coil.magnet_stiffness, coil.suspension_stiffness),
-            )
-            for matrix, *factors in parts:
-                for factor, row in zip(factors, (patch, magnet, between), strict=True):
-                    matrix += factor * np.outer(row, row)
-        system = np.block([[np.zeros_like(mass), one], [-np.linalg.solve(mass, np.hstack([stiff, loss]))]])
+        count = min(len(self._plate.angular_frequencies), MOST_MODES)
+        shorted = [
+            coil.force_factor**2 / coil.resistance if by_voltage and not opened else 0.0
+            for coil, by_voltage in zip(self.numbers, self.by_voltage, strict=True)
+        ]
+        mass, loss, stiff, _ = self.matrices(count, shorted)
+        nothing, one = np.zeros_like(mass), np.eye(len(mass))
+        system = np.block([[nothing, one], [-np.linalg.solve(mass, np.hstack([stiff, loss]))]])
         poles = scipy.linalg.eigvals(system) / (2j * math.pi)
         poles = poles[(poles.real > 0) & (poles.imag < WIDEST * np.abs(poles))]
         omega = self._plate.angular_frequencies[count:]
@@ -180,9 +169,35 @@ class Coils:
         poles = poles[np.argsort(poles.real)]
         return poles.real, np.where(poles.imag > ROUNDING * poles.real, poles.imag, 0)
 
+    def matrices(self, count: int, shorted: Sequence[float]) -> tuple[np.ndarray, ...]:
+        """Return mass, loss, stiffness (unknowns, unknowns) and the strokes ū − z (unknowns, coils) over the lowest
+        ``count`` modes and the magnets of all coils, between whose ends there are also dampers ``shorted`` [N·s/m].
+
+        The unknown of a magnet that is fixed moves nothing.
+        """
+        size = count + len(self.numbers)
+        low, one = np.ix_(range(count), range(count)), np.eye(size)
+        mass, loss, stiff = (np.zeros((size, size), dtype=complex) for _ in range(3))
+        mass[low], loss[low] = np.eye(count), self._plate.damping[low]
+        stiff[low] = np.diag(self._plate.angular_frequencies[:count] ** 2) + 1j * self._plate.hysteretic[low]
+        strokes = np.zeros((size, len(self.numbers)))
+        for index, (coil, damper) in enumerate(zip(self.numbers, shorted, strict=True)):
+            patch, magnet = np.pad(self.means[:count, index], (0, len(self.numbers))), one[count + index]
+            between, of_magnet = (patch - magnet, coil.magnet_mass) if coil.magnet_mass else (patch, 1.0)
+            strokes[:, index] = between
+            parts = (
+                (mass, coil.moving_mass, of_magnet, 0.0),
+                (loss, 0.0, coil.magnet_damping, coil.suspension_damping + damper),
+                (stiff, 0.0, coil.magnet_stiffness, coil.suspension_stiffness),
+            )
+            for matrix, *factors in parts:
+                for factor, row in zip(factors, (patch, magnet, between), strict=True):
+                    matrix += factor * np.outer(row, row)
+        return mass, loss, stiff, strokes
+
     def _elements(self, omega: np.ndarray, opened: bool = False) -> _Elements:
-        shorted = self._by_voltage & (not opened)
-        columns = [_element(coil, omega, short) for coil, short in zip(self._coils, shorted.tolist(), strict=True)]
+        shorted = self.by_voltage & (not opened)
+        columns = [_element(coil, omega, short) for coil, short in zip(self.numbers, shorted.tolist(), strict=True)]
         return _Elements(*(np.stack(rows, axis=1) for rows in zip(*columns, strict=True)))
 
 

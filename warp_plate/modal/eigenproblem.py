@@ -83,7 +83,10 @@ def _solve(galerkin: Galerkin, basis: Matrix, wanted: int, scale: float, least: 
     refuse_beyond_memory(8.0 * unknowns * held, f"plate.size: {unknowns} functions and {min(wanted, unknowns)} modes")
     stiffness, mass = (Matrix(basis.T @ matrix @ basis) for matrix in (galerkin.stiffness, galerkin.mass))
     try:
-        squares, vectors = lowest_by_lanczos(stiffness, mass, wanted, scale) if few else _all(stiffness, mass, scale)
+        if few:
+            squares, vectors = lowest_by_lanczos(stiffness, mass, wanted, scale)
+        else:
+            squares, vectors = all_modes(stiffness, mass, scale)
     except np.linalg.LinAlgError:
         raise _buckled(galerkin.scene) from None
     if squares.size == wanted and squares[-1] < least:
@@ -121,8 +124,8 @@ def _improve_lowest(galerkin: Galerkin, squares: np.ndarray, vectors: np.ndarray
         vectors[:, alike] = vectors[:, alike] @ rotation
 
 
-def _all(stiffness: Matrix, mass: Matrix, scale: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return all modes, by dense matrices."""
+def all_modes(stiffness: Matrix, mass: Matrix, scale: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return ω² [1/s²], rising, and vectors (unknowns, modes) of all modes but the very highest, by dense matrices."""
     dense = mass.toarray()
     shifted = stiffness.toarray() + scale * dense
     # Eigenvalues of the inverse problem: the largest have small relative errors, and they belong to the lowest modes.

@@ -48,7 +48,7 @@ class ModalEnergies:
         window = None if plate.scene.steady else plate.scene.window
         self._means = Means(plate, regions, window, quantity == "velocity")
         on_device = device is not None and device.is_cuda and plate.proportional and plate.scene.outline is None
-        on_device = on_device and rectangular(plate.scene) and plate.coils is None
+        on_device = on_device and rectangular(plate.scene) and not plate.scene.coil_indices
         self._device = device if on_device else None
         self._tones = plate.scene.drive.waveform_key is None
 

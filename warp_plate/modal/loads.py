@@ -240,7 +240,7 @@ def _sample_times(low: float, high: float, omega: float, longest: float) -> np.n
 def trial_forces(plate: ModalPlate) -> np.ndarray:
     """Return (modes, trials) modal forces of the actuators where they are, and wherever a search may place them."""
     scene = plate.scene
-    if scene.piezo:
+    if scene.piezo or scene.coil_indices:
         return plate.actuator_forces()
     areas = np.array([actuator.box for actuator in scene.actuators])
     half = np.stack([areas[:, 1] - areas[:, 0], areas[:, 3] - areas[:, 2]], axis=1) / 2

@@ -117,9 +117,13 @@ class ModalPlate:
     def coils(self) -> Coils | None:
         """The scene's coils, which the modes are those of the plate without; None if there are none."""
         patches = [self.scene.actuators[index] for index in self.scene.coil_indices]
-        if not patches:
-            return None
-        return Coils(self, self.region_forces(patches) / self.space.region_areas(patches))
+        return Coils(self, self.region_forces(patches) / self.space.region_areas(patches)) if patches else None
+
+    @property
+    def coil_columns(self) -> np.ndarray:
+        """(modes, coils) modal forces of 1 N of the coils."""
+        assert self.coils is not None
+        return self.coils.means
 
     @cached_property
     def _poles(self) -> dict[float, Poles]:
@@ -172,9 +176,8 @@ class ModalPlate:
     def drive_forces(self, areas: Sequence[Area] | np.ndarray) -> np.ndarray:
         """Return (modes, areas) the same of the actuators in places (..., actuators, 4) x0, x1, y0, y1 [m]."""
         forces = np.asarray(self._plate_vectors.T @ load_integrals(self.galerkin, np.asarray(areas, dtype=float)).T)
-        if self.coils is not None:  # which stay in their places
-            for column, index in enumerate(self.coils.indices):
-                forces[:, index :: len(self.scene.actuators)] = self.coils.means[:, [column]]
+        for column, index in enumerate(self.scene.coil_indices):  # which stay in their places
+            forces[:, index :: len(self.scene.actuators)] = self.coil_columns[:, [column]]
         return forces
 
     def drive_gains(self, frequency: np.ndarray) -> np.ndarray | float:

@@ -140,6 +140,8 @@ class WaveformEnergies:
     def _moving_modes(self, plate: ModalPlate) -> np.ndarray:
         """Return the modes that move under trial forces, at the scene's frequencies and the ends of the search's."""
         scene, end = plate.scene, self._window.end
+        if scene.coil_indices:  # among whose modes are charges, which have no size to be compared with the others'
+            return np.arange(len(plate.frequencies))
         delay, forces = actuator_delays(scene), np.sqrt((trial_forces(plate) ** 2).mean(axis=1))
         columns = delay.size if scene.drive.signal is not None and scene.drive.signal.per_actuator else 1
         shared, drives = np.repeat(forces[:, None], columns, axis=1), np.eye(columns)

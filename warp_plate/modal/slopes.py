@@ -77,7 +77,7 @@ def energy_slopes(
 
 def _patch_forces(plate: ModalPlate, areas: np.ndarray) -> np.ndarray:
     """Return (3, designs, modes, M) modal forces over areas (designs, M, 4) and their slopes by x and y."""
-    if plate.coils is not None:  # which stay in their places, as do all actuators beside them
+    if plate.scene.coil_indices:  # which stay in their places, as do all actuators beside them
         forces = np.moveaxis(plate.drive_forces(areas).reshape(-1, *areas.shape[:2]), 0, 1)
         return np.stack([forces, 0 * forces, 0 * forces])
     integrals = np.stack([load_integrals(plate.galerkin, areas), *load_slopes(plate.galerkin, areas)])

@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from warp_plate.modal.coils_in_time import in_time
 from warp_plate.modal.energies import ModalEnergies
 from warp_plate.modal.loads import has_exponential_loads
 from warp_plate.modal.modes import ModalPlate, solve_modes
@@ -136,7 +137,7 @@ class ModalSolver:
         self._areas = areas
         searched = self.scene.search.frequency
         highest = max(highest_frequency(self.scene), searched.range[1] if searched is not None else 0.0)
-        self.plate: ModalPlate = plate or solve_modes(self.scene, highest)
+        self.plate: ModalPlate = in_time(plate or solve_modes(self.scene, highest))
         self.compile_seconds = time.perf_counter() - started
 
     __reduce__ = refuse_pickling

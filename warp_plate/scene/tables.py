@@ -142,13 +142,15 @@ class SceneTables(Table):
         return [index for index, actuator in enumerate(self.actuators) if actuator.kind == "coil"]
 
     def check_coils(self) -> None:
-        """Raise ValueError, naming the key, if the scene has what coils exclude: they are solved for steady tones."""
+        """Raise ValueError, naming the key, if the scene has what coils exclude."""
         if not self.coil_indices:
             return
         head = f'actuators[{self.coil_indices[0]}].kind: "coil"'
-        transient = self.drive.waveform_key or self.nonlinear_table
-        if transient is not None:
-            raise ValueError(f"{head} is solved for steady tones of linear plates; delete {transient}")
+        if self.nonlinear_table is not None:
+            raise ValueError(f"{head} is solved for linear plates; delete {self.nonlinear_table}")
+        if self.drive.waveform_key is not None and (lossy := self.lossy_inductance_key) is not None:
+            rule = "write eddy_resistance = [0, 0] and eddy_reactance = [0, 0]"
+            raise ValueError(f"{lossy}: is defined for steady tones alone; {rule}, or delete {self.drive.waveform_key}")
         robust = self.search.robust
         moved = {"search.position": self.search.position, "search.robust.place": robust and robust.place}
         for key in (key for key, value in moved.items() if value):
@@ -310,9 +312,17 @@ class SceneTables(Table):
 
     @property
     def steady_key(self) -> str | None:
-        """First effect or coil that is defined for steady tones alone, without motion in time; None if none."""
-        effect = self.effects.first(lambda effect: effect.steady)
-        return effect or next((f"actuators[{index}].kind" for index in self.coil_indices), None)
+        """First effect, or loss of a coil, that only steady tones have, without motion in time; None if none."""
+        return self.effects.first(lambda effect: effect.steady) or self.lossy_inductance_key
+
+    @property
+    def lossy_inductance_key(self) -> str | None:
+        """First key of a coil's lossy inductance, that of its model among them; None if none."""
+        for index in self.coil_indices:
+            key = self.actuators[index].coil.lossy_inductance_key
+            if key is not None:
+                return f"actuators[{index}].{key}"
+        return None
 
     @property
     def nonharmonic_key(self) -> str | None:
