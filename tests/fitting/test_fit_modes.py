@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -241,3 +242,24 @@ def test_mirror_images_are_found_wherever_the_optimum_lies(unknowns):
         problem = SimpleNamespace(residuals=lambda u, w=weights: np.array([np.dot(w, u), np.dot(w, u**2)]))
         found = SimpleNamespace(unknowns=np.array(unknowns), problem=problem)
         assert exchangeable(found, [(0, 1)]) is alike
+
+
+@pytest.mark.parametrize(
+    ("rigid", "numbers"),
+    [([1.3e-5, 2.1e-4, 3.4e-3], None), ([1e-5, 3e-3], None), ([], None), ([1.3e-5, 2.1e-4, 3.4e-3], range(1, 10))],
+)
+def test_rigid_motions_are_skipped(rigid, numbers):
+    """NAFEMS FV12, a free square plate of steel; modes are numbered from the lowest bending mode on."""
+    bending = [1.622, 2.36, 2.922, 4.233, 4.233, 7.416]
+    plate = {"size": (10.0, 10.0), "thickness": 0.05, "density": 8000.0, "young_modulus": 170e9, "poisson_ratio": 0.3}
+    area = {"area": (1.0, 2.0, 1.0, 2.0)}
+    scene = scene_of(edges=("free",) * 4).with_tables(
+        plate=plate, target=area, actuators=[{"name": "a", **area}], drive={"frequency": 5.0},
+        fit={"starts": 1, "free": {"plate.young_modulus": (150e9, 260e9)}},
+    )  # fmt: skip
+    data = MeasuredModes("a.csv", np.array([*rigid, *bending]), np.full(len(rigid) + 6, math.nan))
+    found = fit_modes(scene, data if numbers is None else replace(data, numbers=np.array(numbers)))
+    np.testing.assert_array_equal(found.numbers, np.arange(1, 7))
+    assert found.values == pytest.approx([200e9], rel=0.01)
+    assert found.remarks == ((f"{len(rigid)} modes up to {rigid[-1]:.3g} Hz are rigid motions, which are not fitted",)
+                             if rigid else ())  # fmt: skip

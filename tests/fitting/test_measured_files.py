@@ -151,7 +151,7 @@ def test_modes_of_universal_files(random, tmp_path):
 def dataset_58(points):
     """The text of a response of two points, 1 at 1 Hz and 2 Hz, whose header states other points."""
     node = f"{'NONE':>5s}{1:10d}{3:4d}"
-    axes = f"{18:10d}{0:5d}{0:5d}{0:5d} NONE                 NONE\n" * 4
+    axes = "".join(f"{code:10d}{0:5d}{0:5d}{0:5d} NONE                 NONE\n" for code in (18, 12, 13, 0))
     head = f"{4:5d}{0:10d}{1:5d}{0:10d} {node} {node}\n{5:10d}{points:10d}{1:10d}{1:13.5e}{1:13.5e}{0:13.5e}\n"
     return "    -1\n    58\n" + "NONE\n" * 5 + head + axes + f"{1:13.5e}{0:13.5e}" * 2 + "\n    -1\n"
 

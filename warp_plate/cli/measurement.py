@@ -37,12 +37,13 @@ def fit(
     Parameters
     ----------
     data
-        CSV file whose first line names its columns: frequency (hertz) and, if they are known, damping (damping ratio),
-        mode (number of the mode, from 1 for the lowest) and shapes (shape X Y for each point); or a universal file
-        (.uff, .unv; needs the extra uff) with a dataset 55 for each mode. For a scene with tables [[measurement]] its
-        frequency responses: CSV with the columns frequency, real and imaginary part of each; a universal file with a
-        dataset 58 for each; .mat, .h5 or .nc with the arrays frequency and response; or time signals, as .wav, or as
-        .csv with the table [fit.signals]. May be repeated, for files with as many responses each.
+        Text table with a header that names its columns: frequency (in Hz, or a unit that the header names) and, if they
+        are known, damping (damping ratio), mode (number of the mode, from 1 for the lowest) and shapes (shape X Y for
+        each point); or a universal file (.uff, .unv, .ufb; needs the extra uff) with a dataset 55 for each mode. For a
+        scene with tables [[measurement]] its frequency responses: a table with the columns frequency, real and
+        imaginary part, or magnitude and phase, of each; a universal file with a dataset 58 for each; .mat, .h5 or .nc
+        with the arrays frequency and response; or time signals, as .wav, or as a table with [fit.signals]. May be
+        repeated, for files with as many responses each.
     """
     from warp_plate.fitting.fit import fit as fit_files
     from warp_plate.result.atomic_io import write_atomically

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -34,6 +34,8 @@ from warp_plate.scene.model import Scene, SceneSource
 DENSITY = 0.5
 # Modes of a free plate that are rigid motions.
 RIGID = 3
+# Part of the next frequency below which those of rigid motions are.
+GAP = 0.1
 # Modes computed for pairing by nearest frequencies: a multiple of the measured ones, plus a number.
 SPARE = 2, 8
 # Part of the ratio of frequencies in pairs by shapes: it decides between modes whose shapes are alike at the sensors.
@@ -63,11 +65,11 @@ def fit(scene: SceneSource, data: str | Path | Sequence[str | Path]) -> ModeFit 
     check_type("data", data, str, Path, Sequence)
     paths = [Path(data)] if isinstance(data, str | Path) else [Path(path) for path in data]
     if loaded.measurement:
-        return fit_responses(loaded, read_responses(paths, len(loaded.measurement), loaded.fit))
+        return fit_responses(loaded, read_responses(paths, len(loaded.measurement), loaded.fit, loaded.measurement))
     if len(paths) != 1:
         named = f"data {paths[1]}" if paths else "data"
         raise SceneError(f"{named}: must be one file, for the scene has no tables [[measurement]]")
-    return fit_modes(loaded, read_modes(paths[0]))
+    return fit_modes(loaded, read_modes(paths[0], loaded.fit))
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +89,7 @@ class ModeFit(FittedPanel):
 
 def fit_modes(scene: Scene, measured: MeasuredModes) -> ModeFit:
     """Fit a scene to measured modes, by relative errors of frequencies and of damping ratios."""
+    measured = without_rigid_motions(scene, measured)
     damped = np.flatnonzero(np.isfinite(measured.damping))
     count = len(measured.frequencies)
 
@@ -113,7 +116,7 @@ def fit_modes(scene: Scene, measured: MeasuredModes) -> ModeFit:
     def describe(fitted: Scene) -> dict[str, Any]:
         numbers, frequencies, damping = _paired_modes(fitted, measured, pairing)
         modes = {"numbers": numbers.astype(int), "frequencies": frequencies, "damping": damping}
-        return {"measured": measured, **modes}
+        return {"measured": measured, "remarks": measured.remarks, **modes}
 
     return fit_panel(ModeFit, problem, describe)
 
@@ -137,11 +140,36 @@ def modal_assurance(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 def _points(scene: Scene, measured: MeasuredModes) -> np.ndarray:
     """Return the points of the shapes, or raise a SceneError if one is off the plate."""
-    points, size = measured.points, scene.plate.size
+    points, size = measured.points, np.array(scene.plate.size)
     assert points is not None
     if np.any((points < 0) | (points > size)):
-        raise SceneError(f"{measured.source}: a point of the shapes is off the plate of {list(size)} m")
+        advice, reach = "fit.origin and fit.unit place the file's coordinates", np.abs(points).max(axis=0)
+        if np.all(reach <= (0.5 + 1e-9) * size):
+            advice = f"if they are about its centre, write fit.origin = {(size / 2).tolist()}"
+        elif np.all(reach * 1e-3 <= (1 + 1e-9) * size):
+            advice = 'if they are in millimetres, write fit.unit = "mm"'
+        raise SceneError(f"{measured.source}: a point of the shapes is off the plate of {size.tolist()} m; {advice}")
     return points
+
+
+def without_rigid_motions(scene: Scene, measured: MeasuredModes) -> MeasuredModes:
+    """Leave out the lowest modes if they are rigid motions: as many as the plate has at most, far below the next.
+
+    Numbers of modes that count them are lowered.
+    """
+    plate = solve_modes(linear_part(scene), highest=0.0, count=RIGID, density=DENSITY)
+    rising, rigid = np.sort(measured.frequencies), int((plate.frequencies == 0).sum())
+    gaps = [count for count in range(1, min(rigid, len(rising) - 1) + 1) if rising[count - 1] < GAP * rising[count]]
+    if not gaps:
+        return measured
+    moving = measured.frequencies >= rising[gaps[-1]]
+    numbers = None if measured.numbers is None else measured.numbers[moving]
+    if numbers is not None and numbers.min() > gaps[-1]:
+        numbers = numbers - gaps[-1]
+    said = f"{gaps[-1]} modes up to {rising[gaps[-1] - 1]:.3g} Hz are rigid motions, which are not fitted"
+    shapes = None if measured.shapes is None else measured.shapes[moving]
+    each = {"frequencies": measured.frequencies[moving], "damping": measured.damping[moving]}
+    return replace(measured, **each, numbers=numbers, shapes=shapes, remarks=(*measured.remarks, said))
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,7 +252,8 @@ def fit_responses(scene: Scene, measured: MeasuredResponses) -> ResponseFit:
     problem = PanelProblem(free, measured.source, coarse, stages, 2 * measured.responses.size, _weigh, exact)
 
     def describe(fitted: Scene) -> dict[str, Any]:
-        return {"measured": measured, "responses": PanelResponses(fitted, measured).values}
+        responses = PanelResponses(fitted, measured).values
+        return {"measured": measured, "remarks": measured.remarks, "responses": responses}
 
     return fit_panel(ResponseFit, problem, describe)
 

@@ -121,11 +121,12 @@ class FittedPanel:
     # groups of keys of opposite edges whose numbers may change places without a change of the data
     mirrored: tuple[tuple[str, ...], ...]
     evaluations: int  # number of plates that were computed
+    remarks: tuple[str, ...]  # what was converted in the measurements or left out
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Lines that the command prints after "!"."""
-        lines = []
+        lines = list(self.remarks)
         for group in self.inseparable:
             alike = "cannot be distinguished by these data; fix all but one"
             lines.append(f"{' and '.join(group)}: {alike if len(group) > 1 else 'has no influence here'}")

@@ -1,4 +1,4 @@
-"""Frequency responses that were measured: from tables, arrays, universal files, and time signals.
+"""Frequency responses that were measured: from text tables, arrays, universal files, and time signals.
 
 With spectral densities S averaged over segments, x the force and y the motion (Bendat, Piersol, Random Data, ch. 6):
 
@@ -10,27 +10,35 @@ With spectral densities S averaged over segments, x the force and y the motion (
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from warp_plate.fitting.measured_modes import UNIVERSAL, check_file, universal_responses
-from warp_plate.plate.files import read_numbers
+from warp_plate.fitting.measured_modes import check_file
+from warp_plate.fitting.measured_tables import (
+    FORCE_UNITS,
+    TIME_UNITS,
+    Units,
+    motion_unit,
+    read_number_table,
+    read_response_table,
+)
+from warp_plate.fitting.measured_universal import UNIVERSAL, read_universal, universal_responses
 from warp_plate.plate.waveforms import LOUDEST, MOST_SAMPLES, even_step, wav_channels
+from warp_plate.result.frequency_response import DERIVATIVES
 from warp_plate.result.hdf5 import HDF5, MAT, read_arrays
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import LARGEST, SMALLEST
-from warp_plate.scene.fit import Fit, TimeSignals
+from warp_plate.scene.fit import Fit, Measurement, TimeSignals
 
 RESPONSES_BYTES, MOST_FREQUENCIES = 2**27, 4000
 MOST_COHERENCE = 1 + 1e-6  # of numbers that were rounded
 # Names in MAT and HDF5 files.
 ARRAYS = "frequency", "response", "real", "imaginary", "coherence"
-# (1 + responses, n) frequencies and responses, and (responses, n) coherences.
-Columns = tuple[np.ndarray, np.ndarray | None]
+# (1 + responses, n) frequencies and responses, (responses, n) coherences, and units that the file names.
+Columns = tuple[np.ndarray, np.ndarray | None, Units]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,16 +50,21 @@ class MeasuredResponses:
     responses: np.ndarray  # (measurements, n) complex responses, for motion that varies as exp(iωt)
     # (measurements, n) coherence γ², NaN for responses without; None if there is none at all
     coherence: np.ndarray | None = None
+    remarks: tuple[str, ...] = ()  # what was converted
 
 
-def read_responses(paths: Path | Sequence[Path], count: int, fit: Fit | None = None) -> MeasuredResponses:
+def read_responses(
+    paths: Path | Sequence[Path], count: int, fit: Fit | None = None, rows: Sequence[Measurement] | None = None
+) -> MeasuredResponses:
     """Return ``count`` responses of files with as many each, in the range of ``fit``; a line at 0 Hz is left out.
 
-    A CSV file has the columns frequency [Hz], real and imaginary part of the first response, those of the second and so
-    on; further columns are skipped, and names in the first line do not matter. A universal file (.uff, .unv) has a
-    dataset 58 for each response, all at the same frequencies. MAT files (.mat) and HDF5 files (.h5, .hdf5, .nc) have
-    the arrays ``frequency`` and ``response``, or ``real`` and ``imaginary``, and maybe ``coherence``. WAV files have
-    time signals, and so have CSV files where there is ``fit.signals``.
+    A text table has the columns frequency, real and imaginary part of the first response, those of the second and so
+    on, or columns that its headings name so, or as magnitude and phase. A universal file (.uff, .unv, .ufb) has a
+    dataset 58 for each response. MAT files (.mat) and HDF5 files (.h5, .hdf5, .nc) have the arrays ``frequency`` and
+    ``response``, or ``real`` and ``imaginary``, and maybe ``coherence``. WAV files have time signals, and so have text
+    tables where there is ``fit.signals``. Units that a file names are converted to hertz and SI units, and, with the
+    tables ``[[measurement]]`` as ``rows``, to their quantities; datasets between nodes with places are chosen by their
+    points.
 
     Raises:
         SceneError: A file cannot be read, or holds no such responses.
@@ -59,33 +72,56 @@ def read_responses(paths: Path | Sequence[Path], count: int, fit: Fit | None = N
     paths = [paths] if isinstance(paths, Path) else list(paths)
     if not paths or count % len(paths):
         raise SceneError(f"{len(paths)} files of data for {count} tables [[measurement]]; each file holds as many")
-    parts = [_read(path, count // len(paths), fit.signals if fit else None) for path in paths]
-    for path, (columns, _) in zip(paths, parts, strict=True):
+    each = count // len(paths)
+    parts = [
+        _read(path, each, fit, rows and rows[index * each : (index + 1) * each]) for index, path in enumerate(paths)
+    ]
+    for path, (columns, *_) in zip(paths, parts, strict=True):
         if not np.array_equal(columns[0], parts[0][0][0], equal_nan=True):
             raise SceneError(f"{path}: is at other frequencies than {paths[0]}")
     source = ", ".join(map(str, paths))
-    frequencies, responses = parts[0][0][0].real, np.vstack([columns[1:] for columns, _ in parts])
-    coherence = np.vstack([np.full(columns[1:].shape, np.nan) if of is None else of for columns, of in parts])
+    frequencies, responses = parts[0][0][0].real, np.vstack([columns[1:] for columns, *_ in parts])
+    coherence = np.vstack([np.full(columns[1:].shape, np.nan) if of is None else of for columns, of, _ in parts])
     low, high = fit.range if fit and fit.range else (-np.inf, np.inf)
     selected = (frequencies != 0) & ~((frequencies < low) | (frequencies > high))
     frequencies, responses, coherence = frequencies[selected], responses[:, selected], coherence[:, selected]
+    units = [unit for *_, units in parts for unit in units]
+    responses, remarks = _in_quantities(frequencies, responses, units, rows)
     _check(source, frequencies, responses)
-    return MeasuredResponses(source, frequencies, responses, None if np.isnan(coherence).all() else coherence)
+    return MeasuredResponses(source, frequencies, responses, None if np.isnan(coherence).all() else coherence, remarks)
 
 
-def _read(path: Path, count: int, signals: TimeSignals | None) -> Columns:
+def _in_quantities(
+    frequencies: np.ndarray, responses: np.ndarray, units: Units, rows: Sequence[Measurement] | None
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Return responses in SI units and in the quantities of the rows, and lines that say which were converted."""
+    responses, remarks = responses.copy(), []
+    for index, unit in enumerate(units):
+        order, factor = unit or (None, 1.0)
+        wanted = order if rows is None else DERIVATIVES[rows[index].quantity]
+        if order is not None and wanted is not None and order != wanted:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                responses[index] *= (2j * np.pi * frequencies) ** (wanted - order)
+            names = [name for power in (order, wanted) for name, of in DERIVATIVES.items() if of == power]
+            remarks.append(f"measurement[{index}]: the file has its {names[0]}, which is converted to {names[1]}")
+        responses[index] *= factor
+    return responses, tuple(remarks)
+
+
+def _read(path: Path, count: int, fit: Fit | None, rows: Sequence[Measurement] | None) -> Columns:
     """Return the first ``count`` responses of a file."""
-    ending = path.suffix.lower()
+    ending, signals = path.suffix.lower(), fit.signals if fit else None
     try:
         check_file(path, RESPONSES_BYTES)
         if ending in UNIVERSAL:
-            columns, coherence = universal_responses(path)
+            columns, coherence, units = universal_responses(read_universal(path, fit), count, rows)
         elif ending in (*MAT, *HDF5):
-            columns, coherence = _arrays(path)
+            columns, coherence, units = *_arrays(path), []
         elif ending == ".wav" or signals is not None:
-            columns, coherence = estimate_responses(*read_signals(path), signals or TimeSignals())
+            values, rate, named = read_signals(path, signals)
+            columns, coherence, units = estimate_responses(values, rate, signals or TimeSignals(), named)
         else:
-            columns, coherence = _csv(path.read_bytes()), None
+            columns, coherence, units = read_response_table(path.read_bytes())
         if coherence is not None and not np.all(np.isnan(coherence) | (np.abs(coherence) <= MOST_COHERENCE)):
             raise ValueError("coherence must be from 0 to 1")
     except (OSError, ValueError) as error:
@@ -95,7 +131,8 @@ def _read(path: Path, count: int, signals: TimeSignals | None) -> Columns:
         raise SceneError(
             f"{path}: has {len(columns) - 1} responses; the scene has {count} tables [[measurement]] for it"
         )
-    return columns[: 1 + count], None if coherence is None else coherence[:count]
+    units = units[:count] or [None] * count
+    return columns[: 1 + count], None if coherence is None else coherence[:count], units
 
 
 def _check(source: str, frequencies: np.ndarray, responses: np.ndarray) -> None:
@@ -112,17 +149,7 @@ def _check(source: str, frequencies: np.ndarray, responses: np.ndarray) -> None:
         raise SceneError(f"{source}: {where} is {value:g}; {rule}")
 
 
-def _csv(data: bytes) -> np.ndarray:
-    """Return (1 + responses, n) frequencies and responses."""
-    named = re.match(rb"(\xef\xbb\xbf)?[\"A-Za-z].*", data)
-    table = read_numbers(data[named.end() if named else 0 :])
-    if table.size == 0 or table.shape[1] < 3:
-        raise ValueError("needs the columns frequency, real and imaginary part of each response")
-    pairs = (table.shape[1] - 1) // 2
-    return np.vstack([table[:, 0], table[:, 1 : 2 * pairs : 2].T + 1j * table[:, 2 : 2 * pairs + 1 : 2].T])
-
-
-def _arrays(path: Path) -> Columns:
+def _arrays(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     """Return the responses of a MAT or HDF5 file."""
     arrays = read_arrays(path, ARRAYS)
     if "frequency" not in arrays or not ("response" in arrays or {"real", "imaginary"} <= set(arrays)):
@@ -147,24 +174,38 @@ def _along(name: str, values: np.ndarray, count: int) -> np.ndarray:
     return np.moveaxis(values, axes[0], -1).reshape(values.size // max(count, 1), count)
 
 
-def read_signals(path: Path) -> tuple[np.ndarray, float]:
-    """Return (channels, samples) values and samples per second of a WAV file, or of a CSV file with times [s] first."""
+def read_signals(path: Path, signals: TimeSignals | None = None) -> tuple[np.ndarray, float, tuple[str, ...]]:
+    """Return (channels, samples) values, samples per second and units of the channels of a WAV file or a text table.
+
+    A table has the times in its first column, unless ``signals`` has their rate.
+    """
+    stated = signals.rate if signals else None
     if path.suffix.lower() == ".wav":
+        if stated is not None:
+            raise ValueError("a WAV file states its rate; delete fit.signals.rate")
         values, rate = wav_channels(path.read_bytes())
+        units: tuple[str, ...] = ()
     else:
-        table = read_numbers(path.read_bytes())
-        if len(table) < 2 or table.shape[1] < 3:
+        table = read_number_table(path.read_bytes())
+        of, names = table.values, table.headings
+        if len(of) < 2 or of.shape[1] < (3 if stated is None else 2):
             raise ValueError("needs the columns time, and a signal in each of at least two others")
-        values, rate = table[:, 1:].T, 1 / even_step(table[:, 0])
+        if stated is not None and names and names[0].kind == "time":
+            raise ValueError("has a column of times; delete fit.signals.rate")
+        first = 1 if stated is None else 0
+        second = names[0].factor("time", TIME_UNITS) if names and first else 1.0
+        values, rate = of[:, first:].T, stated or 1 / (second * even_step(of[:, 0]))
+        units = tuple(name.unit for name in names[first:])
     if values.size > MOST_SAMPLES:
         raise ValueError(f"{values.size} samples; at most {MOST_SAMPLES} are read")
     if len(values) < 2 or not np.abs(values).max(initial=0) <= LOUDEST or not rate > 0:
         raise ValueError(f"needs a channel with the force and one or more with a motion, numbers up to {LOUDEST:g}")
-    return values, rate
+    return values, rate, units
 
 
-def estimate_responses(values: np.ndarray, rate: float, table: TimeSignals) -> Columns:
-    """Return responses estimated from signals (channels, samples); their coherence is None of a single segment."""
+def estimate_responses(values: np.ndarray, rate: float, table: TimeSignals, named: Sequence[str] = ()) -> Columns:
+    """Return responses estimated from signals (channels, samples) in the units ``named``; their coherence is None of a
+    single segment."""
     from scipy.signal import csd, welch
 
     samples, length = values.shape[1], round(min(table.segment * rate, 1e18))
@@ -187,4 +228,8 @@ def estimate_responses(values: np.ndarray, rate: float, table: TimeSignals) -> C
         }[table.estimator]
         coherence = np.abs(crossed) ** 2 / (of_force * of_motion)
     several = samples >= 2 * length - overlap
-    return np.vstack([frequencies, responses]), np.minimum(coherence, 1.0) if several else None
+    motions = list(map(motion_unit, named)) if named else [None] * len(values)
+    per = FORCE_UNITS.get(named[table.force_channel - 1].lower(), 1.0) if named else 1.0
+    del motions[table.force_channel - 1]
+    units: Units = [None if unit is None else (unit[0], unit[1] / per) for unit in motions]
+    return np.vstack([frequencies, responses]), np.minimum(coherence, 1.0) if several else None, units

@@ -4,11 +4,13 @@ Files are written atomically. On reading, links, data in other files and dataset
 """
 
 import math
+import textwrap
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import h5py
 import numpy as np
@@ -19,6 +21,7 @@ from warp_plate.scene.errors import SceneError, check_type
 # Endings of files of other programs: MAT files of MATLAB, and HDF5 files such as those of xarray.
 MAT, HDF5 = (".mat",), (".h5", ".hdf5", ".nc")
 UNPACKED_BYTES = 2**28  # of the arrays of such a file, which may be compressed
+COMPRESSED = 15  # type of a compressed variable in a MAT file
 NUMBERS_OF_MAT = "double", "single", "int", "uint", "logical"  # first letters of classes
 
 
@@ -179,7 +182,7 @@ def read_arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     except Exception as error:  # of many kinds, for files of any content
         raise ValueError(f"cannot be read as a {kind} file: {error}") from None
     if not arrays:
-        raise ValueError(f"has none of the arrays {', '.join(names)}")
+        raise ValueError(str(_none_of(names, [])))
     for name, values in arrays.items():
         if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiuc":  # MAT files may hold sparse ones
             raise ValueError(f"{name} is not an array of numbers")
@@ -189,21 +192,67 @@ def read_arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
 def _mat(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     from scipy.io import loadmat, whosmat
 
-    if h5py.is_hdf5(path):
-        raise SceneError("a MAT file of version 7.3; save it with -v7")
-    stated = [(name, shape, kind) for name, shape, kind in whosmat(path) if name in names]
+    if h5py.is_hdf5(path):  # version 7.3
+        return _hdf5(path, names)
+    listed = whosmat(path)
+    stated = [(name, shape, kind) for name, shape, kind in listed if name in names]
     for name, _, kind in stated:
-        if not kind.startswith(NUMBERS_OF_MAT):  # structs, cells and sparse arrays are not read at all
+        if not kind.startswith(NUMBERS_OF_MAT):  # cells and sparse arrays are not read at all
             raise SceneError(f"{name} is not an array of numbers")
-    if sum(16 * math.prod(shape) for _, shape, _ in stated) > UNPACKED_BYTES:
+    structs = [] if stated else [name for name, _, kind in listed if kind == "struct"]
+    if sum(16 * math.prod(shape) for _, shape, _ in stated) + (16 * _unpacked(path) if structs else 0) > UNPACKED_BYTES:
         raise SceneError(f"holds more than {UNPACKED_BYTES // 16} numbers when unpacked")
-    arrays = loadmat(path, variable_names=list(names))
+    if structs:
+        found = loadmat(path, variable_names=structs, simplify_cells=True)
+        tables = {name: found[name] for name in structs if isinstance(found[name], dict)}
+        arrays = _only_one({name: table for name, table in tables.items() if table.keys() & set(names)})
+        return {name: np.asarray(values) for name, values in arrays.items() if name in names}
+    arrays = loadmat(path, variable_names=list(names)) if stated else {}
+    if not stated:
+        raise _none_of(names, [f"{name} ({'x'.join(map(str, shape))} {kind})" for name, shape, kind in listed])
     return {name: values for name, values in arrays.items() if name in names}
+
+
+def _only_one(groups: dict[str, Any]) -> Any:
+    """Return the one group or struct, {} if there are none."""
+    if len(groups) > 1:
+        raise SceneError(f"the structs {', '.join(groups)} have such arrays; write a file with one of them")
+    return next(iter(groups.values()), {})
+
+
+def _none_of(names: Sequence[str], listed: Sequence[str]) -> SceneError:
+    holds = textwrap.shorten(", ".join(listed), 400) or "nothing"
+    return SceneError(f"has none of the arrays {', '.join(names)}; it holds {holds}")
+
+
+def _unpacked(path: Path) -> int:
+    """Return the bytes of a MAT file of version 5 when unpacked, up to a limit; variables may be compressed."""
+    data, total, at = path.read_bytes(), 0, 128
+    order: Literal["little", "big"] = "little" if data[126:128] == b"IM" else "big"
+    while at + 8 <= len(data) and total <= UNPACKED_BYTES:
+        kind, size = (int.from_bytes(data[at + i : at + i + 4], order) for i in (0, 4))
+        if kind == COMPRESSED:
+            stream, rest = zlib.decompressobj(), data[at + 8 : at + 8 + size]
+            while rest and total <= UNPACKED_BYTES:
+                total += len(stream.decompress(rest, 2**20))
+                rest = stream.unconsumed_tail
+        else:
+            total += size
+        at += 8 + size
+    return total
 
 
 def _hdf5(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     with h5py.File(path, "r") as file:
-        datasets = {name: member(file, name, h5py.Dataset) for name in names if name in file}
+        group: h5py.Group = file
+        if not any(name in file for name in names):
+            groups = [name for name in file if isinstance(file.get(name, getlink=True), h5py.HardLink)]
+            found = {name: file[name] for name in groups if isinstance(file[name], h5py.Group)}
+            group = _only_one({name: inner for name, inner in found.items() if any(each in inner for each in names)})
+            if not group:
+                listed = [f"{name} {file[name].shape}" if name not in found else f"{name}/" for name in groups]
+                raise _none_of(names, listed)
+        datasets = {name: member(group, name, h5py.Dataset) for name in names if name in group}
         for name, dataset in datasets.items():
             if dataset.is_virtual or dataset.external:
                 raise SceneError(f"{name} is kept in another file; write its values")

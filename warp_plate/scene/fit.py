@@ -37,6 +37,8 @@ class TimeSignals(Table):
     """Recorded value over the true force in N."""
     estimator: Annotated[Literal["H1", "H2", "Hv"], Field(examples=["Hv"])] = "H1"
     """Estimator for noise in the response ("H1"), the force ("H2") or both ("Hv")."""
+    rate: Annotated[Positive | None, Unit("1/s"), Field(examples=[48000.0])] = None
+    """Samples per second of a text file without a column of times."""
     segment: Annotated[Positive, Unit("s"), Field(examples=[2.0])] = 1.0
     """Duration of the segments that are averaged; frequencies are multiples of 1/segment."""
     window: Annotated[Literal["hann", "boxcar"], Field(examples=["boxcar"])] = "hann"
@@ -64,6 +66,10 @@ class Fit(Table):
     """Lowest and highest frequency of responses that are used."""
     signals: TimeSignals | None = None
     """Set if the data are time signals."""
+    origin: Annotated[Point | None, Field(examples=[[0.115, 0.12]])] = None
+    """Place x, y on the plate of the origin of coordinates in measured files (default: the lower left corner)."""
+    unit: Annotated[Literal["m", "cm", "mm", "in"] | None, Field(examples=["mm"])] = None
+    """Unit of coordinates in measured files (default: that of dataset 164 of a universal file, otherwise m)."""
 
     @model_validator(mode="after")
     def _ranges(self) -> Self:

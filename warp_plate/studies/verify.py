@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 
 from warp_plate.analysis.motion import motions
-from warp_plate.fitting.measured_modes import column_numbers, read_columns
+from warp_plate.fitting.measured_modes import column_numbers, read_table_columns
 from warp_plate.plate.weights import region_weights
 from warp_plate.result.model import Result
 from warp_plate.scene.errors import SceneError, check_type
@@ -126,7 +126,7 @@ def verify(result: Result, data: Path | MeasuredField, case: str | None = None) 
 
 def read_field(path: Path) -> MeasuredField:
     """Return the velocities of a CSV file with the columns x, y [m], velocity [m/s] and maybe uncertainty [m/s]."""
-    columns = read_columns(path)
+    columns = read_table_columns(path, "velocity")
     if missing := [name for name in COLUMNS[:3] if name not in columns]:
         raise SceneError(f"{path}: has no column {missing[0]!r}; the columns are: {', '.join(columns)}")
     table = {name: column_numbers(path, name, columns[name]) for name in COLUMNS if name in columns}
