@@ -63,7 +63,7 @@ def resident_path(specialized: Specialized) -> Advance:
 def _lanes_path(specialized: Specialized) -> Advance:
     """Return the path with a warp per plate, or a block where multiprocessors would be idle; both give the same bits.
 
-    Between the two, the compiler may use many registers.
+    Between the two, the compiler may use many registers. Each is compiled when a run first takes it.
     """
     effects, real, (nx, ny) = specialized.effects, specialized.real, specialized.scheme.nodes
     loaded = sum(1 << j for j, row in enumerate(specialized.loaded_rows[2:-2]) if row)
@@ -71,21 +71,30 @@ def _lanes_path(specialized: Specialized) -> Advance:
     factors = map(specialized.to_device, (x.factors, specialized.scheme.aspect * y.factors))
     inputs = [specialized.parameters, *factors]
 
-    def compiled(registers: int | None) -> Advance:
-        kernels = {
-            summed: resident_lanes.make_run_steps(effects, real, ny, loaded, summed, registers)
-            for summed in (False, True)
-        }
-        return _cuda_advance(specialized, kernels, inputs, LANES, LANES_BLOCK)
+    # Else the numbers of a column leave no choice.
+    many_registers = real is wp.float32 and loaded.bit_count() <= FEW_LOADED_ROWS
 
-    fewest = _blocks_path(specialized, _whole(specialized), plan_few(nx, ny))
-    few = many = compiled(None)
-    if real is wp.float32 and loaded.bit_count() <= FEW_LOADED_ROWS:  # else the numbers of a column leave no choice
-        few = compiled(FEW_REGISTERS)
+    @cache
+    def with_registers(registers: int | None) -> Advance:
+        with specialized.compiling_late():
+            kernels = {
+                summed: resident_lanes.make_run_steps(effects, real, ny, loaded, summed, registers)
+                for summed in (False, True)
+            }
+            return _cuda_advance(specialized, kernels, inputs, LANES, LANES_BLOCK)
+
+    @cache
+    def in_blocks() -> Advance:
+        with specialized.compiling_late():
+            return _blocks_path(specialized, _whole(specialized), plan_few(nx, ny))
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
         share = -(-plates // specialized.device.sm_count)  # plates per multiprocessor
-        (fewest if share <= 1 else few if share <= FEW_PLATES else many)(state, plates, start, stop)
+        if share <= 1:
+            path = in_blocks()
+        else:
+            path = with_registers(FEW_REGISTERS if share <= FEW_PLATES and many_registers else None)
+        path(state, plates, start, stop)
 
     return advance
 
@@ -177,7 +186,8 @@ def streaming_path(specialized: Specialized) -> Advance:
     @cache
     def tiled(plates: int) -> Advance | None:
         tiles = plan_tiles(specialized, plates)
-        return tiles and _blocks_path(specialized, *tiles, TILE_LEVELS[specialized.scheme.order])
+        with specialized.compiling_late():
+            return tiles and _blocks_path(specialized, *tiles, TILE_LEVELS[specialized.scheme.order])
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
         ((None if state.nodes.shape[0] else tiled(plates)) or blocking)(state, plates, start, stop)

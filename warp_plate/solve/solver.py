@@ -93,7 +93,6 @@ class PlateSolver:
         node_steps_per_plate: Nodes updated × steps.
         states: Device arrays that runs use.
         node_steps: Nodes updated × steps × plates of all runs so far.
-        compile_seconds: Time that discretizing and compiling took [s].
 
     Raises:
         SceneError: The time step is unstable, an actuator covers no node, there is no such device or path, the scene
@@ -139,9 +138,14 @@ class PlateSolver:
         self._chunk, self._areas, self._memory_share = chunk, areas, memory_share
         self._batch: Batch | None = None
         self.node_steps = 0
-        self.compile_seconds = time.perf_counter() - started
+        self._setup_seconds = time.perf_counter() - started
 
     __reduce__ = refuse_pickling
+
+    @property
+    def compile_seconds(self) -> float:
+        """Time that discretizing and compiling took so far [s]."""
+        return self._setup_seconds + self.specialized.late_seconds
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -183,7 +187,7 @@ class PlateSolver:
         # On CUDA resident plates show nothing between launches.
         if points and self.device.is_cuda and self.path == "resident" and "streaming" in paths_of(self.specialized):
             streaming = PlateSolver(self.discretization, self.device.alias, "streaming", self._chunk, areas=self._areas)
-            self.compile_seconds += streaming.compile_seconds
+            self._setup_seconds += streaming.compile_seconds
             run = streaming.run(drives, times, points, progress, peak_times)
             self.node_steps += run.node_steps
             return run

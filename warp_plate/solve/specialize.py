@@ -1,6 +1,8 @@
 """A discretized scene on one device: the compile key and the arrays that every path needs."""
 
-from collections.abc import Mapping
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from functools import cached_property
 from typing import Literal, get_args
 
@@ -43,6 +45,7 @@ class Specialized:
         _check_quantity(self.scene, quantity)
         self.threads = threads or cpu_threads()
         self.loaded_kernels: dict[wp.Kernel, int | None] = {}  # with their threads per block
+        self.late_seconds = 0.0  # Time spent on kernels that are compiled when a run needs them [s]
         self.effects = kernel_effects(discretization)  # Compile key of the kernels
         self.real = {"float32": wp.float32, "float64": wp.float64}[self.scene.grid.precision]
         (nx, ny), line = self.scheme.nodes, LINE_BYTES // wp.types.type_size_in_bytes(self.real)
@@ -143,6 +146,13 @@ class Specialized:
         for kernel in kernels:
             load_kernel(kernel, self.device, block_dim)
             self.loaded_kernels[kernel] = block_dim
+
+    @contextmanager
+    def compiling_late(self) -> Iterator[None]:
+        """Count the time within among that of compiling, although it is spent during a run."""
+        started = time.perf_counter()
+        yield
+        self.late_seconds += time.perf_counter() - started
 
     def to_device(self, values: np.ndarray) -> wp.array:
         """Return a copy on the device in the scene's precision."""

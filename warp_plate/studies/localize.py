@@ -222,8 +222,11 @@ def _run(
     **parts_asked: bool,
 ) -> Result:
     """Run a search from a checkpoint, which may be that of iteration 0, and make its result."""
+    compiled = problem.compile_seconds
     outcome = search_targets(start, problem, on_progress, checkpoints)
     seconds, before, unsure = dict(outcome.checkpoint.seconds), outcome.problem.node_steps, accuracy_may_change(outcome)
+    late = outcome.problem.compile_seconds - compiled  # Kernels compiled when the search needed them
+    seconds["compile"], seconds["solve"] = seconds["compile"] + late, seconds["solve"] - late
     evaluated, estimated = _evaluate(outcome, seconds, estimate or unsure)
     if unsure:
         searched, error = outcome, estimated.get("estimate", {}).get("error", math.nan)
