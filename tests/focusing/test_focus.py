@@ -61,6 +61,12 @@ def test_motion_passes_through_the_field_at_the_moment(focused):
         focus_motions(focused, span=(0.0, 1.0))
 
 
+def test_reprs_are_short(focused):
+    foci, actuators = len(focused.bound), len(focused.scene.actuators)
+    assert repr(focused) == f"<FocusResult {foci} foci: {', '.join(focused.methods)}>"
+    assert repr(focused.methods["optimum"]) == f"<FocusedWaveforms {foci} foci, {actuators} actuators>"
+
+
 def test_waveforms_of_another_panel_are_played(focused):
     """Waveforms reach the same on their own panel, less with more damping; the gap is to the optimum of that panel."""
     again = focus(focused.scene, focused)

@@ -11,12 +11,15 @@ from warp_plate import (
     Drive,
     Grid,
     Plate,
+    PlateSolver,
     Scene,
     SceneError,
     Search,
     Target,
     check,
     load_result,
+    modes,
+    motion,
     save_result,
     simulate,
 )
@@ -140,3 +143,15 @@ def test_functions_take_scenes_and_files(tmp_path):
             result.cases["driv"]
     with pytest.raises(KeyError, match=r"^region = 'rest': must be one of plate, target$"):
         result.cases["drive"].energy["rest"]
+
+
+def test_results_show_no_pages_of_numbers():
+    small = glass_panel(grid=Grid(nodes=(11, 9)), window={"start": 0.001, "end": 0.005})
+    result, plate = simulate(small, device="cpu", estimate=False), modes("console", count=3)
+    run = PlateSolver(small, "cpu").run([[1.0] * 6, [0.5] * 6])
+    factor = result.main_case.localization_factor
+    assert repr(result.main_case) == f"<Case 6 actuators, localization factor {factor:.4g}>"
+    assert repr(run) == "<Run 2 plates, 0 of them faulty>"
+    assert repr(plate) == "<ModalPlate 3 modes, the highest at 382 Hz>"
+    assert repr(check(small, "cpu")).startswith("<Check ")
+    assert repr(motion(result, frames=4, device="cpu")).startswith("<Motion drive: 4 frames of 11 × 9 nodes, ")

@@ -62,6 +62,9 @@ class Check:
     plan: str  # distribution of plates over the device
     findings: tuple[Finding, ...]  # see ``find_warnings``
 
+    def __repr__(self) -> str:
+        return f"<Check {'stable' if self.stable else 'unstable'}, {len(self.warnings)} warnings>"
+
     @property
     def summary(self) -> dict[str, str]:
         """Plate, first mode, drive and engine as texts by name."""

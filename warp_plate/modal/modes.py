@@ -31,10 +31,9 @@ from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.scene.target import PlateRegion, Target
 
-# Intervals between knots along the longer side: at least so many, and so many for each half-wave at the highest
-# frequency; along the shorter side fewer, but of less size.
-FEWEST, PER_HALF_WAVE = 18, 2.6
-MOST_INTERVALS = 400
+# Intervals between knots along the longer side: at least so many, so many for each half-wave at the highest frequency,
+# and at most so many; along the shorter side fewer, but of less size.
+FEWEST, PER_HALF_WAVE, MOST_INTERVALS = 18, 2.6, 400
 # The same for plates with an outline, as a part of these.
 FEWER = 0.7
 # Modes up to the highest frequency, by Weyl's law: so many take some 45 s and 2.7 GB, or without higher ones more.
@@ -67,6 +66,9 @@ class ModalPlate:
     hysteretic: np.ndarray  # (modes, modes) imaginary part H of the stiffness [1/s²]
     highest: float  # Frequency up to which responses are accurate [Hz]
     negligible: float = NEGLIGIBLE  # Part of energies that free motions which are left out may change
+
+    def __repr__(self) -> str:
+        return f"<ModalPlate {len(self.frequencies)} modes, the highest at {self.frequencies.max(initial=0):.4g} Hz>"
 
     @property
     def scene(self) -> Scene:
@@ -169,8 +171,7 @@ class ModalPlate:
         return np.asarray(self._plate_vectors.T @ self.space.region_integrals(regions).T)
 
     def actuator_forces(self) -> np.ndarray:
-        """Return (modes, actuators) modal forces of 1 N/m², 1 V on piezo patches or 1 N of coils, for the scene's
-        actuators."""
+        """Return (modes, actuators) modal forces of 1 N/m², 1 V on piezo patches or 1 N of the scene's coils."""
         return self.drive_forces([actuator.box for actuator in self.scene.actuators])
 
     def drive_forces(self, areas: Sequence[Area] | np.ndarray) -> np.ndarray:

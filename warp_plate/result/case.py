@@ -136,6 +136,9 @@ class Case:
     def __post_init__(self) -> None:
         object.__setattr__(self, "energy", Regions(self.energy))
 
+    def __repr__(self) -> str:
+        return f"<Case {len(self.phasors)} actuators, localization factor {self.localization_factor:.4g}>"
+
     @property
     def localization_factor(self) -> float:
         """Fraction of the plate's kinetic energy in the target, equation (5) of the source paper; NaN at rest."""

@@ -82,6 +82,9 @@ class FocusedWaveforms:
     ] = None
     panels: PanelFigures | None = None
 
+    def __repr__(self) -> str:
+        return f"<FocusedWaveforms {len(self.waveforms)} foci, {self.waveforms.shape[1]} actuators>"
+
     @property
     def crosstalk_db(self) -> np.ndarray:
         """(foci, foci) largest motion of each focus (column) under the waveforms for each (row), over the peak [dB]."""
@@ -115,6 +118,9 @@ class FocusResult:
         np.ndarray | None,
         Dataset("1", "wished motion from a file or array, in shape", ("foci", "samples"), bounded=True),
     ] = None
+
+    def __repr__(self) -> str:
+        return f"<FocusResult {len(self.bound)} foci: {', '.join(self.methods)}>"
 
     @property
     def half_wave(self) -> float:

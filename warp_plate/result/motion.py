@@ -52,6 +52,10 @@ class Motion:
     only_actuator: str = ""
     target: np.ndarray | None = None
 
+    def __repr__(self) -> str:
+        frames, ny, nx = self.displacement.shape
+        return f"<Motion {self.name}: {frames} frames of {nx} × {ny} nodes, {self.span[0]:g} to {self.span[1]:g} s>"
+
     @cached_property
     def kinetic_energy(self) -> np.ndarray:
         """(frames, ny, nx) kinetic energy per area, ½ρH u̇² [J/m²]."""

@@ -70,6 +70,9 @@ class Run:
     matrices: np.ndarray | None = None
     outline_peak: np.ndarray | None = None  # (plates,) the same as ``peak`` on the target's outline; None by time steps
 
+    def __repr__(self) -> str:
+        return f"<Run {len(self.energy)} plates, {len(self.faults)} of them faulty>"
+
     @property
     def finite(self) -> np.ndarray:
         """(plates,) true where all energies of a plate are finite."""

@@ -54,6 +54,10 @@ class Verification:
     scale: float  # measured over predicted velocity, by least squares
     correlation: float  # cosine between the measured and the predicted velocities
 
+    def __repr__(self) -> str:
+        measured, (low, high) = self.localization_factor, self.interval
+        return f"<Verification of {self.case}: localization factor {measured:.4g}, {low:.4g} to {high:.4g}>"
+
     @property
     def interval(self) -> tuple[float, float]:
         """Lowest and highest localization factor: 95 % for the noise, and twice the error of sampling."""
