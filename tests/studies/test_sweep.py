@@ -228,3 +228,16 @@ def test_a_result_that_cannot_be_written_leaves_all_points(swept_plate, tmp_path
     assert load_sweep(unfinished.path).finished
     save_finished(found, tmp_path / "c.h5", unfinished, force=True)
     assert load_sweep(tmp_path / "c.h5").finished
+
+
+def test_ctrl_c_returns_the_points_that_are_done(swept_plate):
+    def interrupt(done, total, values):
+        if done == 2:
+            raise KeyboardInterrupt
+
+    vary = ["drive.frequency=250,270,290"]
+    result = sweep(swept_plate, vary, device="cpu", on_progress=interrupt)
+    assert result.pending.tolist() == [2]
+    assert result.warnings == ("interrupted: 2 of 3 points",)
+    whole = sweep(swept_plate, vary, device="cpu")
+    np.testing.assert_array_equal(result.values["best"], [*whole.values["best"][:2], math.nan])

@@ -67,7 +67,7 @@ class Sweep:
     versions: Mapping[str, str]
 
     def __repr__(self) -> str:
-        return f"<Sweep {self.what} over {', '.join(self.plan.keys)}: {len(self.status)} points>"
+        return f"<Sweep {self.what} over {', '.join(self.plan.keys)}: {self.progress}>"
 
     def along(self, axis: str) -> np.ndarray:
         """Return the values of an axis of outputs: numbers of modes, or frequencies [Hz]."""
@@ -119,6 +119,8 @@ class Sweep:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Lines that the command prints after "!"."""
+        if not self.finished:
+            return (f"interrupted: {self.progress}",)
         return tuple(f"{key} has no effect on the results" for key in self.keys_without_effect)
 
     def refusal(self, point: int) -> str:

@@ -86,7 +86,8 @@ def sweep(
         evaluator: "modal" for the modes of the plate, "direct" for time steps (default: see :func:`choose_evaluator`).
         frequencies: range of frequencies [Hz] of frequency responses, written as in ``vary``.
 
-    Values at refused points are NaN, and the reason is stored.
+    Values at refused points are NaN, and the reason is stored. Ctrl-C ends the sweep early; the result then has the
+    points that are done, and NaN at those that are ``pending``.
 
     Raises:
         SceneError: ``vary`` or ``what`` is invalid, or all points are refused.
@@ -182,7 +183,8 @@ def run_sweep(
     bit-identical.
 
     Args:
-        file: written at intervals, and when Ctrl-C or an error ends the sweep.
+        file: written at intervals, and when Ctrl-C or an error ends the sweep; without one, Ctrl-C returns the points
+            that are done.
         on_progress, pool: see :func:`sweep`.
     """
     started, total, pending = time.perf_counter(), len(start.plan), start.pending.tolist()
@@ -217,7 +219,11 @@ def run_sweep(
                     file.save(now())
                 check_interrupt()
     except BaseException as error:
-        if file is not None and current.status.any() and not isinstance(error, SecondInterrupt):
+        if not current.status.any() or isinstance(error, SecondInterrupt):
+            raise
+        if file is None and isinstance(error, KeyboardInterrupt):
+            return now()
+        if file is not None:
             file.save(now())
         raise
     if (current.status == REFUSED).all():
