@@ -164,6 +164,14 @@ def test_workers_that_cannot_start_are_one_line(monkeypatch):
         dask.config.refresh()
 
 
+def test_a_low_limit_of_open_files_is_refused(monkeypatch):
+    limits = pytest.importorskip("resource")
+    monkeypatch.setattr(limits, "getrlimit", lambda kind: (20, 20))
+    line = "--devices cpu,cpu: needs up to 52 open files, but ulimit -n allows 20"
+    with pytest.raises(SceneError, match=line), open_pool("cpu,cpu", None):
+        pass
+
+
 def listening(pool):
     """The addresses at which this process and the workers' listen."""
     processes = [psutil.Process(number) for number in (os.getpid(), *worker_processes(pool))]

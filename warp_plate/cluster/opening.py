@@ -12,7 +12,7 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 # Seconds that a scheduler has to answer.
 ANSWER_SECONDS = 10.0
+# Open files of the scheduler and its client, and of each worker.
+FILES, FILES_A_WORKER = 32, 10
 SETTINGS = {
     "distributed.admin.large-graph-warning-threshold": "1 GiB",  # a scene may name large files
     "distributed.scheduler.allowed-failures": 0,  # of a scheduler started here: run_tasks counts attempts
@@ -111,8 +113,10 @@ def _start_workers(devices: Sequence[str]) -> WorkerPool:
     from dask import config
     from distributed import Nanny, Scheduler, Security, SpecCluster
 
+    name = f"--devices {','.join(devices)}"
+    _check_open_files(name, len(devices))
     config.set(SETTINGS)
-    name, security = f"--devices {','.join(devices)}", Security.temporary()
+    security = Security.temporary()
     place = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "protocol": "tls://", "security": security}
     scheduler = {"cls": Scheduler, "options": {**place, "dashboard": True}}
     environment = {"WARP_PLATE_THREADS": os.environ.get("WARP_PLATE_THREADS", "1")}
@@ -133,6 +137,16 @@ def _start_workers(devices: Sequence[str]) -> WorkerPool:
     except Exception as error:  # Dask raises that of its worker, of whatever kind
         raise SceneError(f"{name}: workers cannot start: {_first_line(error)}") from None
     return WorkerPool(_connect(name, cluster), name, cluster=cluster)
+
+
+def _check_open_files(name: str, workers: int) -> None:
+    """Raise a SceneError if this process may not open the files that so many workers need."""
+    with suppress(ImportError):  # no such limit here
+        import resource
+
+        most, needed = resource.getrlimit(resource.RLIMIT_NOFILE)[0], FILES + FILES_A_WORKER * workers
+        if most != resource.RLIM_INFINITY and most < needed:
+            raise SceneError(f"{name}: needs up to {needed} open files, but ulimit -n allows {most}")
 
 
 def _connect(name: str, scheduler: str | SpecCluster, answer_seconds: float = ANSWER_SECONDS) -> Client:
