@@ -66,6 +66,12 @@ def test_arguments_of_searches_and_pictures_of_wrong_types(wrong, result):
             continue
         message = refused(lambda name=argument: warp_plate.localize(SCENE, device="cpu", **{name: wrong}))
         assert message.startswith(argument)
+    for flag in ("estimate", "spectrum", "baselines"):
+        message = refused(lambda name=flag: warp_plate.localize(SCENE, device="cpu", **{name: wrong}))
+        assert message == f"{flag}: must be a bool, not a {kind}"
+    if wrong is not None:
+        message = refused(lambda: warp_plate.localize(SCENE, device="cpu", evaluator=wrong))
+        assert message == f"evaluator = {wrong!r}: must be 'direct', 'response' or 'modal'"
     assert refused(warp_plate.resume, wrong) == f"checkpoint: must be a Checkpoint, not a {kind}"
     assert refused(warp_plate.view, wrong) == f"result: must be a Result, not a {kind}"
     assert refused(warp_plate.render, result, wrong) == f"path: must be a str or Path, not a {kind}"

@@ -44,6 +44,8 @@ from warp_plate.studies.unfinished import (
     versions,
 )
 
+EVALUATORS = ("direct", "response", "modal")
+
 
 def localize(
     scene: SceneSource,
@@ -85,7 +87,9 @@ def localize(
     """
     written = Scene.load(scene)
     check_type("source", source, str)
-    _check_arguments(on_progress, checkpoints, pool)
+    _check_arguments(on_progress, checkpoints, pool, estimate=estimate, spectrum=spectrum, baselines=baselines)
+    if evaluator is not None and (not isinstance(evaluator, str) or evaluator not in EVALUATORS):
+        raise SceneError(f"evaluator = {evaluator!r}: must be 'direct', 'response' or 'modal'")
     if baselines:
         check_baselines(written)
     seed = written.search.seed if seed is None else seed
@@ -115,11 +119,13 @@ def localize(
     return _run(start, problem, on_progress, checkpoints, estimate=estimate, spectrum=spectrum, baselines=baselines)
 
 
-def _check_arguments(on_progress: object, checkpoints: object, pool: object) -> None:
+def _check_arguments(on_progress: object, checkpoints: object, pool: object, **flags: object) -> None:
     """Raise a SceneError, before the search, if one of these is of another type."""
     check_function("on_progress", on_progress)
     check_type("checkpoints", checkpoints, CheckpointFile, NoneType)
     check_type("pool", pool, WorkerPool, NoneType)
+    for key, flag in flags.items():
+        check_type(key, flag, bool)
 
 
 def resume(
@@ -146,7 +152,7 @@ def resume(
             does not fit its scene.
     """
     check_type("checkpoint", checkpoint, Checkpoint)
-    _check_arguments(on_progress, checkpoints, pool)
+    _check_arguments(on_progress, checkpoints, pool, estimate=estimate, spectrum=spectrum, baselines=baselines)
     if baselines:
         check_baselines(checkpoint.scene)
     started, matrices, earlier = time.perf_counter(), checkpoint.matrices, checkpoint.earlier_devices
