@@ -80,7 +80,7 @@ def test_json_files_picture_and_text(command, write_scene):
     ("words", "message"),
     [
         (("--at", "0.1,0.1"), "--at 0.1,0.1: must be X,Y,Z in metres"),
-        (("--at", "0.1,0.1,-1"), "must lie in front of the plate"),
+        (("--at", "0,0,1", "--at", "0.1,0.1,-1"), "--at 0.1,0.1,-1: must lie in front of the plate"),
         (("--range", "20:100"), "must hold the drive's frequency of 290 Hz"),
         (("--range", "400:100"), "--range 400:100: must be LOW:HIGH"),
     ],

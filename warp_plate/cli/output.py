@@ -198,7 +198,8 @@ def progress_bar(label: str, shown: bool, scene: Scene | None = None, last: str 
 @contextmanager
 def scene_errors(source: object, **options: str) -> Iterator[None]:
     """Prefix errors that begin with a key of the scene with its file, ``source``; in errors that begin with an argument
-    of a function, ``NAME = value``, write the option that ``options`` name for it, ``--OPTION value``."""
+    of a function, ``NAME = value``, or an item of it, write the option that ``options`` name for it, ``--OPTION
+    value``."""
     from warp_plate.scene.model import Scene
 
     try:
@@ -206,8 +207,9 @@ def scene_errors(source: object, **options: str) -> Iterator[None]:
     except SceneError as error:
         message = str(error)
         key = re.split(r"\W", message, maxsplit=1)[0]
-        if key in options and message.startswith(f"{key} = "):
-            raise SceneError(re.sub(r"(?<![\w.])(\w+) = ", lambda name: _option(name, options), message)) from None
+        if key in options and re.match(rf"{key}(\[\d+\])? = ", message):
+            named = re.sub(r"(?<![\w.])(\w+)(?:\[\d+\])? = ", lambda name: _option(name, options), message)
+            raise SceneError(named) from None
         if source is None or key not in Scene.model_fields or message.startswith(f"{source}:"):
             raise
         raise SceneError(f"{source}: {error}") from None
