@@ -9,7 +9,7 @@ from warp_plate.optimize.quadratic import best_position
 from warp_plate.plate.designs import Designs
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.allowed_drives import AllowedDrives, allowed_drives
-from warp_plate.problem.bounds import bound_energy, bound_localization
+from warp_plate.problem.bounds import EnergyLimits, bound_energy, bound_localization
 from warp_plate.problem.problem import make_problem
 from warp_plate.problem.semidefinite import least_majorant
 from warp_plate.quantities.region_quantities import PLATE, TARGET
@@ -89,7 +89,7 @@ def test_no_allowed_drive_exceeds_the_bounds_of_ratio_and_energy(random, case):
     if case == {"power": 3.0}:
         assert (bound.value, bound.kind) == (pytest.approx(3 * np.linalg.eigvalsh(target)[-1], rel=1e-8), "attained")
     most = float(np.median(rest))
-    with_rest = bound_energy(target, limits, [(plate - target, most)])
+    with_rest = bound_energy(target, limits, EnergyLimits([(plate - target, most)]))
     assert inside[rest <= most].max() <= with_rest.value * (1 + 1e-9)
     assert bound is None or with_rest.value <= bound.value * (1 + 1e-6)
     if not case:  # so much energy in the rest lets LF / (1 − LF) times as much into the target

@@ -99,6 +99,7 @@ def test_nonlinear_scenes_are_refused():
 def quiet_console():
     """The answer for the console with a limit of sound."""
     keys = ["specification.frequency=225.0", "specification.guard=0.03", "specification.limits.sound=45.0"]
+    keys.append("specification.limits.pressures=[{point=[0.1,0.1,1.0],level=50}]")
     return specify(Scene.load("console", [*keys, "specification.elsewhere.relative_db=3"]))
 
 
@@ -108,6 +109,9 @@ def test_the_drive_of_a_specification_keeps_its_limit_of_sound(quiet_console):
     level = heard.power_level[heard.at_drive] + heard.weighting[heard.at_drive]
     assert margin.reached == pytest.approx(level, abs=0.01)
     assert margin.reached <= 45.0 + 1e-5
+    margin = next(margin for margin in quiet_console.margins if margin.requirement == "sound at 0.1,0.1,1 m")
+    level = heard.pressure_levels[0, heard.at_drive] + heard.weighting[heard.at_drive]
+    assert margin.reached == pytest.approx(level, abs=0.01)
     assert margin.unit == "dB(A)"
     assert quiet_console.bound_db == pytest.approx(quiet_console.contrast_db, abs=1e-4)
 

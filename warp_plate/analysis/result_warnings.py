@@ -18,7 +18,7 @@ from warp_plate.outline.outline import shared_areas
 from warp_plate.plate.shapes import target_outlines
 from warp_plate.problem.design_variables import has_design_tables
 from warp_plate.problem.methods import unread_keys
-from warp_plate.problem.objectives import keeps_limit
+from warp_plate.problem.objectives import EXCESS, LEVEL_EXCESS, keeps_limit
 from warp_plate.result.case import target_cases
 from warp_plate.result.model import Result
 from warp_plate.scene.vary import counted
@@ -46,7 +46,7 @@ def result_warnings(result: Result) -> tuple[str, ...]:
     free = result.scene.search.magnitude is not None or not has_design_tables(result.scene)
     remedy = "" if free else " as strong as the scene's; [search.magnitude] allows weaker ones"
     for kind in exceeded_limits(result):
-        lines.append(f"{kind} of the rest: no drive within the limit was found{remedy}; the nearest one is shown")
+        lines.append(f"{kind}: no drive within the limit was found{remedy}; the nearest one is shown")
     if result.command == "localize":
         lines += [*search_warnings(result.scene), *range_warnings(result), *drive_warnings(result)]
         lines += unread_keys(result.scene.search)
@@ -111,11 +111,16 @@ def drive_warnings(result: Result) -> list[str]:
 
 
 def exceeded_limits(result: Result) -> list[str]:
-    """Return the kinds of objectives whose ``rest_limit`` the best drive for some target exceeds."""
+    """Return what the best drive for some target exceeds: kinds of objectives of their ``rest_limit``, and sounds."""
     limits = {row.kind: row.rest_limit for row in result.scene.search.objectives if row.rest_limit is not None}
     searches = [search.objective_values for search in result.target_searches or [result]]
-    return [
-        kind
+    exceeded = [
+        f"{kind} of the rest"
         for kind, limit in limits.items()
         if not all(keeps_limit(values.get(f"{kind} of the rest", 0.0), limit) for values in searches)
     ]
+    for name, (_, limit) in result.scene.search.limits.levels.items():
+        reached = np.array([values[name] for values in searches if name in values])
+        kept = reached >= limit * (1 - EXCESS) if name == "velocity" else reached <= limit + LEVEL_EXCESS
+        exceeded += [name] * (not kept.all())
+    return exceeded

@@ -79,10 +79,12 @@ def localize(
     [search.magnitude], [search.phase], [search.frequency], [search.position] and [search.delay] in the scene select
     what is searched (docs/searching.md), and method under [search] how (docs/methods.md).
 
-    [search.limits] holds the limits of the amplifier: magnitude, power and equal_magnitudes (docs/searching.md).
+    [search.limits] holds the limits of the amplifier (magnitude, power, equal_magnitudes; docs/searching.md), and those
+    on motion and sound (least_velocity, sound, pressures; docs/sound.md).
 
-    [[search.objectives]] selects what is maximised: a kind, which is localization, contrast, velocity, displacement or
-    uniformity, with its weight, and a rest_limit for velocity and displacement (docs/objectives.md).
+    [[search.objectives]] selects what is maximised: a kind, which is localization, contrast, velocity, displacement,
+    uniformity, sound or quietness, with its weight, and a rest_limit for velocity and displacement
+    (docs/objectives.md).
 
     With [[targets]] a drive is searched for each, and the crosstalk between them is shown. The scene with the best
     drive is written beside the result as OUT.best.toml, which simulate runs.

@@ -32,8 +32,9 @@ class SweepOptions:
             a key that names a file, KEY=*.csv stands for all such files beside the scene. Several ranges form a grid.
         what: localize (localization factors of the equal drive, the best single actuator and the best drive, and the
             bound; the default), simulate (localization factor, energies and largest displacement under the scene's
-            drive), frf (mean square velocity, localization factor and bound at each of --frequencies), modes (natural
-            frequencies) or check (time step and its limit, steps a period, nodes a wavelength).
+            drive), frf (mean square velocity, localization factor and bound at each of --frequencies), sound (of the
+            scene's drive, A-weighted, with its quietness and the bound of that), modes (natural frequencies) or check
+            (time step and its limit, steps a period, nodes a wavelength).
         evaluator: modal (without time steps or a grid's error) or direct (time steps), with localize and simulate
             (default: modal for linear scenes, unless a key of the grid is varied or --path says how to step).
         frequencies: Frequencies of --what frf in hertz, as START:STOP:COUNT, log:START:STOP:COUNT or a,b,c.
@@ -44,7 +45,7 @@ class SweepOptions:
     """
 
     vary: Annotated[list[str] | None, Parameter(consume_multiple=True, negative="")] = None
-    what: Literal["localize", "simulate", "frf", "modes", "check"] | None = None
+    what: Literal["localize", "simulate", "frf", "sound", "modes", "check"] | None = None
     evaluator: Literal["modal", "direct"] | None = None
     frequencies: str | None = None
     samples: options.Integer | None = None

@@ -93,8 +93,8 @@ def drive_json(case: Case, scene: Scene) -> list[dict[str, object]]:
 
 def print_objectives(result: Result, console: Console) -> None:
     """Print a row for each objective with a column for each target's drive or case; nothing if the localization
-    factor is the only objective."""
-    if result.only_localization or not result.objective_values:
+    factor is the only objective, without limits on motion or sound."""
+    if not result.objective_values:
         return
     searches = result.target_searches or [result]
     values_of = [search.objective_values for search in searches]
@@ -107,8 +107,11 @@ def print_objectives(result: Result, console: Console) -> None:
         lines.append((kind, f"{kind} ({unit})" if unit else kind, f"{objective.weight:g}", None))
         if objective.rest_limit is not None:
             lines.append((f"{kind} of the rest", f"{kind} of the rest ({unit})", "", objective.rest_limit))
-    lines.append(("sum", "weighted sum", "", None))
-    if any("bound" in values for values in values_of):
+    levels = result.scene.search.limits.levels
+    lines += [(name, f"{name} ({unit})", "", limit) for name, (unit, limit) in levels.items()]
+    if not result.only_localization:
+        lines.append(("sum", "weighted sum", "", None))
+    if any("bound" in values for values in values_of) and not result.only_localization:
         kinds = [search.bound_kind for search in searches]
         bounded = "bound only" if "bound only" in kinds else "bound"
         lines.append(("bound", f"{bounded} of the sum, {result.scope}", "", None))

@@ -20,6 +20,7 @@ from warp_plate.modal.gram import Means, ToneMatrices, gram_matrices
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.motion import make_excitation
 from warp_plate.modal.quadrature import WaveformEnergies, quadrature_matrices
+from warp_plate.modal.radiation import WeightedSound
 from warp_plate.modal.slopes import EnergySlopes, energy_slopes
 from warp_plate.optimize.quadratic import quadratic_forms, real_parts
 from warp_plate.plate.signals import actuator_frequencies
@@ -34,7 +35,7 @@ class ModalEnergies:
 
     Designs differ in what their actuators have: frequency (designs, M) [Hz], areas (designs or 1, M, 4) x0, x1, y0, y1
     [m], and delay (designs, M), the starts of their bursts [s]. A quantity of "displacement" is ½ ∫ ρH u² dA. The
-    device is for batches of designs under tones; everything else is computed on the CPU.
+    device is for batches of designs under tones; everything else is computed on the CPU. Sounds follow the regions.
     """
 
     def __init__(
@@ -43,12 +44,13 @@ class ModalEnergies:
         regions: Sequence[np.ndarray],
         quantity: str = "velocity",
         device: wp.Device | None = None,
+        sounds: Sequence[WeightedSound] = (),
     ) -> None:
         self.plate, self.regions, self.quantity = plate, regions, quantity
         window = None if plate.scene.steady else plate.scene.window
-        self._means = Means(plate, regions, window, quantity == "velocity")
+        self._means = Means(plate, regions, window, quantity == "velocity", sounds)
         on_device = device is not None and device.is_cuda and plate.proportional and plate.scene.outline is None
-        on_device = on_device and rectangular(plate.scene) and not plate.scene.coil_indices
+        on_device = on_device and rectangular(plate.scene) and not plate.scene.coil_indices and not sounds
         self._device = device if on_device else None
         self._tones = plate.scene.drive.waveform_key is None
 

@@ -29,6 +29,7 @@ from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.motion import Excitation, exponential_states, make_excitation
 from warp_plate.modal.poles import Poles, as_sparse, multiply_modes
 from warp_plate.modal.quadrature import quadrature_matrices
+from warp_plate.modal.radiation import WeightedSound
 from warp_plate.plate.signals import actuator_delays
 from warp_plate.scene.grid import Window
 
@@ -49,6 +50,14 @@ class Means:
     # not interfere
     window: Window | None
     velocity: bool = True  # False for ½ ∫ ρH u² dA of displacements [J s² per (N/m²)²]
+    # Sounds of steady velocities, which follow the regions; those of displacements count as 0
+    sounds: Sequence[WeightedSound] = ()
+
+    def momenta(self, frequency: np.ndarray, motion: np.ndarray) -> Iterator[np.ndarray]:
+        """Yield the product (designs, modes, M) of each matrix, those of the sounds last, and a steady motion."""
+        yield from (multiply_modes(region, motion) for region in self.regions)
+        for sound in self.sounds:
+            yield sound.multiply(frequency, motion) if self.velocity else np.zeros_like(motion)
 
 
 def gram_matrices(
@@ -64,7 +73,7 @@ def gram_matrices(
         rate = 2j * math.pi * frequency[:, None, :] if means.velocity else 1
         forced = plate.respond_to_drives(frequency, forces) * rate
         same = frequency[:, :, None] == frequency[:, None, :]
-        mixed = [(forced.conj().mT @ multiply_modes(region, forced)) * same for region in regions]
+        mixed = [(forced.conj().mT @ momenta) * same for momenta in means.momenta(frequency, forced)]
         return np.stack([real_form(np.zeros_like(product), product) for product in mixed], axis=1)
     if plate.scene.drive.burst is None and has_exponential_loads(plate.scene):
         shared = ToneMatrices(means, trials=(forces, frequency))

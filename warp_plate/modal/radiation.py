@@ -25,6 +25,8 @@ from scipy.special import spherical_jn
 
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.plate.memory import refuse_beyond_memory
+from warp_plate.quantities.region_quantities import AIR_DENSITY, SOUND_SPEED
+from warp_plate.result.sound import a_weighting
 from warp_plate.scene.errors import SceneError
 
 # Terms beyond one for each radian of phase over half the plate: all errors are below 1e-12.
@@ -39,9 +41,9 @@ NEAREST = 3.0
 class Air:
     """The medium in front of the plate."""
 
-    density: float = 1.204
+    density: float = AIR_DENSITY
     """Density [kg/m³]; that of dry air at 20 °C and 101.325 kPa."""
-    sound_speed: float = 343.2
+    sound_speed: float = SOUND_SPEED
     """Speed of sound [m/s]."""
 
     def wavenumber(self, frequencies: np.ndarray | float) -> np.ndarray:
@@ -82,6 +84,49 @@ class FarField:
         even, sign = power % 2 == 0, np.where(power // 2 % 2 == 0, 1.0, -1.0)
         real, imaginary = ((terms[:, some] * sign[some]) @ moments[some] for some in (even, ~even))
         return np.asarray(real + 1j * imaginary)
+
+    def resistance_factor(self, wavenumber: float) -> np.ndarray:
+        """Return F (rows, modes) [m²/√kg], real, of a wavenumber k [1/m]: radiation resistances are ρck² FᵀF.
+
+        The rows are directions in half of the half-space; those opposite have conjugate V.
+        """
+        phase = math.ceil(wavenumber * math.hypot(*self.sides) / 2)
+        heights, shares = np.polynomial.legendre.leggauss(phase // 2 + FURTHER)
+        around = phase + FURTHER
+        azimuth = math.pi * (np.arange(around) + 0.5) / around
+        sine = np.sqrt(1 - ((heights + 1) / 2) ** 2)
+        waves = self.at(wavenumber, np.repeat(sine, around), np.tile(azimuth, sine.size))
+        waves *= np.sqrt(np.repeat(shares / 2, around) * (2 * math.pi / around))[:, None] / (2 * math.pi)
+        return np.concatenate([waves.real, waves.imag])
+
+
+class WeightedSound:
+    """The A-weighted sound of steady modal velocities as a quadratic form: power [W], or at a point (x, y, z) [m] the
+    mean square of the pressure [Pa²]."""
+
+    def __init__(self, plate: ModalPlate, highest: float, point: tuple[float, float, float] | None = None) -> None:
+        """``highest`` frequency [Hz]."""
+        self._plate, self._point = plate, point
+        self._far_field = FarField(plate, float(AIR.wavenumber(highest))) if point is None else None
+
+    def factor(self, frequency: float) -> np.ndarray:
+        """Return F (rows, modes) at a frequency [Hz]: the sound of velocities q̇ exp(iωt) is ½ ‖F q̇‖²."""
+        weight = 10 ** (float(a_weighting(np.array([frequency]))[0]) / 20)
+        if self._far_field is None:
+            assert self._point is not None
+            return weight * pressure_rows(self._plate, frequency, np.array([self._point]))
+        k = float(AIR.wavenumber(frequency))
+        return weight * math.sqrt(AIR.density * AIR.sound_speed) * k * self._far_field.resistance_factor(k)
+
+    def multiply(self, frequency: np.ndarray, rates: np.ndarray) -> np.ndarray:
+        """Return 2FᴴF q̇ (designs, modes, M) of velocities of the same shape at frequencies (designs, M) [Hz]."""
+        products = np.empty(rates.shape, dtype=complex)
+        columns, rates = np.moveaxis(products, 1, 2), np.moveaxis(rates, 1, 2)
+        frequency = np.broadcast_to(frequency, columns.shape[:2])
+        for value in np.unique(frequency):
+            factor, chosen = self.factor(float(value)), frequency == value
+            columns[chosen] = 2 * (rates[chosen] @ factor.T) @ factor.conj()
+        return products
 
 
 class Radiation:
@@ -124,15 +169,18 @@ class Radiation:
         return wavenumber * math.hypot(*self.plate.scene.plate.size) / 2
 
     def _resistance_by_square(self, wavenumber: float) -> np.ndarray:
-        """Return (modes, modes) R/ρck² [m⁴/kg] of a wavenumber [1/m]: opposite directions have conjugate V."""
-        phase = math.ceil(self._phase(wavenumber))
-        heights, shares = np.polynomial.legendre.leggauss(phase // 2 + FURTHER)
-        around = phase + FURTHER
-        azimuth = math.pi * (np.arange(around) + 0.5) / around
-        sine = np.sqrt(1 - ((heights + 1) / 2) ** 2)
-        waves = self.far_field.at(wavenumber, np.repeat(sine, around), np.tile(azimuth, sine.size))
-        waves *= np.sqrt(np.repeat(shares / 2, around) * (2 * math.pi / around))[:, None]
-        return np.asarray(waves.real.T @ waves.real + waves.imag.T @ waves.imag) / (4 * math.pi**2)
+        """Return (modes, modes) R/ρck² [m⁴/kg] of a wavenumber [1/m]."""
+        factor = self.far_field.resistance_factor(wavenumber)
+        return np.asarray(factor.T @ factor)
+
+
+def pressure_rows(plate: ModalPlate, frequency: float, points: np.ndarray, air: Air = AIR) -> np.ndarray:
+    """Return (points, modes) pressures [Pa] of unit modal velocities; see :func:`pressures`."""
+    places, weights = plate.space.quadrature()
+    distances = _distances(plate, points, places)
+    k = float(air.wavenumber(frequency))
+    kernel = np.exp(-1j * k * distances) * (weights / distances)
+    return np.asarray(1j * frequency * air.density * (kernel @ plate.at_points(places).T))
 
 
 def pressures(
@@ -141,12 +189,7 @@ def pressures(
     """Return (n, points, loads) pressures [Pa] at points (points, 3) x, y, z [m] in front of the plate, z above it, of
     modal amplitudes (n, modes, loads) at frequencies (n,) [Hz]. SceneError: a point is too near to the plate."""
     places, weights = plate.space.quadrature()
-    spacing = math.sqrt(plate.scene.plate.area / len(weights))
-    for index, (x, y, z) in enumerate(points.tolist()):
-        if not z >= NEAREST * spacing:
-            what = f"must lie in front of the plate, z at least {NEAREST * spacing:.2g} m"
-            raise SceneError(f"points[{index}] = {x:g},{y:g},{z:g}: {what}")
-    distances = np.sqrt(((points[:, None, :2] - places) ** 2).sum(axis=-1) + points[:, 2:] ** 2)
+    distances = _distances(plate, points, places)
     shapes = plate.at_points(places)
     pressures = np.empty((len(frequencies), len(points), amplitudes.shape[2]), dtype=complex)
     for start in range(0, len(frequencies), BLOCK_FREQUENCIES):
@@ -158,3 +201,14 @@ def pressures(
             acceleration = -((k * air.sound_speed) ** 2) * motion[:, index]
             pressures[start + index] = air.density / (2 * math.pi) * (kernel @ acceleration)
     return pressures
+
+
+def _distances(plate: ModalPlate, points: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Return (points, places) distances [m] of points (points, 3) from places (places, 2) of integration; SceneError: a
+    point is too near to the plate."""
+    spacing = math.sqrt(plate.scene.plate.area / len(places))
+    for index, (x, y, z) in enumerate(points.tolist()):
+        if not z >= NEAREST * spacing:
+            what = f"must lie in front of the plate, z at least {NEAREST * spacing:.2g} m"
+            raise SceneError(f"points[{index}] = {x:g},{y:g},{z:g}: {what}")
+    return np.asarray(np.sqrt(((points[:, None, :2] - places) ** 2).sum(axis=-1) + points[:, 2:] ** 2))

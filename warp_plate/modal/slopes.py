@@ -102,9 +102,8 @@ def _steady(means: Means, phasors: np.ndarray, frequency: np.ndarray, forces: np
     same = frequency[:, :, None] == frequency[:, None, :]
     motion = (unit * phasors[:, None, :]) @ same
     values = []
-    for region in means.regions:
-        momenta = multiply_modes(region, motion.conj()) / 2
-        values.append(np.stack([(momenta * by).sum(axis=1) for by in (unit, by_rate, by_x, by_y)]))
+    for momenta in means.momenta(frequency, motion):
+        values.append(np.stack([(momenta.conj() / 2 * by).sum(axis=1) for by in (unit, by_rate, by_x, by_y)]))
     by_drive, by_rate, *by_centre = np.stack(values, axis=2)
     zero = np.zeros(by_drive.shape, dtype=complex)
     return _assemble(phasors, by_drive, 2j * math.pi * by_rate, np.stack(by_centre, axis=-1), zero)

@@ -17,6 +17,7 @@ from warp_plate.modal.loads import has_exponential_loads
 from warp_plate.modal.modes import ModalPlate, solve_modes
 from warp_plate.modal.motion import fields, largest_displacements
 from warp_plate.modal.motion import trace as displacement_at
+from warp_plate.modal.radiation import WeightedSound
 from warp_plate.modal.slopes import EnergySlopes
 from warp_plate.modal.spaces.trimmed_splines import TrimmedSplines
 from warp_plate.plate.designs import (
@@ -32,7 +33,15 @@ from warp_plate.plate.scheme import check_grid, sampling_step
 from warp_plate.plate.section import make_section
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies, highest_frequency
 from warp_plate.plate.stability_limit import find_limit
-from warp_plate.plate.weights import NO_AREAS, REGIONS, RegionLike, node_positions, region_weights, weigh_region
+from warp_plate.plate.weights import (
+    NO_AREAS,
+    REGIONS,
+    RegionLike,
+    SoundRegion,
+    node_positions,
+    region_weights,
+    weigh_region,
+)
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.target import Target
@@ -55,7 +64,7 @@ def trace_step(scene: Scene, moment_form: bool = False) -> float:
 
 
 def _has_curve(region: RegionLike) -> bool:
-    return isinstance(region, tuple) or (isinstance(region, Target) and region.mask is None)
+    return isinstance(region, tuple | SoundRegion) or (isinstance(region, Target) and region.mask is None)
 
 
 @dataclass(frozen=True)
@@ -105,7 +114,7 @@ class ModalSolver:
     Args:
         scene: Scene, or its grid.
         device: Device of batches of designs under tones; everything else is computed on the CPU.
-        areas, per_plate, quantity: See :class:`PlateSolver`.
+        areas, per_plate, quantity: See :class:`PlateSolver`; sounds are the last of the areas.
         plate: Modes of the scene's plate, if they have been solved for.
 
     Attributes:
@@ -138,6 +147,7 @@ class ModalSolver:
         searched = self.scene.search.frequency
         highest = max(highest_frequency(self.scene), searched.range[1] if searched is not None else 0.0)
         self.plate: ModalPlate = in_time(plate or solve_modes(self.scene, highest))
+        self._highest = highest
         self.compile_seconds = time.perf_counter() - started
 
     __reduce__ = refuse_pickling
@@ -238,11 +248,15 @@ class ModalSolver:
 
     @cached_property
     def _modal_energies(self) -> ModalEnergies:
-        return ModalEnergies(self.plate, self._region_matrices, self.quantity, self.device)
+        areas = self._areas.values()
+        points = [area.point for area in areas if isinstance(area, SoundRegion)]
+        sounds = [WeightedSound(self.plate, self._highest, point) for point in points]
+        return ModalEnergies(self.plate, self._region_matrices, self.quantity, self.device, sounds)
 
     @cached_property
     def _region_matrices(self) -> list[np.ndarray]:
-        regions: list[Any] = ["plate", self.scene.target, *self._areas.values()]
+        areas = [area for area in self._areas.values() if not isinstance(area, SoundRegion)]
+        regions: list[Any] = ["plate", self.scene.target, *areas]
         return [
             self._weighted(region) if isinstance(region, np.ndarray) else self.plate.kinetic_matrix(region)
             for region in regions
@@ -259,8 +273,8 @@ class ModalSolver:
         space = self.plate.space
         regions: list[Any] = [(0.0, self.scene.plate.size[0], 0.0, self.scene.plate.size[1]), self.scene.target]
         regions += self._areas.values()
-        if isinstance(space, TrimmedSplines) and all(_has_curve(region) for region in regions):
-            return np.array([space.region_mass(region) for region in regions])
+        if isinstance(space, TrimmedSplines) and all(map(_has_curve, regions)):
+            return np.array([0.0 if isinstance(one, SoundRegion) else space.region_mass(one) for one in regions])
         weights = [weigh_region(self.scene, name, region) for name, region in self._areas.items()]
         fields = [*self.discretization.region_weights, *weights]
         return np.array([(field * self.discretization.surface_density).sum() for field in fields]) * (

@@ -9,6 +9,7 @@ as h⁴. By nodes, as in the source paper, it is one for the nodes inside the ar
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
@@ -22,8 +23,18 @@ from warp_plate.scene.model import Scene
 from warp_plate.scene.target import PlateRegion, Target
 
 REGIONS = ("plate", "target")
-# x0, x1, y0, y1 [m] of a rectangle; another region; or weights (ny, nx) in cells.
-RegionLike = Area | PlateRegion | np.ndarray
+
+
+@dataclass(frozen=True)
+class SoundRegion:
+    """The sound of the plate in place of the energy of a region, A-weighted: power [W], or at a point the mean square
+    of the pressure [Pa²]."""
+
+    point: tuple[float, float, float] | None = None  # [m], in front of the plate
+
+
+# x0, x1, y0, y1 [m] of a rectangle; another region; weights (ny, nx) in cells; or sound.
+RegionLike = Area | PlateRegion | np.ndarray | SoundRegion
 NO_AREAS: Mapping[str, RegionLike] = MappingProxyType({})
 # The nodes of each side in an array (ny, nx).
 EDGE_LINES: dict[str, Any] = {"left": np.s_[:, 0], "bottom": np.s_[0], "right": np.s_[:, -1], "top": np.s_[-1]}
@@ -172,6 +183,8 @@ def weigh_region(scene: Scene, name: str, region: RegionLike) -> np.ndarray:
     """Return the weights (ny, nx) of one region, in cells; its name is for errors. See :func:`region_weights`."""
     if isinstance(region, np.ndarray):
         return region
+    if isinstance(region, SoundRegion):  # has no mass
+        return np.zeros(scene.grid.nodes[::-1])
     weigh = moments if scene.grid.load == "moments" else overlap
     if not isinstance(region, PlateRegion):
         return on_plate(scene, _rectangle(weigh, *node_positions(scene), region))

@@ -101,7 +101,7 @@ def has_free_drives(parametrization: Parametrization) -> bool:
     """Return whether each design may have its best drive: only the ratio of energies matters, and magnitudes and phases
     are free up to a common factor."""
     scene = parametrization.scene
-    if not scene.linear or parametrization.only_drives:
+    if not scene.linear or parametrization.only_drives or scene.search.limits.levels:
         return False
     # Where all objectives grow with the localization factor, so does their sum.
     grows = all(REGION_QUANTITIES[term.kind].bounded_by == "localization" for term in scene.search.objectives)
@@ -146,7 +146,7 @@ def best_allowed(
         sizes = np.where(held, (phasors * np.exp(1j * phase)).real, np.abs(phasors))
         scales = np.append(SCALES * typical / np.abs(sizes).max(), 1.0)
         tried = _within_limits(scales[:, None] * sizes, allowed) * np.exp(-1j * phase)
-        values = np.nan_to_num(quantity(tried), nan=-math.inf)
+        values = np.nan_to_num(quantity(tried), nan=-math.inf, neginf=-math.inf)
         if values.max(initial=-math.inf) > best:
             best, drive = float(values.max()), tried[values.argmax()]
     return best, drive

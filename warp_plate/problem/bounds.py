@@ -1,7 +1,7 @@
 """Upper bounds over all drives that a search may choose.
 
 With z as in ``optimize.quadratic``, energies are zᵀA z, and limits on drives are limits on the |z_k|² of the actuators,
-on their sum (power) or on the energy elsewhere: all of them quadratic forms. Without limits the largest ratio is an
+on their sum (power), on energies or on sounds: all of them quadratic forms. Without limits the largest ratio is an
 eigenvalue, which a drive reaches. With limits it is bounded by multipliers (``problem.semidefinite``): for a ratio
 under equal magnitudes, say, any d with Σ d_k = 0 has
 
@@ -17,7 +17,7 @@ drive reaches all bounds: with several objectives it is called "bound only".
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, combinations
 from typing import Literal
@@ -32,7 +32,7 @@ from warp_plate.problem.parametrization import Parametrization
 from warp_plate.problem.semidefinite import EIGEN_ERROR, least_majorant, local_maximum
 from warp_plate.quantities.region_quantities import PLATE, REGION_QUANTITIES, TARGET
 from warp_plate.scene.search import Objective
-from warp_plate.solve.response import Response, largest_ratio
+from warp_plate.solve.response import Response, has_full_rank, largest_ratio
 
 # Relative distance within which a drive that keeps all limits must come for its bound to be called attained.
 NEAR = 1e-6
@@ -57,15 +57,69 @@ class Bound:
     drive: np.ndarray | None = None  # (actuators,) phasors of the best permitted drive that is known
 
 
+@dataclass(frozen=True)
+class EnergyLimits:
+    """Limits on energies zᵀ matrix z, or on sounds that stand for them."""
+
+    at_most: Sequence[tuple[np.ndarray, float]] = ()  # matrices (2M, 2M) and largest values
+    at_least: Sequence[tuple[np.ndarray, float]] = ()  # the same of least values
+
+    def __bool__(self) -> bool:
+        return bool(self.at_most or self.at_least)
+
+    def limits(self, allowed: AllowedDrives, inside: float = 0.0) -> list[_Limit]:
+        """Return the limits, narrower by the part ``inside``."""
+        upper = [_limit(matrix, (1 - inside) * value, allowed) for matrix, value in self.at_most]
+        return upper + [_limit(-matrix, -(1 + inside) * value, allowed) for matrix, value in self.at_least]
+
+    @property
+    def sizes(self) -> np.ndarray | float:
+        """(2M,) sums of the energies of unit drives; 0 without limits."""
+        return sum((np.diag(matrix) for matrix, _ in (*self.at_most, *self.at_least)), 0.0)
+
+    def factors(self, drives: np.ndarray, scalable: bool) -> np.ndarray:
+        """Return factors (drives,) by which drives keep the limits, 1 unless ``scalable``; NaN where none does."""
+
+        def ratios(rows: Sequence[tuple[np.ndarray, float]]) -> np.ndarray:
+            forms = np.array([matrix for matrix, _ in rows]).reshape(-1, *2 * (2 * drives.shape[1],))
+            return quadratic_forms(forms, drives) / [value for _, value in rows]
+
+        over = ratios(self.at_most).max(axis=1, initial=0.0) / (1 - INSIDE)
+        factors = 1 / np.sqrt(np.maximum(over, 1.0)) if scalable else np.where(over <= 1 + INSIDE / 2, 1.0, np.nan)
+        least = ratios(self.at_least).min(axis=1, initial=math.inf) * factors**2
+        return np.where(least >= 1, factors, np.nan)
+
+    def within(self, values: Callable[[np.ndarray], np.ndarray], scalable: bool) -> Callable[[np.ndarray], np.ndarray]:
+        """Return the function of drives (n, actuators) that is ``values`` where they keep the limits, and else −∞."""
+
+        def inside(drives: np.ndarray) -> np.ndarray:
+            factors = self.factors(drives, scalable)
+            return np.where(np.isnan(factors), -math.inf, values(drives * np.nan_to_num(factors)[:, None]))
+
+        return inside
+
+    def scaled(self, reached: tuple[float, np.ndarray], scalable: bool) -> tuple[float, np.ndarray]:
+        """Return a value and its drive (actuators,), scaled to stay inside the limits."""
+        factor = float(self.factors(reached[1][None], scalable)[0])
+        return reached[0], reached[1] * (1.0 if math.isnan(factor) else factor)
+
+
+NO_LIMITS = EnergyLimits()
+
+
 def bound_localization(
-    response: Response, allowed: AllowedDrives, most_actuators: int = MOST_ACTUATORS, attain: bool = True
+    response: Response,
+    allowed: AllowedDrives,
+    most_actuators: int = MOST_ACTUATORS,
+    attain: bool = True,
+    others: EnergyLimits = NO_LIMITS,
 ) -> Bound | None:
     """Return the bound of the localization factor in a linear scene; None where no drive moves the plate.
 
     With limits and more than ``most_actuators`` actuators it is the eigenvalue of the drives without limits. Without
     ``attain``, no drive under limits is sought that attains it.
     """
-    if allowed.scaled:  # drives that are scaled down to a power keep their ratios
+    if allowed.scaled and not others:  # drives that are scaled down to a power keep their ratios
         allowed = replace(allowed, power=math.inf, scaled=False)
     plate, basis = response.matrices[PLATE], allowed.basis()
     reduced = basis.T @ response.matrices @ basis
@@ -74,62 +128,55 @@ def bound_localization(
         return None
     value = float(ratio_of_all) * (1 + EIGEN_ERROR)  # no drive passes it by rounding either
 
-    def ratio(drives: np.ndarray) -> np.ndarray:
-        return localization_factor(response.energy(drives))
+    scalable = not (allowed.lower > 0).any()
+    ratio = others.within(lambda drives: localization_factor(response.energy(drives)), scalable)
 
-    nearest = best_allowed(ratio, basis @ parameters, allowed)
-    bound = _bound(value, [nearest])
-    if bound.kind == "bound only" and allowed.limits_ratios and len(allowed.phase) <= most_actuators:
-        endless = np.full(len(allowed.upper), math.inf)  # without least magnitudes, a smaller drive has the same ratio
-        limits = _magnitude_limits(allowed if (allowed.lower > 0).any() else replace(allowed, upper=endless))
+    def reached(z: np.ndarray) -> tuple[float, np.ndarray]:
+        return others.scaled(best_allowed(ratio, z, allowed), scalable)
+
+    bound = _bound(value, [reached(basis @ parameters)])
+    restricted = allowed.limits_ratios or bool(others)
+    if bound.kind == "bound only" and restricted and len(allowed.phase) <= most_actuators:
+        wider = allowed
+        if allowed.scaled:  # drives that are scaled down are among those without least magnitudes
+            wider = replace(allowed, lower=np.minimum(allowed.lower, 0.0), scaled=False)
+        if scalable and not others:  # a smaller drive has the same ratio
+            wider = replace(allowed, upper=np.full(len(allowed.upper), math.inf))
+        limits = _magnitude_limits(wider)
+        inside, limits = limits + others.limits(wider, INSIDE), limits + others.limits(wider)
         least, starts = _majorant(response.matrices[TARGET], [(plate, 0.0, 1.0, False), *limits], basis, np.diag(plate))
         if least < value:
             starts = starts if attain else starts[:0]
-            ascents = _ascents(response.matrices[TARGET], plate, limits, allowed, np.diag(plate), starts)
-            return _bound(least, (best_allowed(ratio, z, allowed) for z in ascents))
+            ascents = _ascents(response.matrices[TARGET], plate, inside, wider, np.diag(plate), starts)
+            return _bound(least, map(reached, ascents))
     return bound
 
 
 def bound_energy(
-    matrix: np.ndarray,
-    allowed: AllowedDrives,
-    others: Sequence[tuple[np.ndarray, float]] = (),
-    attain: bool = True,
+    matrix: np.ndarray, allowed: AllowedDrives, others: EnergyLimits = NO_LIMITS, attain: bool = True
 ) -> Bound | None:
-    """Return the bound of zᵀ matrix z; None where nothing limits it.
-
-    ``others``: further matrices and the largest values of their forms. ``attain``: see :func:`bound_localization`.
-    """
+    """Return the bound of zᵀ matrix z; None where nothing limits it. ``attain``: see :func:`bound_localization`."""
     basis = allowed.basis()
     if not basis.shape[1] or len(allowed.phase) > MOST_ACTUATORS:
         return None
-    forms, largest = np.array([matrix, *(other for other, _ in others)]), [value for _, value in others]
-    limits = [*(_limit(other, value, allowed) for other, value in others), *_magnitude_limits(allowed)]
-    size = np.diag(matrix) + sum(map(np.diag, forms[1:]))
+    limits, size = others.limits(allowed) + _magnitude_limits(allowed), np.diag(matrix) + others.sizes
     least, starts = _majorant(matrix, [(np.zeros_like(matrix), 1.0, 1.0, not allowed.scaled), *limits], basis, size)
     if not math.isfinite(least):
         return None
     scalable = not (allowed.lower > 0).any()
 
-    def over(drives: np.ndarray) -> np.ndarray:
-        return (quadratic_forms(forms, drives)[:, 1:] / largest).max(axis=1, initial=0.0) / (1 - INSIDE)
-
-    def energy(drives: np.ndarray) -> np.ndarray:
-        excess, energies = np.maximum(over(drives), 1.0), quadratic_forms(forms[:1], drives)[:, 0]
-        if scalable:  # scaled down to the other limits
-            return energies / excess
-        return np.where(excess <= 1 + INSIDE / 2, energies, -np.inf)
+    energy = others.within(lambda drives: quadratic_forms(matrix[None], drives)[:, 0], scalable)
 
     def reached(z: np.ndarray) -> tuple[float, np.ndarray]:
-        value, drive = best_allowed(energy, z, allowed)
-        return value, drive / math.sqrt(max(float(over(drive[None])[0]), 1.0)) if scalable else drive
+        return others.scaled(best_allowed(energy, z, allowed), scalable)
 
     starts = starts if attain else starts[:0]
-    inside = [(other, (INSIDE - 1) * value, 0.0, False) for other, value in others] + limits[len(others) :]
+    inside = others.limits(replace(allowed, scaled=False), INSIDE) + _magnitude_limits(allowed)
     ascents = [_ascents(matrix, None, inside, allowed, size, starts)]
     if allowed.scaled:  # and drives of too much power: their energies per power
         unit = np.eye(len(matrix)) / allowed.power
-        inside = [(other + (INSIDE - 1) * value * unit, 0.0, 0.0, False) for other, value in others]
+        inside = [(other + entry * unit, 0.0, 0.0, False)
+                  for other, entry, *_ in others.limits(replace(allowed, scaled=False), INSIDE)]  # fmt: skip
         inside += [(-unit, 1.0, 0.0, False), *_magnitude_limits(replace(allowed, power=math.inf))]
         ascents.append(_ascents(matrix, unit, inside, allowed, size, starts))
     return _bound(least, map(reached, chain.from_iterable(ascents)))
@@ -157,8 +204,11 @@ def bound_loss(
         for term in terms
         if term.rest_limit is not None and (form := forms[term.kind]) is not None
     ]
+    regions = [(one.least, (response.matrices[one.region], one.energy)) for one in objectives.region_limits]
+    at_most = [*rests, *(row for least, row in regions if not least)]
+    others = EnergyLimits(at_most, [row for least, row in regions if least])
     attain &= len(terms) == 1
-    bounds = [_bound_value(term, objectives, allowed, response, forms.get(term.kind), rests, attain) for term in terms]
+    bounds = [_bound_value(term, objectives, allowed, response, forms.get(term.kind), others, attain) for term in terms]
     proved = [bound for bound in bounds if bound is not None]
     if len(proved) < len(terms):
         return None
@@ -175,22 +225,27 @@ def _bound_value(
     allowed: AllowedDrives,
     response: Response,
     form: Response | None,
-    rests: Sequence[tuple[np.ndarray, float]],
+    others: EnergyLimits,
     attain: bool,
 ) -> Bound | None:
     """Return the bound of an objective's value, in its own unit."""
     quantity = REGION_QUANTITIES[term.kind]
     if quantity.largest is not None:
         return Bound(quantity.largest, "bound only")  # by its definition
-    bound, plate = None, math.nan
+    bound, region, whole, sound = None, TARGET, PLATE, objectives.sizes.sound
     if quantity.bounded_by == "localization":
-        bound, plate = bound_localization(response, allowed, attain=attain), 1.0
+        bound = bound_localization(response, allowed, attain=attain, others=others)
+    elif quantity.bounded_by == "quietness" and has_full_rank(response.matrices[sound], allowed.basis()):
+        ratio, whole = Response(response.matrices[[sound, TARGET]]), sound
+        bound = bound_localization(ratio, allowed, attain=attain, others=others)
+    elif quantity.bounded_by == "sound":
+        bound, region = bound_energy(response.matrices[sound], allowed, others, attain), sound
     elif quantity.bounded_by == "energy" and form is not None:
-        bound = bound_energy(form.matrices[TARGET], allowed, rests, attain)
+        bound = bound_energy(form.matrices[TARGET], allowed, others, attain)
     if bound is None:
         return None
-    energy = np.full((1, 2), plate)
-    energy[:, TARGET] = bound.value
+    energy = np.full((1, len(response.matrices)), math.nan)
+    energy[:, whole], energy[:, region] = 1.0, bound.value
     value = float(quantity.evaluate(energy, objectives.sizes)[0])
     return replace(bound, value=value)
 

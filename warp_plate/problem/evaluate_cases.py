@@ -94,7 +94,7 @@ def region_motions(scene: Scene, run: Run, peaks: np.ndarray) -> list[RegionMoti
         for values in (region_weights(scene).sum(axis=(1, 2)), run.masses)
     )
     exists = areas > LEAST_REST * areas.sum()
-    sizes = RegionSizes(*(np.where(exists, values, np.nan) for values in (areas, masses)))
+    sizes = RegionSizes(np.where(exists, areas, np.nan), np.where(exists, masses, np.nan))
     velocity, contrast = REGION_QUANTITIES["velocity"], REGION_QUANTITIES["contrast"]
     assert velocity.of_rest is not None
     velocities = velocity.evaluate(run.energy, sizes).tolist(), velocity.of_rest(run.energy, sizes).tolist()
@@ -119,7 +119,7 @@ def evaluate_objectives(problem: Problem, cases: Mapping[str, Case]) -> tuple[di
     empty if only the localization factor counts, if each of several targets has its objectives, or if Ctrl-C interrupts
     it."""
     objectives, solver = problem.objectives, problem.drive_solver
-    if objectives.only_localization or problem.scene.targets:
+    if objectives.plain or problem.scene.targets:
         return {}, 0
     displacement_energy, node_steps = None, 0
     try:

@@ -1,4 +1,4 @@
-"""Limits of a specification on quadratic quantities of a drive: powers, the sound, and what coils may bear."""
+"""Limits of a specification on quadratic quantities of a drive: powers, sound, and what coils may bear."""
 
 from __future__ import annotations
 
@@ -9,24 +9,25 @@ import numpy as np
 
 from warp_plate.modal.coils import CoilMotion
 from warp_plate.modal.modes import ModalPlate
+from warp_plate.modal.radiation import pressure_rows
 from warp_plate.problem.requirements import Requirements
-from warp_plate.result.sound import POWER_REFERENCE, a_weighting
+from warp_plate.quantities.region_quantities import POWER_REFERENCE
+from warp_plate.result.sound import PRESSURE_REFERENCE, a_weighting
 
 
 @dataclass(frozen=True)
 class Limited:
-    """A limited quantity: a power, or the amplitude of a coil."""
+    """A limited quantity: a power, a sound, or the amplitude of a coil."""
 
     name: str
-    unit: str  # unit in which it is shown: W, dB(A) re 1 pW, or V, A or mm of an amplitude
-    limit: float  # power [W], or square of an amplitude in SI units
+    unit: str  # unit in which it is shown: W, dB(A), or V, A or mm of an amplitude
+    limit: float  # power [W], or square of an amplitude in SI units; of sound over its reference, A-weighted
     factor: np.ndarray  # (rows, actuators) F: ‖F z‖² is the power or the square of parts z of the largest drives
-    weighting: float = 0.0  # of a level [dB]
 
     def shown(self, square: float) -> float:
         """Return a power [W], or an amplitude from its square, in the unit."""
         if self.unit == "dB(A)":
-            return 10 * math.log10(max(square, 1e-300) / POWER_REFERENCE) + self.weighting
+            return 10 * math.log10(max(square, 1e-300))
         return square if self.unit == "W" else math.sqrt(square) * (1e3 if self.unit == "mm" else 1.0)
 
     def of(self, drive: np.ndarray) -> float:
@@ -54,11 +55,15 @@ def limited_quantities(
             admittance[plate.coils.indices] = 0
             admittance = admittance + force.conj().T @ (1j * omega * motion.stroke[0])
         quantities.append(Limited("power", "W", limits.power, hermitian_factor((admittance + admittance.conj().T) / 4)))
+    weight = 10 ** (float(a_weighting(np.array([frequency]))[0]) / 20)
     if limits.sound is not None:
-        weighting = float(a_weighting(np.array([frequency]))[0])
-        limit = POWER_REFERENCE * 10 ** ((limits.sound - weighting) / 10)
         radiated = velocity.conj().T @ (requirements.radiation.resistances(np.array([frequency]))[0] @ velocity)
-        quantities.append(Limited("sound", "dB(A)", limit, hermitian_factor(radiated / 2), weighting))
+        factor = weight / math.sqrt(POWER_REFERENCE) * hermitian_factor(radiated / 2)
+        quantities.append(Limited("sound", "dB(A)", 10 ** (limits.sound / 10), factor))
+    for row in limits.pressures:
+        pressure = pressure_rows(plate, frequency, np.array([row.point])) @ velocity
+        rows = weight / (math.sqrt(2) * PRESSURE_REFERENCE) * pressure
+        quantities.append(Limited(row.name, "dB(A)", 10 ** (row.level / 10), rows))
     if motion is not None:
         quantities += _of_coils(requirements, plate, omega, motion)
     return quantities

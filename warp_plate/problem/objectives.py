@@ -1,14 +1,15 @@
 """The objectives of a search: from energies of regions to values, and to the loss that is minimised.
 
 Values are those of :mod:`warp_plate.quantities.region_quantities`. The loss is −Σ weight · value; for a single
-localization with weight 1 it is 1 − LF, as in the source paper. A drive that exceeds a ``rest_limit`` gets the worst
-possible loss plus its relative excesses, so it ranks below every drive that keeps the limits.
+localization with weight 1 it is 1 − LF, as in the source paper. A drive that passes a limit on motion or sound gets the
+worst possible loss plus its relative excesses, so it ranks below every drive that keeps the limits.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise, product
 
 import numpy as np
@@ -16,18 +17,45 @@ import numpy as np
 from warp_plate.modal.solver import ModalGrid
 from warp_plate.plate.scheme import Discretization
 from warp_plate.plate.shapes import bounds, shape_weights
-from warp_plate.plate.weights import RegionLike, localization_factor
-from warp_plate.quantities.region_quantities import LEAST_REST, MOST_DECIBELS, REGION_QUANTITIES, RegionSizes
+from warp_plate.plate.weights import REGIONS, RegionLike, SoundRegion, localization_factor
+from warp_plate.quantities.region_quantities import (
+    LEAST_REST,
+    MOST_DECIBELS,
+    POWER_REFERENCE,
+    REGION_QUANTITIES,
+    TARGET,
+    RegionSizes,
+    decibels,
+    mean_square,
+)
+from warp_plate.result.sound import PRESSURE_REFERENCE
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.search import Objective
+from warp_plate.scene.search import SOUNDS, Limits, Objective
 
 # Largest number of cells, along each axis, into which the target is cut for its uniformity.
 MOST_CELLS = 6
 # Smallest number of nodes of such a cell along each axis.
 CELL_NODES = 2
-# Relative excess over a limit that counts as rounding in float32.
-EXCESS = 1e-5
+# Relative excess over a limit that counts as rounding in float32, and of a level [dB].
+EXCESS, LEVEL_EXCESS = 1e-5, 5e-5
 OF_THE_REST = " of the rest"
+
+
+@dataclass(frozen=True)
+class RegionLimit:
+    """A limit on the energy of a region, or on a sound that stands for one."""
+
+    name: str  # its name in :meth:`Objectives.values`
+    region: int  # index of the region
+    energy: float  # largest energy [J], sound power [W] or mean square of the pressure [Pa²]; or the least
+    level: Callable[[np.ndarray], np.ndarray]  # function from energies (plates,) to values for people
+    least: bool = False  # True if the energy must not be less
+
+    def excess(self, energy: np.ndarray) -> np.ndarray:
+        """Return by what part (plates,) energies (plates, regions) pass the limit; 0 where they keep it."""
+        with np.errstate(divide="ignore"):
+            ratio = energy[:, self.region] / self.energy
+            return np.maximum((1 / np.maximum(ratio, 0) if self.least else ratio) - 1, 0)
 
 
 @dataclass(frozen=True)
@@ -36,9 +64,10 @@ class Objectives:
 
     terms: tuple[Objective, ...]  # the scene's objectives
     # regions that a solver must sum beside the plate and the target, by name: the cells of the target, as weights (ny,
-    # nx), then all targets of a scene with several
+    # nx), all targets of a scene with several, and sounds
     regions: Mapping[str, RegionLike]
     sizes: RegionSizes  # areas and masses of target and rest, and areas of the target's cells
+    region_limits: tuple[RegionLimit, ...] = ()  # limits on motion and sound
 
     @property
     def needs_displacement(self) -> bool:
@@ -55,6 +84,11 @@ class Objectives:
         """True if the loss is 1 − LF."""
         return [(term.kind, term.weight) for term in self.terms] == [("localization", 1)]
 
+    @property
+    def plain(self) -> bool:
+        """True if the loss is 1 − LF and no motion or sound is limited."""
+        return self.only_localization and not self.region_limits
+
     def losses(self, energy: np.ndarray, displacement_energy: np.ndarray | None = None) -> np.ndarray:
         """Return losses (plates,) of energies (plates, regions) [J] of plate, target, and ``regions`` in their order.
 
@@ -62,16 +96,23 @@ class Objectives:
         not finite for a plate without energies, and NaN for one at rest whose localization, contrast or uniformity
         counts.
         """
-        if self.only_localization:
+        if self.plain:
             return 1 - localization_factor(energy)
-        values = self.values(energy, displacement_energy)
-        worst = MOST_DECIBELS * sum(term.weight for term in self.terms if term.kind == "contrast")
-        excess = sum(np.maximum(values[name] / limit - 1, 0) for name, limit in self.limits.items())
-        return np.where(excess > 0, worst + excess, -values["sum"])
+        values, levels = self.values(energy, displacement_energy), ("contrast", *SOUNDS)
+        losses = 1 - localization_factor(energy) if self.only_localization else -values["sum"]
+        worst = MOST_DECIBELS * sum(term.weight for term in self.terms if term.kind in levels) + self.only_localization
+        excess = self.excess(energy, values)
+        return np.where(excess > 0, worst + excess, losses)
+
+    def excess(self, energy: np.ndarray, values: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Return the sum (plates,) of the parts by which limits are passed; ``values`` are those of the energies."""
+        parts = [np.maximum(values[name] / limit - 1, 0) for name, limit in self.limits.items()]
+        parts += [limit.excess(energy) for limit in self.region_limits]
+        return np.asarray(sum(parts, np.zeros(len(energy))))
 
     def values(self, energy: np.ndarray, displacement_energy: np.ndarray | None = None) -> dict[str, np.ndarray]:
-        """Return values (plates,) by the objectives' kinds, also "of the rest" where these have them, and their
-        weighted "sum"; the arguments are those of :meth:`losses`."""
+        """Return values (plates,) by the objectives' kinds, also "of the rest" where these have them, those that are
+        limited by name, and the objectives' weighted "sum"; the arguments are those of :meth:`losses`."""
         values: dict[str, np.ndarray] = {}
         for term in self.terms:
             quantity = REGION_QUANTITIES[term.kind]
@@ -81,6 +122,7 @@ class Objectives:
             values[term.kind] = quantity.evaluate(energies, self.sizes)
             if quantity.of_rest is not None:
                 values[term.kind + OF_THE_REST] = quantity.of_rest(energies, self.sizes)
+        values |= {limit.name: limit.level(energy[:, limit.region]) for limit in self.region_limits}
         return {**values, "sum": np.asarray(sum(term.weight * values[term.kind] for term in self.terms))}
 
 
@@ -112,7 +154,26 @@ def make_objectives(discretization: Discretization | ModalGrid) -> Objectives:
         if term.kind == "uniformity":
             cells = _target_cells(discretization)
     cell_areas = np.array([cell * field.sum() for field in cells.values()])
-    return Objectives(terms, {**cells, **scene.target_regions}, RegionSizes(areas, masses, cell_areas))
+    limits, sounds = scene.search.limits, dict[str, SoundRegion]()
+    if limits.sound is not None or any(term.kind in SOUNDS for term in terms):
+        sounds["sound"] = SoundRegion()
+    sounds |= {row.name: SoundRegion(row.point) for row in limits.pressures}
+    regions: dict[str, RegionLike] = {**cells, **scene.target_regions, **sounds}
+    places = {name: len(REGIONS) + number for number, name in enumerate(regions)}
+    sizes = RegionSizes(areas, masses, cell_areas, places.get("sound", -1))
+    return Objectives(terms, regions, sizes, tuple(_region_limits(limits, sizes, places)))
+
+
+def _region_limits(limits: Limits, sizes: RegionSizes, places: Mapping[str, int]) -> Iterator[RegionLimit]:
+    """Yield the limits on motion and sound; ``places``: indices of regions by name."""
+    if limits.least_velocity is not None:
+        mass = sizes.masses[0]
+        energy = mass * limits.least_velocity**2 / 2
+        yield RegionLimit("velocity", TARGET, energy, lambda one: np.sqrt(mean_square(np.maximum(one, 0), mass)), True)
+    named = [("sound", limits.sound, POWER_REFERENCE)] if limits.sound is not None else []
+    named += [(row.name, row.level, PRESSURE_REFERENCE**2) for row in limits.pressures]
+    for name, level, unit in named:
+        yield RegionLimit(name, places[name], unit * 10 ** (level / 10), partial(decibels, reference=np.array(unit)))
 
 
 def _target_cells(discretization: Discretization | ModalGrid) -> dict[str, np.ndarray]:

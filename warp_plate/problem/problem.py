@@ -26,8 +26,8 @@ from warp_plate.optimize.quadratic import Quadratic, slopes_by_drive, slopes_by_
 from warp_plate.plate.designs import Designs
 from warp_plate.problem.allowed_drives import best_drives, has_free_drives
 from warp_plate.problem.bounds import Bound, bound_loss
-from warp_plate.problem.design_variables import DesignVariable, has_design_tables, with_common_step
-from warp_plate.problem.objectives import Objectives, keeps_limit, make_objectives
+from warp_plate.problem.design_variables import DesignVariable, has_design_tables, has_slopes, with_common_step
+from warp_plate.problem.objectives import EXCESS, Objectives, make_objectives
 from warp_plate.problem.parametrization import Clearance, Parametrization, parametrization_of
 from warp_plate.problem.plates import SearchPlates, make_plates
 from warp_plate.problem.search_cost import (
@@ -38,13 +38,7 @@ from warp_plate.problem.search_cost import (
     search_memory,
 )
 from warp_plate.problem.starts import best_known_drive, scene_position
-from warp_plate.problem.uncertainty import (
-    ScenarioLosses,
-    apply_measure,
-    draw_scenarios,
-    scenario_responses,
-    simulate_scenarios,
-)
+from warp_plate.problem.uncertainty import ScenarioLosses, apply_measure, make_scenario_losses
 from warp_plate.quantities.region_quantities import PLATE, TARGET
 from warp_plate.resolve import Resolved
 from warp_plate.result.model import BoundKind
@@ -197,15 +191,16 @@ class Problem:
 
     def objective_values(self, position: np.ndarray) -> dict[str, float]:
         """Return the values of a position (dimension,), and the "bound" of their sum if one is known and no limit is
-        passed; empty if only the localization factor counts, which a result has."""
-        if self.objectives.only_localization:
+        passed; empty if nothing but the localization factor counts, which a result has."""
+        if self.objectives.plain:
             return {}
-        designs = self.parametrization.designs(position[None])
-        values = self.objectives.values(self.plates.energies(designs), self.plates.displacement_energies(designs))
+        designs, bound = self.parametrization.designs(position[None]), self._nominal_loss_bound
+        energy = self.plates.energies(designs)
+        values = self.objectives.values(energy, self.plates.displacement_energies(designs))
         numbers = {name: float(value[0]) for name, value in values.items()}
-        within = all(keeps_limit(numbers[name], limit) for name, limit in self.objectives.limits.items())
-        bound = self._nominal_loss_bound
-        return {**numbers, "bound": -bound.value} if bound is not None and within else numbers
+        if bound is not None and self.objectives.excess(energy, values)[0] <= EXCESS:
+            numbers["bound"] = float(self.value_from_loss(bound.value))
+        return numbers
 
     @cached_property
     def quadratic(self) -> Quadratic | None:
@@ -225,7 +220,7 @@ class Problem:
             phasors=lambda positions: self.parametrization.designs(positions).drives,
             positions=lambda phasors: self.parametrization.positions_of(Designs(phasors)),
             losses_of=losses_of,
-            ratio=(TARGET, PLATE) if scenario_losses is None and self.objectives.only_localization else None,
+            ratio=(TARGET, PLATE) if scenario_losses is None and self.objectives.plain else None,
             optimum=self._optimum if scenario_losses is None else None,
         )
 
@@ -236,12 +231,11 @@ class Problem:
     @property
     def slopes(self) -> Slopes | None:
         """Losses and slopes by modes where more than drives is searched; None for other problems."""
-        if self.parametrization.only_drives or self.scenario_losses is not None:
+        if self.parametrization.only_drives or self.scenario_losses is not None or not has_slopes(self.scene):
             return None
-        evaluators = [self.plates.designs, self.plates.displacements]
-        solvers = [evaluator.solver for evaluator in evaluators if evaluator is not None]
-        modal = [solver for solver in solvers if isinstance(solver, ModalSolver)]
-        return partial(self._losses_and_slopes, modal) if len(modal) == len(solvers) else None
+        evaluators = [one for one in (self.plates.designs, self.plates.displacements) if one is not None]
+        modal = [one.solver for one in evaluators if isinstance(one.solver, ModalSolver)]
+        return partial(self._losses_and_slopes, modal) if len(modal) == len(evaluators) else None
 
     def _losses_and_slopes(
         self, solvers: Sequence[ModalSolver], positions: np.ndarray, space: SearchSpace
@@ -315,9 +309,11 @@ class Problem:
         return 1 - bound.value if self._limited else self.response.bound()
 
     def bound_by(self, response: Response) -> float | None:
-        """Return ``bound`` by other Gram matrices of plate and target."""
+        """Return ``bound`` by other Gram matrices of plate and target; None where further regions are limited."""
         if not self._limited:
             return response.bound()
+        if any(limit.region >= len(response.matrices) for limit in self.objectives.region_limits):
+            return None
         bound = bound_loss(self.parametrization, self.objectives, response, attain=False)
         return None if bound is None else 1 - bound.value
 
@@ -380,7 +376,7 @@ def make_problem(resolved: Resolved, matrices: np.ndarray | None = None, pool: W
     plates = make_plates(parametrization, resolved, objectives, name, pool, matrices)
     scenarios = None
     if robust is not None:
-        scenarios = _scenario_losses(resolved, robust, pool, measured=name != "direct" and quadratic)
+        scenarios = make_scenario_losses(resolved, robust, pool, measured=name != "direct" and quadratic)
     projected = name == MODAL and robust is None and has_free_drives(parametrization)
     return Problem(
         parametrization=parametrization,
@@ -392,9 +388,3 @@ def make_problem(resolved: Resolved, matrices: np.ndarray | None = None, pool: W
         scenario_losses=scenarios,
         projected=projected,
     )
-
-
-def _scenario_losses(resolved: Resolved, robust: Robust, pool: WorkerPool | None, measured: bool) -> ScenarioLosses:
-    """Return the losses over the scenarios of a robust search, by Gram matrices if ``measured``, else by simulation."""
-    drawn = draw_scenarios(resolved.scene, robust.scenarios, robust.seed, stepped=not resolved.by_modes)
-    return scenario_responses(drawn, resolved) if measured else simulate_scenarios(drawn, resolved, pool)

@@ -226,6 +226,12 @@ def apply_measure(losses: np.ndarray, robust: Robust) -> np.ndarray:
     return np.where(failed, np.nan, measure)
 
 
+def make_scenario_losses(resolved: Resolved, robust: Robust, pool: WorkerPool | None, measured: bool) -> ScenarioLosses:
+    """Return the losses over the scenarios of a robust search, by Gram matrices if ``measured``, else by simulation."""
+    drawn = draw_scenarios(resolved.scene, robust.scenarios, robust.seed, stepped=not resolved.by_modes)
+    return scenario_responses(drawn, resolved) if measured else simulate_scenarios(drawn, resolved, pool)
+
+
 def simulate_scenarios(
     scenarios: Sequence[Scenario], resolved: Resolved, pool: WorkerPool | None = None
 ) -> ScenarioLosses:

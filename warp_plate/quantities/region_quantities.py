@@ -8,6 +8,8 @@ region's energy [J], area [m²] and mass [kg], t the target and r the rest of th
     velocity       √(2 E_t / M_t)  [m/s], the root of the mean square over the region's mass and the window
     displacement   √(2 U_t / M_t)  [m], the same of U = ½ ∫ ρH u² dA, averaged over the window
     uniformity     (Σ E_i)² / (Σ A_i · Σ E_i²/A_i), over cells i of the target; 1 where all E_i/A_i are the same
+    sound          10 log10 P / 1 pW  [dB(A)], P the A-weighted sound power, in place of the energy of a region
+    quietness      10 log10 ρc ∫_t v² dA / P  [dB], ρc the impedance of air
 """
 
 from __future__ import annotations
@@ -25,6 +27,8 @@ from warp_plate.plate.weights import REGIONS, localization_factor
 MOST_DECIBELS = 120.0
 # Share of the plate's area up to which what the target leaves counts as no rest.
 LEAST_REST = 1e-9
+# Reference of sound power levels [W]; density [kg/m³] and speed of sound [m/s] of dry air at 20 °C and 101.325 kPa.
+POWER_REFERENCE, AIR_DENSITY, SOUND_SPEED = 1e-12, 1.204, 343.2
 PLATE, TARGET = REGIONS.index("plate"), REGIONS.index("target")
 
 
@@ -35,6 +39,7 @@ class RegionSizes:
     areas: np.ndarray  # (2,) areas of target and rest [m²]
     masses: np.ndarray  # (2,) masses of target and rest [kg]
     cells: np.ndarray = field(default_factory=lambda: np.empty(0))  # (cells,) areas of the target's cells [m²]
+    sound: int = -1  # index of the region that stands for the sound power, if there is one
 
 
 @dataclass(frozen=True)
@@ -48,9 +53,9 @@ class Quantity:
     evaluate: Callable[[np.ndarray, RegionSizes], np.ndarray]
     energy_of: Literal["velocity", "displacement"] = "velocity"  # motion whose mean squares give these energies
     is_ratio: bool = False  # true if a common factor of all drives does not change it in a linear scene
-    # what it grows with, so that a bound of that bounds it: the localization factor, or the energy of the target; None
-    # if it grows with neither. Without this and ``largest``, no bound is claimed
-    bounded_by: Literal["localization", "energy"] | None = None
+    # what it grows with, so that a bound of that bounds it: the localization factor, the energy of the target, the
+    # sound power, or the ratio of these; None if it grows with none. Without this and ``largest``, no bound is claimed
+    bounded_by: Literal["localization", "energy", "sound", "quietness"] | None = None
     largest: float | None = None  # upper bound by its definition, if no other bounds it
     # function like ``evaluate`` for the rest of the plate; None if the rest has no such quantity
     of_rest: Callable[[np.ndarray, RegionSizes], np.ndarray] | None = None
@@ -73,6 +78,18 @@ def uniformity(energy: np.ndarray, sizes: RegionSizes) -> np.ndarray:
     with np.errstate(invalid="ignore", divide="ignore"):
         share = cells / np.abs(cells).max(axis=1, keepdims=True)  # squares of small energies would be lost
         return np.asarray(share.sum(axis=1) ** 2 / (sizes.cells.sum() * (share**2 / sizes.cells).sum(axis=1)))
+
+
+def sound_level(energy: np.ndarray, sizes: RegionSizes) -> np.ndarray:
+    """Return the A-weighted sound power level (plates,) [dB re 1 pW], at least −MOST_DECIBELS."""
+    return np.maximum(decibels(energy[:, sizes.sound], np.array(POWER_REFERENCE)), -MOST_DECIBELS)
+
+
+def quietness(energy: np.ndarray, sizes: RegionSizes) -> np.ndarray:
+    """Return the sound power (plates,) of a piston that moves as the target does, over that of the plate [dB]; NaN for
+    a plate at rest."""
+    piston = AIR_DENSITY * SOUND_SPEED * sizes.areas[0] * mean_square(energy[:, TARGET], sizes.masses[0])
+    return np.clip(decibels(piston, energy[:, sizes.sound]), -MOST_DECIBELS, MOST_DECIBELS)
 
 
 def decibels(energy: np.ndarray, reference: np.ndarray) -> np.ndarray:
@@ -114,6 +131,8 @@ _LIST = (
         of_rest=RMS_OF_REST,
     ),
     Quantity("uniformity", "1", "uniformity of the target", uniformity, is_ratio=True, largest=1.0),
+    Quantity("sound", "dB(A)", "A-weighted sound power level", sound_level, bounded_by="sound"),
+    Quantity("quietness", "dB", "quietness", quietness, is_ratio=True, bounded_by="quietness"),
     Quantity("energy_plate", "J", "kinetic energy of the plate", lambda energy, _: energy[:, PLATE]),
     Quantity("energy_target", "J", "kinetic energy of the target", lambda energy, _: energy[:, TARGET]),
     Quantity(

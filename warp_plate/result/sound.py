@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from warp_plate.quantities.region_quantities import POWER_REFERENCE
 from warp_plate.result import hdf5
 from warp_plate.result.atomic_io import write_table
 from warp_plate.result.frequency_response import UNDAMPED
 
-# References of levels: sound power [W] and the root mean square of the pressure [Pa].
-POWER_REFERENCE, PRESSURE_REFERENCE = 1e-12, 20e-6
+# Reference of levels of the root mean square of the pressure [Pa].
+PRESSURE_REFERENCE = 20e-6
 # Corner frequencies of the A-weighting [Hz] of IEC 61672-1, and its value at 1 kHz before it is set to 0 dB.
 CORNERS, AT_1_KHZ = (20.598997, 107.65265, 737.86223, 12194.217), -1.999995
 FORMAT = hdf5.FileFormat("sound", 1)

@@ -245,7 +245,7 @@ def _check_tables(scene: SceneTables) -> None:
         scene.plate.check_thin(layer.thickness, f"effects.layers[{index}].thickness: ")
     check_layers(scene.effects.layers)
     _check_piezo(scene)
-    scene.check_coils()
+    scene.check_steady()
     _check_drive(scene)
     drives = ("ramp", "burst", "chirp", "signal", "electrostatic")
     check_modal_tables(scene.effects, {f"drive.{name}": getattr(scene.drive, name) or None for name in drives})

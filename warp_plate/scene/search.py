@@ -12,12 +12,15 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from warp_plate.effects.table import ATTACHED, Effects
 from warp_plate.scene.fields import Area, Flag, Instant, Name, NotNegative, Positive, Table, Unit, flat_keys
+from warp_plate.scene.sound import PressureLimit, SoundLevel
 
 Weight = Annotated[float, Field(ge=0, le=1e6), Unit("1")]
 # Names of the actuators that a table applies to (default: all).
 Names = Annotated[tuple[Name, ...], Field(min_length=1)]
 # A fraction of the nominal value: 0.05 is ± 5 %.
 Tolerance = Annotated[float, Field(ge=0, lt=1), Unit("1")]
+# Kinds of objectives that take the sound of the plate.
+SOUNDS = ("sound", "quietness")
 # Methods that move a swarm.
 SWARMS = ("pso", "constriction", "ring")
 
@@ -86,11 +89,13 @@ class Objective(Table):
 
     "localization": fraction of the kinetic energy in the target. "contrast": mean kinetic energy density of the target
     over that of the rest [dB]. "velocity", "displacement": RMS over target and window. "uniformity": evenness of the
-    motion in the target, at most 1.
+    motion in the target, at most 1. "sound": A-weighted sound power level [dB re 1 pW]. "quietness": sound power of a
+    piston that moves as the target does, over the plate's A-weighted one [dB].
     """
 
     kind: Annotated[
-        Literal["localization", "contrast", "velocity", "displacement", "uniformity"], Field(examples=["velocity"])
+        Literal["localization", "contrast", "velocity", "displacement", "uniformity", "sound", "quietness"],
+        Field(examples=["velocity"]),
     ] = "localization"
     """The quantity that is maximised."""
     weight: Annotated[float, Field(gt=0, le=1e30, examples=[10.0]), Unit("1")] = 1.0
@@ -106,7 +111,7 @@ class Objective(Table):
 
 
 class Limits(Table):
-    """Limits of the amplifier."""
+    """Limits of the amplifier, and of the motion and the sound of the plate."""
 
     magnitude: Annotated[Positive | None, Unit("drive"), Field(examples=[1.0])] = None
     """Largest magnitude of any actuator."""
@@ -114,6 +119,18 @@ class Limits(Table):
     """Largest sum of squared magnitudes."""
     equal_magnitudes: Annotated[Flag, Field(examples=[True])] = False
     """True if all actuators have the same magnitude."""
+    least_velocity: Annotated[Positive | None, Unit("m/s"), Field(examples=[1e-3])] = None
+    """Least RMS velocity over target and window."""
+    sound: Annotated[SoundLevel | None, Unit("dB(A)"), Field(examples=[40.0])] = None
+    """Largest A-weighted sound power level, re 1 pW, of the plate in a baffle in steady motion; see docs/sound.md."""
+    pressures: tuple[PressureLimit, ...] = ()
+
+    @property
+    def levels(self) -> dict[str, tuple[str, float]]:
+        """Units and values of the limits on motion and sound, by name; with them the size of a drive counts."""
+        rows = {"velocity": ("m/s", self.least_velocity), "sound": ("dB(A)", self.sound)}
+        rows |= {row.name: ("dB(A)", row.level) for row in self.pressures}
+        return {name: (unit, value) for name, (unit, value) in rows.items() if value is not None}
 
 
 class Robust(Table):
@@ -215,6 +232,13 @@ class Search(Table):
             if kind in kinds[:index]:
                 raise ValueError(f"objectives[{index}].kind: {kind!r} is there already; add their weights instead")
         return self
+
+    @property
+    def sound_key(self) -> str | None:
+        """First key that takes the sound of the plate; None if none."""
+        keys = [f"objectives[{index}].kind" for index, term in enumerate(self.objectives) if term.kind in SOUNDS]
+        keys += ["limits.sound"] * (self.limits.sound is not None) + ["limits.pressures"] * bool(self.limits.pressures)
+        return f"search.{keys[0]}" if keys else None
 
     def check_limits(self, names: Sequence[str]) -> None:
         """Raise ValueError, naming the key, if limits exclude every magnitude that the named actuators may have."""

@@ -18,6 +18,7 @@ from warp_plate.scene.fields import (
     check_area,
     flat_keys,
 )
+from warp_plate.scene.sound import PressureLimit, SoundLevel
 
 STANDARD_GRAVITY = 9.80665  # m/s²
 # Keys of a level, and the power of the angular frequency by which their peak becomes an acceleration [m/s²].
@@ -119,8 +120,9 @@ class DriveLimits(Table):
     """Largest peak of the displacement of each coil relative to its magnet."""
     power: Annotated[Positive | None, Unit("W"), Field(examples=[0.01])] = None
     """Largest mean mechanical power of all actuators together."""
-    sound: Annotated[float | None, Field(ge=-200, le=200, examples=[40.0]), Unit("dB(A)")] = None
+    sound: Annotated[SoundLevel | None, Unit("dB(A)"), Field(examples=[40.0])] = None
     """Largest A-weighted sound power level, re 1 pW, of the plate in a baffle; see docs/sound.md."""
+    pressures: tuple[PressureLimit, ...] = ()
 
 
 class Specification(Table):

@@ -141,8 +141,11 @@ class SceneTables(Table):
         """Indices of the actuators that are coils."""
         return [index for index, actuator in enumerate(self.actuators) if actuator.kind == "coil"]
 
-    def check_coils(self) -> None:
-        """Raise ValueError, naming the key, if the scene has what coils exclude."""
+    def check_steady(self) -> None:
+        """Raise ValueError, naming the key, if the scene has what coils or sound exclude."""
+        transient = self.drive.waveform_key or self.nonlinear_table
+        if (sound := self.search.sound_key) is not None and transient is not None:
+            raise ValueError(f"{sound}: sound is that of steady tones of linear plates; delete {transient}")
         if not self.coil_indices:
             return
         head = f'actuators[{self.coil_indices[0]}].kind: "coil"'
@@ -288,6 +291,8 @@ class SceneTables(Table):
         """Yield the keys that have no time steps, what of each, and what else to do about it."""
         for index in self.coil_indices[:1]:
             yield f"actuators[{index}].kind", "a coil ", ""
+        if self.search.sound_key is not None:
+            yield self.search.sound_key, "", ""
         if self.supports:
             yield "supports", "", ""
         if (key := self.effects.first(lambda effect: not effect.stepped)) is not None:
@@ -312,8 +317,9 @@ class SceneTables(Table):
 
     @property
     def steady_key(self) -> str | None:
-        """First effect, or loss of a coil, that only steady tones have, without motion in time; None if none."""
-        return self.effects.first(lambda effect: effect.steady) or self.lossy_inductance_key
+        """First effect, loss of a coil or sound that only steady tones have, without motion in time; None if none."""
+        effect = self.effects.first(lambda effect: effect.steady)
+        return effect or self.lossy_inductance_key or self.search.sound_key
 
     @property
     def lossy_inductance_key(self) -> str | None:

@@ -93,6 +93,14 @@ def response_of(energy: np.ndarray, actuators: int) -> Response:
     return Response(matrices)
 
 
+def has_full_rank(matrix: np.ndarray, basis: np.ndarray) -> bool:
+    """Return whether zᵀ matrix z of all drives z = basis @ parameters is more than rounding."""
+    reduced = basis.T @ matrix @ basis
+    size = np.sqrt(np.where(np.diag(reduced) > 0, np.diag(reduced), 1))
+    values = np.linalg.eigvalsh(reduced / np.outer(size, size))
+    return bool(values.size and values[0] > RANK_TOLERANCE * values[-1] > 0)
+
+
 def largest_ratio(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the largest λ (...) of A z = λ B z and its z (..., 2M), among drives that move the plate.
 

@@ -168,7 +168,7 @@ def finish_search(
         else:
             position, best, more = polish(problem, position, best)
         further += more
-    elif nominal_position is not None or problem.objectives.limits:
+    elif nominal_position is not None or problem.objectives.limits or problem.objectives.region_limits:
         other = problem.with_best_drive(position) if nominal_position is None else nominal_position
         loss = float(problem.losses(other[None])[0])
         if loss < best:

@@ -30,9 +30,10 @@ from warp_plate.result.sweep import Sweep, SweepOutput
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.load import read_beside
 from warp_plate.scene.model import Scene
+from warp_plate.scene.search import Objective, Search
 from warp_plate.scene.vary import Plan, parse_frequencies
 from warp_plate.solve.devices import find_device
-from warp_plate.studies.frequency_response import respond_to_drive
+from warp_plate.studies.frequency_response import check_linear, respond_to_drive
 from warp_plate.studies.searches import find_position
 from warp_plate.studies.simulate import simulate
 
@@ -115,6 +116,22 @@ def _response_quantities(scene: Scene, point: Point) -> Values:
     return {"mean_square_velocity": velocity, "localization_factor": factor, "bound": bound}
 
 
+def _sound_quantities(scene: Scene, point: Point) -> Values:
+    """Return the sound power level and the quietness of the scene's own drive, and the largest quietness of any."""
+    check_linear(scene, None)
+    objectives = (Objective(kind="quietness"), Objective(kind="sound"))
+    scene = scene.with_tables(search=Search(objectives=objectives[:1]), targets=(), target=scene.target)
+    problem = make_problem(resolve_search(scene, point.device, evaluator=MODAL))
+    energy = problem.plates.energies_of_phasors(scene_phasors(scene)[None])
+    values = replace(problem.objectives, terms=objectives).values(energy)
+    bound = problem.loss_bound
+    return {
+        "sound": float(values["sound"][0]),
+        "quietness": float(values["quietness"][0]),
+        "bound": np.nan if bound is None else -bound.value,
+    }
+
+
 def _numerical_quantities(scene: Scene, point: Point) -> Values:
     """Return the time step and its limit, and the resolution in time and space."""
     numerics = check(resolve(scene, point.device, purpose="simulate", evaluator="direct").scene, point.device)
@@ -158,6 +175,15 @@ QUANTITIES: Mapping[str, Quantities] = {
             "bound": _output("localization", "bound", "frequency"),
         },
         _response_quantities,
+        (MODAL,),
+    ),
+    "sound": Quantities(
+        {
+            "sound": _output("sound"),
+            "quietness": _output("quietness", "drive"),
+            "bound": _output("quietness", "bound"),
+        },
+        _sound_quantities,
         (MODAL,),
     ),
     "check": Quantities(
