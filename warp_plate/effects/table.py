@@ -133,6 +133,11 @@ class Effects(Table):
         """Maps of factors by key of ``[plate]``: rows of numbers, or the name of a file."""
         return {} if self.variation is None else dict(self.variation.maps)
 
+    def with_thickness(self, rows: Any) -> Effects:
+        """Return the effects with another map of thickness, of numbers (rows, columns) that are not checked again."""
+        maps = {**self.factor_maps, "thickness": tuple(map(tuple, rows))}
+        return self.model_copy(update={"variation": Variation.model_construct(**maps)})
+
     @property
     def map_files(self) -> dict[str, str]:
         """Names of the files of ``factor_maps``, by key of the scene."""

@@ -285,11 +285,19 @@ def region_values(
 ) -> np.ndarray:
     """Return ∫ ρH u u dA over a rectangle or mask [kg], for each pair of functions of y and of x; see
     ``region_matrix``."""
+    integrals, share = region_rule(scene, along, region, within)
+    return integrals.values(integrals.fields()[-1] * share)
+
+
+def region_rule(
+    scene: Scene, along: tuple[Splines, Splines], region: Area | Target, within: Area | None = None
+) -> tuple[Integrals, np.ndarray]:
+    """Return the rule for integrals over a rectangle or mask, and what counts of Gauss's points (y, x), from 0 to 1."""
     area = region.area if isinstance(region, Target) else region
     if area is not None:
         area = _common(area, within)
         integrals = Integrals(scene, *along, (area[:2], area[2:]))
-        return integrals.values(integrals.fields()[-1] * integrals.inside(area))
+        return integrals, integrals.inside(area)
     assert isinstance(region, Target)
     return _over_mask(scene, along, region, within)
 
@@ -300,13 +308,15 @@ def _common(first: Area, second: Area | None) -> Area:
     return max(first[0], second[0]), min(first[1], second[1]), max(first[2], second[2]), min(first[3], second[3])
 
 
-def _over_mask(scene: Scene, along: tuple[Splines, Splines], target: Target, within: Area | None) -> np.ndarray:
-    """Return the values of a mask, which is bilinear between its numbers."""
+def _over_mask(
+    scene: Scene, along: tuple[Splines, Splines], target: Target, within: Area | None
+) -> tuple[Integrals, np.ndarray]:
+    """Return the rule of a mask, which is bilinear between its numbers, and these at Gauss's points."""
     cuts, share = mask_of(scene, target)
     area = _common((0.0, scene.plate.size[0], 0.0, scene.plate.size[1]), within)
     integrals = Integrals(scene, *along, ([*cuts[0], *area[:2]], [*cuts[1], *area[2:]]))
     (shares,) = share(*integrals.points)
-    return integrals.values(integrals.fields()[-1] * shares * integrals.inside(area))
+    return integrals, shares * integrals.inside(area)
 
 
 def mask_of(scene: Scene, target: Target) -> tuple[Cuts, Callable[[np.ndarray, np.ndarray], list[np.ndarray]]]:

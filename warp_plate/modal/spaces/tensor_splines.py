@@ -47,9 +47,10 @@ class TensorSplines(SplineProducts):
 
     sparse = True
 
-    def __init__(self, scene: Scene, intervals: tuple[int, int]) -> None:
+    def __init__(self, scene: Scene, intervals: tuple[int, int], along: tuple[Splines, Splines] | None = None) -> None:
+        """Make the space, with about a number of intervals along x and y, or of given splines ``along`` both."""
         self.scene, self.intervals = scene, intervals
-        self.along = plate_splines(scene, 0, intervals[0]), plate_splines(scene, 1, intervals[1])
+        self.along = along or (plate_splines(scene, 0, intervals[0]), plate_splines(scene, 1, intervals[1]))
         self.integrals = Integrals(scene, *self.along)
 
     @property
@@ -158,6 +159,12 @@ class TensorSplines(SplineProducts):
             (density,) = chords.sampled(lambda x, y: self.integrals.fields_at(x, y)[-1:])
             values = self._form_on(chords, density, DISPLACEMENT)
         return self.scatter(sum(self._layer_masses(target, within), start=values))
+
+    def chord_points(self, target: Target) -> tuple[np.ndarray, np.ndarray]:
+        """Return points (n, 2) [m] and weights (n,) [m²] for integrals over a target with a curved or oblique side."""
+        chords = self._chords(curves_of(target))
+        y = np.repeat(chords.ordinates[chords.chord], chords.x.shape[1])
+        return np.stack([chords.x.ravel(), y], axis=1), chords.weights.ravel()
 
     @cached_property
     def _whole(self) -> tuple[Outline, tuple[LocalSplines, LocalSplines]]:
