@@ -33,7 +33,7 @@ COMMANDS = {
     "fit": ("measurement", "Fit properties of a panel to measured natural frequencies or frequency responses."),
     "verify": ("measurement", "Compare velocities measured under a drive with those that its result predicts."),
     "frf": ("frf", "Show frequency responses of a linear plate, and the best localization at each frequency."),
-    "sound": ("sound", "Show the sound that a linear plate radiates under its drive: power, pressure and directivity."),
+    "sound": ("frf", "Show the sound that a linear plate radiates under its drive: power, pressure and directivity."),
     "focus": ("focus", "Compute a waveform for each actuator that moves the plate at a point and a moment."),
     "view": ("render", "Show the plates of a result in motion, in a window."),
     "render": ("render", "Draw pictures, movies and pages of a result; needs no display."),
