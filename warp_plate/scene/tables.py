@@ -1,4 +1,4 @@
-"""The table ``[plate]``, and the top level of a scene file with what follows from its tables."""
+"""The tables ``[plate]`` and ``[links]``, and the top level of a scene file with what follows from its tables."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -14,11 +14,10 @@ from warp_plate.outline.outline import Outline
 from warp_plate.scene.actuator import Actuator
 from warp_plate.scene.drive import Drive
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.fields import Density, Point, Positive, Table, Text, Unit, YoungModulus
+from warp_plate.scene.fields import Density, Name, Point, Positive, Table, Text, Unit, YoungModulus
 from warp_plate.scene.fit import Fit, Measurement
 from warp_plate.scene.focus import Focus
 from warp_plate.scene.grid import DEFAULT_ACCURACY, Grid, Record, Window
-from warp_plate.scene.links import Link
 from warp_plate.scene.outline import Hole, PlateOutline, Support, outline_of, outline_of_rectangle
 from warp_plate.scene.search import Search
 from warp_plate.scene.specification import Specification
@@ -106,6 +105,15 @@ class Plate(Table):
         if thickness > min(self.size) / 5:
             limit = "a plate is thinner than a fifth of its side (lengths are in metres)"
             raise ValueError(f"{head}{thickness:g} m is not thin for a side of {min(self.size):g} m; {limit}")
+
+
+class Link(Table):
+    """Keys that hold one number. The name of the link is a key too: it is set, varied and fitted as one."""
+
+    keys: Annotated[
+        tuple[Name, ...], Field(min_length=1, examples=[["edges.left.translation", "edges.right.translation"]])
+    ]
+    """Keys of the panel (plate, edges, effects, piezo patches, measurements) that hold the same number."""
 
 
 class SceneTables(Table):
