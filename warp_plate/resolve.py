@@ -211,7 +211,7 @@ def at_highest_frequency(scene: Scene) -> Scene:
     table = scene.search.frequency
     if table is None or scene.drive.signal is not None:  # ``make_design_variables`` refuses both together
         return scene
-    most = MOST_STEPS / STEPS_A_PERIOD / scene.window.end / plate_harmonic(scene)
+    most = MOST_STEPS / STEPS_A_PERIOD / scene.window.end / plate_harmonic(scene.drive)
     if scene.grid.time_step is None and table.range[1] > most:
         raise SceneError(
             f"search.frequency.range = {list(table.range)}: {table.range[1]:g} Hz takes "

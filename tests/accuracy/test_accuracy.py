@@ -18,7 +18,6 @@ from warp_plate.accuracy.measure import AccuracyRow, measure, measure_modal
 from warp_plate.accuracy.reference_solution import (
     by_richardson,
     find_reference_solution,
-    grid_lines,
     largest_change,
     refine_until,
     solve_response,
@@ -28,7 +27,7 @@ from warp_plate.modal.eigenproblem import solve_eigenproblem
 from warp_plate.modal.motion import fields
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.plate.weights import localization_factor
+from warp_plate.plate.weights import localization_factor, node_positions
 from warp_plate.resolve import resolve, resolve_for_sweep
 from warp_plate.scene.grid import Grid, Window
 from warp_plate.scene.vary import make_plan, parse_vary
@@ -82,7 +81,7 @@ def test_cells_are_nearly_square(size, side):
 
 @pytest.mark.parametrize("window", [(0.05, 0.1), (0.0, 0.02), (0.02, 0.03)])
 def test_aligned_steps_divide_the_run_and_the_time_before_the_window(scene, window):
-    step = configurations.aligned(scene(window=window), 1.23e-4)
+    step = configurations.aligned(scene(window=window).window, 1.23e-4)
     assert 0.9 * 1.23e-4 < step <= 1.23e-4
     for time in window:
         assert time / step == pytest.approx(round(time / step), abs=1e-6)
@@ -372,7 +371,7 @@ def test_error_bars_of_modes_cover_what_more_functions_change(panel, name, rando
     errors = np.abs(factors / response.localization_factors(phasors) - 1)
     assert (errors <= found.errors).all()
     assert found.error < 0.02
-    expected = fields(plate, phasors, run.times, *grid_lines(scene))
+    expected = fields(plate, phasors, run.times, *node_positions(scene))
     moved = np.linalg.norm((run.displacement - expected).reshape(3, -1), axis=1)
     assert (moved <= found.displacement_errors * np.linalg.norm(expected.reshape(3, -1), axis=1)).all()
 

@@ -15,6 +15,7 @@ from warp_plate.plate.scheme import SAFETY, STEPS_A_PERIOD
 from warp_plate.plate.signals import highest_frequency
 from warp_plate.plate.stability_limit import find_limit, needs_moment_form
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.grid import Window
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device
 
@@ -110,10 +111,9 @@ def nodes_for(size: tuple[float, float], side: float, order: Order = 2) -> tuple
     return max(fewest, round(size[0] / spacing) + 1), max(fewest, round(size[1] / spacing) + 1)
 
 
-def spacing_of(scene: Scene, nodes: tuple[int, int]) -> float:
-    """Return the square root of the area of a cell [m]."""
-    width, height = scene.plate.size
-    return math.sqrt(width / (nodes[0] - 1) * height / (nodes[1] - 1))
+def spacing_of(size: tuple[float, float], nodes: tuple[int, int]) -> float:
+    """Return the square root of the area of a cell [m] of a plate with these sides [m]."""
+    return math.sqrt(size[0] / (nodes[0] - 1) * size[1] / (nodes[1] - 1))
 
 
 def stability_limit(scene: Scene, order: Order, nodes: tuple[int, int]) -> float:
@@ -124,12 +124,11 @@ def stability_limit(scene: Scene, order: Order, nodes: tuple[int, int]) -> float
 def longest_time_step(scene: Scene, order: Order, nodes: tuple[int, int]) -> float:
     """Return the longest :func:`aligned` time step [s] that the stability limit and the drive allow."""
     longest = min(SAFETY * stability_limit(scene, order, nodes), 1 / (STEPS_A_PERIOD * highest_frequency(scene)))
-    return aligned(scene, longest)
+    return aligned(scene.window, longest)
 
 
-def aligned(scene: Scene, longest: float) -> float:
+def aligned(window: Window, longest: float) -> float:
     """Return a time step [s] up to ``longest`` that divides the run, and if possible the time before the window."""
-    window = scene.window
     fewest = math.ceil(window.end / longest * (1 - 1e-12))
     # If the window starts within a step, a part of that step is counted or lost, which is an error of first order.
     steps = fewest + np.arange(min(int(ALIGNMENT * fewest), MOST_STEPS_TRIED) + 1)
@@ -183,7 +182,7 @@ def make_configurations(scene: Scene) -> list[Configuration]:
         configurations += [*grids, *(replace(grid, precision="float64") for grid in grids)]
         base = make_configuration(scene, order, nodes_for(scene.plate.size, BASE_SIDE, order))
         longest = longest_time_step(scene, order, base.nodes)
-        steps = [aligned(scene, fraction * longest) for fraction in TIME_STEP_FRACTIONS]
+        steps = [aligned(scene.window, fraction * longest) for fraction in TIME_STEP_FRACTIONS]
         steps.append(TOO_LONG * stability_limit(scene, order, base.nodes))
         configurations += [replace(base, time_step=step) for step in steps]
     return sorted(dict.fromkeys(configurations), key=partial(cost_of_run, scene))

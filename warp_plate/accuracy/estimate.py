@@ -241,10 +241,9 @@ def _reference(
         extrapolation = refine_until(refinements, lambda last: wanted(last.values), seconds)
         return extrapolation, extrapolation.values
 
-    def wanted_of(response: Response) -> float:
-        return wanted(response.localization_factors(phasors))
-
-    reference = find_reference_solution(scene, device, wanted_of, REFERENCE_SECONDS, phasors)
+    reference = find_reference_solution(
+        scene, device, lambda last: wanted(last.localization_factors(phasors)), REFERENCE_SECONDS, phasors
+    )
     return reference, reference.response.localization_factors(phasors)
 
 

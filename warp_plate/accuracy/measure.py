@@ -27,10 +27,10 @@ from warp_plate.accuracy.configurations import (
     seconds_text,
     spacing_of,
 )
-from warp_plate.accuracy.reference_solution import ReferenceSolution, grid_lines, solve_response
+from warp_plate.accuracy.reference_solution import ReferenceSolution, solve_response
 from warp_plate.modal.motion import fields
 from warp_plate.plate.scheme import discretize
-from warp_plate.plate.weights import localization_factor
+from warp_plate.plate.weights import localization_factor, node_positions
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import cpu_threads, find_device, processor_of
@@ -101,7 +101,7 @@ def measure(
     row = AccuracyRow(
         **vars(settings),
         damping=damping.scheme if damping else None,
-        spacing=spacing_of(scene, settings.nodes),
+        spacing=spacing_of(scene.plate.size, settings.nodes),
         as_written=configuration is None,
     )
     try:
@@ -147,7 +147,7 @@ def measure_modal(scene: Scene, reference: ReferenceSolution, density: float) ->
     phasors = _random_phasors(plates, len(scene.actuators))
     once = median(seconds_of(lambda: solve_response(scene, density)))
     alone = median(seconds_of(lambda: response.energy(phasors))) / plates
-    motion = fields(plate, reference.drives["best"][None], times, *grid_lines(scene))[0]
+    motion = fields(plate, reference.drives["best"][None], times, *node_positions(scene))[0]
     row = AccuracyRow(
         order=plate.space.degree,
         load=MODAL,
@@ -155,7 +155,7 @@ def measure_modal(scene: Scene, reference: ReferenceSolution, density: float) ->
         time_step=None,
         precision="float64",
         damping=None,
-        spacing=spacing_of(scene, nodes),
+        spacing=spacing_of(scene.plate.size, nodes),
         as_written=False,
         error_displacement=reference.displacement_error(times, scene, motion),
         seconds_per_plate=once / plates + alone,

@@ -24,7 +24,7 @@ from warp_plate.modal.gram import Means, gram_matrices
 from warp_plate.modal.modes import ModalPlate, solve_modes
 from warp_plate.modal.motion import fields
 from warp_plate.plate.signals import actuator_frequencies, highest_frequency
-from warp_plate.plate.weights import REGIONS, localization_factor
+from warp_plate.plate.weights import REGIONS, localization_factor, node_positions
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.response import Response, count_unit_drives, measure_response
@@ -230,12 +230,6 @@ def displacement_errors(
     plate: ModalPlate, phasors: np.ndarray, times: Sequence[float] | np.ndarray, scene: Scene, computed: np.ndarray
 ) -> np.ndarray:
     """Return ‖u − u_ref‖ / ‖u_ref‖ (drives,) of (drives, times, ny, nx) displacement; NaN for plates at rest."""
-    expected = fields(plate, phasors, np.asarray(times, dtype=float), *grid_lines(scene))
+    expected = fields(plate, phasors, np.asarray(times, dtype=float), *node_positions(scene))
     errors, sizes = (np.linalg.norm(u.reshape(len(u), -1), axis=1) for u in (computed - expected, expected))
     return np.asarray(errors / np.where(sizes > 0, sizes, math.nan))
-
-
-def grid_lines(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Return (nx,) and (ny,) coordinates of the nodes [m]."""
-    (width, height), (nx, ny) = scene.plate.size, scene.grid.nodes
-    return np.linspace(0, width, nx), np.linspace(0, height, ny)

@@ -116,7 +116,8 @@ def extrapolate_drives(scene: Scene, phasors: np.ndarray, device: str) -> Iterat
 
 def weights_of_grids(scenes: Sequence[Scene]) -> np.ndarray:
     """Return weights (grids,) of values v + a h^p + b h^(p + 2) ..., p the order, whose sum is v."""
-    order, spacings = scenes[-1].grid.order, np.array([spacing_of(scene, scene.grid.nodes) for scene in scenes])
+    order = scenes[-1].grid.order
+    spacings = np.array([spacing_of(scene.plate.size, scene.grid.nodes) for scene in scenes])
     powers = np.array([0, *range(order, order + 2 * len(scenes) - 2, 2)])
     weights: np.ndarray = np.linalg.inv((spacings[:, None] / spacings[-1]) ** powers)[0]
     return weights
@@ -143,7 +144,7 @@ def _scenes(scene: Scene) -> Iterator[Scene]:
         limit = stability_limit(scene, order, nodes)
         # The drive limits the first.
         fraction = fraction or min(SAFETY, 1 / (STEPS_A_PERIOD * highest_frequency(scene)) / limit)
-        yield regrid(scene, Configuration(order, "moments", nodes, aligned(scene, fraction * limit), "float64"))
+        yield regrid(scene, Configuration(order, "moments", nodes, aligned(scene.window, fraction * limit), "float64"))
 
 
 def _refuse_short_waves(scene: Scene, plates: int) -> None:
@@ -152,7 +153,7 @@ def _refuse_short_waves(scene: Scene, plates: int) -> None:
     for gridded in _scenes(scene):
         if STEPPED_SECONDS * plates * node_steps(scene, configuration_of(gridded)) > MOST_SECONDS:
             break
-        if spacing_of(scene, gridded.grid.nodes) <= length / FEWEST_CELLS_A_WAVE:
+        if spacing_of(scene.plate.size, gridded.grid.nodes) <= length / FEWEST_CELLS_A_WAVE:
             return
     wave = f"bending waves of {length:.2g} m on a plate of {list(scene.plate.size)} m until {scene.window.end:g} s"
     raise SceneError(f"drive.frequency: {wave} take too long on {plates} plates for a known accuracy; write a [grid]")

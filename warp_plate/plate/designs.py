@@ -132,7 +132,7 @@ def check_designs(designs: Designs, scene: Scene, per_plate: PerPlate, time_step
         if scene.drive.burst is not None:
             given.setdefault("delay", np.broadcast_to(actuator_delays(scene), shape))
         carriers, end = carriers_of(scene, per_plate), scene.window.end
-        most = 0.5 / time_step / plate_harmonic(scene)
+        most = 0.5 / time_step / plate_harmonic(scene.drive)
         for name, above, limit, right in (
             ("frequency", np.greater, most, f"0 ... {most:.6g} Hz"),
             ("delay", np.greater_equal, end, f"0 ... {end:g} s"),

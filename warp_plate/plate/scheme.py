@@ -28,6 +28,7 @@ from warp_plate.plate.stability_limit import StabilityLimit, find_limit, needs_m
 from warp_plate.plate.travelling import MovingWeights, moving_weights
 from warp_plate.plate.weights import patches, region_weights
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.grid import Window
 from warp_plate.scene.model import Scene
 
 # A time step that the scene leaves out is this part of the stability limit, or this part of the drive's period.
@@ -123,7 +124,7 @@ def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = 
             f"effects: {viscous:g} N·s/m³ of viscous damping is more than {MOST_LOSS:g} times what stops the plate "
             f"within a step; at most {MOST_LOSS * surface_density / time_step:.3g} are possible"
         )
-    first, last = _window(scene, time_step, stepped)
+    first, last = _window(scene.window, time_step, stepped)
     taps_x, taps_y = plain_taps(scene)
     return Scheme(
         nodes=grid.nodes,
@@ -188,9 +189,8 @@ def _time_step(scene: Scene, limit: float, allow_unstable: bool, stepped: bool) 
     return time_step
 
 
-def _window(scene: Scene, time_step: float, stepped: bool) -> tuple[int, int]:
+def _window(window: Window, time_step: float, stepped: bool) -> tuple[int, int]:
     """Return first and last + 1 of the steps n with start < (n + ½)Δt < end."""
-    window = scene.window
     slack = 1e-9  # steps: a half-step on an end of the window up to rounding is outside
     first = math.floor(window.start / time_step - 0.5 + slack) + 1
     last = math.ceil(window.end / time_step - 0.5 - slack)

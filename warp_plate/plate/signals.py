@@ -21,6 +21,7 @@ import numpy as np
 
 from warp_plate.effects.table import TRAVELLING
 from warp_plate.plate.waveforms import burst_means, read_samples, resample, tone
+from warp_plate.scene.drive import Burst, Drive
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
@@ -144,7 +145,7 @@ def make_signals(
         carriers = _separate_carriers(scene, time_step, steps, frequency, delay)
     else:
         carriers = _shared_carriers(scene, time_step, steps, folder)
-    wave, mixing = _columns(scene, steps, carriers)
+    wave, mixing = _columns(scene.drive, steps, carriers)
     return Signals(wave[0] if per_actuator else wave, mixing, scene.drive.electrostatic is None)
 
 
@@ -157,7 +158,7 @@ def waves_per_plate(
     Frequencies [Hz] and delays [s], None without bursts, are (plates, carriers), one carrier for all actuators or one
     for each.
     """
-    return _columns(scene, steps, _separate_carriers(scene, time_step, steps, frequency, delay))[0]
+    return _columns(scene.drive, steps, _separate_carriers(scene, time_step, steps, frequency, delay))[0]
 
 
 def running_sums(wave: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -171,15 +172,15 @@ def running_sums(wave: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return sums / size[..., None, :], size
 
 
-def plate_harmonic(scene: Scene) -> int:
+def plate_harmonic(drive: Drive) -> int:
     """Return the plate's highest frequency as a multiple of the voltage's: its square has twice the frequency."""
-    return 1 if scene.drive.electrostatic is None else 2
+    return 1 if drive.electrostatic is None else 2
 
 
 def _named_frequencies(scene: Scene) -> Iterator[tuple[str, float, int]]:
     """Yield key, frequency [Hz] and the drive's factor of every tone, end of a sweep and moving load."""
     frequencies = [actuator.frequency for actuator in scene.actuators]
-    load, square = scene.effects.travelling, plate_harmonic(scene)
+    load, square = scene.effects.travelling, plate_harmonic(scene.drive)
     if None in frequencies:
         yield "drive.frequency", scene.drive.frequency, square
     for index, frequency in enumerate(frequencies):
@@ -192,11 +193,11 @@ def _named_frequencies(scene: Scene) -> Iterator[tuple[str, float, int]]:
 
 
 def _envelope(
-    scene: Scene, time_step: float, steps: int, start: float | np.ndarray | None
+    burst: Burst | None, time_step: float, steps: int, start: float | np.ndarray | None
 ) -> Callable[[int], np.ndarray]:
-    if scene.drive.burst is None or start is None:
+    if burst is None or start is None:
         return lambda power: np.ones(1)
-    return partial(burst_means, scene.drive.burst, start, time_step, steps)
+    return partial(burst_means, burst, start, time_step, steps)
 
 
 def _shared_carriers(scene: Scene, time_step: float, steps: int, folder: Path | None) -> list[_Carrier]:
@@ -204,15 +205,15 @@ def _shared_carriers(scene: Scene, time_step: float, steps: int, folder: Path | 
     frequencies, starts, file = actuator_frequencies(scene), actuator_delays(scene), None
     if (signal := scene.drive.signal) is not None:
         # Squaring doubles the band of a file, so only half of it may be filled.
-        file = resample(read_samples(signal, folder, starts.size), time_step, steps, 1 / plate_harmonic(scene))
+        file = resample(read_samples(signal, folder, starts.size), time_step, steps, 1 / plate_harmonic(scene.drive))
         if signal.per_actuator:
-            shaped = [_envelope(scene, time_step, steps, start) for start in starts.tolist()]
+            shaped = [_envelope(scene.drive.burst, time_step, steps, start) for start in starts.tolist()]
             channels = enumerate(zip(file, np.eye(starts.size), shaped, strict=True), 1)
             return [_Carrier(*channel, 0.0, number) for number, channel in channels]
         frequencies = np.zeros(starts.size)
     carriers = []
     for start in dict.fromkeys(starts.tolist()):
-        envelope = _envelope(scene, time_step, steps, start)
+        envelope = _envelope(scene.drive.burst, time_step, steps, start)
         for frequency in dict.fromkeys(frequencies[starts == start].tolist()):
             wave = tone(scene.drive.chirp, frequency, time_step, steps) if file is None else file
             driven = ((frequencies == frequency) & (starts == start)).astype(float)
@@ -230,7 +231,7 @@ def _separate_carriers(
         _Carrier(
             wave=tone(scene.drive.chirp, frequency[:, [index]], time_step, steps),
             actuators=driven[index],
-            envelope=_envelope(scene, time_step, steps, None if delay is None else delay[:, [index]]),
+            envelope=_envelope(scene.drive.burst, time_step, steps, None if delay is None else delay[:, [index]]),
             frequency=1.0,
             group=index + 1,
         )
@@ -238,9 +239,9 @@ def _separate_carriers(
     ]
 
 
-def _terms(scene: Scene, steps: int, carriers: list[_Carrier]) -> _Terms:
+def _terms(drive: Drive, steps: int, carriers: list[_Carrier]) -> _Terms:
     """Return the terms of all carriers; a complex wave is two terms and takes two features."""
-    square, shaped, flat = scene.drive.electrostatic, int(scene.drive.burst is not None), np.ones(steps)
+    square, shaped, flat = drive.electrostatic, int(drive.burst is not None), np.ones(steps)
     terms: _Terms = {}
 
     def add(key: tuple[int, float, float, int], wave: np.ndarray, feature: str, factor: np.ndarray) -> None:
@@ -249,7 +250,7 @@ def _terms(scene: Scene, steps: int, carriers: list[_Carrier]) -> _Terms:
 
     for wave, driven, envelope, frequency, group in carriers:
         # A tone squared is the tone of twice the frequency, a sweep squared is no sweep.
-        power = 0 if frequency and scene.drive.chirp is None else 1
+        power = 0 if frequency and drive.chirp is None else 1
         key, shape = (shaped, group, frequency, power), envelope(1) * wave
         if square is None:
             add(key, shape, "Re Z", driven)
@@ -267,10 +268,10 @@ def _terms(scene: Scene, steps: int, carriers: list[_Carrier]) -> _Terms:
     return terms
 
 
-def _columns(scene: Scene, steps: int, carriers: list[_Carrier]) -> tuple[np.ndarray, np.ndarray]:
+def _columns(drive: Drive, steps: int, carriers: list[_Carrier]) -> tuple[np.ndarray, np.ndarray]:
     """Return real waves (..., steps, terms) below two in size, and mixing (terms, features, actuators)."""
     columns, mixing = [], []
-    for wave, mix in _terms(scene, steps, carriers).values():
+    for wave, mix in _terms(drive, steps, carriers).values():
         columns.append(wave.real)
         mixing.append(mix)
         if np.iscomplexobj(wave):
@@ -281,7 +282,7 @@ def _columns(scene: Scene, steps: int, carriers: list[_Carrier]) -> tuple[np.nda
     size = _power_of_two(np.abs(waves).max(axis=tuple(range(waves.ndim - 1))))
     waves /= size
     waves[..., 0, :] /= 2
-    features = LINEAR_FEATURES if scene.drive.electrostatic is None else len(FEATURES)
+    features = LINEAR_FEATURES if drive.electrostatic is None else len(FEATURES)
     return waves, np.array(mixing)[:, :features] * size[:, None, None]
 
 

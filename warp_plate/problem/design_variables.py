@@ -257,7 +257,7 @@ def with_common_step(scene: Scene, stepped: bool = True) -> Scene:
         step = min(steps)
         return scene.with_tables(grid={**scene.grid.model_dump(), "time_step": step})
     if step is not None and table is not None:
-        carried = 0.5 / step / plate_harmonic(scene)
+        carried = 0.5 / step / plate_harmonic(scene.drive)
         if table.range[1] >= carried:
             raise SceneError(
                 f"search.frequency.range = {list(table.range)}: a step of {step:g} s carries less than {carried:.6g} "

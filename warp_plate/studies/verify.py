@@ -20,7 +20,7 @@ import scipy
 
 from warp_plate.analysis.motion import motions
 from warp_plate.fitting.measured_modes import column_numbers, read_table_columns
-from warp_plate.plate.weights import region_weights
+from warp_plate.plate.weights import node_positions, region_weights
 from warp_plate.result.model import Result
 from warp_plate.scene.errors import SceneError, check_type
 from warp_plate.scene.fields import SMALLEST
@@ -98,7 +98,7 @@ def verify(result: Result, data: Path | MeasuredField, case: str | None = None) 
     (motion,) = motions(result.scene, {name: chosen})
     field = motion.rms_velocity.astype(float)
     weights = region_weights(scene) * motion.surface_density
-    axes = [np.linspace(0, side, count) for side, count in zip(scene.plate.size, scene.grid.nodes, strict=True)]
+    axes = node_positions(scene)
     x, y = measured.points.T
     if np.any((measured.points < 0) | (measured.points > scene.plate.size)):
         raise SceneError(f"{measured.source}: a point is off the plate of {list(scene.plate.size)} m")
@@ -155,7 +155,7 @@ def average_readings(field: MeasuredField) -> MeasuredField:
     return MeasuredField(field.source, points, mean, np.sqrt(spread / counts))
 
 
-def _quadrature(measured: MeasuredField, axes: list[np.ndarray], weights: np.ndarray) -> np.ndarray:
+def _quadrature(measured: MeasuredField, axes: tuple[np.ndarray, np.ndarray], weights: np.ndarray) -> np.ndarray:
     """Return (2, n) weights of the squares at the points in the energies of the plate and of the target."""
     x, y = np.meshgrid(*axes)
     nodes, identity = np.stack([x.ravel(), y.ravel()], axis=1), np.eye(len(measured.points))
