@@ -90,9 +90,7 @@ class OutlinedNodes:
         return values
 
 
-@lru_cache(8)
-def _nodes_of(outline: Outline, size: tuple[float, float], nodes: tuple[int, int]) -> OutlinedNodes:
-    return OutlinedNodes(outline, size, nodes)
+_nodes_of = lru_cache(8)(OutlinedNodes)
 
 
 def outlined_nodes(scene: Scene, shape: tuple[int, ...]) -> OutlinedNodes | None:

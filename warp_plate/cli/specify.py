@@ -106,8 +106,7 @@ def _print(source: str, answer: SpecifiedDrive, console: Console) -> None:
         console.print(f"A drive within {100 * answer.effort:.3g} % of the limits meets the specification, too.")
     if answer.scatter:
         _print_tolerances(answer, console)
-    for line in answer.warnings:
-        console.print(f"! {line}")
+    output.print_warnings(console, answer.warnings)
 
 
 def _degrees(phase: float) -> str:

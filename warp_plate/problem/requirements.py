@@ -83,14 +83,14 @@ def make_requirements(plate: ModalPlate) -> Requirements:
     shapes = {key: shape_of(key, target) for key, target in keys.items()}
     names = {row.name: f"targets[{index}]" for index, row in enumerate(scene.targets)}
     labels = {key: name for name, key in names.items()} | {"target": "target"}
-    aims = []
+    aims, aimed = [], []
     for level in specification.levels:
         key = next(iter(keys)) if level.target is None else names[level.target]
         x0, y0, x1, y1 = shapes[key].bounds
         fine = min(spacing, max(x1 - x0, y1 - y0) / PER_TARGET)
         aims.append(Aim(labels[key], level, make_region(plate, shapes[key], fine, PER_TARGET)))
-    kept = [shapes[_key_of(aim, labels)] for aim in aims]
-    guarded = shapely.union_all([shapely.buffer(shape, specification.guard, quad_segs=CORNERS) for shape in kept])
+        aimed.append(shapes[key])
+    guarded = shapely.union_all([shapely.buffer(shape, specification.guard, quad_segs=CORNERS) for shape in aimed])
     rests = []
     for index, allowance in enumerate(specification.allowances):
         x0, x1, y0, y1 = allowance.area or (0.0, scene.plate.size[0], 0.0, scene.plate.size[1])
@@ -100,10 +100,6 @@ def make_requirements(plate: ModalPlate) -> Requirements:
         name = "elsewhere" if allowance.area is None else f"x {x0:g} to {x1:g}, y {y0:g} to {y1:g} m"
         rests.append(Rest(name, allowance, make_region(plate, shape, spacing)))
     return Requirements(specification, tuple(aims), tuple(rests), plate)
-
-
-def _key_of(aim: Aim, labels: dict[str, str]) -> str:
-    return next(key for key, name in labels.items() if name == aim.name)
 
 
 def _wavelength(plate: ModalPlate) -> float:

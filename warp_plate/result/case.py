@@ -7,7 +7,7 @@ cases have a region "target NAME" for each target, beside "plate" and the case's
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, TypeVar
+from typing import Annotated, TypeVar
 
 import h5py
 import numpy as np
@@ -72,24 +72,14 @@ T = TypeVar("T")
 
 
 class Named(dict[str, T]):
-    """Values by name; the error of an unknown name lists the names that there are."""
+    """Values by name; the error of an unknown name calls it ``noun`` and lists the names that there are."""
 
-    noun: ClassVar[str]
+    def __init__(self, noun: str, values: Mapping[str, T]) -> None:
+        super().__init__(values)
+        self.noun = noun
 
     def __missing__(self, name: str) -> T:
         raise UnknownNameError(f"{self.noun} = {name!r}: must be one of {', '.join(self)}")
-
-
-class Cases(Named["Case"]):
-    """Cases by name."""
-
-    noun = "case"
-
-
-class Regions(Named[float]):
-    """Energies by region."""
-
-    noun = "region"
 
 
 @dataclass(frozen=True)
@@ -134,7 +124,7 @@ class Case:
     motion: Annotated[RegionMotion | None, ELSEWHERE] = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "energy", Regions(self.energy))
+        object.__setattr__(self, "energy", Named("region", self.energy))
 
     def __repr__(self) -> str:
         return f"<Case {len(self.phasors)} actuators, localization factor {self.localization_factor:.4g}>"

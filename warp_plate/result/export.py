@@ -47,11 +47,9 @@ def write_vtkhdf(scene: Scene, times: np.ndarray, fields: Mapping[str, np.ndarra
     """Write all times into one .vtkhdf file, for ParaView 5.12 and later; return its path.
 
     Args:
-        scene: The scene.
         times: (times,) times [s].
         fields: (times, ny, nx) fields, or (1, ny, nx) constant ones, by names that begin with a word of ``UNITS``; the
             first one is active.
-        path: The file.
 
     Raises:
         SceneError: there are no times, or the file cannot be written.

@@ -17,7 +17,7 @@ import numpy as np
 
 from warp_plate.plate.designs import scene_with
 from warp_plate.quantities.region_quantities import REGION_QUANTITIES
-from warp_plate.result.case import Case, Cases, aligned, case_scene, motion_table, target_cases
+from warp_plate.result.case import Case, Named, aligned, case_scene, motion_table, target_cases
 from warp_plate.result.hdf5 import FileFormat, write_along
 from warp_plate.result.layouts import Counts, Dataset, Datasets, read_fields, write_fields
 from warp_plate.scene.errors import SceneError, check_type, printable
@@ -182,7 +182,7 @@ class Result:
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "cases", Cases(self.cases))
+        object.__setattr__(self, "cases", Named("case", self.cases))
 
     def case_scene(self, case: Case) -> Scene:
         """Return :func:`case_scene` of the result's scene."""

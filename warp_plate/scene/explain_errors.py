@@ -67,7 +67,7 @@ def _line(location: Location, error: Mapping[str, Any], model: type[BaseModel]) 
     if error["type"] == "extra_forbidden":
         return f"{key}: unknown key{_suggestion(str(location[-1]), table)}"
     if error["type"] == "missing":
-        examples = table.model_fields[str(location[-1])].examples if _is_table(table) else None
+        examples = table.model_fields[str(location[-1])].examples if is_table(table) else None
         shown = f", write for example {toml_text(examples[0])}" if examples else ""
         return f"{key}: is missing; it has no default{shown}"
     if error["type"] == "value_error":
@@ -99,7 +99,7 @@ def _key_and_annotation(location: Location, model: type[BaseModel]) -> tuple[str
         else:
             name = part if re.fullmatch(r"[\w-]+", part) else repr(part)
             key += f".{name}" if key else name
-            field = annotation.model_fields.get(part) if _is_table(annotation) else None
+            field = annotation.model_fields.get(part) if is_table(annotation) else None
             ranges = get_args(annotation)[1] if get_origin(annotation) is dict else None
             annotation = _bare(field.annotation if field else ranges)
     return key, annotation
@@ -115,13 +115,14 @@ def _bare(annotation: Any) -> Any:
     return annotation
 
 
-def _is_table(annotation: Any) -> bool:
+def is_table(annotation: Any) -> bool:
+    """Return whether an annotation is that of a table."""
     return isinstance(annotation, type) and issubclass(annotation, BaseModel)
 
 
 def _required_shape(annotation: Any, key: str, context: Mapping[str, str]) -> str:
     """Describe the table or list that a key must hold."""
-    if _is_table(annotation):
+    if is_table(annotation):
         return f"a table, [[{key.rpartition('[')[0]}]]" if key.endswith("]") else f"a table, [{key}]"
     *_, last = items = get_args(annotation)
     item = _bare(items[0])
@@ -131,22 +132,22 @@ def _required_shape(annotation: Any, key: str, context: Mapping[str, str]) -> st
         count = f"{context['min_length']} or more "
     else:
         count = f"{context['max_length']} or fewer " if "max_length" in context else ""
-    if _is_table(item):
+    if is_table(item):
         return f"a list of {count}tables, [[{key}]]"
     return f"a list of {count}{'points [x, y]' if get_origin(item) is tuple else _NOUNS.get(item, 'values')}"
 
 
 def _suggestion(name: str, table: Any) -> str:
-    if _is_table(table) and table.__name__ == "Plate" and _OUTLINE.search(name):
+    if is_table(table) and table.__name__ == "Plate" and _OUTLINE.search(name):
         return "; plates are rectangles only, write size = [length along x, length along y] (metres)"
     if close := _closest(name, table):
         return f"; did you mean {close!r}?"
-    return f"; known here: {', '.join(table.model_fields)}" if _is_table(table) else ""
+    return f"; known here: {', '.join(table.model_fields)}" if is_table(table) else ""
 
 
 def _closest(name: str, table: Any) -> str:
     """Return the key of a table that a name resembles, or ""."""
-    close = difflib.get_close_matches(name, list(table.model_fields) if _is_table(table) else [], n=1)
+    close = difflib.get_close_matches(name, list(table.model_fields) if is_table(table) else [], n=1)
     return close[0] if close else ""
 
 

@@ -29,7 +29,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, PydanticCustomError
 
 from warp_plate.scene.errors import SceneError, toml_text
-from warp_plate.scene.explain_errors import explain_error
+from warp_plate.scene.explain_errors import explain_error, is_table
 
 # Far beyond any panel, yet fourth powers and products of such numbers are still finite.
 SMALLEST, LARGEST = 1e-30, 1e30
@@ -96,17 +96,13 @@ def _numpydoc(table: Any, name: str) -> list[str]:
     field, (meaning, unit, examples) = table.model_fields[name], explain_key(table, name)
     default = _default(field)
     shown = f"{type(default).__name__}()" if isinstance(default, BaseModel) else repr(default)
-    table_of = next((part for part in _types_in(field.annotation) if _is_table(part)), None)
+    table_of = next((part for part in _types_in(field.annotation) if is_table(part)), None)
     if table_of is not None:
         meaning = f"{meaning} See ``help('{table_of.__module__}.{table_of.__name__}')``.".strip()
     example = f" For example {examples[0]!r}." if examples else ""
     state = "required" if field.is_required() else f"default {shown}"
     head = f"{name} : {state if unit in (None, '1') else f'{shown_unit(unit)}, {state}'}"
     return [head, *textwrap.wrap(meaning + example, 100, initial_indent="    ", subsequent_indent="    ")]
-
-
-def _is_table(kind: Any) -> bool:
-    return isinstance(kind, type) and issubclass(kind, BaseModel)
 
 
 class Table(BaseModel, metaclass=_Documented):
@@ -189,7 +185,7 @@ def _number_of(table: type[BaseModel], name: str) -> str:
     """Return what a key must hold where it is made of numbers alone, else ""."""
     annotation = table.model_fields[name].annotation
     parts = list(_types_in(annotation))
-    if any(part in (str, bool) or isinstance(part, str) or _is_table(part) for part in parts):
+    if any(part in (str, bool) or isinstance(part, str) or is_table(part) for part in parts):
         return ""
     several = "a list of " if any(get_origin(part) is tuple for part in parts) else ""
     if float in parts:

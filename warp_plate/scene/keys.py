@@ -74,10 +74,7 @@ def check_links(scene: SceneTables) -> None:
 def resolved_key(scene: SceneTables, key: str, kinds: Mapping[str, type] | None = None) -> str:
     """Return the key with names replaced by indices: ``actuators[0].phase`` for ``actuators.lower left.phase``.
 
-    Args:
-        scene: Scene.
-        key: Key.
-        kinds: ``scalar_keys`` of the scene, if these are at hand.
+    ``kinds`` are the ``scalar_keys`` of the scene, if these are at hand.
 
     Raises:
         SceneError: the scene has no such key, or it holds no number or text; the message suggests similar keys.
