@@ -84,9 +84,7 @@ def highest_order(scene: Scene) -> Order:
 
 def bending_wavelength(scene: Scene) -> float:
     """Return the length [m] of a free bending wave at the drive's highest frequency, 2π√(κ/ω)."""
-    plate = scene.plate
-    kappa = math.sqrt(plate.rigidity / (plate.density * plate.thickness))
-    return math.sqrt(2 * math.pi * kappa / highest_frequency(scene))
+    return math.sqrt(2 * math.pi * scene.plate.kappa / highest_frequency(scene))
 
 
 def waves_along(scene: Scene) -> float:

@@ -131,7 +131,7 @@ def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = 
         spacing=(plate.size[0] / (grid.nodes[0] - 1), plate.size[1] / (grid.nodes[1] - 1)),
         rigidity=plate.rigidity,
         surface_density=surface_density,
-        kappa=math.sqrt(plate.rigidity / surface_density),
+        kappa=plate.kappa,
         time_step=time_step,
         stability=stability,
         steps=last,

@@ -105,6 +105,4 @@ def make_requirements(plate: ModalPlate) -> Requirements:
 def _wavelength(plate: ModalPlate) -> float:
     """Return the bending wavelength [m] at the highest frequency of a plate's responses, of an even plate of its mass
     and stiffness."""
-    panel = plate.scene.plate
-    speed = math.sqrt(panel.rigidity / (panel.density * panel.thickness))
-    return 2 * math.pi * math.sqrt(speed / (2 * math.pi * plate.highest))
+    return 2 * math.pi * math.sqrt(plate.scene.plate.kappa / (2 * math.pi * plate.highest))

@@ -126,9 +126,7 @@ class FocusResult:
     def half_wave(self) -> float:
         """Half of the length [m] of bending waves at ``focus.highest`` on the plate without its effects."""
         assert self.scene.focus is not None
-        plate = self.scene.plate
-        speed = math.sqrt(plate.rigidity / (plate.density * plate.thickness))
-        return math.sqrt(math.pi * speed / (2 * self.scene.focus.highest))
+        return math.sqrt(math.pi * self.scene.plate.kappa / (2 * self.scene.focus.highest))
 
     def resolution(self, method: str) -> np.ndarray:
         """Return (foci,) diameters of discs as large as the focus over half a wave, see :attr:`half_wave`."""

@@ -109,8 +109,7 @@ class Scene(SceneTables):
             frequencies = [drive.frequency, *(actuator.frequency or 0.0 for actuator in self.actuators)]
             frequencies.append(drive.chirp.end_frequency if drive.chirp else 0.0)
             highest = max(frequencies) * (2 if drive.electrostatic else 1)  # a squared voltage has twice the frequency
-            speed = math.sqrt(plate.rigidity / (plate.density * plate.thickness))
-            self._derive("grid", grid_by_waves(plate.size, math.sqrt(2 * math.pi * speed / highest)))
+            self._derive("grid", grid_by_waves(plate.size, math.sqrt(2 * math.pi * plate.kappa / highest)))
         return self
 
     @model_validator(mode="after")

@@ -51,6 +51,11 @@ class Plate(Table):
         return self.young_modulus * self.thickness**3 / (12 * (1 - self.poisson_ratio**2))
 
     @property
+    def kappa(self) -> float:
+        """κ = √(D/ρH) [m²/s] of the isotropic plate: a bending wave of frequency f has the length √(2πκ/f)."""
+        return math.sqrt(self.rigidity / (self.density * self.thickness))
+
+    @property
     def area(self) -> float:
         """Area [m²]."""
         return math.prod(self.size) if self.outline is None else outline_of(self.outline, self.holes, Edges()).area
