@@ -11,6 +11,7 @@ import pytest
 
 from warp_plate import Scene
 from warp_plate.scene.load import preset_text
+from warp_plate.scene.measured import MeasuredScene
 from warp_plate.scene.outline import with_drawing
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -101,6 +102,10 @@ def test_commands_and_code_run(page, tmp_path):
     "block", [each for page in PAGES for each in fenced(page, "toml")], ids=lambda block: block.partition("\n")[0]
 )
 def test_tables_are_those_of_a_scene(block, tmp_path):
+    if {"measured", "trade_off"} & tomllib.loads(block).keys():
+        tables = {"measured": {"file": "scan.h5"}, "target": {"area": [0.0, 0.1, 0.0, 0.1]}}
+        MeasuredScene.model_validate(tables | tomllib.loads(block))
+        return
     tables = tomllib.loads(preset_text("paper"))
     del tables["grid"]
     besides = {"drive": {"burst": {"duration": 0.01}}} if "[search.delay]" in block else BESIDES

@@ -32,6 +32,7 @@ COMMANDS = {
     "modes": ("modes", "Show natural frequencies, damping and shapes of a plate with its linear effects."),
     "fit": ("measurement", "Fit properties of a panel to measured natural frequencies or frequency responses."),
     "verify": ("measurement", "Compare velocities measured under a drive with those that its result predicts."),
+    "measured": ("measured", "Find drives from measured responses alone: localization, levels, focus, with bounds."),
     "frf": ("frf", "Show frequency responses of a linear plate, and the best localization at each frequency."),
     "sound": ("frf", "Show the sound that a linear plate radiates under its drive: power, pressure and directivity."),
     "focus": ("focus", "Compute a waveform for each actuator that moves the plate at a point and a moment."),

@@ -53,7 +53,7 @@ def focus(scene: SceneSource, played: FocusResult | None = None, wished: np.ndar
     if played is not None:
         _check_fit(scene, table, played)
         wished = played.wished
-    wish = make_wish(scene, wished)
+    wish = make_wish(table, scene.folder, len(scene.actuators), wished)
     responses = HeldResponses.of_scene(scene, wish.recorded)
     solved = time.perf_counter()
     h = responses.at_foci()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import scipy
@@ -12,7 +13,6 @@ from warp_plate.plate.waveforms import Samples, read_channels, sample_at
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import LARGEST, SMALLEST
 from warp_plate.scene.focus import AFTER, Focus, FocusBurst
-from warp_plate.scene.model import Scene
 
 WISH = "focus.wish"
 
@@ -41,17 +41,16 @@ class Wish:
         return np.asarray(np.eye(len(motion))[:, :, None] * motion[:, None])
 
 
-def make_wish(scene: Scene, given: np.ndarray | None) -> Wish:
-    """Return the wish of ``[focus]``: (samples,) or (foci, samples) given or in its file, its burst, or a pulse."""
-    table = scene.focus
-    assert table is not None
+def make_wish(table: Focus, folder: Path | None, actuators: int, given: np.ndarray | None = None) -> Wish:
+    """Return the wish of a table for so many actuators: (samples,) or (foci, samples) given or in its file, which is in
+    a folder, its burst, or a pulse."""
     foci = len(table.points)
     if given is None and table.wish is not None:
-        given = _read_file(scene, table)
+        given = _read_file(table, folder, actuators)
     if given is not None:
         if np.asarray(given).dtype.kind not in "fiu":
             raise SceneError("wished: must be real numbers")
-        motion = _check_motion(scene, table, np.asarray(given, dtype=float))
+        motion = _check_motion(table, actuators, np.asarray(given, dtype=float))
         samples = motion.shape[1]
         motion = np.pad(motion, ((0, 0), (0, round(samples * AFTER))))
         return Wish(motion, motion, samples, shaped=True)
@@ -63,18 +62,18 @@ def make_wish(scene: Scene, given: np.ndarray | None) -> Wish:
     return Wish(np.tile(moment, (foci, 1)), np.tile(_pulse(table), (foci, 1)), table.samples, shaped=False)
 
 
-def _read_file(scene: Scene, table: Focus) -> np.ndarray:
+def _read_file(table: Focus, folder: Path | None, actuators: int) -> np.ndarray:
     """Return the motion (channels, samples) of ``[focus.wish]`` at the ends of the samples, silent before its start."""
     assert table.wish is not None
     channels = len(table.points) if table.wish.per_point else None
-    values, rate, start = read_channels(WISH, table.wish, scene.folder, channels, "point")
+    values, rate, start = read_channels(WISH, table.wish, folder, channels, "point")
     samples = max(math.ceil((start + (values.shape[1] - 1) / rate) * table.rate), 2)
-    _check_numbers(scene, table, samples)
+    _check_numbers(table, actuators, samples)
     times = np.arange(1, samples + 1) / table.rate
     return sample_at(Samples(values, rate, start, repeat=False), times, min(1.0, table.rate / rate)).real
 
 
-def _check_motion(scene: Scene, table: Focus, motion: np.ndarray) -> np.ndarray:
+def _check_motion(table: Focus, actuators: int, motion: np.ndarray) -> np.ndarray:
     """Return a motion (foci, samples), or raise a SceneError, as for what its rows may be."""
     foci = len(table.points)
     rows = motion if motion.ndim > 1 else motion[None]
@@ -86,13 +85,13 @@ def _check_motion(scene: Scene, table: Focus, motion: np.ndarray) -> np.ndarray:
         raise SceneError(f"{WISH}: a wished motion is {wrong}")
     if table.rest is not None:
         raise SceneError("focus.rest: bounds motion at one moment, not that of a wish; delete it")
-    _check_numbers(scene, table, rows.shape[1])
+    _check_numbers(table, actuators, rows.shape[1])
     return np.asarray(np.broadcast_to(rows, (foci, rows.shape[1])))
 
 
-def _check_numbers(scene: Scene, table: Focus, samples: int) -> None:
+def _check_numbers(table: Focus, actuators: int, samples: int) -> None:
     try:
-        table.check_numbers(samples, len(scene.actuators), "wish")
+        table.check_numbers(samples, actuators, "wish")
     except ValueError as error:
         raise SceneError(str(error)) from None
 

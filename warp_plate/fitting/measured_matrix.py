@@ -1,0 +1,203 @@
+"""Responses of all points of a scan to all actuators, from HDF5, MAT and universal files.
+
+A coherence γ² of n averages leaves a response with the variance (Bendat, Piersol, Random Data, chapter 9)
+
+    E|ΔH|² = |H|² (1 − γ²) / (γ² n)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warp_plate.fitting.measured_modes import check_file
+from warp_plate.fitting.measured_universal import ACROSS, COHERENCE, RESPONSE, read_universal
+from warp_plate.result.hdf5 import HDF5, MAT, read_arrays
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.fields import LARGEST
+from warp_plate.scene.measured import Measured, MeasuredScene
+
+MATRIX_BYTES, MOST_POINTS, MOST_ACTUATORS, MOST_LINES = 2**30, 2000, 64, 2**16
+ARRAYS = "frequency", "points", "response", "real", "imaginary", "coherence", "impulse", "rate"
+LEAST_COHERENCE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredMatrix:
+    """Responses of the points of a scan to the actuators, for motion that varies as exp(iωt)."""
+
+    source: str  # file that they come from
+    frequencies: np.ndarray  # (n,) [Hz], rising, above 0
+    responses: np.ndarray  # (n, points, actuators) complex motion per unit of drive
+    points: np.ndarray  # (points, 2) x, y [m]
+    names: tuple[str, ...]  # of the actuators
+    variance: np.ndarray | None = None  # (n, points, actuators) E|ΔH|²; None if it is not known
+    impulses: np.ndarray | None = None  # (actuators, points, samples) motion after a unit sample; None if not measured
+    rate: float = 0.0  # samples a second of the impulse responses
+
+
+def read_matrix(scene: MeasuredScene) -> MeasuredMatrix:
+    """Return the responses of a scene's file.
+
+    HDF5 and MAT files have the arrays ``points`` (points, 2) [m], ``frequency`` (n,) [Hz], and ``response``, or
+    ``real`` and ``imaginary``, (actuators, points, n), and maybe ``coherence`` of the same shape. Instead of
+    frequencies and responses they may have ``impulse`` (actuators, points, samples) and ``rate`` [1/s]. A universal
+    file has a dataset 58 for each response, and places of its nodes in a dataset 15 or 2411.
+
+    Raises:
+        SceneError: The file cannot be read, or holds no such responses.
+    """
+    table = scene.measured
+    path = (scene.folder or Path()) / table.file
+    try:
+        check_file(path, MATRIX_BYTES)
+        matrix = (_arrays if path.suffix.lower() in (*MAT, *HDF5) else _universal)(path, table)
+        _check(matrix)
+    except (OSError, ValueError) as error:
+        raise SceneError(f"measured.file = {table.file!r}: {str(error).removeprefix(f'{path}: ')}") from None
+    return matrix
+
+
+def _check(matrix: MeasuredMatrix) -> None:
+    count, points, actuators = matrix.responses.shape
+    for name, value, most in (
+        ("frequencies", count, MOST_LINES),
+        ("points", points, MOST_POINTS),
+        ("actuators", actuators, MOST_ACTUATORS),
+    ):
+        if not 1 <= value <= most:
+            raise ValueError(f"has {value} {name}; 1 to {most} are possible")
+    if not (matrix.frequencies[0] > 0 and (np.diff(matrix.frequencies) > 0).all()):
+        raise ValueError("frequencies must rise, from above 0 Hz")
+    if not (np.isfinite(matrix.points).all() and np.abs(matrix.points).max() < LARGEST):
+        raise ValueError("points must be numbers in metres")
+    if len(np.unique(matrix.points, axis=0)) < points:
+        raise ValueError("two points are at one place; average their responses")
+    if not (np.abs(matrix.responses) < LARGEST).all():
+        row, point, column = np.argwhere(~(np.abs(matrix.responses) < LARGEST))[0].tolist()
+        at = f"{matrix.names[column]}, point {point + 1}, {matrix.frequencies[row]:g} Hz"
+        raise ValueError(f"the response of {at} is {matrix.responses[row, point, column]:g}; leave that point out")
+    if not matrix.responses.any(axis=(0, 1)).all():
+        still = matrix.names[int(np.argmin(matrix.responses.any(axis=(0, 1))))]
+        raise ValueError(f"the responses to {still} are 0")
+
+
+def _arrays(path: Path, table: Measured) -> MeasuredMatrix:
+    """Return the responses of a MAT or HDF5 file."""
+    arrays = read_arrays(path, ARRAYS)
+    places = arrays.get("points", np.empty(0)).real
+    places = places.T if places.shape[0] == 2 != places.shape[-1] else places
+    if places.ndim != 2 or places.shape[1] != 2:
+        raise ValueError(f"needs the array points, x and y in metres, of shape (points, 2); has {', '.join(arrays)}")
+    impulses, rate = arrays.get("impulse"), float(arrays.get("rate", np.zeros(1)).real.ravel()[0])
+    if impulses is not None:
+        if impulses.ndim != 3 or impulses.shape[1] != len(places) or not rate > 0:
+            shape = f"(actuators, {len(places)}, samples), with rate in samples a second"
+            raise ValueError(f"impulse has shape {impulses.shape}; must be {shape}")
+        impulses = impulses.real
+        frequency = np.fft.rfftfreq(impulses.shape[2], 1 / rate)[1:]
+        responses, coherence = np.fft.rfft(impulses)[..., 1:], None
+    else:
+        parted = arrays["real"] + 1j * arrays["imaginary"] if {"real", "imaginary"} <= set(arrays) else None
+        given = arrays.get("response", parted)
+        if given is None or "frequency" not in arrays:
+            raise ValueError(f"needs frequency and response, or impulse and rate; has {', '.join(arrays)}")
+        frequency = arrays["frequency"].real.ravel()
+        responses = _ordered("response", given, len(places), len(frequency))
+        coherence = arrays.get("coherence")
+        if coherence is not None:
+            coherence = _ordered("coherence", coherence.real, len(places), len(frequency))
+            if coherence.shape != responses.shape:
+                raise ValueError(f"coherence has shape {coherence.shape}; response has {responses.shape}")
+    names = tuple(f"actuator {number}" for number in range(1, len(responses) + 1))
+    spectra = frequency, responses.T, None if coherence is None else coherence.T
+    return _matrix(path, table, spectra, places, names, impulses, rate)
+
+
+def _ordered(name: str, values: np.ndarray, points: int, lines: int) -> np.ndarray:
+    """Return values of one or several actuators as (actuators, points, lines)."""
+    values = values[None] if values.ndim == 2 else values
+    if values.ndim == 3 and values.shape[1:] != (points, lines):  # MATLAB's order, or that of xarray
+        axes = [[axis for axis, size in enumerate(values.shape) if size == wanted] for wanted in (points, lines)]
+        if len(axes[0]) == len(axes[1]) == 1 and axes[0] != axes[1]:
+            values = np.moveaxis(values, (axes[0][0], axes[1][0]), (1, 2))
+    if values.ndim != 3 or values.shape[1:] != (points, lines):
+        raise ValueError(f"{name} has shape {values.shape}; must be (actuators, {points} points, {lines} frequencies)")
+    return values
+
+
+def _matrix(
+    path: Path,
+    table: Measured,
+    spectra: tuple[np.ndarray, np.ndarray, np.ndarray | None],
+    places: np.ndarray,
+    names: tuple[str, ...],
+    impulses: np.ndarray | None = None,
+    rate: float = 0.0,
+) -> MeasuredMatrix:
+    """Return the matrix of frequencies, responses and coherences (n, points, actuators) without 0 Hz."""
+    frequency, responses, coherence = spectra
+    above = frequency != 0
+    frequency, responses = frequency[above], responses[above]
+    variance = None
+    if table.noise is not None:
+        sizes = np.mean(np.abs(responses) ** 2, axis=1, keepdims=True)
+        variance = np.broadcast_to(table.noise**2 * sizes, responses.shape)
+    elif coherence is not None and table.averages is not None:
+        coherence = coherence[above]
+        if not np.all((coherence >= 0) & (coherence <= 1 + 1e-6)):
+            raise ValueError("coherence must be from 0 to 1")
+        coherence = np.clip(coherence, LEAST_COHERENCE, 1)
+        variance = np.abs(responses) ** 2 * (1 - coherence) / (coherence * table.averages)
+    elif table.averages is not None:
+        raise ValueError("has no coherences; delete measured.averages, or write measured.noise")
+    return MeasuredMatrix(str(path), frequency, responses, places, names, variance, impulses, rate)
+
+
+def _universal(path: Path, table: Measured) -> MeasuredMatrix:
+    """Return the responses of a universal file: references are actuators, responses points."""
+    file = read_universal(path)
+    across = [item for item in file.of(58) if abs(item["rsp_dir"]) == ACROSS] or file.of(58)
+    functions = {
+        kind: {_ends(item): item for item in across if item["func_type"] == kind} for kind in (RESPONSE, COHERENCE)
+    }
+    found = functions[RESPONSE]
+    if not found:
+        raise ValueError("has no frequency response (dataset 58 of function type 4)")
+    references, nodes = sorted({reference for reference, _ in found}), sorted({node for _, node in found})
+    for reference in references:
+        for node in nodes:
+            if (reference, node) not in found:
+                raise ValueError(f"has no response of node {node} to {_name(reference)}")
+    if missing := [node for node in nodes if node not in file.places]:
+        raise ValueError(f"node {missing[0]} has no place (dataset 15 or 2411)")
+    frequency = np.asarray(next(iter(found.values()))["x"], dtype=float)
+
+    def values(kind: int) -> np.ndarray:
+        """Return (n, points, actuators) values."""
+        items = [[functions[kind][reference, node] for reference in references] for node in nodes]
+        if any(not np.array_equal(item["x"], frequency) for row in items for item in row):
+            raise ValueError("its functions are at different frequencies")
+        signs = [[_sign(item) if kind == RESPONSE else 1 for item in row] for row in items]
+        data = np.array([[item["data"] for item in row] for row in items]) * np.array(signs)[..., None]
+        return np.asarray(np.moveaxis(data, 2, 0))
+
+    coherence = values(COHERENCE).real if set(functions[COHERENCE]) >= set(found) else None
+    spectra = frequency, values(RESPONSE), coherence
+    return _matrix(path, table, spectra, np.array([file.places[node] for node in nodes]), tuple(map(_name, references)))
+
+
+def _ends(item: dict[str, Any]) -> tuple[tuple[int, int], int]:
+    """Return node and direction of the reference, without its sign, and the node of the response."""
+    return (int(item["ref_node"]), abs(int(item["ref_dir"]))), int(item["rsp_node"])
+
+
+def _sign(item: dict[str, Any]) -> int:
+    return -1 if (int(item["ref_dir"]) < 0) != (int(item["rsp_dir"]) < 0) else 1
+
+
+def _name(reference: tuple[int, int]) -> str:
+    return f"node {reference[0]}" + f" {' XYZ'[reference[1]]}" * (reference[1] in (1, 2, 3))
