@@ -23,7 +23,7 @@ LANES_BLOCK = 32
 # loaded; more: occupancy.
 FEW_PLATES, FEW_REGISTERS, FEW_LOADED_ROWS = 12, 160, 16
 # Temporal blocking: steps per launch by order and precision, and threads per block, whose warps are independent.
-LEVELS = {(2, wp.float32): 5, (2, wp.float64): 2, (4, wp.float32): 2, (4, wp.float64): 1}
+LEVELS = {(2, wp.float32): 5, (2, wp.float64): 3, (4, wp.float32): 2, (4, wp.float64): 2}
 STREAMING_BLOCK = 128
 # Warps of a multiprocessor below which temporal blocking divides strips into tiles.
 BUSY_WARPS = 8
