@@ -42,8 +42,8 @@ OWNERS = {
     "clarabel": {"optimize"},
     "shapely": {"problem", "outline", "plate", "viz"},
 }
-# Imported only inside functions, so that ``warp-plate --help`` starts quickly.
-LATE = re.compile(r"(scipy\.(signal|stats)|matplotlib|pyvista|vtkmodules|trame|dask|distributed)(\.|$)")
+# Imported only inside functions, or as parts of ``import scipy``, which loads them when they are used.
+LATE = re.compile(r"(scipy\.\w+|matplotlib|pyvista|vtkmodules|trame|dask|distributed)(\.|$)")
 
 # What could make code of data, and modules that could or that leave the process.
 FORBIDDEN_NAMES = {"eval", "exec", "compile", "__import__", "globals", "breakpoint", "os.system"}

@@ -20,8 +20,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.polynomial import chebyshev
-from scipy.special import spherical_jn
 
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.plate.memory import refuse_beyond_memory
@@ -75,7 +75,7 @@ class FarField:
         arguments = wavenumber * sine * np.cos(azimuth), wavenumber * sine * np.sin(azimuth)
         orders = [np.arange(count) for count in self._counts(wavenumber)]
         x, y = (
-            (2 * some + 1) * spherical_jn(some, (argument * side / 2)[:, None])
+            (2 * some + 1) * scipy.special.spherical_jn(some, (argument * side / 2)[:, None])
             for some, argument, side in zip(orders, arguments, self.sides, strict=True)
         )
         terms = (y[:, :, None] * x[:, None, :]).reshape(len(x), -1)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
+import scipy
 
 from warp_plate.result import hdf5
 from warp_plate.result.atomic_io import write_table
@@ -157,7 +157,7 @@ class FrequencyResponse:
         largest = values + errors
         ends = np.searchsorted(x, x - shifts), np.searchsorted(x, x + shifts, side="right")
         for bounds, extreme in ((least, np.minimum), (largest, np.maximum)):
-            between = PchipInterpolator(x, np.nan_to_num(bounds), axis=1)  # without overshoot
+            between = scipy.interpolate.PchipInterpolator(x, np.nan_to_num(bounds), axis=1)  # without overshoot
             inside = [extreme.reduce(bounds[:, low:high], axis=1) for low, high in zip(*ends, strict=True)]
             bounds[:] = extreme.reduce(np.stack([np.transpose(inside), between(x - shifts), between(x + shifts)]))
             bounds[:, (x - shifts < x[0]) | (x + shifts > x[-1])] = np.nan

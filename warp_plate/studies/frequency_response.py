@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d
+import scipy
 
 from warp_plate.modal.modes import ModalPlate, solve_modes
 from warp_plate.modal.poles import adaptive_frequencies, as_sparse, multiply_modes
@@ -173,7 +173,7 @@ def _errors(
     forces, shapes = input_forces(coarser, inputs)[1], coarser.at_points(points)
     others = _responses(coarser, np.interp(frequencies, natural, mapped), forces, shapes, terminals)
     errors = [
-        maximum_filter1d(FACTOR * np.abs(other - curve) + least * np.abs(curve), AROUND)
+        scipy.ndimage.maximum_filter1d(FACTOR * np.abs(other - curve) + least * np.abs(curve), AROUND)
         for curve, other, least in zip(curves, others, LEAST_ERRORS, strict=True)
     ]
     return [shifts[next_mode], *errors]
