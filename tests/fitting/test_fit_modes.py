@@ -17,6 +17,7 @@ from warp_plate import Scene, SceneError, modes
 from warp_plate.fitting.fit import fit_modes
 from warp_plate.fitting.least_squares import exchangeable
 from warp_plate.fitting.measured_modes import MeasuredModes, read_modes
+from warp_plate.modal.modes import solve_modes
 
 SIZE, MODULUS, VISCOUS = (0.23, 0.17), MATERIAL["young_modulus"], 2.0
 SURFACE_DENSITY = MATERIAL["density"] * MATERIAL["thickness"]
@@ -118,6 +119,7 @@ def test_command(command, write_scene, random):
         encoding="utf-8",
     )
     record = json.loads(output_of(command("fit", "panel.toml", "--data", "data.csv", "--json")))
+    assert record["verdict"]["describes"]
     parameter = record["parameters"]["plate.young_modulus"]
     assert parameter["low"] < parameter["value"] < parameter["high"]
     assert record["files"] == ["panel.fitted.toml", "panel.fitted.png", "panel.fitted.svg"]
@@ -263,3 +265,57 @@ def test_rigid_motions_are_skipped(rigid, numbers):
     assert found.values == pytest.approx([200e9], rel=0.01)
     assert found.remarks == ((f"{len(rigid)} modes up to {rigid[-1]:.3g} Hz are rigid motions, which are not fitted",)
                              if rigid else ())  # fmt: skip
+
+
+def changed_modes(fault, random):
+    """Return Navier's frequencies with a fault, and the cause that the verdict names."""
+    data = measured(random)
+    frequencies = {
+        "none": data.frequencies,
+        "missing mode": np.delete(data.frequencies, 3),
+        "further mode": np.sort([*data.frequencies[:-1], 1.13 * data.frequencies[4]]),
+        "unit": 2 * np.pi * data.frequencies,
+        "range": 3 * data.frequencies,
+    }[fault]
+    return MeasuredModes("data.csv", frequencies, np.full(len(frequencies), math.nan))
+
+
+@pytest.mark.parametrize("fault", ["none", "missing mode", "further mode", "unit", "range"])
+def test_verdict(fault, random):
+    found = fit_modes(stiff_panel(free=MODULI), changed_modes(fault, random))
+    assert found.verdict.describes == np.isfinite(found.low).all() == (fault == "none")
+    assert found.verdict.cause == (None if fault == "none" else fault)
+    assert bool(found.warnings) == (fault != "none")
+    assert found.warnings[:1] == found.verdict.lines
+
+
+def test_a_thick_plate_is_named():
+    """NAFEMS FV52, a supported plate whose sides are ten thicknesses long, at a tenth of its size."""
+    area = {"area": (0.1, 0.2, 0.1, 0.2)}
+    steel = {"size": (1.0, 1.0), "thickness": 0.1, "density": 8000.0, "young_modulus": 200e9, "poisson_ratio": 0.3}
+    scene = scene_of(edges=("supported",) * 4).with_tables(
+        plate=steel, target=area, actuators=[{"name": "a", **area}], drive={"frequency": 500.0},
+        fit={"starts": 1, "free": {"plate.young_modulus": (100e9, 300e9)}},
+    )  # fmt: skip
+    frequencies = 10 * np.array([45.897, 109.44, 109.44, 167.89, 204.51, 204.51, 256.5, 256.5])
+    verdict = fit_modes(scene, MeasuredModes("a.csv", frequencies, np.full(8, math.nan))).verdict
+    assert (verdict.describes, verdict.cause) == (False, "thick")
+    assert "% too high for the highest fitted frequency, 2565 Hz: shear and rotary inertia" in verdict.text
+    lowest = fit_modes(scene, MeasuredModes("a.csv", frequencies[:3], np.full(3, math.nan))).verdict
+    assert lowest.describes
+    assert lowest.text.startswith("Thin-plate theory is")
+
+
+@pytest.mark.parametrize(
+    ("cause", "move"),
+    [("mirrored in x", lambda x, y: (SIZE[0] - x, y)), ("mirrored in y", lambda x, y: (x, SIZE[1] - y)), (None, None)],
+)
+def test_shapes_at_mirrored_points_are_named(cause, move, random):
+    edges, points = ("clamped", "free", "free", "supported"), random.uniform(0.01, 0.16, (12, 2))
+    scene = scene_of(size=SIZE, edges=edges, fit={"starts": 1, "pairing": "mac", "free": MODULI})
+    true = solve_modes(scene, highest=0.0, count=6)
+    shapes = true.at_points(points)
+    written = points if move is None else np.array([move(x, y) for x, y in points])
+    data = MeasuredModes("a.csv", true.frequencies[:6], np.full(6, math.nan), None, shapes[:6], written)
+    verdict = fit_modes(scene, data).verdict
+    assert (verdict.describes, verdict.cause) == (cause is None, cause)

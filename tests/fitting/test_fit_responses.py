@@ -3,6 +3,7 @@
 import json
 import math
 import os
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -75,6 +76,45 @@ def test_command(command, write_scene, random):
     Path("data.csv").write_text("f,re,im\n10,1,2\n20,1,2\n", encoding="utf-8")
     message = "data.csv: has 1 responses; the scene has 3 tables [[measurement]]"
     assert message in error_of(command("fit", "panel.toml", "--data", "data.csv"))
+
+
+FAULTS = {
+    "none": lambda values, omega: values,
+    "sign": lambda values, omega: -values,
+    "gravity": lambda values, omega: values / 9.80665,
+    "quantity": lambda values, omega: values / omega,
+    "phase": lambda values, omega: values.conj(),
+    "order": lambda values, omega: values[[1, 0, 2]],
+    "sign of a sensor": lambda values, omega: values * np.array([[1], [-1], [1]]),
+}
+QUICK = "none", "sign", "order"
+
+
+@pytest.mark.parametrize(
+    "fault", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in FAULTS]
+)
+def test_verdict(fault, random):
+    """The likely cause is named, and there are no intervals; white noise is no reason, even if it is large."""
+    data = noisy(random, 0.3 if fault == "none" else 0.01, np.linspace(6, 80, 100))
+    changed = FAULTS[fault](data.responses, 2j * np.pi * data.frequencies)
+    found = fit_responses(wrong_panel(), replace(data, responses=changed))
+    assert found.verdict.describes == np.isfinite(found.low).all() == (fault == "none")
+    assert found.verdict.cause == (None if fault == "none" else fault)
+    assert found.warnings[:1] == found.verdict.lines
+    assert ("Likely cause: " in found.verdict.text) == (fault != "none")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("move", [lambda x, y: (SIZE[0] - x, y), lambda x, y: (x, SIZE[1] - y)], ids=["x", "y"])
+def test_mirrored_points_are_named(move, random, request):
+    edges = {"left": "clamped", "bottom": "free", "right": "free", "top": "supported"}
+    scene = wrong_panel().with_tables(edges=edges)
+    exact = frf(scene.replace("plate.young_modulus", MODULUS), [HIT], POINTS, (3.0, 80.0), "accelerance")
+    some = np.linspace(0, len(exact.frequencies) - 1, 100).astype(int)
+    data = MeasuredResponses("a.csv", exact.frequencies[some], exact.responses[:, some])
+    rows = [{"force_at": move(*HIT), "point": move(*point)} for point in POINTS]
+    verdict = fit_responses(scene.with_tables(measurement=rows), data).verdict
+    assert (verdict.describes, verdict.cause) == (False, f"mirrored in {request.node.callspec.id}")
 
 
 @pytest.mark.slow

@@ -72,6 +72,21 @@ def test_another_panel_does_not(lossy_run):
     assert found.correlation < 0.95
 
 
+def test_points_that_were_not_seen_are_left_out(lossy_run, tmp_path):
+    """NaN and empty cells; coordinates in millimetres."""
+    field = field_of(lossy_run)
+    velocity = field.velocity.copy()
+    velocity[[3, 40]] = np.nan
+    kept = np.isfinite(velocity)
+    some = MeasuredField("", field.points[kept], velocity[kept], None)
+    expected = verify(lossy_run, some).localization_factor
+    assert verify(lossy_run, replace(field, velocity=velocity)).localization_factor == expected
+    rows = (f"{1e3 * x!r};{1e3 * y!r};{'' if np.isnan(v) else repr(float(v))}" for (x, y), v in zip(
+        field.points.tolist(), velocity, strict=True))  # fmt: skip
+    (tmp_path / "a.csv").write_text("scan of 12 × 12\nx [mm];y [mm];velocity [m/s]\n" + "\n".join(rows))
+    assert verify(lossy_run, tmp_path / "a.csv").localization_factor == pytest.approx(expected, rel=1e-9)
+
+
 def test_readings_are_averaged(random):
     points = np.repeat([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], 50, axis=0)
     found = average_readings(MeasuredField("", points, 5 + random.normal(size=200), None))

@@ -80,6 +80,8 @@ def _fit_as_json(name: str, fitted: ModeFit | ResponseFit) -> dict[str, object]:
         "parameters": {key: {name: of[row] for name, of in columns.items()} for row, key in enumerate(fitted.keys)},
         **output.attributes(fitted, "correlations", "inseparable", "mirrored", "evaluations"),
     }
+    record |= output.attributes(fitted, "undetermined", "remarks")
+    record["verdict"] = output.attributes(fitted.verdict, "describes", "cause", "error", "text")
     measured = fitted.measured.frequencies
     if isinstance(fitted, ResponseFit):
         record |= {"frequencies": measured, "real": fitted.responses.real, "imaginary": fitted.responses.imag}

@@ -1,11 +1,6 @@
 """Fit a scene's free numbers to measured natural frequencies and damping ratios, or to measured frequency responses.
 
 Shapes of modes are compared by the modal assurance criterion, MAC (Allemang, Brown, Proc. 1st IMAC, 1982).
-
-Residuals of responses are log(H / Hₘ): the real part is the ratio of amplitudes, the imaginary part the difference of
-phases. Sharp resonances give them many local minima, so that responses, computed and measured alike, are first averaged
-over frequencies around each, with the weights of a resonance curve that becomes narrower from stage to stage. Many
-plates are computed, so the search takes coarse ones: few functions, damping that couples the lowest modes alone.
 """
 
 from __future__ import annotations
@@ -13,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +16,16 @@ import numpy as np
 import scipy
 
 from warp_plate.fitting.fitted_panel import FittedPanel, FreeNumbers, PanelProblem, fit_panel, free_numbers
-from warp_plate.fitting.least_squares import Differenced
+from warp_plate.fitting.least_squares import Differenced, fit_least_squares
 from warp_plate.fitting.measured_modes import MeasuredModes, read_modes
 from warp_plate.fitting.measured_responses import MeasuredResponses, read_responses
 from warp_plate.fitting.panel_responses import PanelResponses
+from warp_plate.fitting.response_errors import WIDTHS, LogErrors, ResponsePrediction, ShapeErrors, weigh
+from warp_plate.fitting.verdict import ModesToJudge, judge_modes, judge_responses
 from warp_plate.modal.continuous_modes import linear_part
-from warp_plate.modal.modes import solve_modes
+from warp_plate.modal.modes import ModalPlate, solve_modes
 from warp_plate.scene.errors import SceneError, check_type
+from warp_plate.scene.fit import Measurement
 from warp_plate.scene.model import Scene, SceneSource
 
 # Functions along each side, relative to those of other commands: frequencies are right to 5e-6, in a third of the time.
@@ -42,12 +40,8 @@ SPARE = 2, 8
 TIE = 0.1
 # Smallest and largest weight of damping ratios against frequencies.
 WEIGHTS = 1e-4, 1e4
-# Half-widths of the averages of responses relative to the frequency; 0 for none.
-WIDTHS = 0.2, 0.05, 0.01, 0.0
-# Residuals of responses beyond so many times their usual size count less, as the absolute value and not the square.
-USUAL = 2.0
-# Plates that are cached, the best and the last one.
-CACHED = 2
+# Starts and frequencies for finding out why a model does not describe its data.
+MOST_STARTS, MOST_FREQUENCIES = 4, 400
 
 
 def fit(scene: SceneSource, data: str | Path | Sequence[str | Path]) -> ModeFit | ResponseFit:
@@ -113,9 +107,22 @@ def fit_modes(scene: Scene, measured: MeasuredModes) -> ModeFit:
         weigh if len(damped) else None,
     )
 
-    def describe(fitted: Scene) -> dict[str, Any]:
+    def refit(changed: MeasuredModes) -> np.ndarray:
+        predict = Differenced(lambda unknowns: _paired_modes(free.panel_at(unknowns), changed, "order"))
+        residuals = _RelativeErrors(changed, damped[:0])
+        return residuals(predict(fit_least_squares(predict, [residuals], _few_starts(free)).unknowns))
+
+    def describe(fitted: Scene, at_limit: Sequence[str]) -> dict[str, Any]:
         numbers, frequencies, damping = _paired_modes(fitted, measured, pairing)
-        modes = {"numbers": numbers.astype(int), "frequencies": frequencies, "damping": damping}
+        modes: dict[str, Any] = {"numbers": numbers.astype(int), "frequencies": frequencies, "damping": damping}
+        plate = solve_modes(linear_part(fitted), highest=0.0, count=int(numbers.max()) + SPARE[1], density=DENSITY)
+        elastic = np.flatnonzero(plate.frequencies > 0)
+        judged = ModesToJudge(measured, modes["numbers"], frequencies, plate.frequencies[elastic])
+        if pairing == "mac":
+            of_points = partial(_mean_assurance, measured, plate.part(elastic))
+            mac = of_points(_points(scene, measured), modes["numbers"])
+            judged = replace(judged, mac=mac, assurance=of_points)
+        modes["verdict"] = judge_modes(fitted, judged, refit, at_limit)
         return {"measured": measured, "remarks": measured.remarks, **modes}
 
     return fit_panel(ModeFit, problem, describe)
@@ -129,6 +136,16 @@ def assurance(scene: Scene, measured: MeasuredModes, numbers: np.ndarray) -> np.
     plate = solve_modes(linear_part(scene), highest=0.0, count=int(numbers.max()) + RIGID)
     elastic = np.flatnonzero(plate.frequencies > 0)[numbers - 1]
     return modal_assurance(measured.shapes, plate.at_points(points)[elastic])
+
+
+def _mean_assurance(
+    measured: MeasuredModes, plate: ModalPlate, points: np.ndarray, numbers: np.ndarray | None = None
+) -> float:
+    """Return the mean MAC of measured shapes, at other points, and modes of a plate by numbers or the most alike."""
+    assert measured.shapes is not None
+    alike = modal_assurance(measured.shapes, plate.at_points(points))
+    pairs = scipy.optimize.linear_sum_assignment(-alike) if numbers is None else (range(len(numbers)), numbers - 1)
+    return float(alike[pairs].mean())
 
 
 def modal_assurance(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -247,65 +264,52 @@ def fit_responses(scene: Scene, measured: MeasuredResponses) -> ResponseFit:
         key = f"actuators[{scene.coil_indices[0]}].kind"
         raise SceneError(f"{key}: responses are fitted without coils; measure the panel before they are mounted")
     free = free_numbers(scene)
-    coarse, exact = (_Prediction(free, measured, coarse) for coarse in (True, False))
-    stages = [_LogErrors(measured, width) for width in WIDTHS]
-    problem = PanelProblem(free, measured.source, coarse, stages, 2 * measured.responses.size, _weigh, exact)
+    coarse, exact = (ResponsePrediction(free, measured, coarse) for coarse in (True, False))
+    stages = [LogErrors(measured, width) for width in WIDTHS]
+    size = measured.responses.size
+    problem = PanelProblem(
+        free, measured.source, coarse, stages, 2 * size, weigh, exact, series=2 * len(measured.responses)
+    )
 
-    def describe(fitted: Scene) -> dict[str, Any]:
+    def describe(fitted: Scene, at_limit: Sequence[str]) -> dict[str, Any]:
         responses = PanelResponses(fitted, measured).values
-        return {"measured": measured, "remarks": measured.remarks, "responses": responses}
+        errors = np.log(responses / measured.responses)
+        verdict = judge_responses(fitted, errors, _Alternatives(scene, measured), at_limit)
+        return {"measured": measured, "remarks": measured.remarks, "responses": responses, "verdict": verdict}
 
     return fit_panel(ResponseFit, problem, describe)
 
 
-class _Prediction:
-    """Responses at fractions of the ranges of free numbers, see :class:`Prediction`."""
+class _Alternatives:
+    """Responses at other places, and fits to other data, see :class:`Alternatives`; plates are coarse."""
 
-    def __init__(self, free: FreeNumbers, measured: MeasuredResponses, coarse: bool) -> None:
-        self.evaluations = 0
-        self._free, self._measured, self._coarse = free, measured, coarse
-        self._cached = lru_cache(CACHED)(self._compute)
+    def __init__(self, scene: Scene, measured: MeasuredResponses) -> None:
+        few = slice(None, None, -(-len(measured.frequencies) // MOST_FREQUENCIES))
+        self.measured = replace(measured, frequencies=measured.frequencies[few], responses=measured.responses[:, few])
+        self._scene = scene
 
-    def __call__(self, unknowns: np.ndarray) -> np.ndarray:
-        return self._cached(tuple(unknowns.tolist())).values
+    @cached_property
+    def _unknowns(self) -> np.ndarray:
+        """The free numbers by the shape of the responses over frequency."""
+        free = free_numbers(self._scene)
+        stages = [ShapeErrors(self.measured, width) for width in WIDTHS]
+        return fit_least_squares(ResponsePrediction(free, self.measured, True), stages, _few_starts(free)).unknowns
 
-    def slopes(self, unknowns: np.ndarray, central: bool) -> np.ndarray:
-        neighbours = (self._free.neighbours(unknowns, index, central) for index in range(len(unknowns)))
-        return self._cached(tuple(unknowns.tolist())).slopes(list(neighbours))
+    def respond(self, rows: Sequence[Measurement]) -> np.ndarray:
+        """Return responses (m, n) between the places of rows."""
+        return ResponsePrediction(self._free(rows), self.measured, True)(self._unknowns)
 
-    def _compute(self, unknowns: tuple[float, ...]) -> PanelResponses:
-        self.evaluations += 1
-        return PanelResponses(self._free.panel_at(np.array(unknowns)), self._measured, self._coarse)
+    def refit(self, rows: Sequence[Measurement], responses: np.ndarray) -> np.ndarray:
+        """Return errors (m, n) of a fit between the places of rows to other responses (m, n)."""
+        free, data = self._free(rows), replace(self.measured, responses=responses)
+        predict, stages = ResponsePrediction(free, data, True), [LogErrors(data, width) for width in WIDTHS]
+        found = fit_least_squares(predict, stages, self._unknowns[None], weigh).unknowns
+        return np.asarray(np.log(predict(found) / responses))
 
-
-class _LogErrors:
-    """Residuals log(H / Hₘ) of averages over frequencies, real parts first, see :class:`Residuals`."""
-
-    def __init__(self, measured: MeasuredResponses, width: float) -> None:
-        self._average = _average(measured.frequencies, width).T if width else None
-        self._measured = self._averaged(measured.responses)
-
-    def __call__(self, predicted: np.ndarray) -> np.ndarray:
-        errors = np.log(self._averaged(predicted) / self._measured).ravel()
-        return np.concatenate([errors.real, errors.imag])
-
-    def slopes(self, predicted: np.ndarray, changes: np.ndarray) -> np.ndarray:
-        errors = (self._averaged(changes) / self._averaged(predicted)).reshape(len(changes), -1)
-        return np.concatenate([errors.real, errors.imag], axis=1)
-
-    def _averaged(self, responses: np.ndarray) -> np.ndarray:
-        return responses if self._average is None else responses @ self._average
+    def _free(self, rows: Sequence[Measurement]) -> FreeNumbers:
+        return free_numbers(self._scene.model_copy(update={"measurement": tuple(rows)}))
 
 
-def _average(frequencies: np.ndarray, width: float) -> np.ndarray:
-    """Return (n, n) weights of the average over frequencies around each, for a half-width relative to it."""
-    distance = (frequencies - frequencies[:, None]) / (width * frequencies[:, None])
-    weights = np.gradient(frequencies) / (1 + distance**2)
-    return np.asarray(weights / weights.sum(axis=1, keepdims=True))
-
-
-def _weigh(residuals: np.ndarray, leverage: np.ndarray) -> np.ndarray:
-    """Return Huber's weights of residuals, amplitude and phase of each response together."""
-    sizes = np.hypot(*residuals.reshape(2, -1))
-    usual = USUAL * np.median(sizes)
-    return np.tile(np.sqrt(usual / np.maximum(sizes, usual)) if usual else np.ones_like(sizes), 2)
+def _few_starts(free: FreeNumbers) -> np.ndarray:
+    assert free.scene.fit is not None
+    return free.starts(min(free.scene.fit.starts, MOST_STARTS), free.scene.fit.seed)

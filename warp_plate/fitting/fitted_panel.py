@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from warp_plate.fitting.least_squares import Prediction, Residuals, Weigh, exchangeable, fit_least_squares
+from warp_plate.fitting.verdict import Verdict
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import resolved_key, value_of
 from warp_plate.scene.model import Scene
@@ -21,6 +22,8 @@ from warp_plate.scene.model import Scene
 STEP = 1e-3
 # Correlation of two errors from which on it is remarked.
 STRONG = 0.9
+# Half-width of an interval, in ranges, from which on a number is not determined.
+WIDEST = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,11 +125,13 @@ class FittedPanel:
     mirrored: tuple[tuple[str, ...], ...]
     evaluations: int  # number of plates that were computed
     remarks: tuple[str, ...]  # what was converted in the measurements or left out
+    verdict: Verdict  # whether the model describes the measurements; if not, there are no intervals
+    undetermined: tuple[str, ...]  # keys whose interval would be wider than their range, and which have none
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Lines that the command prints after "!"."""
-        lines = list(self.remarks)
+        lines = [*self.remarks, *self.verdict.lines]
         for group in self.inseparable:
             alike = "cannot be distinguished by these data; fix all but one"
             lines.append(f"{' and '.join(group)}: {alike if len(group) > 1 else 'has no influence here'}")
@@ -134,7 +139,8 @@ class FittedPanel:
             lines.append(f"{' and '.join(group)}: interchangeable; give them different ranges, or measure off centre")
         for key, limited in zip(self.keys, self.at_limit, strict=True):
             if limited:
-                lines.append(f"{key}: is at an end of its range, so its interval is not valid; widen the range")
+                lines.append(f"{key}: is at an end of its range, so it has no interval; widen the range")
+        lines += [f"{key}: is not determined: its error is larger than its range" for key in self.undetermined]
         for first, second in np.argwhere(np.triu(np.abs(self.correlations) > STRONG, 1)):
             value = self.correlations[first, second]
             lines.append(f"{self.keys[first]} and {self.keys[second]}: their errors are correlated by {value:+.3f}")
@@ -155,10 +161,12 @@ class PanelProblem:
     count: int  # number of data
     weigh: Weigh | None
     exact: Prediction | None = None  # prediction that takes more time
+    series: int | None = None  # residuals are so many series over frequency, whose errors may be correlated
 
 
-def fit_panel(cls: type[F], problem: PanelProblem, describe: Callable[[Scene], dict[str, Any]]) -> F:
-    """Fit a scene by least squares to measurements; ``describe`` returns further attributes for the fitted scene."""
+def fit_panel(cls: type[F], problem: PanelProblem, describe: Callable[[Scene, Sequence[str]], dict[str, Any]]) -> F:
+    """Fit a scene by least squares to measurements; ``describe`` returns further attributes, with the verdict, for the
+    fitted scene and its keys at ends of ranges."""
     free = problem.free
     fit = free.scene.fit
     assert fit is not None
@@ -166,19 +174,26 @@ def fit_panel(cls: type[F], problem: PanelProblem, describe: Callable[[Scene], d
         given = f"{problem.count} numbers do not determine {len(free.keys)} free ones and their errors"
         raise SceneError(f"{problem.source}: {given}; measure more, or free fewer keys in [fit.free]")
     starts = free.starts(fit.starts, fit.seed)
-    optimum = fit_least_squares(problem.predict, problem.residuals, starts, problem.weigh, problem.exact)
+    optimum = fit_least_squares(
+        problem.predict, problem.residuals, starts, problem.weigh, problem.exact, problem.series
+    )
     mirrored = [pairs for pairs in free.mirror_pairs() if exchangeable(optimum, pairs)]
-    width, scene = optimum.student * optimum.deviations, free.scene_at(optimum.unknowns)
+    scene, at_limit = free.scene_at(optimum.unknowns), optimum.at_limit
+    described = describe(scene, [key for key, limited in zip(free.keys, at_limit, strict=True) if limited])
+    width = optimum.student * optimum.deviations
+    wide = width > WIDEST
+    width[wide | (not described["verdict"].describes)] = np.nan
     return cls(
         scene=scene,
         keys=free.keys,
         values=free.values(optimum.unknowns),
         low=free.values(optimum.unknowns - width),
         high=free.values(optimum.unknowns + width),
-        at_limit=np.abs(optimum.unknowns - 0.5) > 0.5 - 1e-6,
+        at_limit=at_limit,
         correlations=optimum.correlations,
         inseparable=tuple(tuple(free.keys[index] for index in group) for group in optimum.inseparable),
         mirrored=tuple(tuple(free.keys[index] for pair in pairs for index in pair) for pairs in mirrored),
         evaluations=problem.predict.evaluations + (problem.exact.evaluations if problem.exact else 0),
-        **describe(scene),
+        undetermined=tuple(key for key, too_wide in zip(free.keys, wide, strict=True) if too_wide),
+        **described,
     )

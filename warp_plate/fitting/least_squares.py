@@ -1,8 +1,10 @@
 """Weighted least squares within ranges, from several starts, with intervals of the result.
 
 With residuals r and their Jacobian J at the optimum, the covariance of the unknowns is s² (JᵀJ)⁻¹, in which
-s² = rᵀr / (n − rank J), and intervals follow from Student's t. Directions in which J, its columns scaled to length 1,
-has no singular value are combinations of unknowns that the data do not tell apart.
+s² = rᵀr / (n − rank J), and intervals follow from Student's t. Residuals over frequency are correlated where the model
+is not quite that of the panel: with their covariance C, that of the unknowns is (JᵀJ)⁻¹ JᵀCJ (JᵀJ)⁻¹. Directions in
+which J, its columns scaled to length 1, has no singular value are combinations of unknowns that the data do not tell
+apart.
 """
 
 from __future__ import annotations
@@ -24,6 +26,8 @@ NO_INFLUENCE, RANK = 1e-6, 1e-4
 # Parts of a direction without a singular value above MEMBER belong to it; unknowns whose parts change together by a
 # cosine above LINKED form one group.
 MEMBER, LINKED = 1e-3, 0.1
+# Distance from 0 or 1 within which a value is there, and the autocorrelation of residuals that counts as none.
+AT_LIMIT, VANISHED = 1e-6, 0.05
 # Predictions that are cached.
 MOST_CACHED = 128
 # Rounds of reweighting the residuals.
@@ -91,6 +95,7 @@ class LeastSquaresFit:
     deviations: np.ndarray  # (p,) standard deviations, NaN for unknowns that the data do not determine
     correlations: np.ndarray  # (p, p) correlations, NaN for the same
     inseparable: tuple[tuple[int, ...], ...]  # groups that cannot be distinguished; a group of one has no influence
+    at_limit: np.ndarray  # (p,) True where a value is an end of the range
     student: float  # half-width of 95 % intervals in standard deviations
     problem: LeastSquaresProblem  # the problem, with the weights at the optimum
 
@@ -101,6 +106,7 @@ def fit_least_squares(
     starts: np.ndarray,
     weigh: Weigh | None = None,
     exact: Prediction | None = None,
+    series: int | None = None,
 ) -> LeastSquaresFit:
     """Return the unknowns within 0 ... 1 that minimise the squares of residuals.
 
@@ -124,7 +130,7 @@ def fit_least_squares(
             problem.weights = weigh(problem.residuals(unknowns), leverage(problem.jacobian(unknowns)))
         unknowns = problem.solve(unknowns, FINE)
     judged = problem if exact is None else LeastSquaresProblem(exact, residuals[-1], problem.weights)
-    return _judge(unknowns, problem, judged.jacobian(unknowns))
+    return _judge(unknowns, problem, judged.jacobian(unknowns), series)
 
 
 @dataclass(eq=False)
@@ -166,16 +172,25 @@ def leverage(jacobian: np.ndarray) -> np.ndarray:
     return np.asarray(np.sum(directions[:, values > RANK * values[0]] ** 2, axis=1))
 
 
-def _judge(unknowns: np.ndarray, problem: LeastSquaresProblem, jacobian: np.ndarray) -> LeastSquaresFit:
-    """Return the estimate with its deviations, from the weighted residuals and their Jacobian (n, p)."""
+def _judge(
+    unknowns: np.ndarray, problem: LeastSquaresProblem, jacobian: np.ndarray, series: int | None
+) -> LeastSquaresFit:
+    """Return the estimate with its deviations, from the weighted residuals and their Jacobian (n, p).
+
+    Unknowns at a limit count as given there.
+    """
     residuals = problem.weights * problem.residuals(unknowns)
+    at_limit = np.abs(unknowns - 0.5) > 0.5 - AT_LIMIT
     lengths = np.linalg.norm(jacobian, axis=0)
-    lengths[lengths < NO_INFLUENCE] = np.inf
+    lengths[(lengths < NO_INFLUENCE) | at_limit] = np.inf
     _, values, directions = np.linalg.svd(jacobian / lengths, full_matrices=False)
     determined = values > RANK
     freedom = len(residuals) - int(determined.sum())
     scaled = directions[determined] / values[determined, None]
     covariance = (residuals @ residuals / freedom) * (scaled.T @ scaled)
+    if series is not None:
+        seen = (jacobian / lengths) @ (scaled.T @ scaled)
+        covariance = len(residuals) / freedom * correlated_products(residuals, seen, series)
     lost = np.eye(len(unknowns)) - directions[determined].T @ directions[determined]
     parts = np.sqrt(np.maximum(np.diag(lost), 0))
     identifiable = parts < MEMBER
@@ -184,10 +199,31 @@ def _judge(unknowns: np.ndarray, problem: LeastSquaresProblem, jacobian: np.ndar
         correlations = covariance / np.outer(deviations, deviations)
     linked = (np.abs(lost) > LINKED * np.outer(parts, parts)) & ~identifiable & ~identifiable[:, None]
     count, labels = scipy.sparse.csgraph.connected_components(linked)
-    groups = (tuple(np.flatnonzero((labels == label) & ~identifiable).tolist()) for label in range(count))
+    alone = ~identifiable & ~at_limit
+    groups = (tuple(np.flatnonzero((labels == label) & alone).tolist()) for label in range(count))
     student = float(scipy.special.stdtrit(freedom, (1 + LEVEL) / 2))
     inseparable = tuple(group for group in groups if group)
-    return LeastSquaresFit(unknowns, deviations / lengths, correlations, inseparable, student, problem)
+    return LeastSquaresFit(unknowns, deviations / lengths, correlations, inseparable, at_limit, student, problem)
+
+
+def correlated_products(residuals: np.ndarray, vectors: np.ndarray, series: int) -> np.ndarray:
+    """Return (p, p) vᵀ C v of vectors (n, p) and the covariance C of residuals (n,), which are series of equal length.
+
+    Within a series, C follows from the autocorrelation of the residuals, tapered to zero at twice the lag where it
+    first vanishes (Newey, West, Econometrica 55, 1987); series are independent.
+    """
+    rows = residuals.reshape(series, -1)
+    count = rows.shape[1]
+    spectra = np.abs(np.fft.rfft(rows, 2 * count)) ** 2
+    products = np.fft.irfft(spectra, 2 * count)[:, :count] / count
+    shared = products.sum(axis=0)
+    vanishing = np.flatnonzero(shared <= VANISHED * shared[0])
+    reach = max(1, min(2 * int(vanishing[0]) if len(vanishing) else count, count // 2))
+    products *= np.maximum(0, 1 - np.arange(count) / reach)
+    kernel = np.fft.rfft(np.concatenate([products, np.zeros((series, 1)), products[:, :0:-1]], axis=1))
+    parts = vectors.reshape(series, count, -1)
+    spread = np.fft.irfft(kernel[:, :, None] * np.fft.rfft(parts, 2 * count, axis=1), 2 * count, axis=1)[:, :count]
+    return np.asarray(np.einsum("snp,snq->pq", parts, spread))
 
 
 def exchangeable(optimum: LeastSquaresFit, pairs: Sequence[tuple[int, int]]) -> bool:

@@ -31,6 +31,7 @@ PANEL = ("plate.", "edges.", "effects.", "actuators[", "measurement[")
 # Keys of an actuator that exclude each other.
 ALTERNATIVES = {"magnitude": "force", "force": "magnitude", "voltage": "current", "current": "voltage"}
 DRIVEN = (*PlateRegion.model_fields, *ALTERNATIVES, "phase", "frequency", "delay")
+FREE = "fit.free."  # start of a key of [fit.free], whose rest is itself a key
 _PART = re.compile(r"([A-Za-z_]\w*)|\[(\d+)\]")
 _KEY = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*|\[\d{1,9}\])*")
 
@@ -178,6 +179,12 @@ def put(tables: dict[str, Any], key: str, value: Any, shown: str) -> None:
         SceneError: the key does not lead into the tables; the message begins with ``shown``.
     """
     check_type("key", key, str)
+    if key.strip().startswith(FREE):  # a table of keys
+        free = _entered(_entered(tables, "fit", {}, shown), "free", {}, shown)
+        if not isinstance(free, dict):
+            raise SceneError(f"{shown}: fit.free is no table")
+        free[key.strip().removeprefix(FREE)] = value
+        return
     rows = {table: tables[table] for table in NAMED if isinstance(tables.get(table), list)}
     names = {table: [str(row.get("name")) if isinstance(row, dict) else "" for row in rows[table]] for table in rows}
     key = _without_names(names, key.strip())

@@ -12,7 +12,7 @@ sampling at few points is estimated from the predicted field, whose factor is kn
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -141,7 +141,13 @@ def read_field(path: Path) -> MeasuredField:
 
 
 def average_readings(field: MeasuredField) -> MeasuredField:
-    """Average the readings of each point; where all have several and no uncertainty, it is that of their mean."""
+    """Average the readings of each point; where all have several and no uncertainty, it is that of their mean.
+
+    Readings that are NaN, as of points that a scanner did not see, are left out.
+    """
+    seen = np.isfinite(field.velocity) & (field.uncertainty is None or np.isfinite(field.uncertainty))
+    uncertainty = None if field.uncertainty is None else field.uncertainty[seen]
+    field = replace(field, points=field.points[seen], velocity=field.velocity[seen], uncertainty=uncertainty)
     points, which, counts = np.unique(field.points, axis=0, return_inverse=True, return_counts=True)
     which = which.ravel()
     if not 4 <= len(points) <= MOST_POINTS:
