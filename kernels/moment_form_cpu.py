@@ -11,6 +11,7 @@ from functools import cache
 import warp as wp
 
 from warp_plate.kernels.arithmetic import flush_denormals, make_fused, portable_kernel, restore_denormals
+from warp_plate.kernels.coils import make_coil_force
 from warp_plate.kernels.update import (
     make_add_local_forces,
     make_attached_force,
@@ -39,7 +40,7 @@ def make_run_steps(effects, real, ny, stride):
     update = make_update(effects, real)
     add_local_forces = make_add_local_forces(effects, real)
     moment, attached_force = make_moment(effects, real), make_attached_force(real)
-    membrane_tension = make_membrane_tension(real)
+    membrane_tension, coil_force = make_membrane_tension(real), make_coil_force(effects, real)
     fused = make_fused(real)
     Material, Parameters, (Forcing, Fields) = make_material(real), make_parameters(real), make_state(real)
     size = wp.types.type_size_in_bytes(real)
@@ -224,7 +225,24 @@ def make_run_steps(effects, real, ny, stride):
                 p.decay = decay[i]
             new = update(rate[i], bending, load, inverse_mass[i], p)
             rate[i] = new
-            u[i] = here + new
+            if wp.static(not effects.coils):
+                u[i] = here + new
+                squares[i] = fused(summed * new, new, squares[i])
+
+    @wp.func
+    def add_coils(
+        s: wp.uint64, pressure_at: wp.uint64, u_at: wp.uint64, rate_at: wp.uint64, squares_at: wp.uint64, summed: real
+    ):
+        """Finish the step with the pressure of the coils."""
+        pressure_gain = shared_plane(s, wp.static(plane["pressure_gain"]))
+        pressure = array_at(pressure_at)
+        u = array_at(u_at)
+        rate = array_at(rate_at)
+        squares = array_at(squares_at)
+        for i in range(wp.static(count)):
+            new = rate[i] + pressure_gain[i] * pressure[i]
+            rate[i] = new
+            u[i] = u[i] + new
             squares[i] = fused(summed * new, new, squares[i])
 
     @portable_kernel(max_unroll=1)
@@ -232,7 +250,7 @@ def make_run_steps(effects, real, ny, stride):
         # parameters
         m: Material,  # its along_x padded to ``stride``
         shared: wp.array3d[real],  # (len(SHARED_PLANES), rows, stride); south, north times (hx / hy)²
-        patches: wp.array3d[real],  # (attached masses, rows, stride) shares of the nodes
+        patches: wp.array3d[real],  # (attached masses, then coils, rows, stride) shares of the nodes
         window: wp.vec2i,  # first and last + 1 of the steps whose rate² is summed
         start: int,
         stop: int,
@@ -284,7 +302,7 @@ def make_run_steps(effects, real, ny, stride):
                 for t in range(wp.static(effects.terms)):
                     add_multiple(d.wave[k, n, t], first_load + wp.uint64(t) * term, load)
             if wp.static(effects.attached):
-                for o in range(patches.shape[0]):
+                for o in range(m.attached.shape[0]):
                     shares = patches.ptr + wp.uint64(o) * step + row
                     plate_u = sum_of_products(shares, u_at, retarded)
                     plate_rate = sum_of_products(shares, rate_at, retarded)
@@ -297,6 +315,14 @@ def make_run_steps(effects, real, ny, stride):
                 f.squares.ptr + plane_offset, d.wave[k, n, 0], d.wave[k, n, 1], summed, tension, m.aspect,
                 m.root_aspect,
             )
+            if wp.static(effects.coils):
+                clear(pressure)
+                for c in range(m.coils.shape[0]):
+                    shares = patches.ptr + wp.uint64(m.attached.shape[0] + c) * step + row
+                    plate_u = sum_of_products(shares, u_at, retarded)
+                    plate_rate = sum_of_products(shares, rate_at, retarded)
+                    add_multiple(coil_force(d, f, m, k, c, n, plate_u, plate_rate), shares, pressure)
+                add_coils(shared.ptr, pressure, u_at, rate_at, f.squares.ptr + plane_offset, summed)
             for traced in range(f.nodes.shape[0]):
                 f.trace[k, traced, n] = f.u[k, f.nodes[traced, 0], f.nodes[traced, 1]]
         restore_denormals(before)

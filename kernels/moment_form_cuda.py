@@ -12,7 +12,9 @@ from functools import cache
 import warp as wp
 
 from warp_plate.kernels.arithmetic import make_fused
+from warp_plate.kernels.coils import make_coil_force
 from warp_plate.kernels.cuda import LANES, barrier, cuda_kernel, make_from_lane, opaque, shared_memory
+from warp_plate.kernels.edges import BOTTOM, FLAG_BITS, LEFT, LOADED, RIGHT, TOP, make_edges
 from warp_plate.kernels.plans import MATERIAL_PLANES, NODES_PER_WORD, material_planes, workspace_layout
 from warp_plate.kernels.update import (
     make_add_local_forces,
@@ -24,76 +26,23 @@ from warp_plate.kernels.update import (
     make_state,
     make_travelling_pressure,
     make_update,
-)
-
-# Bits of a node's flags: the edges on which it lies, and LOADED where some load field is not zero.
-LEFT, RIGHT, BOTTOM, TOP, LOADED = 1, 2, 4, 8, 16
-FLAG_BITS = 5
+)  # fmt: skip
 
 
 @cache
-def make_edges(real, nx, ny):
-    """Make edge_flags, sum_of_neighbours and twist_factor for plates of nx × ny nodes."""
-
-    @wp.func
-    def edge_flags(i: int):
-        """Return the edges, LEFT … TOP, on which node i lies; nodes are counted row after row."""
-        line = i // nx
-        column = i - line * nx
-        edges = int(0)
-        if column == 0:
-            edges = edges | LEFT
-        if column == wp.static(nx - 1):
-            edges = edges | RIGHT
-        if line == 0:
-            edges = edges | BOTTOM
-        if line == wp.static(ny - 1):
-            edges = edges | TOP
-        return edges
-
-    @wp.func
-    def sum_of_neighbours(x: wp.array[real], at: int, low: int, high: int, flags: int, step: int):
-        """Add the neighbours ``step`` before and after a node; on the edge ``low`` or ``high``, twice the inner one.
-
-        By selection: a factor would have to be read, and 0 · NaN is NaN.
-        """
-        before = x[at - step]
-        after = x[at + step]
-        mirrored = after
-        if (flags & high) != 0:
-            mirrored = before
-        if (flags & low) != 0:
-            before = after
-        return before + mirrored
-
-    @wp.func
-    def twist_factor(flags: int, root_aspect: real):
-        """Return the factor of the twists around a node: on an edge, half its cells are mirror images."""
-        factor = root_aspect
-        if (flags & (LEFT | RIGHT)) != 0:
-            factor = real(2.0) * factor
-        if (flags & (BOTTOM | TOP)) != 0:
-            factor = real(2.0) * factor
-        return factor
-
-    return edge_flags, sum_of_neighbours, twist_factor
-
-
-@cache
-def make_run_steps(effects, real, nx, ny, stride, attached, block):
+def make_run_steps(effects, real, nx, ny, stride, attached, block, coils=0):
     """Make the kernel that runs steps ``start`` … ``stop`` − 1; launch over (plates × threads,) in blocks."""
     update, add_local_forces = make_update(effects, real), make_add_local_forces(effects, real)
     moment, attached_force = make_moment(effects, real), make_attached_force(real)
     membrane_tension, travelling_pressure = make_membrane_tension(real), make_travelling_pressure(real)
-    from_lane, Parameters = make_from_lane(real), make_parameters(real)
+    from_lane, Parameters, coil_force = make_from_lane(real), make_parameters(real), make_coil_force(effects, real)
     Material, (Forcing, Fields) = make_material(real), make_state(real)
     edge_flags, sum_of_neighbours, twist_factor = make_edges(real, nx, ny)
     fused, size = make_fused(real), wp.types.type_size_in_bytes(real)
     threads, nodes_per_thread, held, shared = block.threads, block.nodes, block.in_registers, material_planes(effects)
     count, padded, warps = nx * ny, threads * nodes_per_thread, -(-threads // LANES)
     state_size, words = ny * stride, -(-nodes_per_thread // NODES_PER_WORD)
-    has_sums = effects.membrane or effects.attached
-    offsets = workspace_layout(nx, attached, block)
+    offsets = workspace_layout(nx, attached + coils, block)
     u_at, mx_at, my_at, mxy_at = (offsets[name] for name in ("u", "mx", "my", "mxy"))
     retarded_at, curvature_at = offsets.get("retarded_u", u_at), offsets.get("membrane_curvature", 0)
     partial_sums, totals, workspace_size = offsets["partial_sums"], offsets["totals"], offsets["end"]
@@ -154,6 +103,13 @@ def make_run_steps(effects, real, nx, ny, stride, attached, block):
         return wp.array(ptr=address, shape=(state_size,), dtype=real)
 
     @wp.func
+    def read_rate(h: Held, rates: wp.array[real], m: int, i: int):
+        if wp.static("rate" in held):
+            return h[rate_row, m]
+        else:
+            return rates[state_index(i)]
+
+    @wp.func
     def load_value(address: wp.uint64, at: int):
         return state_array(address)[at]
 
@@ -177,12 +133,23 @@ def make_run_steps(effects, real, nx, ny, stride, attached, block):
         else:
             x[totals + which] = membrane_tension(d, p, k, total)
 
+    @wp.func
+    def finish_coil(d: Forcing, f: Fields, p: Material, x: wp.array[real], k: int, c: int, n: int):
+        """Compute the force of a coil from the sums of the warps, and move its magnet."""
+        first = wp.static(partial_sums + (2 * attached + 1) * warps) + 2 * c * warps
+        patch_u = real(0.0)
+        patch_rate = real(0.0)
+        for w in range(warps):
+            patch_u += x[first + w]
+            patch_rate += x[first + warps + w]
+        x[wp.static(totals + attached + 1) + c] = coil_force(d, f, p, k, c, n, patch_u, patch_rate)
+
     @cuda_kernel(block.registers, max_unroll=max(5, nodes_per_thread if held else 1))
     def run_steps(
         # parameters
         p: Material,
         shared_planes: wp.array2d[real],  # (material planes, threads × nodes), zero beyond the plate
-        patches: wp.array2d[real],  # (attached masses, threads × nodes) shares of the nodes, zero beyond the plate
+        patches: wp.array2d[real],  # (attached masses, coils; threads × nodes) shares of nodes, zero beyond the plate
         window: wp.vec2i,  # first and last + 1 of the steps whose rate² is summed
         start: int,
         stop: int,
@@ -299,17 +266,14 @@ def make_run_steps(effects, real, nx, ny, stride, attached, block):
                         share = patches[o, i]
                         if share != real(0.0):
                             patch_u += share * x[i + u_at]
-                            if wp.static("rate" in held):
-                                patch_rate += share * h[rate_row, m]
-                            else:
-                                patch_rate += share * plate_rate[state_index(i)]
+                            patch_rate += share * read_rate(h, plate_rate, m, i)
                     patch_u = sum_of_warp(patch_u, lane)
                     patch_rate = sum_of_warp(patch_rate, lane)
                     if lane == 0:
                         x[partial_sums + 2 * o * warps + warp] = patch_u
                         x[wp.static(partial_sums + warps) + 2 * o * warps + warp] = patch_rate
             barrier()
-            if wp.static(has_sums):
+            if wp.static(effects.membrane or effects.attached):
                 # A thread for each attached mass, and one for the membrane.
                 for which in range(thread, wp.static(attached + int(effects.membrane)), threads):
                     finish_sum(d, f, p, x, k, which)
@@ -336,11 +300,7 @@ def make_run_steps(effects, real, nx, ny, stride, attached, block):
                 bending += factor * ((x[i + mxy_at - nx - 1] - x[i + mxy_at - 1]) - x[i + mxy_at - nx])
 
                 here = read_u(h, x, m, i)
-                before = real(0.0)
-                if wp.static("rate" in held):  # noqa: SIM108, one of the two is compiled
-                    before = h[rate_row, m]
-                else:
-                    before = plate_rate[state_index(i)]
+                before = read_rate(h, plate_rate, m, i)
                 load = real(0.0)
                 if (flags & LOADED) != 0:
                     for t in range(wp.static(effects.terms)):
@@ -368,21 +328,61 @@ def make_run_steps(effects, real, nx, ny, stride, attached, block):
                 if wp.static(effects.damping):
                     parameters.decay = read_decay(h, planes, m, i)
                 new = update(before, bending, load, inverse_mass, parameters)
-                if wp.static("u" in held):
-                    h[u_row, m] = here + new
-                x[i + u_at] = here + new
-                if wp.static(effects.retarded):
-                    x[i + retarded_at] = (here + new) + p.retardation * new
                 if wp.static("rate" in held):
                     h[rate_row, m] = new
                 elif i < count:
                     plate_rate[state_index(i)] = new
-                if summed:
-                    if wp.static("squares" in held):
-                        h[squares_row, m] = h[squares_row, m] + new * new
-                    elif i < count:
-                        plate_squares[state_index(i)] = plate_squares[state_index(i)] + new * new
+                if wp.static(not effects.coils):
+                    if wp.static("u" in held):
+                        h[u_row, m] = here + new
+                    x[i + u_at] = here + new
+                    if wp.static(effects.retarded):
+                        x[i + retarded_at] = (here + new) + p.retardation * new
+                    if summed:
+                        if wp.static("squares" in held):
+                            h[squares_row, m] = h[squares_row, m] + new * new
+                        elif i < count:
+                            plate_squares[state_index(i)] = plate_squares[state_index(i)] + new * new
             barrier()
+            if wp.static(effects.coils):
+                for c in range(coils):
+                    patch_u = real(0.0)
+                    patch_rate = real(0.0)
+                    for m in range(nodes_per_thread):
+                        i = thread + m * threads
+                        patch_u += patches[attached + c, i] * x[i + u_at]
+                        patch_rate += patches[attached + c, i] * read_rate(h, plate_rate, m, i)
+                    patch_u = sum_of_warp(patch_u, lane)
+                    patch_rate = sum_of_warp(patch_rate, lane)
+                    if lane == 0:
+                        x[wp.static(partial_sums + (2 * attached + 1) * warps) + 2 * c * warps + warp] = patch_u
+                        x[wp.static(partial_sums + (2 * attached + 2) * warps) + 2 * c * warps + warp] = patch_rate
+                barrier()
+                for c in range(thread, coils, threads):
+                    finish_coil(d, f, p, x, k, c, n)
+                barrier()
+                for m in range(nodes_per_thread):
+                    i = thread + m * threads
+                    pressure = real(0.0)
+                    for c in range(coils):
+                        pressure += patches[attached + c, i] * x[wp.static(totals + attached + 1) + c]
+                    here = read_u(h, x, m, i)
+                    new = read_rate(h, plate_rate, m, i) + read_pressure_gain(h, planes, m, i) * pressure
+                    if wp.static("rate" in held):
+                        h[rate_row, m] = new
+                    elif i < count:
+                        plate_rate[state_index(i)] = new
+                    if wp.static("u" in held):
+                        h[u_row, m] = here + new
+                    x[i + u_at] = here + new
+                    if wp.static(effects.retarded):
+                        x[i + retarded_at] = (here + new) + p.retardation * new
+                    if summed:
+                        if wp.static("squares" in held):
+                            h[squares_row, m] = h[squares_row, m] + new * new
+                        elif i < count:
+                            plate_squares[state_index(i)] = plate_squares[state_index(i)] + new * new
+                barrier()
             for traced in range(thread, nodes.shape[0], threads):
                 # A row of zeros lies below the plate.
                 trace[k, traced, n] = x[u_at + (nodes[traced, 0] - 1) * nx + nodes[traced, 1]]

@@ -162,7 +162,7 @@ class BlockPlan:
 
 
 def workspace_layout(nx, attached, block):
-    """Return the offsets of a block's workspace by name, in numbers.
+    """Return the offsets of a block's workspace by name, in numbers; ``attached`` counts masses and coils.
 
     Each plane, with a margin before and after it; then ``partial_sums`` of each warp, the ``totals`` computed from
     them, and the ``flags`` of the nodes. ``end`` is the size of the workspace.
@@ -183,7 +183,7 @@ def material_planes(effects):
         "decay": effects.damping,
         "spring": effects.springs,
         "weight": effects.membrane,
-        "pressure_gain": effects.attached or effects.travelling,
+        "pressure_gain": effects.attached or effects.coils or effects.travelling,
         "centre_x": effects.outline,
         "centre_y": effects.outline,
     }
@@ -207,7 +207,7 @@ def plan_block(nx, ny, real, effects, attached, few, shared_bytes):
     """
     warps = -(-nx * ny // LANES)
     words = 1 if real is wp.float32 else 2
-    if few and not (effects.membrane or effects.attached):
+    if few and not (effects.membrane or effects.attached or effects.coils):
         threads, blocks = LANES * min(32, warps), 1
     else:
         threads = LANES * min(32, -(-warps // (3 if warps <= 3 * 12 else 6)))

@@ -47,6 +47,7 @@ class KernelEffects:
     springs: bool = False  # Elastic bed or elastic edges
     membrane: bool = False  # Tension that grows with the deflection (Berger)
     attached: bool = False  # Masses on springs
+    coils: bool = False  # Coils on patches
     travelling: bool = False  # A load that travels over the plate
     outline: bool = False  # Curvatures next to the outline reach to it, between two nodes
 
@@ -81,6 +82,7 @@ def make_state(real):
         quadrature: wp.array3d[real]
         units: wp.array[real]  # (plates,) displacement [m] of a unit of u
         travelling: wp.array[real]  # (plates,) strength of the load that travels
+        coefficients: wp.array3d[real]  # (plates, terms, actuators) factors of the waves in each actuator's drive
 
     @wp.struct
     class Fields:
@@ -88,6 +90,7 @@ def make_state(real):
         rate: wp.array3d[real]  # displacement gained in a step
         squares: wp.array3d[real]  # sum of rate² over the steps of the window
         attached: wp.array3d[real]  # (plates, attached masses, 2) their displacements and rates
+        coils: wp.array3d[real]  # (plates, coils, numbers of the state), see ``coils``
         nodes: wp.array2d[int]  # (traced nodes, 2) row, column
         trace: wp.array3d[real]  # (plates, traced nodes, steps) displacements
 
@@ -115,6 +118,8 @@ def make_material(real):
         along_y: wp.array2d[real]  # (steps, ny)
         attached_shares: wp.array3d[real]  # (attached masses, ny, nx) shares of the nodes in each one's patch
         attached: wp.array2d[real]  # (attached masses, 4) stiffness, damping, 1 / mass, 0
+        coils: wp.array2d[real]  # (coils, numbers), see ``coils``
+        coil_actuators: wp.array[int]  # (coils,) indices of their actuators
         aspect: real  # (hx / hy)²
         root_aspect: real  # hx / hy
         in_plane_x: real

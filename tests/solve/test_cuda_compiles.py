@@ -29,7 +29,7 @@ SHARED_BYTES = 224 * 1024
 KERNELS = Path(__file__).parents[2] / "kernels"
 # Plates (nx, ny, stride) for a warp, for a block, for a block with sums in shared memory, and for no multiprocessor.
 SMALL, LARGE, LARGEST, HUGE = (27, 27, 32), (41, 43, 48), (97, 89, 112), (257, 129, 272)
-ALONE = ("retarded", "in_plane", "springs", "membrane", "attached", "travelling", "outline")
+ALONE = ("retarded", "in_plane", "springs", "membrane", "attached", "coils", "travelling", "outline")
 EVERYTHING = KernelEffects(True, True, 2, terms=5, moments=True, **dict.fromkeys(ALONE, True))
 FEW = [KernelEffects(True, True, 2), KernelEffects(True, True, 4), EVERYTHING]
 PLAIN = itertools.product((False, True), ((False, 2), (True, 2), (True, 4)))
@@ -65,11 +65,11 @@ def cuda_factories(effects, real):
         yield loads.make_weigh_spans, option
         yield loads.make_write_tones, real, option
     if not effects.plain:
-        oscillators = 2 if effects.attached else 0
+        oscillators, coils = 2 if effects.attached else 0, 3 if effects.coils else 0
         for nx, ny, stride in (SMALL, HUGE):
-            plan = plans.plan_block(nx, ny, real, effects, oscillators, few=False, shared_bytes=SHARED_BYTES)
+            plan = plans.plan_block(nx, ny, real, effects, oscillators + coils, few=False, shared_bytes=SHARED_BYTES)
             assert plan.on_chip == bool(plan.in_registers) == (nx < HUGE[0])
-            yield moment_form_cuda.make_run_steps, effects, real, nx, ny, stride, oscillators, plan
+            yield moment_form_cuda.make_run_steps, effects, real, nx, ny, stride, oscillators, plan, coils
         planes = plans.material_planes(effects)
         for levels, summed in ((1, True), (1, False)) if effects.membrane else ((2, True), (3, True), (1, False)):
             yield moment_form_blocking.make_advance_tiles, effects, real, *LARGE, planes, levels, summed

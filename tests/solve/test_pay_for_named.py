@@ -18,6 +18,7 @@ LINES = {
     "springs": "inverse_mass * (spring * u)",
     "membrane": "m.membrane * d.units",
     "attached": "mass_rate - patch_rate",
+    "coils": "new = rate[i] + pressure_gain[i] * pressure[i]",
     "travelling": "along_y[row] * along_x",
     "outline": "own_x = centre_x[i]",
     "damping": "p.decay * rate",

@@ -13,6 +13,12 @@ r is (v⁺ + v)/2 (centred) or v (backward); τ the retardation of the material.
 of its patch; it pushes the plate with p = k (z − sᵀu) + d (ż − sᵀv) and itself with −p/m. A plate that stretches
 adds Berger's force N = B·uᵀLu, L being the matrix of −(∂xx + κ∂yy) times areas, with B and κ of ``plate.bending``.
 The load of the first step is halved (see ``plate.signals``).
+
+With coils, v⁺, the magnets' rates and the currents are the solution of one dense system by the trapezoidal rule for all
+that depends on rates and currents: with w = (sᵀv⁺ + sᵀv − ż⁺ − ż)/2 and j = (i⁺ + i)/2,
+
+    M (v⁺ − v)/Δt = F(n) + Σ s p,   p = Bl j − k (sᵀu − z) − r w − m sᵀ(v⁺ − v)/Δt,
+    Mm (ż⁺ − ż)/Δt = −Bl j + k (sᵀu − z) + r w − κ z − ρ (ż⁺ + ż)/2,   L (i⁺ − i)/Δt + R j + Bl w = V.
 """
 
 from __future__ import annotations
@@ -202,19 +208,23 @@ def run_moment_form(scene: Scene, drives: np.ndarray) -> History:
     # Nodes are rows, plates are columns.
     u, v = np.zeros((nx * ny, plates)), np.zeros((nx * ny, plates))
     z, speed = np.zeros((len(m.attached), plates)), np.zeros((len(m.attached), plates))
+    assert scheme.bending is not None
+    circuits = np.zeros((3, len(scheme.bending.coils), plates))  # magnets, their rates, currents
     history, masses = np.zeros((scheme.steps + 1, *u.shape)), np.zeros((scheme.steps + 1, *z.shape))
     for n in range(scheme.steps):
         force = pressed.T @ forces[n].T + travel[n][:, None] - m.bending @ (u + m.retardation * v) - m.other @ u
         push = m.springs[:, None] * (z - m.shares @ u) + m.dampers[:, None] * (speed - m.shares @ v)
         force += m.shares.T @ push - m.berger * np.einsum("kp,kp->p", u, m.slopes @ u) * (m.slopes @ u)
-        v = next_rate(m, v, force, step, scheme.backward)
+        if scheme.bending.coils:
+            v, circuits = with_coils(m, scheme, v, u, force, circuits, forces[n])
+        else:
+            v = next_rate(m, v, force, step, scheme.backward)
         u = u + step * v
         speed = speed - step * inverse(m.attached)[:, None] * push
         z = z + step * speed
         history[n + 1], masses[n + 1] = u, z
     first, last = scheme.window
     squares = (np.diff(history[first : last + 1], axis=0) ** 2).mean(axis=0) / step**2
-    assert scheme.bending is not None
     weights = 0.5 * cell * (region_weights(scene) * scheme.bending.mass).reshape(-1, nx * ny)
     displacement = np.moveaxis(history, 2, 0).reshape(plates, scheme.steps + 1, ny, nx)
     return History(displacement, np.moveaxis(masses, 2, 0), (weights @ squares).T)
@@ -228,6 +238,60 @@ def next_rate(m: Matrices, rate: np.ndarray, force: np.ndarray, step: float, bac
     else:
         new = ((mass - half) * rate + step * force) / (mass + half)
     return np.where(m.moves[:, None], new, 0.0)
+
+
+def with_coils(
+    m: Matrices,
+    scheme: Scheme,
+    rate: np.ndarray,
+    u: np.ndarray,
+    force: np.ndarray,
+    circuits: np.ndarray,
+    sources: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return v (nodes, plates) a step later [m/s], and magnets, their rates and currents (3, coils, plates); force as
+    in :func:`next_rate` without coils, sources (plates, actuators) [V or A]."""
+    assert scheme.bending is not None
+    step, coils, nodes = scheme.time_step, scheme.bending.coils, len(rate)
+    size = nodes + 2 * len(coils)
+    viscous = m.viscous / 2
+    new, old = np.zeros((size, size)), np.zeros((size, size))  # new · x⁺ = old · x + given
+    ahead, behind = (0 * viscous, 2 * viscous) if scheme.backward else (viscous, viscous)
+    new[range(nodes), range(nodes)] = m.mass / step + ahead
+    old[range(nodes), range(nodes)] = m.mass / step - behind
+    given = np.concatenate([force, np.zeros((2 * len(coils), force.shape[1]))])
+    for index, mounted in enumerate(coils):
+        coil, magnet, current = mounted.coil, nodes + index, nodes + len(coils) + index
+        patch, stroke = np.zeros(size), np.zeros(size)
+        patch[:nodes] = stroke[:nodes] = mounted.share.ravel()
+        stroke[magnet] = -1
+        inertia = coil.moving_mass / step * np.outer(patch, patch)
+        inertia[magnet, magnet] += coil.magnet_mass / step
+        loss = coil.suspension_damping / 2 * np.outer(stroke, stroke)
+        loss[magnet, magnet] += coil.magnet_damping / 2
+        new, old = new + inertia + loss, old + inertia - loss
+        new[:, current] -= coil.force_factor * stroke / 2
+        old[:, current] += coil.force_factor * stroke / 2
+        given[:size] -= coil.suspension_stiffness * stroke[:, None] * (patch[:nodes] @ u - circuits[0, index])
+        given[magnet] -= coil.magnet_stiffness * circuits[0, index]
+        if mounted.by_voltage:
+            inductance, half = coil.inductance / step, coil.resistance / 2
+            new[current] += coil.force_factor * stroke / 2
+            old[current] -= coil.force_factor * stroke / 2
+            new[current, current], old[current, current] = inductance + half, inductance - half
+        else:
+            new[current, current] = old[current, current] = 0.5
+            old[current, current] = -0.5
+        given[current] = sources[:, mounted.actuator]
+        if not coil.magnet_mass:
+            new[magnet], old[magnet], given[magnet] = 0, 0, 0
+            new[magnet, magnet] = 1
+    held = np.flatnonzero(~m.moves)
+    new[held], old[held], given[held] = 0, 0, 0
+    new[held, held] = 1
+    x = np.linalg.solve(new, old @ np.concatenate([rate, *circuits[1:]]) + given)
+    moved = x[nodes : nodes + len(coils)]
+    return x[:nodes], np.stack([circuits[0] + step * moved, moved, x[nodes + len(coils) :]])
 
 
 def inverse(masses: np.ndarray) -> np.ndarray:

@@ -154,9 +154,10 @@ def _table(scene: Scene) -> Focus:
         raise SceneError("focus: there is no such table; write [focus] with points = [[x, y]] and highest, in Hz")
     if scene.nonlinear_table is not None:
         raise SceneError(f"{scene.nonlinear_table}: waveforms are focused on a linear plate without it")
+    for index in scene.coil_indices[:1]:
+        raise SceneError(f"actuators[{index}].kind: waveforms are focused by actuators that press, or piezo patches")
     if scene.steady:
-        instead = "take viscous damping or effects.modal_damping" if scene.effects.first(lambda one: one.steady) else ""
-        rule = instead or "waveforms are focused by actuators that press, or piezo patches"
+        rule = "take viscous damping or effects.modal_damping"
         raise SceneError(f"{scene.steady_key}: has no motion in time; {rule}")
     return scene.focus
 

@@ -21,6 +21,7 @@ import numpy as np
 import scipy
 
 from warp_plate.effects.effect import DISPLACEMENT, IN_PLANE, SLOPE, Attachment, Edge, Patch, Term, attachments
+from warp_plate.plate.coils import MountedCoil, mounted_coils
 from warp_plate.plate.outline_grid import OutlineGrid, outline_grid
 from warp_plate.plate.section import Section, make_section
 from warp_plate.plate.weights import EDGE_LINES, covered_cells, moving_nodes, on_plate
@@ -51,6 +52,7 @@ class Bending:
     attachments: Sequence[Attachment] = ()  # Masses, springs and dampers on patches
     # (attachments, ny, nx) shares of the nodes in the mean displacement of each patch
     shares: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    coils: Sequence[MountedCoil] = ()  # Coils on patches
     labels: Mapping[str, str] = field(default_factory=dict)  # Names of ``membrane`` and ``retardation`` in texts
     # Grid of a plate with an outline, where ``weight`` is the area of a node in cells; None for a rectangle
     grid: OutlineGrid | None = None
@@ -59,6 +61,11 @@ class Bending:
     def spring(self) -> np.ndarray:
         """(ny, nx) all springs per area [N/m³]."""
         return sum(self.springs.values(), start=np.zeros_like(self.mass))
+
+    @property
+    def patch_shares(self) -> np.ndarray:
+        """(attachments, then coils, ny, nx) shares of the nodes in the mean displacement of each patch."""
+        return np.concatenate([self.shares.reshape(-1, *self.mass.shape), *(coil.share[None] for coil in self.coils)])
 
     @property
     def cell(self) -> float:
@@ -102,7 +109,8 @@ def make_bending(scene: Scene) -> Bending:
 def _complete(scene: Scene, bare: Bending) -> Bending:
     """Return the plate with the terms of edges and effects, and what is attached."""
     attached = attachments(scene.terms)
-    return replace(_with_terms(bare, scene.terms), attachments=attached, shares=_patch_shares(scene, attached))
+    terms = _with_terms(bare, scene.terms)
+    return replace(terms, attachments=attached, shares=_patch_shares(scene, attached), coils=mounted_coils(scene))
 
 
 def _of_cells(corners: np.ndarray) -> np.ndarray:

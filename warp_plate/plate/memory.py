@@ -61,7 +61,7 @@ def grid_bytes(scene: Scene, moment_form: bool) -> float:
     terms, nodes = scene.terms, math.prod(scene.grid.nodes)
     bytes_a_node = PLAIN + 16.0 * (len(scene.actuators) + CASES * len(scene.record.times))
     if moment_form:
-        attached = attachments(terms)
+        attached = [*attachments(terms), *scene.coil_indices]
         bytes_a_node += MOMENT_FORM + 32 * len(attached)
         bytes_a_node += MATRICES * bool(scene.layers or attached)
         bytes_a_node += FACTORISED * any(term.role == "stiffness" and term.coefficient < 0 for term in terms)

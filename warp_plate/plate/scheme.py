@@ -19,6 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from warp_plate.plate.bending import Bending
+from warp_plate.plate.coils import check_apart
 from warp_plate.plate.designs import NO_PER_PLATE, PerPlate, carriers_of
 from warp_plate.plate.memory import check_grid_memory, check_steps_memory
 from warp_plate.plate.operator import DIVISOR, Taps, plain_taps
@@ -116,6 +117,8 @@ def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = 
         scene.check_stepped()
     surface_density = plate.density * plate.thickness
     stability, bending = find_limit(scene, moment_form)
+    if stepped and bending is not None:
+        check_apart(scene, bending.coils)
     time_step = _time_step(scene, stability.time_step, allow_unstable, stepped)
     viscous, backward = viscous_damping(scene)
     loss = viscous / surface_density * time_step

@@ -80,11 +80,15 @@ def find_limit(scene: Scene, moment_form: bool = False) -> tuple[StabilityLimit,
     pressed = replace(bending, membrane=(min(x, 0.0), min(y, 0.0)))
     if min(x, y) < 0 and buckling_factor(pressed) <= 1 and (factor := buckling_factor(bending)) <= 1:
         raise buckled(bending.labels["membrane"], bending.membrane, factor)
-    if _homogeneous(bending) and not bending.attachments and min(scene.grid.nodes) >= FORMULA_NODES:
+    if _homogeneous(bending) and not (bending.attachments or bending.coils) and min(scene.grid.nodes) >= FORMULA_NODES:
         return _by_formula(*_largest_of_homogeneous(scene, bending)), bending
-    stiff, losses = _named_matrices(scene, bending)
-    masses = moving_masses(bending)
-    return _by_matrices(scene, stiff, losses, masses, np.flatnonzero(bending.moves)), bending
+    sprung = replace(
+        bending,
+        attachments=[*bending.attachments, *(coil.springs for coil in bending.coils)],
+        shares=bending.patch_shares,
+    )
+    stiff, losses = _named_matrices(scene, sprung)
+    return _by_matrices(scene, stiff, losses, _root_of_inverse_mass(sprung), np.flatnonzero(bending.moves)), bending
 
 
 def viscous_damping(scene: Scene) -> tuple[float, bool]:
@@ -96,7 +100,7 @@ def needs_moment_form(scene: Scene) -> bool:
     """Return whether a scene is more than a uniform plate with viscous damping under one carrier."""
     beside = scene.effects.stretches or scene.effects.travelling or scene.drive.electrostatic
     beyond = bool(beside) or waves_apart(scene) > 1 or not all(_of_plain_plate(term) for term in scene.terms)
-    return beyond or not scene.uniform
+    return beyond or scene.coils_in_time or not scene.uniform
 
 
 def _of_plain_plate(term: Term) -> bool:
@@ -125,7 +129,8 @@ def _limit_of_plain_plate(scene: Scene) -> StabilityLimit:
     matrix = biharmonic(*plain_taps(scene), spacing, order)
     inner = np.add.outer(nx * np.arange(1, ny - 1), np.arange(1, nx - 1)).ravel()
     losses = {"backward damping": loss * scipy.sparse.eye_array(matrix.shape[0])}
-    return _by_matrices(scene, {"bending": kappa_squared * matrix}, losses, np.ones(matrix.shape[0]), inner)
+    one = scipy.sparse.diags_array(np.ones(matrix.shape[0]))
+    return _by_matrices(scene, {"bending": kappa_squared * matrix}, losses, one, inner)
 
 
 def _root(stiff: float, loss: float) -> float:
@@ -143,16 +148,16 @@ def _by_formula(stiff: Mapping[str, float], losses: Mapping[str, float]) -> Stab
 
 
 def _by_matrices(
-    scene: Scene, stiff: Matrices, losses: Matrices, masses: np.ndarray, nodes: np.ndarray
+    scene: Scene, stiff: Matrices, losses: Matrices, root: scipy.sparse.sparray, nodes: np.ndarray
 ) -> StabilityLimit:
-    """Return the limit from parts of K and C, whose first unknowns are these nodes of the grid, counted row by row.
+    """Return the limit from parts of K and C, whose first unknowns are these nodes of the grid, counted row by row, and
+    a root R of M⁻¹ = RRᵀ.
 
     The largest eigenvalue of A(Δt) rises with Δt as a maximum of quadratics, so that the root of the quadratic of its
     eigenvector is too long a step and the next try closer (Newton's method).
     """
-    root = scipy.sparse.diags_array(1 / np.sqrt(masses))
-    stiffness = scipy.sparse.csr_array(root @ sum(stiff.values()) @ root)
-    loss = root @ sum(losses.values(), start=0 * stiffness) @ root
+    stiffness = scipy.sparse.csr_array(root.T @ sum(stiff.values()) @ root)
+    loss = root.T @ sum(losses.values(), start=0 * stiffness) @ root
     step = 1 / math.sqrt(abs(stiffness).sum(axis=1).max())
     for _ in range(MOST_SOLVES):
         largest, vector = _largest_eigenpair(step**2 * stiffness + 2 * step * loss)
@@ -165,7 +170,7 @@ def _by_matrices(
     node = nodes[np.argmax(np.abs(shape[: len(nodes)]))]
     (nx, ny), size = scene.grid.nodes, scene.plate.size
     # A shorter step lowers the eigenvalue by its own part at least, without losses by twice that.
-    over = max(1.0, largest / 4) * (1 + (DENSE_MARGIN if len(masses) <= DENSE else MARGIN))
+    over = max(1.0, largest / 4) * (1 + (DENSE_MARGIN if root.shape[0] <= DENSE else MARGIN))
     return StabilityLimit(
         time_step=step / (over if loss.nnz else math.sqrt(over)),
         shares={name: share for name, share in shares.items() if abs(share) > 1e-6},
@@ -210,9 +215,33 @@ def _named_matrices(scene: Scene, bending: Bending) -> tuple[Matrices, Matrices]
         springs = [attachment.stiffness if attachment else 0.0 for attachment in of_label]
         dampers = [attachment.damping if attachment else 0.0 for attachment in of_label]
         stiff[f"{label}s"] = with_attachments(bending, nothing, springs)
+        if label == "coil":
+            stiff["coils"] = stiff["coils"] + scipy.sparse.diags_array(_springs_of_magnets(bending))
         if any(dampers):
             losses[f"dampers of {label}s"] = with_attachments(bending, nothing, dampers)
     return stiff, losses
+
+
+def _springs_of_magnets(bending: Bending) -> np.ndarray:
+    """Return (unknowns,) springs [N/m] between the attached masses and a frame."""
+    magnets = [coil.coil.magnet_stiffness for coil in bending.coils if coil.coil.magnet_mass > 0]
+    springs = np.zeros(moving_masses(bending).size)
+    springs[springs.size - len(magnets) :] = magnets
+    return springs
+
+
+def _root_of_inverse_mass(bending: Bending) -> scipy.sparse.sparray:
+    """Return a root R of M⁻¹ = RRᵀ with the moving masses m of coils, whose patches are apart: with the masses M₀ of
+    nodes and a = M₀^(−½) s of shares s, R = M₀^(−½) (1 + m aaᵀ)^(−½) = M₀^(−½) (1 + ((1 + m aᵀa)^(−½) − 1) aaᵀ/aᵀa)."""
+    masses, moves = moving_masses(bending), bending.moves.ravel()
+    root = scipy.sparse.diags_array(1 / np.sqrt(masses))
+    for coil in bending.coils:
+        share = np.pad(coil.share.ravel()[moves], (0, masses.size - moves.sum())) / np.sqrt(masses)
+        if coil.coil.moving_mass > 0 and (square := float(share @ share)) > 0:
+            row = scipy.sparse.csr_array(share[None])
+            factor = (1 / math.sqrt(1 + coil.coil.moving_mass * square) - 1) / square
+            root = root + factor * (root @ row.T) @ row
+    return root
 
 
 def _homogeneous(bending: Bending) -> bool:

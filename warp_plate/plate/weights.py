@@ -90,13 +90,14 @@ def patches(scene: Scene) -> np.ndarray:
     """Return (actuators, ny, nx) load of each node's cell per unit of each actuator's drive; held nodes take none.
 
     That is the share of the cell which a patch presses on, or the load per volt of a piezo patch, −M ∇² of its area in
-    the weak sense [N/m² per V]. SceneError: an actuator touches no node that can move.
+    the weak sense [N/m² per V]; and zero of coils, see ``plate.coils``. SceneError: an actuator touches no node that
+    can move.
     """
     weigh = {"overlap": overlap, "nodes": inside, "moments": moments}[scene.grid.load]
     x, y = node_positions(scene)
     if scene.piezo:  # no load in all, near an outline as elsewhere
         pairs = zip(scene.piezo_moments, scene.actuators, strict=True)
-        fields = np.stack([-moment * curvatures(x, y, actuator.box) for moment, actuator in pairs])
+        fields = np.stack([-(moment or 1.0) * curvatures(x, y, actuator.box) for moment, actuator in pairs])
     else:
         fields = np.stack([on_plate(scene, covered_cells(scene, actuator, weigh)) for actuator in scene.actuators])
     fields[:, ~moving_nodes(scene)] = 0
@@ -106,6 +107,7 @@ def patches(scene: Scene) -> np.ndarray:
                 f"actuators[{index}].{scene.actuators[index].description}: covers no node that can move on "
                 f'a grid of {x.size} x {y.size} nodes; enlarge it, use more nodes, or load = "overlap"'
             )
+    fields[scene.coil_indices] = 0
     return fields
 
 

@@ -302,8 +302,8 @@ class SceneTables(Table):
 
     def _unstepped(self) -> Iterator[tuple[str, str, str]]:
         """Yield the keys that have no time steps, what of each, and what else to do about it."""
-        for index in self.coil_indices[:1]:
-            yield f"actuators[{index}].kind", "a coil ", ""
+        if (key := self.lossy_inductance_key) is not None:
+            yield key, "a lossy inductance ", ", or write eddy_resistance = [0, 0] and eddy_reactance = [0, 0]"
         if self.search.sound_key is not None:
             yield self.search.sound_key, "", ""
         if self.supports:
@@ -342,6 +342,11 @@ class SceneTables(Table):
             if key is not None:
                 return f"actuators[{index}].{key}"
         return None
+
+    @property
+    def coils_in_time(self) -> bool:
+        """True if the scene has coils that move in time."""
+        return bool(self.coil_indices) and self.lossy_inductance_key is None
 
     @property
     def nonharmonic_key(self) -> str | None:

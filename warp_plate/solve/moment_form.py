@@ -9,6 +9,7 @@ from warp_plate.kernels import moment_form_blocking, moment_form_cpu, moment_for
 from warp_plate.kernels import update as structs
 from warp_plate.kernels.cuda import LANES
 from warp_plate.solve import cuda
+from warp_plate.solve.coils import coil_numbers
 from warp_plate.solve.cpu import distribute
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import Advance, State, attached_masses
@@ -57,13 +58,16 @@ def make_material(specialized: Specialized) -> Any:
         "weight": weight,
         "centre_x": centre_x,
         "centre_y": centre_y,
-        "attached_shares": bending.shares,
+        "attached_shares": bending.patch_shares,
         "attached": np.array(attached).reshape(-1, 4),
         "strength": moving.wave / moving.largest if moving else np.zeros(1),
         "along_x": moving.along_x if moving else np.zeros((1, 1)),
         "along_y": moving.along_y if moving else np.zeros((1, 1)),
     }
+    arrays["coils"] = coil_numbers(scheme, bending.coils, arrays["inverse_mass"] / weight)
     material = structs.make_material(specialized.real)()
+    actuators = [coil.actuator for coil in bending.coils]
+    material.coil_actuators = wp.array(np.array(actuators, dtype=np.int32), dtype=int, device=specialized.device)
     for name, values in arrays.items():
         setattr(material, name, specialized.to_device(values))
     material.aspect = scheme.aspect
@@ -78,7 +82,9 @@ def make_material(specialized: Specialized) -> Any:
 def takes_blocks(specialized: Specialized) -> bool:
     """Return whether temporal blocking has the effects: not those that act on patches at every step, nor outlines."""
     effects = specialized.effects
-    return specialized.device.is_cuda and not (effects.attached or effects.travelling or effects.outline)
+    return specialized.device.is_cuda and not (
+        effects.attached or effects.coils or effects.travelling or effects.outline
+    )
 
 
 def streaming_path(specialized: Specialized) -> Advance:
@@ -169,16 +175,16 @@ def resident_path(specialized: Specialized) -> Advance:
 
 def plan_of(specialized: Specialized, few: bool) -> plans.BlockPlan:
     """Return the distribution of a plate over a block of the CUDA device, see ``plan_block``."""
-    (nx, ny), masses = specialized.scheme.nodes, attached_masses(specialized)
+    (nx, ny), sums = specialized.scheme.nodes, attached_masses(specialized) + len(specialized.coils)
     real, effects, shared_bytes = specialized.real, specialized.effects, specialized.shared_bytes
-    return plans.plan_block(nx, ny, real, effects, masses, few, shared_bytes)
+    return plans.plan_block(nx, ny, real, effects, sums, few, shared_bytes)
 
 
 def block_path(specialized: Specialized, plan: plans.BlockPlan) -> Advance:
     """Return the path with a block per plate, distributed over its threads by a plan."""
     (nx, ny), real = specialized.scheme.nodes, specialized.real
-    effects, masses = specialized.effects, attached_masses(specialized)
-    kernel = moment_form_cuda.make_run_steps(effects, real, nx, ny, specialized.stride, masses, plan)
+    effects, masses, coils = specialized.effects, attached_masses(specialized), len(specialized.coils)
+    kernel = moment_form_cuda.make_run_steps(effects, real, nx, ny, specialized.stride, masses, plan, coils)
     specialized.load(kernel, block_dim=plan.threads)
     material = make_material(specialized)
 
@@ -190,7 +196,7 @@ def block_path(specialized: Specialized, plan: plans.BlockPlan) -> Advance:
     planes = np.stack([_material_plane(material, name) for name in plans.material_planes(effects)])
     shared = [material, lines(planes), lines(material.attached_shares.numpy())]
     shared.append(wp.vec2i(*specialized.scheme.window))
-    workspace_size = 0 if plan.on_chip else plans.workspace_layout(nx, masses, plan)["end"]
+    workspace_size = 0 if plan.on_chip else plans.workspace_layout(nx, masses + coils, plan)["end"]
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
         workspace = state.scratch(f"workspace of {plan}", state.capacity, workspace_size)

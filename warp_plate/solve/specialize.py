@@ -1,7 +1,7 @@
 """A discretized scene on one device: the compile key and the arrays that every path needs."""
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from typing import Literal, get_args
@@ -12,6 +12,7 @@ import warp as wp
 from warp_plate.effects.effect import DISPLACEMENT, IN_PLANE, Patch
 from warp_plate.kernels.cuda import RESERVED_BYTES
 from warp_plate.kernels.update import KernelEffects, make_parameters
+from warp_plate.plate.coils import MountedCoil
 from warp_plate.plate.designs import actuator_spaces
 from warp_plate.plate.scheme import Discretization
 from warp_plate.plate.signals import running_sums, waves_apart
@@ -19,6 +20,7 @@ from warp_plate.plate.stability_limit import needs_moment_form
 from warp_plate.plate.weights import NO_AREAS, REGIONS, RegionLike, reachable_nodes, weigh_region
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
+from warp_plate.solve.coils import largest_rates
 from warp_plate.solve.devices import cpu_threads, load_kernel
 
 # Rows are padded to whole cache lines, which are also whole vector registers.
@@ -70,7 +72,7 @@ class Specialized:
         """
         discretization, scheme, device = self.discretization, self.scheme, self.device
         patches, regions = discretization.patches, np.stack([*discretization.region_weights, *further])
-        loaded = np.any(patches, axis=0)
+        loaded = np.any([*patches, *(coil.share for coil in self.coils)], axis=0)
         if discretization.per_plate.centre:
             loaded |= reachable_nodes(self.scene, actuator_spaces(self.scene, discretization.per_plate))
         share = np.ones(patches.shape[1:])
@@ -106,6 +108,9 @@ class Specialized:
             sides = np.stack([areas[:, 1] - areas[:, 0], areas[:, 3] - areas[:, 2]], axis=1)
             covered = (sides / self.scheme.spacing + 2).prod(axis=1)
             norms = np.maximum(norms, self.share.max() * np.sqrt(covered))
+        share = np.zeros(self.discretization.patches.shape[1:])
+        share[self.support.numpy()[:, 0] - 1, self.support.numpy()[:, 1]] = self.share
+        norms = np.concatenate([norms, largest_rates(self.scheme, self.coils, share)])
         # Waves are below two in size and coefficients at most one.
         load = 2 * self.effects.terms * norms.sum()
         if self.discretization.moving is not None:
@@ -117,6 +122,11 @@ class Specialized:
         """(terms, features, actuators) factors of the features of ``plate.signals`` in the coefficients, float64."""
         factors = self.discretization.signals.mixing * self.sizes[:, None, None]
         return wp.array(factors, dtype=wp.float64, device=self.device)
+
+    @property
+    def coils(self) -> Sequence[MountedCoil]:
+        """Coils on the plate."""
+        return self.scheme.bending.coils if self.scheme.bending is not None else ()
 
     @property
     def shared_bytes(self) -> int:
@@ -193,6 +203,7 @@ def kernel_effects(discretization: Discretization) -> KernelEffects:
         springs=("stiffness", "", DISPLACEMENT) in kinds or (grid is not None and bool(grid.strips.any())),
         membrane=scene.effects.stretches,
         attached=scene.effects.attached,
+        coils=scene.coils_in_time,
         travelling=scene.effects.travelling is not None,
         outline=grid is not None,
     )

@@ -5,6 +5,7 @@ from typing import Any
 
 import warp as wp
 
+from warp_plate.kernels.coils import STATE as COIL_STATE
 from warp_plate.kernels.update import make_state
 from warp_plate.solve.specialize import Specialized
 
@@ -50,6 +51,7 @@ class State:
         self.u_next = self.fields_memory[3]  # Alternates with u on streaming paths; holds the curvature on the others
         self.rate_next = self.fields_memory[4]  # Alternates with rate on streaming paths
         self.attached = zeros(capacity, attached_masses(specialized), 2)  # Displacements and rates of attached masses
+        self.coils = zeros(capacity, len(specialized.coils), COIL_STATE)
         self.units = zeros(capacity)  # Displacement [m] of a unit of u
         self.travelling = zeros(capacity)  # Strength of the load that travels, in units of each plate's pressure
         self.nodes = wp.empty((0, 2), dtype=int, device=device) if nodes is None else nodes
@@ -72,11 +74,12 @@ class State:
         self.drive: Any = Forcing()
         self.drive.loads, self.drive.in_phase, self.drive.quadrature = self.loads, self.in_phase, self.quadrature
         self.drive.units, self.drive.travelling = self.units, self.travelling
+        self.drive.coefficients = self.coefficients
         self.fields, self.next_fields = Fields(), Fields()
         self.next_fields.u, self.next_fields.rate = self.u_next, self.rate_next
         self.fields.u, self.fields.rate = self.u, self.rate
         for fields in (self.fields, self.next_fields):
-            fields.squares, fields.attached = self.squares, self.attached
+            fields.squares, fields.attached, fields.coils = self.squares, self.attached, self.coils
             fields.nodes, fields.trace = self.nodes, self.trace
         self.use_waves(per_plate=False)
 
@@ -104,8 +107,9 @@ class State:
 
     def clear(self, plates: int) -> None:
         """Put the first plates, and the number beyond them, at rest; the load fields stay."""
-        if self.attached.size:
-            self.attached.zero_()
+        for states in (self.attached, self.coils):
+            if states.size:
+                states.zero_()
         if CLEAR_SHARE * plates >= self.capacity:
             self.fields_memory.zero_()
             return
