@@ -8,6 +8,7 @@ import pytest
 
 import warp_plate
 from support.scenes import MATERIAL, refused, scene_of
+from warp_plate.modal.radiation import Air
 
 SCENE = scene_of((9, 9), damping=88.5, window=(0.001, 0.004))
 WRONG = (None, 5, float("nan"), b"paper", ["paper"], {}, np.zeros(3), object(), ValueError("a"))
@@ -129,6 +130,15 @@ def test_further_arguments_of_wrong_types(wrong, result):
         message = refused(call)
         assert message.removeprefix("--").startswith(argument.strip()), message
         assert "must be" in message or "no such" in message
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf, 1e200, "1", True])
+def test_numbers_that_are_none(wrong):
+    """Of points, ranges and the air, not finite or of another type; they made all results NaN."""
+    assert refused(lambda: warp_plate.sound(SCENE, points=[(wrong, 0.1, 1)])).endswith("must be x, y, z in metres")
+    assert "must be two positive frequencies" in refused(lambda: warp_plate.frf(SCENE, frequency_range=(0.1, wrong)))
+    air = Air(density=wrong)
+    assert refused(lambda: warp_plate.sound(SCENE, air=air)).startswith("air.density = ")
 
 
 def test_points_in_arrays():

@@ -10,6 +10,8 @@ from typing import Any, cast
 
 # Characters of an error; files from others may have as many names as they like.
 LONGEST = 10_000
+# Largest magnitude of a number, as in scenes.
+MOST = 1e30
 
 
 class SceneError(ValueError):
@@ -41,12 +43,14 @@ def check_whole(key: str, value: object, highest: float = math.inf) -> None:
 
 
 def numbers_of(key: str, value: object, count: int, what: str) -> list[float]:
-    """Return so many numbers of a sequence; a SceneError names the argument ``key`` and says ``what`` it must be."""
+    """Return so many numbers of a sequence, finite ones; a SceneError names the argument ``key`` and says ``what`` it
+    must be."""
     try:
-        numbers = [] if isinstance(value, str | bytes | Mapping) else [float(number) for number in cast(Any, value)]
+        items = [] if isinstance(value, str | bytes | Mapping) else list(cast(Any, value))
+        numbers = [float(item) for item in items if not isinstance(item, str | bytes | bool)]
     except (TypeError, ValueError, OverflowError):
         numbers = []
-    if len(numbers) != count:
+    if len(numbers) != count or not all(abs(number) <= MOST for number in numbers):
         raise SceneError(f"{key} = {value!r}: must be {what}")
     return numbers
 

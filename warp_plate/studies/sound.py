@@ -12,6 +12,7 @@ from warp_plate.modal.radiation import AIR, Air, Radiation, pressures
 from warp_plate.plate.designs import scene_phasors
 from warp_plate.result.sound import Sound
 from warp_plate.scene.errors import SceneError, check_type, numbers_of
+from warp_plate.scene.fields import SMALLEST
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.studies.frequency_response import check_linear, default_range, target_middles
 
@@ -44,6 +45,9 @@ def sound(
     scene = Scene.load(scene)
     check_type("points", points, Sequence, np.ndarray)
     check_type("air", air, Air)
+    for key, value in vars(air).items():
+        if not numbers_of(f"air.{key}", [value], 1, "a positive number")[0] > SMALLEST:
+            raise SceneError(f"air.{key} = {value!r}: must be a positive number")
     frequency_range = check_linear(scene, frequency_range)
     given = [numbers_of(f"points[{index}]", point, 3, "x, y, z in metres") for index, point in enumerate(points)]
     places = np.array(given or [[x, y, DISTANCE] for x, y in target_middles(scene)])
