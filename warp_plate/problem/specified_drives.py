@@ -21,7 +21,7 @@ from warp_plate.modal.modes import ModalPlate
 from warp_plate.optimize.cones import STEPS, Block, LeastScale, least_scale_of_squares
 from warp_plate.problem.limited_quantities import Limited, hermitian_factor, limited_quantities
 from warp_plate.problem.requirements import Aim, Requirements
-from warp_plate.problem.worst_points import Region, Values
+from warp_plate.problem.worst_points import FEWEST, Region, Values
 from warp_plate.result.specified import RegionLevels
 from warp_plate.scene.errors import SceneError
 
@@ -29,14 +29,17 @@ from warp_plate.scene.errors import SceneError
 Key = tuple[Literal["aim", "rest"], int]
 # What a program scales: the levels elsewhere, the limits of the actuators, or these without any level elsewhere.
 Scaled = Literal["elsewhere", "actuators", "actuators alone"]
-# Largest violation between the points of a program, at samples alone, and rounds of added points.
-TOLERANCE, COARSE, ROUNDS = 1e-8, 1e-4, 60
+# Largest violation between the points of a program, of the least part of the limits, at samples alone; and rounds.
+TOLERANCE, OF_EFFORT, COARSE, ROUNDS = 1e-8, 1e-6, 1e-4, 60
 # Relative gain of a scale by a new search that is worth more rounds, most of such searches, and the steps of one while
 # points are added.
 GAIN, SEARCHES, FEW_STEPS = 1e-5, 3, 1
 # Programs ask for this much more than the specification, so that their rounding does not violate it.
 MARGIN = 2e-8
-FIRST = 16  # samples of a region that programs begin with
+# Multiplier of a point, relative to the largest, from which on a result depends on it.
+ESSENTIAL = 1e-6
+# Samples of a region that programs begin with, at least, and for each actuator, as about two points for each hold it.
+FIRST, FIRST_EACH = 16, 2
 AT = " at ({:.4g}, {:.4g}) m"
 # Part of the largest change of a region by which all of it may be off besides.
 ELSEWHERE = 0.2
@@ -173,30 +176,42 @@ class Tone:
         """Rows (points, actuators) of points of programs."""
         return {}
 
+    def essential_points(self, result: LeastScale) -> dict[Key, np.ndarray]:
+        """Return the points of programs, of those elsewhere only what a result for scaled levels there depends on."""
+        points = dict(self.points)
+        for index, part in enumerate(result.allowed[1 : len(self.requirements.rests) + 1]):
+            key: Key = ("rest", index)
+            if part.any() and len(part) == len(points.get(key, ())):
+                points[key] = points[key][part > ESSENTIAL * part.max()]
+        return points
+
     def _points(self, key: Key, region: Region) -> np.ndarray:
         """Return the points of a region that programs have so far: at first some of its samples."""
         if key not in self.points:
-            self.points[key] = region.samples[:: max(1, len(region.samples) // FIRST)]
+            first = max(FIRST, FIRST_EACH * len(self.largest))
+            self.points[key] = region.samples[:: max(1, len(region.samples) // first)]
         return self.points[key]
 
     def add_points(self, result: LeastScale, scaled: Scaled, level: float, between: bool) -> bool:
         """Add samples, or points between them, at which a drive falls short or passes its scale; return whether there
         are any."""
         added, scale, level = False, result.scale if scaled == "elsewhere" else 1.0, level * self.reach
+        fine = OF_EFFORT if scaled == "actuators" and self.requirements.rests else TOLERANCE
+        slack = fine if between else COARSE
         for index, aim in enumerate(self.requirements.aims):
             if aim.level.measure == "weakest":
                 measure = partial(_shortfall, level * self.wanted[index], self._phase(aim))
-                added |= self._add(("aim", index), aim.region, result.drive, measure, 0.0, between)
+                added |= self._add(("aim", index), aim.region, result.drive, measure, 0.0, slack)
         for index, rest in enumerate(self.requirements.rests if scaled != "actuators alone" else ()):
             if rest.allowance.measure == "worst":
                 measure = partial(_size, self._unit(index, level))
-                added |= self._add(("rest", index), rest.region, result.drive, measure, scale, between)
+                added |= self._add(("rest", index), rest.region, result.drive, measure, scale, slack)
         return added
 
-    def _add(self, key: Key, region: Region, drive: np.ndarray, measure: Values, limit: float, between: bool) -> bool:
+    def _add(self, key: Key, region: Region, drive: np.ndarray, measure: Values, limit: float, slack: float) -> bool:
         """Add the points of a region where a measure of the acceleration passes a limit."""
-        peaks, tolerance = self._peaks(region, drive, measure, between), TOLERANCE if between else COARSE
-        beyond = peaks[measure(self.rows(peaks) @ drive) > limit + tolerance * max(1.0, limit)]
+        peaks = self._peaks(region, drive, measure, slack < COARSE)
+        beyond = peaks[measure(self.rows(peaks) @ drive) > limit + slack * max(1.0, limit)]
         self.points[key] = np.concatenate([self.points[key], beyond])
         return len(beyond) > 0
 
@@ -204,7 +219,7 @@ class Tone:
         """Return points (points, 2) [m] where a measure of the acceleration under a drive is largest."""
         levels, whole = measure(self._sampled(region, drive)), (self._coefficients @ drive)[:, None]
         values = (lambda points: measure(self._at_points(whole, points)[:, 0])) if between else None
-        return region.peaks(levels, values)
+        return region.peaks(levels, values, max(FEWEST, len(self.largest)))
 
     def _sampled(self, region: Region, drive: np.ndarray) -> np.ndarray:
         """Return the (samples,) complex accelerations [m/s²] of a region under a drive."""

@@ -23,8 +23,8 @@ from warp_plate.scene.target import Target
 
 # Corners of a disc or of a quarter of a rounded corner.
 CORNERS = 256
-# Maxima that are returned: the FEWEST highest samples, and up to MOST that lie below the highest one by at most what a
-# sample may miss of its maximum (24 samples a wave: 1 - cos(2π/48) along each axis).
+# Maxima that are returned: the FEWEST highest samples at least, and up to MOST that lie below the highest one by at
+# most what a sample may miss of its maximum (24 samples a wave: 1 - cos(2π/48) along each axis).
 FEWEST, MISSED, MOST = 12, 0.03, 200
 # Width of a seam [of the longer side] within which points count as those of a region.
 SEAM = 1e-9
@@ -83,13 +83,14 @@ class Region:
     def _grid(self) -> np.ndarray:
         return np.stack(np.meshgrid(self.x, self.y), axis=-1)
 
-    def peaks(self, levels: np.ndarray, values: Values | None = None) -> np.ndarray:
+    def peaks(self, levels: np.ndarray, values: Values | None = None, fewest: int = FEWEST) -> np.ndarray:
         """Return points (points, 2) [m] of the largest maxima of a field, in any order: all that may be the largest.
 
         Args:
             levels: (samples,) field at the samples, at which it is compared with the neighbours.
             values: Function from points (points, 2) [m] to the field (points,), by which the points are moved to the
                 maxima between samples (default: they stay).
+            fewest: Number of the highest maxima that are returned at least.
         """
         parts = _split_like(levels, [self._grid[self.inside], *self.lines])
         maxima = [self._grid_maxima(parts[0]), *map(_line_maxima, parts[1:])]
@@ -97,7 +98,7 @@ class Region:
         order = np.argsort(-heights, kind="stable")
         near = heights.max() - MISSED * np.abs(levels).max()
         highest = np.zeros(len(order), dtype=bool)
-        highest[order[: np.clip(np.count_nonzero(heights >= near), FEWEST, MOST)]] = True
+        highest[order[: np.clip(np.count_nonzero(heights >= near), fewest, max(fewest, MOST))]] = True
         chosen = [at[own] for at, own in zip(maxima, _split_like(highest, maxima), strict=True)]
         grid, on_lines = self._grid[self.inside][chosen[0]], list(zip(self.lines, chosen[1:], strict=True))
         if values is None:

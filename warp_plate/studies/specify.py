@@ -72,7 +72,8 @@ def specify(
     scales: list[LeastScale] = []
     for done, frequency in enumerate(frequencies):
         check_interrupt()
-        tones.append(Tone(plate, requirements, float(frequency), largest))
+        points = tones[-1].essential_points(scales[-1]) if tones and requirements.rests else {}
+        tones.append(Tone(plate, requirements, float(frequency), largest, points=points))
         start = scales[-1].drive if scales and np.isfinite(scales[-1].drive).all() else None
         scales.append(tones[-1].solve(scaled, between=False, start=start, searches=1))
         if on_progress is not None:
@@ -177,11 +178,12 @@ def _answer(
         result = tone.solve(scaled, start=whole.drive)
     binding, reached, band = tone.binding(result), math.isfinite(result.scale), tone.requirements.specification.band
     limits, feasible = tone.largest * scene.unit_drives, reached and result.scale <= 1 + NOTHING
-    effort = tone.solve("actuators") if rests else result
+    essential = replace(tone, points=tone.essential_points(result))
+    effort = essential.solve("actuators") if rests else result
     drive = result.drive if reached else whole.drive / whole.scale
     levels = tone.reached(drive)
     contrast, bound = (_contrast(tone, scale) for scale in (result.scale, result.bound))
-    pareto = _pareto(tone, scaled, drive) if rests else []
+    pareto = _pareto(essential, scaled, drive) if rests else []
     obstacles = [] if feasible else _obstacles(tone, binding, result, effort, whole)
     return SpecifiedDrive(
         scene=scene,
