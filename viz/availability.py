@@ -4,8 +4,6 @@ Where VTK finds no graphics driver, it does not raise: the process ends with a s
 tried in a subprocess, and VTK is then told which kind of window worked.
 """
 
-from __future__ import annotations
-
 import functools
 import importlib
 import importlib.util

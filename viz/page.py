@@ -4,8 +4,6 @@ The page draws with WebGL 2 the meshes, styles and scale of the other pictures, 
 grid it shows every second, third, … node, so that the file stays small enough to be sent and opened.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import math

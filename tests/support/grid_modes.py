@@ -5,8 +5,6 @@ Damping is left out, and so is the membrane stiffness of large motion. Time is c
 rings at asin(ωΔt/2)/(πΔt) instead, see :attr:`GridModes.stepped`.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

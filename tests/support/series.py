@@ -16,8 +16,6 @@ that presses with Re(p exp(iωt)) loads the mode with
 and the plate's motion is the sum over all modes (Navier's series). Here it is cut off at m, n ≤ terms.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import pairwise

@@ -3,8 +3,6 @@
 A grid is judged by modes, so where there are modes they cost less than the choice of a grid.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Configurations: the grid, order, loads, time step and precision that a scene can be solved with; numbers in text."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass, replace
 from functools import partial

@@ -3,8 +3,6 @@
 All numbers of a row, the bound too, are computed in the precision of the row, so they include its rounding.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import platform

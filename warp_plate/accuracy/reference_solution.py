@@ -7,8 +7,6 @@ How far a reference is refined is decided by its nominal seconds, from the numbe
 same reference on every machine.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The accuracy report of a scene: configurations measured within a time budget, the laws they follow, and advice."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Iterable, Sequence

@@ -5,8 +5,6 @@ depend on where within a cell an area ends. Time steps fall as h², so that thei
 grids no two numbers of cells along a side have a common factor: they share no line of nodes inside the plate.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

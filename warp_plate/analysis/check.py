@@ -1,7 +1,5 @@
 """Numerical properties of a scene, determined before it runs."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Mapping

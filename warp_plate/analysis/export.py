@@ -1,7 +1,5 @@
 """Results in the formats of other programs: ParaView, spreadsheets, the amplifier."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

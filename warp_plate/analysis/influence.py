@@ -1,7 +1,5 @@
 """Each effect of a scene switched off, or on with a typical value: its measured cost and influence on the result."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence

@@ -4,8 +4,6 @@ The run is bit-identical on the same device, so nothing is interpolated and resu
 have no time steps are run by modes, with frames at the same times.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from types import NoneType

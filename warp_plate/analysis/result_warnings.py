@@ -1,7 +1,5 @@
 """Warnings about a result: effects that its scene lacks, plates that failed, limits and settings of its search."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

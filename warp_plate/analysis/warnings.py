@@ -1,7 +1,5 @@
 """Warnings about missing effects, doubtful numerics, and likely mistakes of units."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """``warp-plate doctor``: check this installation and suggest remedies."""
 
-from __future__ import annotations
-
 import importlib.util
 import platform
 import shutil

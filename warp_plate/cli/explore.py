@@ -1,7 +1,5 @@
 """``warp-plate explore``: a page of sliders in the browser."""
 
-from __future__ import annotations
-
 import os
 import sys
 import threading

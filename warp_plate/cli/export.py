@@ -1,7 +1,5 @@
 """``warp-plate export RESULT``: a result in the formats of other programs."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``warp-plate init`` and ``keys``: scene files to begin with, and what may be in them."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path

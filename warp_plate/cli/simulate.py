@@ -1,7 +1,5 @@
 """``warp-plate simulate``: one plate under one drive, with its tables and files."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from cyclopts import Parameter

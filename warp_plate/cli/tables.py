@@ -1,7 +1,5 @@
 """Tables and JSON records of results that several commands print: drives, objectives, robustness, cost, warnings."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

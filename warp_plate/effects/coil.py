@@ -10,8 +10,6 @@ that of W. M. Leach, 50, 2002, pp. 442-450, is K cos(nπ/2) ω^n + i K sin(nπ/2
 The force on the plate is Bl i − k(ū − z) − r(u̇̄ − ż) − m ǖ, on the magnet Bl i − k(ū − z) − r(u̇̄ − ż) the other way.
 """
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields

@@ -1,7 +1,5 @@
 """The edges of the plate: the conditions that hold them, and the terms of elastic ones."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from typing import Annotated, Any, Literal
 

@@ -9,8 +9,6 @@ is read by ``modal/assemble.py`` (matrices over a function space), ``plate/bendi
 is not a sum of terms says so by the attributes of its :class:`Effect`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Protocol, Self, TypeAlias

@@ -1,7 +1,5 @@
 """An elastic bed under the plate."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Annotated, Any
 

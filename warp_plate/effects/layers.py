@@ -1,7 +1,5 @@
 """Layers bonded to parts of the plate; :mod:`warp_plate.plate.section` adds them to its rigidities and mass."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterable, Sequence
 from typing import Annotated, Any

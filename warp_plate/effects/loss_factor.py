@@ -1,7 +1,5 @@
 """Hysteretic damping, of steady tones."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Annotated, Any
 

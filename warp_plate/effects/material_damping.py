@@ -1,7 +1,5 @@
 """Kelvin-Voigt damping of the plate's material."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Annotated, Any
 

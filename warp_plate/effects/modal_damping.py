@@ -1,7 +1,5 @@
 """Viscous damping of each mode."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Annotated, Any
 

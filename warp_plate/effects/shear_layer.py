@@ -1,7 +1,5 @@
 """A layer under the plate that resists shear, as in Pasternak's foundation."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Annotated, Any
 

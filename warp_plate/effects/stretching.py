@@ -1,7 +1,5 @@
 """Stretching at large amplitude; its kernel and NumPy functions take Berger's tension from ``plate/bending.py``."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from warp_plate.effects.effect import Effect, Setting

@@ -4,8 +4,6 @@
 a watched search has a thread of its own.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import threading

@@ -4,8 +4,6 @@ Displacements are linear in the drives, so that 2M runs suffice: with z as in ``
 Σ z_a · (motion under unit drive a), and energies are zᵀ matrix z.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from contextlib import suppress

@@ -4,8 +4,6 @@ Panels within the tolerances of ``[search.robust]`` have an inverse filter made 
 Σ |A_p w − d|² / P + μ |w|² with A_p the responses of panel p; and all waveforms are measured on other ones.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 

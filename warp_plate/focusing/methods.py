@@ -10,8 +10,6 @@ the motion there. Time reversal plays g, which has the largest correlation of al
 Schwarz); one-bit time reversal plays its signs, which have it of all waveforms of one peak.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 from dataclasses import dataclass

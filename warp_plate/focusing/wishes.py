@@ -1,7 +1,5 @@
 """Desired motions of the foci: pulses, bursts, and waveforms of files and arrays."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

@@ -12,8 +12,6 @@ supported and clamped edges, and their slopes across clamped ones; conditions on
 energies (A. W. Leissa, J. Sound Vib. 31, 1973, pp. 257-293).
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass

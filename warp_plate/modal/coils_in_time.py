@@ -9,8 +9,6 @@ a coordinate without stiffness that moves nothing by itself, whose coupling to t
 other gains. So plate, magnets and charges are one system q̈ + C q̇ + Λ q = f, whose modes stand in for the plate's.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Natural frequencies, damping and shapes of the plate itself, without a grid."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ The numbers are those of :class:`warp_plate.modal.gram.ToneMatrices` and, in the
 plate are put on the device once; frequencies and places follow with each batch.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -6,8 +6,6 @@ plate. The lowest modes are therefore solved once more in the space that they sp
 integrated from their curvatures: these have small relative errors.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -12,8 +12,6 @@ before
 Steady motion is that of scenes with hysteretic damping, see ``Scene.steady``.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ modes that move enough, wherever actuators are, take part; they follow from the 
 neighbours.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Plates of a linear scene by their modes, with the interface of the time-stepping solver."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Mapping, Sequence

@@ -6,8 +6,6 @@ range and 1 at its upper end. It knows no numbers that wrap: it moves along the 
 wrapped into one period. pycma needs two numbers or more: a single one gets an idle one beside it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

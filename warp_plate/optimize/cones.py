@@ -17,8 +17,6 @@ A wanted mean square, ‖R z‖ ≥ 1, is not convex. Its relaxation, Z ⪰ 0 in
 of z₀ (T. Lipp and S. Boyd, Optim. Eng. 17, 2016, pp. 263-287).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

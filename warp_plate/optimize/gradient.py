@@ -7,8 +7,6 @@ evaluations are counted as any other method's; the slope there is known by formu
 again elsewhere while it has restarts left.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any
 

@@ -14,8 +14,6 @@ fixed at 0 costs as little as possible. Other losses, and drives under limits, h
 where that is known.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

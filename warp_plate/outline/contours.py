@@ -1,7 +1,5 @@
 """Contours of drawings: pieces joined by their ends, smooth curves flattened to arcs, and both as rows of numbers."""
 
-from __future__ import annotations
-
 import cmath
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """Outlines drawn by other programs: SVG and DXF files, read into closed contours."""
 
-from __future__ import annotations
-
 import cmath
 import io
 import logging

@@ -1,7 +1,5 @@
 """Closed outlines with holes: checks, what is inside, chords, and parts of the edge with conditions of their own."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Files that a scene names: read from the scene's folder, up to a limit of size, as bytes or as tables of numbers."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import re

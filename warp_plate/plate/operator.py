@@ -21,8 +21,6 @@ smooth u and v. By the Euler-Maclaurin formula of functions x^a, x^b that is one
 integral, so that β₂ = √2 where u'' = 2.) Errors then fall as h⁴.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

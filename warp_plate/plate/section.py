@@ -18,8 +18,6 @@ not, this is least when N = C e is the same everywhere; then ∫ e dA = ½∫ u_
 plane, gives N = ½∫ u_x² + κu_y² dA / ∫ dA/C: what counts is the harmonic mean of C.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple

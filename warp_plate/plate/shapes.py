@@ -10,8 +10,6 @@ exact on every part of it. Left of a part, Φ_i is the whole integral of φ_i ov
 by one sum along x. This is exact to rounding for simple polygons, and the work grows with the nodes near the outline.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ A patch of a cell or more has the weights of an actuator. A smaller one would ju
 node takes the mean over the patch of its hat function, which keeps the force and its moment.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ A sampled signal s(t) has no phase to shift, but its analytic signal a = s + i·
 Re(Z·a) lags behind s by the phase lag of Z at every frequency at once (Gabor, J. IEE 93(III), 1946, pp. 429-457).
 """
 
-from __future__ import annotations
-
 import io
 import math
 import warnings

@@ -6,8 +6,6 @@ alone, and the drive is eliminated exactly in each evaluation (variable projecti
 Numer. Anal. 10, 1973, pp. 413-432).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

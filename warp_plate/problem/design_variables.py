@@ -3,8 +3,6 @@
 A class for each kind makes its variables, refuses tables that do not fit the scene, and writes numbers to designs.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence

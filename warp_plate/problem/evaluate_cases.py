@@ -1,7 +1,5 @@
 """The cases of a result: two references and the best drive, each run once more for its pictures and objectives."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

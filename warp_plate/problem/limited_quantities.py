@@ -1,7 +1,5 @@
 """Limits of a specification on quadratic quantities of a drive: powers, sound, and what coils may bear."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

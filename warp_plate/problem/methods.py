@@ -1,7 +1,5 @@
 """The search method that a scene names."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any
 

@@ -5,8 +5,6 @@ localization with weight 1 it is 1 − LF, as in the source paper. A drive that 
 worst possible loss plus its relative excesses, so it ranks below every drive that keeps the limits.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial

@@ -1,7 +1,5 @@
 """The plates of a search: evaluators of its drives and designs, and their Gram matrices."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import partial

@@ -1,7 +1,5 @@
 """The requirements of a specification over the regions of a plate: wanted levels in targets, allowed ones elsewhere."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Memory and work of a run and of a search, by laws of their sizes: known before anything is computed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

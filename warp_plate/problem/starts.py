@@ -1,8 +1,6 @@
 """Positions that take no search: that of the scene itself, frequencies that follow every resonance, and the best drive
 that is known for given places."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from warp_plate.modal.poles import adaptive_frequencies

@@ -15,8 +15,6 @@ duality gap (S. Boyd, L. Vandenberghe, Convex Optimization, appendix B), so that
 and z has the components uᵥᴴ b / (λᵥ + m (γ − λᵥ)). Any m for which all denominators are positive proves a bound.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

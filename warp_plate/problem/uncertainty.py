@@ -8,8 +8,6 @@ energies are quadratic forms of the phasors, each scenario has Gram matrices ins
 all plates and scenarios.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Frequency responses of a plate, between forces and points, and their files: CSV and HDF5."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path

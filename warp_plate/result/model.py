@@ -4,8 +4,6 @@ Beside the fields of the data classes (see :mod:`warp_plate.result.layouts`), a 
 programs: the positions of the nodes, the localization factors, and the crosstalk between several targets.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping, Sequence

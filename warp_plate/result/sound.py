@@ -1,7 +1,5 @@
 """Sound radiated by a plate under a drive, and its files: CSV and HDF5."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path

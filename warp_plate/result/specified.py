@@ -1,7 +1,5 @@
 """The answer to a specification: a drive that meets it, or what is in its way."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The base class of the scene's tables, the types of their fields, and checks that several tables share."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import re

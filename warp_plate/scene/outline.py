@@ -1,7 +1,5 @@
 """The tables ``[plate.outline]`` and ``[[plate.holes]]``: plates that are not rectangles with sides along x and y."""
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 from pathlib import Path

@@ -13,8 +13,6 @@ With H_k(x) the phasor of the steady displacement at x under actuator k alone, d
 Both are steady drives of one frequency. The time reversal of a burst, a waveform for each actuator, is not among them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

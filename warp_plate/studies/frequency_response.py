@@ -11,8 +11,6 @@ all of the response. So shifts of frequencies and errors of values are told apar
 frequencies mapped so that its natural frequencies meet those of the first.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 import numpy as np

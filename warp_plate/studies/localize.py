@@ -1,7 +1,5 @@
 """The complete search: choose engine and grid, search for each target, and compose the result."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

@@ -4,8 +4,6 @@ The modes of a search are chosen at the places where it begins. Where they are t
 there, and a descent from the answer finds the best drive by them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace

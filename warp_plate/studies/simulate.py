@@ -1,7 +1,5 @@
 """Simulation of one plate under one drive, and the estimated error of a result."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress

@@ -1,7 +1,5 @@
 """The drive that meets a scene's specification, or the proof that none does."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Localization factors over a range of frequencies, and the plate's resonances in it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Quantities of many scenes that differ in some of their values, and the files of unfinished sweeps."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 import time

@@ -1,7 +1,5 @@
 """The points of a sweep: the quantities of each, computed in this process or as tasks of a pool."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice

@@ -1,7 +1,5 @@
 """Files that hold a study while it runs, and the devices and versions that a study which continues depends on."""
 
-from __future__ import annotations
-
 import logging
 import platform
 import time
