@@ -106,6 +106,7 @@ def test_coherence_and_several_responses(tmp_path):
         (table("Frequency,Magnitude,Imag", parts()), "each response needs a real and a imaginary column"),
         (table("Frequency,Magnitude,Coherence", polar()), "each response needs a magnitude and a phase column"),
         (table("f,Re (m/s/N),Im (m/s2/N)", parts()), "name different units"),
+        (table("time [s],force,acceleration", parts()), "its first column is time; write [fit.signals]"),
         (table("f,Re,Im", parts(), comma=True), "a.csv: not a table of numbers with decimal points"),
     ],
 )

@@ -51,6 +51,7 @@ def test_published_modulus_of_aluminium():
 def test_spruce(plate):
     found, printed = fitted(f"spruce-{plate}")
     assert np.sqrt(np.mean(found.errors**2)) < 0.01
+    assert found.verdict.describes
     assert found.frequencies == pytest.approx(printed, abs=0.051)
     for index, (value, (published, spread)) in enumerate(zip(moduli(found.scene), SPRUCE[plate], strict=True)):
         assert (value == pytest.approx(published, rel=spread)) == ((plate, index) not in ABOVE)

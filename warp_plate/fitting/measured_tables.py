@@ -256,6 +256,8 @@ def read_response_table(data: bytes) -> tuple[np.ndarray, np.ndarray | None, Uni
     table = read_number_table(data)
     if table.values.size == 0 or table.values.shape[1] < 3:
         raise ValueError("needs the columns frequency, real and imaginary part of each response")
+    if table.headings and table.headings[0].kind == "time":
+        raise ValueError("its first column is time; write [fit.signals] for time signals")
     columns: dict[str | None, list[int]] = {}
     for index, each in enumerate(table.headings):
         columns.setdefault(each.kind, []).append(index)

@@ -25,8 +25,9 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fit import Measurement
 from warp_plate.scene.model import Scene
 
-# Largest systematic error of responses (in nepers and rad), errors that count as no larger, and of frequencies.
-LARGEST_ERROR, CAPPED, LARGEST_OF_MODES = 0.25, 1.0, 0.03
+# Systematic errors of responses (in nepers and rad): the largest, those for which a cause is looked for, and the size
+# from which on errors count alike. Largest error of frequencies.
+LARGEST_ERROR, NOTABLE_ERROR, CAPPED, LARGEST_OF_MODES = 0.4, 0.2, 1.0, 0.03
 # Part of the error that a cause may leave, and error of frequencies for which one is looked for.
 LEFT, NOTABLE = 0.4, 0.005
 # Sensors whose orders are tried, and the part of the error by which a cause for single sensors must be better.
@@ -90,8 +91,8 @@ def _failure(error: str, cause: str) -> str:
 Cause = tuple[str, str, Callable[[np.ndarray], np.ndarray]]
 
 
-def _data_causes(quantity: str) -> list[Cause]:
-    """Return the causes in the data of a response in a quantity."""
+def _data_causes(quantity: str, adapted: bool) -> list[Cause]:
+    """Return the causes in the data of a response in a quantity; without factors if a gain is fitted."""
 
     def constant(factor: complex) -> Callable[[np.ndarray], np.ndarray]:
         return lambda omega: np.full(omega.shape, np.log(complex(factor)))
@@ -109,13 +110,18 @@ def _data_causes(quantity: str) -> list[Cause]:
         ("thousand", "the responses are a thousand times too small: divide gain by 1000", constant(1e3)),
         ("thousand", "the responses are a thousand times too large: multiply gain by 1000", constant(1e-3)),
     ]
-    order = names.index(quantity)
+    found, order = found[: 1 if adapted else None], names.index(quantity)
     found += [
         ("quantity", f'the responses are of another quantity: write quantity = "{name}"', power(order - other))
         for other, name in enumerate(names)
         if other != order
     ]
     return found
+
+
+def free_keys(scene: Scene) -> Sequence[str]:
+    """Return the keys under ``[fit.free]``."""
+    return [] if scene.fit is None else [key.strip() for key in scene.fit.free]
 
 
 def _wrapped(errors: np.ndarray) -> np.ndarray:
@@ -172,15 +178,15 @@ def judge_responses(scene: Scene, errors: np.ndarray, alternatives: Alternatives
     """
     error = float(systematic_error(errors).max())
     thick = _thick(scene, alternatives.measured.frequencies[-1])
-    if error <= LARGEST_ERROR:
-        return Verdict(True, error, None, thick[:1].upper() + thick[1:])
     level, angle = 20 / np.log(10) * np.sqrt(np.mean(errors.real**2)), np.degrees(np.sqrt(np.mean(errors.imag**2)))
     said = f"rms error {level:.2g} dB and {angle:.0f}°"
-    for cause, text, rows, data in _ranked(scene, alternatives):
+    for cause, text, rows, data in _ranked(scene, alternatives) if error > NOTABLE_ERROR else ():
         left = float(systematic_error(alternatives.refit(rows, data)).max())
-        if left < LEFT * error and left <= 2 * LARGEST_ERROR:
-            left_over = f"this leaves {20 / np.log(10) * left:.2g} dB" if left > 1e-3 else "this leaves next to nothing"
+        if left < LEFT * error and left <= LARGEST_ERROR:
+            left_over = f"this leaves {20 / np.log(10) * left:.2g} dB"
             return Verdict(False, error, cause, _failure(said, f"Likely cause: {text} ({left_over})."))
+    if error <= LARGEST_ERROR:
+        return Verdict(True, error, None, thick[:1].upper() + thick[1:])
     if thick:
         return Verdict(False, error, "thick", _failure(said, f"Likely cause: {thick}."))
     if at_limit:
@@ -192,31 +198,33 @@ def _ranked(scene: Scene, alternatives: Alternatives) -> list[tuple[str, str, Se
     """Return the most likely causes, the best first, each with its places and data."""
     measured, respond = alternatives.measured, alternatives.respond
     rows, data, omega = list(scene.measurement), measured.responses, 2j * np.pi * measured.frequencies
-    here = respond(rows)
+    here, adapted = respond(rows), np.array([f"measurement[{i}].gain" in free_keys(scene) for i in range(len(rows))])
+
+    def size_of(predicted: np.ndarray, to: np.ndarray) -> np.ndarray:
+        errors = np.log(predicted / to)
+        return _size(errors - np.where(adapted[:, None], errors.real.mean(axis=1, keepdims=True), 0))
+
     found: list[tuple[float, str, str, Sequence[Measurement], np.ndarray]] = []
-    causes = [_data_causes(row.quantity) for row in rows]
-    sizes = np.array([
-        [_size(np.log(here[index] / data[index])[None] - of(omega))[0] for _, _, of in causes[index]]
-        for index in range(len(rows))
-    ])  # fmt: skip
-    plain = _size(np.log(here / data))
+    causes = [_data_causes(row.quantity, bool(adapted.any())) for row in rows]
+    plain = size_of(here, data)
     for column, (name, text, _) in enumerate(causes[0]):
         changed = np.array([data[i] * np.exp(causes[i][column][2](omega)) for i in range(len(rows))])
-        found.append((float(sizes[:, column].mean()), name, text, rows, changed))
+        sizes = size_of(here, changed)
+        found.append((float(sizes.mean()), name, text, rows, changed))
         for index in range(len(rows) if len(rows) > 1 else 0):
-            single = np.where(np.arange(len(rows)) == index, sizes[:, column], plain).mean() / SINGLE
+            single = np.where(np.arange(len(rows)) == index, sizes, plain).mean() / SINGLE
             one = np.where(np.arange(len(rows))[:, None] == index, changed, data)
             where = f"measurement[{index}]: {causes[index][column][1]}"
             found.append((float(single), f"{name} of a sensor", where, rows, one))
-    conjugate = _size(np.log(here / data.conj())).mean()
+    conjugate = size_of(here, data.conj()).mean()
     found.append((float(conjugate), "phase", "phases have the other sign, of exp(−iωt)", rows, data.conj()))
     for order in itertools.permutations(range(len(rows))) if 1 < len(rows) <= MOST_ORDERED else ():
         if order != tuple(range(len(rows))):
-            size, moved = _size(np.log(here / data[list(order)])).mean(), ", ".join(map(str, order))
+            size, moved = size_of(here, data[list(order)]).mean(), ", ".join(map(str, order))
             found.append((float(size), "order", f"sensors are in the order {moved}", rows, data[list(order)]))
     for name, text, places in _geometries(rows, scene.plate.size):
         with suppress(SceneError):  # a place that an edge holds
-            found.append((float(_size(np.log(respond(places) / data)).mean()), name, text, places, data))
+            found.append((float(size_of(respond(places), data).mean()), name, text, places, data))
     ranked = sorted(found, key=lambda each: each[0])[:2]
     return [each[1:] for each in ranked if each[0] < plain.mean()]
 
