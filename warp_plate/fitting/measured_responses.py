@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from warp_plate.fitting.hits import hit_spectra
 from warp_plate.fitting.measured_modes import check_file
 from warp_plate.fitting.measured_tables import (
     FORCE_UNITS,
@@ -51,6 +52,7 @@ class MeasuredResponses:
     # (measurements, n) coherence γ², NaN for responses without; None if there is none at all
     coherence: np.ndarray | None = None
     remarks: tuple[str, ...] = ()  # what was converted
+    decay: float = 0.0  # [1/s] responses are those at s = iω + decay, by the exponential window of hits
 
 
 def read_responses(
@@ -86,9 +88,12 @@ def read_responses(
     selected = (frequencies != 0) & ~((frequencies < low) | (frequencies > high))
     frequencies, responses, coherence = frequencies[selected], responses[:, selected], coherence[:, selected]
     units = [unit for *_, units in parts for unit in units]
-    responses, remarks = _in_quantities(frequencies, responses, units, rows)
+    window = fit.signals.exponential if fit and fit.signals else None
+    decay = 1 / window if window else 0.0
+    responses, remarks = _in_quantities(frequencies - 0.5j * decay / np.pi, responses, units, rows)
     _check(source, frequencies, responses)
-    return MeasuredResponses(source, frequencies, responses, None if np.isnan(coherence).all() else coherence, remarks)
+    known = None if np.isnan(coherence).all() else coherence
+    return MeasuredResponses(source, frequencies, responses, known, remarks, decay)
 
 
 def _in_quantities(
@@ -215,11 +220,16 @@ def estimate_responses(values: np.ndarray, rate: float, table: TimeSignals, name
     if table.force_channel > len(values):
         raise ValueError(f"has {len(values)} channels; fit.signals.force_channel = {table.force_channel}")
     overlap = length // 2 if table.window == "hann" else 0
+    several = samples >= 2 * length - overlap
     options = {"fs": rate, "window": table.window, "nperseg": length, "noverlap": overlap}
     force = values[table.force_channel - 1] / table.force_gain
     motion = np.delete(values, table.force_channel - 1, axis=0)
-    frequencies, of_force = welch(force, **options)
-    of_motion, crossed = welch(motion, **options)[1], csd(force, motion, **options)[1]
+    if table.hits:
+        frequencies, of_force, of_motion, crossed, count = hit_spectra(force, motion, rate, table)
+        several = count > 1
+    else:
+        frequencies, of_force = welch(force, **options)
+        of_motion, crossed = welch(motion, **options)[1], csd(force, motion, **options)[1]
     with np.errstate(divide="ignore", invalid="ignore"):
         responses = {
             "H1": crossed / of_force,
@@ -227,7 +237,6 @@ def estimate_responses(values: np.ndarray, rate: float, table: TimeSignals, name
             "Hv": crossed / np.abs(crossed) * np.sqrt(of_motion / of_force),
         }[table.estimator]
         coherence = np.abs(crossed) ** 2 / (of_force * of_motion)
-    several = samples >= 2 * length - overlap
     motions = list(map(motion_unit, named)) if named else [None] * len(values)
     per = FORCE_UNITS.get(named[table.force_channel - 1].lower(), 1.0) if named else 1.0
     del motions[table.force_channel - 1]

@@ -51,7 +51,8 @@ class PanelResponses:
             raise SceneError(
                 "effects: responses of a panel without damping are not finite; write [effects.modal_damping]"
             )
-        self._plate, self._omega, self._measured, self._coarse = plate, 2 * np.pi * frequencies, measured, coarse
+        omega = 2 * np.pi * frequencies - 1j * measured.decay if measured.decay else 2 * np.pi * frequencies
+        self._plate, self._omega, self._measured, self._coarse = plate, omega, measured, coarse
         coupled = int((plate.frequencies <= REACH * frequencies[-1]).sum()) + (FURTHER if coarse else FURTHER_OF_FULL)
         squares = plate.angular_frequencies**2
         self._modes = CoupledModes(squares, plate.damping, plate.hysteretic, frequencies[-1], coupled)

@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from warp_plate.scene.fields import Gain, Moderate, Name, Point, Positive, Table, Unit, flat_keys
+from warp_plate.scene.fields import Flag, Gain, Moderate, Name, Point, Positive, Table, Unit, flat_keys
 
 
 class Measurement(Table):
@@ -43,6 +43,16 @@ class TimeSignals(Table):
     """Duration of the segments that are averaged; frequencies are multiples of 1/segment."""
     window: Annotated[Literal["hann", "boxcar"], Field(examples=["boxcar"])] = "hann"
     """Window of a segment: "hann" for segments that overlap by half, "boxcar" for segments without overlap."""
+    hits: Annotated[Flag, Field(examples=[True])] = False
+    """True if the record has hits of a hammer at any time, each of which begins a segment with a force window."""
+    exponential: Annotated[Positive | None, Unit("s"), Field(examples=[0.3])] = None
+    """Time constant of the exponential window of hits (default: none); its damping is not that of the fitted panel."""
+
+    @model_validator(mode="after")
+    def _window_of_hits(self) -> Self:
+        if self.exponential is not None and not self.hits:
+            raise ValueError("exponential: is a window of hits; write hits = true")
+        return self
 
 
 class Fit(Table):
