@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,10 +11,12 @@ from cyclopts import Parameter
 from rich.console import Console
 
 from warp_plate.cli import options, output
+from warp_plate.cli.report import Report, check_report, write_report
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
     from warp_plate.fitting.fit import ModeFit, ResponseFit
+    from warp_plate.scene.model import Scene
     from warp_plate.studies.verify import Verification
 
 # First words of the file; correlations that are reported.
@@ -26,6 +29,7 @@ def fit(
     *,
     data: Annotated[list[Path], Parameter(negative="")],
     changes: options.SceneChanges = options.SceneChanges(),
+    report: Report = None,
     files: options.FileOptions = options.FileOptions(),
 ) -> None:
     """Fit properties of a panel to its measured natural frequencies or frequency responses, with 95 % intervals.
@@ -43,12 +47,13 @@ def fit(
         scene with tables [[measurement]] its frequency responses: a table with the columns frequency, real and
         imaginary part, or magnitude and phase, of each; a universal file with a dataset 58 for each; .mat, .h5 or .nc
         with the arrays frequency and response; or time signals, as .wav, or as a table with [fit.signals]. May be
-        repeated, for files with as many responses each.
+        repeated, for files with as many responses each. Without [[measurement]] a .wav of a tap has its modes.
     """
     from warp_plate.fitting.fit import fit as fit_files
     from warp_plate.result.atomic_io import write_atomically
 
     target = files.target(scene, ".fitted.toml", holds=FITTED)
+    check_report(report, files.force)
     loaded, scene = changes.load(scene)
     if loaded.folder is not None and loaded.folder.resolve() != target.parent.resolve():
         raise SceneError(f"--out {target}: the scene names files in {loaded.folder}; write there")
@@ -56,7 +61,14 @@ def fit(
         fitted = fit_files(loaded, data)
     heading = f"{FITTED} to {', '.join(repr(path.name) for path in data)}"
     save = partial(write_atomically, f"{heading}\n{fitted.scene.to_toml()}".encode())
-    written = output.write_files({target: save}, partial(_draw, fitted, target) if files.pictures else None)
+    saves: dict[Path, Callable[[Path], object]] = {target: save}
+    if report is not None:
+        title, show = f"Fit of {fitted.scene.title or scene}", partial(_print_fit, scene, fitted)
+        page = partial(
+            write_report, title=title, show=show, draw=partial(_draw, fitted), appendix=fitted.scene.to_toml()
+        )
+        saves[report] = page
+    written = output.write_files(saves, partial(_draw, fitted, target) if files.pictures else None)
     output.report(files.json, _fit_as_json, _print_fit, scene, fitted, written=written)
 
 
@@ -134,6 +146,8 @@ def verify(
     *,
     data: Path,
     case: str | None = None,
+    report: Report = None,
+    force: options.Force = False,
     json: options.Json = False,
 ) -> None:
     """Compare velocities measured under a drive with those that its result predicts.
@@ -153,8 +167,23 @@ def verify(
     from warp_plate.result.model import load_result
     from warp_plate.studies.verify import verify as compare_velocities
 
-    verified = compare_velocities(load_result(result), data, case)
-    output.report(json, _verified_as_json, _print_verified, verified)
+    check_report(report, force)
+    loaded = load_result(result)
+    verified = compare_velocities(loaded, data, case)
+    written = None
+    if report is not None:
+        title, show = f"Verification of {loaded.scene.title or result}", partial(_print_verified, verified)
+        draw = partial(_draw_verified, verified, loaded.case_scene(loaded.select_cases([verified.case])[verified.case]))
+        save = partial(write_report, title=title, show=show, draw=draw, appendix=loaded.scene.to_toml())
+        written = output.write_files({report: save}, None)
+    output.report(json, _verified_as_json, _print_verified, verified, written=written)
+
+
+def _draw_verified(verified: Verification, scene: Scene, path: Path) -> output.Drawn:
+    from warp_plate.viz.plots.frame import save_plots
+    from warp_plate.viz.plots.verified import draw_verified
+
+    return save_plots(partial(draw_verified, verified, scene), path, [".png"])
 
 
 def _verified_as_json(verified: Verification) -> dict[str, object]:
