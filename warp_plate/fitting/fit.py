@@ -21,6 +21,7 @@ from warp_plate.fitting.measured_modes import MeasuredModes, read_modes
 from warp_plate.fitting.measured_responses import MeasuredResponses, read_responses
 from warp_plate.fitting.panel_responses import PanelResponses
 from warp_plate.fitting.response_errors import WIDTHS, LogErrors, ResponsePrediction, ShapeErrors, weigh
+from warp_plate.fitting.taps import read_tap
 from warp_plate.fitting.verdict import ModesToJudge, judge_modes, judge_responses
 from warp_plate.modal.continuous_modes import linear_part
 from warp_plate.modal.modes import ModalPlate, solve_modes
@@ -63,6 +64,8 @@ def fit(scene: SceneSource, data: str | Path | Sequence[str | Path]) -> ModeFit 
     if len(paths) != 1:
         named = f"data {paths[1]}" if paths else "data"
         raise SceneError(f"{named}: must be one file, for the scene has no tables [[measurement]]")
+    if paths[0].suffix.lower() == ".wav":
+        return fit_modes(loaded, read_tap(paths[0], loaded.fit.range if loaded.fit else None))
     return fit_modes(loaded, read_modes(paths[0], loaded.fit))
 
 

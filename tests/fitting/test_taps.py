@@ -1,0 +1,89 @@
+"""Natural frequencies and damping ratios from decays of random panels with noise, without a force."""
+
+import numpy as np
+import pytest
+from scipy.io import wavfile
+
+from support.measured import drawn_panel
+from warp_plate import SceneError, fit
+from warp_plate.fitting.taps import read_tap, tap_modes
+from warp_plate.modal.modes import solve_modes
+
+
+def tapped(seed, decibels=30.0, duration=2.0):
+    """Return frequencies, damping ratios and amplitudes of a random panel, its record of a tap, and the rate."""
+    random = np.random.default_rng(seed)
+    scene = drawn_panel(random, most_modes=20)
+    highest = scene.drive.frequency
+    plate = solve_modes(scene, highest, density=0.5)
+    count = int((plate.frequencies <= highest).sum())
+    frequencies = plate.frequencies[:count]
+    damping = plate.damping_ratios[:count] * np.exp(random.normal(0, 0.3, count))
+    hit, sensor = random.uniform(0.1, 0.9, (2, 2)) * scene.plate.size
+    amplitudes = np.prod(plate.at_points(np.array([hit, sensor]))[:count], axis=1)
+    rate = max(4000, int(5 * highest))
+    times, omega = np.arange(int(duration * rate)) / rate, 2 * np.pi * frequencies
+    waves = np.exp(-np.outer(damping * omega, times)) * np.sin(np.outer(omega * np.sqrt(1 - damping**2), times))
+    record = np.concatenate([np.zeros(rate // 10), amplitudes @ waves])
+    noise = np.sqrt(np.mean(record**2)) * 10 ** (-decibels / 20)
+    return frequencies, damping, amplitudes, record + noise * random.normal(size=record.size), rate
+
+
+def judged(seed):
+    """Return (found, 2) relative errors of the modes that stand alone, and the part of strong ones that were found."""
+    frequencies, damping, amplitudes, record, rate = tapped(seed)
+    found, ratios = tap_modes(record[None], rate)
+    nearest = np.abs(found[:, None] / frequencies - 1).argmin(axis=1)
+    widths = damping * frequencies
+    apart = np.abs(frequencies[:, None] - frequencies) / (widths[:, None] + widths)
+    alone = np.sort(apart, axis=1)[:, 1] > 1
+    errors = np.stack([found / frequencies[nearest] - 1, ratios / damping[nearest] - 1], axis=1)
+    strength = np.abs(amplitudes) / np.sqrt(damping)
+    strong = np.flatnonzero(alone & (strength > 0.2 * strength.max()))
+    return errors[alone[nearest]], np.isin(strong, nearest)
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+def test_modes_of_a_tap(seed):
+    errors, found = judged(seed)
+    assert np.abs(errors[:, 0]).max() < 1e-3
+    assert np.abs(errors[:, 1]).max() < 0.05
+    assert found.mean() > 0.8
+
+
+@pytest.mark.slow
+def test_taps_of_panels():
+    errors, found = (np.concatenate(parts) for parts in zip(*map(judged, range(20)), strict=True))
+    assert (np.abs(errors) < [1e-3, 0.05]).all(axis=1).mean() > 0.98
+    assert found.mean() > 0.8
+
+
+def test_fit_to_a_wav_file(tmp_path):
+    """Its modes are paired with those of the scene, whatever the length of the silence before it."""
+    table = {"free": {"plate.young_modulus": [5e10, 9e10]}, "pairing": "nearest", "starts": 2}
+    scene = drawn_panel(np.random.default_rng(8)).with_tables(fit=table)
+    plate = solve_modes(scene, 0.0, count=6)
+    omega = 2 * np.pi * plate.frequencies[:6] * 1.03
+    rate = int(omega[-1])
+    times = np.arange(2 * rate) / rate
+    decay = np.exp(-np.outer(0.01 * omega, times)) * np.cos(np.outer(omega, times) + 0.3)
+    record = np.concatenate([np.zeros(rate // 3), decay.sum(axis=0)]) / 10
+    wavfile.write(tmp_path / "tap.wav", rate, np.stack([record, -0.4 * record], axis=1).astype(np.float32))
+    found = fit(scene, tmp_path / "tap.wav")
+    assert found.scene.plate.young_modulus == pytest.approx(1.03**2 * scene.plate.young_modulus, rel=1e-3)
+    np.testing.assert_allclose(found.measured.damping, 0.01, rtol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("record", "words"),
+    [(np.zeros(4000), "holds less than 0.2 s"), (np.eye(1, 4000, 3990)[0], "holds less than 0.2 s")],
+)
+def test_records_without_a_decay_are_refused(record, words, tmp_path):
+    wavfile.write(tmp_path / "tap.wav", 4000, record.astype(np.float32))
+    with pytest.raises(SceneError, match=words):
+        read_tap(tmp_path / "tap.wav")
+
+
+def test_noise_determines_no_mode(random):
+    with pytest.raises(ValueError, match="no mode is determined"):
+        tap_modes(random.normal(size=(1, 8000)), 4000.0)

@@ -1,0 +1,232 @@
+"""Natural frequencies and damping ratios of a panel from the sound or motion after a tap, without its force.
+
+After a tap the panel moves as a sum of decaying tones, Σ a exp(s t) with s = −ζω + iω√(1 − ζ²). Bands of the record are
+shifted to 0 Hz, filtered and decimated; a filter without recursion leaves sums of exponentials what they are. In each
+band ESPRIT finds s: the rows of the leading singular vectors of the Hankel matrix of the samples, without the last and
+without the first, differ by a matrix with the eigenvalues exp(s Δ) (R. Roy and T. Kailath, IEEE Trans. Acoust. Speech
+Signal Process. 37, 1989, pp. 984-995; on decaying sounds J. Laroche, J. Acoust. Soc. Am. 94, 1993, pp. 1958-1965).
+Poles that several orders of the model agree on are refined by least squares, whose covariance σ² (JᴴJ)⁻¹ tells which of
+them the record determines; others are left out.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import scipy
+
+from warp_plate.fitting.measured_modes import MOST_MODES, MeasuredModes, check_file
+from warp_plate.plate.waveforms import MOST_SAMPLES, wav_channels
+from warp_plate.scene.errors import SceneError
+
+# Contact of a tap, after which the panel is free [s]; lowest frequency [Hz].
+CONTACT, LOWEST = 3e-3, 20.0
+# Samples of a band at most, rate of a band over its width, and taps of its filter over the decimation.
+MOST, OVERSAMPLING, TAPS = 700, 2.0, 8
+# Shape of that filter, −100 dB beside the band, and amplitude of the faintest mode over the largest sample.
+ATTENUATION, FAINT = 10.0, 1e-3
+# Widths of bands [Hz] from the duration: a band has so many samples.
+NARROWEST = 25.0
+# Orders of the model, and of how many a pole must be a part, to these relative differences of frequency and decay.
+ORDERS, AGREE, ALIKE = range(6, 37, 3), 4, (2e-3, 0.1)
+# Largest standard deviations, relative to frequency and damping ratio, of modes that are told.
+DEVIATIONS = 2e-4, 0.0125
+# Relative deviation of a decay rate from which on its pole is dropped at first, gain of the sum of squares, in those of
+# single samples, for which a pole is split, most splits, steps of the least squares, and the relative gain at which
+# they end.
+UNDETERMINED, SPLIT, MOST_SPLITS, STEPS, GAIN = 0.3, 16.0, 3, 8, 1e-5
+MOST_DAMPING = 0.2
+TAP_BYTES = 2**28
+
+
+def read_tap(path: Path, band: tuple[float, float] | None = None) -> MeasuredModes:
+    """Return the modes that a WAV file of a tap determines, within a band [Hz] (default: all).
+
+    Raises:
+        SceneError: The file cannot be read, or its decay determines no mode.
+    """
+    try:
+        check_file(path, TAP_BYTES)
+        values, rate = wav_channels(path.read_bytes())
+        if values.size > MOST_SAMPLES:
+            raise ValueError(f"{values.size} samples; at most {MOST_SAMPLES} are read")
+        frequencies, damping = tap_modes(values, float(rate), band)
+    except (OSError, ValueError) as error:
+        raise SceneError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
+    return MeasuredModes(str(path), frequencies[:MOST_MODES], damping[:MOST_MODES])
+
+
+def tap_modes(
+    values: np.ndarray, rate: float, band: tuple[float, float] | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return frequencies [Hz] and damping ratios of the modes in records (channels, samples) of one tap.
+
+    Raises:
+        ValueError: There is no decay, or it determines no mode.
+    """
+    free = free_decay(values, rate)
+    low, high = max(band[0] if band else LOWEST, LOWEST), min(band[1] if band else math.inf, 0.45 * rate)
+    duration = free.shape[1] / rate
+    width = max(NARROWEST, MOST / duration / OVERSAMPLING)
+    width = min(width, rate / 4)
+    poles = [
+        _in_band(free, rate, centre, width)
+        for centre in np.arange(low + width / 2, high + width / 2, width)
+        if centre < rate / 2
+    ]
+    found = np.concatenate([np.empty(0, dtype=complex), *poles])
+    sizes = np.abs(found)
+    frequencies, damping = sizes / (2 * math.pi), -found.real / sizes
+    order = np.argsort(frequencies)
+    inside = order[(frequencies[order] >= low) & (frequencies[order] <= high)]
+    if not inside.size:
+        raise ValueError("no mode is determined by its decay; record longer, nearer, or choose a band by fit.range")
+    return frequencies[inside], damping[inside]
+
+
+def free_decay(values: np.ndarray, rate: float) -> np.ndarray:
+    """Return what follows the largest sample of records (channels, samples) by more than a contact, without means."""
+    values = values - values.mean(axis=1, keepdims=True)
+    power = (values**2).sum(axis=0)
+    start = int(power.argmax()) + math.ceil(CONTACT * rate)
+    if not power.max() > 0 or values.shape[1] - start < 4 * rate / LOWEST:
+        raise ValueError(f"holds less than {4 / LOWEST:g} s after its largest sample; a tap and its decay are needed")
+    return values[:, start:]
+
+
+def _in_band(free: np.ndarray, rate: float, centre: float, width: float) -> np.ndarray:
+    """Return the poles [1/s] of a band around a centre [Hz] that the decay determines."""
+    step = max(1, int(rate / (OVERSAMPLING * width)))
+    taps = (
+        scipy.signal.firwin(TAPS * step | 1, 0.5 * rate / step, fs=rate, window=("kaiser", ATTENUATION))
+        if step > 1
+        else [1.0]
+    )
+    shifted = free * np.exp(-2j * math.pi * centre / rate * np.arange(free.shape[1]))
+    samples = scipy.signal.oaconvolve(shifted, np.atleast_2d(taps), mode="valid", axes=1)[:, ::step][:, :MOST]
+    interval = step / rate
+    if samples.shape[1] < 3 * ORDERS[0]:
+        return np.empty(0, dtype=complex)
+    rows = samples.shape[1] // 2
+    hankel = np.concatenate([scipy.linalg.hankel(row[:rows], row[rows - 1 :]) for row in samples], axis=1)
+    vectors, sizes, _ = scipy.linalg.svd(hankel, full_matrices=False)
+    if not sizes[0] > 0:
+        return np.empty(0, dtype=complex)
+    orders = [order for order in ORDERS if order < rows // 2]
+    stable = _stable([_esprit(vectors[:, :order]) / interval for order in orders], 2 * math.pi * centre)
+    poles, deviations = _refine(stable, samples, interval, FAINT * float(np.abs(free).max()))
+    absolute = poles + 2j * math.pi * centre
+    decay, size = -poles.real, np.abs(absolute)
+    told = (np.abs(poles.imag) <= math.pi * width) & (decay > 0) & (decay < MOST_DAMPING * size)
+    told &= (deviations < DEVIATIONS[0] * size) & (deviations < DEVIATIONS[1] * decay)
+    return absolute[told]
+
+
+def _esprit(vectors: np.ndarray) -> np.ndarray:
+    """Return the logarithms of the eigenvalues between the rows of signal vectors (rows, order)."""
+    values = np.linalg.eigvals(np.linalg.lstsq(vectors[:-1], vectors[1:], rcond=None)[0])
+    return np.asarray(np.log(values[np.abs(values) > 0]))
+
+
+def _stable(poles: list[np.ndarray], shift: float) -> np.ndarray:
+    """Return the medians of the poles [1/s] that enough models have in common; ``shift`` [1/s] is that of the band."""
+    groups: list[list[complex]] = []
+    for model in reversed(poles):
+        for pole in model[model.real < 0]:
+            for group in groups:
+                middle = group[-1]
+                if (
+                    abs(pole.imag - middle.imag) < ALIKE[0] * abs(shift + middle.imag)
+                    and abs(pole.real / middle.real - 1) < (ALIKE[1])
+                ):
+                    group.append(pole)
+                    break
+            else:
+                groups.append([pole])
+    shared = [group for group in groups if len(group) >= AGREE]
+    return np.array([complex(np.median(np.real(group)), np.median(np.imag(group))) for group in shared], dtype=complex)
+
+
+def _refine(poles: np.ndarray, samples: np.ndarray, interval: float, least: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return poles [1/s] of least squares for samples (channels, n), with the standard deviations of their parts.
+
+    Poles of amplitudes up to ``least``, and those that the samples do not determine, are dropped; those are split in
+    two that describe the samples clearly better so.
+    """
+    fit = _Sum(poles, samples, interval)
+    fit = _Sum(poles[fit.strengths > least], samples, interval)
+    while fit.poles.size:
+        deviations = fit.deviations / np.abs(fit.poles.real)
+        if deviations.max() < UNDETERMINED:
+            break
+        fit = _Sum(np.delete(fit.poles, deviations.argmax()), samples, interval)
+    fit = fit.refined()
+    for _ in range(MOST_SPLITS):
+        told = np.flatnonzero(fit.deviations < 2 * DEVIATIONS[1] * np.abs(fit.poles.real))
+        halves = [fit.split(index).refined() for index in told.tolist()]
+        best = min(halves, key=lambda half: half.residual, default=fit)
+        if fit.residual - best.residual < SPLIT * fit.residual / fit.freedom:
+            break
+        fit = best
+    return fit.poles, fit.deviations
+
+
+class _Sum:
+    """Decaying waves with poles [1/s], with the amplitudes of the least squares for samples (channels, n)."""
+
+    def __init__(self, poles: np.ndarray, samples: np.ndarray, interval: float) -> None:
+        self.poles, self._samples, self._interval = poles, samples, interval
+        self._times = interval * np.arange(samples.shape[1])
+        self._waves = np.exp(np.outer(self._times, poles))
+        self._amplitudes = np.linalg.lstsq(self._waves, samples.T, rcond=None)[0]
+        self._rest = (samples.T - self._waves @ self._amplitudes).T.ravel()
+        self.residual = float(np.linalg.norm(self._rest) ** 2)
+        self.freedom = max(1, samples.size - poles.size * (1 + len(samples)))
+
+    @property
+    def strengths(self) -> np.ndarray:
+        """(poles,) amplitudes at the beginning, of the strongest channel."""
+        return np.asarray(np.abs(self._amplitudes).max(axis=1, initial=0.0))
+
+    @property
+    def _slopes(self) -> np.ndarray:
+        """(channels · n, poles + channels · poles) derivatives by poles and amplitudes."""
+        by_poles = np.concatenate([self._times[:, None] * self._waves * row for row in self._amplitudes.T])
+        return np.hstack([by_poles, np.kron(np.eye(len(self._samples)), self._waves)])
+
+    @property
+    def deviations(self) -> np.ndarray:
+        """(poles,) standard deviations of real and imaginary parts [1/s]."""
+        slopes = self._slopes
+        size = np.linalg.norm(slopes, axis=0)
+        slopes = slopes / np.where(size > 0, size, 1.0)
+        covariance = np.diag(np.linalg.pinv(slopes.conj().T @ slopes)).real / np.where(size > 0, size, 1.0) ** 2
+        return np.asarray(np.sqrt(np.maximum(covariance[: self.poles.size], 0) * self.residual / self.freedom / 2))
+
+    def split(self, index: int) -> _Sum:
+        """Return the waves with two poles, half a decay rate apart, in place of one."""
+        apart = np.array([-0.25, 0.25]) * 1j * self.poles[index].real
+        return self._with(np.append(np.delete(self.poles, index), self.poles[index] + apart))
+
+    def refined(self) -> _Sum:
+        """Return the waves of the least squares nearby, by Gauss and Newton's method."""
+        best = self
+        for _ in range(STEPS if self.poles.size else 0):
+            change = np.linalg.lstsq(best._slopes, best._rest, rcond=None)[0][: self.poles.size]
+            for part in (1.0, 0.5, 0.25, 0.1):
+                tried = best.poles + part * change
+                if (tried.real < 0).all() and (np.abs(part * change) < np.abs(best.poles.real)).all():
+                    following = self._with(tried)
+                    if following.residual < best.residual:
+                        break
+            else:
+                return best
+            gain, best = 1 - following.residual / best.residual, following
+            if gain < GAIN:
+                return best
+        return best
+
+    def _with(self, poles: np.ndarray) -> _Sum:
+        return _Sum(poles, self._samples, self._interval)
