@@ -35,7 +35,9 @@ def draw_verified(verified: Verification, scene: Scene, path: str | Path) -> Non
             label_axis(axes.yaxis, "y", "m")
             if scene.target.mask is None:
                 axes.plot(*scene.target.closed_path().T, color=TARGET, linewidth=1.4)
-        fig.colorbar(dots, ax=[left, middle], label="level over the largest [dB]", shrink=0.8, location="bottom")
+        fig.colorbar(
+            dots, ax=[left, middle], label="level over the largest [dB]", shrink=0.6, aspect=40, location="bottom"
+        )
         right.plot([0, largest], [0, largest], color=INK, linewidth=0.8, linestyle=":")
         right.errorbar(
             promised, measured, yerr=verified.measured.uncertainty, fmt=".", color=POINT, markersize=4, elinewidth=0.7
@@ -48,4 +50,4 @@ def draw_verified(verified: Verification, scene: Scene, path: str | Path) -> Non
         low, high = (100 * end for end in verified.interval)
         factor, promise = 100 * verified.localization_factor, 100 * verified.promised_factor
         words = f"{factor:.1f} % measured ({low:.1f} to {high:.1f} %), {promise:.1f} % predicted"
-        fig.suptitle(f"{scene.title or verified.case}: localization factor {words}", fontsize=11)
+        fig.suptitle(f"{scene.title or verified.case}\nlocalization factor {words}", fontsize=11)
