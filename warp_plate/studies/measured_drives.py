@@ -116,7 +116,7 @@ def measured_drives(
     forms = {line: (plate.forms(target, line), plate.forms(rest, line)) for line in lines}
     equal = scene.measured.equal_magnitudes
     factors = np.array([measured_factor_bound(*forms[line], equal) for line in lines])
-    best = lines[int(factors.argmax())]
+    best = lines[int(np.nan_to_num(factors).argmax())]
     curve = _trade_off(plate, best, target, *forms[best])
     return MeasuredDrives(
         scene=scene,
