@@ -8,12 +8,14 @@ root of the distance resolves.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+import scipy
 from numpy.polynomial import legendre
 
 from warp_plate.modal.spaces.splines import Splines, overlapping_pairs
@@ -28,6 +30,8 @@ Curve = Sequence[Piece]
 GRADED = (0.15, 0.0225, 0.003375)
 # Ordinates nearer to each other than this part of the height are one.
 SAME = 1e-12
+# Segments of several fields that are multiplied at once.
+BLOCK = 256
 # Slope of the end of an arc that counts as extreme.
 LEVEL = 1e-9
 # Samples in which two curves are searched for a crossing, and halvings that find it.
@@ -106,9 +110,9 @@ class Chords:
         along_x = [self.along[0].local(self._intervals[0], self.x, derivative) for derivative in range(3)]
         return along_x, [self.along[1].dense(self.ordinates, derivative) for derivative in range(3)]
 
-    def _blocks(self) -> list[slice]:
-        """Slices that are all segments, each of neighbouring chords."""
-        return [slice(first, first + self.block) for first in range(0, len(self.chord), self.block)]
+    def blocks(self, size: int = BLOCK) -> list[slice]:
+        """Return slices of a number of segments that are all segments, each of neighbouring chords."""
+        return [slice(first, first + size) for first in range(0, len(self.chord), size)]
 
     def sampled(self, fields: Callable[[np.ndarray, np.ndarray], Sequence[np.ndarray]]) -> np.ndarray:
         """Return (n, segments, points) of n ``fields`` (y, x) by their function of x (nx,) and y (ny,) [m]."""
@@ -129,7 +133,7 @@ class Chords:
         pair = np.zeros((self.along[0].splines.functions,) * 2, dtype=int)
         pair[rows, columns] = np.arange(rows.size)
         index, weighted, over_x = self._columns, self.weights * field, np.zeros((self.ordinates.size, rows.size))
-        for some in self._blocks():
+        for some in self.blocks(self.block):
             local = (along_x[x[0]][some] * weighted[some, :, None]).transpose(0, 2, 1) @ along_x[x[1]][some]
             low, high = self.chord[some].min(), self.chord[some].max() + 1
             places = (self.chord[some] - low)[:, None, None] * rows.size
@@ -142,12 +146,30 @@ class Chords:
 
     def integrals(self, values: np.ndarray | float = 1.0, x: int = 0, y: int = 0) -> np.ndarray:
         """Return (..., functions of y, functions of x) ∫ values · u^(x, y) dA of values (..., segments, points)."""
-        along_x, along_y = self._values
-        weighted = np.broadcast_to(values, np.broadcast_shapes(np.shape(values), self.x.shape)) * self.weights
-        local = np.einsum("...sp,spi->...si", weighted, along_x[x])
-        over_x = np.zeros((self.ordinates.size, self.along[0].splines.functions, *local.shape[:-2]))
-        np.add.at(over_x, (self.chord[:, None], self._columns), np.moveaxis(local, (-2, -1), (0, 1)))
-        return np.moveaxis(np.tensordot(along_y[y].T, over_x, axes=1), (0, 1), (-2, -1))
+        values = np.broadcast_to(values, np.broadcast_shapes(np.shape(values), self.x.shape))
+        over_x = np.zeros((self.ordinates.size, self.along[0].splines.functions, math.prod(values.shape[:-2])))
+        flat = values.reshape(-1, *self.x.shape)
+        for some in self.blocks(BLOCK if len(flat) > 1 else self.block):
+            self.add_along_x(over_x, some, flat[:, some] * self.weights[some], x)
+        integrals = self.along_y(over_x, y)
+        return integrals.reshape(*values.shape[:-2], *integrals.shape[1:])
+
+    def add_along_x(self, sums: np.ndarray, some: slice, values: np.ndarray, x: int) -> None:
+        """Add to (ordinates, functions of x, n) the sums of (n, some segments, points) times derivatives along x."""
+        along_x, columns = self._values[0][x][some], self._columns[some]
+        if len(values) == 1:
+            local = np.einsum("sp,spi->si", values[0], along_x)
+        else:
+            local = along_x.transpose(0, 2, 1) @ values.transpose(1, 2, 0)
+        low, high = self.chord[some].min(), self.chord[some].max() + 1
+        places = ((self.chord[some, None] - low) * sums.shape[1] + columns).ravel()
+        ones = (np.ones(places.size), (places, np.arange(places.size)))
+        sparse = scipy.sparse.csr_array(ones, ((high - low) * sums.shape[1], places.size))
+        sums[low:high] += (sparse @ local.reshape(places.size, -1)).reshape(high - low, *sums.shape[1:])
+
+    def along_y(self, sums: np.ndarray, y: int) -> np.ndarray:
+        """Return (n, functions of y, functions of x) integrals of sums by :meth:`add_along_x`."""
+        return np.asarray(np.tensordot(sums, self._values[1][y], axes=(0, 0)).transpose(1, 2, 0))
 
     def sums(
         self, coefficients: np.ndarray, orders: Sequence[tuple[int, int]]
@@ -155,7 +177,7 @@ class Chords:
         """Yield blocks of segments, and there (n, points) values of derivatives of sums (n, functions of y, functions
         of x), by their ``orders`` along x and y."""
         (along_x, along_y), columns = self._values, self._columns
-        for some in self._blocks():
+        for some in self.blocks(self.block):
             low, high = self.chord[some].min(), self.chord[some].max() + 1
             values = []
             for x, y in orders:
@@ -172,16 +194,20 @@ def make_chords(
     points: tuple[int, int],
     cuts: tuple[Sequence[float], Sequence[float]] = ((), ()),
     curves: Sequence[Curve] = (),
+    folds: Sequence[Piece] = (),
+    near: Sequence[tuple[float, float, float, float]] = (),
 ) -> Chords:
     """Return the rule of a plate with numbers of ``points`` between breaks along x and y.
 
-    ``cuts`` are further breaks along x and y [m]; only what closed ``curves`` hold counts.
+    ``cuts`` are further breaks along x and y [m]; only what closed ``curves`` hold counts. Chords are cut where they
+    meet ``folds``, and those ``near`` a place x, y also at two distances: (x, y, distance of the cut, of chords) [m].
     """
     breaks = [np.unique([*side.breaks, *cut]) for side, cut in zip(along, cuts, strict=True)]
     groups = [outline.monotone[1], *(tuple(part for piece in curve for part in piece.monotone(1)) for curve in curves)]
     if not all(groups):
         return _empty(along, points[0])
-    pieces = [*outline.pieces, *(piece for curve in curves for piece in curve)]
+    pieces = [*outline.pieces, *(piece for curve in curves for piece in curve), *folds]
+    folded = [part for fold in folds for part in fold.monotone(1)]
     ordinates, extremes = _cuts(pieces, groups, breaks, min(np.diff(side.breaks).max() for side in along))
     (s_x, w_x), (s_y, w_y) = (legendre.leggauss(count) for count in points)
     s_x, w_x, s_y, w_y = (s_x + 1) / 2, w_x / 2, (s_y + 1) / 2, w_y / 2
@@ -189,12 +215,8 @@ def make_chords(
     x, weights, chord, lines = [], [], [], [np.empty(0)]
     count = 0
     for index, (low, high) in enumerate(pairwise(ordinates)):
-        edges = [
-            (group, part)
-            for group, parts in enumerate(groups)
-            for part in parts
-            if part.low < (low + high) / 2 < part.high
-        ]
+        middle = (low + high) / 2
+        edges = [(group, part) for group, parts in enumerate(groups) for part in parts if part.low < middle < part.high]
         if {group for group, _ in edges} != set(range(len(groups))):
             continue
         part, share = _towards(s_y, w_y, at_extreme[index], at_extreme[index + 1])
@@ -206,7 +228,11 @@ def make_chords(
         for number in np.flatnonzero(inside[:-1]):
             left, right = ends[number], ends[number + 1]
             inner = breaks[0][(breaks[0] > left.mean()) & (breaks[0] < right.mean())]
-            stops = np.clip(np.concatenate([[left], np.tile(inner[:, None], y.size), [right]]), left, right)
+            inner = np.append(inner, [x + side * cut for x, at, cut, reach in near for side in (-1, 1)
+                                      if abs(at - middle) < reach])  # fmt: skip
+            met = [part.across(y) for part in folded if part.low < middle < part.high]
+            stops = np.concatenate([[left], np.tile(inner[:, None], y.size), *([at] for at in met), [right]])
+            stops = np.sort(np.clip(stops, left, right), axis=0)
             width = np.diff(stops, axis=0)
             x.append((stops[:-1, :, None] + width[:, :, None] * s_x).reshape(-1, s_x.size))
             weights.append((width[:, :, None] * w_x * (share * (high - low))[:, None]).reshape(-1, s_x.size))

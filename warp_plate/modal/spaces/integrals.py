@@ -118,8 +118,10 @@ class SplineProducts(ABC):
         """Return the integral of a term over the points of a rule, like ``form``."""
 
     @abstractmethod
-    def _tables(self, vectors: np.ndarray) -> np.ndarray:
-        """Return (n, y, x) coefficients of all products of splines of vectors (unknowns, n)."""
+    def _sums(
+        self, chords: Chords, vectors: np.ndarray, orders: Sequence[tuple[int, int]]
+    ) -> Iterator[tuple[slice, list[np.ndarray]]]:
+        """Yield blocks of segments, and there (n, points) derivatives of vectors (unknowns, n), by their ``orders``."""
 
     @abstractmethod
     def _on_chords(self, chords: Chords) -> np.ndarray:
@@ -187,7 +189,7 @@ class SplineProducts(ABC):
         """Return (n, n) bending energies of vectors (unknowns, n) on chords, from their curvatures."""
         energies = np.zeros((vectors.shape[1],) * 2)
         weighted = [np.broadcast_to(chords.weights * field, chords.weights.shape) for field in fields[:4]]
-        for some, (xx, xy, yy) in chords.sums(self._tables(vectors), ((2, 0), (1, 1), (0, 2))):
+        for some, (xx, xy, yy) in self._sums(chords, vectors, ((2, 0), (1, 1), (0, 2))):
             bend_xx, bend_xy, bend_yy, twist = (values[some].ravel() for values in weighted)
             coupled = (bend_xy * xx) @ yy.T
             energies += (bend_xx * xx) @ xx.T + (bend_yy * yy) @ yy.T + 4 * (twist * xy) @ xy.T + coupled + coupled.T

@@ -7,15 +7,17 @@ map of thickness, the curvature; and where the load jumps, at the edges of a pat
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
 
 from warp_plate.effects.edges import ElasticEdge
 from warp_plate.effects.effect import attachments
+from warp_plate.modal.spaces.singular import ON_EDGE, STRAIGHT, adds_functions, is_round, is_singular, on_edge
 from warp_plate.modal.spaces.splines import Splines, make_splines
 from warp_plate.outline.outline import Outline, bounds
-from warp_plate.outline.pieces import Arc, Piece
+from warp_plate.outline.pieces import Arc
 from warp_plate.plate.section import factor_arrays, shaped_layers
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Point
@@ -39,14 +41,14 @@ SHAPED_INTERVALS = 3
 # Interval at a hole as a part of its width, and at a singular corner as a part of the square of the others over the
 # side, so that more functions show the error; their growth with the distance, and samples of that along a side.
 HOLE_INTERVAL, CORNER_INTERVAL, HOLE_GROWTH, CORNER_GROWTH, SAMPLES = 0.1, 0.06, 0.6, 0.7, 2000
+# Interval at places where functions are added as a part of the distance to the next edge or support.
+APART = 1.0
+# Interval at the end of a line support as a part of the others.
+END_INTERVAL = 0.15
 # Interval at an arc of a corner that is narrower than the others, as a part of its width.
 ARC_INTERVAL = 0.5
-# Largest distance of a point from an edge that it lies on [m].
-ON_EDGE = 1e-9
 # Least interval as a part of the others, and most further knots: with many places intervals are larger there.
 LEAST_INTERVAL, MOST_GRADED = 1e-4, 28
-# Corners with an angle above π by less than this are straight [rad].
-STRAIGHT = 1e-3
 # None are in gaps narrower than this part of an interval.
 NARROW = 0.3
 # Parts of a side: edges of layers nearer than the first count as one, and those nearer than the second are refused, for
@@ -74,7 +76,7 @@ def outline_splines(scene: Scene, axis: int, intervals: int) -> Splines:
     knots = [line for line in lines(scene, axis, degree) if line[1] < degree]
     knots += [(place, degree - 1) for place in _near_layers(scene, axis, length / intervals)]
     # The shear force jumps across the line of a support.
-    lines_across = [support.line for support in scene.supports if support.line is not None]
+    lines_across = [support.line for support in scene.supports if support.line and not adds_functions(scene)]
     knots += [(start[axis], 2) for start, end in lines_across if start[axis] == end[axis]]
     graded = _graded(scene, axis, length / intervals)
     if graded.size:
@@ -89,11 +91,15 @@ def outline_splines(scene: Scene, axis: int, intervals: int) -> Splines:
 def _graded(scene: Scene, axis: int, interval: float) -> np.ndarray:
     """Return the knots along x (0) or y (1) [m] of a plate with an outline, ends included: nearer to each other at
     small holes, arcs and corners where moments are singular; none if there are no such places."""
-    outline, side = scene.outline, scene.plate.size[axis]
+    outline, side, added = scene.outline, scene.plate.size[axis], adds_functions(scene)
     assert outline is not None
     spans = []
     for hole in outline.loops[1:]:
         low, high = bounds(hole)[2 * axis : 2 * axis + 2]
+        if added and is_round(hole):
+            centre, radius = hole[0].centre, hole[0].least_radius
+            spans.append((low, high, APART * _apart(scene, centre, radius), HOLE_GROWTH))
+            continue
         radii = [piece.least_radius for piece in hole if isinstance(piece, Arc)]
         width = min(high - low, 4 * min(radii)) if len(radii) == len(hole) else high - low
         spans.append((low, high, HOLE_INTERVAL * width, HOLE_GROWTH))
@@ -102,9 +108,16 @@ def _graded(scene: Scene, axis: int, interval: float) -> np.ndarray:
             low, high = bounds([arc])[2 * axis : 2 * axis + 2]
             if not arc.closed and high - low < interval:
                 spans.append((low, high, ARC_INTERVAL * (high - low), CORNER_GROWTH))
-    corners = [after.start[axis] for before, after, angle in outline.corners() if _is_singular(before, after, angle)]
-    corners += [end[axis] for support in scene.supports for end in support.ends if not _on_edge(support, end, outline)]
-    spans += [(place, place, CORNER_INTERVAL * interval**2 / side, CORNER_GROWTH) for place in corners]
+    plain = CORNER_INTERVAL * interval**2 / side
+    corners = [after.start for before, after, angle in outline.corners() if is_singular(before, after, angle)]
+    places = [(place, APART * _apart(scene, place) if added else plain) for place in corners]
+    for support in scene.supports:
+        for end in (np.array(end) for end in support.ends if not _on_edge(support, end, outline)):
+            if added and support.point is not None and not on_edge(outline, end):
+                places.append((end, APART * _apart(scene, end)))
+            else:
+                places.append((end, END_INTERVAL * interval if added and support.line else plain))
+    spans += [(place[axis], place[axis], least, CORNER_GROWTH) for place, least in places]
     for least in np.geomspace(LEAST_INTERVAL, 1, 40) * interval:
         knots = _spread(side, interval, [(*span[:2], max(span[2], least), span[3]) for span in spans])
         if knots.size <= MOST_GRADED + side / interval:
@@ -131,12 +144,33 @@ def _on_edge(support: Support, end: Point, outline: Outline) -> bool:
     if support.point is not None:
         corners = (after.start for _, after, angle in outline.corners() if angle < math.pi - STRAIGHT)
         return any(math.dist(corner, end) < ON_EDGE for corner in corners)
-    return min(piece.nearest(end)[1] for piece in outline.pieces) < ON_EDGE
+    return on_edge(outline, np.array(end))
 
 
-def _is_singular(before: Piece, after: Piece, angle: float) -> bool:
-    """Return whether moments are singular where two pieces meet at an angle [rad] of the plate."""
-    return angle > math.pi + STRAIGHT or before.condition != after.condition
+def _apart(scene: Scene, place: np.ndarray, radius: float = 0.0) -> float:
+    """Return the distance [m] of a place, or of a hole of a radius about it, from edges and supports, and from the far
+    ends of those that meet it."""
+    assert scene.outline is not None
+    starts, along, first, ends = _segments(scene.outline, tuple(scene.supports))
+    passed = np.clip(((place - starts) * along).sum(axis=1) / np.maximum((along**2).sum(axis=1), ON_EDGE**2), 0, 1)
+    away = np.linalg.norm(starts + passed[:, None] * along - place, axis=1)
+    away = np.minimum.reduceat(away, first) - radius
+    far = np.linalg.norm(ends - place, axis=2).max(axis=1) - radius
+    away = np.where(away > radius / 100 + ON_EDGE, away, np.where(far > radius / 100 + ON_EDGE, far, math.inf))
+    return float(away.min())
+
+
+@lru_cache
+def _segments(outline: Outline, supports: tuple[Support, ...]) -> tuple[np.ndarray, ...]:
+    """Return starts and vectors (segments, 2) [m] of polylines of edges and supports, the index of the first segment of
+    each, and their ends (curves, 2, 2) [m]."""
+    curves = [support.piece("") for support in supports]
+    lines = [curve.polyline() for curve in (*outline.pieces, *curves) if curve is not None]
+    lines += [np.array([support.point] * 2) for support in supports if support.point is not None]
+    first = np.cumsum([0, *(len(line) - 1 for line in lines[:-1])])
+    starts = np.concatenate([line[:-1] for line in lines])
+    along = np.concatenate([np.diff(line, axis=0) for line in lines])
+    return starts, along, first, np.array([line[[0, -1]] for line in lines])
 
 
 def lines(scene: Scene, axis: int, degree: int = DEGREE) -> list[tuple[float, int]]:

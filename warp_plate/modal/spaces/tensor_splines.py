@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
 
@@ -179,9 +179,11 @@ class TensorSplines(SplineProducts):
         breaks = [*self._section(0), *cuts[0]], [*self._section(1), *cuts[1]]
         return make_chords(outline, along, (count, count + 1), breaks, curves)
 
-    def _tables(self, vectors: np.ndarray) -> np.ndarray:
+    def _sums(
+        self, chords: Chords, vectors: np.ndarray, orders: Sequence[tuple[int, int]]
+    ) -> Iterator[tuple[slice, list[np.ndarray]]]:
         left_out = (splines.left_out for splines in reversed(self.along))
-        return np.pad(vectors.T.reshape(-1, *self.shape), [(0, 0), *left_out])
+        return chords.sums(np.pad(vectors.T.reshape(-1, *self.shape), [(0, 0), *left_out]), orders)
 
     def _on_chords(self, chords: Chords) -> np.ndarray:
         rows, columns = (_used(splines) for splines in reversed(self.along))

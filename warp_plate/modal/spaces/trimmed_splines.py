@@ -10,7 +10,6 @@ knots, are zero (K. Höllig, U. Reif, J. Wipper, SIAM J. Numer. Anal. 39, 2001, 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
 
 import numpy as np
 import scipy
@@ -18,6 +17,7 @@ from numpy.polynomial import legendre
 
 from warp_plate.effects.effect import DISPLACEMENT, SLOPE, Factors
 from warp_plate.modal.spaces.chords import Chords, Curve, LocalSplines, curves_of, make_chords
+from warp_plate.modal.spaces.edge_moments import FURTHER, edge_rule, further_polynomials, moments
 from warp_plate.modal.spaces.integrals import (
     Cuts,
     Field,
@@ -28,11 +28,11 @@ from warp_plate.modal.spaces.integrals import (
     mean_wave_frequency,
 )
 from warp_plate.modal.spaces.knots import outline_splines
+from warp_plate.modal.spaces.singular import added_functions, is_round, laurent_orders
 from warp_plate.modal.spaces.space import Matrix
 from warp_plate.modal.spaces.splines import gauss, overlapping_pairs
 from warp_plate.modal.spaces.tensor_splines import ORDERS
-from warp_plate.outline.outline import Outline
-from warp_plate.outline.pieces import Arc, Piece
+from warp_plate.outline.pieces import Piece
 from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.plate.section import shaped_layers
 from warp_plate.scene.fields import Area
@@ -48,12 +48,10 @@ LOWEST = 1e3
 MOMENTS = 1e-4
 # Products with less of their mass on the plate than this part take no part.
 UNTOUCHED = 1e-22
-# An edge is divided into parts of about so many intervals; polynomials of a part beyond one for each interval. Where
-# the curvature of an edge jumps, and at wide supported corners [rad], motions are not smooth along it, and so many
-# polynomials would hold the plate: fewer are taken.
-PART_INTERVALS, FURTHER, WIDE = 6, 2, 0.6 * np.pi
+# Forms of a uniform plate.
+FORMS: list[Factors] = [("", ""), ("xx", "xx"), ("yy", "yy"), ("xy", "xy"), ("xx", "yy"), ("yy", "xx")]
 # Matrices of all products that are in memory at a time.
-DENSE_MATRICES = 7
+DENSE_MATRICES = 12
 
 
 class TrimmedSplines(SplineProducts):
@@ -74,11 +72,15 @@ class TrimmedSplines(SplineProducts):
         self._local = LocalSplines(self.along[0]), LocalSplines(self.along[1])
         self.integrals = Integrals(scene, *self.along)
         self._varied = any(layer.area for layer in scene.layers) or bool(scene.effects.factor_maps)
-        size = self.shape[0] * self.shape[1]
-        refuse_beyond_memory(8.0 * size**2 * DENSE_MATRICES, f"plate.outline: {size} functions")
+        self._interval = max(side / count for side, count in zip(scene.plate.size, intervals, strict=True))
+        self.added = added_functions(scene, self._interval)
+        self._forms: dict[Factors, np.ndarray] = {}
+        self.products = self.shape[0] * self.shape[1]
+        self.count = self.products + sum(function.functions for function in self.added)
+        refuse_beyond_memory(8.0 * self.count**2 * DENSE_MATRICES, f"plate.outline: {self.count} functions")
         self.chords = self._chords()
         shared = like is not None and like.outline is self.outline and like.along == self.along
-        shared = shared and like is not None and like.scene.supports == scene.supports
+        shared = shared and like is not None and like.scene.supports == scene.supports and like.added is self.added
         self.basis: np.ndarray = like.basis if like is not None and shared else self._make_basis()
 
     @property
@@ -98,7 +100,11 @@ class TrimmedSplines(SplineProducts):
     def form(self, coefficient: Field, factors: Factors = DISPLACEMENT) -> np.ndarray:
         if isinstance(coefficient, OnChords):
             return self._form_on(coefficient.chords, coefficient.values, factors)
-        return self._form_on(self.chords, coefficient, factors)
+        if isinstance(coefficient, np.ndarray):
+            return self._form_on(self.chords, coefficient, factors)
+        if factors not in self._forms:
+            self._forms |= self._forms_on(self.chords, 1.0, FORMS if factors in FORMS else [factors])
+        return coefficient * self._forms[factors]
 
     def edge_form(self, side: str, coefficients: Mapping[Factors, float]) -> np.ndarray:
         total = np.zeros((self.basis.shape[0],) * 2)
@@ -108,7 +114,7 @@ class TrimmedSplines(SplineProducts):
                 total += coefficients[DISPLACEMENT] * row.T @ row
         for piece in self._pieces:
             if piece.edge == side:
-                t, weights = self._edge_rule(piece, 0.0, 1.0)
+                t, weights = edge_rule(piece, self._local, 0.0, 1.0)
                 for factors, coefficient in coefficients.items():
                     rows = self._rows(piece.points(t), piece.normals(t) if factors == SLOPE else None)
                     total += (rows * (coefficient * weights)[:, None]).T @ rows
@@ -133,9 +139,14 @@ class TrimmedSplines(SplineProducts):
         return np.asarray(coefficients @ self.at_points(points).T)
 
     def on_grid(self, coefficients: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        tables = (coefficients @ self.basis.T).reshape(*coefficients.shape[:-1], *self.shape)
+        products, added = np.split(coefficients @ self.basis.T, [self.products], axis=-1)
+        tables = products.reshape(*coefficients.shape[:-1], *self.shape)
         values = self._local[1].dense(y) @ tables @ self._local[0].dense(x).T
-        return np.asarray(np.where(self._covered(x, y), values, 0.0))
+        covered = self._covered(x, y)
+        if self.added:
+            rows, columns = np.nonzero(covered)
+            values[..., rows, columns] += added @ self._added_at(x[columns], y[rows])[0]
+        return np.asarray(np.where(covered, values, 0.0))
 
     def patch_integrals(self, areas: np.ndarray) -> np.ndarray:
         return self._over_patches(areas, ((0, 0),))
@@ -158,7 +169,7 @@ class TrimmedSplines(SplineProducts):
         along_x = legendre.legvander(2 * chords.x / width - 1, counts[0] - 1)
         along_y = legendre.legvander(2 * chords.ordinates / height - 1, counts[1] - 1)
         polynomials = np.moveaxis(along_x, -1, 0)
-        rows = [chords.integrals(polynomials * up[:, None]) for up in along_y.T[:, chords.chord]]
+        rows = [self._integrals(chords, polynomials * up[:, None]) for up in along_y.T[:, chords.chord]]
         return np.reshape(rows, (*counts[::-1], -1)) @ self.basis
 
     def quadrature(self) -> tuple[np.ndarray, np.ndarray]:
@@ -194,8 +205,13 @@ class TrimmedSplines(SplineProducts):
 
     def _chords(self, curves: Sequence[Curve] = (), cuts: Cuts = ((), ())) -> Chords:
         count = self.degree + (3 if self._varied else 1)
-        section = [[*self._section(axis), *cuts[axis]] for axis in (0, 1)]
-        return make_chords(self.outline, self._local, (count, count + 1), (section[0], section[1]), curves)
+        along_x, along_y = ([*self._section(axis), *cuts[axis]] for axis in (0, 1))
+        near = [place for function in self.added for place in function.near()]
+        along_y += [y + side * cut for _, y, cut, _ in near for side in (-1, 1)]
+        low, high = self.outline.bounds[2:]
+        section = along_x, np.clip(along_y, low, high).tolist()
+        folds = [piece for piece in self._pieces if piece.edge.startswith("supports")] if self.added else []
+        return make_chords(self.outline, self._local, (count, count + 1), section, curves, folds, near)
 
     def _fields_on(self, chords: Chords) -> tuple[np.ndarray | float, ...]:
         """Return Dx, D1, Dy, Dxy [N·m] and the mass per area [kg/m²] at the points of a rule, or as numbers."""
@@ -204,16 +220,89 @@ class TrimmedSplines(SplineProducts):
         return tuple(chords.sampled(self.integrals.fields_at))
 
     def _form_on(self, chords: Chords, coefficient: np.ndarray | float, factors: Factors) -> np.ndarray:
-        """Return the full matrix of a form over the products of splines."""
-        x, y = zip(*(ORDERS[factor] for factor in factors), strict=True)
-        values = chords.form(coefficient, (x[0], x[1]), (y[0], y[1]))
+        return self._forms_on(chords, coefficient, [factors])[factors]
+
+    def _forms_on(
+        self, chords: Chords, coefficient: np.ndarray | float, wanted: Sequence[Factors]
+    ) -> dict[Factors, np.ndarray]:
+        """Return the full matrices of forms over all functions, by their factors."""
+        forms = {}
         (row_x, column_x), (row_y, column_y) = (overlapping_pairs(splines) for splines in self.along)
-        matrix = np.zeros((*self.shape, *self.shape))
-        matrix[row_y[:, None], row_x, column_y[:, None], column_x] = values
-        return matrix.reshape(self.shape[0] * self.shape[1], -1)
+        for factors in wanted:
+            along_x, along_y = zip(*(ORDERS[factor] for factor in factors), strict=True)
+            values = chords.form(coefficient, (along_x[0], along_x[1]), (along_y[0], along_y[1]))
+            matrix = np.zeros((*self.shape, *self.shape))
+            matrix[row_y[:, None], row_x, column_y[:, None], column_x] = values
+            forms[factors] = matrix.reshape(self.products, self.products)
+        if not self.added:
+            return forms
+        names = sorted({factor for factors in wanted for factor in factors})
+        count, weights = self.count - self.products, np.broadcast_to(coefficient, chords.weights.shape) * chords.weights
+        squares = {factors: np.zeros((count, count)) for factors in wanted}
+        pairs = sorted({(one, ORDERS[two][0]) for factors in wanted for one, two in (factors, factors[::-1])})
+        sums = {pair: np.zeros((chords.ordinates.size, self.shape[1], count)) for pair in pairs}
+        for some in chords.blocks():
+            sampled = self._added_on(chords, some, [ORDERS[name] for name in names])
+            derivatives = dict(zip(names, sampled, strict=True))
+            weighted = {name: value * weights[some] for name, value in derivatives.items()}
+            for (one, two), square in squares.items():
+                square += weighted[one].reshape(count, -1) @ derivatives[two].reshape(count, -1).T
+            for (name, x), over_x in sums.items():
+                chords.add_along_x(over_x, some, weighted[name], x)
+        for (one, two), square in squares.items():
+            lower, upper = (chords.along_y(sums[name, ORDERS[other][0]], ORDERS[other][1]).reshape(count, -1)
+                            for name, other in ((one, two), (two, one)))  # fmt: skip
+            forms[one, two] = np.block([[forms[one, two], upper.T], [lower, square]])
+        return forms
+
+    def _added_at(self, x: np.ndarray, y: np.ndarray, orders: Sequence[tuple[int, int]] = ((0, 0),)) -> np.ndarray:
+        """Return (orders, added functions, points) derivatives at points (points,) [m]."""
+        return np.concatenate([function.values(x, y, orders) for function in self.added], axis=1)
+
+    def _added_on(self, chords: Chords, some: slice, orders: Sequence[tuple[int, int]]) -> np.ndarray:
+        """Return (orders, added functions, some segments, points) derivatives at the points of a rule."""
+        x, y = chords.x[some], chords.y[some]
+        return self._added_at(x.ravel(), y.ravel(), orders).reshape(len(orders), -1, *x.shape)
+
+    def _integrals(
+        self, chords: Chords, values: np.ndarray | float = 1.0, order: tuple[int, int] = (0, 0)
+    ) -> np.ndarray:
+        """Return (..., functions) integrals of derivatives times values (..., segments, points) over a rule."""
+        products = chords.integrals(values, *order)
+        products = products.reshape(*products.shape[:-2], -1)
+        if not self.added:
+            return products
+        added, weighted = 0.0, values * chords.weights
+        for some in chords.blocks():
+            sampled = self._added_on(chords, some, [order])[0]
+            added = added + np.einsum("esp,...sp->...e", sampled, weighted[..., some, :])
+        return np.concatenate([products, added], axis=-1)
+
+    def _sums(
+        self, chords: Chords, vectors: np.ndarray, orders: Sequence[tuple[int, int]]
+    ) -> Iterator[tuple[slice, list[np.ndarray]]]:
+        products, added = np.split((self.basis @ vectors).T, [self.products], axis=1)
+        for some, values in chords.sums(products.reshape(-1, *self.shape), orders):
+            points = chords.x.shape[1]
+            for part in chords.blocks() if self.added else ():
+                if some.start <= part.start < some.stop:
+                    at = slice((part.start - some.start) * points, (part.stop - some.start) * points)
+                    for value, sampled in zip(values, self._added_on(chords, part, orders), strict=True):
+                        value[:, at] += added @ sampled.reshape(added.shape[1], -1)
+            yield some, values
 
     def _rows(self, points: np.ndarray, normals: np.ndarray | None = None) -> np.ndarray:
-        """Return (points, products) values, or slopes along unit vectors (points, 2)."""
+        """Return (points, functions) values, or slopes along unit vectors (points, 2), of products and added ones."""
+        if self.added:
+            x, y = points.T
+            if normals is None:
+                added = self._added_at(x, y)[0]
+            else:
+                added = (normals.T[:, None] * self._added_at(x, y, ((1, 0), (0, 1)))).sum(axis=0)
+            return np.hstack([self._product_rows(points, normals), added.T])
+        return self._product_rows(points, normals)
+
+    def _product_rows(self, points: np.ndarray, normals: np.ndarray | None = None) -> np.ndarray:
         x, y = points.T
         along_x, along_y = (
             [local.dense(at, derivative) for derivative in range(1 if normals is None else 2)]
@@ -232,14 +321,11 @@ class TrimmedSplines(SplineProducts):
         rows = []
         for area in np.asarray(areas, dtype=float).reshape(-1, 4):
             chords = self._chords(curves_of(PlateRegion.model_construct(area=tuple(area.tolist()))))
-            rows.append(sum(chords.integrals(x=x, y=y).ravel() for x, y in orders))
+            rows.append(sum(self._integrals(chords, 1.0, order) for order in orders))
         return np.array(rows).reshape(-1, self.basis.shape[0]) @ self.basis
 
-    def _tables(self, vectors: np.ndarray) -> np.ndarray:
-        return np.asarray((self.basis @ vectors).T.reshape(-1, *self.shape))
-
     def _on_chords(self, chords: Chords) -> np.ndarray:
-        return np.asarray(chords.integrals().ravel() @ self.basis)
+        return np.asarray(self._integrals(chords) @ self.basis)
 
     def _over_line(self, axis: int, at: float, low: float, high: float) -> np.ndarray:
         """Return (products,) integrals along a line at x (0) or y (1) from ``low`` to ``high`` of the other [m]."""
@@ -271,14 +357,15 @@ class TrimmedSplines(SplineProducts):
         lowest = LOWEST * (2 / np.pi * mean_wave_frequency(self.scene) / self.outline.area) ** 2
         energy = stiffness + lowest * mass
         sizes = np.outer(*(_widths(splines.knots, splines.degree) for splines in reversed(self.along))).ravel()
-        share = np.diag(mass) / (self.plate_mass / self.outline.area * sizes)
-        used = np.flatnonzero((share > UNTOUCHED) & (np.diag(energy) > 0))
+        added = len(energy) - sizes.size
+        share = np.diag(mass) / (self.plate_mass / self.outline.area * np.append(sizes, np.ones(added)))
+        used = np.flatnonzero(((share > UNTOUCHED) | (np.arange(len(share)) >= sizes.size)) & (np.diag(energy) > 0))
         unit = 1 / np.sqrt(np.diag(energy)[used])
         values, vectors = scipy.linalg.eigh(energy[np.ix_(used, used)] * np.outer(unit, unit), driver="evd")
         some = values > RANK * values[-1]
         basis = np.zeros((len(energy), int(some.sum())))
         basis[used] = unit[:, None] * vectors[:, some] / np.sqrt(values[some])
-        further = dict(_further(self.outline))
+        further = dict(further_polynomials(self.outline))
         moments = [row for piece in self._pieces for row in self._moments(piece, further.get(piece, FURTHER))]
         rigid = (support for support in self.scene.supports if support.stiffness is None)
         moments += [self._rows(np.array([support.point])) for support in rigid if support.point is not None]
@@ -289,55 +376,18 @@ class TrimmedSplines(SplineProducts):
         return np.asarray(basis @ scipy.linalg.qr(kept.T)[0][:, len(kept) :])
 
     def _moments(self, piece: Piece, further: int) -> Iterator[np.ndarray]:
-        """Yield rows (n, products) of what vanishes along a clamped or supported piece, with so many more polynomials
-        than intervals in each part."""
+        """Yield rows (n, functions) of what vanishes along a clamped or supported piece."""
         if piece.condition not in ("clamped", "supported"):
             return
         if not piece.closed:
             yield self._rows(piece.points(np.array([0.0, 1.0])))
-        t = np.linspace(0, 1, 2001)
-        points = piece.points(t)
-        middle, steps = (points[1:] + points[:-1]) / 2, np.abs(np.diff(points, axis=0))
-        sizes = [np.diff(side.breaks)[side.interval(middle[:, axis])] for axis, side in enumerate(self._local)]
-        passed = np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0] / sizes[0], steps[:, 1] / sizes[1]))])
-        parts = max(1, int(np.ceil(passed[-1] / PART_INTERVALS)))
-        count = max(1, int(np.ceil(passed[-1] / parts)) + further)
-        ends = np.interp(np.linspace(0, passed[-1], parts + 1), passed, t)
-        for low, high in pairwise(ends.tolist()):
-            at, weights = self._edge_rule(piece, low, high)
-            functions = legendre.legvander(2 * (at - low) / (high - low) - 1, count - 1)
-            functions *= np.sqrt(2 * np.arange(count) + 1) * (weights / weights.sum())[:, None]
+        orders = None
+        if self.added and (piece,) in self.outline.loops[1:] and is_round(hole := (piece,)):
+            orders = laurent_orders(hole[0].least_radius, self._interval)
+        for at, functions in moments(piece, self._local, further, orders):
             yield functions.T @ self._rows(piece.points(at))
             if piece.condition == "clamped":
                 yield max(self.interval_sizes) * functions.T @ self._rows(piece.points(at), piece.normals(at))
-
-    def _edge_rule(self, piece: Piece, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return parameters and weights [m] of Gauss's rule along a part of a piece, cut at the knots."""
-        crossed = [piece.crossings(axis, splines.breaks) for axis, splines in enumerate(self.along)]
-        cuts = np.unique(np.concatenate([[low, high], *crossed]))
-        t, weights = gauss(cuts[(cuts >= low) & (cuts <= high)], self.degree + 2)
-        return t, weights * np.linalg.norm(piece.tangents(t), axis=1)
-
-
-def _further(outline: Outline) -> Iterator[tuple[Piece, int]]:
-    """Yield pieces of an outline that take other than ``FURTHER`` polynomials, and how many."""
-    wide = {after for _, after, angle in outline.corners() if angle > WIDE}
-    for loop in outline.loops:
-        bent = any(_is_bent(*pair) for pair in zip(loop, (*loop[1:], *loop[:1]), strict=True))
-        for piece in loop:
-            if bent:
-                yield piece, 0 if piece.condition == "clamped" and not isinstance(piece, Arc) else -1
-            elif piece.condition == "supported" and not wide.isdisjoint(loop):
-                yield piece, 0
-
-
-def _is_bent(before: Piece, after: Piece) -> bool:
-    """Return whether the curvature jumps between two pieces one of which is an arc."""
-    arcs = [piece for piece in (before, after) if isinstance(piece, Arc)]
-    if len(arcs) == 2:
-        (centre, form), (other, others) = ((arc.centre, arc.axes @ arc.axes.T) for arc in arcs)
-        return not (np.allclose(centre, other) and np.allclose(form, others, atol=1e-9 * np.abs(form).max()))
-    return bool(arcs)
 
 
 def _widths(knots: np.ndarray, degree: int) -> np.ndarray:

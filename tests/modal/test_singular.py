@@ -1,0 +1,136 @@
+"""Functions that are added to splines at corners, points, lines, rings and round holes.
+
+Exponents of clamped corners of 3π/2 are those of M. L. Williams' equation sin²((α - 1)ω) = (α - 1)² sin²ω; between a
+clamped and a free edge of one line they are 1/2 + k ± i ln √((3 + ν)/(1 - ν))/π.
+"""
+
+import math
+
+import numpy as np
+import pytest
+
+from support.scenes import MATERIAL
+from support.scenes_of_outlines import dimensionless, outlined
+from warp_plate.modal.modes import solve_modes
+from warp_plate.modal.spaces import singular
+from warp_plate.outline.pieces import ellipse
+
+HARD = {**MATERIAL, "poisson_ratio": 0.3}
+DISC = {"disc": (0.1, 0.1, 0.1)}
+CORNER = [(0, 0), (0.2, 0), (0.2, 0.1), (0.1, 0.1), (0.1, 0.2), (0, 0.2)]
+HOLE = ellipse((0.1, 0.1), (0.03, 0.03), 0.0, "free", "holes[0]")
+# ωa²√(ρH/D) of a clamped disc of radius a, with a clamped hole of radius a/20, and
+# held along the ring of radius a/2: zeros of determinants of Bessel functions.
+SMALL_HOLE = [24.5464757446, 26.0659571159, 26.0659571159, 35.3162800207, 35.3162800207, 51.0426863121]
+RING = [30.627551215, 60.625608165, 60.625608165, 74.97937419, 76.941633045]
+
+
+def lowest(scene, count):
+    return solve_modes(scene, 0.0, count).frequencies[:count]
+
+
+def exponents(angle, kinds):
+    return [exponent for exponent, _ in singular._exponents(angle, kinds, 0.3)]
+
+
+def test_exponents_of_corners():
+    angle = 1.5 * math.pi
+    for exponent in exponents(angle, ("clamped", "clamped")):
+        beta = exponent - 1
+        assert abs(np.sin(beta * angle) ** 2 - (beta * math.sin(angle)) ** 2) < 1e-6 * abs(np.sin(beta * angle)) ** 2
+    assert exponents(angle, ("clamped", "clamped"))[0].real == pytest.approx(1.544484, abs=1e-6)
+    turn = math.log(3.3 / 0.7) / (2 * math.pi)
+    for order, exponent in enumerate(exponents(math.pi, ("clamped", "free")), 1):
+        assert exponent == pytest.approx(order + 0.5 + 1j * turn, abs=1e-6)
+    assert exponents(2 * math.pi / 3, ("supported", "supported"))[0] == pytest.approx(1.5, abs=1e-6)
+
+
+@pytest.mark.parametrize("index", range(5))
+def test_derivatives_are_differences(index):
+    centre, line = np.array([0.1, 0.1]), np.array([(0.05, 0.07), (0.12, 0.1)])
+    outline = outlined(DISC).outline
+    function = (
+        lambda: singular.at_point(centre, 0.01),
+        lambda: singular.at_corner(centre, 0.3, 4.7, ("clamped", "free"), 0.3, 0.01, 0.08),
+        lambda: singular.along_line(line, (True, False), 5, outline, 0.01),
+        lambda: singular.along_ring(HOLE, 3),
+        lambda: singular.around_hole(HOLE, 0.01),
+    )[index]()
+    x, y = np.random.default_rng(0).uniform(0.06, 0.14, (2, 40))
+    step = 1e-5
+    for order in ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2)):
+        axis = 0 if order[0] else 1
+        lower = (order[0] - (axis == 0), order[1] - (axis == 1))
+        ahead, behind = (
+            function.values(x + sign * step * (axis == 0), y + sign * step * (axis == 1), [lower])[0]
+            for sign in (1, -1)
+        )
+        difference, values = (ahead - behind) / (2 * step), function.values(x, y, [order])[0]
+        error = np.abs(difference - values).max(axis=0) / np.abs(values).max(axis=0)
+        assert np.median(error) < 1e-5
+
+
+def test_functions_are_biharmonic():
+    """The Laplacian of all but those that are cut off is harmonic: its mean over a circle is that at the middle."""
+    line = np.array([(0.05, 0.07), (0.12, 0.1)])
+    corner = singular.at_corner(np.array([0.1, 0.1]), 0.3, 4.7, ("clamped", "free"), 0.3, 0.01, math.inf)
+    functions = [
+        corner,
+        singular.along_line(line, (True, True), 5, outlined(DISC).outline, 0.01),
+        singular.along_ring(HOLE, 3),
+        singular.around_hole(HOLE, 0.01),
+    ]
+    turn = np.linspace(0, 2 * np.pi, 33)[:-1]
+    x, y = 0.11 + 0.01 * np.append(np.cos(turn), 0), 0.15 + 0.01 * np.append(np.sin(turn), 0)
+    for function in functions:
+        bends = function.values(x, y, [(2, 0), (0, 2)])
+        laplacian, size = bends.sum(axis=0), np.abs(bends).max(axis=(0, 2))
+        assert (laplacian[:, :-1].mean(axis=1) - laplacian[:, -1]) / size == pytest.approx(0, abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("edge", "exact", "error"),
+    [
+        ("clamped", [81.874, 105.1405, 122.0873], 2e-4),
+        ("free", [0.0, 0.0, 0.0, 15.7089, 17.0036, 27.22, 33.6153, 60.1518], 1e-5),
+    ],
+)
+@pytest.mark.parametrize("angle", [0.0, 0.5])
+def test_re_entrant_corners(edge, exact, error, angle):
+    turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+    corners = np.array(CORNER) @ turn
+    scene = outlined({"polygon": (corners - corners.min(axis=0)).tolist()}, edge, material=HARD)
+    assert dimensionless(scene, lowest(scene, 8), 0.2)[: len(exact)] == pytest.approx(exact, rel=error, abs=1e-4)
+
+
+def test_a_slanted_line_makes_two_triangles_of_a_square():
+    """Odd modes are those of a triangle with supported edges, even ones those of one whose longest side is clamped."""
+    line = {"line": ((0.0, 0.0), (0.2, 0.2))}
+    scene = outlined({"rectangle": (0.2, 0.2)}, "supported", supports=[line], material=HARD)
+    part = {"edge": "clamped", "from_point": (0.2, 0.0), "to_point": (0.0, 0.2)}
+    triangle = {"polygon": [(0, 0), (0.2, 0), (0, 0.2)]}
+    half = outlined(triangle, "supported", parts=[part], material=HARD, actuators=[(0.02, 0.04, 0.02, 0.04)])
+    odd = math.pi**2 * np.array([5, 10, 13])
+    exact = np.sort(np.concatenate([odd, dimensionless(half, lowest(half, 3), 0.2)]))
+    assert dimensionless(scene, lowest(scene, 6), 0.2) == pytest.approx(exact, rel=1e-6)
+
+
+def test_a_ring_in_a_clamped_disc():
+    scene = outlined(DISC, "clamped", supports=[{"ring": (0.1, 0.1, 0.05)}], material=HARD)
+    assert dimensionless(scene, lowest(scene, 5), 0.1) == pytest.approx(RING, rel=1e-6)
+
+
+def test_small_clamped_holes():
+    hole = {"disc": (0.1, 0.1, 0.005), "edge": "clamped"}
+    scene = outlined(DISC, "clamped", [hole], material=HARD, actuators=[(0.02, 0.04, 0.09, 0.11)])
+    assert dimensionless(scene, lowest(scene, 6), 0.1) == pytest.approx(SMALL_HOLE, rel=2e-6)
+
+
+def test_orthotropic_plates_have_dense_knots_instead():
+    """The same rigidities, written as those of an orthotropic plate."""
+    point = [{"point": (0.07, 0.11)}]
+    plain = outlined(DISC, "clamped", supports=point)
+    rigidity, ratio = plain.plate.rigidity, plain.plate.poisson_ratio
+    table = {"Dx": rigidity, "Dy": rigidity, "D1": ratio * rigidity, "Dxy": (1 - ratio) / 2 * rigidity}
+    other = outlined(DISC, "clamped", supports=point, effects={"orthotropic": table})
+    assert lowest(other, 6) == pytest.approx(lowest(plain, 6), rel=2e-5)
