@@ -36,7 +36,7 @@ def edited(table, key, value):
         ("plate", "thicknes", "5e-4", "plate.thicknes", "'thickness'?"),
         ("grid", "spacing", "0.01", "grid.spacing", "nodes, order, load, time_step, precision"),
         ("plate", "size", "[200, 200, 200]", "plate.size = [200, 200, 200]: ", "list of 2 numbers"),
-        ("plate", "density", "1.0\ncorner_radius = 0.008", "plate.corner_radius: unknown key", "are rectangles only"),
+        ("plate", "density", "1.0\ncorner_radius = 0.008", "plate.corner_radius: unknown key", "in [plate.outline]"),
         ("plate", "size", "[5e-4, 0.2]", "plate.thickness", "metres"),
         ("plate", "thickness", "0.0401", "plate.thickness", "thin"),
         ("plate", "thickness", "2020-01-01", "plate.thickness = 2020-01-01: ", "must be a number"),

@@ -139,7 +139,7 @@ def _required_shape(annotation: Any, key: str, context: Mapping[str, str]) -> st
 
 def _suggestion(name: str, table: Any) -> str:
     if is_table(table) and table.__name__ == "Plate" and _OUTLINE.search(name):
-        return "; plates are rectangles only, write size = [length along x, length along y] (metres)"
+        return "; write size = [length along x, length along y] (metres), or another shape in [plate.outline]"
     if close := _closest(name, table):
         return f"; did you mean {close!r}?"
     return f"; known here: {', '.join(table.model_fields)}" if is_table(table) else ""
