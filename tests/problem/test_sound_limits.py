@@ -13,7 +13,7 @@ from warp_plate.modal.radiation import Radiation, pressures
 from warp_plate.plate.designs import Designs
 from warp_plate.problem.methods import resolve_search
 from warp_plate.problem.problem import make_problem
-from warp_plate.result.sound import a_weighting
+from warp_plate.quantities.sound_levels import a_weighting
 
 DAMPED = {"effects": {"damping": {"viscous": 20.0}}}
 FREE = {"magnitude": {"range": (0.0, 50.0)}, "phase": {}}

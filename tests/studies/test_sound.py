@@ -13,7 +13,7 @@ from support.scenes_of_outlines import outlined
 from warp_plate import Scene, specify
 from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.radiation import Air
-from warp_plate.result.sound import a_weighting
+from warp_plate.quantities.sound_levels import a_weighting
 from warp_plate.studies.sound import sound
 
 # Frequencies [Hz] and values [dB] of IEC 61672-1, table 3.

@@ -25,8 +25,7 @@ from numpy.polynomial import chebyshev
 
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.plate.memory import refuse_beyond_memory
-from warp_plate.quantities.region_quantities import AIR_DENSITY, SOUND_SPEED
-from warp_plate.result.sound import a_weighting
+from warp_plate.quantities.sound_levels import AIR_DENSITY, SOUND_SPEED, a_weighting
 from warp_plate.scene.errors import SceneError
 
 # Terms beyond one for each radian of phase over half the plate: all errors are below 1e-12.

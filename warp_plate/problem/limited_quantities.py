@@ -9,8 +9,7 @@ from warp_plate.modal.coils import CoilMotion
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.radiation import pressure_rows
 from warp_plate.problem.requirements import Requirements
-from warp_plate.quantities.region_quantities import POWER_REFERENCE
-from warp_plate.result.sound import PRESSURE_REFERENCE, a_weighting
+from warp_plate.quantities.sound_levels import POWER_REFERENCE, PRESSURE_REFERENCE, a_weighting
 
 
 @dataclass(frozen=True)

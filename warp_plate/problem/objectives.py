@@ -19,14 +19,13 @@ from warp_plate.plate.weights import REGIONS, RegionLike, SoundRegion, localizat
 from warp_plate.quantities.region_quantities import (
     LEAST_REST,
     MOST_DECIBELS,
-    POWER_REFERENCE,
     REGION_QUANTITIES,
     TARGET,
     RegionSizes,
     decibels,
     mean_square,
 )
-from warp_plate.result.sound import PRESSURE_REFERENCE
+from warp_plate.quantities.sound_levels import POWER_REFERENCE, PRESSURE_REFERENCE
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.search import SOUNDS, Limits, Objective
 

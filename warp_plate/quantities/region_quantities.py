@@ -22,13 +22,12 @@ from typing import Literal
 import numpy as np
 
 from warp_plate.plate.weights import REGIONS, localization_factor
+from warp_plate.quantities.sound_levels import AIR_DENSITY, POWER_REFERENCE, SOUND_SPEED
 
 # Largest contrast of either sign [dB]: beyond it, the smaller energy is rounding.
 MOST_DECIBELS = 120.0
 # Share of the plate's area up to which what the target leaves counts as no rest.
 LEAST_REST = 1e-9
-# Reference of sound power levels [W]; density [kg/m³] and speed of sound [m/s] of dry air at 20 °C and 101.325 kPa.
-POWER_REFERENCE, AIR_DENSITY, SOUND_SPEED = 1e-12, 1.204, 343.2
 PLATE, TARGET = REGIONS.index("plate"), REGIONS.index("target")
 
 

@@ -74,7 +74,8 @@ T = TypeVar("T")
 class Named(dict[str, T]):
     """Values by name; the error of an unknown name calls it ``noun`` and lists the names that there are."""
 
-    def __init__(self, noun: str, values: Mapping[str, T]) -> None:
+    # ``dataclasses.asdict`` makes a copy from its items alone.
+    def __init__(self, values: Mapping[str, T] | Iterable[tuple[str, T]], noun: str = "name") -> None:
         super().__init__(values)
         self.noun = noun
 
@@ -124,7 +125,7 @@ class Case:
     motion: Annotated[RegionMotion | None, ELSEWHERE] = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "energy", Named("region", self.energy))
+        object.__setattr__(self, "energy", Named(self.energy, "region"))
 
     def __repr__(self) -> str:
         return f"<Case {len(self.phasors)} actuators, localization factor {self.localization_factor:.4g}>"

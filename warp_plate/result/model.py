@@ -180,7 +180,7 @@ class Result:
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "cases", Named("case", self.cases))
+        object.__setattr__(self, "cases", Named(self.cases, "case"))
 
     def case_scene(self, case: Case) -> Scene:
         """Return :func:`case_scene` of the result's scene."""

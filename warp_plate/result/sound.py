@@ -7,15 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.quantities.region_quantities import POWER_REFERENCE
+from warp_plate.quantities.sound_levels import POWER_REFERENCE, PRESSURE_REFERENCE, a_weighting
 from warp_plate.result import hdf5
 from warp_plate.result.atomic_io import write_table
 from warp_plate.result.frequency_response import UNDAMPED
 
-# Reference of levels of the root mean square of the pressure [Pa].
-PRESSURE_REFERENCE = 20e-6
-# Corner frequencies of the A-weighting [Hz] of IEC 61672-1, and its value at 1 kHz before it is set to 0 dB.
-CORNERS, AT_1_KHZ = (20.598997, 107.65265, 737.86223, 12194.217), -1.999995
 FORMAT = hdf5.FileFormat("sound", 1)
 
 
@@ -86,16 +82,6 @@ class Sound:
     def labels(self) -> list[str]:
         """Names of the points, such as "0.1,0.1,1"."""
         return [f"{x:g},{y:g},{z:g}" for x, y, z in self.points.tolist()]
-
-
-def a_weighting(frequencies: np.ndarray) -> np.ndarray:
-    """Return the A-weighting [dB] at frequencies [Hz], IEC 61672-1."""
-    squares = np.asarray(frequencies, dtype=float) ** 2
-    first, second, third, last = (corner**2 for corner in CORNERS)
-    ratio = last * squares**2 / ((squares + first) * (squares + last))
-    with np.errstate(divide="ignore"):
-        level = np.log10(ratio / np.sqrt((squares + second) * (squares + third)))
-    return np.asarray(20 * level - AT_1_KHZ)
 
 
 def _decibels(ratio: np.ndarray) -> np.ndarray:

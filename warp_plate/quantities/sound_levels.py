@@ -1,0 +1,20 @@
+"""Air, references of sound levels, and the A-weighting."""
+
+import numpy as np
+
+# Density [kg/m³] and speed of sound [m/s] of dry air at 20 °C and 101.325 kPa.
+AIR_DENSITY, SOUND_SPEED = 1.204, 343.2
+# References of levels of sound power [W] and of the root mean square of the pressure [Pa].
+POWER_REFERENCE, PRESSURE_REFERENCE = 1e-12, 20e-6
+# Corner frequencies of the A-weighting [Hz] of IEC 61672-1, and its value at 1 kHz before it is set to 0 dB.
+CORNERS, AT_1_KHZ = (20.598997, 107.65265, 737.86223, 12194.217), -1.999995
+
+
+def a_weighting(frequencies: np.ndarray) -> np.ndarray:
+    """Return the A-weighting [dB] at frequencies [Hz], IEC 61672-1."""
+    squares = np.asarray(frequencies, dtype=float) ** 2
+    first, second, third, last = (corner**2 for corner in CORNERS)
+    ratio = last * squares**2 / ((squares + first) * (squares + last))
+    with np.errstate(divide="ignore"):
+        level = np.log10(ratio / np.sqrt((squares + second) * (squares + third)))
+    return np.asarray(20 * level - AT_1_KHZ)
