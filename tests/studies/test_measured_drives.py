@@ -41,6 +41,23 @@ def test_hundred_panels():
     assert holds.sum() >= 97
 
 
+@pytest.mark.parametrize(("stretch", "gain"), [(1.002, 0.02), (1.3, -0.02)])
+def test_blend_with_a_fitted_plate(stretch, gain, tmp_path):
+    """A panel whose best drive is near the noise: a plate that fits helps, and one that does not hardly harms."""
+    random = np.random.default_rng(117)
+    scene = drawn_panel(random)
+    panel = TruePanel(scene)
+    matrix = panel.scan(random)
+    (tmp_path / "fitted.toml").write_text(scene.replace("plate.thickness", stretch * scene.plate.thickness).to_toml())
+    plain, blended = (
+        measured_drives(panel.measured_scene(measured=fitted).in_folder(tmp_path), matrix).localized
+        for fitted in ({}, {"fitted": "fitted.toml"})
+    )
+    factors = [panel.factor(one.drive) / panel.largest_factor() for one in (plain, blended)]
+    assert factors[1] > factors[0] + gain
+    assert blended.interval[0] <= factors[1] * panel.largest_factor() <= blended.interval[1]
+
+
 def test_robust_drive_has_the_larger_lower_end_where_noise_is_large(random):
     panel = TruePanel(drawn_panel(np.random.default_rng(1), actuators=8))
     found = measured_drives(panel.measured_scene(), panel.scan(random, noise=0.1)).localized

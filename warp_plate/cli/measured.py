@@ -130,7 +130,7 @@ def _print(source: str, found: MeasuredDrives, console: Console) -> None:
 
 
 def _cells(magnitude: float, phase: float) -> list[str]:
-    return [output.number_text(magnitude, ".4g"), output.number_text(math.degrees(phase), ".1f")]
+    return [output.number_text(magnitude, ".4g"), output.number_text(round(math.degrees(phase), 1) + 0.0, ".1f")]
 
 
 def _print_levels(found: MeasuredDrives, console: Console) -> None:

@@ -3,11 +3,18 @@
 A coherence γ² of n averages leaves a response with the variance (Bendat, Piersol, Random Data, chapter 9)
 
     E|ΔH|² = |H|² (1 − γ²) / (γ² n)
+
+Where there is a fitted plate with responses M, responses of each actuator at each frequency are taken between both,
+
+    H' = g M + w (H − g M),     w = τ² / (τ² + σ²),     τ² = mean |H − g M|² − σ²,
+
+with the gain g of least squares: the posterior means if the plate's errors have the variance τ², estimated by that of
+the differences (C. N. Morris, J. Am. Stat. Assoc. 78, 1983, pp. 47-55). Their variance is w σ², and that of the gain.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +22,13 @@ import numpy as np
 
 from warp_plate.fitting.measured_modes import check_file
 from warp_plate.fitting.measured_universal import ACROSS, COHERENCE, RESPONSE, read_universal
+from warp_plate.modal.modes import solve_modes
+from warp_plate.result.frequency_response import DERIVATIVES
 from warp_plate.result.hdf5 import HDF5, MAT, read_arrays
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import LARGEST
 from warp_plate.scene.measured import Measured, MeasuredScene
+from warp_plate.scene.model import Scene
 
 MATRIX_BYTES, MOST_POINTS, MOST_ACTUATORS, MOST_LINES = 2**30, 2000, 64, 2**16
 ARRAYS = "frequency", "points", "response", "real", "imaginary", "coherence", "impulse", "rate"
@@ -201,3 +211,31 @@ def _sign(item: dict[str, Any]) -> int:
 
 def _name(reference: tuple[int, int]) -> str:
     return f"node {reference[0]}" + f" {' XYZ'[reference[1]]}" * (reference[1] in (1, 2, 3))
+
+
+def blend(matrix: MeasuredMatrix, scene: MeasuredScene) -> MeasuredMatrix:
+    """Return responses between the measured ones and those of the plate ``measured.fitted``; SceneError: it does not
+    fit them."""
+    name, sigma2 = scene.measured.fitted, matrix.variance
+    assert name is not None
+    fitted = Scene.load((scene.folder or Path()) / name)
+    head = f"measured.fitted = {name!r}"
+    if sigma2 is None:
+        raise SceneError(f"{head}: its part follows from the noise; write measured.noise or averages")
+    if len(fitted.actuators) != len(matrix.names):
+        raise SceneError(f"{head}: has {len(fitted.actuators)} actuators; the responses have {len(matrix.names)}")
+    if ((matrix.points < 0) | (matrix.points > fitted.plate.size)).any():
+        raise SceneError(f"{head}: a scanned point is off its plate of {list(fitted.plate.size)} m")
+    plate = solve_modes(fitted, float(matrix.frequencies[-1]), key=head)
+    forces, shapes = plate.actuator_forces()[None], plate.at_points(matrix.points).T
+    moved = np.stack([plate.respond_to_drives(np.array([[at]]), forces)[0] for at in matrix.frequencies])
+    power = DERIVATIVES[scene.measured.quantity]
+    model = (2j * np.pi * matrix.frequencies[:, None, None]) ** power * (shapes @ moved)
+    size = np.sum(np.abs(model) ** 2, axis=1, keepdims=True)
+    product = np.sum(model.conj() * matrix.responses, axis=1, keepdims=True)
+    model = model * np.divide(product, size, out=np.zeros_like(product), where=size > 0)
+    rest = matrix.responses - model
+    tau2 = np.mean(np.abs(rest) ** 2 - sigma2, axis=1, keepdims=True).clip(min=0)
+    weight = tau2 / np.maximum(tau2 + sigma2, 1e-300)
+    variance = sigma2 * (weight + 1 / len(matrix.points))
+    return replace(matrix, responses=model + weight * rest, variance=variance)

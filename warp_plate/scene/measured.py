@@ -41,6 +41,9 @@ class Measured(Table):
     """Number of averages of the coherences in the file, from which the variances of the responses follow."""
     noise: Annotated[NotNegative | None, Unit("1"), Field(examples=[0.01])] = None
     """Standard deviation of the responses over the root mean square of their actuator, without coherences."""
+    fitted: Annotated[str | None, Field(examples=["panel.fitted.toml"])] = None
+    """Name of a scene file beside this one, of the panel with the same actuators in order: responses are taken between
+    the measured ones and its own, by their errors (default: the measured ones)."""
     largest: Annotated[
         Annotated[Positive, Tag("one")] | Annotated[tuple[Positive, ...], Tag("several")],
         _IS_LIST,
@@ -56,6 +59,8 @@ class Measured(Table):
     @model_validator(mode="after")
     def _checked(self) -> Self:
         check_file_name("file", self.file, FILES)
+        if self.fitted is not None:
+            check_file_name("fitted", self.fitted, (".toml",))
         if isinstance(self.frequency, tuple) and not self.frequency[0] < self.frequency[1]:
             raise ValueError(f"frequency: {list(self.frequency)}: write the lower frequency first")
         if self.panel is not None and not (self.panel[0] < self.panel[1] and self.panel[2] < self.panel[3]):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from warp_plate.fitting.measured_matrix import MeasuredMatrix, read_matrix
+from warp_plate.fitting.measured_matrix import MeasuredMatrix, blend, read_matrix
 from warp_plate.focusing.measured_focus import MeasuredFocus, focus_measured
 from warp_plate.interrupts import check_interrupt
 from warp_plate.problem.measured_levels import MeasuredLevels, meet_levels
@@ -104,7 +104,8 @@ def measured_drives(
     """
     scene = MeasuredScene.load(scene)
     check_function("on_progress", on_progress)
-    plate = MeasuredPlate(scene, read_matrix(scene) if matrix is None else matrix)
+    matrix = read_matrix(scene) if matrix is None else matrix
+    plate = MeasuredPlate(scene, matrix if scene.measured.fitted is None else blend(matrix, scene))
     name, target = next(iter(plate.targets.items()))
     rest = plate.shape.difference(target)
     if not rest.area > 0:
