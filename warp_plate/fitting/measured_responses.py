@@ -55,6 +55,7 @@ class MeasuredResponses:
     decay: float = 0.0  # [1/s] responses are those at s = iω + decay, by the exponential window of hits
 
 
+@np.errstate(all="ignore")  # of numbers that are refused in the end
 def read_responses(
     paths: Path | Sequence[Path], count: int, fit: Fit | None = None, rows: Sequence[Measurement] | None = None
 ) -> MeasuredResponses:

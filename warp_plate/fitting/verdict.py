@@ -182,7 +182,7 @@ def judge_responses(scene: Scene, errors: np.ndarray, alternatives: Alternatives
     said = f"rms error {level:.2g} dB and {angle:.0f}°"
     for cause, text, rows, data in _ranked(scene, alternatives) if error > NOTABLE_ERROR else ():
         left = float(systematic_error(alternatives.refit(rows, data)).max())
-        if left < LEFT * error and left <= LARGEST_ERROR:
+        if left < LEFT * error and left <= 2 * LARGEST_ERROR:
             left_over = f"this leaves {20 / np.log(10) * left:.2g} dB"
             return Verdict(False, error, cause, _failure(said, f"Likely cause: {text} ({left_over})."))
     if error <= LARGEST_ERROR:
