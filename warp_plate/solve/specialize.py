@@ -184,7 +184,8 @@ def effect_names(scene: Scene, several_waves: bool = False) -> tuple[str, ...]:
     names, damped = scene.effects.compiled, scene.effects.damping is not None
     moments = several_waves or needs_moment_form(scene)
     before, after = names[:damped], names[damped:]
-    return (*before, *["bending by moments"][:moments], *after, *["several waves"][:several_waves])
+    coils = ["coils"][: scene.coils_in_time]
+    return (*before, *["bending by moments"][:moments], *after, *coils, *["several waves"][:several_waves])
 
 
 def kernel_effects(discretization: Discretization) -> KernelEffects:
