@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any, get_args
 
+from warp_plate.effects.air import AirLoad
 from warp_plate.effects.damping import Damping
 from warp_plate.effects.effect import Effect, Panel, Term, rows_of
 from warp_plate.effects.foundation import Foundation
@@ -49,6 +50,7 @@ class Effects(Table):
     oscillators: tuple[Oscillator, ...] = ()
     stretching: Stretching | None = None
     moving_load: MovingLoad | None = None
+    air: AirLoad | None = None
 
     @property
     def rows(self) -> Iterator[tuple[str, Effect]]:
@@ -180,6 +182,7 @@ def check_modal_tables(effects: Effects, drives: Mapping[str, Any]) -> None:
     for name, others, reason in (
         ("loss_factor", transient, f"a loss factor is defined for steady tones alone; {causal}"),
         ("loss_factor", nonlinear, "only a linear plate has it; delete it"),
+        ("air", {**transient, **nonlinear}, "the load of air is that of steady tones of a linear plate; delete it"),
         ("modal_damping", nonlinear, "only a linear plate has modes; delete it"),
     ):
         other = next((key for key, value in others.items() if value is not None), None)

@@ -263,6 +263,8 @@ class ResponseFit(FittedPanel):
 
 def fit_responses(scene: Scene, measured: MeasuredResponses) -> ResponseFit:
     """Fit the keys under ``[fit.free]`` of a scene to measured frequency responses."""
+    if scene.effects.air is not None:
+        raise SceneError("effects.air: responses are fitted without it; delete it, its mass counts as the panel's")
     if scene.coil_indices:
         key = f"actuators[{scene.coil_indices[0]}].kind"
         raise SceneError(f"{key}: responses are fitted without coils; measure the panel before they are mounted")

@@ -50,7 +50,8 @@ class ModalEnergies:
         window = None if plate.scene.steady else plate.scene.window
         self._means = Means(plate, regions, window, quantity == "velocity", sounds)
         on_device = device is not None and device.is_cuda and plate.proportional and plate.scene.outline is None
-        on_device = on_device and rectangular(plate.scene) and not plate.scene.coil_indices and not sounds
+        on_device = on_device and rectangular(plate.scene) and not plate.scene.coil_indices
+        on_device = on_device and plate.scene.effects.air is None and not sounds
         self._device = device if on_device else None
         self._tones = plate.scene.drive.waveform_key is None
 

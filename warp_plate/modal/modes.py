@@ -18,12 +18,13 @@ from functools import cached_property
 import numpy as np
 
 from warp_plate.effects.effect import per_mode
+from warp_plate.modal.air import AirOnPlate
 from warp_plate.modal.assemble import Galerkin, load_integrals, make_galerkin, make_space
 from warp_plate.modal.coils import Coils
 from warp_plate.modal.eigenproblem import SPARSE, bending_energies, solve_eigenproblem
 from warp_plate.modal.poles import NEGLIGIBLE, CoupledModes, Poles, make_poles
 from warp_plate.modal.spaces.integrals import mean_wave_frequency
-from warp_plate.modal.spaces.knots import DEGREE
+from warp_plate.modal.spaces.knots import DEGREE, intervals_for
 from warp_plate.modal.spaces.space import FunctionSpace
 from warp_plate.plate.signals import highest_frequency
 from warp_plate.scene.errors import SceneError
@@ -31,11 +32,8 @@ from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.scene.target import PlateRegion, Target
 
-# Intervals between knots along the longer side: at least so many, so many for each half-wave at the highest frequency,
-# and at most so many; along the shorter side fewer, but of less size.
-FEWEST, PER_HALF_WAVE, MOST_INTERVALS = 18, 2.6, 400
-# The same for plates with an outline, as a part of these.
-FEWER = 0.7
+# Most intervals between knots along a side.
+MOST_INTERVALS = 400
 # Modes up to the highest frequency, by Weyl's law: so many take some 45 s and 2.7 GB, or without higher ones more.
 MOST_MODES, MOST_ALONE = 1000, 1500
 # Modes that are wanted: those up to REACH times the highest frequency, and FURTHER ones for what higher ones add to
@@ -128,6 +126,11 @@ class ModalPlate:
         return self.coils.means
 
     @cached_property
+    def air(self) -> AirOnPlate | None:
+        """The load of the scene's air on the modes, which are those in vacuo; None if there is none."""
+        return None if self.scene.effects.air is None else AirOnPlate(self, self.scene.effects.air)
+
+    @cached_property
     def _poles(self) -> dict[float, Poles]:
         return {}
 
@@ -144,6 +147,8 @@ class ModalPlate:
         if self.coils is not None:
             both = [self.coils.resonances(opened) for opened in (True, False)]
             return np.concatenate([both[0][0], both[1][0]]), np.concatenate([both[0][1], both[1][1]])
+        if self.air is not None:
+            return self.air.resonances
         if self.coupled is not None:
             return self.coupled.resonances
         return self.frequencies, self.damping_ratios * self.frequencies
@@ -234,7 +239,7 @@ class ModalPlate:
         """Return the (plates, modes, loads) steady response, see :meth:`respond`, of plates to forces (plates or 1,
         modes, loads) at separate frequencies (plates, loads or 1) [Hz]."""
         omega = 2 * math.pi * frequency
-        if self.coupled is None and self.coils is None:
+        if self.coupled is None and self.coils is None and self.air is None:
             with np.errstate(divide="ignore", invalid="ignore"):
                 return np.asarray(forces / self.dynamic_stiffness(omega).mT)
         respond = self.respond_alone if self.coils is None else self.coils.respond
@@ -246,6 +251,8 @@ class ModalPlate:
 
     def respond_alone(self, omega: np.ndarray, forces: np.ndarray) -> np.ndarray:
         """Return the (n, modes, loads) response without coils to forces (n, modes, loads) at ω (n,) [rad/s]."""
+        if self.air is not None:
+            return self.air.respond(omega, forces)
         if self.coupled is not None:
             return self.coupled.respond(omega, forces)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -297,7 +304,7 @@ def solve_modes(
     highest, density = finer * (highest_frequency(scene) if highest is None else highest), finer * density
     wave, area = mean_wave_frequency(scene), scene.plate.area
     counted = wave * (math.sqrt(4 / math.pi * count) + 2) ** 2 / area if count else 0.0
-    intervals = _intervals(scene, max(highest, counted), wave, density)
+    intervals = intervals_for(scene, max(highest, counted), wave, density)
     below = max(math.pi / 4 * area * highest / wave, count)
     _check_size(scene, key or ("drive.frequency" if highest >= counted else "count"), below, most, intervals)
     galerkin = make_galerkin(scene, make_space(scene, intervals))
@@ -344,7 +351,7 @@ def errors_of_frequencies(scene: Scene, frequencies: np.ndarray) -> np.ndarray:
 def expected_size(scene: Scene, highest: float, density: float = 1.0) -> tuple[float, float]:
     """Return about how many functions and modes :func:`solve_modes` takes for responses up to a frequency [Hz]."""
     finer, wave = scene.grid.modal_density, mean_wave_frequency(scene)
-    sides = _intervals(scene, finer * highest, wave, finer * density)
+    sides = intervals_for(scene, finer * highest, wave, finer * density)
     functions, area = math.prod(side + DEGREE for side in sides), scene.plate.area
     wanted = 1.1 * math.pi / 4 * area * REACH * finer * highest / wave + FURTHER
     return functions, wanted if wanted * SPARSE < functions else functions
@@ -379,18 +386,6 @@ def _check_size(scene: Scene, key: str, below: float, most: int, intervals: tupl
             f"{key}: {max(intervals)} intervals between the knots of splines are needed along a side of the plate; at "
             f"most {MOST_INTERVALS} are possible"
         )
-
-
-def _intervals(scene: Scene, highest: float, wave: float, density: float) -> tuple[int, int]:
-    """Return the number of intervals between knots along x and along y; ``wave`` as :func:`mean_wave_frequency`."""
-    waves, longer = math.sqrt(highest / wave), max(scene.plate.size)
-    if scene.outline is not None:  # whose splines have more continuous derivatives at the edges
-        density *= FEWER
-    counts = [
-        math.ceil(max(FEWEST * math.sqrt(side / longer), PER_HALF_WAVE * waves * side)) for side in scene.plate.size
-    ]
-    x, y = (math.ceil(density * count) for count in counts)
-    return x, y
 
 
 def _is_diagonal(matrix: np.ndarray) -> bool:

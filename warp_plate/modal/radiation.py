@@ -10,23 +10,26 @@ is that of the intensity |p|²/2ρc over the half-space,
 V of every mode at a number of directions gives the matrix R of their radiation resistances. R/k² is a smooth, even
 function of k, which Chebyshev polynomials in k² interpolate to rounding.
 
-The sound does not act on the plate, the plate does not radiate to the back, and a plate without a baffle radiates less
-below its critical frequency, where the sound of both sides cancels out.
+The plate does not radiate to the back. The sound acts on it in scenes with ``[effects.air]``, see
+:mod:`warp_plate.modal.air`.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import scipy
 from numpy.polynomial import chebyshev
 
-from warp_plate.modal.modes import ModalPlate
+from warp_plate.effects.air import AIR_DENSITY, SOUND_SPEED
+from warp_plate.modal.spaces.space import FunctionSpace
 from warp_plate.plate.memory import refuse_beyond_memory
-from warp_plate.quantities.sound_levels import AIR_DENSITY, SOUND_SPEED, a_weighting
+from warp_plate.quantities.sound_levels import a_weighting
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
 
 # Terms beyond one for each radian of phase over half the plate: all errors are below 1e-12.
 FURTHER = 12
@@ -53,6 +56,25 @@ class Air:
 AIR = Air()
 
 
+def air_of(scene: Scene) -> Air:
+    """Return the medium of a scene: that of ``[effects.air]``, or air at 20 °C."""
+    table = scene.effects.air
+    return AIR if table is None else Air(table.density, table.sound_speed)
+
+
+class PlateInBaffle(Protocol):
+    """What sound takes of a plate; see :class:`warp_plate.modal.modes.ModalPlate`."""
+
+    @property
+    def scene(self) -> Scene: ...
+    @property
+    def space(self) -> FunctionSpace: ...
+    @property
+    def frequencies(self) -> np.ndarray: ...
+    @property
+    def vectors(self) -> np.ndarray: ...
+
+
 class FarField:
     """V of every mode, relative to the middle of the plate's sides, for wavenumbers up to a highest one.
 
@@ -60,7 +82,7 @@ class FarField:
     polynomials, whose moments with the modes are computed once.
     """
 
-    def __init__(self, plate: ModalPlate, highest: float) -> None:
+    def __init__(self, plate: PlateInBaffle, highest: float) -> None:
         """``highest`` wavenumber [1/m]."""
         self.sides = plate.scene.plate.size
         self._moments = plate.space.moments(self._counts(highest)) @ plate.vectors[: plate.space.unknowns]
@@ -103,19 +125,19 @@ class WeightedSound:
     """The A-weighted sound of steady modal velocities as a quadratic form: power [W], or at a point (x, y, z) [m] the
     mean square of the pressure [Pa²]."""
 
-    def __init__(self, plate: ModalPlate, highest: float, point: tuple[float, float, float] | None = None) -> None:
+    def __init__(self, plate: PlateInBaffle, highest: float, point: tuple[float, float, float] | None = None) -> None:
         """``highest`` frequency [Hz]."""
-        self._plate, self._point = plate, point
-        self._far_field = FarField(plate, float(AIR.wavenumber(highest))) if point is None else None
+        self._plate, self._point, self._air = plate, point, air_of(plate.scene)
+        self._far_field = FarField(plate, float(self._air.wavenumber(highest))) if point is None else None
 
     def factor(self, frequency: float) -> np.ndarray:
         """Return F (rows, modes) at a frequency [Hz]: the sound of velocities q̇ exp(iωt) is ½ ‖F q̇‖²."""
         weight = 10 ** (float(a_weighting(np.array([frequency]))[0]) / 20)
         if self._far_field is None:
             assert self._point is not None
-            return weight * pressure_rows(self._plate, frequency, np.array([self._point]))
-        k = float(AIR.wavenumber(frequency))
-        return weight * math.sqrt(AIR.density * AIR.sound_speed) * k * self._far_field.resistance_factor(k)
+            return weight * pressure_rows(self._plate, frequency, np.array([self._point]), self._air)
+        k = float(self._air.wavenumber(frequency))
+        return weight * math.sqrt(self._air.density * self._air.sound_speed) * k * self._far_field.resistance_factor(k)
 
     def multiply(self, frequency: np.ndarray, rates: np.ndarray) -> np.ndarray:
         """Return 2FᴴF q̇ (designs, modes, M) of velocities of the same shape at frequencies (designs, M) [Hz]."""
@@ -134,7 +156,7 @@ class Radiation:
     Modal velocities q̇ exp(iωt) [m√kg/s] radiate ½ q̇ᴴ R q̇ [W].
     """
 
-    def __init__(self, plate: ModalPlate, highest: float, air: Air = AIR) -> None:
+    def __init__(self, plate: PlateInBaffle, highest: float, air: Air = AIR) -> None:
         """``highest`` frequency [Hz]. SceneError: the plate has too many modes for this machine's memory."""
         self.plate, self.air, self._highest = plate, air, float(air.wavenumber(highest))
         count, modes = math.ceil(self._phase(self._highest)) + FURTHER, len(plate.frequencies)
@@ -173,23 +195,23 @@ class Radiation:
         return np.asarray(factor.T @ factor)
 
 
-def pressure_rows(plate: ModalPlate, frequency: float, points: np.ndarray, air: Air = AIR) -> np.ndarray:
+def pressure_rows(plate: PlateInBaffle, frequency: float, points: np.ndarray, air: Air = AIR) -> np.ndarray:
     """Return (points, modes) pressures [Pa] of unit modal velocities; see :func:`pressures`."""
     places, weights = plate.space.quadrature()
     distances = _distances(plate, points, places)
     k = float(air.wavenumber(frequency))
     kernel = np.exp(-1j * k * distances) * (weights / distances)
-    return np.asarray(1j * frequency * air.density * (kernel @ plate.at_points(places).T))
+    return np.asarray(1j * frequency * air.density * (kernel @ _shapes(plate, places).T))
 
 
 def pressures(
-    plate: ModalPlate, frequencies: np.ndarray, amplitudes: np.ndarray, points: np.ndarray, air: Air = AIR
+    plate: PlateInBaffle, frequencies: np.ndarray, amplitudes: np.ndarray, points: np.ndarray, air: Air = AIR
 ) -> np.ndarray:
     """Return (n, points, loads) pressures [Pa] at points (points, 3) x, y, z [m] in front of the plate, z above it, of
     modal amplitudes (n, modes, loads) at frequencies (n,) [Hz]. SceneError: a point is too near to the plate."""
     places, weights = plate.space.quadrature()
     distances = _distances(plate, points, places)
-    shapes = plate.at_points(places)
+    shapes = _shapes(plate, places)
     pressures = np.empty((len(frequencies), len(points), amplitudes.shape[2]), dtype=complex)
     for start in range(0, len(frequencies), BLOCK_FREQUENCIES):
         some = slice(start, start + BLOCK_FREQUENCIES)
@@ -202,7 +224,7 @@ def pressures(
     return pressures
 
 
-def _distances(plate: ModalPlate, points: np.ndarray, places: np.ndarray) -> np.ndarray:
+def _distances(plate: PlateInBaffle, points: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Return (points, places) distances [m] of points (points, 3) from places (places, 2) of integration; SceneError: a
     point is too near to the plate."""
     spacing = math.sqrt(plate.scene.plate.area / len(places))
@@ -211,3 +233,8 @@ def _distances(plate: ModalPlate, points: np.ndarray, places: np.ndarray) -> np.
             what = f"must lie in front of the plate, z at least {NEAREST * spacing:.2g} m"
             raise SceneError(f"points[{index}] = {x:g},{y:g},{z:g}: {what}")
     return np.asarray(np.sqrt(((points[:, None, :2] - places) ** 2).sum(axis=-1) + points[:, 2:] ** 2))
+
+
+def _shapes(plate: PlateInBaffle, places: np.ndarray) -> np.ndarray:
+    """Return (modes, places) shapes φ [1/√kg] at places (places, 2) [m]."""
+    return np.asarray(plate.vectors[: plate.space.unknowns].T @ plate.space.at_points(places).T)

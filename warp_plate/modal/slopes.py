@@ -90,7 +90,7 @@ def _steady(means: Means, phasors: np.ndarray, frequency: np.ndarray, forces: np
     plate = means.plate
     rate = 2j * math.pi * frequency[:, None, :]
     unit, by_x, by_y = (plate.respond_to_drives(frequency, force) for force in forces)
-    if plate.coils is None:
+    if plate.coils is None and plate.air is None:
         # By iω of the dynamic stiffness, times the amplitudes.
         by_rate = -plate.respond_each(frequency, 2 * rate * unit + multiply_modes(plate.damping, unit))
     else:

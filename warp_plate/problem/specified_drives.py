@@ -63,7 +63,7 @@ class Tone:
     def _amplitudes(self) -> np.ndarray:
         """(modes, actuators) modal accelerations [√kg·m/s²] of the actuators' largest drives."""
         plate, omega, forces = self.plate, self._omega, self.plate.actuator_forces() * self.largest
-        if plate.proportional or plate.coils is not None:
+        if plate.proportional or plate.coils is not None or plate.air is not None:
             amplitudes = -(omega**2) * plate.respond_to_drives(np.array([[self.frequency]]), forces[None])[0]
             if not np.isfinite(amplitudes).all():
                 what = "is a natural frequency of an undamped plate; write damping, or another frequency"

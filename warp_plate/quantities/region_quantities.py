@@ -21,8 +21,9 @@ from typing import Literal
 
 import numpy as np
 
+from warp_plate.effects.air import AIR_DENSITY, SOUND_SPEED
 from warp_plate.plate.weights import REGIONS, localization_factor
-from warp_plate.quantities.sound_levels import AIR_DENSITY, POWER_REFERENCE, SOUND_SPEED
+from warp_plate.quantities.sound_levels import POWER_REFERENCE
 
 # Largest contrast of either sign [dB]: beyond it, the smaller energy is rounding.
 MOST_DECIBELS = 120.0

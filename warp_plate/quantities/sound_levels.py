@@ -1,9 +1,7 @@
-"""Air, references of sound levels, and the A-weighting."""
+"""References of sound levels, and the A-weighting."""
 
 import numpy as np
 
-# Density [kg/m³] and speed of sound [m/s] of dry air at 20 °C and 101.325 kPa.
-AIR_DENSITY, SOUND_SPEED = 1.204, 343.2
 # References of levels of sound power [W] and of the root mean square of the pressure [Pa].
 POWER_REFERENCE, PRESSURE_REFERENCE = 1e-12, 20e-6
 # Corner frequencies of the A-weighting [Hz] of IEC 61672-1, and its value at 1 kHz before it is set to 0 dB.

@@ -90,11 +90,7 @@ def frf(
     low, high = frequency_range or default_range(scene)
     plate = solve_modes(scene, high, key=f"frequency_range = {low:g}:{high:g}" if frequency_range is not None else None)
     places, forces = input_forces(plate, inputs)
-    frequencies, natural, lost = (
-        adaptive_frequencies(*plate.resonances, low, high),
-        plate.frequencies,
-        plate.loss_factors,
-    )
+    frequencies, (natural, lost) = adaptive_frequencies(*plate.resonances, low, high), resonances_of(plate)
     if plate.coils is not None:
         if low <= scene.drive.frequency <= high:
             frequencies = np.union1d(frequencies, [scene.drive.frequency])
@@ -188,6 +184,14 @@ def respond_to_drive(scene: Scene, frequencies: np.ndarray) -> tuple[np.ndarray,
         driven = plate.respond_to_drive(frequencies, scene_phasors(scene))
         velocity = _mean_square_velocity(plate, frequencies, driven, _plate_mass(plate)).T
     return velocity[0], factor, bound
+
+
+def resonances_of(plate: ModalPlate) -> tuple[np.ndarray, np.ndarray]:
+    """Return the natural frequencies [Hz] and loss factors of a plate, or those of its resonances in air."""
+    if plate.air is None:
+        return plate.frequencies, plate.loss_factors
+    frequencies, widths = plate.air.resonances
+    return frequencies, 2 * widths / np.where(frequencies > 0, frequencies, np.inf)
 
 
 def default_range(scene: Scene) -> tuple[float, float]:

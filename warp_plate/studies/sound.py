@@ -8,13 +8,13 @@ import numpy as np
 
 from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.poles import adaptive_frequencies
-from warp_plate.modal.radiation import AIR, Air, Radiation, pressures
+from warp_plate.modal.radiation import Air, Radiation, air_of, pressures
 from warp_plate.plate.designs import scene_phasors
 from warp_plate.result.sound import Sound
 from warp_plate.scene.errors import SceneError, check_type, numbers_of
 from warp_plate.scene.fields import SMALLEST
 from warp_plate.scene.model import Scene, SceneSource
-from warp_plate.studies.frequency_response import check_linear, default_range, target_middles
+from warp_plate.studies.frequency_response import check_linear, default_range, resonances_of, target_middles
 
 # Directions of a plane, and the least level that is told apart from silence [dB].
 ANGLES, LEAST_LEVEL = np.linspace(-90.0, 90.0, 181), -60.0
@@ -26,7 +26,7 @@ def sound(
     scene: SceneSource,
     points: Sequence[tuple[float, float, float]] = (),
     frequency_range: tuple[float, float] | None = None,
-    air: Air = AIR,
+    air: Air | None = None,
 ) -> Sound:
     """Return the steady sound of a plate in a rigid baffle under the drive of its scene, at frequencies that resolve
     every resonance.
@@ -36,7 +36,7 @@ def sound(
         points: Points (x, y, z) [m] where the pressure is computed, z above the plate (default: 1 m above the middle of
             each target).
         frequency_range: Lowest and highest frequency [Hz] (default: as of ``frf``).
-        air: The medium.
+        air: The medium (default: that of ``[effects.air]``, or air at 20 °C).
 
     Raises:
         SceneError: The scene is not linear, a point is too near to the plate, the range is invalid, or the plate has
@@ -44,6 +44,8 @@ def sound(
     """
     scene = Scene.load(scene)
     check_type("points", points, Sequence, np.ndarray)
+    if air is None:
+        air = air_of(scene)
     check_type("air", air, Air)
     for key, value in vars(air).items():
         if not numbers_of(f"air.{key}", [value], 1, "a positive number")[0] > SMALLEST:
@@ -67,7 +69,8 @@ def sound(
         # A piston radiates ρc ∫ v² dA, on average ½ ρc ω² ∫ |u|² dA.
         efficiency = power / (air.density * air.sound_speed * (2 * np.pi * frequencies) ** 2 * squares / 2)
         factor = energies[0] / energies[1]
-    shown = (plate.frequencies >= low) & (plate.frequencies <= high)
+    natural, lost = resonances_of(plate)
+    shown = (natural >= low) & (natural <= high)
     at_drive = amplitudes[np.searchsorted(frequencies, drive), :, 0]
     return Sound(
         title=scene.title,
@@ -77,8 +80,8 @@ def sound(
         localization_factor=factor,
         points=places,
         pressures=pressures(plate, frequencies, amplitudes, places, air)[:, :, 0].T,
-        natural_frequencies=plate.frequencies[shown],
-        loss_factors=plate.loss_factors[shown],
+        natural_frequencies=natural[shown],
+        loss_factors=lost[shown],
         drive_frequency=drive,
         angles=ANGLES,
         directivity=_directivity(radiation, drive, at_drive),

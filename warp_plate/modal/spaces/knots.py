@@ -24,6 +24,11 @@ from warp_plate.scene.fields import Point
 from warp_plate.scene.model import Scene
 from warp_plate.scene.outline import Support
 
+# Intervals between knots along the longer side: at least so many, and so many for each half-wave at the highest
+# frequency; along the shorter side fewer, but of less size.
+FEWEST, PER_HALF_WAVE = 18, 2.6
+# The same for plates with an outline, as a part of these.
+FEWER = 0.7
 # Degree of the splines, of those of a section with jumps or up to FEW_KINKS kinks along a side, and with more: each
 # repeats knots, fewer of a low degree.
 DEGREE, DEGREE_OF_JUMPS, DEGREE_OF_KINKS, FEW_KINKS = 7, 5, 4, 10
@@ -241,3 +246,16 @@ def _singular(first: object, second: object) -> bool:
     held = [edge == "clamped" or isinstance(edge, ElasticEdge) for edge in (first, second)]
     loose = [edge == "free" or isinstance(edge, ElasticEdge) for edge in (first, second)]
     return first != second and ((held[0] and loose[1]) or (held[1] and loose[0]))
+
+
+def intervals_for(scene: Scene, highest: float, wave: float, density: float) -> tuple[int, int]:
+    """Return the number of intervals between knots along x and along y for responses up to a frequency [Hz];
+    ``wave`` as :func:`mean_wave_frequency`."""
+    waves, longer = math.sqrt(highest / wave), max(scene.plate.size)
+    if scene.outline is not None:  # whose splines have more continuous derivatives at the edges
+        density *= FEWER
+    counts = [
+        math.ceil(max(FEWEST * math.sqrt(side / longer), PER_HALF_WAVE * waves * side)) for side in scene.plate.size
+    ]
+    x, y = (math.ceil(density * count) for count in counts)
+    return x, y

@@ -1,0 +1,39 @@
+"""The air beside the plate, which moves with it and carries its sound away."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from warp_plate.effects.effect import Effect, Setting
+from warp_plate.scene.fields import Positive, Unit
+
+# Density [kg/m³] and speed of sound [m/s] of dry air at 20 °C and 101.325 kPa.
+AIR_DENSITY, SOUND_SPEED = 1.204, 343.2
+
+
+class AirLoad(Effect):
+    """The load of the air on a plate in a rigid baffle: the mass of air that moves with it, and radiation as a loss.
+
+    Both depend on the frequency, so that it is defined only for steady tones and needs the modal engine. ``[window]``
+    is not read: energies are means over all time. The sound is that of this air too.
+    """
+
+    density: Annotated[Positive, Field(le=1e4, examples=[1.2]), Unit("kg/m³")] = AIR_DENSITY
+    """Density of the air."""
+    sound_speed: Annotated[Positive, Field(le=1e4, examples=[343.0]), Unit("m/s")] = SOUND_SPEED
+    """Speed of sound."""
+    sides: Annotated[Literal["both", "front"], Field(examples=["front"])] = "both"
+    """Where the air is: on both sides of the plate, or in front of it only."""
+
+    stepped = False
+    steady = True
+
+    @classmethod
+    def typical(cls, setting: Setting) -> tuple[Any, str]:
+        return cls(), "air at 20 °C on both sides"
+
+    @property
+    def lossy(self) -> bool:
+        return True
