@@ -21,7 +21,7 @@ FLOORS = (
     {"accuracy", "cluster", "fitting"},
     {"resolve"},
     {"problem"},
-    {"analysis", "focusing"},
+    {"analysis", "focusing", "designing"},
     {"studies"},
     {"explore"},
     {"cli"},

@@ -6,6 +6,7 @@ from .analysis.check import check as check
 from .analysis.export import export as export
 from .analysis.influence import measure_effects as measure_effects
 from .analysis.motion import motion as motion
+from .designing.design import design as design
 from .effects.edges import Edges as Edges
 from .effects.table import Effects as Effects
 from .fitting.fit import fit as fit

@@ -100,6 +100,7 @@ def test_slopes_of_the_bound_by_thickness(case, random):
     [
         ({"drive": {"frequency": 290.0, "burst": {"start": 0.0, "duration": 0.01}}}, "drive.burst"),
         ({"effects": {"modal_damping": {"ratio": [0.02, 0.01]}}}, "effects.modal_damping"),
+        ({"effects": {"air": {}}}, "effects.air"),
         ({"supports": [{"point": (0.1, 0.1), "stiffness": 1e3}]}, "supports"),
     ],
 )

@@ -33,6 +33,7 @@ COMMANDS = {
     "fit": ("measurement", "Fit properties of a panel to measured natural frequencies or frequency responses."),
     "verify": ("measurement", "Compare velocities measured under a drive with those that its result predicts."),
     "measured": ("measured", "Find drives from measured responses alone: localization, levels, focus, with bounds."),
+    "design": ("design", "Design the panel itself: thickness, ribs, masses and places that raise the bound of drives."),
     "frf": ("frf", "Show frequency responses of a linear plate, and the best localization at each frequency."),
     "sound": ("frf", "Show the sound that a linear plate radiates under its drive: power, pressure and directivity."),
     "focus": ("focus", "Compute a waveform for each actuator that moves the plate at a point and a moment."),

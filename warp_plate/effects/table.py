@@ -135,9 +135,9 @@ class Effects(Table):
         """Maps of factors by key of ``[plate]``: rows of numbers, or the name of a file."""
         return {} if self.variation is None else dict(self.variation.maps)
 
-    def with_thickness(self, rows: Any) -> Effects:
-        """Return the effects with another map of thickness, of numbers (rows, columns) that are not checked again."""
-        maps = {**self.factor_maps, "thickness": tuple(map(tuple, rows))}
+    def with_thickness(self, given: Any) -> Effects:
+        """Return the effects with another map of thickness, rows of numbers or a file's name, that is not checked."""
+        maps = {**self.factor_maps, "thickness": given if isinstance(given, str) else tuple(map(tuple, given))}
         return self.model_copy(update={"variation": Variation.model_construct(**maps)})
 
     @property

@@ -106,6 +106,8 @@ def check_differentiable(scene: Scene) -> None:
     if scene.outline is not None:
         key = "supports" if scene.plate.outline is None else "plate.outline"
         raise SceneError(f"{key}: slopes are known for rectangular plates; write plate.size, and springs of edges")
+    if scene.effects.air is not None:
+        raise SceneError("effects.air: slopes are known in vacuo; delete it")
     damped = [(key, getattr(row, name)) for key, row in scene.effects.rows for name in row.damping_keys]
     for key in (key for key, value in damped if isinstance(value, tuple)):
         raise SceneError(f"{key}: slopes are not known for a number for each mode; write one for all")

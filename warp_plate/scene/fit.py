@@ -1,10 +1,27 @@
-"""The tables ``[fit]``, numbers that ``warp-plate fit`` takes from measurements, and ``[[measurement]]``."""
+"""What of a panel is free: the tables ``[fit]``, numbers that ``warp-plate fit`` takes from measurements, with
+``[[measurement]]``; and ``[design]``, what ``warp-plate design`` chooses."""
 
+from collections.abc import Iterable
 from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from warp_plate.scene.fields import Flag, Gain, Moderate, Name, Point, Positive, Table, Unit, flat_keys
+from warp_plate.scene.fields import (
+    Area,
+    Flag,
+    Gain,
+    Moderate,
+    Name,
+    Point,
+    Positive,
+    Table,
+    Unit,
+    check_area,
+    flat_keys,
+)
+
+# Most keys with tolerances in a design.
+MOST_TOLERANCES = 4
 
 
 class Measurement(Table):
@@ -91,3 +108,84 @@ class Fit(Table):
         if self.range is not None and self.range[0] >= self.range[1]:
             raise ValueError(f"range: {list(self.range)}: the lowest frequency comes first, and they differ")
         return self
+
+
+class FreeThickness(Table):
+    """A thickness that varies over the plate, as a map of factors that replaces that of the effects."""
+
+    range: Annotated[tuple[Positive, Positive], Unit("m"), Field(examples=[[3.5e-4, 7.5e-4]])]
+    """Least and largest thickness."""
+    length_scale: Annotated[Positive, Unit("m"), Field(examples=[0.02])]
+    """Radius of the filter that smooths the map, whose numbers are half of it apart: no ridge is narrower."""
+    mass: Annotated[Positive | None, Unit("1"), Field(examples=[1.0])] = None
+    """Mass of the plate without what is attached, as a factor of that of the scene (default: any)."""
+    symmetry: Annotated[Literal["none", "x", "y", "both"], Field(examples=["both"])] = "none"
+    """Whether the map is its own mirror image along x, about the middle of the plate, along y, or both."""
+    steepness: Annotated[float, Field(ge=4, le=64, examples=[16.0]), Unit("1")] = 8.0
+    """Steepness of the projection of the filtered map onto the range: 4 reaches 76 % of it, 8 96 %, and 40 leaves
+    mostly two thicknesses."""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.range[0] >= self.range[1]:
+            raise ValueError(f"range: {list(self.range)}: the least thickness comes first, and they differ")
+        return self
+
+
+class Design(Table):
+    """What is free in the design of a panel, what is maximised, and how it is sought."""
+
+    objective: Annotated[Literal["bound", "drive"], Field(examples=["drive"])] = "bound"
+    """What is maximised: the largest localization factor of any drive, or that of the scene's own drive."""
+    thickness: FreeThickness | None = None
+    free: Annotated[
+        dict[str, tuple[Moderate, Moderate]],
+        BeforeValidator(flat_keys),
+        Unit("unit of the key"),
+        Field(default_factory=dict, examples=[{"effects.layers[0].thickness": [1e-4, 1e-3]}]),
+    ]
+    """Lowest and highest value of each free number, by its key."""
+    places: Annotated[
+        dict[str, Area],
+        BeforeValidator(flat_keys),
+        Unit("m"),
+        Field(default_factory=dict, examples=[{"actuators[0]": [0.0, 0.1, 0.0, 0.2]}]),
+    ]
+    """Rectangles x0, x1, y0, y1 within which actuators, layers and oscillators move, by their keys."""
+    frequencies: Annotated[
+        tuple[Positive, ...] | None, Unit("Hz"), Field(min_length=1, max_length=16, examples=[[280.0, 300.0]])
+    ] = None
+    """Frequencies at which the least value counts (default: that of the drive)."""
+    tolerance: Annotated[
+        dict[str, Annotated[float, Field(gt=0, lt=1)]],
+        BeforeValidator(flat_keys),
+        Unit("1"),
+        Field(default_factory=dict, examples=[{"plate.thickness": 0.05}]),
+    ]
+    """Relative tolerances of numbers of the scene, by their keys: the least value counts, of the panel and of those
+    with one number at an end of its tolerance."""
+    starts: Annotated[int, Field(ge=1, le=1000, examples=[10])] = 8
+    """Number of starting points: the scene itself, then random ones."""
+    iterations: Annotated[int, Field(ge=1, le=10_000, examples=[100])] = 50
+    """Largest number of iterations from each."""
+    seed: Annotated[int, Field(ge=0, lt=2**63, examples=[7])] = 0
+    """Random seed of the starts."""
+
+    @model_validator(mode="after")
+    def _free(self) -> Self:
+        if self.thickness is None and not self.free and not self.places:
+            raise ValueError("thickness: nothing is free; write [design.thickness], [design.free] or [design.places]")
+        for key, (low, high) in self.free.items():
+            if low >= high:
+                raise ValueError(f"free: {key} = {[low, high]}: the lowest value comes first, and they differ")
+        if len(self.tolerance) > MOST_TOLERANCES:
+            raise ValueError(f"tolerance: {len(self.tolerance)} keys; at most {MOST_TOLERANCES} are varied")
+        return self
+
+    def check(self, movable: Iterable[str], size: tuple[float, float]) -> None:
+        """Raise ValueError, naming the key, unless all places are those of ``movable`` keys and on the plate."""
+        there = list(movable)
+        for key, area in self.places.items():
+            if key not in there:
+                raise ValueError(f"design.places: {key}: is no patch of this scene; write one of {', '.join(there)}")
+            check_area(f"design.places.{key}", area, size)

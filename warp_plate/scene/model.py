@@ -44,7 +44,7 @@ SUPPORT_SAMPLES = 129
 VARIED = (*PANEL, "target.", "targets[")
 SEARCHED = (*VARIED, "drive.", "window.")
 # Tables that name keys, left out of variants in which these may be absent or no longer equal.
-WITHOUT_KEYS: dict[str, Any] = {"links": {}, "specification": None, "fit": None}
+WITHOUT_KEYS: dict[str, Any] = {"links": {}, "specification": None, "fit": None, "design": None}
 
 
 class Scene(SceneTables):
@@ -254,9 +254,13 @@ def _check_tables(scene: SceneTables) -> None:
         _check_keys(scene, "search.robust.tolerance", scene.search.robust.tolerance, SEARCHED)
         if len(scene.targets) > 1:
             raise ValueError("search.robust: not with several [[targets]]; write a scene for each target")
-    _check_measurements(scene)
+    scene.check_measurements()
     if scene.fit is not None:
         _check_keys(scene, "fit.free", scene.fit.free, PANEL)
+    if scene.design is not None:
+        _check_keys(scene, "design.free", scene.design.free, PANEL)
+        _check_keys(scene, "design.tolerance", scene.design.tolerance, VARIED)
+        scene.design.check(scene.movable, scene.plate.size)
     _check_focus(scene)
     if scene.specification is not None:
         kinds = {actuator.kind for actuator in actuators}
@@ -357,16 +361,6 @@ def _check_drive(scene: SceneTables) -> None:
             raise ValueError(f"{key}.force: {actuator.force:g} N, but drive.electrostatic takes volts; write magnitude")
     if drive.burst is not None and drive.burst.start >= end:
         raise ValueError(f"drive.burst.start: {drive.burst.start:g} {after}")
-
-
-def _check_measurements(scene: SceneTables) -> None:
-    names = [actuator.name for actuator in scene.actuators]
-    for index, row in enumerate(scene.measurement):
-        if row.actuator is not None and row.actuator not in names:
-            raise ValueError(f"measurement[{index}].actuator: {row.actuator!r} is not one of {', '.join(names)}")
-        for name, point in {"point": row.point, "force_at": row.force_at}.items():
-            if point is not None:
-                scene.plate.check_point(f"measurement[{index}].{name}", point)
 
 
 def _check_focus(scene: SceneTables) -> None:

@@ -15,7 +15,7 @@ from warp_plate.scene.actuator import Actuator
 from warp_plate.scene.drive import Drive
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Density, Name, Point, Positive, Table, Text, Unit, YoungModulus
-from warp_plate.scene.fit import Fit, Measurement
+from warp_plate.scene.fit import Design, Fit, Measurement
 from warp_plate.scene.focus import Focus
 from warp_plate.scene.grid import DEFAULT_ACCURACY, Grid, Record, Window
 from warp_plate.scene.outline import Hole, PlateOutline, Support, outline_of, outline_of_rectangle
@@ -141,6 +141,7 @@ class SceneTables(Table):
     links: Annotated[dict[str, Link], Field(default_factory=dict)]
     focus: Focus | None = None
     fit: Fit | None = None
+    design: Design | None = None
     measurement: tuple[Measurement, ...] = ()
     actuators: Annotated[tuple[Actuator, ...], Field(min_length=1)]
 
@@ -153,6 +154,22 @@ class SceneTables(Table):
     def coil_indices(self) -> list[int]:
         """Indices of the actuators that are coils."""
         return [index for index, actuator in enumerate(self.actuators) if actuator.kind == "coil"]
+
+    @property
+    def movable(self) -> dict[str, PlateRegion]:
+        """Patches of one place each, by key: actuators, layers and what is attached."""
+        actuators = {f"actuators[{index}]": row for index, row in enumerate(self.actuators)}
+        return actuators | self.effects.regions
+
+    def check_measurements(self) -> None:
+        """Raise ValueError, naming the key, unless responses were measured of the scene's actuators and plate."""
+        names = [actuator.name for actuator in self.actuators]
+        for index, row in enumerate(self.measurement):
+            if row.actuator is not None and row.actuator not in names:
+                raise ValueError(f"measurement[{index}].actuator: {row.actuator!r} is not one of {', '.join(names)}")
+            for name, point in {"point": row.point, "force_at": row.force_at}.items():
+                if point is not None:
+                    self.plate.check_point(f"measurement[{index}].{name}", point)
 
     def check_steady(self) -> None:
         """Raise ValueError, naming the key, if the scene has what coils or sound exclude."""

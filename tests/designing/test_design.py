@@ -1,0 +1,140 @@
+"""Designed panels: maps within their limits, slopes against differences, and searches that never make a panel worse."""
+
+import json
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import warp_plate as wpl
+from support.scenes import scene_of
+from warp_plate.designing.panel import FreePanel
+from warp_plate.designing.thickness import ThicknessMap
+from warp_plate.modal.solver import ModalSolver
+
+THICKNESS = {"range": [3.5e-4, 7.5e-4], "length_scale": 0.1, "mass": 1.0}
+LAYER = {"area": (0.02, 0.12, 0.05, 0.08), "thickness": 1e-4, "young_modulus": 2e9, "density": 1800.0}
+OSCILLATOR = {"area": (0.12, 0.14, 0.1, 0.12), "mass": 2e-3, "stiffness": 3e3, "damping": 0.5}
+FREE = {
+    "effects.layers[0].thickness": [5e-5, 2e-4],
+    "effects.oscillators[0].mass": [1e-3, 4e-3],
+    "effects.oscillators[0].stiffness": [1e3, 6e3],
+    "effects.oscillators[0].damping": [0.1, 1.0],
+    "edges.right.translation": [1e4, 1e6],
+}
+PLACES = {"effects.oscillators[0]": [0.1, 0.18, 0.02, 0.18], "actuators[1]": [0.1, 0.2, 0.0, 0.1]}
+
+
+def designed_scene(design, **tables):
+    return scene_of(damping=60.0, window=(0.01, 0.03), modal_density=0.5, design=design, **tables)
+
+
+@pytest.mark.parametrize("symmetry", ["none", "x", "both"])
+def test_maps_keep_range_mass_and_symmetry(symmetry, random):
+    free = {**THICKNESS, "length_scale": 0.04, "symmetry": symmetry}
+    thickness = ThicknessMap(designed_scene({"thickness": free}))
+    rows, columns = thickness.shape
+    assert (rows, columns) == (11, 11)
+    ends = np.ones(rows)
+    ends[[0, -1]] = 0.5
+    shares = np.outer(ends, ends) / np.outer(ends, ends).sum()  # the trapezoidal rule is exact for the hats
+    for _ in range(20):
+        factors = thickness.factors(random.random(thickness.count) ** random.choice([0.1, 1, 10]))
+        assert 0.7 <= factors.min() < factors.max() <= 1.5
+        assert (shares * factors).sum() == pytest.approx(1, abs=1e-9)
+        assert symmetry == "none" or factors == pytest.approx(factors[:, ::-1])
+        assert symmetry != "both" or factors == pytest.approx(factors[::-1])
+
+
+def test_the_filter_spreads_a_point_over_its_length():
+    thickness = ThicknessMap(designed_scene({"thickness": {"range": [3.5e-4, 7.5e-4], "length_scale": 0.04}}))
+    numbers = np.full(thickness.count, 0.5)
+    numbers[5 * 11 + 5] = 1.0
+    changed = np.abs(thickness.factors(numbers) - 1.1) > 1e-9
+    x = np.linspace(0, 0.2, 11) - 0.1
+    assert (changed == (np.hypot(*np.meshgrid(x, x)) < 0.04 - 1e-9)).all()
+
+
+def test_slopes_of_a_map_are_those_of_differences(random):
+    thickness = ThicknessMap(designed_scene({"thickness": THICKNESS}))
+    numbers, direction = random.random((2, thickness.count))
+    weights = random.normal(size=thickness.shape)
+    near, far = ((weights * thickness.factors(numbers + sign * 1e-5 * direction)).sum() for sign in (1, -1))
+    assert thickness.slopes(numbers, weights) @ direction == pytest.approx((near - far) / 2e-5, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "design",
+    [
+        {"thickness": THICKNESS, "tolerance": {"plate.thickness": 0.05}},
+        {"thickness": THICKNESS, "objective": "drive"},
+        pytest.param({"free": FREE}, marks=pytest.mark.slow),
+        pytest.param({"places": PLACES, "frequencies": [270.0, 310.0]}, marks=pytest.mark.slow),
+    ],
+    ids=["tolerance", "drive", "numbers", "places"],
+)
+def test_slopes_of_a_panel_are_those_of_differences(design, random):
+    edges = ("clamped", "clamped", {"translation": 1e5}, "supported")
+    patched = {"effects": {"layers": [LAYER], "oscillators": [OSCILLATOR]}, "edges": edges}
+    panel = FreePanel(designed_scene(design, **({} if "thickness" in design else patched)))
+    numbers = 0.3 + 0.4 * random.random(panel.count)
+    slopes = panel.evaluate(numbers).slopes
+    direction = random.normal(size=panel.count)
+    near, far = (
+        (panel.evaluate(numbers + step * direction).smooth - panel.evaluate(numbers - step * direction).smooth)
+        / (2 * step)
+        for step in (1e-3, 2e-3)
+    )
+    assert slopes @ direction == pytest.approx((4 * near - far) / 3, abs=1e-5 * abs(slopes).max())
+
+
+@pytest.mark.slow
+def test_a_design_raises_the_bound_and_goes_on_from_its_file(tmp_path):
+    scene = designed_scene({"thickness": THICKNESS, "starts": 2, "iterations": 3, "seed": 3})
+    file = tmp_path / "starts.json"
+    whole = wpl.design(scene, unfinished=file)
+    assert not file.exists()
+    assert whole.improved
+    assert whole.after.value == whole.after.bound > whole.before.bound + 0.05
+    assert whole.after.bound == pytest.approx(ModalSolver(whole.scene, "cpu").response.bound())
+    assert all(early <= late for values in whole.history for early, late in pairwise(values))
+
+    def stop(done, total, note):
+        if note.startswith("start 2"):
+            raise KeyboardInterrupt
+
+    first = wpl.design(scene, stop, file)
+    assert first.interrupted
+    assert len(json.loads(file.read_text())["starts"]) == 1
+    assert first.before.bound <= first.after.bound <= whole.after.bound
+    second = wpl.design(scene, unfinished=file)
+    assert second.history == whole.history
+    assert (second.thickness == whole.thickness).all()
+
+
+def test_a_scene_without_better_panels_stays(monkeypatch):
+    free = {**THICKNESS, "range": [4.999e-4, 5.001e-4]}
+    scene = designed_scene({"thickness": free, "starts": 1, "iterations": 1})
+    monkeypatch.setattr(FreePanel, "scene_at", lambda panel, numbers: scene.replace("effects.damping.viscous", 10.0))
+    panel = wpl.design(scene)
+    assert not panel.improved
+    assert panel.scene == scene.replace("design", None)
+    assert panel.after == panel.before
+
+
+@pytest.mark.parametrize(
+    ("design", "message"),
+    [
+        (None, "design: is missing"),
+        ({"thickness": {**THICKNESS, "mass": 2.0}}, r"design.thickness.mass: 2: the range allows 0.7 to 1.5"),
+        ({"thickness": {**THICKNESS, "length_scale": 1e-4}}, "design.thickness.length_scale: 0.0001 m is too fine"),
+        ({"places": {"actuators[0]": [0.0, 0.001, 0.0, 0.1]}}, r"design.places.actuators\[0\].*smaller than the patch"),
+        ({"places": {"actuators[7]": [0.0, 0.1, 0.0, 0.1]}}, r"design.places: actuators\[7\]: is no patch"),
+        ({"free": {"plate.thickness": [5e-4, 4e-4]}}, "free: plate.thickness = .*: the lowest value comes first"),
+        ({"free": {"plate.thicknes": [4e-4, 5e-4]}}, "design.free: plate.thicknes: is not a key"),
+        ({}, "thickness: nothing is free"),
+    ],
+)
+def test_what_cannot_be_designed_is_refused(design, message):
+    with pytest.raises((wpl.SceneError, ValueError), match=message):
+        wpl.design(designed_scene(design))

@@ -1,0 +1,93 @@
+"""Plot of a designed panel beside the one that its design began with, and its solid for printers and mills."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warp_plate.result.designed import DesignedPanel
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
+from warp_plate.viz.annotations import GRID
+from warp_plate.viz.fields import colour_map
+from warp_plate.viz.plots.frame import figure
+from warp_plate.viz.plots.plan import draw_parts, drawn_size, label_sides, outline_handles
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.image import AxesImage
+
+# Longer side of a plate, and height of the course of the search [inch].
+LENGTH, COURSE = 3.4, 2.0
+ALL, BEST = "#9ecae1", "#08519c"
+
+
+def draw_designed(panel: DesignedPanel, path: str | Path) -> None:
+    """Draw both panels, with their maps of thickness, and the best value of each start."""
+    width, height = drawn_size(panel.scene, LENGTH)
+    with figure(path, (2 * width + 2.2, height + COURSE + 1.4), font_size=9) as fig:
+        plans, course = fig.subfigures(2, 1, height_ratios=[height + 0.9, COURSE])
+        axes = plans.subplots(1, 2, sharey=True)
+        pairs = (panel.original, panel.original_thickness), (panel.scene, panel.thickness)
+        values = [panel.before, panel.after]
+        limits = _limits(panel)
+        for one, (scene, thickness), value, when in zip(axes, pairs, values, ("before", "after"), strict=True):
+            image = _draw_plan(one, scene, thickness, limits)
+            one.set_title(f"{when}: bound {100 * value.bound:.2f} %", fontsize=9)
+            label_sides(one, scene, left=one is axes[0])
+        if image is not None:
+            plans.colorbar(image, ax=list(axes), label="thickness [mm]", shrink=0.8)
+        plans.legend(handles=outline_handles(panel.scene), loc="outside lower center", ncols=4, fontsize=7)
+        _draw_course(panel, course.subplots())
+        fig.suptitle(panel.original.title or "Designed panel", fontsize=10)
+
+
+def _limits(panel: DesignedPanel) -> tuple[float, float] | None:
+    """Return the ends of the colours [mm]; None without a map."""
+    if panel.thickness is None or panel.original_thickness is None:
+        return None
+    both = 1e3 * np.array([panel.thickness, panel.original_thickness])
+    return float(both.min()), float(both.max())
+
+
+def _draw_plan(
+    axes: Axes, scene: Scene, thickness: np.ndarray | None, limits: tuple[float, float] | None
+) -> AxesImage | None:
+    width, height = scene.plate.size
+    image = None
+    if thickness is not None and limits is not None:
+        image = axes.imshow(
+            1e3 * thickness, cmap=colour_map("cividis"), vmin=limits[0], vmax=max(limits[1], limits[0] + 1e-9),
+            origin="lower", extent=(0.0, width, 0.0, height), interpolation="bilinear",
+        )  # fmt: skip
+    draw_parts(axes, scene)
+    return image
+
+
+def _draw_course(panel: DesignedPanel, axes: Axes) -> None:
+    best = max(range(len(panel.history)), key=lambda index: panel.history[index][-1], default=-1)
+    for index, values in enumerate(panel.history):
+        style = {"color": BEST, "linewidth": 1.6, "zorder": 3} if index == best else {"color": ALL, "linewidth": 0.9}
+        label = "best start" if index == best else "others" if index == (best == 0) else None
+        axes.plot(range(1, len(values) + 1), values, label=label, **style)
+    axes.axhline(panel.before.value, color="black", linewidth=0.8, linestyle="--", label="scene before")
+    axes.set_xlabel("iteration")
+    axes.set_ylabel("localization factor")
+    axes.grid(True, color=GRID, linewidth=0.4, alpha=0.4)
+    axes.legend(loc="center right", fontsize=7)
+
+
+def save_solid(panel: DesignedPanel, path: str | Path) -> None:
+    """Save the panel as a solid between a flat face and one of the map's height, in millimetres, as an STL file."""
+    import pyvista
+
+    thickness = panel.thickness
+    if thickness is None:
+        raise SceneError("--solid: the scene has no map of thickness; write [design.thickness]")
+    (width, height), (rows, columns) = panel.scene.plate.size, thickness.shape
+    x, y = np.meshgrid(np.linspace(0, 1e3 * width, columns), np.linspace(0, 1e3 * height, rows))
+    x, y = (np.repeat(places[:, :, None], 2, axis=2) for places in (x, y))
+    z = np.stack([np.zeros_like(thickness), 1e3 * thickness], axis=2)
+    pyvista.StructuredGrid(x, y, z).extract_surface(algorithm="dataset_surface").triangulate().save(str(path))

@@ -1,0 +1,112 @@
+"""``warp-plate design SCENE``: the panel that lets a drive put most of its energy into the target."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+from rich.console import Console
+
+from warp_plate.cli import options, output
+from warp_plate.scene.errors import SceneError
+
+if TYPE_CHECKING:
+    from warp_plate.result.designed import DesignedPanel
+
+# First words of the designed scene; endings of the files beside it.
+DESIGNED = "# Designed by: warp-plate design"
+MAP, UNFINISHED, SOLID = ".thickness.csv", ".unfinished.json", ".stl"
+
+
+def design(
+    scene: options.SceneName,
+    /,
+    *,
+    changes: options.SceneChanges = options.SceneChanges(),
+    solid: Annotated[
+        bool, Parameter(negative="", help="Also write the panel with its map of thickness as a solid, .stl in mm.")
+    ] = False,
+    files: options.FileOptions = options.FileOptions(),
+) -> None:
+    """Design the panel itself: thickness, ribs, masses, springs and places that let a drive move the target alone.
+
+    The table [design] of the scene says what is free and what is maximised: by default the bound, the largest
+    localization factor of any drive. The designed scene is written as SCENE.designed.toml, its map of thickness as a
+    CSV file beside it, and both panels with the course of the search as a picture. Ctrl-C keeps the best panel so far;
+    the same command then continues with the next start.
+    """
+    import warp_plate
+    from warp_plate.result.atomic_io import write_atomically
+    from warp_plate.scene.errors import printable
+
+    target = files.target(scene, ".designed.toml", holds=DESIGNED)
+    beside = {ending: target.with_suffix(ending) for ending in (MAP, UNFINISHED, SOLID)}
+    output.check_overwriting(beside[UNFINISHED], '{"design"', files.force)
+    loaded, scene = changes.load(scene)
+    if loaded.folder is not None and loaded.folder.resolve() != target.parent.resolve():
+        raise SceneError(f"--out {target}: the scene names files in {loaded.folder}; write there")
+    with output.scene_errors(scene), output.progress_bar("designs", shown=not files.json) as show:
+        panel = warp_plate.design(loaded, show, beside[UNFINISHED])
+    saves = {}
+    designed = panel.scene
+    if panel.improved and panel.thickness is not None and loaded.design is not None and loaded.design.thickness:
+        factors = panel.thickness / designed.plate.thickness
+        rows = "\n".join(",".join(f"{value:.9g}" for value in row) for row in factors.tolist())
+        saves[beside[MAP]] = partial(write_atomically, f"{rows}\n".encode())
+        effects = designed.effects.with_thickness(beside[MAP].name)
+        designed = designed.model_copy(update={"effects": effects})
+    heading = printable(f"{DESIGNED} {scene}")
+    saves[target] = partial(write_atomically, f"{heading}\n{designed.to_toml()}".encode())
+    if solid:
+        from warp_plate.viz.plots.designed import save_solid
+
+        saves[beside[SOLID]] = partial(save_solid, panel)
+    written = output.write_files(saves, partial(_draw, panel, target) if files.pictures else None)
+    output.report(files.json, _as_json, _print, scene, panel, written=written)
+    if panel.interrupted:
+        raise KeyboardInterrupt(f" after {len(panel.history)} starts; the same command continues")
+
+
+def _draw(panel: DesignedPanel, target: Path) -> output.Drawn:
+    from warp_plate.viz.plots.designed import draw_designed
+    from warp_plate.viz.plots.frame import save_plots
+
+    return save_plots(partial(draw_designed, panel), target)
+
+
+def _as_json(name: str, panel: DesignedPanel) -> dict[str, object]:
+    record: dict[str, object] = {
+        "scene": name,
+        "improved": panel.improved,
+        "before": vars(panel.before),
+        "after": vars(panel.after),
+        "history": panel.history,
+        "numbers": dict(zip(panel.keys, panel.values, strict=True)),
+        **output.attributes(panel, "evaluations", "interrupted"),
+    }
+    return record | ({} if panel.thickness is None else {"thickness": panel.thickness})
+
+
+def _print(name: str, panel: DesignedPanel, console: Console) -> None:
+    settings = panel.original.design
+    assert settings is not None
+    console.print(f"{panel.original.title or name}: {len(panel.history)} starts, {panel.evaluations} panels\n")
+    rows = {"any drive": (panel.before.bound, panel.after.bound)}
+    values = panel.before.value, panel.after.value
+    if values != rows["any drive"]:
+        least = "scene's drive" if settings.objective == "drive" else "any drive"
+        cases = ", least of all cases" if settings.tolerance or settings.frequencies else ""
+        rows[least + cases] = values
+    texts = [[label, *(output.number_text(value, ".4f") for value in pair)] for label, pair in rows.items()]
+    output.print_rows(console, ("localization factor of", "before", "after"), texts)
+    if panel.keys:
+        pairs = zip(panel.keys, panel.values, strict=True)
+        numbers = [[key, output.number_text(value, ".5g")] for key, value in pairs]
+        output.print_rows(console, ("free number", "designed"), numbers)
+    if panel.thickness is not None:
+        low, high = 1e3 * panel.thickness.min(), 1e3 * panel.thickness.max()
+        console.print(f"thickness from {low:.4g} to {high:.4g} mm")
+    if not panel.improved:
+        output.print_warnings(console, ["no panel is better than the scene's own; try more starts or wider ranges"])

@@ -1,0 +1,157 @@
+"""The search for the best panel of a scene's table ``[design]``, by L-BFGS-B from many starts.
+
+The free numbers stay between 0 and 1, and range, length and mass of a map hold for all of them, so that no other limit
+is left. Each start is independent of the others: finished ones are kept in a file, and a search that goes on takes them
+from there. The best panel is then solved for by all functions of other commands; it is kept only if it is better than
+the scene that the search began with.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+import scipy
+
+from warp_plate._version import __version__
+from warp_plate.designing.panel import FreePanel
+from warp_plate.interrupts import check_interrupt, deferred_interrupts
+from warp_plate.plate.files import digests
+from warp_plate.result.atomic_io import write_atomically
+from warp_plate.result.designed import DesignedPanel
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene, SceneSource
+
+# Numbers of earlier steps from which L-BFGS-B takes curvatures.
+MEMORY = 20
+# Function of the iterations done, all of them and a note.
+Progress = Callable[[int, int, str], object]
+
+
+@dataclass
+class Climb:
+    """The search from one start."""
+
+    numbers: list[float]  # best free numbers so far
+    least: float = -np.inf  # value there
+    history: list[float] = field(default_factory=list)  # value of the best after each iteration
+    evaluations: int = 0
+
+
+def design(
+    scene: SceneSource, on_progress: Progress | None = None, unfinished: str | Path | None = None
+) -> DesignedPanel:
+    """Find the panel that lets a drive put most of its energy into the target; see docs/design.md.
+
+    Ctrl-C ends the search, and the best panel so far is returned, with ``interrupted`` set.
+
+    Args:
+        scene: Scene with a table ``[design]``.
+        on_progress: Function of the iterations done, all of them, and a note.
+        unfinished: File of finished starts, from which the same search goes on; it is removed at the end.
+
+    Raises:
+        SceneError: There is no such table, slopes of the scene are not known, or a range reaches too far.
+    """
+    loaded = Scene.load(scene)
+    panel = FreePanel(loaded)
+    before = panel.exact(loaded.model_copy(update={"design": None}))
+    file = None if unfinished is None else Path(unfinished)
+    digest = _digest(loaded)
+    climbs = [] if file is None else _read(file, digest, panel.count)
+    interrupted, settings = False, panel.design
+    try:
+        with deferred_interrupts():
+            for index in range(len(climbs), settings.starts):
+                climb = Climb(_start(panel, index).tolist())
+                climbs.append(climb)
+                _climb(panel, climb, partial(_report, on_progress, panel, climbs))
+                if file is not None:
+                    _write(file, digest, climbs)
+    except KeyboardInterrupt:
+        interrupted = True
+        climbs = [climb for climb in climbs if climb.history]
+    result = DesignedPanel(
+        original=loaded,
+        scene=loaded.model_copy(update={"design": None}),
+        before=before,
+        after=before,
+        history=tuple(tuple(climb.history) for climb in climbs),
+        keys=panel.keys,
+        values=panel.values(panel.start()),
+        evaluations=sum(climb.evaluations for climb in climbs),
+        interrupted=interrupted,
+    )
+    if climbs:
+        best = np.array(max(climbs, key=lambda climb: climb.least).numbers)
+        designed = panel.scene_at(best)
+        after = panel.exact(designed)
+        if after.value > before.value:
+            result = replace(result, scene=designed, after=after, values=panel.values(best))
+    if file is not None and not interrupted:
+        file.unlink(missing_ok=True)
+    return result
+
+
+def _start(panel: FreePanel, index: int) -> np.ndarray:
+    """Return the free numbers (count,) of a start: the scene's own first, then random ones."""
+    return panel.start() if index == 0 else panel.draw(np.random.default_rng([panel.design.seed, index]))
+
+
+def _climb(panel: FreePanel, climb: Climb, report: Callable[[int], None]) -> None:
+    """Search from the numbers of ``climb``, which has the best panel at any time."""
+
+    def loss(numbers: np.ndarray) -> tuple[float, np.ndarray]:
+        check_interrupt()
+        value = panel.evaluate(numbers)
+        climb.evaluations += 1
+        if value.least > climb.least:
+            climb.least, climb.numbers = value.least, numbers.tolist()
+        return -value.smooth, -value.slopes
+
+    def iterated(_: np.ndarray) -> None:
+        climb.history.append(climb.least)
+        report(len(climb.history))
+
+    options = {"maxiter": panel.design.iterations, "maxcor": MEMORY, "ftol": 1e-9, "gtol": 1e-7}
+    start, bounds = np.array(climb.numbers), [(0.0, 1.0)] * panel.count
+    scipy.optimize.minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds, callback=iterated, options=options)
+    climb.history.append(climb.least)
+
+
+def _report(progress: Progress | None, panel: FreePanel, climbs: Sequence[Climb], done: int) -> None:
+    if progress is not None:
+        settings, index = panel.design, len(climbs) - 1
+        note = f"start {index + 1} of {settings.starts}, best {max(climb.least for climb in climbs):.4f}"
+        progress(index * settings.iterations + done, settings.starts * settings.iterations, note)
+
+
+def _digest(scene: Scene) -> str:
+    """Return a text that is the same for the same search."""
+    return sha256(json.dumps([__version__, scene.to_toml(), digests(scene)]).encode()).hexdigest()
+
+
+def _write(file: Path, digest: str, climbs: Sequence[Climb]) -> None:
+    record = {"design": digest, "starts": [asdict(climb) for climb in climbs]}
+    write_atomically(f"{json.dumps(record)}\n".encode(), file)
+
+
+def _read(file: Path, digest: str, count: int) -> list[Climb]:
+    """Return the finished starts of a file; none if there is no file, or one of another search."""
+    if not file.exists():
+        return []
+    try:
+        record = json.loads(file.read_text(encoding="utf-8"))
+        if record["design"] != digest:
+            return []
+        climbs = [Climb(**row) for row in record["starts"]]
+        if not all(np.shape(climb.numbers) == (count,) and np.isfinite(climb.numbers).all() for climb in climbs):
+            raise ValueError("numbers")
+    except (OSError, ValueError, TypeError, KeyError):
+        raise SceneError(f"{file}: is no unfinished design of this version; delete it") from None
+    return climbs

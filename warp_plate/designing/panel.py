@@ -1,0 +1,241 @@
+"""A designed panel as a function of free numbers from 0 to 1: what it can do, and the slopes of that.
+
+The free numbers are those of the map of thickness, then those of ``[design.free]`` between their limits, then x and y
+of the middles of ``[design.places]``. Slopes by the map are those of :mod:`warp_plate.modal.sensitivity`. By any other
+number the matrices are differenced, and their changes multiplied by the slopes of the same adjoint, so that no further
+plate is solved for.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from warp_plate.designing.thickness import ThicknessMap
+from warp_plate.modal.assemble import Galerkin, make_galerkin
+from warp_plate.modal.sensitivity import EnergyAdjoint, check_differentiable, plate_matrices, thickness_slopes
+from warp_plate.modal.solver import ModalSolver
+from warp_plate.modal.spaces.integrals import mean_wave_frequency
+from warp_plate.modal.spaces.knots import intervals_for
+from warp_plate.modal.spaces.tensor_splines import TensorSplines
+from warp_plate.optimize.quadratic import quadratic_forms
+from warp_plate.plate.designs import scene_phasors
+from warp_plate.plate.weights import localization_factor
+from warp_plate.result.designed import PanelValues
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.fit import Design
+from warp_plate.scene.grid import Grid
+from warp_plate.scene.keys import resolved_key, value_of
+from warp_plate.scene.model import Scene
+from warp_plate.solve.response import largest_ratio
+
+# Functions along each side, relative to those of other commands.
+DENSITY = 0.7
+# Grid of scenes that have none, and the key of the frequency.
+NODES, TONE = (21, 21), "drive.frequency"
+# Step of differences of matrices, as a part of the range of a number.
+STEP = 1e-4
+# Cases within about 1/SHARPNESS of the worst one count in slopes of the least value.
+SHARPNESS = 100.0
+
+
+@dataclass(frozen=True)
+class Value:
+    """What a panel can do."""
+
+    least: float  # what is maximised: the least value of all cases
+    smooth: float  # smooth lower estimate of it, whose slopes these are
+    slopes: np.ndarray  # (numbers,) slopes of ``smooth`` by the free numbers
+
+
+class FreePanel:
+    """The panels of a scene's table ``[design]``.
+
+    Raises:
+        SceneError: There is no such table, or slopes of the scene are not known.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        if scene.design is None:
+            raise SceneError("design: is missing; write [design.thickness], [design.free] or [design.places]")
+        self.scene, self.design = scene, scene.design
+        check_differentiable(scene)
+        self.thickness = None if scene.design.thickness is None else ThicknessMap(scene)
+        self._keys = [resolved_key(scene, name) for name in self.design.free]
+        ends = [*self.design.free.values(), *self._travel.values()]
+        self._low, self._high = np.array(ends, dtype=float).reshape(-1, 2).T
+        if self.thickness is not None and self.thickness.mass is not None:
+            self.thickness.factors(np.full(self.thickness.count, 0.5))
+
+    @cached_property
+    def _travel(self) -> dict[tuple[str, int], tuple[float, float]]:
+        """Least and largest middle along x (0) and y (1) [m] of each patch that moves."""
+        travel = {}
+        for key, area in self.design.places.items():
+            box = self.scene.movable[key].box
+            for axis in (0, 1):
+                half, (low, high) = (box[2 * axis + 1] - box[2 * axis]) / 2, area[2 * axis : 2 * axis + 2]
+                if high - low < 2 * half:
+                    raise SceneError(f"design.places.{key}: {list(area)} is smaller than the patch; write a larger one")
+                travel[key, axis] = low + half, high - half
+        return {key: ends for key, ends in travel.items() if ends[0] < ends[1]}
+
+    @property
+    def _mapped(self) -> int:
+        return 0 if self.thickness is None else self.thickness.count
+
+    @property
+    def count(self) -> int:
+        """Number of free numbers."""
+        return self._mapped + self._low.size
+
+    @cached_property
+    def cases(self) -> list[dict[str, float]]:
+        """Factors on numbers of the scene by key, and the frequency, of each case."""
+        factors: list[dict[str, float]] = [{}]
+        for name, part in self.design.tolerance.items():
+            key = resolved_key(self.scene, name)
+            factors += [{key: 1 - part}, {key: 1 + part}]
+        frequencies = self.design.frequencies or (self.scene.drive.frequency,)
+        return [{**case, TONE: tone} for case, tone in itertools.product(factors, frequencies)]
+
+    def start(self) -> np.ndarray:
+        """Return the free numbers (count,) of the scene itself, as nearly as the ranges allow."""
+        present = [np.empty(0) if self.thickness is None else self.thickness.numbers()]
+        values = [value_of(self.scene, key) for key in self._keys]
+        boxes = {key: self.scene.movable[key].box for key, _ in self._travel}
+        values += [sum(boxes[key][2 * axis : 2 * axis + 2]) / 2 for key, axis in self._travel]
+        numbers = np.array([np.nan if value is None else value for value in values], dtype=float)
+        present.append(np.clip(np.nan_to_num((numbers - self._low) / (self._high - self._low), nan=0.5), 0, 1))
+        return np.concatenate(present)
+
+    def draw(self, random: np.random.Generator) -> np.ndarray:
+        """Return random free numbers (count,)."""
+        drawn = np.empty(0) if self.thickness is None else self.thickness.draw(random)
+        return np.concatenate([drawn, random.random(self._low.size)])
+
+    def scene_at(self, numbers: np.ndarray, case: Mapping[str, float] | None = None) -> Scene:
+        """Return the scene at free numbers (count,), and in a case, without the table ``[design]``."""
+        scene = self._with_numbers(numbers[self._mapped :], case or {})
+        return self._with_map(scene, numbers)
+
+    def _with_map(self, scene: Scene, numbers: np.ndarray) -> Scene:
+        if self.thickness is None:
+            return scene
+        factors = self.thickness.factors(numbers[: self._mapped])
+        return scene.model_copy(update={"effects": scene.effects.with_thickness(factors.tolist())})
+
+    def _with_numbers(self, shares: np.ndarray, case: Mapping[str, float]) -> Scene:
+        values = self._low + shares * (self._high - self._low)
+        numbers = dict(zip(self._keys, values[: len(self._keys)].tolist(), strict=True))
+        scene = _in_case(self.scene.model_copy(update={"design": None}), numbers, case)
+        middles = dict(zip(self._travel, values[len(self._keys) :].tolist(), strict=True))
+        for key in dict.fromkeys(key for key, _ in middles):
+            patch = scene.movable[key]
+            x0, x1, y0, y1 = patch.box
+            middle = middles.get((key, 0), (x0 + x1) / 2), middles.get((key, 1), (y0 + y1) / 2)
+            for name, value in patch.placed(*middle).items():
+                scene = scene.replace(f"{key}.{name}", value)
+        return scene
+
+    def _galerkin(self, numbers: np.ndarray, case: Mapping[str, float]) -> Galerkin:
+        """Return the matrices of a panel over splines that follow patches, but not the map."""
+        bare = self._with_numbers(numbers[self._mapped :], case)
+        if self.thickness is not None:
+            flat = np.ones(self.thickness.shape).tolist()
+            bare = bare.model_copy(update={"effects": bare.effects.with_thickness(flat)})
+        scene = self._with_map(bare, numbers)
+        return make_galerkin(scene, TensorSplines(scene, self._intervals, TensorSplines(bare, self._intervals).along))
+
+    @cached_property
+    def _intervals(self) -> tuple[int, int]:
+        highest = max(case[TONE] for case in self.cases)
+        finer = self.scene.grid.modal_density
+        return intervals_for(self.scene, finer * highest, mean_wave_frequency(self.scene), finer * DENSITY)
+
+    def evaluate(self, numbers: np.ndarray) -> Value:
+        """Return what the panel at free numbers (count,) can do, with its slopes."""
+        solved = [self._solve(numbers, case) for case in self.cases]
+        values = np.array([value for value, _ in solved])
+        weights = np.exp(-SHARPNESS * (values - values.min()))
+        smooth = values.min() - np.log(weights.mean()) / SHARPNESS
+        slopes = (weights / weights.sum()) @ np.stack([slopes for _, slopes in solved])
+        return Value(float(values.min()), float(smooth), slopes)
+
+    def _solve(self, numbers: np.ndarray, case: Mapping[str, float]) -> tuple[float, np.ndarray]:
+        galerkin = self._galerkin(numbers, case)
+        base = plate_matrices(galerkin)
+        adjoint = EnergyAdjoint(galerkin, base)
+        value, phasors = _best(self.design, galerkin.scene, adjoint.matrices)
+        plate = quadratic_forms(adjoint.matrices, phasors[None])[0, 0]
+        slopes = adjoint.slopes(phasors, np.array([-value, 1.0]) / plate)
+        by_numbers = []
+        if self.thickness is not None:
+            assert isinstance(galerkin.space, TensorSplines)
+            by_factors = thickness_slopes(galerkin.space, slopes)
+            by_numbers.append(self.thickness.slopes(numbers[: self._mapped], by_factors))
+        for index in range(self._mapped, self.count):
+            ends = np.clip(numbers[index] + np.array([STEP, -STEP]), 0, 1)
+            high, low = (
+                plate_matrices(self._galerkin(np.where(np.arange(self.count) == index, end, numbers), case))
+                for end in ends
+            )
+            same = high.mass.shape == low.mass.shape == base.mass.shape
+            by_numbers.append(np.array([slopes.product(high - low) / np.ptp(ends) if same else 0.0]))
+        return value, np.concatenate(by_numbers)
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Keys of the free numbers but for the map, and of the coordinates of places."""
+        return (*self._keys, *(f"{key}.{'xy'[axis]}" for key, axis in self._travel))
+
+    def values(self, numbers: np.ndarray) -> tuple[float, ...]:
+        """Return the values at free numbers (count,) of ``keys``."""
+        return tuple((self._low + numbers[self._mapped :] * (self._high - self._low)).tolist())
+
+    def exact(self, scene: Scene) -> PanelValues:
+        """Return what a scene can do, by all functions of other commands."""
+        bound = ModalSolver(_gridded(scene), "cpu").response.bound()
+        values = []
+        for case in self.cases:
+            other = _in_case(scene, {}, case)
+            alike = other is scene and self.design.objective == "bound"
+            solved = None if alike else ModalSolver(_gridded(other), "cpu").response.matrices
+            values.append(bound if solved is None else _best(self.design, other, solved)[0])
+        return PanelValues(bound, min(values))
+
+
+def _in_case(scene: Scene, values: Mapping[str, float], case: Mapping[str, float]) -> Scene:
+    """Return a scene with numbers by key, in a case of the tolerances and frequencies; SceneError: out of range."""
+    changed: dict[str, Any] = dict(values)
+    for key, factor in case.items():
+        changed[key] = factor if key == TONE else factor * changed.get(key, value_of(scene, key))
+    changed = {key: value for key, value in changed.items() if value_of(scene, key) != value}
+    try:
+        return scene.with_values(changed) if changed else scene
+    except SceneError as error:
+        raise SceneError(f"design.free: a range reaches too far: {error}") from None
+
+
+def _gridded(scene: Scene) -> Scene:
+    """Return a scene with some grid, which modes do not need."""
+    if scene.grid.accuracy is None:
+        return scene
+    return scene.model_copy(update={"grid": Grid(nodes=NODES, modal_density=scene.grid.modal_density)})
+
+
+def _best(design: Design, scene: Scene, matrices: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return the value of Gram matrices of plate and target, and the phasors (M,) that have it."""
+    if design.objective == "drive":
+        phasors = scene_phasors(scene)
+        return float(localization_factor(quadratic_forms(matrices, phasors[None]))[0]), phasors
+    value, z = largest_ratio(matrices)
+    if not np.isfinite(value):
+        raise SceneError("actuators: no drive moves the plate; move them off the edges")
+    cosine, sine = np.split(z, 2)
+    return float(value), cosine - 1j * sine
