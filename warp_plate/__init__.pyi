@@ -37,6 +37,7 @@ from .solve.solver import PlateSolver as PlateSolver
 from .studies.frequency_response import frf as frf
 from .studies.localize import localize as localize
 from .studies.localize import resume as resume
+from .studies.measured_drives import measured_drives as measured_drives
 from .studies.simulate import simulate as simulate
 from .studies.sound import sound as sound
 from .studies.specify import specify as specify
