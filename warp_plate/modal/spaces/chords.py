@@ -144,6 +144,14 @@ class Chords:
         products = along_y[y[0]][:, rows_y] * along_y[y[1]][:, columns_y]
         return np.asarray(products.T @ over_x)
 
+    def squares(self) -> np.ndarray:
+        """Return (functions of y, functions of x) integrals of the products' squares."""
+        along_x, along_y = self._values
+        local = (along_x[0] ** 2 * self.weights[:, :, None]).sum(axis=1)
+        sums = np.zeros((self.ordinates.size, self.along[0].splines.functions))
+        np.add.at(sums, (self.chord[:, None], self._columns), local)
+        return np.asarray((along_y[0] ** 2).T @ sums)
+
     def integrals(self, values: np.ndarray | float = 1.0, x: int = 0, y: int = 0) -> np.ndarray:
         """Return (..., functions of y, functions of x) ∫ values · u^(x, y) dA of values (..., segments, points)."""
         values = np.broadcast_to(values, np.broadcast_shapes(np.shape(values), self.x.shape))

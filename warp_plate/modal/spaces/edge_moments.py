@@ -11,9 +11,11 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
+import scipy
 from numpy.polynomial import legendre
 
 from warp_plate.modal.spaces.chords import LocalSplines
+from warp_plate.modal.spaces.singular import STRAIGHT
 from warp_plate.modal.spaces.splines import gauss
 from warp_plate.outline.outline import Outline
 from warp_plate.outline.pieces import Arc, Piece
@@ -24,6 +26,8 @@ from warp_plate.outline.pieces import Arc, Piece
 PART_INTERVALS, FURTHER, WIDE = 6, 2, 0.6 * np.pi
 # Parts of a closed curve along which Gauss's rule resolves waves.
 EIGHTHS = np.linspace(0, 1, 9)
+# Singular values of the moments below this part of the largest are those of moments that depend on the others.
+MOMENTS = 1e-4
 # Points in which the intervals along a piece are counted.
 SAMPLES = 2001
 
@@ -53,6 +57,13 @@ def moments(
         yield at, functions * np.sqrt(2 * np.arange(count) + 1) * (weights / weights.sum())[:, None]
 
 
+def null_space(rows: np.ndarray) -> np.ndarray:
+    """Return an orthonormal basis (functions, n) of what moments (moments, functions) do not see."""
+    _, sizes, vectors = scipy.linalg.svd(rows, full_matrices=False)
+    seen = vectors[sizes > MOMENTS * sizes[0]]
+    return np.asarray(scipy.linalg.qr(seen.T)[0][:, len(seen) :])
+
+
 def edge_rule(
     piece: Piece, local: tuple[LocalSplines, LocalSplines], low: float, high: float
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -76,7 +87,10 @@ def further_polynomials(outline: Outline) -> Iterator[tuple[Piece, int]]:
 
 
 def _is_bent(before: Piece, after: Piece) -> bool:
-    """Return whether the curvature jumps between two pieces one of which is an arc."""
+    """Return whether the curvature jumps between two pieces that join smoothly, one of which is an arc."""
+    (x0, y0), (x1, y1) = before.tangents(1.0), after.tangents(0.0)
+    if abs(math.atan2(x0 * y1 - y0 * x1, x0 * x1 + y0 * y1)) > STRAIGHT:
+        return False
     arcs = [piece for piece in (before, after) if isinstance(piece, Arc)]
     if len(arcs) == 2:
         (centre, form), (other, others) = ((arc.centre, arc.axes @ arc.axes.T) for arc in arcs)

@@ -29,6 +29,8 @@ from warp_plate.scene.outline import Support
 FEWEST, PER_HALF_WAVE = 18, 2.6
 # The same for plates with an outline, as a part of these.
 FEWER = 0.7
+# Intervals for each mean width, twice the area over the length of all edges: edges near each other must not share them.
+PER_WIDTH = 2.0
 # Degree of the splines, of those of a section with jumps or up to FEW_KINKS kinks along a side, and with more: each
 # repeats knots, fewer of a low degree.
 DEGREE, DEGREE_OF_JUMPS, DEGREE_OF_KINKS, FEW_KINKS = 7, 5, 4, 10
@@ -252,10 +254,10 @@ def intervals_for(scene: Scene, highest: float, wave: float, density: float) -> 
     """Return the number of intervals between knots along x and along y for responses up to a frequency [Hz];
     ``wave`` as :func:`mean_wave_frequency`."""
     waves, longer = math.sqrt(highest / wave), max(scene.plate.size)
-    if scene.outline is not None:  # whose splines have more continuous derivatives at the edges
+    per_length = PER_HALF_WAVE * waves
+    if (outline := scene.outline) is not None:  # whose splines have more continuous derivatives at the edges
         density *= FEWER
-    counts = [
-        math.ceil(max(FEWEST * math.sqrt(side / longer), PER_HALF_WAVE * waves * side)) for side in scene.plate.size
-    ]
+        per_length = max(per_length, PER_WIDTH * outline.length / (2 * outline.area))
+    counts = [math.ceil(max(FEWEST * math.sqrt(side / longer), per_length * side)) for side in scene.plate.size]
     x, y = (math.ceil(density * count) for count in counts)
     return x, y

@@ -306,6 +306,13 @@ def around_hole(hole: Arc, interval: float) -> Singular:
     return Singular(hole.centre, 0.0, len(terms), local, places=(tuple(hole.centre),), cuts=tuple(cuts[::-1].tolist()))
 
 
+def sample(
+    functions: Sequence[Singular], x: np.ndarray, y: np.ndarray, orders: Sequence[tuple[int, int]] = ((0, 0),)
+) -> np.ndarray:
+    """Return (orders, all functions, points) derivatives at points (points,) [m]."""
+    return np.concatenate([function.values(x, y, orders) for function in functions], axis=1)
+
+
 def added_functions(scene: Scene, interval: float) -> tuple[Singular, ...]:
     """Return the functions that a plate's splines of an interval [m] need besides, the same object for the same."""
     assert scene.outline is not None

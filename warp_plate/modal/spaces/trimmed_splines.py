@@ -9,6 +9,7 @@ knots, are zero (K. Höllig, U. Reif, J. Wipper, SIAM J. Numer. Anal. 39, 2001, 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
@@ -17,7 +18,7 @@ from numpy.polynomial import legendre
 
 from warp_plate.effects.effect import DISPLACEMENT, SLOPE, Factors
 from warp_plate.modal.spaces.chords import Chords, Curve, LocalSplines, curves_of, make_chords
-from warp_plate.modal.spaces.edge_moments import FURTHER, edge_rule, further_polynomials, moments
+from warp_plate.modal.spaces.edge_moments import FURTHER, edge_rule, further_polynomials, moments, null_space
 from warp_plate.modal.spaces.integrals import (
     Cuts,
     Field,
@@ -28,7 +29,7 @@ from warp_plate.modal.spaces.integrals import (
     mean_wave_frequency,
 )
 from warp_plate.modal.spaces.knots import outline_splines
-from warp_plate.modal.spaces.singular import added_functions, is_round, laurent_orders
+from warp_plate.modal.spaces.singular import added_functions, is_round, laurent_orders, sample
 from warp_plate.modal.spaces.space import Matrix
 from warp_plate.modal.spaces.splines import gauss, overlapping_pairs
 from warp_plate.modal.spaces.tensor_splines import ORDERS
@@ -44,8 +45,6 @@ RANK = 1e-13
 # Squared frequency by which the mass counts in the energy, over that of about the first mode: smooth motions, whose
 # energy is small beside that of what bends between dense knots, must stay far above RANK.
 LOWEST = 1e3
-# Singular values of the moments below this part of the largest are those of moments that depend on the others.
-MOMENTS = 1e-4
 # Products with less of their mass on the plate than this part take no part.
 UNTOUCHED = 1e-22
 # Forms of a uniform plate.
@@ -75,10 +74,12 @@ class TrimmedSplines(SplineProducts):
         self._interval = max(side / count for side, count in zip(scene.plate.size, intervals, strict=True))
         self.added = added_functions(scene, self._interval)
         self._forms: dict[Factors, np.ndarray] = {}
-        self.products = self.shape[0] * self.shape[1]
+        self.chords = self._chords()
+        sizes = np.outer(*(_widths(splines.knots, splines.degree) for splines in reversed(self.along)))
+        self._used = np.flatnonzero(self.chords.squares() > UNTOUCHED * sizes)
+        self.products = self._used.size
         self.count = self.products + sum(function.functions for function in self.added)
         refuse_beyond_memory(8.0 * self.count**2 * DENSE_MATRICES, f"plate.outline: {self.count} functions")
-        self.chords = self._chords()
         shared = like is not None and like.outline is self.outline and like.along == self.along
         shared = shared and like is not None and like.scene.supports == scene.supports and like.added is self.added
         self.basis: np.ndarray = like.basis if like is not None and shared else self._make_basis()
@@ -140,12 +141,12 @@ class TrimmedSplines(SplineProducts):
 
     def on_grid(self, coefficients: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         products, added = np.split(coefficients @ self.basis.T, [self.products], axis=-1)
-        tables = products.reshape(*coefficients.shape[:-1], *self.shape)
+        tables = self._tables(products)
         values = self._local[1].dense(y) @ tables @ self._local[0].dense(x).T
         covered = self._covered(x, y)
         if self.added:
             rows, columns = np.nonzero(covered)
-            values[..., rows, columns] += added @ self._added_at(x[columns], y[rows])[0]
+            values[..., rows, columns] += added @ sample(self.added, x[columns], y[rows])[0]
         return np.asarray(np.where(covered, values, 0.0))
 
     def patch_integrals(self, areas: np.ndarray) -> np.ndarray:
@@ -228,12 +229,15 @@ class TrimmedSplines(SplineProducts):
         """Return the full matrices of forms over all functions, by their factors."""
         forms = {}
         (row_x, column_x), (row_y, column_y) = (overlapping_pairs(splines) for splines in self.along)
+        places = np.full(self.shape, -1)
+        places.ravel()[self._used] = np.arange(self.products)
+        rows, columns = places[row_y[:, None], row_x], places[column_y[:, None], column_x]
+        both = (rows >= 0) & (columns >= 0)
         for factors in wanted:
             along_x, along_y = zip(*(ORDERS[factor] for factor in factors), strict=True)
             values = chords.form(coefficient, (along_x[0], along_x[1]), (along_y[0], along_y[1]))
-            matrix = np.zeros((*self.shape, *self.shape))
-            matrix[row_y[:, None], row_x, column_y[:, None], column_x] = values
-            forms[factors] = matrix.reshape(self.products, self.products)
+            forms[factors] = np.zeros((self.products, self.products))
+            forms[factors][rows[both], columns[both]] = values[both]
         if not self.added:
             return forms
         names = sorted({factor for factors in wanted for factor in factors})
@@ -250,26 +254,23 @@ class TrimmedSplines(SplineProducts):
             for (name, x), over_x in sums.items():
                 chords.add_along_x(over_x, some, weighted[name], x)
         for (one, two), square in squares.items():
-            lower, upper = (chords.along_y(sums[name, ORDERS[other][0]], ORDERS[other][1]).reshape(count, -1)
-                            for name, other in ((one, two), (two, one)))  # fmt: skip
+            crossed = [chords.along_y(sums[name, ORDERS[other][0]], ORDERS[other][1]).reshape(count, -1)
+                       for name, other in ((one, two), (two, one))]  # fmt: skip
+            lower, upper = (rows[:, self._used] for rows in crossed)
             forms[one, two] = np.block([[forms[one, two], upper.T], [lower, square]])
         return forms
-
-    def _added_at(self, x: np.ndarray, y: np.ndarray, orders: Sequence[tuple[int, int]] = ((0, 0),)) -> np.ndarray:
-        """Return (orders, added functions, points) derivatives at points (points,) [m]."""
-        return np.concatenate([function.values(x, y, orders) for function in self.added], axis=1)
 
     def _added_on(self, chords: Chords, some: slice, orders: Sequence[tuple[int, int]]) -> np.ndarray:
         """Return (orders, added functions, some segments, points) derivatives at the points of a rule."""
         x, y = chords.x[some], chords.y[some]
-        return self._added_at(x.ravel(), y.ravel(), orders).reshape(len(orders), -1, *x.shape)
+        return sample(self.added, x.ravel(), y.ravel(), orders).reshape(len(orders), -1, *x.shape)
 
     def _integrals(
         self, chords: Chords, values: np.ndarray | float = 1.0, order: tuple[int, int] = (0, 0)
     ) -> np.ndarray:
         """Return (..., functions) integrals of derivatives times values (..., segments, points) over a rule."""
         products = chords.integrals(values, *order)
-        products = products.reshape(*products.shape[:-2], -1)
+        products = products.reshape(*products.shape[:-2], -1)[..., self._used]
         if not self.added:
             return products
         added, weighted = 0.0, values * chords.weights
@@ -282,7 +283,7 @@ class TrimmedSplines(SplineProducts):
         self, chords: Chords, vectors: np.ndarray, orders: Sequence[tuple[int, int]]
     ) -> Iterator[tuple[slice, list[np.ndarray]]]:
         products, added = np.split((self.basis @ vectors).T, [self.products], axis=1)
-        for some, values in chords.sums(products.reshape(-1, *self.shape), orders):
+        for some, values in chords.sums(self._tables(products), orders):
             points = chords.x.shape[1]
             for part in chords.blocks() if self.added else ():
                 if some.start <= part.start < some.stop:
@@ -296,9 +297,9 @@ class TrimmedSplines(SplineProducts):
         if self.added:
             x, y = points.T
             if normals is None:
-                added = self._added_at(x, y)[0]
+                added = sample(self.added, x, y)[0]
             else:
-                added = (normals.T[:, None] * self._added_at(x, y, ((1, 0), (0, 1)))).sum(axis=0)
+                added = (normals.T[:, None] * sample(self.added, x, y, ((1, 0), (0, 1)))).sum(axis=0)
             return np.hstack([self._product_rows(points, normals), added.T])
         return self._product_rows(points, normals)
 
@@ -309,8 +310,9 @@ class TrimmedSplines(SplineProducts):
             for local, at in zip(self._local, (x, y), strict=True)
         )
         if normals is None:
-            return _products(along_y[0], along_x[0])
-        return normals[:, :1] * _products(along_y[0], along_x[1]) + normals[:, 1:] * _products(along_y[1], along_x[0])
+            return _products(along_y[0], along_x[0])[:, self._used]
+        slopes = [_products(along_y[0], along_x[1]), _products(along_y[1], along_x[0])]
+        return sum(normal[:, None] * slope[:, self._used] for normal, slope in zip(normals.T, slopes, strict=True))
 
     def _covered(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return (ny, nx) whether points of a grid are on the plate."""
@@ -324,6 +326,12 @@ class TrimmedSplines(SplineProducts):
             rows.append(sum(self._integrals(chords, 1.0, order) for order in orders))
         return np.array(rows).reshape(-1, self.basis.shape[0]) @ self.basis
 
+    def _tables(self, products: np.ndarray) -> np.ndarray:
+        """Return (..., functions of y, functions of x) coefficients of all products from those of the used ones."""
+        tables = np.zeros((*products.shape[:-1], math.prod(self.shape)))
+        tables[..., self._used] = products
+        return tables.reshape(*products.shape[:-1], *self.shape)
+
     def _on_chords(self, chords: Chords) -> np.ndarray:
         return np.asarray(self._integrals(chords) @ self.basis)
 
@@ -336,8 +344,7 @@ class TrimmedSplines(SplineProducts):
                 breaks = self.along[1 - axis].breaks
                 inner = breaks[(breaks > start) & (breaks < end)]
                 along, weights = gauss(np.array([start, *inner, end]), self.degree + 1)
-                line = np.full(along.size, at)
-                points = np.column_stack([line, along] if axis == 0 else [along, line])
+                points = np.stack([np.full(along.size, at), along][:: 1 - 2 * axis], axis=1)
                 total += weights @ self._rows(points)
         return total
 
@@ -356,10 +363,7 @@ class TrimmedSplines(SplineProducts):
         mass = self.form(self._fields()[-1])
         lowest = LOWEST * (2 / np.pi * mean_wave_frequency(self.scene) / self.outline.area) ** 2
         energy = stiffness + lowest * mass
-        sizes = np.outer(*(_widths(splines.knots, splines.degree) for splines in reversed(self.along))).ravel()
-        added = len(energy) - sizes.size
-        share = np.diag(mass) / (self.plate_mass / self.outline.area * np.append(sizes, np.ones(added)))
-        used = np.flatnonzero(((share > UNTOUCHED) | (np.arange(len(share)) >= sizes.size)) & (np.diag(energy) > 0))
+        used = np.flatnonzero(np.diag(energy) > 0)
         unit = 1 / np.sqrt(np.diag(energy)[used])
         values, vectors = scipy.linalg.eigh(energy[np.ix_(used, used)] * np.outer(unit, unit), driver="evd")
         some = values > RANK * values[-1]
@@ -369,11 +373,7 @@ class TrimmedSplines(SplineProducts):
         moments = [row for piece in self._pieces for row in self._moments(piece, further.get(piece, FURTHER))]
         rigid = (support for support in self.scene.supports if support.stiffness is None)
         moments += [self._rows(np.array([support.point])) for support in rigid if support.point is not None]
-        if not moments:
-            return basis
-        _, sizes, rows = scipy.linalg.svd(np.concatenate(moments) @ basis, full_matrices=False)
-        kept = rows[sizes > MOMENTS * sizes[0]]
-        return np.asarray(basis @ scipy.linalg.qr(kept.T)[0][:, len(kept) :])
+        return np.asarray(basis @ null_space(np.concatenate(moments) @ basis)) if moments else basis
 
     def _moments(self, piece: Piece, further: int) -> Iterator[np.ndarray]:
         """Yield rows (n, functions) of what vanishes along a clamped or supported piece."""
