@@ -213,10 +213,12 @@ class SoundOptions:
         at: Point X,Y,Z in metres in front of the plate, Z above it; may be repeated (default: 1 m above the middle of
             each target).
         range: Lowest and highest frequency in hertz, LOW:HIGH (default: as of frf).
+        unbaffled: The plate is a rectangle without a baffle, open at the back; the power is that of both sides.
     """
 
     at: Annotated[list[str] | None, Parameter(negative="", allow_leading_hyphen=True)] = None
     range: str | None = None
+    unbaffled: Annotated[bool, Parameter(negative="")] = False
 
 
 def sound(
@@ -230,7 +232,9 @@ def sound(
 ) -> None:
     """Show the sound of a linear plate under the scene's drive: power, pressure and directivity.
 
-    The plate vibrates in a rigid baffle in free air at 20 °C and radiates to one side; the sound does not act on it.
+    The plate vibrates in a rigid baffle in free air at 20 °C and radiates to one side, unless --unbaffled; the sound
+    acts on it only in scenes with [effects.air].
+
     Frequencies are spaced so that every resonance is resolved. All is drawn as a picture (.png, .svg or .pdf).
 
     Parameters
@@ -251,7 +255,7 @@ def sound(
         output.check_overwriting(target.with_suffix(".h5"), "a sound", files.force)
     loaded, scene = changes.load(scene)
     with output.scene_errors(scene, points="at", frequency_range="range"):
-        result = compute(loaded, points, limits)
+        result = compute(loaded, points, limits, baffle=not sounds.unbaffled)
     drawn = write_and_draw(result, target, formats, WRITERS, draw_sound if files.pictures else None)
     output.report(files.json, _sound_as_json, _print_sound, scene, result, written=files.check_drawn(target, drawn))
 

@@ -185,6 +185,11 @@ class Radiation:
                 powers[some] += 0.5 * (part * (resistances @ part)).sum(axis=1)
         return powers
 
+    def far_sound(self, frequency: float, amplitudes: np.ndarray, sine: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
+        """Return (directions,) relative pressures far away of modal amplitudes (modes,), in directions with sin θ and φ
+        [rad]."""
+        return np.asarray(self.far_field.at(float(self.air.wavenumber(frequency)), sine, azimuth) @ amplitudes)
+
     def _phase(self, wavenumber: float) -> float:
         """Return the phase [rad] of a wave from the middle of the plate to a corner."""
         return wavenumber * math.hypot(*self.plate.scene.plate.size) / 2
@@ -198,7 +203,7 @@ class Radiation:
 def pressure_rows(plate: PlateInBaffle, frequency: float, points: np.ndarray, air: Air = AIR) -> np.ndarray:
     """Return (points, modes) pressures [Pa] of unit modal velocities; see :func:`pressures`."""
     places, weights = plate.space.quadrature()
-    distances = _distances(plate, points, places)
+    distances = distances_to(plate, points, places)
     k = float(air.wavenumber(frequency))
     kernel = np.exp(-1j * k * distances) * (weights / distances)
     return np.asarray(1j * frequency * air.density * (kernel @ _shapes(plate, places).T))
@@ -210,7 +215,7 @@ def pressures(
     """Return (n, points, loads) pressures [Pa] at points (points, 3) x, y, z [m] in front of the plate, z above it, of
     modal amplitudes (n, modes, loads) at frequencies (n,) [Hz]. SceneError: a point is too near to the plate."""
     places, weights = plate.space.quadrature()
-    distances = _distances(plate, points, places)
+    distances = distances_to(plate, points, places)
     shapes = _shapes(plate, places)
     pressures = np.empty((len(frequencies), len(points), amplitudes.shape[2]), dtype=complex)
     for start in range(0, len(frequencies), BLOCK_FREQUENCIES):
@@ -224,7 +229,7 @@ def pressures(
     return pressures
 
 
-def _distances(plate: PlateInBaffle, points: np.ndarray, places: np.ndarray) -> np.ndarray:
+def distances_to(plate: PlateInBaffle, points: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Return (points, places) distances [m] of points (points, 3) from places (places, 2) of integration; SceneError: a
     point is too near to the plate."""
     spacing = math.sqrt(plate.scene.plate.area / len(places))

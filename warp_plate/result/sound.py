@@ -17,7 +17,7 @@ FORMAT = hdf5.FileFormat("sound", 1)
 
 @dataclass(frozen=True, eq=False)
 class Sound:
-    """Steady sound of a plate in a rigid baffle, whose actuators all drive it at the same frequency.
+    """Steady sound of a plate, whose actuators all drive it at the same frequency.
 
     Attributes:
         title: Title of the scene, or its name.
@@ -34,6 +34,7 @@ class Sound:
         angles: (angles,) angles from the normal of the plate [°], −90 to 90.
         directivity: (2, angles) level far away at the frequency of the drive [dB], relative to the largest of both, in
             the planes through the normal along x and along y.
+        baffle: True for one side of a plate in a rigid baffle, False for both sides of one without.
     """
 
     title: str
@@ -48,6 +49,7 @@ class Sound:
     drive_frequency: float
     angles: np.ndarray
     directivity: np.ndarray
+    baffle: bool = True
 
     def __repr__(self) -> str:
         ends = f"{self.frequencies[0]:g} to {self.frequencies[-1]:g} Hz"

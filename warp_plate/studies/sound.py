@@ -9,6 +9,7 @@ import numpy as np
 from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.poles import adaptive_frequencies
 from warp_plate.modal.radiation import Air, Radiation, air_of, pressures
+from warp_plate.modal.unbaffled import Unbaffled, refuse_outline
 from warp_plate.plate.designs import scene_phasors
 from warp_plate.result.sound import Sound
 from warp_plate.scene.errors import SceneError, check_type, numbers_of
@@ -27,9 +28,9 @@ def sound(
     points: Sequence[tuple[float, float, float]] = (),
     frequency_range: tuple[float, float] | None = None,
     air: Air | None = None,
+    baffle: bool = True,
 ) -> Sound:
-    """Return the steady sound of a plate in a rigid baffle under the drive of its scene, at frequencies that resolve
-    every resonance.
+    """Return the steady sound of a plate under the drive of its scene, at frequencies that resolve every resonance.
 
     Args:
         scene: Linear scene; its grid, window and waveforms are not used, and all actuators have the same frequency.
@@ -37,10 +38,11 @@ def sound(
             each target).
         frequency_range: Lowest and highest frequency [Hz] (default: as of ``frf``).
         air: The medium (default: that of ``[effects.air]``, or air at 20 °C).
+        baffle: True for one side of a plate in a rigid baffle, False for both sides of a rectangle without one.
 
     Raises:
         SceneError: The scene is not linear, a point is too near to the plate, the range is invalid, or the plate has
-            too many modes.
+            too many modes, or without a baffle an outline.
     """
     scene = Scene.load(scene)
     check_type("points", points, Sequence, np.ndarray)
@@ -50,6 +52,8 @@ def sound(
     for key, value in vars(air).items():
         if not numbers_of(f"air.{key}", [value], 1, "a positive number")[0] > SMALLEST:
             raise SceneError(f"air.{key} = {value!r}: must be a positive number")
+    if not baffle:
+        refuse_outline(scene)
     frequency_range = check_linear(scene, frequency_range)
     given = [numbers_of(f"points[{index}]", point, 3, "x, y, z in metres") for index, point in enumerate(points)]
     places = np.array(given or [[x, y, DISTANCE] for x, y in target_middles(scene)])
@@ -61,12 +65,14 @@ def sound(
     frequencies = np.union1d(adaptive_frequencies(*plate.resonances, low, high), [drive])
     amplitudes = plate.respond_to_drive(frequencies, scene_phasors(scene))
     radiation = Radiation(plate, high, air)
-    power = radiation.powers(frequencies, amplitudes)[:, 0]
+    unbaffled = None if baffle else Unbaffled(plate, high, air)
+    power = (unbaffled or radiation).powers(frequencies, amplitudes)[:, 0]
     space, vectors = plate.space, plate.vectors[: plate.space.unknowns]
     squares = _squares(amplitudes[:, :, 0], vectors.T @ (space.scatter(space.form(1.0)) @ vectors))
     energies = [_squares(amplitudes[:, :, 0], plate.kinetic_matrix(region)) for region in (scene.target, "plate")]
     with np.errstate(invalid="ignore", divide="ignore"):
-        # A piston radiates ρc ∫ v² dA, on average ½ ρc ω² ∫ |u|² dA.
+        # A piston radiates ρc ∫ v² dA to each side, on average ½ ρc ω² ∫ |u|² dA.
+        squares = squares * (1 if baffle else 2)
         efficiency = power / (air.density * air.sound_speed * (2 * np.pi * frequencies) ** 2 * squares / 2)
         factor = energies[0] / energies[1]
     natural, lost = resonances_of(plate)
@@ -79,12 +85,15 @@ def sound(
         efficiency=efficiency,
         localization_factor=factor,
         points=places,
-        pressures=pressures(plate, frequencies, amplitudes, places, air)[:, :, 0].T,
+        pressures=pressures(plate, frequencies, amplitudes, places, air)[:, :, 0].T
+        if unbaffled is None
+        else unbaffled.pressures(frequencies, amplitudes, places)[:, :, 0].T,
         natural_frequencies=natural[shown],
         loss_factors=lost[shown],
         drive_frequency=drive,
         angles=ANGLES,
-        directivity=_directivity(radiation, drive, at_drive),
+        directivity=_directivity(unbaffled or radiation, drive, at_drive),
+        baffle=baffle,
     )
 
 
@@ -93,11 +102,10 @@ def _squares(amplitudes: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     return np.asarray(sum((part * (part @ matrix)).sum(axis=1) for part in (amplitudes.real, amplitudes.imag)))
 
 
-def _directivity(radiation: Radiation, frequency: float, amplitudes: np.ndarray) -> np.ndarray:
+def _directivity(radiation: Radiation | Unbaffled, frequency: float, amplitudes: np.ndarray) -> np.ndarray:
     """Return (2, angles) levels far away [dB] in the planes along x and along y, at most 0."""
-    k = float(radiation.air.wavenumber(frequency))
     planes = [
-        np.abs(radiation.far_field.at(k, np.sin(np.radians(ANGLES)), np.full(ANGLES.shape, azimuth)) @ amplitudes)
+        np.abs(radiation.far_sound(frequency, amplitudes, np.sin(np.radians(ANGLES)), np.full(ANGLES.shape, azimuth)))
         for azimuth in (0.0, np.pi / 2)
     ]
     largest = np.max(planes)
