@@ -1,9 +1,14 @@
 """``warp-plate specify``: its table, JSON, picture and scene, and what it refuses."""
 
+import io
 import json
+from dataclasses import replace
+
+from rich.console import Console
 
 from support.commands import error_of, output_of
-from warp_plate import Scene
+from warp_plate import Scene, specify
+from warp_plate.cli.specify import MOST_CASES, _print_tolerances
 
 
 def test_the_answer_is_printed_drawn_and_written(command, tmp_path):
@@ -36,3 +41,12 @@ def test_scenes_without_a_specification_and_files_of_others_are_refused(command,
     other = tmp_path / "paper-specify.json"
     other.write_text("{}")
     assert "would be overwritten" in error_of(command("specify", "console", "--out", str(other)))
+
+
+def test_the_worst_of_many_cases_are_printed():
+    answer = specify(Scene.load("console", ["specification.tolerance={gasket=0.1}", "specification.frequency=215.0"]))
+    many = [replace(answer.scatter[0], robust_db=-float(number)) for number in range(40)]
+    text = io.StringIO()
+    _print_tolerances(replace(answer, scatter=many), Console(file=text, width=160))
+    assert [f"-{number}.00" in text.getvalue() for number in (0, MOST_CASES - 1, MOST_CASES)] == [True, True, False]
+    assert "28 better cases are left out" in text.getvalue()

@@ -49,6 +49,8 @@ def test_a_scene_holds_what_it_has_read(tmp_path):
     assert Scene.parse(scene.to_toml(), "again") == scene
     assert scene.replace("plate.thickness", 1e-3).plate.outline == scene.plate.outline
     assert "no such file beside the scene file" in refused(Scene.load, path)
+    (tmp_path / "panel.dxf").mkdir()
+    assert "plate.outline.file = 'panel.dxf': is no file" in refused(Scene.load, path)
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from warp_plate.result.specified import SpecifiedDrive
 
 BEST = ".best.toml"
+# Most cases of the tolerances that are printed.
+MOST_CASES = 12
 LEVELS = ("worst", "mean", "weakest", "worst_at", "weakest_at")
 HEAD = "# Found by: warp-plate specify {scene}\n# Run it by: warp-plate simulate {file} --path modal\n"
 
@@ -130,9 +132,10 @@ def _print_levels(answer: SpecifiedDrive, console: Console) -> None:
 
 
 def _print_tolerances(answer: SpecifiedDrive, console: Console) -> None:
-    """Print the cases of the tolerances: the nominal drive, one drive for all, and the best of each."""
+    """Print the worst cases of the tolerances: the nominal drive, one drive for all, and the best of each."""
+    worst = sorted(answer.scatter, key=lambda case: (case.met, -case.robust_db))[:MOST_CASES]
     rows = []
-    for case in answer.scatter:
+    for case in worst:
         changes = ", ".join(f"{key} × {factor:g}" for key, factor in case.changes.items())
         levels = [f"{case.nominal_level:.3f}", f"{case.nominal_db:.2f}", f"{case.robust_level:.3f}"]
         best = output.number_text(case.best_db, ".2f")
@@ -140,3 +143,5 @@ def _print_tolerances(answer: SpecifiedDrive, console: Console) -> None:
     headings = ["case", "nominal drive: level", "contrast (dB)", "one drive for all: level", "contrast (dB)", "met"]
     title = f"Tolerances (levels over those wanted), one drive for all at {answer.robust_frequency:.6g} Hz"
     output.print_rows(console, [*headings, "retuned (dB)"], rows, "", title=title)
+    if (others := len(answer.scatter) - len(worst)) > 0:
+        console.print(f"{others} better cases are left out; --json has all.\n")

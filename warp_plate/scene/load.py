@@ -70,7 +70,7 @@ def read_beside(key: str, name: str, folder: Path | None) -> bytes:
         if path.parent != folder.resolve():
             raise SceneError(f"{head}: leads out of the scene's folder; put a copy of the file there")
         if not path.is_file() and not path.is_symlink():  # one that leads to itself cannot be read
-            raise SceneError(f"{head}: no such file beside the scene file")
+            raise SceneError(f"{head}: {'is no file' if path.exists() else 'no such file beside the scene file'}")
         if path.stat().st_size > FILE_BYTES:
             raise SceneError(f"{head}: {path.stat().st_size} bytes; at most {FILE_BYTES} are read")
         return path.read_bytes()
