@@ -47,6 +47,7 @@ COMMANDS = {
     ),
     "focusing.png": ("focusing-glass-focus.png", "focus focusing-glass"),
     "frequency-response.png": ("touch-panel-frf.png", "frf touch-panel"),
+    "design-ribs.png": ("design-ribs.designed.png", "design design-ribs.toml"),
     "design-thickness.png": ("design-thickness.designed.png", "design design-thickness.toml"),
     "sound.png": ("touch-panel-sound.png", "sound touch-panel"),
     "objectives-phases-alone.png": (

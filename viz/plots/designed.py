@@ -22,10 +22,14 @@ if TYPE_CHECKING:
 # Longer side of a plate, and height of the course of the search [inch].
 LENGTH, COURSE = 3.4, 2.0
 ALL, BEST = "#9ecae1", "#08519c"
+# Colour of layers and of what is attached.
+ADDED = "#d8b365"
 
 
 def draw_designed(panel: DesignedPanel, path: str | Path) -> None:
     """Draw both panels, with their maps of thickness, and the best value of each start."""
+    from matplotlib.patches import Patch
+
     width, height = drawn_size(panel.scene, LENGTH)
     with figure(path, (2 * width + 2.2, height + COURSE + 1.4), font_size=9) as fig:
         plans, course = fig.subfigures(2, 1, height_ratios=[height + 0.9, COURSE])
@@ -39,7 +43,10 @@ def draw_designed(panel: DesignedPanel, path: str | Path) -> None:
             label_sides(one, scene, left=one is axes[0])
         if image is not None:
             plans.colorbar(image, ax=list(axes), label="thickness [mm]", shrink=0.8)
-        plans.legend(handles=outline_handles(panel.scene), loc="outside lower center", ncols=4, fontsize=7)
+        handles = outline_handles(panel.scene)
+        if panel.scene.effects.regions:
+            handles.append(Patch(color=ADDED, label="layer or oscillator"))
+        plans.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=7)
         _draw_course(panel, course.subplots())
         fig.suptitle(panel.original.title or "Designed panel", fontsize=10)
 
@@ -62,6 +69,8 @@ def _draw_plan(
             1e3 * thickness, cmap=colour_map("cividis"), vmin=limits[0], vmax=max(limits[1], limits[0] + 1e-9),
             origin="lower", extent=(0.0, width, 0.0, height), interpolation="bilinear",
         )  # fmt: skip
+    for patch in scene.effects.regions.values():
+        axes.fill(*patch.closed_path().T, color=ADDED, linewidth=0, zorder=1)
     draw_parts(axes, scene)
     return image
 
