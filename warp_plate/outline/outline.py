@@ -14,6 +14,9 @@ from warp_plate.outline.pieces import TURN, Monotone, Piece
 TOUCH, OFF = 1e-9, 1e-3
 # Smallest area of a plate as a part of its bounding box.
 LEAST_AREA = 1e-3
+# A hole is narrow whose area is less than this part of a circle's of the same length of the edge; it is slanted if its
+# bounding box is wider than so many of its mean widths.
+NARROW, SLANTED = 0.5, 2.5
 # Parameters of a piece nearer to its end than this are its end.
 SNAP = 1e-6
 
@@ -93,6 +96,17 @@ class Outline:
         """Return the part of a polygon (corners, 2) [m] that is on the plate."""
         shared = shared_areas([corners], [self.polygons()[0]]) - shared_areas([corners], self.polygons()[1:]).sum()
         return float(shared[0, 0] / shared_areas([corners], [corners])[0, 0])
+
+    @property
+    def slanted_slits(self) -> bool:
+        """True if a hole is long and narrow, and neither along x nor along y."""
+        for hole in self.loops[1:]:
+            area, around = -sum(piece.area for piece in hole), sum(piece.length for piece in hole)
+            x0, x1, y0, y1 = bounds(hole)
+            narrow = 4 * np.pi * area < NARROW * around**2
+            if narrow and min(x1 - x0, y1 - y0) > SLANTED * 2 * area / around:
+                return True
+        return False
 
     def corners(self) -> Iterator[tuple[Piece, Piece, float]]:
         """Yield the pieces before and after each corner or change of condition, and the angle of the plate between
