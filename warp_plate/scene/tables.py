@@ -24,7 +24,7 @@ from warp_plate.scene.specification import Specification
 from warp_plate.scene.target import NamedTarget, PlateRegion, Target
 
 # Beyond any panel [m]; below most lengths of panels in millimetres.
-LONGEST, THICKEST = 50.0, 0.5
+LONGEST, THICKEST = 50.0, 1.0
 
 
 class Plate(Table):
