@@ -106,8 +106,8 @@ def test_millimetres_written_as_metres_are_asked_about():
     paper = Scene.load("paper")
     with pytest.raises(SceneError, match=r"^plate\.size: \[200\.0, 200\.0\] is above 50 m; are lengths in metres\?$"):
         scaled(paper, 1000, 1000)
-    with pytest.raises(SceneError, match=r"^plate\.thickness: 0\.7 is above 0\.5 m; are lengths in metres\?$"):
-        scaled(paper, 40, 1400)
+    with pytest.raises(SceneError, match=r"^plate\.thickness: 0\.7 m is not thin .*lengths are in metres\)$"):
+        scaled(paper, 1, 1400)
     texts = " ".join(warning_texts(scaled(paper, 200, 200), 0.0))
     assert "fewer than 2 points" in texts
     assert "in metres" in texts

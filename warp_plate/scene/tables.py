@@ -23,8 +23,8 @@ from warp_plate.scene.search import Search
 from warp_plate.scene.specification import Specification
 from warp_plate.scene.target import NamedTarget, PlateRegion, Target
 
-# Beyond any panel [m]; below most lengths of panels in millimetres.
-LONGEST, THICKEST = 50.0, 1.0
+# Beyond any side of a panel [m]; below most sides in millimetres.
+LONGEST = 50.0
 
 
 class Plate(Table):
@@ -93,8 +93,6 @@ class Plate(Table):
             raise ValueError("holes: need an outline; write outline = { rectangle = [width, height] } in place of size")
         if max(self.size) > LONGEST:
             raise ValueError(f"size: {list(self.size)} is above {LONGEST:g} m; are lengths in metres?")
-        if self.thickness > THICKEST:
-            raise ValueError(f"thickness: {self.thickness:g} is above {THICKEST:g} m; are lengths in metres?")
         self.check_thin(self.thickness, "thickness: ")
         return self
 
