@@ -12,6 +12,8 @@ from warp_plate.outline.pieces import Arc, Piece, Straight
 
 # Parts of a drawing's longer side: ends of pieces that are nearer are joined; a piece that is shorter has no length.
 JOIN, NO_LENGTH = 1e-6, 1e-10
+# Relative difference of ellipses whose arcs are those of one.
+SAME = 1e-9
 # Points of a curve whose distance from two arcs is computed, and the part of the tolerance that it may take.
 SAMPLES, SAFE = 32, 0.8
 # Largest turn [rad] of an arc that replaces a part of a curve; arcs that turn less than the second are straight.
@@ -88,8 +90,22 @@ def joined(pieces: Sequence[Piece]) -> list[list[Piece]]:
             entered, leaving = ((_end(pieces, i) + _end(pieces, j)) / 2 for i, j in ((at, before), (at ^ 1, after)))
             loop.append(_between(piece.reversed() if at % 2 else piece, entered, leaving))
             at = after
-        contours.append(loop)
+        contours.append(_whole(loop))
     return sorted(contours, key=lambda loop: -abs(sum(piece.area for piece in loop)))
+
+
+def _whole(loop: list[Piece]) -> list[Piece]:
+    """Return a loop, as one piece if it consists of the arcs of one ellipse, into which programs cut circles."""
+    arcs = [piece for piece in loop if isinstance(piece, Arc)]
+    shapes = np.array([arc.axes @ arc.axes.T for arc in arcs])
+    if len(arcs) < len(loop) or np.ptp(shapes, axis=0).max() > SAME * np.abs(shapes).max():
+        return loop
+    apart = np.ptp([arc.centre for arc in arcs], axis=0).max()
+    sweeps = [arc.angles[1] - arc.angles[0] for arc in arcs]
+    if apart**2 > SAME**2 * np.abs(shapes).max() or abs(sum(map(abs, sweeps)) - 2 * math.pi) > SAME:
+        return loop
+    first = arcs[0].angles[0]
+    return [replace(arcs[0], angles=(first, first + math.copysign(2 * math.pi, sweeps[0])))]
 
 
 def _end(pieces: Sequence[Piece], end: int) -> np.ndarray:
