@@ -41,6 +41,10 @@ BESIDES = {
     "effects": {
         "loss_factor": {"eta": 0.02},
         "oscillators": [{"area": [0.1, 0.12, 0.1, 0.12], "mass": 1e-3, "stiffness": 100.0}],
+        "layers": [
+            {"area": [x, x + 0.01, 0.0, 0.2], "thickness": 1e-4, "young_modulus": 1e9, "density": 1e3}
+            for x in (0.05, 0.1)
+        ],
     },
     "fit": {"free": {"plate.density": [900.0, 1100.0]}},
     "focus": {"points": [[0.06, 0.05]], "highest": 1000.0},

@@ -103,7 +103,6 @@ def test_further_arguments_of_wrong_types(wrong, result):
     """One line that begins with the argument, whatever else is valid."""
     calls = {
         "points": lambda: warp_plate.sound(SCENE, points=wrong),
-        "air": lambda: warp_plate.sound(SCENE, air=wrong),
         "path": lambda: warp_plate.PlateSolver(SCENE, "cpu", path=wrong),
         "quantity": lambda: warp_plate.PlateSolver(SCENE, "cpu", quantity=wrong),
         "drive": lambda: warp_plate.simulate(SCENE, device="cpu", drive=wrong),
@@ -117,6 +116,7 @@ def test_further_arguments_of_wrong_types(wrong, result):
             "frequency_range ": lambda: warp_plate.sound(SCENE, frequency_range=wrong),
             "span": lambda: warp_plate.motion(result, span=wrong),
             "progress": lambda: warp_plate.simulate(SCENE, device="cpu", progress=wrong),
+            "air": lambda: warp_plate.sound(SCENE, air=wrong),
         }
     if not isinstance(wrong, int | None):
         calls |= {

@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 import pytest
-import pyvista
 
 from support.commands import error_of, output_of
 from warp_plate import Scene
@@ -23,6 +22,7 @@ CHANGES = [
 
 @pytest.mark.slow
 def test_the_designed_scene_is_written_with_its_map(command, tmp_path):
+    pyvista = pytest.importorskip("pyvista")
     out = tmp_path / "panel.designed.toml"
     record = json.loads(output_of(command("design", "paper", *CHANGES, "--solid", "--json", "--out", str(out))))
     assert record["after"]["bound"] > record["before"]["bound"] > 0.6

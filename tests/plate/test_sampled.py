@@ -171,7 +171,7 @@ def test_nothing_outside_the_folder_is_read(tmp_path):
     (folder / "folder.csv").mkdir(parents=True)
     (folder / "a.csv").symlink_to(tmp_path / "secret.csv")
     (folder / "loop.csv").symlink_to(folder / "loop.csv")
-    names = {"a": "out of the scene's folder", "b": "no such", "folder": "no such", "loop": "cannot be read: Too many"}
+    names = {"a": "out of the scene's folder", "b": "no such", "folder": "is no file", "loop": "read: Too many"}
     for name, why in names.items():
         with pytest.raises(SceneError, match=f"{name}.csv': .*{why}"):
             read_samples(SampledSignal(file=f"{name}.csv"), folder)

@@ -1,5 +1,7 @@
 """Searches for the targets of a scene, from a checkpoint to the end or until Ctrl-C, and descents from their ends."""
 
+from __future__ import annotations
+
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
