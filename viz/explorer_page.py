@@ -55,6 +55,9 @@ NUMBERS = """
     {{ name }}</th></tr>
   <tr v-for="row in levels"><td v-for="text in row">{{ text }}</td></tr>
 </table>
+<div v-if="sound" style="margin: 4px 0">Sound power <b id="sound">{{ sound }}</b>
+  <meter id="meter" min="0" max="100" low="40" high="70" optimum="0" :value="sound_level" title="0 to 100 dB(A)"
+    style="width: 120px; margin-left: 8px; vertical-align: middle"></meter></div>
 <div style="margin-top: 4px">Kinetic energy {{ energy }}; by quadrant:</div>
 <div style="display: grid; grid-template-columns: 90px 90px; gap: 3px; margin: 4px 0">
   <div v-for="name in ['upper left', 'upper right', 'lower left', 'lower right']" :id="name.replace(' ', '_')"
@@ -182,6 +185,9 @@ class ExplorerPage:
         state.factor = in_percent(reading.localization_factor)
         state.bound = "none" if reading.bound is None else in_percent(reading.bound)
         state.levels = level_texts(reading)
+        level = reading.sound_level
+        state.sound = "" if level is None else f"{level:.1f} dB(A)" if math.isfinite(level) else "none"
+        state.sound_level = 0 if level is None else max(0.0, level)
         state.energy = f"{reading.energy['plate']:.3g} J"
         state.shares = share_texts(reading)
         state.engine = "by modes, without time steps" if self.model.by_modes else "in time steps"

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from support.commands import error_of, until
-from warp_plate import PlateSolver, Scene, SceneError, localize, specify
+from warp_plate import PlateSolver, Scene, SceneError, localize, sound, specify
 from warp_plate.analysis.motion import last_period, steady_motions
 from warp_plate.explore.live_model import CHOICES, VISCOUS, LiveModel, changed_scene, slider_ranges
 from warp_plate.explore.unit_responses import live_solver, unit_responses
@@ -91,6 +91,7 @@ def test_any_drive_equals_its_run(steady, path, scene, phasors):
     made = scene(precision="float32", **tables)
     drive = phasors(1, 3)
     reading = unit_responses(made, "cpu", path).read(drive[0])
+    assert (reading.sound_level is None) == (path == "auto")
     exact = made.model_copy(update={"grid": made.grid.model_copy(update={"precision": "float64"})})
     time_step = PlateSolver(exact, "cpu").specialized.scheme.time_step
     run = live_solver(exact, "cpu", path).run(drive, last_period(exact, time_step))
@@ -201,6 +202,9 @@ def test_levels_and_sliders_of_the_console_are_those_of_its_specification(live):
     assert [model.number_label(key) for key in model.ranges.numbers] == ["loss factor eta", "gasket [N/m²]"]
     levels = {row.name: (row.weakest, row.worst) for row in answer.levels}
     assert levels.keys() == {"target", "elsewhere"}
+    heard = sound(answer.driven_scene())
+    level = (heard.power_level + heard.weighting)[heard.at_drive]
+    assert model.read().sound_level == pytest.approx(level, abs=0.01)
     for name, (weakest, worst) in model.read().levels.items():
         assert weakest == pytest.approx(levels[name][0], rel=0.01, abs=0.01)
         assert worst == pytest.approx(levels[name][1], rel=0.01)

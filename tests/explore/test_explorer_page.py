@@ -90,6 +90,7 @@ def test_sliders_and_buttons_change_picture_and_numbers(page):
     thumb = "#slide-{} .v-slider-thumb".format
     bound = number(page, "#bound")
     assert 0 < number(page, "#factor") < bound
+    assert float(page.get_attribute("#meter", "value")) == pytest.approx(number(page, "#sound"), abs=0.06)
     assert "Panel {{ 1 + 1 }} <b>" in page.inner_text("body")
 
     # The plate moves unless it is paused.

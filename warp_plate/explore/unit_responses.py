@@ -8,10 +8,12 @@ import math
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from warp_plate.analysis.motion import last_period, steady_motions
+from warp_plate.modal.radiation import WeightedSound
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.optimize.quadratic import real_parts
 from warp_plate.plate.weights import REGIONS
@@ -27,6 +29,7 @@ from warp_plate.solve.run import Progress
 from warp_plate.solve.solver import PlateSolver
 
 # Specification whose regions are the target and all the rest, in place of a missing one.
+NEITHER: dict[str, Any] = {"accelerations": {}, "sound": None}
 WHOLE_PLATE = Specification(level=Level(acceleration_g=1.0), elsewhere=Allowance(relative_db=0.0), tolerance={})
 
 
@@ -41,6 +44,7 @@ class UnitResponses:
     bound: float  # largest localization factor of any drive
     best_drive: np.ndarray  # (actuators,) phasors of the drive that reaches it [N/m²]
     accelerations: Mapping[str, np.ndarray]  # by region (points, actuators) accelerations [m/s² per N/m²]
+    sound: np.ndarray | None  # (rows, actuators) F of the A-weighted sound power ½ ‖F z‖² [W]; None by time steps
 
     def read(self, phasors: np.ndarray) -> DriveResponse:
         """Return the response to one drive (actuators,) [N/m²]."""
@@ -53,6 +57,7 @@ class UnitResponses:
             energy=dict(zip((*REGIONS, *QUADRANTS), self.response.energy(phasors[None])[0].tolist(), strict=True)),
             bound=self.bound if math.isfinite(self.bound) else None,
             levels={name: (float(values.min()), float(values.max())) for name, values in peaks.items()},
+            sound_power=None if self.sound is None else float(np.linalg.norm(self.sound @ phasors)) ** 2 / 2,
         )
 
 
@@ -78,20 +83,24 @@ def unit_responses(
         residual=float(np.max([motion.residual for motion in motions])),
         bound=response.bound(),
         best_drive=response.best_drive(),
-        accelerations=_accelerations(solver) if isinstance(solver, ModalSolver) else {},
+        **(_accelerations_and_sound(solver) if isinstance(solver, ModalSolver) else NEITHER),
     )
 
 
-def _accelerations(solver: ModalSolver) -> dict[str, np.ndarray]:
-    """Return the unit accelerations of the regions of the scene's specification."""
+def _accelerations_and_sound(solver: ModalSolver) -> dict[str, Any]:
+    """Return the unit accelerations of the regions of the scene's specification, and the sound of the plate."""
     scene = solver.scene
     with suppress(SceneError):  # of masks
-        requirements = make_requirements(solver.plate)
-        tone = Tone(solver.plate, requirements, scene.drive.frequency, np.ones(len(scene.actuators)))
+        requirements, frequency = make_requirements(solver.plate), scene.drive.frequency
+        tone = Tone(solver.plate, requirements, frequency, np.ones(len(scene.actuators)))
         regions = {part.name: part.region for part in requirements.aims}
         regions |= {part.name: part.region for part in requirements.rests}
-        return {name: tone.rows(region.samples) for name, region in regions.items()}
-    return {}
+        velocities = tone.accelerations / (2j * math.pi * frequency)
+        return {
+            "accelerations": {name: tone.rows(region.samples) for name, region in regions.items()},
+            "sound": WeightedSound(solver.plate, frequency).factor(frequency) @ velocities,
+        }
+    return NEITHER
 
 
 def live_solver(scene: Scene, device: str, path: str) -> PlateSolver | ModalSolver:

@@ -60,7 +60,7 @@ class Tone:
     points: dict[Key, np.ndarray] = field(default_factory=dict)  # points of aims and rests in programs
 
     @cached_property
-    def _amplitudes(self) -> np.ndarray:
+    def accelerations(self) -> np.ndarray:
         """(modes, actuators) modal accelerations [√kg·m/s²] of the actuators' largest drives."""
         plate, omega, forces = self.plate, self._omega, self.plate.actuator_forces() * self.largest
         if plate.proportional or plate.coils is not None or plate.air is not None:
@@ -80,7 +80,7 @@ class Tone:
     @cached_property
     def _coefficients(self) -> np.ndarray:
         """(unknowns, actuators) the same of the functions of the space [m/s²]."""
-        return self.plate.vectors[: self.plate.space.unknowns] @ self._amplitudes
+        return self.plate.vectors[: self.plate.space.unknowns] @ self.accelerations
 
     def rows(self, points: np.ndarray) -> np.ndarray:
         """Return (points, actuators) accelerations at points (points, 2) [m] under the actuators' largest drives."""
@@ -104,7 +104,7 @@ class Tone:
     @cached_property
     def limited(self) -> list[Limited]:
         """Limited quantities besides the actuators' drives."""
-        return limited_quantities(self.requirements, self.plate, self.frequency, self.largest, self._amplitudes)
+        return limited_quantities(self.requirements, self.plate, self.frequency, self.largest, self.accelerations)
 
     @cached_property
     def wanted(self) -> np.ndarray:

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from warp_plate.quantities.sound_levels import POWER_REFERENCE
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
@@ -131,10 +132,18 @@ class DriveResponse:
     # peak acceleration [m/s²] at the weakest and the worst point of the regions of a specification; empty by time
     # steps, and if a target is a mask
     levels: Mapping[str, tuple[float, float]]
+    sound_power: float | None  # A-weighted sound power of the plate in a rigid baffle [W]; None where levels are empty
 
     @property
     def localization_factor(self) -> float:
         return self.share("target")
+
+    @property
+    def sound_level(self) -> float | None:
+        """A-weighted sound power level [dB re 1 pW]; None where the sound is unknown, −∞ for a plate at rest."""
+        if self.sound_power is None:
+            return None
+        return 10 * math.log10(self.sound_power / POWER_REFERENCE) if self.sound_power > 0 else -math.inf
 
     def share(self, region: str) -> float:
         """Return the fraction of the plate's kinetic energy in a region; NaN for a plate at rest."""
