@@ -5,11 +5,12 @@ import operator
 import re
 import sys
 import tomllib
+from contextlib import suppress
 from dataclasses import is_dataclass
 from functools import reduce
 from pathlib import Path
 
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
 import warp_plate
 from warp_plate.cli.main import COMMANDS, application, load
@@ -171,6 +172,7 @@ def example(heading, model):
     for path in (path for place in places for path in sorted(place.glob("*.toml"))):
         if match := pattern.search(path.read_text(encoding="utf-8")):
             values = reduce(operator.getitem, heading.strip("[]").split("."), tomllib.loads(match[0]))
-            model.model_validate(values[0] if isinstance(values, list) else values)
-            return f"\n```toml\n{match[0]}```\n"
+            with suppress(ValidationError):  # of a table that needs others below it
+                model.model_validate(values[0] if isinstance(values, list) else values)
+                return f"\n```toml\n{match[0]}```\n"
     return ""

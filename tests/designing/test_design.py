@@ -85,8 +85,7 @@ def test_slopes_of_a_panel_are_those_of_differences(design, random):
         / (2 * step)
         for step in (1e-3, 2e-3)
     )
-    allowed = 1e-2 if "places" in design else 1e-5  # the splines follow patches, less smoothly than these move
-    assert slopes @ direction == pytest.approx((4 * near - far) / 3, abs=allowed * abs(slopes).max())
+    assert slopes @ direction == pytest.approx((4 * near - far) / 3, abs=1e-5 * abs(slopes).max())
 
 
 @pytest.mark.slow

@@ -22,6 +22,7 @@ from warp_plate.modal.sensitivity import EnergyAdjoint, check_differentiable, pl
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.modal.spaces.integrals import mean_wave_frequency
 from warp_plate.modal.spaces.knots import intervals_for
+from warp_plate.modal.spaces.splines import Splines
 from warp_plate.modal.spaces.tensor_splines import TensorSplines
 from warp_plate.optimize.quadratic import quadratic_forms
 from warp_plate.plate.designs import scene_phasors
@@ -144,13 +145,18 @@ class FreePanel:
         return scene
 
     def _galerkin(self, numbers: np.ndarray, case: Mapping[str, float]) -> Galerkin:
-        """Return the matrices of a panel over splines that follow patches, but not the map."""
-        bare = self._with_numbers(numbers[self._mapped :], case)
+        """Return the matrices of a panel."""
+        scene = self._with_map(self._with_numbers(numbers[self._mapped :], case), numbers)
+        return make_galerkin(scene, TensorSplines(scene, self._intervals, self._along))
+
+    @cached_property
+    def _along(self) -> tuple[Splines, Splines]:
+        """Splines of all panels, which follow neither the map nor patches, so that values are smooth."""
+        scene = self.scene
         if self.thickness is not None:
             flat = np.ones(self.thickness.shape).tolist()
-            bare = bare.model_copy(update={"effects": bare.effects.with_thickness(flat)})
-        scene = self._with_map(bare, numbers)
-        return make_galerkin(scene, TensorSplines(scene, self._intervals, TensorSplines(bare, self._intervals).along))
+            scene = scene.model_copy(update={"effects": scene.effects.with_thickness(flat)})
+        return TensorSplines(scene, self._intervals).along
 
     @cached_property
     def _intervals(self) -> tuple[int, int]:
@@ -185,8 +191,7 @@ class FreePanel:
                 plate_matrices(self._galerkin(np.where(np.arange(self.count) == index, end, numbers), case))
                 for end in ends
             )
-            same = high.mass.shape == low.mass.shape == base.mass.shape
-            by_numbers.append(np.array([slopes.product(high - low) / np.ptp(ends) if same else 0.0]))
+            by_numbers.append(np.array([slopes.product(high - low) / np.ptp(ends)]))
         return value, np.concatenate(by_numbers)
 
     @property
