@@ -25,6 +25,7 @@ NOT_RUN = {
     r"cuda|torch|jax": "needs a GPU, Torch or JAX",
     r"--cluster (tcp|scheduler|local)|^dask|^CUDA_|SLURMCluster": "needs a cluster; see tests/cluster",
     r"--samples 12000": "takes half an hour",
+    r"design-thickness": "takes minutes; see tests/scene/test_examples.py",
     r"\.checkpoint\.h5$": "needs an interrupted run; see tests/cli/test_interrupts.py",
 }
 FOCUS = "[focus]\npoints = [[0.06, 0.05]]\nhighest = 1000.0"
