@@ -47,7 +47,7 @@ SHARPNESS = 100.0
 
 @dataclass(frozen=True)
 class Value:
-    """What a panel can do."""
+    """Value of a panel, and its slopes."""
 
     least: float  # what is maximised: the least value of all cases
     smooth: float  # smooth lower estimate of it, whose slopes these are

@@ -25,7 +25,7 @@ class AirLoad(Effect):
     sound_speed: Annotated[Positive, Field(le=1e4, examples=[343.0]), Unit("m/s")] = SOUND_SPEED
     """Speed of sound."""
     sides: Annotated[Literal["both", "front"], Field(examples=["front"])] = "both"
-    """Where the air is: on both sides of the plate, or in front of it only."""
+    """Place of the air: on both sides of the plate, or in front of it only."""
 
     stepped = False
     steady = True

@@ -8,7 +8,6 @@ import math
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -29,7 +28,6 @@ from warp_plate.solve.run import Progress
 from warp_plate.solve.solver import PlateSolver
 
 # Specification whose regions are the target and all the rest, in place of a missing one.
-NEITHER: dict[str, Any] = {"accelerations": {}, "sound": None}
 WHOLE_PLATE = Specification(level=Level(acceleration_g=1.0), elsewhere=Allowance(relative_db=0.0), tolerance={})
 
 
@@ -76,6 +74,7 @@ def unit_responses(
     response = solver.response if isinstance(solver, ModalSolver) else measure_response(solver, progress)
     units = unit_drives(len(scene.actuators), slice(2 * len(scene.actuators)))
     motions = steady_motions(solver.run(units, last_period(scene, solver.discretization.time_step)), scene)
+    accelerations, sound = _accelerations_and_sound(solver) if isinstance(solver, ModalSolver) else ({}, None)
     return UnitResponses(
         scene=scene,
         response=response,
@@ -83,11 +82,12 @@ def unit_responses(
         residual=float(np.max([motion.residual for motion in motions])),
         bound=response.bound(),
         best_drive=response.best_drive(),
-        **(_accelerations_and_sound(solver) if isinstance(solver, ModalSolver) else NEITHER),
+        accelerations=accelerations,
+        sound=sound,
     )
 
 
-def _accelerations_and_sound(solver: ModalSolver) -> dict[str, Any]:
+def _accelerations_and_sound(solver: ModalSolver) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
     """Return the unit accelerations of the regions of the scene's specification, and the sound of the plate."""
     scene = solver.scene
     with suppress(SceneError):  # of masks
@@ -96,11 +96,9 @@ def _accelerations_and_sound(solver: ModalSolver) -> dict[str, Any]:
         regions = {part.name: part.region for part in requirements.aims}
         regions |= {part.name: part.region for part in requirements.rests}
         velocities = tone.accelerations / (2j * math.pi * frequency)
-        return {
-            "accelerations": {name: tone.rows(region.samples) for name, region in regions.items()},
-            "sound": WeightedSound(solver.plate, frequency).factor(frequency) @ velocities,
-        }
-    return NEITHER
+        sound = WeightedSound(solver.plate, frequency).factor(frequency) @ velocities
+        return {name: tone.rows(region.samples) for name, region in regions.items()}, sound
+    return {}, None
 
 
 def live_solver(scene: Scene, device: str, path: str) -> PlateSolver | ModalSolver:

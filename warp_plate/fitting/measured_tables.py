@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warp_plate.plate.files import read_numbers
+from warp_plate.plate.files import is_number, read_numbers
 
 GRAVITY, POUND = 9.80665, 4.4482216152605
 # Factors of units to Hz, 1, rad and s, and of motions (order in time, factor to SI units) and forces.
@@ -168,7 +168,7 @@ def is_unit_row(cells: Sequence[str]) -> bool:
     """Return whether a line below the headings holds units."""
     known = {*FREQUENCY_UNITS, *PHASE_UNITS, *TIME_UNITS, *RATIO_UNITS, *MOTION_UNITS, *FORCE_UNITS, "db"}
     plain = [_plain(cell) for cell in cells if cell]
-    return bool(plain) and any(cell in known for cell in plain) and not any(map(_is_number, cells))
+    return bool(plain) and any(cell in known for cell in plain) and not any(map(is_number, cells))
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,7 +209,7 @@ def _splits(lines: list[tuple[int, str]], stated: str | None) -> Sequence[tuple[
         separators = [stated] if stated else [mark for mark in ";\t," if mark in line] + [None]
         rows = [] if line.lstrip().startswith("#") else [(mark, split(line, mark)) for mark in separators]
         numbers = (
-            (mark, row) for mark, row in rows if any(row) and all(_is_number(decimal(cell)) for cell in row if cell)
+            (mark, row) for mark, row in rows if any(row) and all(is_number(decimal(cell)) for cell in row if cell)
         )
         found.append(next(numbers, None))
         if found[-1] is not None:
@@ -230,14 +230,6 @@ def _normalised(lines: list[tuple[int, str]], separator: str | None) -> str:
             rows.append(",".join(decimal(cell) for cell in split(line, separator)))
         before = number
     return "\n".join(rows)
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
 
 
 # Units (order in time, factor to SI units) of responses or channels; None where none is named.

@@ -1,4 +1,4 @@
-"""Whether a fitted model describes the measurements, and the likely cause if it does not.
+"""Judge whether a fitted model describes the measurements, and the likely cause if it does not.
 
 Errors r = log(H / Hₘ) of responses have a systematic part, the mean of r_k r*_{k+1} over neighbouring frequencies, in
 which noise averages out. If it is large, the shape of the responses over frequency is fitted alone: factors and powers
@@ -42,7 +42,7 @@ FREQUENCY_FACTORS = {"rad/s": 2 * math.pi, "hertz, not rad/s": 0.5 / math.pi, "k
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether the model describes the measurements."""
+    """Judgement of a model by measurements."""
 
     describes: bool
     error: float  # systematic rms error of log H, or relative rms error of frequencies
@@ -85,6 +85,15 @@ def _thick(scene: Scene, frequency: float) -> str:
 
 def _failure(error: str, cause: str) -> str:
     return f"The model does not describe these data: {error}. {cause}"
+
+
+def _unexplained(error: float, said: str, thick: str, at_limit: Sequence[str], tried: str) -> Verdict:
+    """Return the verdict on an error for which no cause was found among those ``tried`` in the data."""
+    if thick:
+        return Verdict(False, error, "thick", _failure(said, f"Likely cause: {thick}."))
+    if at_limit:
+        return Verdict(False, error, "range", _failure(said, f"{at_limit[0]} is at an end of its range: widen it."))
+    return Verdict(False, error, None, _failure(said, f"No cause was found among {tried}."))
 
 
 # Causes in the data of responses: a name, what to do, and the logarithm of H / Hₘ that they make, for iω (n,).
@@ -187,11 +196,7 @@ def judge_responses(scene: Scene, errors: np.ndarray, alternatives: Alternatives
             return Verdict(False, error, cause, _failure(said, f"Likely cause: {text} ({left_over})."))
     if error <= LARGEST_ERROR:
         return Verdict(True, error, None, thick[:1].upper() + thick[1:])
-    if thick:
-        return Verdict(False, error, "thick", _failure(said, f"Likely cause: {thick}."))
-    if at_limit:
-        return Verdict(False, error, "range", _failure(said, f"{at_limit[0]} is at an end of its range: widen it."))
-    return Verdict(False, error, None, _failure(said, "No cause was found among sign, units, quantity, order, mirror."))
+    return _unexplained(error, said, thick, at_limit, "sign, units, quantity, order, mirror")
 
 
 def _ranked(scene: Scene, alternatives: Alternatives) -> list[tuple[str, str, Sequence[Measurement], np.ndarray]]:
@@ -268,11 +273,7 @@ def judge_modes(
             return Verdict(False, error, cause, _failure(said, text))
     if error <= LARGEST_OF_MODES:
         return Verdict(True, error, None, thick[:1].upper() + thick[1:])
-    if thick:
-        return Verdict(False, error, "thick", _failure(said, f"Likely cause: {thick}."))
-    if at_limit:
-        return Verdict(False, error, "range", _failure(said, f"{at_limit[0]} is at an end of its range: widen it."))
-    return Verdict(False, error, None, _failure(said, "No cause was found among units, a missing and a further mode."))
+    return _unexplained(error, said, thick, at_limit, "units, a missing and a further mode")
 
 
 def _verdict_on_shapes(scene: Scene, judged: ModesToJudge, error: float) -> Verdict | None:

@@ -27,7 +27,7 @@ import scipy
 from numpy.polynomial import chebyshev
 
 from warp_plate.effects.air import AirLoad
-from warp_plate.modal.poles import multiply_modes
+from warp_plate.modal.poles import DampedModes, multiply_modes
 from warp_plate.modal.radiation import FURTHER, Air, PlateInBaffle, Radiation
 from warp_plate.modal.spaces.integrals import mean_wave_frequency
 from warp_plate.modal.spaces.space import FunctionSpace
@@ -45,17 +45,11 @@ MORE_TERMS = 6
 BLOCK_FREQUENCIES, RESIDUAL, REFINEMENTS = 16, 1e-11, 30
 
 
-class DryPlate(PlateInBaffle, Protocol):
+class DryPlate(PlateInBaffle, DampedModes, Protocol):
     """A plate without its air; see :class:`warp_plate.modal.modes.ModalPlate`."""
 
     @property
     def highest(self) -> float: ...
-    @property
-    def angular_frequencies(self) -> np.ndarray: ...
-    @property
-    def damping(self) -> np.ndarray: ...
-    @property
-    def hysteretic(self) -> np.ndarray: ...
 
     def dynamic_stiffness(self, omega: np.ndarray) -> np.ndarray:
         """Return (..., modes) the stiffness of the modes without their coupling, at ω (...) [rad/s]."""

@@ -21,6 +21,7 @@ import numpy as np
 import scipy
 
 from warp_plate.effects.coil import Coil
+from warp_plate.modal.poles import DampedModes
 from warp_plate.scene.model import Scene
 
 # Modes, from the lowest, whose resonances with coils are computed, and largest half-width of one over its frequency.
@@ -30,17 +31,11 @@ MOST_MODES, WIDEST, ROUNDING = 300, 0.9, 1e-10
 BESIDE = 1e-8
 
 
-class BarePlate(Protocol):
+class BarePlate(DampedModes, Protocol):
     """A plate without its coils; see :class:`warp_plate.modal.modes.ModalPlate`."""
 
     @property
     def scene(self) -> Scene: ...
-    @property
-    def angular_frequencies(self) -> np.ndarray: ...
-    @property
-    def damping(self) -> np.ndarray: ...
-    @property
-    def hysteretic(self) -> np.ndarray: ...
 
     def respond_alone(self, omega: np.ndarray, forces: np.ndarray) -> np.ndarray:
         """Return the (n, modes, loads) response to modal forces (n, modes, loads) at ω (n,) [rad/s]."""

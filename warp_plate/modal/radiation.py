@@ -27,7 +27,7 @@ from numpy.polynomial import chebyshev
 from warp_plate.effects.air import AIR_DENSITY, SOUND_SPEED
 from warp_plate.modal.spaces.space import FunctionSpace
 from warp_plate.plate.memory import refuse_beyond_memory
-from warp_plate.quantities.sound_levels import a_weighting
+from warp_plate.quantities.sound_levels import a_weight
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
@@ -63,7 +63,7 @@ def air_of(scene: Scene) -> Air:
 
 
 class PlateInBaffle(Protocol):
-    """What sound takes of a plate; see :class:`warp_plate.modal.modes.ModalPlate`."""
+    """Parts of a plate that sound depends on; see :class:`warp_plate.modal.modes.ModalPlate`."""
 
     @property
     def scene(self) -> Scene: ...
@@ -132,7 +132,7 @@ class WeightedSound:
 
     def factor(self, frequency: float) -> np.ndarray:
         """Return F (rows, modes) at a frequency [Hz]: the sound of velocities q̇ exp(iωt) is ½ ‖F q̇‖²."""
-        weight = 10 ** (float(a_weighting(np.array([frequency]))[0]) / 20)
+        weight = a_weight(frequency)
         if self._far_field is None:
             assert self._point is not None
             return weight * pressure_rows(self._plate, frequency, np.array([self._point]), self._air)

@@ -75,7 +75,7 @@ def _read_rows(data: bytes) -> tuple[np.ndarray, list[int]]:
     lines = [(at, line) for at, line in enumerate(text, 1) if line.strip() and not line.lstrip().startswith("#")]
     if lines and (columns := 1 + max(map(lines[0][1].count, ",;\t"))) > MOST_COLUMNS:
         raise ValueError(f"{columns} columns; at most {MOST_COLUMNS} are read")
-    if lines and not any(map(_is_number, re.split("[,;\t]", lines[0][1]))):
+    if lines and not any(map(is_number, re.split("[,;\t]", lines[0][1]))):
         del lines[0]
     if not lines:
         return np.empty((0, 0)), []
@@ -103,7 +103,8 @@ def _table(data: bytes) -> tuple[np.ndarray, list[int]]:
     return read_only(table)[0], numbers
 
 
-def _is_number(cell: str) -> bool:
+def is_number(cell: str) -> bool:
+    """Return whether a cell of a table is a number."""
     try:
         float(cell)
     except ValueError:

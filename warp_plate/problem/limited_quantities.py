@@ -9,7 +9,7 @@ from warp_plate.modal.coils import CoilMotion
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.radiation import pressure_rows
 from warp_plate.problem.requirements import Requirements
-from warp_plate.quantities.sound_levels import POWER_REFERENCE, PRESSURE_REFERENCE, a_weighting
+from warp_plate.quantities.sound_levels import POWER_REFERENCE, PRESSURE_REFERENCE, a_weight
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def limited_quantities(
             admittance[plate.coils.indices] = 0
             admittance = admittance + force.conj().T @ (1j * omega * motion.stroke[0])
         quantities.append(Limited("power", "W", limits.power, hermitian_factor((admittance + admittance.conj().T) / 4)))
-    weight = 10 ** (float(a_weighting(np.array([frequency]))[0]) / 20)
+    weight = a_weight(frequency)
     if limits.sound is not None:
         radiated = velocity.conj().T @ (requirements.radiation.resistances(np.array([frequency]))[0] @ velocity)
         factor = weight / math.sqrt(POWER_REFERENCE) * hermitian_factor(radiated / 2)

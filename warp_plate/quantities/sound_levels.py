@@ -16,3 +16,8 @@ def a_weighting(frequencies: np.ndarray) -> np.ndarray:
     with np.errstate(divide="ignore"):
         level = np.log10(ratio / np.sqrt((squares + second) * (squares + third)))
     return np.asarray(20 * level - AT_1_KHZ)
+
+
+def a_weight(frequency: float) -> float:
+    """Return the A-weight of amplitudes at a frequency [Hz], one at 1 kHz."""
+    return float(10 ** (float(a_weighting(np.array([frequency]))[0]) / 20))

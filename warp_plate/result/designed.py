@@ -13,7 +13,7 @@ from warp_plate.scene.model import Scene
 
 @dataclass(frozen=True)
 class PanelValues:
-    """What a panel can do, by all modes of other commands."""
+    """Values of a panel, by all modes of other commands."""
 
     bound: float  # largest localization factor of any drive
     value: float  # what is maximised: the least of all cases of the bound, or of the factor of the scene's drive

@@ -15,9 +15,11 @@ from pydantic import (
     AfterValidator,
     BaseModel,
     ConfigDict,
+    Discriminator,
     Field,
     GetJsonSchemaHandler,
     NonNegativeInt,
+    Tag,
     TypeAdapter,
     ValidationError,
     ValidationInfo,
@@ -263,6 +265,9 @@ Moderate = Annotated[float, AfterValidator(_moderate)]
 Gain = Annotated[Moderate, AfterValidator(_not_zero)]
 Positive = Annotated[float, Field(gt=0), AfterValidator(_moderate)]
 NotNegative = Annotated[float, Field(ge=0), AfterValidator(_moderate)]
+# Decides between types tagged "one" and "several".
+IS_LIST = Discriminator(lambda value: "several" if isinstance(value, list | tuple) else "one")
+OneOrRange = Annotated[Annotated[Positive, Tag("one")] | Annotated[tuple[Positive, Positive], Tag("several")], IS_LIST]
 # These are never divided by, so they may be arbitrarily small.
 Coordinate = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Count = NonNegativeInt

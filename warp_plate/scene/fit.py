@@ -1,4 +1,4 @@
-"""What of a panel is free: the tables ``[fit]``, numbers that ``warp-plate fit`` takes from measurements, with
+"""Free numbers of a panel: the tables ``[fit]``, numbers that ``warp-plate fit`` takes from measurements, with
 ``[[measurement]]``; and ``[design]``, what ``warp-plate design`` chooses."""
 
 from collections.abc import Iterable
@@ -120,7 +120,7 @@ class FreeThickness(Table):
     mass: Annotated[Positive | None, Unit("1"), Field(examples=[1.0])] = None
     """Mass of the plate without what is attached, as a factor of that of the scene (default: any)."""
     symmetry: Annotated[Literal["none", "x", "y", "both"], Field(examples=["both"])] = "none"
-    """Whether the map is its own mirror image along x, about the middle of the plate, along y, or both."""
+    """Symmetry of the map, which is its own mirror image along x, about the middle of the plate, along y, or both."""
     steepness: Annotated[float, Field(ge=4, le=64, examples=[16.0]), Unit("1")] = 8.0
     """Steepness of the projection of the filtered map onto the range: 4 reaches 76 % of it, 8 96 %, and 40 leaves
     mostly two thicknesses."""
@@ -133,10 +133,10 @@ class FreeThickness(Table):
 
 
 class Design(Table):
-    """What is free in the design of a panel, what is maximised, and how it is sought."""
+    """Free numbers of a panel, the quantity that they maximise, and the search for it."""
 
     objective: Annotated[Literal["bound", "drive"], Field(examples=["drive"])] = "bound"
-    """What is maximised: the largest localization factor of any drive, or that of the scene's own drive."""
+    """Quantity that is maximised: the largest localization factor of any drive, or that of the scene's own drive."""
     thickness: FreeThickness | None = None
     free: Annotated[
         dict[str, tuple[Moderate, Moderate]],

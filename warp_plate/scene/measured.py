@@ -6,11 +6,23 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Discriminator, Field, PrivateAttr, Tag, ValidationError, model_validator
+from pydantic import Field, PrivateAttr, Tag, ValidationError, model_validator
 
 from warp_plate.scene.errors import SceneError, check_type
 from warp_plate.scene.explain_errors import explain_error
-from warp_plate.scene.fields import Area, Flag, Name, NotNegative, Positive, Table, Text, Unit, check_file_name
+from warp_plate.scene.fields import (
+    IS_LIST,
+    Area,
+    Flag,
+    Name,
+    NotNegative,
+    OneOrRange,
+    Positive,
+    Table,
+    Text,
+    Unit,
+    check_file_name,
+)
 from warp_plate.scene.focus import Focus
 from warp_plate.scene.keys import assign
 from warp_plate.scene.load import parse_toml, read_scene_text
@@ -18,7 +30,6 @@ from warp_plate.scene.specification import DriveLimits, Specification
 from warp_plate.scene.target import NamedTarget, Target
 
 FILES = (".h5", ".hdf5", ".nc", ".mat", ".uff", ".unv", ".ufb")
-_IS_LIST = Discriminator(lambda value: "several" if isinstance(value, list | tuple) else "one")
 
 
 class Measured(Table):
@@ -29,8 +40,7 @@ class Measured(Table):
     quantity: Annotated[Literal["receptance", "mobility", "accelerance"], Field(examples=["accelerance"])] = "mobility"
     """Displacement, velocity or acceleration per unit of an actuator's drive."""
     frequency: Annotated[
-        Annotated[Annotated[Positive, Tag("one")] | Annotated[tuple[Positive, Positive], Tag("several")], _IS_LIST]
-        | None,
+        OneOrRange | None,
         Unit("Hz"),
         Field(examples=[[200.0, 400.0]]),
     ] = None
@@ -46,7 +56,7 @@ class Measured(Table):
     the measured ones and its own, by their errors (default: the measured ones)."""
     largest: Annotated[
         Annotated[Positive, Tag("one")] | Annotated[tuple[Positive, ...], Tag("several")],
-        _IS_LIST,
+        IS_LIST,
         Unit("drive"),
         Field(examples=[10.0]),
     ] = 1.0

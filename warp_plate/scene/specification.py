@@ -7,11 +7,13 @@ from typing import Annotated, Literal, Self
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from warp_plate.scene.fields import (
+    IS_LIST,
     Area,
     Flag,
     Moderate,
     Name,
     NotNegative,
+    OneOrRange,
     Positive,
     Table,
     Unit,
@@ -24,7 +26,6 @@ STANDARD_GRAVITY = 9.80665  # m/s²
 # Keys of a level, and the power of the angular frequency by which their peak becomes an acceleration [m/s²].
 LEVEL_KEYS = {"acceleration_g": 0, "acceleration": 0, "velocity": 1, "displacement": 2}
 MOST_TOLERANCES = 4
-_IS_LIST = Discriminator(lambda value: "several" if isinstance(value, list | tuple) else "one")
 _IS_WORD = Discriminator(lambda value: "word" if isinstance(value, str) else "number")
 
 
@@ -129,8 +130,7 @@ class Specification(Table):
     """Requirements of a drive: levels in the targets and elsewhere, and limits of the actuators, for steady tones."""
 
     frequency: Annotated[
-        Annotated[Annotated[Positive, Tag("one")] | Annotated[tuple[Positive, Positive], Tag("several")], _IS_LIST]
-        | None,
+        OneOrRange | None,
         Unit("Hz"),
         Field(examples=[[180.0, 250.0]]),
     ] = None
@@ -141,11 +141,11 @@ class Specification(Table):
     """Width of the rim around targets that belongs neither to them nor to the rest."""
     level: Annotated[
         Annotated[Level, Tag("one")] | Annotated[tuple[Level, ...], Field(min_length=1, max_length=64), Tag("several")],
-        _IS_LIST,
+        IS_LIST,
     ]
     elsewhere: Annotated[
         Annotated[Allowance, Tag("one")] | Annotated[tuple[Allowance, ...], Field(max_length=64), Tag("several")],
-        _IS_LIST,
+        IS_LIST,
     ] = ()
     limits: DriveLimits = DriveLimits()
     tolerance: Annotated[
