@@ -103,6 +103,18 @@ def quiet_console():
     return specify(Scene.load("console", [*keys, "specification.elsewhere.relative_db=3"]))
 
 
+def test_limits_of_sound_are_those_in_the_air_of_the_scene():
+    """The radiated power and the pressure at a point are those that ``sound`` computes in a heavier gas."""
+    keys = ["specification.frequency=225.0", "specification.limits.sound=90.0", "effects.air={density=6.0}"]
+    point = {"point": (0.1, 0.05, 0.5), "level": 90.0}
+    scene = Scene.load("console", keys).replace("specification.limits.pressures", [point])
+    answer = specify(scene, tolerances=False)
+    heard = sound(answer.driven_scene(), [point["point"]], (200.0, 250.0))
+    levels = np.array([heard.power_level, heard.pressure_levels[0]]) + heard.weighting
+    reached = [row.reached for row in answer.margins if row.unit == "dB(A)"]
+    np.testing.assert_allclose(reached, levels[:, heard.at_drive], atol=0.02)
+
+
 def test_the_drive_of_a_specification_keeps_its_limit_of_sound(quiet_console):
     margin = next(margin for margin in quiet_console.margins if margin.requirement == "sound")
     heard = sound(quiet_console.driven_scene(), [(0.1, 0.1, 1.0)], (200.0, 250.0))

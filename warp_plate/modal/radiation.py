@@ -135,7 +135,7 @@ class WeightedSound:
         weight = a_weight(frequency)
         if self._far_field is None:
             assert self._point is not None
-            return weight * pressure_rows(self._plate, frequency, np.array([self._point]), self._air)
+            return weight * pressure_rows(self._plate, frequency, np.array([self._point]))
         k = float(self._air.wavenumber(frequency))
         return weight * math.sqrt(self._air.density * self._air.sound_speed) * k * self._far_field.resistance_factor(k)
 
@@ -156,8 +156,10 @@ class Radiation:
     Modal velocities q̇ exp(iωt) [m√kg/s] radiate ½ q̇ᴴ R q̇ [W].
     """
 
-    def __init__(self, plate: PlateInBaffle, highest: float, air: Air = AIR) -> None:
-        """``highest`` frequency [Hz]. SceneError: the plate has too many modes for this machine's memory."""
+    def __init__(self, plate: PlateInBaffle, highest: float, air: Air | None = None) -> None:
+        """``highest`` frequency [Hz], and air (default: the scene's). SceneError: the plate has too many modes for this
+        machine's memory."""
+        air = air or air_of(plate.scene)
         self.plate, self.air, self._highest = plate, air, float(air.wavenumber(highest))
         count, modes = math.ceil(self._phase(self._highest)) + FURTHER, len(plate.frequencies)
         refuse_beyond_memory(24.0 * count * modes**2, f"frequency = {highest:g}: sound of {modes} modes")
@@ -200,8 +202,9 @@ class Radiation:
         return np.asarray(factor.T @ factor)
 
 
-def pressure_rows(plate: PlateInBaffle, frequency: float, points: np.ndarray, air: Air = AIR) -> np.ndarray:
-    """Return (points, modes) pressures [Pa] of unit modal velocities; see :func:`pressures`."""
+def pressure_rows(plate: PlateInBaffle, frequency: float, points: np.ndarray) -> np.ndarray:
+    """Return (points, modes) pressures [Pa] of unit modal velocities in the scene's air; see :func:`pressures`."""
+    air = air_of(plate.scene)
     places, weights = plate.space.quadrature()
     distances = distances_to(plate, points, places)
     k = float(air.wavenumber(frequency))
