@@ -64,3 +64,23 @@ def test_aluminium():
     assert found.frequencies == pytest.approx(printed, abs=0.51)
     assert found.low[0] < 69e9 < found.high[0]  # as published
     assert found.scene.plate.young_modulus == pytest.approx(69e9, rel=0.03)
+
+
+@pytest.mark.slow
+def test_copper():
+    """All six frequencies give the modulus that the published way, squares of the first three, gives."""
+    found, printed = fitted("copper")
+    assert found.verdict.describes
+    assert found.frequencies == pytest.approx(printed, abs=0.051)
+    assert found.scene.plate.young_modulus == pytest.approx(97.9e9, rel=0.005)
+    unit = modes(found.scene.replace("plate.young_modulus", 1e9), count=3).frequencies ** 2
+    squares = found.measured.frequencies[:3] ** 2
+    assert unit @ squares / (unit @ unit) == pytest.approx(97.9, rel=0.001)
+
+
+@pytest.mark.slow
+def test_spruce_cantilever():
+    found, printed = fitted("spruce-cantilever")
+    assert found.verdict.describes
+    assert found.frequencies == pytest.approx(printed, abs=0.051)
+    assert moduli(found.scene) == pytest.approx([13.0e9, 0.87e9, 0.52e9], rel=0.005)
