@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import signal, special
 
-from support.coils import COILS, EXCITER, FREE, SPRUNG, panel
+from support.coils import COILS, EXCITER, FREE, SPRUNG, dense_motion, panel
 from support.scenes import refused, scene_of
 from support.series import patch_pressures, supported_plate
 from warp_plate import Scene
@@ -89,41 +89,6 @@ def test_a_coil_on_a_large_damped_plate_meets_that_of_an_infinite_one():
     expected = blocked(omega) + 4.2**2 * 1j * omega / (2703.0 + 0.1j * omega - 1.6e-3 * omega**2 + 1 / receptance(0.04))
     impedance = solve_modes(made, 500.0).coils.impedance(omega)[0][:, 0, 0]
     np.testing.assert_allclose(impedance, expected, rtol=5e-5)
-
-
-def dense_motion(plate, omega):
-    """Return amplitudes of the modes, magnets and currents under the scene's drive, from one system of all unknowns."""
-    scene = plate.scene
-    rows = [
-        (scene.actuators[index], mean) for index, mean in zip(plate.coils.indices, plate.coils.means.T, strict=True)
-    ]
-    modes, count = len(plate.frequencies), len(rows)
-    system = np.zeros((modes + 2 * count,) * 2, dtype=complex)
-    load = np.zeros(len(system), dtype=complex)
-    stiffness = np.diag(plate.angular_frequencies**2 - omega**2) + 1j * (omega * plate.damping + plate.hysteretic)
-    system[:modes, :modes] = stiffness
-    phasors = scene_phasors(scene)
-    load[:modes] = plate.actuator_forces()[:, 3] * phasors[3]
-    for index, (actuator, mean) in enumerate(rows):
-        coil, magnet, current = actuator.coil, modes + index, modes + count + index
-        stroke = np.zeros(len(system))
-        stroke[:modes], stroke[magnet] = mean, -1.0
-        spring = coil.suspension_stiffness + 1j * omega * coil.suspension_damping
-        system += spring * np.outer(stroke, stroke)
-        system[:modes, :modes] -= omega**2 * coil.moving_mass * np.outer(mean, mean)
-        system[magnet, magnet] += coil.magnet_stiffness + 1j * omega * coil.magnet_damping - omega**2 * coil.magnet_mass
-        system[:, current] -= coil.force_factor * stroke
-        system[current] = 0
-        system[current, current] = 1.0
-        if actuator.voltage is not None:
-            system[current, current] = coil.blocked_impedance(omega)
-            system[current] += 1j * omega * coil.force_factor * stroke
-        if coil.magnet_mass == 0:
-            system[magnet] = system[:, magnet] = 0
-            system[magnet, magnet] = 1.0
-        load[current] = phasors[plate.coils.indices[index]]
-    found = np.linalg.solve(system, load)
-    return found[:modes], found[modes : modes + count], found[modes + count :]
 
 
 def test_the_motion_is_that_of_one_system_of_all_unknowns():

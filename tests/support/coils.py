@@ -1,6 +1,9 @@
 """Coils, and a panel with them."""
 
+import numpy as np
+
 from support.scenes import scene_of
+from warp_plate.plate.designs import scene_phasors
 
 EXCITER = {"kind": "coil", "model": "DAEX25VT-4", "voltage": 2.0}
 FREE = {"magnet": "free", "magnet_mass": 0.05}
@@ -30,3 +33,40 @@ def panel(actuators=COILS, coupled=False):
         tables["loss_factor"] = {"eta": 0.01}
         tables["oscillators"] = [{"area": (0.12, 0.15, 0.05, 0.08), "mass": 0.002, "stiffness": 400.0, "damping": 1.0}]
     return scene_of(size=(0.2, 0.16), effects=tables).with_tables(actuators=actuators)
+
+
+def dense_motion(plate, omega):
+    """Return amplitudes of the modes, magnets and currents under the scene's drive, from one system of all unknowns."""
+    scene = plate.scene
+    rows = [
+        (scene.actuators[index], mean) for index, mean in zip(plate.coils.indices, plate.coils.means.T, strict=True)
+    ]
+    modes, count = len(plate.frequencies), len(rows)
+    system = np.zeros((modes + 2 * count,) * 2, dtype=complex)
+    load = np.zeros(len(system), dtype=complex)
+    stiffness = np.diag(plate.angular_frequencies**2 - omega**2) + 1j * (omega * plate.damping + plate.hysteretic)
+    system[:modes, :modes] = stiffness
+    phasors = scene_phasors(scene)
+    for index, actuator in enumerate(scene.actuators):
+        if actuator.kind == "pressure":
+            load[:modes] += plate.actuator_forces()[:, index] * phasors[index]
+    for index, (actuator, mean) in enumerate(rows):
+        coil, magnet, current = actuator.coil, modes + index, modes + count + index
+        stroke = np.zeros(len(system))
+        stroke[:modes], stroke[magnet] = mean, -1.0
+        spring = coil.suspension_stiffness + 1j * omega * coil.suspension_damping
+        system += spring * np.outer(stroke, stroke)
+        system[:modes, :modes] -= omega**2 * coil.moving_mass * np.outer(mean, mean)
+        system[magnet, magnet] += coil.magnet_stiffness + 1j * omega * coil.magnet_damping - omega**2 * coil.magnet_mass
+        system[:, current] -= coil.force_factor * stroke
+        system[current] = 0
+        system[current, current] = 1.0
+        if actuator.voltage is not None:
+            system[current, current] = coil.blocked_impedance(omega)
+            system[current] += 1j * omega * coil.force_factor * stroke
+        if coil.magnet_mass == 0:
+            system[magnet] = system[:, magnet] = 0
+            system[magnet, magnet] = 1.0
+        load[current] = phasors[plate.coils.indices[index]]
+    found = np.linalg.solve(system, load)
+    return found[:modes], found[modes : modes + count], found[modes + count :]

@@ -109,7 +109,7 @@ def drive_warnings(result: Result) -> list[str]:
 
 
 def exceeded_limits(result: Result) -> list[str]:
-    """Return what the best drive for some target exceeds: kinds of objectives of their ``rest_limit``, and sounds."""
+    """Return the limits that the best drive for some target exceeds, by name; ``rest_limit`` by kinds of objectives."""
     limits = {row.kind: row.rest_limit for row in result.scene.search.objectives if row.rest_limit is not None}
     searches = [search.objective_values for search in result.target_searches or [result]]
     exceeded = [
@@ -117,8 +117,10 @@ def exceeded_limits(result: Result) -> list[str]:
         for kind, limit in limits.items()
         if not all(keeps_limit(values.get(f"{kind} of the rest", 0.0), limit) for values in searches)
     ]
-    for name, (_, limit) in result.scene.search.limits.levels.items():
+    for name, (unit, limit) in result.scene.limited_levels.items():
         reached = np.array([values[name] for values in searches if name in values])
-        kept = reached >= limit * (1 - EXCESS) if name == "velocity" else reached <= limit + LEVEL_EXCESS
+        kept = reached <= (limit + LEVEL_EXCESS if unit == "dB(A)" else limit * (1 + EXCESS))
+        if name == "velocity":
+            kept = reached >= limit * (1 - EXCESS)
         exceeded += [name] * (not kept.all())
     return exceeded

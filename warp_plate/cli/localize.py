@@ -80,7 +80,8 @@ def localize(
     what is searched (docs/searching.md), and method under [search] how (docs/methods.md).
 
     [search.limits] holds the limits of the amplifier (magnitude, power, equal_magnitudes; docs/searching.md), and those
-    on motion and sound (least_velocity, sound, pressures; docs/sound.md).
+    on motion and sound (least_velocity, sound, pressures; docs/sound.md) and on each coil (voltage, current, heat,
+    stroke; docs/coils.md).
 
     [[search.objectives]] selects what is maximised: a kind, which is localization, contrast, velocity, displacement,
     uniformity, sound or quietness, with its weight, and a rest_limit for velocity and displacement

@@ -105,7 +105,7 @@ def print_objectives(result: Result, console: Console) -> None:
         lines.append((kind, f"{kind} ({unit})" if unit else kind, f"{objective.weight:g}", None))
         if objective.rest_limit is not None:
             lines.append((f"{kind} of the rest", f"{kind} of the rest ({unit})", "", objective.rest_limit))
-    levels = result.scene.search.limits.levels
+    levels = result.scene.limited_levels
     lines += [(name, f"{name} ({unit})", "", limit) for name, (unit, limit) in levels.items()]
     if not result.only_localization:
         lines.append(("sum", "weighted sum", "", None))

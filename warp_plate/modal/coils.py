@@ -22,6 +22,7 @@ import scipy
 
 from warp_plate.effects.coil import Coil
 from warp_plate.modal.poles import DampedModes
+from warp_plate.plate.weights import CoilRegion
 from warp_plate.scene.model import Scene
 
 # Modes, from the lowest, whose resonances with coils are computed, and largest half-width of one over its frequency.
@@ -130,6 +131,21 @@ class Coils:
         current = np.where(by_voltage, (source - induced) / blocked, source)
         voltage = np.where(by_voltage, source, blocked * current + induced)
         return CoilMotion(omega, voltage, current, stroke, patches - stroke, self.force_factor)
+
+    def rows(self, frequency: np.ndarray, amplitudes: np.ndarray, regions: Sequence[CoilRegion]) -> list[np.ndarray]:
+        """Return the numbers (designs, M) of each region under unit drives, at frequencies (designs, M or 1) [Hz] and
+        modal amplitudes (designs, modes, M): the squares of their sums over phasors are the quantities limited."""
+        omega = np.broadcast_to(2 * math.pi * frequency, amplitudes[:, 0].shape)
+        units = np.eye(amplitudes.shape[2])
+        motions = [self.motion(omega[:, j], amplitudes[:, :, [j]], units[:, [j]]) for j in range(len(units))]
+        rows = []
+        for region in regions:
+            name = "current" if region.quantity == "heat" else region.quantity
+            row = np.concatenate([getattr(motion, name)[:, region.coil] for motion in motions], axis=1)
+            if region.quantity == "heat":
+                row = row * np.sqrt(self.numbers[region.coil].blocked_impedance(omega).real / 2)
+            rows.append(row)
+        return rows
 
     def impedance(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the impedances (n, coils, coils) [Ω] at ω (n,) [rad/s], voltage by current, the terminals of all other

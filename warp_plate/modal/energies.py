@@ -24,6 +24,7 @@ from warp_plate.modal.radiation import WeightedSound
 from warp_plate.modal.slopes import EnergySlopes, energy_slopes
 from warp_plate.optimize.quadratic import quadratic_forms, real_parts
 from warp_plate.plate.signals import actuator_frequencies
+from warp_plate.plate.weights import CoilRegion
 
 # Numbers in a block of designs that are computed at once.
 AMPLITUDES_AT_ONCE = 2**20
@@ -35,7 +36,8 @@ class ModalEnergies:
 
     Designs differ in what their actuators have: frequency (designs, M) [Hz], areas (designs or 1, M, 4) x0, x1, y0, y1
     [m], and delay (designs, M), the starts of their bursts [s]. A quantity of "displacement" is ½ ∫ ρH u² dA. The
-    device is for batches of designs under tones; everything else is computed on the CPU. Sounds follow the regions.
+    device is for batches of designs under tones; everything else is computed on the CPU. Sounds and quantities of coils
+    follow the regions.
     """
 
     def __init__(
@@ -45,10 +47,11 @@ class ModalEnergies:
         quantity: str = "velocity",
         device: wp.Device | None = None,
         sounds: Sequence[WeightedSound] = (),
+        coils: Sequence[CoilRegion] = (),
     ) -> None:
         self.plate, self.regions, self.quantity = plate, regions, quantity
         window = None if plate.scene.steady else plate.scene.window
-        self._means = Means(plate, regions, window, quantity == "velocity", sounds)
+        self._means = Means(plate, regions, window, quantity == "velocity", sounds, coils)
         on_device = device is not None and device.is_cuda and plate.proportional and plate.scene.outline is None
         on_device = on_device and rectangular(plate.scene) and not plate.scene.coil_indices
         on_device = on_device and plate.scene.effects.air is None and not sounds

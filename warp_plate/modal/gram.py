@@ -31,6 +31,7 @@ from warp_plate.modal.poles import Poles, as_sparse, multiply_modes
 from warp_plate.modal.quadrature import quadrature_matrices
 from warp_plate.modal.radiation import WeightedSound
 from warp_plate.plate.signals import actuator_delays
+from warp_plate.plate.weights import CoilRegion
 from warp_plate.scene.grid import Window
 
 Matrix: TypeAlias = np.ndarray | scipy.sparse.csr_array
@@ -52,12 +53,20 @@ class Means:
     velocity: bool = True  # False for ½ ∫ ρH u² dA of displacements [J s² per (N/m²)²]
     # Sounds of steady velocities, which follow the regions; those of displacements count as 0
     sounds: Sequence[WeightedSound] = ()
+    coils: Sequence[CoilRegion] = ()  # Quantities of coils in a steady state, which follow the sounds likewise
 
     def momenta(self, frequency: np.ndarray, motion: np.ndarray) -> Iterator[np.ndarray]:
         """Yield the product (designs, modes, M) of each matrix, those of the sounds last, and a steady motion."""
         yield from (multiply_modes(region, motion) for region in self.regions)
         for sound in self.sounds:
             yield sound.multiply(frequency, motion) if self.velocity else np.zeros_like(motion)
+
+    def coil_rows(self, frequency: np.ndarray, amplitudes: np.ndarray) -> list[np.ndarray]:
+        """Return the numbers (designs, M) of each quantity of a coil, see :meth:`Coils.rows`."""
+        if not self.coils:
+            return []
+        assert self.plate.coils is not None
+        return [row * self.velocity for row in self.plate.coils.rows(frequency, amplitudes, self.coils)]
 
 
 def gram_matrices(
@@ -71,9 +80,12 @@ def gram_matrices(
     plate, window, regions = means.plate, means.window, means.regions
     if window is None:
         rate = 2j * math.pi * frequency[:, None, :] if means.velocity else 1
-        forced = plate.respond_to_drives(frequency, forces) * rate
+        amplitudes = plate.respond_to_drives(frequency, forces)
+        forced = amplitudes * rate
         same = frequency[:, :, None] == frequency[:, None, :]
         mixed = [(forced.conj().mT @ momenta) * same for momenta in means.momenta(frequency, forced)]
+        rows = means.coil_rows(frequency, amplitudes)
+        mixed += [4 * row.conj()[:, :, None] * row[:, None, :] * same for row in rows]
         return np.stack([real_form(np.zeros_like(product), product) for product in mixed], axis=1)
     if plate.scene.drive.burst is None and has_exponential_loads(plate.scene):
         shared = ToneMatrices(means, trials=(forces, frequency))

@@ -34,8 +34,10 @@ from warp_plate.plate.stability_limit import find_limit
 from warp_plate.plate.weights import (
     NO_AREAS,
     REGIONS,
+    CoilRegion,
     RegionLike,
     SoundRegion,
+    ToneRegion,
     node_positions,
     region_weights,
     weigh_region,
@@ -62,7 +64,7 @@ def trace_step(scene: Scene, moment_form: bool = False) -> float:
 
 
 def _has_curve(region: RegionLike) -> bool:
-    return isinstance(region, tuple | SoundRegion) or (isinstance(region, Target) and region.mask is None)
+    return isinstance(region, tuple | ToneRegion) or (isinstance(region, Target) and region.mask is None)
 
 
 @dataclass(frozen=True)
@@ -112,7 +114,7 @@ class ModalSolver:
     Args:
         scene: Scene, or its grid.
         device: Device of batches of designs under tones; everything else is computed on the CPU.
-        areas, per_plate, quantity: See :class:`PlateSolver`; sounds are the last of the areas.
+        areas, per_plate, quantity: See :class:`PlateSolver`; sounds and then coils are the last of the areas.
         plate: Modes of the scene's plate, if they have been solved for.
 
     Attributes:
@@ -249,11 +251,12 @@ class ModalSolver:
         areas = self._areas.values()
         points = [area.point for area in areas if isinstance(area, SoundRegion)]
         sounds = [WeightedSound(self.plate, self._highest, point) for point in points]
-        return ModalEnergies(self.plate, self._region_matrices, self.quantity, self.device, sounds)
+        coils = [area for area in areas if isinstance(area, CoilRegion)]
+        return ModalEnergies(self.plate, self._region_matrices, self.quantity, self.device, sounds, coils)
 
     @cached_property
     def _region_matrices(self) -> list[np.ndarray]:
-        areas = [area for area in self._areas.values() if not isinstance(area, SoundRegion)]
+        areas = [area for area in self._areas.values() if not isinstance(area, ToneRegion)]
         regions: list[Any] = ["plate", self.scene.target, *areas]
         return [
             self._weighted(region) if isinstance(region, np.ndarray) else self.plate.kinetic_matrix(region)
@@ -272,7 +275,7 @@ class ModalSolver:
         regions: list[Any] = [(0.0, self.scene.plate.size[0], 0.0, self.scene.plate.size[1]), self.scene.target]
         regions += self._areas.values()
         if isinstance(space, TrimmedSplines) and all(map(_has_curve, regions)):
-            return np.array([0.0 if isinstance(one, SoundRegion) else space.region_mass(one) for one in regions])
+            return np.array([0.0 if isinstance(one, ToneRegion) else space.region_mass(one) for one in regions])
         weights = [weigh_region(self.scene, name, region) for name, region in self._areas.items()]
         fields = [*self.discretization.region_weights, *weights]
         return np.array([(field * self.discretization.surface_density).sum() for field in fields]) * (

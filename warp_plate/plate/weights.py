@@ -20,21 +20,34 @@ from warp_plate.plate.shapes import lagrange, region_cells, shape_weights
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
+from warp_plate.scene.search import CoilQuantity
 from warp_plate.scene.target import PlateRegion, Target
 
 REGIONS = ("plate", "target")
 
 
+class ToneRegion:
+    """What steady tones have in place of the energy of a region, without a mass."""
+
+
 @dataclass(frozen=True)
-class SoundRegion:
+class SoundRegion(ToneRegion):
     """The sound of the plate in place of the energy of a region, A-weighted: power [W], or at a point the mean square
     of the pressure [Pa²]."""
 
     point: tuple[float, float, float] | None = None  # [m], in front of the plate
 
 
-# x0, x1, y0, y1 [m] of a rectangle; another region; weights (ny, nx) in cells; or sound.
-RegionLike = Area | PlateRegion | np.ndarray | SoundRegion
+@dataclass(frozen=True)
+class CoilRegion(ToneRegion):
+    """The square of the amplitude of a coil's voltage [V²], current [A²] or stroke [m²], or its mean heat [W]."""
+
+    coil: int  # index among the coils
+    quantity: CoilQuantity
+
+
+# x0, x1, y0, y1 [m] of a rectangle; another region; weights (ny, nx) in cells; sound; or a quantity of a coil.
+RegionLike = Area | PlateRegion | np.ndarray | ToneRegion
 NO_AREAS: Mapping[str, RegionLike] = MappingProxyType({})
 # The nodes of each side in an array (ny, nx).
 EDGE_LINES: dict[str, Any] = {"left": np.s_[:, 0], "bottom": np.s_[0], "right": np.s_[:, -1], "top": np.s_[-1]}
@@ -185,7 +198,7 @@ def weigh_region(scene: Scene, name: str, region: RegionLike) -> np.ndarray:
     """Return the weights (ny, nx) of one region, in cells; its name is for errors. See :func:`region_weights`."""
     if isinstance(region, np.ndarray):
         return region
-    if isinstance(region, SoundRegion):  # has no mass
+    if isinstance(region, ToneRegion):
         return np.zeros(scene.grid.nodes[::-1])
     weigh = moments if scene.grid.load == "moments" else overlap
     if not isinstance(region, PlateRegion):

@@ -99,7 +99,7 @@ def has_free_drives(parametrization: Parametrization) -> bool:
     """Return whether each design may have its best drive: only the ratio of energies matters, and magnitudes and phases
     are free up to a common factor."""
     scene = parametrization.scene
-    if not scene.linear or parametrization.only_drives or scene.search.limits.levels:
+    if not scene.linear or parametrization.only_drives or scene.limited_levels:
         return False
     # Where all objectives grow with the localization factor, so does their sum.
     grows = all(REGION_QUANTITIES[term.kind].bounded_by == "localization" for term in scene.search.objectives)

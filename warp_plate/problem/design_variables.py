@@ -199,12 +199,12 @@ def with_paper_search(scene: Scene) -> Scene:
 def only_ratios(scene: Scene) -> bool:
     """Return whether a factor that all actuators have in common changes no objective, and keeps all levels."""
     ratios = all(REGION_QUANTITIES[objective.kind].is_ratio for objective in scene.search.objectives)
-    return scene.linear and ratios and not scene.search.limits.levels
+    return scene.linear and ratios and not scene.limited_levels
 
 
 def has_slopes(scene: Scene) -> bool:
-    """Return whether the slopes of all losses are known: those of a sound by the frequency are not."""
-    return scene.search.frequency is None or scene.search.sound_key is None
+    """Return whether the slopes of all losses are known: those of sounds and coils by the frequency are not."""
+    return scene.search.frequency is None or scene.search.tone_key is None
 
 
 def magnitude_unit(scene: Scene) -> float:
@@ -267,7 +267,7 @@ def with_common_step(scene: Scene, stepped: bool = True) -> Scene:
 def _paper_variables(scene: Scene) -> Iterator[DesignVariable]:
     """Yield the variables of section II.C of the source paper; see :mod:`parametrization`."""
     search = scene.search
-    bounded = search.limits.magnitude or search.limits.power or search.limits.levels
+    bounded = search.limits.magnitude or search.limits.power or scene.limited_levels
     for index, objective in enumerate(search.objectives):
         if not REGION_QUANTITIES[objective.kind].is_ratio and objective.rest_limit is None and not bounded:
             raise SceneError(

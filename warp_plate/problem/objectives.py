@@ -15,7 +15,7 @@ import numpy as np
 from warp_plate.modal.solver import ModalGrid
 from warp_plate.plate.scheme import Discretization
 from warp_plate.plate.shapes import bounds, shape_weights
-from warp_plate.plate.weights import REGIONS, RegionLike, SoundRegion, localization_factor
+from warp_plate.plate.weights import REGIONS, CoilRegion, RegionLike, SoundRegion, localization_factor
 from warp_plate.quantities.region_quantities import (
     LEAST_REST,
     MOST_DECIBELS,
@@ -40,11 +40,11 @@ OF_THE_REST = " of the rest"
 
 @dataclass(frozen=True)
 class RegionLimit:
-    """A limit on the energy of a region, or on a sound that stands for one."""
+    """A limit on the energy of a region, or on what stands for one."""
 
     name: str  # its name in :meth:`Objectives.values`
     region: int  # index of the region
-    energy: float  # largest energy [J], sound power [W] or mean square of the pressure [Pa²]; or the least
+    energy: float  # largest energy [J], power [W] or square of an amplitude; or the least
     level: Callable[[np.ndarray], np.ndarray]  # function from energies (plates,) to values for people
     least: bool = False  # True if the energy must not be less
 
@@ -61,10 +61,10 @@ class Objectives:
 
     terms: tuple[Objective, ...]  # the scene's objectives
     # regions that a solver must sum beside the plate and the target, by name: the cells of the target, as weights (ny,
-    # nx), all targets of a scene with several, and sounds
+    # nx), all targets of a scene with several, sounds, and quantities of coils
     regions: Mapping[str, RegionLike]
     sizes: RegionSizes  # areas and masses of target and rest, and areas of the target's cells
-    region_limits: tuple[RegionLimit, ...] = ()  # limits on motion and sound
+    region_limits: tuple[RegionLimit, ...] = ()  # limits on motion, sound and coils
 
     @property
     def needs_displacement(self) -> bool:
@@ -155,14 +155,21 @@ def make_objectives(discretization: Discretization | ModalGrid) -> Objectives:
     if limits.sound is not None or any(term.kind in SOUNDS for term in terms):
         sounds["sound"] = SoundRegion()
     sounds |= {row.name: SoundRegion(row.point) for row in limits.pressures}
-    regions: dict[str, RegionLike] = {**cells, **scene.target_regions, **sounds}
+    coils = {
+        f"{key} of {label}": CoilRegion(number, key)
+        for key in limits.of_coils
+        for number, label in enumerate(scene.coil_labels)
+    }
+    regions: dict[str, RegionLike] = {**cells, **scene.target_regions, **sounds, **coils}
     places = {name: len(REGIONS) + number for number, name in enumerate(regions)}
     sizes = RegionSizes(areas, masses, cell_areas, places.get("sound", -1))
-    return Objectives(terms, regions, sizes, tuple(_region_limits(limits, sizes, places)))
+    return Objectives(terms, regions, sizes, tuple(_region_limits(limits, sizes, places, coils)))
 
 
-def _region_limits(limits: Limits, sizes: RegionSizes, places: Mapping[str, int]) -> Iterator[RegionLimit]:
-    """Yield the limits on motion and sound; ``places``: indices of regions by name."""
+def _region_limits(
+    limits: Limits, sizes: RegionSizes, places: Mapping[str, int], coils: Mapping[str, CoilRegion]
+) -> Iterator[RegionLimit]:
+    """Yield the limits on motion, sound and coils; ``places``: indices of regions by name."""
     if limits.least_velocity is not None:
         mass = sizes.masses[0]
         energy = mass * limits.least_velocity**2 / 2
@@ -171,6 +178,12 @@ def _region_limits(limits: Limits, sizes: RegionSizes, places: Mapping[str, int]
     named += [(row.name, row.level, PRESSURE_REFERENCE**2) for row in limits.pressures]
     for name, level, unit in named:
         yield RegionLimit(name, places[name], unit * 10 ** (level / 10), partial(decibels, reference=np.array(unit)))
+    for name, coil in coils.items():
+        value = limits.of_coils[coil.quantity]
+        if coil.quantity == "heat":
+            yield RegionLimit(name, places[name], value, np.asarray)
+        else:
+            yield RegionLimit(name, places[name], value**2, lambda square: np.sqrt(np.maximum(square, 0)))
 
 
 def _target_cells(discretization: Discretization | ModalGrid) -> dict[str, np.ndarray]:

@@ -20,7 +20,7 @@ from warp_plate.result.hdf5 import FileFormat, write_along
 from warp_plate.result.layouts import Counts, Dataset, Datasets, read_fields, write_fields
 from warp_plate.scene.errors import SceneError, check_type, printable
 from warp_plate.scene.model import Scene
-from warp_plate.scene.search import Objective
+from warp_plate.scene.search import COIL_UNITS, Objective
 
 FORMAT = FileFormat("result", 4)
 # Fraction of all scenarios that counts as the worst ones.
@@ -53,8 +53,9 @@ def _objective(path: str) -> Dataset:
     case, _, name = path.rpartition("/")
     meaning = {"sum": "sum of the objectives with their weights", "bound": "upper bound of that sum"}
     of_case = f", of the drive {case}" if case else ""
-    quantity = REGION_QUANTITIES.get(name.split()[0])
-    return Dataset("1" if quantity is None else quantity.unit, meaning.get(name, name) + of_case)
+    kind = name.split()[0]
+    unit = REGION_QUANTITIES[kind].unit if kind in REGION_QUANTITIES else COIL_UNITS.get(kind, "1")
+    return Dataset(unit, meaning.get(name, name) + of_case)
 
 
 OBJECTIVES = Datasets(_objective)

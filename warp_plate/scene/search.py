@@ -6,7 +6,7 @@ actuator, which stay at 1 and 0.
 """
 
 from collections.abc import Sequence
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, Self, TypeAlias, get_args
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -21,6 +21,9 @@ Names = Annotated[tuple[Name, ...], Field(min_length=1)]
 Tolerance = Annotated[float, Field(ge=0, lt=1), Unit("1")]
 # Kinds of objectives that take the sound of the plate.
 SOUNDS = ("sound", "quietness")
+# Quantities of coils that are limited, and their units.
+CoilQuantity: TypeAlias = Literal["voltage", "current", "heat", "stroke"]
+COIL_UNITS = {"voltage": "V", "current": "A", "heat": "W", "stroke": "m"}
 # Methods that move a swarm.
 SWARMS = ("pso", "constriction", "ring")
 
@@ -111,7 +114,7 @@ class Objective(Table):
 
 
 class Limits(Table):
-    """Limits of the amplifier, and of the motion and the sound of the plate."""
+    """Limits of the amplifier, of coils, and of the motion and the sound of the plate."""
 
     magnitude: Annotated[Positive | None, Unit("drive"), Field(examples=[1.0])] = None
     """Largest magnitude of any actuator."""
@@ -121,15 +124,30 @@ class Limits(Table):
     """True if all actuators have the same magnitude."""
     least_velocity: Annotated[Positive | None, Unit("m/s"), Field(examples=[1e-3])] = None
     """Least RMS velocity over target and window."""
+    voltage: Annotated[Positive | None, Unit("V"), Field(examples=[8.0])] = None
+    """Largest peak of the voltage at the terminals of each coil in steady motion."""
+    current: Annotated[Positive | None, Unit("A"), Field(examples=[1.0])] = None
+    """Largest peak of the current in each coil in steady motion."""
+    heat: Annotated[Positive | None, Unit("W"), Field(examples=[10.0])] = None
+    """Largest mean heat of each coil in steady motion."""
+    stroke: Annotated[Positive | None, Unit("m"), Field(examples=[1e-3])] = None
+    """Largest peak of the displacement of each coil relative to its magnet in steady motion."""
     sound: Annotated[SoundLevel | None, Unit("dB(A)"), Field(examples=[40.0])] = None
     """Largest A-weighted sound power level, re 1 pW, of the plate in a baffle in steady motion; see docs/sound.md."""
     pressures: tuple[PressureLimit, ...] = ()
 
     @property
-    def levels(self) -> dict[str, tuple[str, float]]:
-        """Units and values of the limits on motion and sound, by name; with them the size of a drive counts."""
+    def of_coils(self) -> dict[CoilQuantity, float]:
+        """Values of the limits on each coil, by their keys."""
+        values = {key: getattr(self, key) for key in get_args(CoilQuantity)}
+        return {key: value for key, value in values.items() if value is not None}
+
+    def levels(self, coils: Sequence[str]) -> dict[str, tuple[str, float]]:
+        """Return units and values of the limits on motion, sound and the named coils, by name."""
         rows = {"velocity": ("m/s", self.least_velocity), "sound": ("dB(A)", self.sound)}
         rows |= {row.name: ("dB(A)", row.level) for row in self.pressures}
+        for key, limit in self.of_coils.items():
+            rows |= {f"{key} of {name}": (COIL_UNITS[key], limit) for name in coils}
         return {name: (unit, value) for name, (unit, value) in rows.items() if value is not None}
 
 
@@ -232,6 +250,11 @@ class Search(Table):
             if kind in kinds[:index]:
                 raise ValueError(f"objectives[{index}].kind: {kind!r} is there already; add their weights instead")
         return self
+
+    @property
+    def tone_key(self) -> str | None:
+        """First key that takes the sound of the plate or limits a coil, which only steady tones do; None if none."""
+        return self.sound_key or next((f"search.limits.{key}" for key in self.limits.of_coils), None)
 
     @property
     def sound_key(self) -> str | None:

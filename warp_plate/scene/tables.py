@@ -154,6 +154,17 @@ class SceneTables(Table):
         return [index for index, actuator in enumerate(self.actuators) if actuator.kind == "coil"]
 
     @property
+    def limited_levels(self) -> dict[str, tuple[str, float]]:
+        """Units and values of a search's limits on motion, sound and coils, with which the size of a drive counts."""
+        return self.search.limits.levels(self.coil_labels)
+
+    @property
+    def coil_labels(self) -> list[str]:
+        """Names of the coils, or their keys in place of names that cannot be parts of names in files."""
+        names = {index: self.actuators[index].name for index in self.coil_indices}
+        return [f"actuators[{index}]" if "/" in name else name for index, name in names.items()]
+
+    @property
     def movable(self) -> dict[str, PlateRegion]:
         """Patches of one place each, by key: actuators, layers and what is attached."""
         actuators = {f"actuators[{index}]": row for index, row in enumerate(self.actuators)}
@@ -172,9 +183,13 @@ class SceneTables(Table):
     def check_steady(self) -> None:
         """Raise ValueError, naming the key, if the scene has what coils or sound exclude."""
         transient = self.drive.waveform_key or self.nonlinear_table
-        if (sound := self.search.sound_key) is not None and transient is not None:
-            raise ValueError(f"{sound}: sound is that of steady tones of linear plates; delete {transient}")
+        if (tone := self.search.tone_key) is not None and transient is not None:
+            what = "the motion of coils" if self.search.sound_key is None else "sound"
+            raise ValueError(f"{tone}: {what} is that of steady tones of linear plates; delete {transient}")
         if not self.coil_indices:
+            if limited := list(self.search.limits.of_coils):
+                key = f"search.limits.{limited[0]}"
+                raise ValueError(f'{key}: no actuator is a coil; write kind = "coil", or delete it')
             return
         head = f'actuators[{self.coil_indices[0]}].kind: "coil"'
         if self.nonlinear_table is not None:
@@ -319,8 +334,8 @@ class SceneTables(Table):
         """Yield the keys that have no time steps, what of each, and what else to do about it."""
         if (key := self.lossy_inductance_key) is not None:
             yield key, "a lossy inductance ", ", or write eddy_resistance = [0, 0] and eddy_reactance = [0, 0]"
-        if self.search.sound_key is not None:
-            yield self.search.sound_key, "", ""
+        if self.search.tone_key is not None:
+            yield self.search.tone_key, "", ""
         if self.supports:
             yield "supports", "", ""
         if (key := self.effects.first(lambda effect: not effect.stepped)) is not None:
@@ -345,9 +360,9 @@ class SceneTables(Table):
 
     @property
     def steady_key(self) -> str | None:
-        """First effect, loss of a coil or sound that only steady tones have, without motion in time; None if none."""
+        """First effect, loss or limit of a coil, or sound that only steady tones have; None if none."""
         effect = self.effects.first(lambda effect: effect.steady)
-        return effect or self.lossy_inductance_key or self.search.sound_key
+        return effect or self.lossy_inductance_key or self.search.tone_key
 
     @property
     def lossy_inductance_key(self) -> str | None:
