@@ -129,7 +129,7 @@ def only_points(scene: Scene) -> bool:
 
 def case_label(name: str, scene: Scene, actuator: str = "") -> str:
     """Return the label of a case of a result of this scene; of a single actuator with its name, if it is given."""
-    targets = {case: target for target, case in target_cases(scene).items()}
+    targets = {case: target for target, case in target_cases(scene.targets).items()}
     label = f"best drive for {targets[name]}" if name in targets else CASE_LABELS.get(name, name)
     return f"{label}, {shortened(actuator)}" if name == "single" and actuator else label
 
@@ -142,7 +142,7 @@ def shortened(name: str) -> str:
 
 def ordered_cases(result: Result) -> dict[str, Case]:
     """Return the cases in the order of the source paper, then those of further targets, then any others."""
-    names = dict.fromkeys([*CASE_LABELS, *target_cases(result.scene).values(), *result.cases])
+    names = dict.fromkeys([*CASE_LABELS, *target_cases(result.scene.targets).values(), *result.cases])
     return {name: result.cases[name] for name in names if name in result.cases}
 
 

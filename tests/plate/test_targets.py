@@ -194,7 +194,7 @@ def test_the_first_of_several_targets_is_the_target(tmp_path):
     assert [target.name for target in made.targets] == ["disc", "star", "left"]
     assert Scene.parse(made.to_toml(), "").in_folder(tmp_path) == made
     assert made.aimed_at(1).target.polygon == made.targets[1].polygon
-    assert set(digests(made)) == {"targets[2].mask"}
+    assert set(digests(made.named_files, made.folder)) == {"targets[2].mask"}
     run = PlateSolver(made, "cpu", areas={target.name: target for target in made.targets[1:]}).run(np.ones((1, 4)))
     assert (run.energy[0] > 0).all()
 

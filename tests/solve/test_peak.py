@@ -12,7 +12,8 @@ from warp_plate.cli.main import main
 from warp_plate.modal.motion import fields
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.plate.designs import scene_phasors
-from warp_plate.solve.run import run_with_peaks, sample_times
+from warp_plate.plate.signals import sample_times
+from warp_plate.solve.run import run_with_peaks
 
 BURST = {"frequency": 290.0, "burst": {"duration": 0.003, "ramp": 0.001}}
 MOVING = {"stretching": {}, "moving_load": {"force": 1e-3, "start": (0.1, 0.1), "velocity": (1.0, 0.0)}}

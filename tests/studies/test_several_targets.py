@@ -49,7 +49,7 @@ def test_each_search_equals_that_of_a_single_target(whole):
     assert (whole.evaluations, whole.bound, whole.scene.target) == (216, whole.target_searches[0].bound, scene.target)
     # Gram matrices once; for each target single actuators, the swarm and three cases.
     assert whole.node_steps == 11 * 11 * make_scheme(whole.scene).steps * (21 + 3 * (3 + 72 + 3))
-    for index, case in enumerate(target_cases(scene).values()):
+    for index, case in enumerate(target_cases(scene.targets).values()):
         single = localize(single_target(scene, index), source="mine", device="cpu", estimate=False)
         search, best = whole.target_searches[index], single.cases["best"]
         np.testing.assert_array_equal(whole.cases[case].phasors, best.phasors)
@@ -63,10 +63,10 @@ def test_crosstalk_is_the_share_of_each_target_under_each_drive(whole):
     """Compared with one run of all three drives in float64, with the targets as regions."""
     shares = crosstalk(whole)
     scene = whole.scene.with_tables(grid={**whole.scene.grid.model_dump(), "precision": "float64"})
-    phasors = np.array([whole.cases[case].phasors for case in target_cases(scene).values()])
+    phasors = np.array([whole.cases[case].phasors for case in target_cases(scene.targets).values()])
     run = PlateSolver(scene, "cpu", areas=scene.target_regions).run(phasors)
     np.testing.assert_allclose(shares, run.energy[:, 2:] / run.energy[:, :1], rtol=1e-4)
-    for row, case in enumerate(target_cases(scene).values()):
+    for row, case in enumerate(target_cases(scene.targets).values()):
         assert shares[row, row] == whole.cases[case].localization_factor
     np.testing.assert_allclose(relative_to_own(shares), 10 * np.log10(shares / np.diag(shares)[:, None]), atol=1e-12)
 

@@ -230,7 +230,7 @@ def outline_handles(scene: Scene) -> list[Artist]:
 
 def draw_crosstalk(result: Result, path: str | Path) -> None:
     """Draw the shares of the plate's kinetic energy in each target under the drive for each."""
-    names = [textwrap.fill(printable(name), NAME_WIDTH) for name in target_cases(result.scene)]
+    names = [textwrap.fill(printable(name), NAME_WIDTH) for name in target_cases(result.scene.targets)]
     shares = crosstalk(result)
     levels = relative_to_own(shares)
     with figure(path, (0.9 * len(names) + 2.0, 0.5 * len(names) + 1.2), font_size=8) as fig:

@@ -43,7 +43,7 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.grid import CELLS_A_WAVE, Grid, grid_by_waves
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device
-from warp_plate.solve.response import count_unit_drives, in_float64, measure_response
+from warp_plate.solve.response import count_unit_drives, measure_response
 from warp_plate.solve.solver import PlateSolver
 
 # Functions of modes along each side that are tried, relative to the default, and the nominal time of a solution after
@@ -214,7 +214,7 @@ def error_of_grid(
     """Return the largest relative error of drives (drives, actuators) and of the bound; infinity if there is none."""
     path = _path_of(scene, count_unit_drives(len(scene.actuators)) * node_steps(scene, configuration), device)
     try:
-        response = measure_response(PlateSolver(in_float64(regrid(scene, configuration)), device, path))
+        response = measure_response(PlateSolver(regrid(scene, configuration).in_float64(), device, path))
     except SceneError:  # the cells are too large for an actuator
         return math.inf
     if not np.isfinite(response.matrices).all():

@@ -13,13 +13,13 @@ from warp_plate.effects.effect import Setting
 from warp_plate.effects.table import Effects, effect_type
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.plate.designs import scene_phasors
+from warp_plate.plate.signals import sample_times
 from warp_plate.plate.weights import REGIONS, localization_factor, region_weights
 from warp_plate.resolve import Resolved, resolve
 from warp_plate.scene.drive import Drive
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import WITHOUT_KEYS, Scene, SceneSource
-from warp_plate.solve.run import sample_times
 from warp_plate.solve.solver import PlateSolver
 
 # Rounds of timing all scenes in turn, so that a disturbance affects all of them.

@@ -110,7 +110,7 @@ def motions(
     scene = scene.model_copy(update={"record": Record()})
     resolved = resolve(scene, device, purpose="replay")
     grid = resolved.grid
-    scenes = {name: case_scene(scene, case) for name, case in cases.items()}
+    scenes = {name: case_scene(scene, case) if case.per_actuator else scene for name, case in cases.items()}
     end = grid.steps * grid.time_step
     field_bytes = 8 * math.prod(scene.grid.nodes) * len(cases)
     first, last = _common_span(scenes, span, end, frames or _default_frames(math.inf, field_bytes))
@@ -147,7 +147,7 @@ def motions(
 
 def _own_target(scene: Scene, case: str) -> np.ndarray:
     """Return (ny, nx) weights of the target that a case is the best drive for, or of the first."""
-    own = [target for target in scene.targets if target_cases(scene)[target.name] == case]
+    own = [target for target in scene.targets if target_cases(scene.targets)[target.name] == case]
     return weigh_region(scene, "target", own[0] if own else scene.target)
 
 

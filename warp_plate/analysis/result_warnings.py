@@ -89,7 +89,7 @@ def drive_warnings(result: Result) -> list[str]:
             '"velocity", exclude drives that cancel out.'
         )
     scene, table = result.scene, result.scene.search.position
-    for index, (name, case) in enumerate((target_cases(scene) or {"": "best"}).items()):
+    for index, (name, case) in enumerate((target_cases(scene.targets) or {"": "best"}).items()):
         if table is None or case not in result.cases:
             break
         target = scene.aimed_at(index).target if name else scene.target

@@ -232,7 +232,7 @@ def _print(elapsed: float | None, result: warp_plate.Result, console: Console) -
     tables.print_objectives(result, console)
     _print_missed(result, console)
     tables.print_robust(result, console)
-    for target, case in (target_cases(result.scene) or {"": "best"}).items():
+    for target, case in (target_cases(result.scene.targets) or {"": "best"}).items():
         if case in result.cases:
             tables.print_drive(result.cases[case], result.scene, console, target)
     if result.target_searches:

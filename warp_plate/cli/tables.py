@@ -127,7 +127,7 @@ def print_objectives(result: Result, console: Console) -> None:
 
 def print_crosstalk(result: Result, console: Console) -> None:
     """Print the crosstalk: a row for each drive, a column for each target."""
-    names, shares = list(target_cases(result.scene)), crosstalk(result)
+    names, shares = list(target_cases(result.scene.targets)), crosstalk(result)
     relative, rows = relative_to_own(shares), []
     for row, name in enumerate(names):
         cells = [f"{share:.4f} ({level:+.1f} dB)" for share, level in zip(shares[row], relative[row], strict=True)]
@@ -143,7 +143,7 @@ def print_crosstalk(result: Result, console: Console) -> None:
 def crosstalk_json(result: Result) -> dict[str, object] | None:
     """Return shares of the plate's kinetic energy, also in decibels relative to each drive's own target; None for a
     single target."""
-    cases = target_cases(result.scene)
+    cases = target_cases(result.scene.targets)
     if not cases:
         return None
     shares, searches = crosstalk(result), result.target_searches

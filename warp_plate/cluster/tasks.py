@@ -16,7 +16,6 @@ import warp as wp
 
 from warp_plate._version import __version__
 from warp_plate.plate.designs import Designs
-from warp_plate.plate.files import named_files
 from warp_plate.plate.weights import NO_AREAS, REGIONS, RegionLike, region_weights
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.load import read_beside
@@ -42,7 +41,7 @@ class SceneSpec:
     @staticmethod
     def of(scene: Scene) -> SceneSpec:
         """Return a scene in plain data, or raise a SceneError if a file that it names cannot be read."""
-        files = {name: read_beside(key, name, scene.folder) for key, name in named_files(scene).items()}
+        files = {name: read_beside(key, name, scene.folder) for key, name in scene.named_files.items()}
         return SceneSpec(scene.to_toml(), files)
 
     def scene_in(self, folder: str) -> Scene:

@@ -133,7 +133,8 @@ def _report(progress: Progress | None, panel: FreePanel, climbs: Sequence[Climb]
 
 def _digest(scene: Scene) -> str:
     """Return a text that is the same for the same search."""
-    return sha256(json.dumps([__version__, scene.to_toml(), digests(scene)]).encode()).hexdigest()
+    files = digests(scene.named_files, scene.folder)
+    return sha256(json.dumps([__version__, scene.to_toml(), files]).encode()).hexdigest()
 
 
 def _write(file: Path, digest: str, climbs: Sequence[Climb]) -> None:

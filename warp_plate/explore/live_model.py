@@ -20,7 +20,7 @@ from warp_plate.optimize.optimizer import minimize
 from warp_plate.optimize.pso import Swarm
 from warp_plate.plate.designs import scene_phasors
 from warp_plate.plate.weights import localization_factor
-from warp_plate.problem.design_variables import magnitude_unit, with_paper_search
+from warp_plate.problem.design_variables import magnitude_unit, single_drives, with_paper_search
 from warp_plate.problem.evaluate_cases import reference_phasors
 from warp_plate.problem.methods import swarm_settings
 from warp_plate.problem.parametrization import paper_phasors, parametrization_of
@@ -315,7 +315,7 @@ class LiveModel:
         elif choice == "exact":
             phasors = self._scale * responses.best_drive
         else:
-            cases = reference_phasors(self.scene, responses.response.energy)
+            cases = reference_phasors(single_drives(self.scene), responses.response.energy)
             phasors = cases["equal" if choice == "equal" else "single"]
         self._drive_by(phasors)
 

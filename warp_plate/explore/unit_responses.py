@@ -23,7 +23,7 @@ from warp_plate.result.motion import QUADRANTS, DriveResponse, SteadyMotion, qua
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.specification import Allowance, Level, Specification
-from warp_plate.solve.response import Response, in_float64, measure_response, unit_drives
+from warp_plate.solve.response import Response, measure_response, unit_drives
 from warp_plate.solve.run import Progress
 from warp_plate.solve.solver import PlateSolver
 
@@ -70,7 +70,7 @@ def unit_responses(
         SceneError: see :class:`PlateSolver`.
     """
     specification = scene.specification or WHOLE_PLATE
-    solver = live_solver(in_float64(scene).model_copy(update={"specification": specification}), device, path)
+    solver = live_solver(scene.in_float64().model_copy(update={"specification": specification}), device, path)
     response = solver.response if isinstance(solver, ModalSolver) else measure_response(solver, progress)
     units = unit_drives(len(scene.actuators), slice(2 * len(scene.actuators)))
     motions = steady_motions(solver.run(units, last_period(scene, solver.discretization.time_step)), scene)

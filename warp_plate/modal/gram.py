@@ -87,7 +87,7 @@ def gram_matrices(
         rows = means.coil_rows(frequency, amplitudes)
         mixed += [4 * row.conj()[:, :, None] * row[:, None, :] * same for row in rows]
         return np.stack([real_form(np.zeros_like(product), product) for product in mixed], axis=1)
-    if plate.scene.drive.burst is None and has_exponential_loads(plate.scene):
+    if plate.scene.drive.burst is None and has_exponential_loads(plate.scene.drive):
         shared = ToneMatrices(means, trials=(forces, frequency))
         forms = free_forms(shared.poles.part(shared.lasting), regions, window)
         return shared.motion(frequency, forces).matrices(shared.regions, window, forms)

@@ -25,7 +25,7 @@ from warp_plate.modal.modes import ModalPlate
 from warp_plate.plate.designs import actuator_spaces, per_plate_of
 from warp_plate.plate.signals import actuator_frequencies, highest_frequency
 from warp_plate.plate.waveforms import read_samples, sample_at, sweep
-from warp_plate.scene.drive import Burst
+from warp_plate.scene.drive import Burst, Drive
 from warp_plate.scene.model import Scene
 
 # Moments closer together than this part of the run are the same.
@@ -94,14 +94,16 @@ class SampledLoads:
         return np.broadcast_to(some, (count, *some.shape[1:]))
 
 
-def has_exponential_loads(scene: Scene) -> bool:
+def has_exponential_loads(drive: Drive) -> bool:
     """Return whether the actuators' loads are sums of exponentials: tones and bursts of tones."""
-    return scene.drive.chirp is None and scene.drive.signal is None
+    return drive.chirp is None and drive.signal is None
 
 
-def exponential_loads(scene: Scene, frequency: np.ndarray, delay: np.ndarray, end: float) -> list[ExponentialLoads]:
+def exponential_loads(
+    burst: Burst | None, frequency: np.ndarray, delay: np.ndarray, end: float
+) -> list[ExponentialLoads]:
     """Return tones of ``frequency`` (actuators,) [Hz], or bursts of them that begin at ``delay`` (actuators,) [s]."""
-    return [envelope.modulate(frequency) for envelope in _envelopes(scene.drive.burst, delay, end)]
+    return [envelope.modulate(frequency) for envelope in _envelopes(burst, delay, end)]
 
 
 def sampled_loads(scene: Scene, frequency: np.ndarray, delay: np.ndarray, end: float) -> list[SampledLoads]:

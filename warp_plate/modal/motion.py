@@ -202,8 +202,8 @@ def make_excitation(
     frequency = actuator_frequencies(scene) if frequency is None else frequency
     delay = actuator_delays(scene) if delay is None else delay
     loads: list[ExponentialLoads] | list[SampledLoads]
-    if has_exponential_loads(scene):
-        loads = exponential_loads(scene, frequency, delay, end)
+    if has_exponential_loads(scene.drive):
+        loads = exponential_loads(scene.drive.burst, frequency, delay, end)
         poles = poles.apart_from(np.concatenate([load.rates.ravel() for load in loads]), end)
     else:
         loads = sampled_loads(scene, frequency, delay, end)

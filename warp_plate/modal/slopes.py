@@ -139,7 +139,7 @@ def _from_rest(
         rates = poles.shift_rates(2j * math.pi * frequency, window.end)[..., None]
         loads = [ExponentialLoads(0.0, window.end, rates, np.ones_like(rates))]
     else:
-        loads = exponential_loads(means.plate.scene, frequency[0], delay[0], window.end)
+        loads = exponential_loads(means.plate.scene.drive.burst, frequency[0], delay[0], window.end)
         poles = poles.apart_from(np.concatenate([load.rates.ravel() for load in loads]), window.end)
         loads = [replace(load, rates=load.rates[None], weights=load.weights[None]) for load in loads]
     total = np.zeros((3, len(phasors), len(regions), *inputs.shape[1:]), dtype=complex)

@@ -183,7 +183,7 @@ class ModalSolver:
     def energy_slopes(self, designs: Designs) -> EnergySlopes:
         """Return energies of designs and their slopes by formula; SceneError: those of the drive are not known."""
         scene = self.scene
-        if not (scene.linear and has_exponential_loads(scene)):
+        if not (scene.linear and has_exponential_loads(scene.drive)):
             key = scene.drive.waveform_key if scene.linear else scene.nonlinear_table
             raise SceneError(f"{key}: its slopes are not known; search without 'gradient'")
         return self._modal_energies.slopes(designs.drives, *self._parameters(designs))

@@ -3,7 +3,7 @@
 import hashlib
 import io
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
 
@@ -12,7 +12,6 @@ import numpy as np
 from warp_plate.row_blocks import read_only
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.load import read_beside
-from warp_plate.scene.model import Scene
 
 MOST_ROWS, MOST_COLUMNS = 2**22, 2**16
 MOST_NUMBERS = 2**22  # of a mask or map, whose integrals need some 200 bytes for each
@@ -20,19 +19,9 @@ MOST_NUMBERS = 2**22  # of a mask or map, whose integrals need some 200 bytes fo
 MOST_TABLES = 4
 
 
-def named_files(scene: Scene) -> dict[str, str]:
-    """Return the names of the files that a scene refers to, by key."""
-    signals = {"drive.signal": scene.drive.signal, "focus.wish": scene.focus and scene.focus.wish}
-    files = {f"{key}.file": signal.file for key, signal in signals.items() if signal}
-    files |= scene.effects.map_files
-    masks = {f"{key}.mask": target.mask for key, target in scene.targets_by_key.items()}
-    return files | {key: name for key, name in masks.items() if name is not None}
-
-
-def digests(scene: Scene) -> dict[str, str]:
-    """Return the SHA-256 of each file that a scene names, by key."""
-    files = named_files(scene)
-    return {key: hashlib.sha256(read_beside(key, name, scene.folder)).hexdigest() for key, name in files.items()}
+def digests(files: Mapping[str, str], folder: Path | None) -> dict[str, str]:
+    """Return the SHA-256 of each of a scene's ``named_files``, by key."""
+    return {key: hashlib.sha256(read_beside(key, name, folder)).hexdigest() for key, name in files.items()}
 
 
 def read_table(key: str, name: str, folder: Path | None, low: float, high: float) -> np.ndarray:

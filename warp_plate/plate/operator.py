@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from warp_plate.scene.model import Scene
+from warp_plate.effects.edges import Edges
 
 # By order: the taps inside, from order/2 nodes to one side to as many to the other; their divisor; and the fewest nodes
 # on which the closures of two edges keep apart.
@@ -85,10 +85,10 @@ def make_taps(nodes: int, low: object, high: object, order: int) -> Taps:
     return Taps(bend, move)
 
 
-def plain_taps(scene: Scene, nodes: tuple[int, int] | None = None) -> tuple[Taps, Taps]:
-    """Return the taps along x and y of a plain plate, or of one with as many nodes."""
-    edges, (nx, ny), order = scene.edges, nodes or scene.grid.nodes, scene.grid.order
-    return make_taps(nx, edges.left, edges.right, order), make_taps(ny, edges.bottom, edges.top, order)
+def plain_taps(edges: Edges, nodes: tuple[int, int], order: int) -> tuple[Taps, Taps]:
+    """Return the taps along x and y of a plain plate."""
+    along_x, along_y = (edges.left, edges.right), (edges.bottom, edges.top)
+    return make_taps(nodes[0], *along_x, order), make_taps(nodes[1], *along_y, order)
 
 
 def _close(bend: np.ndarray, edge: object, order: int) -> None:

@@ -9,6 +9,7 @@ all steps, so a step costs the same for any number of actuators. With V = envelo
     electrostatic:  gain·(bias + V)²   = gain·(bias² + 2 bias V + ½|Z|² e²|a|² + ½ Re(Z² e²a²))
 """
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -26,6 +27,12 @@ from warp_plate.scene.model import Scene
 # Functions of the phasor in coefficients; a linear drive needs only the first two.
 FEATURES = ("Re Z", "-Im Z", "1", "|Z|²", "Re Z²", "-Im Z²")
 LINEAR_FEATURES = 2
+
+# Samples in a period of the highest frequency (between two, a sine rises by 2 % at most), and in a run at most.
+SAMPLES_A_PERIOD, MOST_SAMPLES = 16, 320
+# Samples too few for every period are shifted by multiples of the golden ratio, so as never to keep in step with the
+# motion.
+GOLDEN = (math.sqrt(5) - 1) / 2
 
 # Terms of equal keys share a wave: power of the envelope; group of the carrier; frequency [Hz], or 0; power of a
 # carrier that is no tone, −1 for its size squared. Each has a wave (..., steps) and mixing (features, actuators).
@@ -96,6 +103,28 @@ def actuator_delays(scene: Scene) -> np.ndarray:
     """Return (actuators,) starts of the actuators' bursts [s]; 0 without one."""
     common = 0.0 if scene.drive.burst is None else scene.drive.burst.start
     return np.array([common if actuator.delay is None else actuator.delay for actuator in scene.actuators])
+
+
+def sample_times(scene: Scene) -> tuple[float, ...]:
+    """Return the times [s] at which to sample the displacement for its peak.
+
+    If all periods of the run take too many samples, the first burst and a moving load's passage get as many samples as
+    the whole run.
+    """
+    end = scene.window.end
+    wanted = math.ceil(SAMPLES_A_PERIOD * highest_frequency(scene) * end)
+    if wanted <= MOST_SAMPLES:
+        return tuple((end * np.arange(1, wanted + 1) / wanted).tolist())
+    spans = [(0.0, end)]
+    burst, load = scene.drive.burst, scene.effects.travelling
+    if burst is not None:
+        spans.append((burst.start, min(burst.start + burst.duration, end)))
+    if load is not None and load.from_time < end:
+        spans.append((load.from_time, min(load.to_time or end, end)))
+    count = MOST_SAMPLES // len(spans)
+    place = np.arange(1, count + 1)
+    share = (place - place * GOLDEN % 1) / count
+    return tuple(start + (stop - start) * part for start, stop in spans for part in share.tolist())
 
 
 def carrier_frequencies(scene: Scene) -> tuple[float, ...]:

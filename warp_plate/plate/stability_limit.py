@@ -126,7 +126,7 @@ def _limit_of_plain_plate(scene: Scene) -> StabilityLimit:
     if min(nx, ny) >= FORMULA_NODES:
         largest = kappa_squared * (LARGEST[order] / spacing[0] ** 2 + LARGEST[order] / spacing[1] ** 2) ** 2
         return _by_formula({"bending": largest}, {"backward damping": loss})
-    matrix = biharmonic(*plain_taps(scene), spacing, order)
+    matrix = biharmonic(*plain_taps(scene.edges, (nx, ny), order), spacing, order)
     inner = np.add.outer(nx * np.arange(1, ny - 1), np.arange(1, nx - 1)).ravel()
     losses = {"backward damping": loss * scipy.sparse.eye_array(matrix.shape[0])}
     one = scipy.sparse.diags_array(np.ones(matrix.shape[0]))

@@ -216,6 +216,11 @@ def magnitude_unit(scene: Scene) -> float:
     return max(abs(actuator.magnitude) for actuator in scene.actuators) or 1.0
 
 
+def single_drives(scene: Scene) -> np.ndarray:
+    """Return the (actuators, actuators) phasors of drives of magnitude one of a single actuator each."""
+    return magnitude_unit(scene) * np.eye(len(scene.actuators), dtype=complex)
+
+
 def fixed_magnitudes(scene: Scene) -> np.ndarray:
     """Return the (actuators,) magnitudes that a search with tables does not vary: those of the scene, or one within the
     range of ``[search.magnitude]`` where limits make all equal and only ratios count."""

@@ -6,10 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from warp_plate.modal.solver import ModalGrid
 from warp_plate.plate.designs import scene_phasors
+from warp_plate.plate.scheme import Discretization
 from warp_plate.plate.signals import actuator_frequencies
-from warp_plate.plate.weights import localization_factor, region_weights
-from warp_plate.problem.design_variables import magnitude_unit
+from warp_plate.plate.weights import localization_factor
+from warp_plate.problem.design_variables import single_drives
 from warp_plate.problem.problem import Energies, Problem
 from warp_plate.quantities.region_quantities import LEAST_REST, PLATE, REGION_QUANTITIES, TARGET, RegionSizes
 from warp_plate.result.case import Case, RegionMotion
@@ -34,8 +36,8 @@ class EvaluatedCases:
 def evaluate_cases(problem: Problem, single: int, position: np.ndarray | None) -> EvaluatedCases:
     """Run the reference drives at the scene's own frequency and places, and the best position (dimension,), or the best
     single actuator, of index ``single``, if that is None."""
-    scene, parametrization = problem.scene, problem.parametrization
-    singles = magnitude_unit(scene) * np.eye(len(scene.actuators), dtype=complex)
+    scene, grid, parametrization = problem.scene, problem.resolved.grid, problem.parametrization
+    singles = single_drives(scene)
     phasors = {"equal": singles.sum(axis=0), "single": singles[single]}
     if position is None:
         phasors["best"] = phasors["single"]
@@ -43,7 +45,7 @@ def evaluate_cases(problem: Problem, single: int, position: np.ndarray | None) -
         phasors["best"] = parametrization.drive(position)
     if position is None or parametrization.only_drives:
         run, peaks = run_with_peaks(problem.drive_solver, np.array(list(phasors.values())))
-        cases = cases_from_run(phasors, run, scene, peaks)
+        cases = cases_from_run(phasors, run, grid, peaks)
         return EvaluatedCases(cases, scene, phasors, run, float(peaks[-1].max()), 0)
     # The best scene runs as in ``simulate``, so that the stored numbers can be reproduced.
     best_scene, designs = parametrization.scene_of(position), parametrization.designs(position[None])
@@ -52,23 +54,24 @@ def evaluate_cases(problem: Problem, single: int, position: np.ndarray | None) -
     best_run, best_peaks = run_with_peaks(solver, best["best"][None])
     drives, recorded = np.array(list(phasors.values())), best_run.times.tolist()
     run, peaks = run_with_peaks(problem.drive_solver, drives, recorded=recorded)
-    cases = cases_from_run(phasors, run, scene, peaks)
+    cases = cases_from_run(phasors, run, grid, peaks)
     names = ("frequency", "centre", "delay")
     varied = {name: values[0] for name in names if (values := getattr(designs, name)) is not None}
-    cases["best"] = replace(cases_from_run(best, best_run, best_scene, best_peaks)["best"], **varied)
+    cases["best"] = replace(cases_from_run(best, best_run, solver.discretization, best_peaks)["best"], **varied)
     return EvaluatedCases(cases, best_scene, best, best_run, float(best_peaks.max()), solver.node_steps)
 
 
-def reference_phasors(scene: Scene, energies: Energies) -> dict[str, np.ndarray]:
-    """Return the drives that a search is compared with: "equal" on all actuators, and the best "single" one."""
-    singles = magnitude_unit(scene) * np.eye(len(scene.actuators), dtype=complex)
+def reference_phasors(singles: np.ndarray, energies: Energies) -> dict[str, np.ndarray]:
+    """Return the drives that a search is compared with: "equal" on all actuators, and the best of ``single_drives``."""
     best = int(np.argmax(np.nan_to_num(localization_factor(energies(singles)), nan=-1.0)))
     return {"equal": singles.sum(axis=0), "single": singles[best]}
 
 
-def cases_from_run(phasors: dict[str, np.ndarray], run: Run, scene: Scene, peaks: np.ndarray) -> dict[str, Case]:
+def cases_from_run(
+    phasors: dict[str, np.ndarray], run: Run, grid: Discretization | ModalGrid, peaks: np.ndarray
+) -> dict[str, Case]:
     """Return the plates of a run as cases, by the names of their phasors; ``peaks``: see ``run_with_peaks``."""
-    motions = region_motions(scene, run, peaks)
+    motions = region_motions(grid, run, peaks)
     with np.errstate(over="ignore"):  # beyond float32's range a displacement becomes infinite
         displacement = run.displacement.astype(np.float32)
         trace = run.trace[..., : run.trace_times.size].astype(np.float32)
@@ -85,17 +88,18 @@ def cases_from_run(phasors: dict[str, np.ndarray], run: Run, scene: Scene, peaks
     }
 
 
-def region_motions(scene: Scene, run: Run, peaks: np.ndarray) -> list[RegionMotion]:
+def region_motions(grid: Discretization | ModalGrid, run: Run, peaks: np.ndarray) -> list[RegionMotion]:
     """Return the motion of target and rest of each plate of a run."""
     areas, masses = (
         np.stack([values[..., TARGET], values[..., PLATE] - values[..., TARGET]], axis=-1)
-        for values in (region_weights(scene).sum(axis=(1, 2)), run.masses)
+        for values in (grid.region_weights.sum(axis=(1, 2)), run.masses)
     )
     exists = areas > LEAST_REST * areas.sum()
     sizes = RegionSizes(np.where(exists, areas, np.nan), np.where(exists, masses, np.nan))
     velocity, contrast = REGION_QUANTITIES["velocity"], REGION_QUANTITIES["contrast"]
     assert velocity.of_rest is not None
     velocities = velocity.evaluate(run.energy, sizes).tolist(), velocity.of_rest(run.energy, sizes).tolist()
+    scene = grid.scene
     omega = (
         2 * math.pi * float(actuator_frequencies(scene)[0]) if scene.linear and scene.nonharmonic_key is None else None
     )

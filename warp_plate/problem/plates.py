@@ -14,7 +14,7 @@ from warp_plate.problem.objectives import Objectives
 from warp_plate.problem.parametrization import Parametrization
 from warp_plate.resolve import Resolved
 from warp_plate.scene.errors import SceneError
-from warp_plate.solve.response import Response, in_float64, measure_response
+from warp_plate.solve.response import Response, measure_response
 from warp_plate.solve.solver import PlateSolver
 
 
@@ -103,7 +103,8 @@ def _measure_matrices(
             matrices.append(solver.response.matrices)
             continue
         if solver.scene.grid.precision != "float64":
-            grid, quantity = replace(solver.discretization, scene=in_float64(solver.scene)), solver.specialized.quantity
+            quantity = solver.specialized.quantity
+            grid = replace(solver.discretization, scene=solver.scene.in_float64())
             solver = PlateSolver(grid, resolved.device, resolved.path, areas=objectives.regions, quantity=quantity)
         matrices.append(measure_response(solver).matrices)
         if solver is not evaluator.solver:

@@ -372,7 +372,7 @@ def make_problem(resolved: Resolved, matrices: np.ndarray | None = None, pool: W
         reason = reason if scene.linear else f"{scene.nonlinear_table} is not linear in the drives"
         raise SceneError(f"evaluator = 'response': {reason}; write 'direct'")
     name, objectives = evaluator_of(resolved, parametrization), make_objectives(resolved.grid)
-    refuse_search_beyond_memory(search_memory(parametrization, resolved, objectives), scene)
+    refuse_search_beyond_memory(search_memory(parametrization, resolved, objectives), resolved)
     plates = make_plates(parametrization, resolved, objectives, name, pool, matrices)
     scenarios = None
     if robust is not None:

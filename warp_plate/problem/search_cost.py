@@ -3,13 +3,14 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from warp_plate.accuracy.configurations import NODE_STEP_SECONDS, RELATIVE_COST
 from warp_plate.modal.energies import AMPLITUDES_AT_ONCE
 from warp_plate.modal.gram import ROWS
 from warp_plate.modal.modes import expected_size
-from warp_plate.plate.memory import grid_bytes, refuse_beyond_memory, steps_bytes
-from warp_plate.plate.scheme import Discretization
+from warp_plate.plate.memory import refuse_beyond_memory
+from warp_plate.plate.scheme import Discretization, grid_bytes, steps_bytes
 from warp_plate.plate.signals import highest_frequency
 from warp_plate.plate.weights import REGIONS
 from warp_plate.problem.design_variables import with_common_step
@@ -19,7 +20,6 @@ from warp_plate.problem.parametrization import Parametrization, parametrization_
 from warp_plate.problem.starts import BRENT_STEPS, candidate_frequencies
 from warp_plate.problem.uncertainty import scenario_bytes
 from warp_plate.resolve import Resolved
-from warp_plate.scene.model import Scene
 from warp_plate.solve import response
 from warp_plate.solve.parts import CPU_BYTES, plates_a_launch
 
@@ -134,13 +134,13 @@ def search_memory(parametrization: Parametrization, resolved: Resolved, objectiv
     return memory
 
 
-def refuse_search_beyond_memory(memory: Mapping[str, float], scene: Scene) -> None:
+def refuse_search_beyond_memory(memory: Mapping[str, float], resolved: Resolved) -> None:
     """Raise a SceneError that names the key of the largest part if a search takes more memory than there is."""
     key = max(memory, key=lambda name: memory[name])
-    table: object = scene
+    table: Any = resolved.scene
     for name in key.split("."):
         table = getattr(table, name)
-    value = len(scene.actuators) if key == "actuators" else list(table) if isinstance(table, tuple) else table
+    value = len(table) if key == "actuators" else list(table) if isinstance(table, tuple) else table
     refuse_beyond_memory(sum(memory.values()), f"{key} = {value} in this search")
 
 

@@ -27,7 +27,7 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import resolved_key, value_of
 from warp_plate.scene.model import WITHOUT_KEYS, Scene
 from warp_plate.scene.search import Robust
-from warp_plate.solve.response import Response, in_float64, measure_response
+from warp_plate.solve.response import Response, measure_response
 
 # Memory of a scenario's scene and of each of its actuators [bytes].
 SCENE_BYTES, ACTUATOR_BYTES = 20_000.0, 2_000.0
@@ -243,7 +243,7 @@ def scenario_responses(scenarios: Sequence[Scenario], resolved: Resolved) -> Sce
     measured, matrices, seconds, node_steps = [], [], 0.0, 0
     for scenario in scenarios:
         gain = np.tile(scenario.gain, 2)
-        plates = _scenario_plates(replace(scenario, scene=in_float64(scenario.scene)), resolved)
+        plates = _scenario_plates(replace(scenario, scene=scenario.scene.in_float64()), resolved)
         for evaluator in plates.evaluators:
             solver = evaluator.solver
             response = solver.response if isinstance(solver, ModalSolver) else measure_response(solver)

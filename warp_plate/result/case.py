@@ -19,6 +19,7 @@ from warp_plate.result.layouts import ELSEWHERE, Attribute, Dataset, Layout, Siz
 from warp_plate.scene.errors import SceneError, number_text
 from warp_plate.scene.model import Scene
 from warp_plate.scene.specification import STANDARD_GRAVITY
+from warp_plate.scene.target import NamedTarget
 
 
 def _phase_lag(phasors: np.ndarray) -> np.ndarray:
@@ -155,8 +156,7 @@ class Case:
 
 def case_scene(scene: Scene, case: Case) -> Scene:
     """Return the scene with a case's frequencies, positions and burst starts."""
-    values = {"frequency": case.frequency, "centre": case.centre, "delay": case.delay}
-    return scene_with(scene, **values) if case.per_actuator else scene
+    return scene_with(scene, frequency=case.frequency, centre=case.centre, delay=case.delay)
 
 
 def only_actuator(case: Case, scene: Scene) -> str:
@@ -232,9 +232,9 @@ def aligned(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join("  ".join(row).rstrip() for row in texts)
 
 
-def target_cases(scene: Scene) -> dict[str, str]:
-    """Return the name of the case with the best drive by target name; empty if the scene has a single target."""
-    return {target.name: f"best {target.name}" if index else "best" for index, target in enumerate(scene.targets)}
+def target_cases(targets: Sequence[NamedTarget]) -> dict[str, str]:
+    """Return the name of the case with the best drive by target name; empty if a scene has a single target."""
+    return {target.name: f"best {target.name}" if index else "best" for index, target in enumerate(targets)}
 
 
 def relative_to_own(shares: np.ndarray) -> np.ndarray:

@@ -184,8 +184,8 @@ class Result:
         object.__setattr__(self, "cases", Named(self.cases, "case"))
 
     def case_scene(self, case: Case) -> Scene:
-        """Return :func:`case_scene` of the result's scene."""
-        return case_scene(self.scene, case)
+        """Return the scene with a case's frequencies, positions and burst starts."""
+        return case_scene(self.scene, case) if case.per_actuator else self.scene
 
     def driven_scene(self, case: Case) -> Scene:
         """Return the scene with a case's drive too; raise a SceneError if a magnitude is too large."""
@@ -255,7 +255,8 @@ def best_drive_scenes(result: Result) -> dict[str, Scene]:
     A SceneError is raised if a magnitude is larger than a scene may have.
     """
     scene = result.scene
-    aimed = {name: scene.aimed_at(index) for index, name in enumerate(target_cases(scene).values())} or {"best": scene}
+    names = enumerate(target_cases(scene.targets).values())
+    aimed = {name: scene.aimed_at(index) for index, name in names} or {"best": scene}
     return {
         name: replace(result, scene=aimed[name]).driven_scene(result.cases[name])
         for name in aimed
@@ -266,7 +267,7 @@ def best_drive_scenes(result: Result) -> dict[str, Scene]:
 def crosstalk(result: Result) -> np.ndarray:
     """Return the (drives, targets) fractions of the plate's energy in each target; NaN for drives not reached."""
     regions, rows = result.scene.target_regions, []
-    for name in target_cases(result.scene).values():
+    for name in target_cases(result.scene.targets).values():
         energy = result.cases[name].energy if name in result.cases else {}
         plate = energy.get("plate", 0.0)
         rows.append([energy.get(region, math.nan) / plate if plate > 0 else math.nan for region in regions])

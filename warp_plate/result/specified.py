@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warp_plate.result.case import scene_with
+from warp_plate.plate.designs import scene_with
 from warp_plate.scene.model import Scene
 
 

@@ -135,8 +135,11 @@ class Scene(SceneTables):
 
     def in_folder(self, folder: Path | None) -> Scene:
         """Return the scene with the folder of the files that it names; None if it names no files."""
+        folder = folder if self.named_files else None
+        if folder == self._folder:
+            return self
         scene = self.model_copy()
-        scene._folder = folder if self.names_files else None
+        scene._folder = folder
         return scene
 
     def with_tables(self, **tables: Any) -> Scene:
@@ -236,7 +239,8 @@ def _check_tables(scene: SceneTables) -> None:
     _check_areas(scene)
     _check_outline(scene)
     _check_names("actuators", actuators)
-    check_links(scene)
+    if scene.links:
+        check_links(scene)
     _check_names("targets", scene.targets)
     if scene.targets and scene.target not in [target.unnamed for target in scene.targets]:
         raise ValueError("target: there are [[targets]] too, and it is none of them; write one of the two")

@@ -294,11 +294,17 @@ class SceneTables(Table):
         return not varied and all(edge in ("clamped", "supported") for _, edge in self.edge_conditions)
 
     @property
-    def names_files(self) -> bool:
-        """True if parts of the scene lie in other files."""
-        masks = any(target.mask is not None for target in self.targets_by_key.values())
-        signals = (self.drive.signal, self.focus and self.focus.wish)
-        return masks or any(signals) or bool(self.effects.map_files)
+    def named_files(self) -> dict[str, str]:
+        """Names of the files in which parts of the scene lie, by key."""
+        signals = {"drive.signal": self.drive.signal, "focus.wish": self.focus and self.focus.wish}
+        files = {f"{key}.file": signal.file for key, signal in signals.items() if signal} | self.effects.map_files
+        masks = {f"{key}.mask": target.mask for key, target in self.targets_by_key.items()}
+        return files | {key: name for key, name in masks.items() if name is not None}
+
+    def in_float64(self) -> Self:
+        """Return the scene in double precision, for energies whose differences lose digits; nothing is recorded."""
+        grid = self.grid.model_copy(update={"precision": "float64"})
+        return self.model_copy(update={"grid": grid, "record": Record()})
 
     @property
     def gridded_by_waves(self) -> bool:

@@ -67,7 +67,7 @@ def _lanes_path(specialized: Specialized) -> Advance:
     """
     effects, real, (nx, ny) = specialized.effects, specialized.real, specialized.scheme.nodes
     loaded = sum(1 << j for j, row in enumerate(specialized.loaded_rows[2:-2]) if row)
-    x, y = plain_taps(specialized.scene, (nx, ny))
+    x, y = plain_taps(specialized.scene.edges, (nx, ny), specialized.scheme.order)
     factors = map(specialized.to_device, (x.factors, specialized.scheme.aspect * y.factors))
     inputs = [specialized.parameters, *factors]
 
@@ -117,7 +117,7 @@ def _whole(specialized: Specialized) -> list[Cut]:
 def _inputs(specialized: Specialized, axes: Sequence[Cut]) -> list[Any]:
     """Return the first arguments of ``resident_strips``: parameters, taps or factors of a tile, loaded rows."""
     aspect, taps_y = specialized.scheme.aspect, resident_strips.make_row_taps(specialized.real)()
-    x, y = plain_taps(specialized.scene, (axes[0].length, axes[1].length))
+    x, y = plain_taps(specialized.scene.edges, (axes[0].length, axes[1].length), specialized.scheme.order)
     if specialized.scheme.order == 2:
         # Along y these kernels take an edge's curvature from its inner neighbour alone: ∇²u there is aspect·u.
         taps_x = [x.factors[:, None], aspect * y.factors[:, None]]

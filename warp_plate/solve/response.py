@@ -12,8 +12,6 @@ import numpy as np
 
 from warp_plate.optimize.quadratic import RANK_TOLERANCE, quadratic_forms
 from warp_plate.plate.weights import REGIONS, localization_factor
-from warp_plate.scene.grid import Record
-from warp_plate.scene.model import Scene
 from warp_plate.solve.run import Progress
 from warp_plate.solve.solver import PlateSolver
 
@@ -75,11 +73,6 @@ def measure_response(
 
         energies.append(solver.run(unit_drives(actuators, slice(first, first + block)), progress=report).energy)
     return response_of(np.concatenate(energies), actuators)
-
-
-def in_float64(scene: Scene) -> Scene:
-    """Return the scene in double precision, for energies whose differences lose digits; nothing is recorded."""
-    return scene.model_copy(update={"grid": scene.grid.model_copy(update={"precision": "float64"}), "record": Record()})
 
 
 def response_of(energy: np.ndarray, actuators: int) -> Response:

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from warp_plate.plate.signals import highest_frequency
+from warp_plate.plate.signals import SAMPLES_A_PERIOD, highest_frequency, sample_times
 from warp_plate.plate.weights import region_weights
 from warp_plate.scene.fields import SMALLEST
 from warp_plate.scene.model import Scene
@@ -21,14 +21,10 @@ GREW = "grew without bound"
 OUT_OF_RANGE = "energy is out of the range of numbers"
 FAULTS = (OK, OUT_OF_RANGE, GREW, NO_DRIVE)
 SOUND = (OK, math.nan)
-# Samples in a period of the highest frequency (between two, a sine rises by 2 % at most), and in a run at most.
-SAMPLES_A_PERIOD, MOST_SAMPLES = 16, 320
+# Samples in a quarter of a period.
 QUARTER = SAMPLES_A_PERIOD // 4
 # Most bytes of the fields of a plate among which the largest is recorded.
 PEAK_BYTES = 2**27
-# Samples too few for every period are shifted by multiples of the golden ratio, so as never to keep in step with the
-# motion.
-GOLDEN = (math.sqrt(5) - 1) / 2
 # Fault and time [s] by faulty plate
 Faults = dict[int, tuple[str, float]]
 # Called with (node-steps done, node-steps in all) between launches.
@@ -131,9 +127,9 @@ def run_with_peaks(
     quarter period before it. Also return the largest displacements (plates, 2) [m] in the target and in the rest.
     """
     scene = solver.scene
-    recorded = recorded or scene.record.times
-    tried = recorded or _candidates(scene)
-    run = solver.run(phasors, tried, scene.record.points, progress, (*tried, *sample_times(scene)))
+    recorded, samples = recorded or scene.record.times, sample_times(scene)
+    tried = recorded or _candidates(solver, samples)
+    run = solver.run(phasors, tried, scene.record.points, progress, (*tried, *samples))
     if not recorded:
         last = np.nan_to_num(np.abs(run.displacement[-1]).max(axis=(1, 2)), nan=0.0, posinf=0.0)
         if scene.nonperiodic_key:
@@ -141,50 +137,23 @@ def run_with_peaks(
         else:
             chosen = [latest := int(last[QUARTER:].argmax()), latest + QUARTER]
         run = replace(run, displacement=run.displacement[:, chosen], times=run.times[chosen])
-    target = _target_nodes(scene, run.peak.shape[:0:-1])
+    at_peaks = scene.grid.model_copy(update={"nodes": run.peak.shape[:0:-1]})
+    plate, target = region_weights(scene.model_copy(update={"grid": at_peaks}))
+    half = 2 * target >= np.maximum(plate, SMALLEST)  # of a node's cell is in the target
+    target = half if half.any() else target > 0
     peaks = np.stack([run.peak[:, nodes].max(axis=1, initial=0.0) for nodes in (target, ~target)], axis=1)
     return run, peaks if run.outline_peak is None else np.maximum(peaks, run.outline_peak[:, None])
 
 
-def _target_nodes(scene: Scene, nodes: tuple[int, ...]) -> np.ndarray:
-    """Return (ny, nx) true for those of nx, ny nodes with half of their cell in the target, or if there are none, with
-    any of it."""
-    plate, target = region_weights(scene.model_copy(update={"grid": scene.grid.model_copy(update={"nodes": nodes})}))
-    within = np.asarray(2 * target >= np.maximum(plate, SMALLEST))
-    return within if within.any() else np.asarray(target > 0)
-
-
-def _candidates(scene: Scene) -> tuple[float, ...]:
+def _candidates(solver: PlateRunner, samples: tuple[float, ...]) -> tuple[float, ...]:
     """Return the times [s] among which that of the largest displacement is recorded.
 
     They are those of the last period of the highest frequency, after a quarter period, so that under a tone no node
-    passes zero at both recorded times; of other drives than periodic ones, those of the whole run.
+    passes zero at both recorded times; of other drives than periodic ones, ``samples`` of the whole run.
     """
-    end, times = scene.window.end, sample_times(scene)
+    scene, end = solver.scene, solver.scene.window.end
     if scene.nonperiodic_key:
         most = max(2, int(PEAK_BYTES / (8 * math.prod(scene.grid.nodes))))
-        return tuple(sorted(times)[:: math.ceil(len(times) / most)])
+        return tuple(sorted(samples)[:: math.ceil(len(samples) / most)])
     before = np.arange(SAMPLES_A_PERIOD + QUARTER - 1, -1, -1) / SAMPLES_A_PERIOD / highest_frequency(scene)
     return tuple(np.maximum(end - before, 0.0).tolist())
-
-
-def sample_times(scene: Scene) -> tuple[float, ...]:
-    """Return the times [s] at which to sample the displacement for its peak.
-
-    If all periods of the run take too many samples, the first burst and a moving load's passage get as many samples as
-    the whole run.
-    """
-    end = scene.window.end
-    wanted = math.ceil(SAMPLES_A_PERIOD * highest_frequency(scene) * end)
-    if wanted <= MOST_SAMPLES:
-        return tuple((end * np.arange(1, wanted + 1) / wanted).tolist())
-    spans = [(0.0, end)]
-    burst, load = scene.drive.burst, scene.effects.travelling
-    if burst is not None:
-        spans.append((burst.start, min(burst.start + burst.duration, end)))
-    if load is not None and load.from_time < end:
-        spans.append((load.from_time, min(load.to_time or end, end)))
-    count = MOST_SAMPLES // len(spans)
-    place = np.arange(1, count + 1)
-    share = (place - place * GOLDEN % 1) / count
-    return tuple(start + (stop - start) * part for start, stop in spans for part in share.tolist())

@@ -150,7 +150,7 @@ class PlateSolver:
     @property
     def effects(self) -> tuple[str, ...]:
         """Names of the effects in the compiled kernel."""
-        return effect_names(self.scene, several_waves=self.discretization.carriers > 1)
+        return effect_names(self.discretization)
 
     def describe_path(self, traced: bool = False) -> str:
         """Return the path and, if it streams for want of a better one, the reason; ``traced``: of runs with points."""

@@ -19,7 +19,6 @@ from warp_plate.plate.signals import running_sums, waves_apart
 from warp_plate.plate.stability_limit import needs_moment_form
 from warp_plate.plate.weights import NO_AREAS, REGIONS, RegionLike, reachable_nodes, weigh_region
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Scene
 from warp_plate.solve.coils import largest_rates
 from warp_plate.solve.devices import cpu_threads, load_kernel
 
@@ -44,7 +43,13 @@ class Specialized:
     ) -> None:
         self.discretization, self.device, self.quantity = discretization, device, quantity
         self.scene, self.scheme = discretization.scene, discretization.scheme
-        _check_quantity(self.scene, quantity)
+        if quantity not in get_args(Quantity):
+            raise SceneError(f"quantity = {quantity!r}: no such quantity; there are: {', '.join(get_args(Quantity))}")
+        if quantity == "displacement" and not self.scene.linear:
+            raise SceneError(
+                f"{self.scene.nonlinear_table}: displacements are computed as the response to the load's running sums, "
+                "valid for linear plates alone; delete it, or measure velocities"
+            )
         self.threads = threads or cpu_threads()
         self.loaded_kernels: dict[wp.Kernel, int | None] = {}  # with their threads per block
         self.late_seconds = 0.0  # Time spent on kernels that are compiled when a run needs them [s]
@@ -175,12 +180,10 @@ class Specialized:
         return wp.array(values, dtype=self.real, device=self.device)
 
 
-def effect_names(scene: Scene, several_waves: bool = False) -> tuple[str, ...]:
-    """Return the names of the effects in the compiled kernel.
-
-    ``several_waves``: plates have more waves than the scene's drive needs.
-    """
-    several_waves = several_waves or scene.drive.electrostatic is not None or waves_apart(scene) > 1
+def effect_names(discretization: Discretization) -> tuple[str, ...]:
+    """Return the names of the effects in the compiled kernel."""
+    scene = discretization.scene
+    several_waves = discretization.carriers > 1 or scene.drive.electrostatic is not None or waves_apart(scene) > 1
     names, damped = scene.effects.compiled, scene.effects.damping is not None
     moments = several_waves or needs_moment_form(scene)
     before, after = names[:damped], names[damped:]
@@ -208,13 +211,3 @@ def kernel_effects(discretization: Discretization) -> KernelEffects:
         travelling=scene.effects.travelling is not None,
         outline=grid is not None,
     )
-
-
-def _check_quantity(scene: Scene, quantity: str) -> None:
-    if quantity not in get_args(Quantity):
-        raise SceneError(f"quantity = {quantity!r}: no such quantity; there are: {', '.join(get_args(Quantity))}")
-    if quantity == "displacement" and not scene.linear:
-        raise SceneError(
-            f"{scene.nonlinear_table}: displacements are computed as the response to the load's running sums, valid "
-            "for linear plates alone; delete it, or measure velocities"
-        )

@@ -47,7 +47,7 @@ def baseline_cases(problem: Problem, recorded: Sequence[float]) -> tuple[dict[st
     solver = problem.resolved.solver(areas=problem.objectives.regions)
     phasors = baseline_phasors(solver)
     run, peaks = run_with_peaks(solver, np.array(list(phasors.values())), recorded=recorded)
-    return cases_from_run(phasors, run, problem.scene, peaks), solver.node_steps
+    return cases_from_run(phasors, run, solver.discretization, peaks), solver.node_steps
 
 
 def check_baselines(scene: Scene) -> None:

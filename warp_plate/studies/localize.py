@@ -93,7 +93,7 @@ def localize(
     seed = written.search.seed if seed is None else seed
     if not isinstance(seed, Integral) or not 0 <= int(seed) < 2**63:
         raise SceneError(f"seed = {seed!r}: must be an integer from 0 to 2^63 - 1")
-    files = digests(written)
+    files = digests(written.named_files, written.folder)
     resolved = resolve_search(written, device, path, evaluator)
     started = time.perf_counter()
     problem = make_problem(resolved, pool=pool)
@@ -154,7 +154,7 @@ def resume(
     if baselines:
         check_baselines(checkpoint.scene)
     started, matrices, earlier = time.perf_counter(), checkpoint.matrices, checkpoint.earlier_devices
-    for key, digest in digests(checkpoint.scene).items():
+    for key, digest in digests(checkpoint.scene.named_files, checkpoint.scene.folder).items():
         if checkpoint.files.get(key) != digest:
             raise SceneError(f"{key}: the file has changed since the search began")
     device = device or device_like(checkpoint)
@@ -306,7 +306,7 @@ def _optional_parts(
             node_steps += steps
     references = {name: cases[name] for name in ("equal", "single")} | unsearched
     fields["objective_values_by_case"], steps = evaluate_objectives(problem, references)
-    if spectrum and not outcome.interrupted and has_spectrum(problem.scene):
+    if spectrum and not outcome.interrupted and has_spectrum(problem):
         with optional_part(seconds, "spectrum"):
             fields["spectrum"] = make_spectrum(problem, cases["best"])
     return {**fields, "cases": {**cases, **nominal, **unsearched}, "node_steps": node_steps + steps}
@@ -317,7 +317,7 @@ def evaluate_targets(problem: Problem, searches: tuple[TargetSearch, ...]) -> Ev
     first, *others = searches
     evaluated = evaluate_cases(problem, first.single_actuator, first.position)
     cases, node_steps = dict(evaluated.cases), evaluated.node_steps
-    names = list(target_cases(problem.scene).values())[1:]
+    names = list(target_cases(problem.scene.targets).values())[1:]
     for index, (name, search) in enumerate(zip(names, others, strict=False), 1):  # fewer after Ctrl-C
         other = with_target(problem, index)
         more = evaluate_cases(other, search.single_actuator, search.position)

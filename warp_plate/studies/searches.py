@@ -18,6 +18,7 @@ from warp_plate.modal.solver import MODAL
 from warp_plate.optimize.optimizer import MethodError, Optimizer, minimize, minimum_near
 from warp_plate.optimize.quadratic import ExactSearch, best_position
 from warp_plate.plate.weights import REGIONS
+from warp_plate.problem.design_variables import single_drives
 from warp_plate.problem.evaluate_cases import reference_phasors
 from warp_plate.problem.methods import make_optimizer
 from warp_plate.problem.objectives import loss_scale
@@ -188,7 +189,7 @@ def with_further_evaluations(
 
 def initial_state(problem: Problem, seed: int) -> dict[str, Any]:
     """Return the fields of a checkpoint that differ from target to target, before the first iteration."""
-    phasors = reference_phasors(problem.scene, problem.plates.energies_of_phasors)
+    phasors = reference_phasors(single_drives(problem.scene), problem.plates.energies_of_phasors)
     optimizer = search_optimizer(problem, seed)
     return {
         "scene": problem.scene,

@@ -14,7 +14,7 @@ from warp_plate.analysis.result_warnings import result_warnings
 from warp_plate.modal.solver import MODAL
 from warp_plate.plate.designs import scene_phasors
 from warp_plate.plate.weights import localization_factor
-from warp_plate.problem.design_variables import magnitude_unit
+from warp_plate.problem.design_variables import magnitude_unit, single_drives
 from warp_plate.problem.evaluate_cases import cases_from_run, reference_phasors
 from warp_plate.resolve import Resolved, resolve
 from warp_plate.result.model import Result, load_result
@@ -64,7 +64,7 @@ def simulate(
     solver = resolved.solver(areas=scene.target_regions)
     started, compiled = time.perf_counter(), solver.compile_seconds
     if phasors is None:
-        phasors = reference_phasors(scene, lambda phasors: solver.run(phasors).energy)["single"]
+        phasors = reference_phasors(single_drives(scene), lambda phasors: solver.run(phasors).energy)["single"]
     run, peaks = run_with_peaks(solver, phasors[None], progress)
     solved = time.perf_counter() - started - (solver.compile_seconds - compiled)
     seconds = {**resolved.seconds, "compile": solver.compile_seconds, "solve": solved}
@@ -78,7 +78,7 @@ def simulate(
         scene=scene,
         device=device_name(solver.device),
         seed=scene.search.seed,
-        cases=cases_from_run({"drive": phasors}, run, scene, peaks),
+        cases=cases_from_run({"drive": phasors}, run, solver.discretization, peaks),
         seconds=seconds,
         node_steps=solver.node_steps,
         versions=versions(),

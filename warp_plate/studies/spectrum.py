@@ -17,7 +17,7 @@ from warp_plate.resolve import Resolved
 from warp_plate.result.case import Case
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.solve.response import Response, count_unit_drives, in_float64, response_of, unit_drives
+from warp_plate.solve.response import Response, count_unit_drives, response_of, unit_drives
 from warp_plate.solve.solver import PlateSolver
 
 # Limits of the number of frequencies by time steps, between which their plates cost about as much as the search.
@@ -35,17 +35,17 @@ def make_spectrum(problem: Problem, best: Case) -> dict[str, np.ndarray]:
     return {"frequency": frequencies, **factors, "resonances": resonances(scene, frequencies[0], frequencies[-1])}
 
 
-def has_spectrum(scene: Scene) -> bool:
+def has_spectrum(problem: Problem) -> bool:
     """Return whether a common frequency of all actuators is searched, and the scene is linear in the drives."""
-    search = scene.search.frequency
-    return search is not None and not search.own and search.actuators is None and scene.linear
+    search = problem.scene.search.frequency
+    return search is not None and not search.own and search.actuators is None and problem.scene.linear
 
 
 def spectrum_frequencies(problem: Problem) -> np.ndarray:
     """Return the frequencies of a result's spectrum [Hz]; empty without one."""
     scene = problem.scene
     search = scene.search.frequency
-    if search is None or not has_spectrum(scene):
+    if search is None or not has_spectrum(problem):
         return np.empty(0)
     # By modes they follow every resonance, unless limits on magnitudes make the bound at each too dear.
     if problem.resolved.by_modes and not allowed_drives(parametrization_of(scene)).limits_ratios:
@@ -61,7 +61,7 @@ def factors_over(
     """Return localization factors (n,) at frequencies [Hz], for places (actuators, 2) and delays (actuators,): "equal";
     "single", the best single actuator; "best", a bound over the drives that the search may choose."""
     scene = resolved.scene
-    exact, singles = resolved.with_scene(in_float64(scene)), np.eye(len(scene.actuators), dtype=complex)
+    exact, singles = resolved.with_scene(scene.in_float64()), np.eye(len(scene.actuators), dtype=complex)
     solver = exact.solver(exact.grid_for(per_plate_of(exact.scene)))
     parametrization = parametrization_of(scene)
     rows = []

@@ -144,7 +144,7 @@ def start_sweep(request: SweepRequest, device: str = "auto") -> Sweep:
 
 def file_digests(scene: Scene, plan: Plan) -> dict[str, str]:
     """Return the SHA-256 of each file that a sweep reads by key; of varied names, that of all one after another."""
-    files = digests(scene)
+    files = digests(scene.named_files, scene.folder)
     for key, names in varied_files(scene, plan).items():
         whole = hashlib.sha256()
         for name in names:

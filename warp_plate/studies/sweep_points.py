@@ -17,8 +17,8 @@ from warp_plate.modal.continuous_modes import linear_part
 from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.solver import MODAL
 from warp_plate.plate.designs import scene_phasors
-from warp_plate.plate.files import named_files
 from warp_plate.plate.weights import localization_factor
+from warp_plate.problem.design_variables import single_drives
 from warp_plate.problem.evaluate_cases import reference_phasors
 from warp_plate.problem.methods import resolve_search
 from warp_plate.problem.problem import make_problem
@@ -71,7 +71,8 @@ def _localization_quantities(scene: Scene, point: Point) -> Values:
     problem = make_problem(resolved)
     if problem.response is not None and scene.search.robust is None:
         problem = problem.by_matrices
-    phasors = np.array(list(reference_phasors(problem.scene, problem.plates.energies_of_phasors).values()))
+    singles = single_drives(problem.scene)
+    phasors = np.array(list(reference_phasors(singles, problem.plates.energies_of_phasors).values()))
     equal, single = localization_factor(problem.plates.energies_of_phasors(phasors)).tolist()
     if not np.isfinite([equal, single]).any() and (fault := problem.drive_solver.run(phasors[:1]).fault(0)) != "ok":
         raise SceneError(fault)  # rather than at rest
@@ -217,7 +218,7 @@ class PointResult(NamedTuple):
 
 def varied_files(scene: Scene, plan: Plan) -> dict[str, list[str]]:
     """Return the names of files that a plan varies, by key."""
-    named = named_files(scene)
+    named = scene.named_files
     pairs = zip(plan.keys, plan.coordinates, strict=True)
     return {key: list(dict.fromkeys(values.tolist())) for key, values in pairs if key in named}
 

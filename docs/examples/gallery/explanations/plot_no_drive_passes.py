@@ -10,10 +10,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import warp_plate as wpl
-from warp_plate.solve.response import in_float64, measure_response
+from warp_plate.solve.response import measure_response
 
 scene = wpl.Scene.load("paper")
-response = measure_response(wpl.PlateSolver(in_float64(scene), "cpu"))
+response = measure_response(wpl.PlateSolver(scene.in_float64(), "cpu"))
 random = np.random.default_rng(1)
 drives = random.normal(size=(100_000, 4)) + 1j * random.normal(size=(100_000, 4))
 factors = 100 * response.localization_factors(drives)

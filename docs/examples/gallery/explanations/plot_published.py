@@ -11,13 +11,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import warp_plate as wpl
-from warp_plate.solve.response import in_float64, measure_response
+from warp_plate.solve.response import measure_response
 
 paper = wpl.Scene.load("paper")
 damping = np.linspace(50, 150, 11)
 single, bound = [], []
 for value in damping:
-    response = measure_response(wpl.PlateSolver(in_float64(paper.replace("effects.damping.viscous", value)), "cpu"))
+    response = measure_response(wpl.PlateSolver(paper.replace("effects.damping.viscous", value).in_float64(), "cpu"))
     single.append(100 * response.localization_factors(np.eye(4)).max())
     bound.append(100 * response.bound())
 
