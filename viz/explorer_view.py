@@ -146,7 +146,7 @@ def share_texts(reading: DriveResponse) -> dict[str, str]:
 
 def level_texts(reading: DriveResponse) -> list[list[str]]:
     """Return a row for each region: its name, and the peaks at its weakest and worst point, both in g and µm."""
-    units = (STANDARD_GRAVITY, reading.scene.drive_angular_frequency**2 / 1e6)
+    units = (STANDARD_GRAVITY, reading.scene.drive.angular_frequency**2 / 1e6)
     return [
         [name, *(f"{peak / unit:.3g}" for peak in peaks for unit in units)] for name, peaks in reading.levels.items()
     ]

@@ -71,7 +71,7 @@ def test_harmonic_motion_is_fitted_exactly(random, explored_panel, phasors):
     solver = PlateSolver(explored_panel, "cpu")
     run = solver.run(phasors(1, 3), last_period(explored_panel, solver.specialized.scheme.time_step))
     amplitude = random.normal(size=(4, 5)) + 1j * random.normal(size=(4, 5))
-    angles = explored_panel.drive_angular_frequency * run.times
+    angles = explored_panel.drive.angular_frequency * run.times
     fields = np.real(amplitude * np.exp(1j * angles)[:, None, None])
     for constant in (0.0, 0.5):
         (motion,) = steady_motions(replace(run, displacement=fields[None] + constant), explored_panel)
@@ -105,7 +105,7 @@ def test_any_drive_equals_its_run(steady, path, scene, phasors):
     np.testing.assert_allclose(reading.motion.amplitude, direct.amplitude, rtol=0, atol=1e-9 * largest)
     assert (reading.motion.residual < 0.01) == steady
     if steady:
-        shown = [reading.motion.at(made.drive_angular_frequency * when) for when in run.times]
+        shown = [reading.motion.at(made.drive.angular_frequency * when) for when in run.times]
         np.testing.assert_allclose(shown, run.displacement[0], rtol=0, atol=1e-4 * largest)
 
 
@@ -188,7 +188,7 @@ def test_slider_ranges_are_within_what_the_run_can_carry(explored_panel, scene):
     short = scene(window=(0.0, 0.005), time_step=8e-4, nodes=(7, 7))
     assert slider_ranges(short).frequency == pytest.approx((200, 312.5))
     # A loss factor of 0.5 where the scene has no damping: 0.5 ωρH.
-    assert slider_ranges(short).numbers[VISCOUS][1] == pytest.approx(0.5 * short.drive_angular_frequency * 0.5)
+    assert slider_ranges(short).numbers[VISCOUS][1] == pytest.approx(0.5 * short.drive.angular_frequency * 0.5)
 
 
 def test_levels_and_sliders_of_the_console_are_those_of_its_specification(live):

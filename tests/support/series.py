@@ -133,7 +133,7 @@ def kinetic_energies(scene: Scene, drive: np.ndarray, terms: int = 32) -> np.nda
     along, across = _sine_products(width, x0, x1, terms), _sine_products(height, y0, y1, terms)
     fastest = math.sqrt(plate.rigidity / plate.surface_density) * wavenumber_squared((terms, terms), plate.size)
     start, end = scene.window.start, scene.window.end
-    turn = 2 * max(fastest, scene.drive_angular_frequency) * (end - start)
+    turn = 2 * max(fastest, scene.drive.angular_frequency) * (end - start)
     panels, sums = np.linspace(start, end, max(1, math.ceil(turn / PANEL_TURN)) + 1), np.zeros(2)
     s, weights = legendre.leggauss(PANEL_POINTS)
     for low, high in pairwise(panels):

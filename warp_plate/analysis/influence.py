@@ -204,7 +204,7 @@ def toggle(scene: Scene, name: str) -> tuple[Scene, str]:
 def setting_of(scene: Scene) -> Setting:
     """Return what the typical values of effects depend on."""
     spot = scene.target.area or _middle_of_target(scene)
-    return Setting(scene.plate, scene.drive_angular_frequency, scene.window.end, scene.actuators, spot)
+    return Setting(scene.plate, scene.drive.angular_frequency, scene.window.end, scene.actuators, spot)
 
 
 def _clamped(scene: Scene) -> Scene:

@@ -248,7 +248,7 @@ def steady_motions(run: Run, scene: Scene) -> list[SteadyMotion]:
 
     A straight line in time is fitted besides, which takes up the slow decay of low modes.
     """
-    angles = scene.drive_angular_frequency * run.times[:, None]
+    angles = scene.drive.angular_frequency * run.times[:, None]
     drift = np.stack([np.ones(run.times.size), run.times / run.times.max() - 1], axis=1)
     columns = np.concatenate([np.cos(angles), -np.sin(angles), drift], axis=1)
     fields = run.displacement

@@ -87,7 +87,7 @@ def _number_ranges(scene: Scene) -> dict[str, tuple[float, float]]:
     ranges |= {name: LINK_RANGE for name, keys in links.items() if all(map(PANEL_KEY.match, keys))}
     ends = {}
     if not any(row.lossy for _, row in scene.effects.rows):
-        stiff = scene.drive_angular_frequency * scene.plate.density * scene.plate.thickness
+        stiff = scene.drive.angular_frequency * scene.plate.density * scene.plate.thickness
         ends[VISCOUS] = (0.0, LOSS_FACTOR_RANGE * stiff)
     for key, (low, high) in ranges.items():
         value = value_of(scene, key)

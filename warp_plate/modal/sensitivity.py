@@ -129,7 +129,7 @@ class EnergyAdjoint:
         check_differentiable(scene)
         self._all = plate_matrices(galerkin) if of_plate is None else of_plate
         self.window = None if scene.steady else scene.window
-        self._omega, self._lost = scene.drive_angular_frequency, galerkin.losses
+        self._omega, self._lost = scene.drive.angular_frequency, galerkin.losses
         lowest = mean_wave_frequency(scene) / max(scene.plate.size) ** 2
         unknowns = galerkin.mass.shape[0]
         squares, vectors = solve_eigenproblem(galerkin, unknowns, (2 * math.pi * lowest) ** 2, improve=False)

@@ -149,7 +149,7 @@ def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = 
         window=(first, last),
         decay=1 - loss if backward else (1 - loss / 2) / (1 + loss / 2),
         gain=1.0 if backward or bending else 1 / (1 + loss / 2),
-        angular_frequency=scene.drive_angular_frequency,
+        angular_frequency=scene.drive.angular_frequency,
         order=grid.order,
         taps_x=taps_x,
         taps_y=taps_y,

@@ -4,6 +4,7 @@ Actuator k applies Re(Z_k · carrier_k(t)) · envelope(t), where Z_k is its phas
 and the envelope is one.
 """
 
+import math
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
@@ -126,6 +127,11 @@ class Drive(Table):
         if self.ramp:
             tables.pop("burst", None)
         return tables
+
+    @property
+    def angular_frequency(self) -> float:
+        """Angular frequency 2πf [rad/s]."""
+        return 2 * math.pi * self.frequency
 
     @property
     def waveform_key(self) -> str | None:

@@ -398,8 +398,3 @@ class SceneTables(Table):
             if actuator.frequency not in (None, self.drive.frequency):
                 return f"actuators[{index}].frequency"
         return self.effects.first(lambda effect: effect.travels)
-
-    @property
-    def drive_angular_frequency(self) -> float:
-        """Angular frequency of the drive, 2πf [rad/s]."""
-        return 2 * math.pi * self.drive.frequency
