@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy
 
+from support.scenes import scene_of
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.analysis.warnings import warning_texts
 from warp_plate.modal.assemble import load_integrals, load_slopes
@@ -161,3 +162,29 @@ def test_force_of_a_disc_is_that_of_its_area():
     scene = scene_with(DISC | {"force": 2.0})
     assert scene.actuators[0].magnitude == pytest.approx(2 / (math.pi * 0.03**2))
     assert Scene.parse(scene.to_toml(), "again") == scene
+
+
+def test_a_lattice_is_its_oscillators_one_by_one():
+    one = {"disc": (0.03, 0.02, 0.004), "mass": 1e-3, "stiffness": 2e3, "damping": 0.3}
+    pitch = (0.04, 0.05)
+    middles = [(0.03 + column * pitch[0], 0.02 + row * pitch[1]) for row in range(2) for column in range(3)]
+    apart = [{**one, "disc": (*middle, 0.004)} for middle in middles]
+    lattice = scene_of(effects={"oscillators": [{**one, "lattice": (3, 2), "pitch": pitch}]}, modal_density=0.5)
+    written = scene_of(effects={"oscillators": apart}, modal_density=0.5)
+    first, second = (ModalSolver(scene, "cpu").response.matrices for scene in (lattice, written))
+    assert (first == second).all()
+    assert lattice.effects.attachment_keys(lattice.plate) == ["effects.oscillators[0]"] * 6
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"lattice": (3, 2)}, r"lattice: write lattice = \[columns, rows\] with pitch"),
+        ({"lattice": (3, 2), "pitch": (0.09, 0.05)}, r"last of lattice = \[3, 2\].*off the plate"),
+        ({"lattice": (200, 51), "pitch": (1e-4, 1e-4)}, "10200 oscillators; at most 10000 are possible"),
+    ],
+)
+def test_lattices_that_do_not_fit_are_refused(keys, message):
+    one = {"disc": (0.03, 0.02, 0.004), "mass": 1e-3, "stiffness": 2e3, **keys}
+    with pytest.raises((SceneError, ValueError), match=message):
+        scene_of(effects={"oscillators": [one]})

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warp_plate.effects.effect import attachments
 from warp_plate.result.designed import DesignedPanel
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -69,7 +70,7 @@ def _draw_plan(
             1e3 * thickness, cmap=colour_map("cividis"), vmin=limits[0], vmax=max(limits[1], limits[0] + 1e-9),
             origin="lower", extent=(0.0, width, 0.0, height), interpolation="bilinear",
         )  # fmt: skip
-    for patch in scene.effects.regions.values():
+    for patch in (*scene.effects.layers, *(attachment.region for attachment in attachments(scene.terms))):
         axes.fill(*patch.closed_path().T, color=ADDED, linewidth=0, zorder=1)
     draw_parts(axes, scene)
     return image

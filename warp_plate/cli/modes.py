@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 ENDINGS, RIGID = (".png", ".svg", ".pdf"), "0 (rigid)"
 # Motions of masses below this are zero.
 STILL = 1e-9
+# Most masses with a column in the printed table.
+MOST_MASSES = 8
 
 
 def modes(
@@ -80,6 +82,7 @@ def _print(
     assert natural.loss_factors is not None
     console.print(f"{scene.title or name}\n")
     masses = [index for index, attached in enumerate(attachments(scene.terms)) if attached.mass > 0]
+    masses = masses if len(masses) <= MOST_MASSES else []
     columns, rows = (natural.frequencies, errors, natural.loss_factors, natural.half_waves(), natural.oscillators), []
     for number, (frequency, error, factor, waves, motion) in enumerate(zip(*columns, strict=True), 1):
         numbers = [RIGID, "", "", ""]

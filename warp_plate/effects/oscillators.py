@@ -8,12 +8,16 @@ from typing import Annotated, Any, Self
 from pydantic import Field, model_validator
 
 from warp_plate.effects.effect import Effect, Panel, Patch, Setting, Term
-from warp_plate.scene.fields import NotNegative, Unit
+from warp_plate.scene.fields import NotNegative, Positive, Unit
 from warp_plate.scene.target import PlateRegion
+
+# Largest number of oscillators in a lattice.
+MOST_COPIES = 10_000
+Count = Annotated[int, Field(ge=1, le=MOST_COPIES)]
 
 
 class Oscillator(Effect, PlateRegion):
-    """A mass on a patch of the plate, held by a spring and a damper: a fingertip, a foam pad."""
+    """A mass on a patch of the plate, held by a spring and a damper: a fingertip, a foam pad, or a lattice of them."""
 
     mass: Annotated[NotNegative, Unit("kg"), Field(examples=[5e-3])] = 0.0
     """Mass; without mass the spring and damper are fixed to the ground."""
@@ -21,17 +25,47 @@ class Oscillator(Effect, PlateRegion):
     """Stiffness of the spring."""
     damping: Annotated[NotNegative, Unit("N·s/m"), Field(examples=[3.0])] = 0.0
     """Damping."""
+    lattice: Annotated[tuple[Count, Count] | None, Field(examples=[[20, 14]])] = None
+    """Numbers of equal oscillators along x and y, of which the shape is the lower left one (default: one alone)."""
+    pitch: Annotated[tuple[Positive, Positive] | None, Unit("m"), Field(examples=[[0.01, 0.01]])] = None
+    """Distances of the oscillators of a lattice along x and y."""
 
     @model_validator(mode="after")
     def _attached(self) -> Oscillator:
         if self.stiffness == 0 and self.damping == 0:
             raise ValueError("stiffness: an oscillator needs a stiffness or a damping")
+        if (self.lattice is None) != (self.pitch is None):
+            raise ValueError("lattice: write lattice = [columns, rows] with pitch = [dx, dy], or neither")
+        if len(self.places) > MOST_COPIES:
+            raise ValueError(f"lattice: {len(self.places)} oscillators; at most {MOST_COPIES} are possible")
         return self
 
+    @property
+    def places(self) -> list[tuple[int, int]]:
+        """Columns and rows of the oscillators of the lattice."""
+        columns, rows = self.lattice or (1, 1)
+        return [(column, row) for row in range(rows) for column in range(columns)]
+
+    def copy_at(self, column: int, row: int) -> PlateRegion:
+        """Return the shape of an oscillator of the lattice."""
+        if (column, row) == (0, 0):
+            return self.region
+        assert self.pitch is not None
+        x0, x1, y0, y1 = self.box
+        moved = self.placed((x0 + x1) / 2 + column * self.pitch[0], (y0 + y1) / 2 + row * self.pitch[1])
+        return PlateRegion.model_construct(**{**dict(self.region), **moved})
+
+    def check(self, key: str, size: tuple[float, float], over: bool = False, note: str = "") -> None:
+        """Check the first and the last oscillator, see :meth:`PlateRegion.check`."""
+        super().check(key, size, over, note)
+        if self.lattice is not None:
+            self.copy_at(*self.places[-1]).check(key, size, over, f" of the last of lattice = {list(self.lattice)}")
+
     def terms(self, plate: Panel) -> Iterator[Term]:
-        patch = Patch(self.region, self.mass)
-        yield Term("stiffness", self.stiffness, place=patch, label="oscillator")
-        yield Term("damping", self.damping, place=patch, label="oscillator")
+        for place in self.places:
+            patch = Patch(self.copy_at(*place), self.mass)
+            yield Term("stiffness", self.stiffness, place=patch, label="oscillator")
+            yield Term("damping", self.damping, place=patch, label="oscillator")
 
     @property
     def at_rest(self) -> Self:

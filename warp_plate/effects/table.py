@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 from warp_plate.effects.air import AirLoad
 from warp_plate.effects.damping import Damping
-from warp_plate.effects.effect import Effect, Panel, Term, rows_of
+from warp_plate.effects.effect import Effect, Panel, Term, attachments, rows_of
 from warp_plate.effects.foundation import Foundation
 from warp_plate.effects.layers import Layer
 from warp_plate.effects.loss_factor import LossFactor
@@ -75,6 +75,10 @@ class Effects(Table):
     def first(self, condition: Callable[[Effect], object]) -> str | None:
         """Return the key of the first effect that meets a condition, without its index; None if none does."""
         return next((key.partition("[")[0] for key, row in self.rows if condition(row)), None)
+
+    def attachment_keys(self, plate: Panel) -> list[str]:
+        """Return the key of the table of each of the ``attachments``."""
+        return [key for key, row in self.rows for _ in attachments(row.terms(plate))]
 
     def terms(self, plate: Panel) -> Iterator[Term]:
         """Yield the terms of all effects, labelled by their names."""

@@ -83,7 +83,7 @@ def make_galerkin(scene: Scene, space: FunctionSpace) -> Galerkin:
     support, damping, inertia = (_forms(scene, space, role) for role in ("stiffness", "damping", "mass"))
     attached = attachments(scene.terms)
     masses = [attachment.mass for attachment in attached if attachment.mass > 0]
-    _check_springs(space, attached, float(bending.max()))
+    _check_springs(scene, space, attached, float(bending.max()))
     mass = space.mass_matrix()
     if inertia.any():
         mass = Matrix(mass + space.scatter(inertia))
@@ -167,12 +167,12 @@ def _with_links(space: FunctionSpace, attached: Sequence[Attachment], values: np
     return join_masses(space.scatter(values), _patch_means(space, attached), attached, factors)
 
 
-def _check_springs(space: FunctionSpace, attached: Sequence[Attachment], largest: float) -> None:
+def _check_springs(scene: Scene, space: FunctionSpace, attached: Sequence[Attachment], largest: float) -> None:
     """Raise a SceneError if an attached spring is too stiff beside the ``largest`` stiffness of two functions."""
     for index, (attachment, row) in enumerate(zip(attached, _patch_means(space, attached), strict=True)):
         limit = STIFFEST * largest / (1.0 if attachment.mass > 0 else float(np.max(row**2)))
         if attachment.stiffness > limit:
-            key = f"effects.{attachment.label}s[{index}].stiffness = {attachment.stiffness:g}"
+            key = f"{scene.effects.attachment_keys(scene.plate)[index]}.stiffness = {attachment.stiffness:g}"
             raise SceneError(f"{key}: hides the plate in rounding; {limit / 1000:.1g} N/m are as good as rigid")
 
 
