@@ -22,6 +22,14 @@ FREE = {
     "effects.oscillators[0].damping": [0.1, 1.0],
     "edges.right.translation": [1e4, 1e6],
 }
+PROPERTIES = {
+    "plate.poisson_ratio": [0.2, 0.4],
+    "effects.layers[0].density": [1000.0, 3000.0],
+    "effects.damping.viscous": [30.0, 90.0],
+    "effects.foundation.stiffness": [1e3, 1e6],
+    "edges.right.translation": [1e4, 1e6],
+    "alike": [1e-3, 4e-3],
+}
 PLACES = {"effects.oscillators[0]": [0.1, 0.18, 0.02, 0.18], "actuators[1]": [0.1, 0.2, 0.0, 0.1]}
 
 
@@ -69,13 +77,19 @@ def test_slopes_of_a_map_are_those_of_differences(random):
         {"thickness": THICKNESS, "tolerance": {"plate.thickness": 0.05}},
         {"thickness": THICKNESS, "objective": "drive"},
         pytest.param({"free": FREE}, marks=pytest.mark.slow),
+        pytest.param({"free": PROPERTIES, "tolerance": {"plate.density": 0.1}}, marks=pytest.mark.slow),
         pytest.param({"places": PLACES, "frequencies": [270.0, 310.0]}, marks=pytest.mark.slow),
     ],
-    ids=["tolerance", "drive", "numbers", "places"],
+    ids=["tolerance", "drive", "numbers", "properties", "places"],
 )
 def test_slopes_of_a_panel_are_those_of_differences(design, random):
     edges = ("clamped", "clamped", {"translation": 1e5}, "supported")
-    patched = {"effects": {"layers": [LAYER], "oscillators": [OSCILLATOR]}, "edges": edges}
+    lattice = {**OSCILLATOR, "area": (0.03, 0.05, 0.12, 0.14), "lattice": (2, 2), "pitch": (0.05, 0.03)}
+    effects = {"layers": [LAYER], "oscillators": [OSCILLATOR, lattice], "foundation": {"stiffness": 1e5}}
+    patched = {"effects": {**effects, "damping": {"viscous": 60.0}}, "edges": edges}
+    if "alike" in design.get("free", {}):
+        keys = ["effects.oscillators[0].mass", "effects.oscillators[1].mass"]
+        patched |= {"links": {"alike": {"keys": keys}}, "target": {"disc": (0.13, 0.11, 0.03)}}
     panel = FreePanel(designed_scene(design, **({} if "thickness" in design else patched)))
     numbers = 0.3 + 0.4 * random.random(panel.count)
     slopes = panel.evaluate(numbers).slopes
@@ -132,9 +146,14 @@ def test_a_scene_without_better_panels_stays(monkeypatch):
         ({"places": {"actuators[7]": [0.0, 0.1, 0.0, 0.1]}}, r"design.places: actuators\[7\]: is no patch"),
         ({"free": {"plate.thickness": [5e-4, 4e-4]}}, "free: plate.thickness = .*: the lowest value comes first"),
         ({"free": {"plate.thicknes": [4e-4, 5e-4]}}, "design.free: plate.thicknes: is not a key"),
+        ({"free": {"plate.size[0]": [0.1, 0.3]}}, "slopes are known for a panel of one size"),
+        ({"free": {"effects.oscillators[0].mass": [0.0, 0.3]}}, "a mass of 0 is fixed to the ground"),
+        ({"free": {"effects.material_damping.time": [0.0, 0.3]}}, "losses of all bending are not known"),
+        ({"free": {"actuators[0].magnitude": [0.0, 0.3]}}, "is a number of the drive, not of the panel"),
         ({}, "thickness: nothing is free"),
     ],
 )
 def test_what_cannot_be_designed_is_refused(design, message):
+    effects = {"oscillators": [OSCILLATOR], "material_damping": {"time": 1e-6}}
     with pytest.raises((wpl.SceneError, ValueError), match=message):
-        wpl.design(designed_scene(design))
+        wpl.design(designed_scene(design, effects=effects))

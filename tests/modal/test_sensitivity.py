@@ -7,7 +7,7 @@ import pytest
 
 from support.scenes import scene_of
 from warp_plate.modal.assemble import make_galerkin
-from warp_plate.modal.sensitivity import EnergyAdjoint, PlateMatrices, plate_matrices, thickness_slopes
+from warp_plate.modal.sensitivity import EnergyAdjoint, FieldSlopes, PlateMatrices, plate_matrices, thickness_slopes
 from warp_plate.modal.spaces.space import Matrix
 from warp_plate.modal.spaces.tensor_splines import TensorSplines
 from warp_plate.optimize.quadratic import quadratic_forms
@@ -90,7 +90,7 @@ def test_slopes_of_the_bound_by_thickness(case, random):
     space, adjoint, bound, z = solved(0.0)
     phasors = z[: len(z) // 2] - 1j * z[len(z) // 2 :]
     plate = quadratic_forms(adjoint.matrices, phasors[None])[0, 0]
-    slopes = thickness_slopes(space, adjoint.slopes(phasors, np.array([-bound, 1.0]) / plate))
+    slopes = thickness_slopes(FieldSlopes(space, adjoint.slopes(phasors, np.array([-bound, 1.0]) / plate)))
     expected = difference(lambda factor: solved(factor)[2], 2e-4)
     assert np.sum(slopes * direction) == pytest.approx(expected, rel=1e-6)
 

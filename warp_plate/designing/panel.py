@@ -1,9 +1,8 @@
 """A designed panel as a function of free numbers from 0 to 1: what it can do, and the slopes of that.
 
 The free numbers are those of the map of thickness, then those of ``[design.free]`` between their limits, then x and y
-of the middles of ``[design.places]``. Slopes by the map are those of :mod:`warp_plate.modal.sensitivity`. By any other
-number the matrices are differenced, and their changes multiplied by the slopes of the same adjoint, so that no further
-plate is solved for.
+of the middles of ``[design.places]``. Slopes by the map are those of :mod:`warp_plate.modal.sensitivity`; those by any
+other number are in :mod:`warp_plate.designing.numbers`.
 """
 
 from __future__ import annotations
@@ -16,9 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from warp_plate.designing.numbers import NumberSlopes
 from warp_plate.designing.thickness import ThicknessMap
 from warp_plate.modal.assemble import Galerkin, make_galerkin
-from warp_plate.modal.sensitivity import EnergyAdjoint, check_differentiable, plate_matrices, thickness_slopes
+from warp_plate.modal.sensitivity import EnergyAdjoint, check_differentiable, thickness_slopes
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.modal.spaces.integrals import mean_wave_frequency
 from warp_plate.modal.spaces.knots import intervals_for
@@ -31,7 +31,7 @@ from warp_plate.result.designed import PanelValues
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fit import Design
 from warp_plate.scene.grid import Grid
-from warp_plate.scene.keys import resolved_key, value_of
+from warp_plate.scene.keys import ALTERNATIVES, linked_keys, resolved_key, value_of
 from warp_plate.scene.model import Scene
 from warp_plate.solve.response import largest_ratio
 
@@ -39,8 +39,12 @@ from warp_plate.solve.response import largest_ratio
 DENSITY = 0.7
 # Grid of scenes that have none, and the key of the frequency.
 NODES, TONE = (21, 21), "drive.frequency"
-# Step of differences of matrices, as a part of the range of a number.
+# Step of differences of terms and fields, as a part of the range of a number.
 STEP = 1e-4
+# Numbers of attachments with slopes of their own.
+ATTACHED_NUMBERS = ("mass", "stiffness", "damping")
+# Numbers of actuators that are no part of the panel.
+NO_PANEL = (*ALTERNATIVES, "phase", "frequency", "delay")
 # Cases within about 1/SHARPNESS of the worst one count in slopes of the least value.
 SHARPNESS = 100.0
 
@@ -67,11 +71,34 @@ class FreePanel:
         self.scene, self.design = scene, scene.design
         check_differentiable(scene)
         self.thickness = None if scene.design.thickness is None else ThicknessMap(scene)
+        if scene.piezo and self.thickness is not None:
+            raise SceneError("design.thickness: not with piezo patches, which take a uniform plate; delete it")
         self._keys = [resolved_key(scene, name) for name in self.design.free]
+        self._check_keys()
         ends = [*self.design.free.values(), *self._travel.values()]
         self._low, self._high = np.array(ends, dtype=float).reshape(-1, 2).T
         if self.thickness is not None and self.thickness.mass is not None:
             self.thickness.factors(np.full(self.thickness.count, 0.5))
+
+    def _check_keys(self) -> None:
+        """Raise a SceneError, naming the key, unless slopes by all free numbers are known."""
+        lossy = [
+            key for key, row in self.scene.effects.rows if any(term.multiple_of for term in row.terms(self.scene.plate))
+        ]
+        for name, key in zip(self.design.free, self._keys, strict=True):
+            for inner in linked_keys(self.scene, key):
+                table, _, last = inner.rpartition(".")
+                if table in lossy:
+                    raise SceneError(
+                        f"design.free: {name}: slopes by the losses of all bending are not known; delete it"
+                    )
+                if inner.startswith("plate.size"):
+                    raise SceneError(f"design.free: {name}: slopes are known for a panel of one size; delete it")
+                if inner.startswith("actuators[") and last in NO_PANEL:
+                    raise SceneError(f"design.free: {name}: is a number of the drive, not of the panel; delete it")
+                massless = table in self.scene.effects.attachment_keys(self.scene.plate) and last == "mass"
+                if massless and not self.design.free[name][0] > 0:
+                    raise SceneError(f"design.free: {name}: a mass of 0 is fixed to the ground; begin above it")
 
     @cached_property
     def _travel(self) -> dict[tuple[str, int], tuple[float, float]]:
@@ -146,7 +173,10 @@ class FreePanel:
 
     def _galerkin(self, numbers: np.ndarray, case: Mapping[str, float]) -> Galerkin:
         """Return the matrices of a panel."""
-        scene = self._with_map(self._with_numbers(numbers[self._mapped :], case), numbers)
+        return self._over_splines(self._with_map(self._with_numbers(numbers[self._mapped :], case), numbers))
+
+    def _over_splines(self, scene: Scene) -> Galerkin:
+        """Return the matrices of a scene over the splines of all panels."""
         return make_galerkin(scene, TensorSplines(scene, self._intervals, self._along))
 
     @cached_property
@@ -175,24 +205,42 @@ class FreePanel:
 
     def _solve(self, numbers: np.ndarray, case: Mapping[str, float]) -> tuple[float, np.ndarray]:
         galerkin = self._galerkin(numbers, case)
-        base = plate_matrices(galerkin)
-        adjoint = EnergyAdjoint(galerkin, base)
+        adjoint = EnergyAdjoint(galerkin)
         value, phasors = _best(self.design, galerkin.scene, adjoint.matrices)
         plate = quadratic_forms(adjoint.matrices, phasors[None])[0, 0]
         slopes = adjoint.slopes(phasors, np.array([-value, 1.0]) / plate)
-        by_numbers = []
+        return value, self._by_numbers(NumberSlopes(galerkin, slopes, self._over_splines), numbers, case)
+
+    def _by_numbers(self, of: NumberSlopes, numbers: np.ndarray, case: Mapping[str, float]) -> np.ndarray:
+        """Return the slopes (count,) by free numbers (count,) in a case of what has slopes by its matrices."""
+        slopes, rows = np.zeros(self.count), dict(of.scene.effects.rows)
         if self.thickness is not None:
-            assert isinstance(galerkin.space, TensorSplines)
-            by_factors = thickness_slopes(galerkin.space, slopes)
-            by_numbers.append(self.thickness.slopes(numbers[: self._mapped], by_factors))
-        for index in range(self._mapped, self.count):
-            ends = np.clip(numbers[index] + np.array([STEP, -STEP]), 0, 1)
-            high, low = (
-                plate_matrices(self._galerkin(np.where(np.arange(self.count) == index, end, numbers), case))
-                for end in ends
-            )
-            by_numbers.append(np.array([slopes.product(high - low) / np.ptp(ends)]))
-        return value, np.concatenate(by_numbers)
+            slopes[: self._mapped] = self.thickness.slopes(numbers[: self._mapped], thickness_slopes(of.of_fields))
+        shares = numbers[self._mapped :]
+        for index, share in enumerate(shares.tolist()):
+            ends = np.clip(share + np.array([STEP, -STEP]), 0, 1)
+            if (places := self._attached[index]) and not case.keys() & {".".join(place) for place in places}:
+                values = (self._low[index] + ends * (self._high[index] - self._low[index])).tolist()
+                changes = [
+                    of.of_row(row, *(rows[row].model_copy(update={name: value}) for value in values))
+                    for row, name in places
+                ]
+            else:
+                scenes = (np.where(np.arange(shares.size) == index, end, shares) for end in ends)
+                changes = [of.between(*(self._with_map(self._with_numbers(one, case), numbers) for one in scenes))]
+            slopes[self._mapped + index] = sum(changes) / np.ptp(ends)
+        return slopes
+
+    @cached_property
+    def _attached(self) -> list[list[tuple[str, str]]]:
+        """Tables and names of the numbers of attachments that each free number but for the map is; none of others."""
+        tables = set(self.scene.effects.attachment_keys(self.scene.plate))
+        places = []
+        for key in self._keys:
+            parts = [linked.rpartition(".") for linked in linked_keys(self.scene, key)]
+            known = all(table in tables and name in ATTACHED_NUMBERS for table, _, name in parts)
+            places.append([(table, name) for table, _, name in parts] if known else [])
+        return places + [[] for _ in self._travel]
 
     @property
     def keys(self) -> tuple[str, ...]:

@@ -28,6 +28,7 @@ others needs no slope of its own: energies do not depend on the basis of a space
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -45,6 +46,7 @@ from warp_plate.plate.section import bilinear, factor_arrays, factors_at, lamina
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.grid import Window
 from warp_plate.scene.model import Scene
+from warp_plate.scene.target import Target
 
 # Modes that count from rest: those up to REACH times the drive's frequency, at least FEWEST, and up to so many more
 # that the gap to the next one is wide.
@@ -100,9 +102,11 @@ def check_differentiable(scene: Scene) -> None:
     """Raise a SceneError, naming the key, unless slopes by the matrices of a scene's plate are known."""
     kinds = {f"actuators[{index}].kind": row.kind for index, row in enumerate(scene.actuators)}
     key = scene.nonlinear_table or scene.nonperiodic_key
-    key = key or next((key for key, kind in kinds.items() if kind != "pressure"), None)
+    key = key or next((key for key, kind in kinds.items() if kind == "coil"), None)
     if key is not None:
-        raise SceneError(f"{key}: slopes are known for actuators that press with one tone on a linear plate; delete it")
+        raise SceneError(
+            f"{key}: slopes are known for one tone of pressures or piezo patches on a linear plate; delete it"
+        )
     if scene.outline is not None:
         key = "supports" if scene.plate.outline is None else "plate.outline"
         raise SceneError(f"{key}: slopes are known for rectangular plates; write plate.size, and springs of edges")
@@ -271,27 +275,60 @@ def _count_modes(squares: np.ndarray, highest: float) -> int:
     return least + int(gaps.argmax())
 
 
-def thickness_slopes(space: TensorSplines, slopes: PlateMatrices) -> np.ndarray:
-    """Return the slopes (rows, columns) of a number by the scene's map of thickness, from those by the matrices.
+class FieldSlopes:
+    """Slopes of a number by the fields of a plate at points, from those by its matrices, which are linear in them."""
 
-    The coefficients of bending terms have slopes by the thickness at each point, which a complex step gives exactly;
-    the matrices are linear in the coefficients.
+    def __init__(self, space: TensorSplines, slopes: PlateMatrices) -> None:
+        self.space, self.slopes = space, slopes
+
+    @cached_property
+    def _by_field(self) -> list[tuple[int, np.ndarray]]:
+        """Indices of fields, Dx, D1, Dy, Dxy and the mass per area, and slopes by them at Gauss's points (y, x)."""
+        integrals, count, slopes = self.space.integrals, self.space.unknowns, self.slopes
+        rows = [(4, _by_coefficient(integrals, slopes.mass + slopes.regions[0], count))]
+        for index in range(4):
+            for term in bending_terms([float(index == field) for field in range(5)]):
+                if term.coefficient:
+                    rows.append(
+                        (index, term.coefficient * _by_coefficient(integrals, slopes.bending, count, term.factors))
+                    )
+        return rows
+
+    def by_fields(self, changes: Sequence[np.ndarray]) -> np.ndarray:
+        """Return the changes of the number by those of the fields at each of Gauss's points (y, x), but for the mass of
+        the target."""
+        return np.asarray(sum(changes[index] * slopes for index, slopes in self._by_field))
+
+    @cached_property
+    def of_target(self) -> tuple[Integrals, np.ndarray]:
+        """The rule over a target with an area or a mask, and slopes by its mass per area at its points (y, x)."""
+        integrals, share = region_rule(self.space.scene, self.space.along, self.space.scene.target)
+        return integrals, share * _by_coefficient(integrals, self.slopes.regions[1], self.space.unknowns)
+
+
+def has_rule(target: Target) -> bool:
+    """Return whether integrals over a target are those at points (y, x) of a grid."""
+    return target.area is not None or target.mask is not None
+
+
+def thickness_slopes(of: FieldSlopes) -> np.ndarray:
+    """Return the slopes (rows, columns) of a number by the scene's map of thickness.
+
+    The fields have slopes by the thickness at each point, which a complex step gives exactly.
     """
+    space, slopes = of.space, of.slopes
     scene, integrals, count = space.scene, space.integrals, space.unknowns
     factors = factors_at(scene, *integrals.points)
     factors["thickness"] = factors["thickness"] + 1j * STEP
     rigidities, twist, mass, _ = laminates(scene, *integrals.points, factors)
-    fields = [np.asarray(field).imag / STEP for field in (*rigidities, twist, mass)]
-    by_thickness = fields[-1] * _by_coefficient(integrals, slopes.mass + slopes.regions[0], count)
-    for term in bending_terms(fields):
-        by_thickness += term.coefficient * _by_coefficient(integrals, slopes.bending, count, term.factors)
+    by_thickness = of.by_fields([np.asarray(field).imag / STEP for field in (*rigidities, twist, mass)])
     maps, of_mass = factor_arrays(scene), scene.plate.density * scene.plate.thickness
     rows, columns = maps["thickness"].shape
     total = _hats(scene, 1, rows, integrals.points[1]).T @ by_thickness @ _hats(scene, 0, columns, integrals.points[0])
-    if scene.target.area is not None or scene.target.mask is not None:
-        integrals, share = region_rule(scene, space.along, scene.target)
-        (x, y), share = integrals.points, of_mass * share * factors_at(scene, *integrals.points)["density"]
-        by_mass = share * _by_coefficient(integrals, slopes.regions[1], count)
+    if has_rule(scene.target):
+        integrals, by_target = of.of_target
+        (x, y) = integrals.points
+        by_mass = of_mass * factors_at(scene, x, y)["density"] * by_target
         return np.asarray(total + _hats(scene, 1, rows, y).T @ by_mass @ _hats(scene, 0, columns, x))
     points, weights = space.chord_points(scene.target)
     values = space.at_points(points)
