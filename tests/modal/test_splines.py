@@ -10,7 +10,7 @@ from warp_plate.effects.edges import Edges
 from warp_plate.modal.spaces import splines as of_sides
 from warp_plate.modal.spaces.splines import make_splines
 from warp_plate.modal.spaces.tensor_splines import _places
-from warp_plate.plate.outline_grid import make_outline_grid
+from warp_plate.plate.outline_grid import outline_grid
 from warp_plate.scene.outline import PlateOutline, outline_of
 
 ENDS = {("free", "free"): (0, 0), ("clamped", "supported"): (2, 1)}
@@ -63,7 +63,7 @@ def test_what_is_kept_for_later_callers_cannot_be_written_to() -> None:
         "unordered": of_sides._unordered(side),
         "overlapping_pairs": of_sides.overlapping_pairs(side),
         "places": _places(side, side),
-        "outline_grid": make_outline_grid(disc, (0.2, 0.2), (17, 17)),
+        "outline_grid": outline_grid(disc, (0.2, 0.2), (17, 17)),
     }
     for name, value in kept.items():
         arrays = arrays_in(value)

@@ -114,7 +114,7 @@ def test_steps_are_those_of_the_numpy_plate(case, block, monkeypatch):
     drives = np.array([[1, 0.3j], [0, 1]])
     run = PlateSolver(made, "cpu").run(drives, (0.001,))
     check_run(run, made, reference(made, drives))
-    off_plate = ~outline_grid(made).moves
+    off_plate = ~outline_grid(made.outline, made.plate.size, made.grid.nodes).moves
     assert off_plate.any()
     assert not run.displacement[:, :, off_plate].any()
 

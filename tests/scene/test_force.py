@@ -70,7 +70,7 @@ def test_other_drives_places_and_scenarios():
         (pytest.approx(2 * AREA), pytest.approx(2.0)),
         (None, 3.0),
     ]
-    moved = scene_with(made, centre=actuator_centres(made) + 0.003).actuators[0]
+    moved = scene_with(made, centre=actuator_centres(made.actuators) + 0.003).actuators[0]
     assert (moved.force, moved.magnitude) == (0.3, pytest.approx(500))
     for drawn in draw_scenarios(made, 3, 0):
         row = drawn.scene.actuators[0]

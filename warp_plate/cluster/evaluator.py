@@ -62,7 +62,8 @@ class Evaluator:
             designs = Designs(as_phasors(designs, len(solver.scene.actuators)))
         # Checked here: a worker would name a plate by its number in the block.
         grid = solver.discretization
-        check_designs(designs, solver.scene, grid.per_plate, grid.time_step)
+        if not designs.only_drives:
+            check_designs(designs, solver.scene, grid.per_plate, grid.time_step)
         return self._run_blocks(self.pool, designs)
 
     def _run_blocks(self, pool: WorkerPool, designs: Designs) -> Evaluation:

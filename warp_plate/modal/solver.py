@@ -244,7 +244,9 @@ class ModalSolver:
 
     def _check(self, designs: Designs) -> PerPlateValues:
         grid = self.discretization
-        return check_designs(designs, grid.scene, grid.per_plate, math.inf if designs.only_drives else grid.time_step)
+        if designs.only_drives:
+            return PerPlateValues()
+        return check_designs(designs, grid.scene, grid.per_plate, grid.time_step)
 
     @cached_property
     def _modal_energies(self) -> ModalEnergies:

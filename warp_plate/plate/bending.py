@@ -87,8 +87,8 @@ def make_bending(scene: Scene) -> Bending:
     """Return the fields of a scene on its grid; SceneError: the grid has no such term, or a file cannot be read."""
     (width, height), (nx, ny) = scene.plate.size, scene.grid.nodes
     spacing, section = (width / (nx - 1), height / (ny - 1)), make_section(scene)
-    if (grid := outline_grid(scene)) is not None:
-        return _outlined(scene, grid, section, spacing)
+    if (outline := scene.outline) is not None:
+        return _outlined(scene, outline_grid(outline, scene.plate.size, scene.grid.nodes), section, spacing)
     bend_xx, bend_xy, bend_yy = _in_series(section, *_edge_compliances(scene, spacing))
     half_x, half_y = np.ones(nx), np.ones(ny)
     half_x[[0, -1]] = half_y[[0, -1]] = 0.5

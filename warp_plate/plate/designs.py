@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies, plate_harmonic, waves_apart
+from warp_plate.scene.actuator import Actuator
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import SMALLEST, Area
 from warp_plate.scene.model import Scene
@@ -100,9 +102,9 @@ def carriers_of(scene: Scene, per_plate: PerPlate, by_modes: bool = True) -> int
 class PerPlateValues:
     """Checked designs in the form that kernels use; None for values that all plates share."""
 
-    frequency: np.ndarray | None  # (plates, carriers) [Hz]
-    delay: np.ndarray | None  # (plates, carriers) start of the burst [s]
-    edges: np.ndarray | None  # (plates, actuators, 4) x0, x1, y0, y1 of the actuators [m]
+    frequency: np.ndarray | None = None  # (plates, carriers) [Hz]
+    delay: np.ndarray | None = None  # (plates, carriers) start of the burst [s]
+    edges: np.ndarray | None = None  # (plates, actuators, 4) x0, x1, y0, y1 of the actuators [m]
 
     def __getitem__(self, rows: slice) -> PerPlateValues:
         arrays = (self.frequency, self.delay, self.edges)
@@ -110,7 +112,7 @@ class PerPlateValues:
 
 
 def check_designs(designs: Designs, scene: Scene, per_plate: PerPlate, time_step: float) -> PerPlateValues:
-    """Check designs for a solver that was made for ``per_plate``.
+    """Check designs that differ in more than drives for a solver that was made for ``per_plate``.
 
     Raises:
         SceneError: The solver was not made for them, or they have a wrong shape, frequency, delay or place.
@@ -248,7 +250,7 @@ def scene_phasors(scene: Scene) -> np.ndarray:
     return phasors
 
 
-def actuator_centres(scene: Scene) -> np.ndarray:
+def actuator_centres(actuators: Sequence[Actuator]) -> np.ndarray:
     """Return (actuators, 2) x, y of the actuators' centres [m]."""
-    areas = np.array([actuator.box for actuator in scene.actuators])
+    areas = np.array([actuator.box for actuator in actuators])
     return np.stack([(areas[:, 0] + areas[:, 1]) / 2, (areas[:, 2] + areas[:, 3]) / 2], axis=1)

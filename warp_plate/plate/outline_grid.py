@@ -22,7 +22,6 @@ import scipy
 from warp_plate.outline.outline import Outline
 from warp_plate.row_blocks import read_only
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Scene
 
 # In spacings: a node nearer to a held piece is held, and a node as far beyond a free piece still moves.
 NEAR, BEYOND = 0.05, 0.3
@@ -59,14 +58,8 @@ class OutlineGrid:
         return np.asarray((self.shares @ flat.T).T).reshape(covered.shape)
 
 
-def outline_grid(scene: Scene) -> OutlineGrid | None:
-    """Return the grid of a scene's outline; None for a rectangle. SceneError: no node lies on the plate."""
-    outline = scene.outline
-    return None if outline is None else make_outline_grid(outline, scene.plate.size, scene.grid.nodes)
-
-
 @lru_cache(8)
-def make_outline_grid(outline: Outline, size: tuple[float, float], counts: tuple[int, int]) -> OutlineGrid:
+def outline_grid(outline: Outline, size: tuple[float, float], counts: tuple[int, int]) -> OutlineGrid:
     """Return the grid (ny, nx) of a plate with ``counts`` = (nx, ny) nodes over its size [m].
 
     Pieces on springs, which have no time steps, count as free. SceneError: no node lies on the plate.

@@ -299,7 +299,7 @@ def discretize(
     Raises:
         SceneError: ``make_scheme`` or ``region_weights`` refuse the scene, or it does not support ``per_plate``.
     """
-    carriers = carriers_of(scene, per_plate, by_modes=False)
+    carriers = 0 if per_plate == NO_PER_PLATE else carriers_of(scene, per_plate, by_modes=False)
     return Discretization(
         scene=scene,
         per_plate=per_plate,

@@ -138,8 +138,8 @@ def reachable_nodes(scene: Scene, areas: np.ndarray) -> np.ndarray:
 
 def moving_nodes(scene: Scene) -> np.ndarray:
     """Return (ny, nx), true for nodes that move: all but those on clamped and supported edges, or off the plate."""
-    if (grid := outline_grid(scene)) is not None:
-        return grid.moves
+    if (outline := scene.outline) is not None:
+        return outline_grid(outline, scene.plate.size, scene.grid.nodes).moves
     moves = np.ones(scene.grid.nodes[::-1], dtype=bool)
     for side, line in EDGE_LINES.items():
         if getattr(scene.edges, side) in ("clamped", "supported"):
@@ -152,10 +152,12 @@ def on_plate(scene: Scene, cells: np.ndarray) -> np.ndarray:
 
     These are the same for a rectangle; within an outline they are the parts on the plate.
     """
-    if (grid := outline_grid(scene)) is None:
+    if (outline := scene.outline) is None:
         return cells
     x, y = node_positions(scene)
-    return grid.count(cells / _rectangle(overlap, x, y, (x[0], x[-1], y[0], y[-1])))
+    return outline_grid(outline, scene.plate.size, scene.grid.nodes).count(
+        cells / _rectangle(overlap, x, y, (x[0], x[-1], y[0], y[-1]))
+    )
 
 
 def region_weights(scene: Scene, areas: Mapping[str, RegionLike] = NO_AREAS) -> np.ndarray:

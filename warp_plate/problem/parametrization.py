@@ -164,7 +164,7 @@ class Parametrization:
     def _fixed(self) -> dict[str, np.ndarray]:
         """(actuators,) values of each kind as the scene has them; in the paper's reading magnitude 1 and phase 0."""
         actuators, tables = self.scene.actuators, has_design_tables(self.scene)
-        x, y = actuator_centres(self.scene).T
+        x, y = actuator_centres(actuators).T
         return {
             "magnitude": fixed_magnitudes(self.scene) if tables else np.ones(len(actuators)),
             "phase": np.array([actuator.phase if tables else 0.0 for actuator in actuators]),

@@ -307,6 +307,8 @@ class PlateSolver:
         actuators, scheme = len(self.scene.actuators), self.specialized.scheme
         designs = drives if isinstance(drives, Designs) else Designs(as_phasors(drives, actuators))
         phasors = as_phasors(designs.drives, actuators)
+        if designs.only_drives:
+            return phasors, PerPlateValues()
         return phasors, check_designs(designs, self.scene, self.discretization.per_plate, scheme.time_step)
 
     def _check_records(self, times: Sequence[float], points: Sequence[tuple[float, float]] = ()) -> None:
