@@ -10,11 +10,13 @@ import scipy
 
 from support.commands import error_of
 from support.scenes import refused
+from warp_plate.fitting.measured_matrix import read_matrix
 from warp_plate.fitting.measured_modes import read_modes
 from warp_plate.fitting.measured_responses import read_responses
 from warp_plate.plate.files import read_table
 from warp_plate.plate.waveforms import wav_channels
 from warp_plate.scene.load import read_beside
+from warp_plate.scene.measured import MeasuredScene
 
 FIT = {"fit": {"free": {"plate.young_modulus": (6e8, 2e9)}}}
 
@@ -68,6 +70,13 @@ def test_files_that_are_too_large(ending, tmp_path):
     refusal = "134217729 bytes; at most 134217728 are read"
     assert refusal in refusal_of_responses(tmp_path / f"a.{ending}")
     assert refusal in refused(read_beside, "drive.signal.file", f"a.{ending}", tmp_path)
+
+
+def test_scans_that_are_too_large(tmp_path):
+    with (tmp_path / "a.h5").open("wb") as file:
+        file.truncate(2**30 + 1)
+    scene = MeasuredScene(measured={"file": "a.h5"}, target={"area": (0.0, 0.1, 0.0, 0.1)})
+    assert "1073741825 bytes; at most 1073741824 are read" in refused(read_matrix, scene.in_folder(tmp_path))
 
 
 def test_half_precision_is_read_without_warnings(tmp_path):

@@ -31,7 +31,7 @@ def new_files():
 @pytest.mark.parametrize(
     ("to", "files", "words"),
     [
-        ("vtkhdf", ["run.vtkhdf"], "wrote run.vtkhdf\nIt holds the 2 recorded times; --frames 60"),
+        ("vtkhdf", ["run.vtkhdf"], "It has the 2 recorded times; --frames 60"),
         ("traces-csv", ["run-traces.csv"], "wrote run-traces.csv\n"),
         ("drive-wav", ["run-drive.wav"], "290 periods of 290 Hz in 48000 samples at 48000 Hz, which repeat seamlessly"),
         ("drive-csv", ["run-drive.csv"], "Drive best: 290 periods"),

@@ -17,6 +17,7 @@ from support.commands import ENDS_WITH_PARENT, output_of, until
 from support.commands import start_program as start
 from support.scenes import scene_of
 from warp_plate import CheckpointFile, PlateSolver, __version__, load_checkpoint, load_result, localize
+from warp_plate.cli import output
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot send SIGINT to one process")
 QUICK = ["--device", "cpu", "--no-pictures", "--no-estimate"]
@@ -215,6 +216,21 @@ main(sys.argv[1:])
 def test_a_command_that_is_done_keeps_its_status(number):
     status, out, err, _ = end(start("-c", ENDING.format(number=number), "--version"))
     assert (status, out, err) == (0, f"{__version__}\n", "")
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["simulate panel.toml --device cpu --no-estimate --no-pictures", "export panel-simulate.h5 --to drive-csv --json"],
+)
+def test_a_command_whose_files_are_written_is_done(line, endless, command, monkeypatch):
+    """A signal comes while the answer is printed."""
+    output_of(command("simulate", "panel.toml", *QUICK))
+    for name in ("console", "json_value"):
+        function = getattr(output, name)
+        monkeypatch.setattr(
+            output, name, lambda *given, f=function: (os.kill(os.getpid(), signal.SIGTERM), f(*given))[1]
+        )
+    assert "panel-" in output_of(command(*line.split()))
 
 
 @pytest.mark.parametrize("target", ["warp_plate.result.model.save_result", "matplotlib.figure.Figure.savefig"])

@@ -220,6 +220,10 @@ def test_universal_file(tmp_path, random):
     assert read.names == ("node 1000 Z", "node 1001 Z", "node 1002 Z")
     np.testing.assert_allclose(read.points, places, rtol=1e-4)
     np.testing.assert_allclose(read.responses, matrix.responses, rtol=1e-3, atol=1e-4 * np.abs(matrix.responses).max())
+    content, stated = (tmp_path / "scan.uff").read_text(), f"{len(matrix.frequencies):10d}"
+    (tmp_path / "scan.uff").write_text(content.replace(f"         6{stated}", "         6 999999999"))
+    with pytest.raises(SceneError, match=r"number 1 of .*: record 7 states 999999999 points and 100 follow"):
+        read_matrix(MeasuredScene.load(path))
 
 
 @pytest.mark.parametrize(
@@ -252,3 +256,39 @@ def test_matrices_that_say_nothing_are_refused(random):
     flat = MeasuredMatrix("scan", matrix.frequencies, matrix.responses[:, : len(line)], line, matrix.names)
     with pytest.raises(SceneError, match="on one line"):
         MeasuredPlate(scene.model_copy(update={"measured": scene.measured.model_copy(update={"panel": None})}), flat)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"points": 1.0}, "needs the array points"),
+        ({"points": np.full((9, 2), 1e31)}, "points must be numbers in metres"),
+        ({"frequency": [1e200, 2e200]}, "frequencies are at most 1e+30 Hz"),
+        ({"response": np.full((1, 9, 2), 1e200)}, "the response of actuator 1, point 1, 20 Hz is 1e+200"),
+        ({"response": np.full((1, 9, 2), 1e-200)}, "the responses to actuator 1 are 0, or below 1e-30"),
+        ({"response": None, "real": np.ones((1, 9, 2)), "imaginary": [1.0]}, "imaginary has shape (1,); real has"),
+        ({"impulse": np.ones((1, 9, 8)), "rate": []}, "with rate in samples a second"),
+        ({"impulse": np.ones((1, 9, 8)), "rate": 1e-320}, "with rate in samples a second"),
+        ({"impulse": np.full((1, 9, 8), np.inf), "rate": 1e3}, "impulse must hold numbers up to 1e+30"),
+        ({"impulse": np.ones((1, 9, 0)), "rate": 1e3}, "impulse has fewer than 2 samples"),
+    ],
+)
+def test_odd_arrays_are_refused(change, words, tmp_path):
+    grid = np.stack(np.meshgrid([0.0, 0.1, 0.3], [0.0, 0.1, 0.3]), -1).reshape(-1, 2)
+    with h5py.File(tmp_path / "scan.h5", "w") as file:
+        usual = {"points": grid, "frequency": [20.0, 30.0], "response": np.ones((1, 9, 2))}
+        for name, values in (usual | change).items():
+            if values is not None:
+                file[name] = values
+    scene = MeasuredScene(measured={"file": "scan.h5", "noise": 0.1}, target={"area": (0.0, 0.1, 0.0, 0.1)})
+    with pytest.raises(SceneError, match=r"measured\.file = 'scan\.h5': ") as refused:
+        read_matrix(scene.in_folder(tmp_path))
+    assert words in str(refused.value)
+
+
+def test_one_actuator_has_one_drive(random):
+    for seed in range(4):
+        panel = TruePanel(drawn_panel(np.random.default_rng(seed), actuators=1))
+        found = measured_drives(panel.measured_scene(), panel.scan(random))
+        assert found.localized.factor == pytest.approx(found.localized.measured_bound)
+        assert len(found.curve) == 1

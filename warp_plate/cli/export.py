@@ -91,15 +91,14 @@ def export(
     given |= {name: value for name in ("frames", "device") if (value := getattr(shown, name)) is not None}
     with output.scene_errors(result, **FRAME_ARGUMENTS), output.progress_bar("simulating", shown=not json) as show:
         exported = export_result(loaded, target, to, cases=shown.case or (), span=span, progress=show, **given)
-    answer = {"result": result, "to": to, **exported.contents, "files": exported.files}
-    output.report(json, lambda: answer, lambda _: _print(exported.files, to, exported.contents))
+    answer = {"result": result, "to": to, **exported.contents}
+    output.report(json, lambda: answer, lambda _: _print(to, exported.contents), written=(exported.files, None))
 
 
-def _print(files: list[Path], to: Format, record: Mapping[str, Any]) -> None:
+def _print(to: Format, record: Mapping[str, Any]) -> None:
     case = printable(str(record.get("case")))
-    print("\n".join(f"wrote {file}" for file in files))
     if to == "vtkhdf" and record["recorded"] and record["times"] < FEW_TIMES:
-        print(f"It holds the {record['times']} recorded times; --frames 60 writes a motion of 60 frames a period.")
+        print(f"It has the {record['times']} recorded times; --frames 60 writes a motion of 60 frames a period.")
     if "periods" in record:
         jump = f"with a phase jump of {record['seam_degrees']:.2g} degrees" if record["seam_degrees"] else "seamlessly"
         print(

@@ -36,6 +36,7 @@ def measured(
     levels; with [focus] waveforms, as WAV files. It is written to a .json file with a picture; see
     docs/measured-drives.md.
     """
+    from warp_plate.result.export import write_wav
     from warp_plate.scene.measured import MeasuredScene
     from warp_plate.studies.measured_drives import measured_drives
     from warp_plate.viz.plots.measured import draw_measured
@@ -46,9 +47,9 @@ def measured(
         found = measured_drives(loaded, on_progress=show)
     record = output.json_value(_as_json(str(scene), found))
     draw = partial(draw_measured, found)
-    written, missing = output.write_measurements(target, record, lambda _, path: draw(path), files.pictures)
-    written += [] if found.focus is None else found.write_waveforms(target)
-    output.report(files.json, lambda: record, partial(_print, str(scene), found), written=(written, missing))
+    others = {path: partial(write_wav, signal) for path, signal in found.waveforms(target).items()}
+    written = output.write_measurements(target, record, lambda _, path: draw(path), files.pictures, others)
+    output.report(files.json, lambda: record, partial(_print, str(scene), found), written=written)
 
 
 def _as_json(source: str, found: MeasuredDrives) -> dict[str, object]:

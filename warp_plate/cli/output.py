@@ -9,7 +9,7 @@ import re
 import shlex
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
 from json import dumps
 from pathlib import Path
@@ -20,6 +20,7 @@ from rich.table import Table
 from rich.text import Text
 
 from warp_plate.cli import log as log
+from warp_plate.interrupts import deferred_interrupts, end_signals
 from warp_plate.scene.errors import SceneError, printable
 from warp_plate.scene.errors import number_text as number_text
 
@@ -99,6 +100,8 @@ def report(
 ) -> None:
     """Print the answer of a command as one JSON object, or as text and tables.
 
+    Files are written before, so that Ctrl-C no longer ends the command.
+
     Args:
         as_json: Function of the results that returns the JSON object, to which "files" are added. Numbers that are not
             finite become null.
@@ -106,12 +109,14 @@ def report(
         written: The files written, and why pictures are missing.
     """
     files, missing = written or ([], None)
-    if json:
-        print(dumps(json_value({**as_json(*results), **({"files": files} if written else {})}), indent=2))
-        return
-    show(*results, console())
-    for line in (*(f"wrote {file}" for file in files), *([missing] if missing else [])):
-        print(printable(line))
+    with end_signals(lambda *_: None) if files else nullcontext():
+        if json:
+            print(dumps(json_value({**as_json(*results), **({"files": files} if written else {})}), indent=2))
+        else:
+            show(*results, console())
+            for line in (*(f"wrote {file}" for file in files), *([missing] if missing else [])):
+                print(printable(line))
+        sys.stdout.flush()
 
 
 def json_value(value: Any) -> Any:
@@ -297,8 +302,6 @@ def write_files(saves: Mapping[Path, Callable[[Path], object]], draw: Callable[[
         saves: Functions that save a file, by its path.
         draw: Function that draws the pictures (default: none).
     """
-    from warp_plate.interrupts import deferred_interrupts
-
     files: list[Path] = []
     try:
         with deferred_interrupts():
@@ -313,13 +316,20 @@ def write_files(saves: Mapping[Path, Callable[[Path], object]], draw: Callable[[
     return files + drawn, missing
 
 
-def write_measurements(path: Path, record: Mapping[str, object], draw: Callable[..., object], pictures: bool) -> Drawn:
-    """Save measurements as a JSON file with their plots."""
+def write_measurements(
+    path: Path,
+    record: Mapping[str, object],
+    draw: Callable[..., object],
+    pictures: bool,
+    others: Mapping[Path, Callable[[Path], object]] | None = None,
+) -> Drawn:
+    """Save measurements as a JSON file with their plots, and others by their functions; see :func:`write_files`."""
     from warp_plate.result.atomic_io import write_atomically
     from warp_plate.viz.plots.frame import save_plots
 
     save = partial(write_atomically, f"{dumps(record, indent=1)}\n".encode())
-    return write_files({path: save}, partial(save_plots, partial(draw, record), path) if pictures else None)
+    plots = partial(save_plots, partial(draw, record), path) if pictures else None
+    return write_files({path: save, **(others or {})}, plots)
 
 
 def write_result(result: Result, path: Path, pictures: bool, colours: ColourOptions) -> Drawn:

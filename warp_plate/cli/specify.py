@@ -48,10 +48,10 @@ def specify(
         answer = warp_plate.specify(loaded, tolerances, on_progress=show)
     record = _as_json(scene, answer)
     draw = partial(draw_specified, answer)
-    written, missing = output.write_measurements(target, record, lambda _, path: draw(path), files.pictures)
     head = printable(HEAD.format(scene=scene, file=best.name))
-    write_atomically((head + answer.driven_scene().to_toml()).encode(), best)
-    output.report(files.json, lambda: record, partial(_print, scene, answer), written=([*written, best], missing))
+    others = {best: partial(write_atomically, (head + answer.driven_scene().to_toml()).encode())}
+    written = output.write_measurements(target, record, lambda _, path: draw(path), files.pictures, others)
+    output.report(files.json, lambda: record, partial(_print, scene, answer), written=written)
 
 
 def _as_json(source: str, answer: SpecifiedDrive) -> dict[str, object]:

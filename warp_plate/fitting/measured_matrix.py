@@ -26,7 +26,7 @@ from warp_plate.modal.modes import solve_modes
 from warp_plate.result.frequency_response import DERIVATIVES
 from warp_plate.result.hdf5 import HDF5, MAT, read_arrays
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.fields import LARGEST
+from warp_plate.scene.fields import LARGEST, SMALLEST
 from warp_plate.scene.measured import Measured, MeasuredScene
 from warp_plate.scene.model import Scene
 
@@ -64,11 +64,9 @@ def read_matrix(scene: MeasuredScene) -> MeasuredMatrix:
     path = (scene.folder or Path()) / table.file
     try:
         check_file(path, MATRIX_BYTES)
-        matrix = (_arrays if path.suffix.lower() in (*MAT, *HDF5) else _universal)(path, table)
-        _check(matrix)
+        return (_arrays if path.suffix.lower() in (*MAT, *HDF5) else _universal)(path, table)
     except (OSError, ValueError) as error:
         raise SceneError(f"measured.file = {table.file!r}: {str(error).removeprefix(f'{path}: ')}") from None
-    return matrix
 
 
 def _check(matrix: MeasuredMatrix) -> None:
@@ -82,6 +80,8 @@ def _check(matrix: MeasuredMatrix) -> None:
             raise ValueError(f"has {value} {name}; 1 to {most} are possible")
     if not (matrix.frequencies[0] > 0 and (np.diff(matrix.frequencies) > 0).all()):
         raise ValueError("frequencies must rise, from above 0 Hz")
+    if matrix.frequencies[-1] > LARGEST:
+        raise ValueError(f"frequencies are at most {LARGEST:g} Hz")
     if not (np.isfinite(matrix.points).all() and np.abs(matrix.points).max() < LARGEST):
         raise ValueError("points must be numbers in metres")
     if len(np.unique(matrix.points, axis=0)) < points:
@@ -90,29 +90,36 @@ def _check(matrix: MeasuredMatrix) -> None:
         row, point, column = np.argwhere(~(np.abs(matrix.responses) < LARGEST))[0].tolist()
         at = f"{matrix.names[column]}, point {point + 1}, {matrix.frequencies[row]:g} Hz"
         raise ValueError(f"the response of {at} is {matrix.responses[row, point, column]:g}; leave that point out")
-    if not matrix.responses.any(axis=(0, 1)).all():
-        still = matrix.names[int(np.argmin(matrix.responses.any(axis=(0, 1))))]
-        raise ValueError(f"the responses to {still} are 0")
+    largest = np.abs(matrix.responses).max(axis=(0, 1))
+    if not (largest >= SMALLEST).all():
+        raise ValueError(f"the responses to {matrix.names[int(np.argmin(largest))]} are 0, or below {SMALLEST:g}")
 
 
 def _arrays(path: Path, table: Measured) -> MeasuredMatrix:
     """Return the responses of a MAT or HDF5 file."""
-    arrays = read_arrays(path, ARRAYS)
+    arrays = {name: np.atleast_1d(values) for name, values in read_arrays(path, ARRAYS).items()}
     places = arrays.get("points", np.empty(0)).real
     places = places.T if places.shape[0] == 2 != places.shape[-1] else places
     if places.ndim != 2 or places.shape[1] != 2:
         raise ValueError(f"needs the array points, x and y in metres, of shape (points, 2); has {', '.join(arrays)}")
-    impulses, rate = arrays.get("impulse"), float(arrays.get("rate", np.zeros(1)).real.ravel()[0])
+    impulses, rate = arrays.get("impulse"), float(arrays.get("rate", np.zeros(1)).real.max(initial=0.0))
     if impulses is not None:
-        if impulses.ndim != 3 or impulses.shape[1] != len(places) or not rate > 0:
+        if impulses.ndim != 3 or impulses.shape[1] != len(places) or not SMALLEST <= rate <= LARGEST:
             shape = f"(actuators, {len(places)}, samples), with rate in samples a second"
             raise ValueError(f"impulse has shape {impulses.shape}; must be {shape}")
         impulses = impulses.real
-        frequency = np.fft.rfftfreq(impulses.shape[2], 1 / rate)[1:]
+        if not (np.abs(impulses) < LARGEST).all():
+            raise ValueError(f"impulse must hold numbers up to {LARGEST:g}")
+        if impulses.shape[2] < 2:
+            raise ValueError("impulse has fewer than 2 samples")
+        frequency = np.arange(1, impulses.shape[2] // 2 + 1) * rate / impulses.shape[2]
         responses, coherence = np.fft.rfft(impulses)[..., 1:], None
     else:
-        parted = arrays["real"] + 1j * arrays["imaginary"] if {"real", "imaginary"} <= set(arrays) else None
-        given = arrays.get("response", parted)
+        given = arrays.get("response")
+        if given is None and {"real", "imaginary"} <= set(arrays):
+            if arrays["real"].shape != arrays["imaginary"].shape:
+                raise ValueError(f"imaginary has shape {arrays['imaginary'].shape}; real has {arrays['real'].shape}")
+            given = arrays["real"] + 1j * arrays["imaginary"]
         if given is None or "frequency" not in arrays:
             raise ValueError(f"needs frequency and response, or impulse and rate; has {', '.join(arrays)}")
         frequency = arrays["frequency"].real.ravel()
@@ -152,6 +159,8 @@ def _matrix(
     frequency, responses, coherence = spectra
     above = frequency != 0
     frequency, responses = frequency[above], responses[above]
+    matrix = MeasuredMatrix(str(path), frequency, responses, places, names, None, impulses, rate)
+    _check(matrix)
     variance = None
     if table.noise is not None:
         sizes = np.mean(np.abs(responses) ** 2, axis=1, keepdims=True)
@@ -164,7 +173,7 @@ def _matrix(
         variance = np.abs(responses) ** 2 * (1 - coherence) / (coherence * table.averages)
     elif table.averages is not None:
         raise ValueError("has no coherences; delete measured.averages, or write measured.noise")
-    return MeasuredMatrix(str(path), frequency, responses, places, names, variance, impulses, rate)
+    return replace(matrix, variance=variance)
 
 
 def _universal(path: Path, table: Measured) -> MeasuredMatrix:

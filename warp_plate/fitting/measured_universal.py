@@ -60,6 +60,11 @@ def read_universal(path: Path, fit: Fit | None = None) -> UniversalFile:
                     sets.append(file.read_sets(number))
     except Exception as error:  # of many kinds, for files of any content
         raise ValueError(f"cannot be read as a universal file: dataset {number + 1}: {error}") from None
+    functions = [item for item in sets if item.get("type") == 58]
+    for number, item in enumerate(functions, 1):
+        if item.get("func_type") in (RESPONSE, COHERENCE) and item["num_pts"] != len(item["data"]):
+            points = f"record 7 states {item['num_pts']} points and {len(item['data'])} follow"
+            raise ValueError(f"dataset 58, number {number} of {len(functions)}: {points}")
     units = next((item for item in sets if item["type"] == 164), {"length": 1.0, "force": 1.0})
     if not (units["length"] > 0 and units["force"] > 0):
         raise ValueError("dataset 164: factors of length and force must be above 0")
@@ -140,10 +145,6 @@ def universal_responses(
     reciprocal; otherwise they are in the order of the file.
     """
     functions = file.of(58)
-    for number, item in enumerate(functions, 1):
-        if item.get("func_type") in (RESPONSE, COHERENCE) and item["num_pts"] != len(item["data"]):
-            stated = f"record 7 states {item['num_pts']} points and {len(item['data'])} follow"
-            raise ValueError(f"dataset 58, number {number} of {len(functions)}: {stated}")
     every = [item for item in functions if item.get("func_type") == RESPONSE]
     if not every:
         raise ValueError("has no frequency response (dataset 58 of function type 4)")

@@ -23,6 +23,7 @@ import scipy
 
 # Relative eigenvalue of the rest's form that is added to all, so that drives that it does not feel are limited too.
 LEAST = 1e-10
+ALIKE = 1e-9  # relative difference of contrasts that is rounding
 HALVINGS = 200
 POINTS = 25  # on the curve
 
@@ -64,7 +65,7 @@ class TradeOffCurve:
         """Return drives of the least misfit for contrasts from that of the best fit to nearly the largest one."""
         fitting = self._least(0.0)
         low, high = self._contrast(fitting), float(self._values[0])
-        if not 0 < low < high:
+        if not 0 < low < high * (1 - ALIKE):
             return [self._compromise(fitting)]
         return [self.at(contrast) for contrast in np.geomspace(low, high, points + 1)[:-1]]
 

@@ -22,7 +22,7 @@ from warp_plate.problem.measured_plate import (
     measured_factor_bound,
 )
 from warp_plate.problem.trade_off import Compromise, TradeOffCurve
-from warp_plate.result.export import WaveformSignal, write_wav
+from warp_plate.result.export import WaveformSignal
 from warp_plate.scene.errors import SceneError, check_function
 from warp_plate.scene.measured import MeasuredScene
 
@@ -72,19 +72,19 @@ class MeasuredDrives:
         }
         return tuple(line for line, applies in lines.items() if applies)
 
-    def write_waveforms(self, beside: Path) -> list[Path]:
-        """Write the waveforms of ``[focus]`` as WAV files of a channel for each actuator, full scale the largest."""
-        assert self.focus is not None
-        files, rate, unit = [], self.focus.table.rate, self.scene.measured.unit
+    def waveforms(self, beside: Path) -> dict[Path, WaveformSignal]:
+        """Return the waveforms of ``[focus]`` by WAV files, a channel for each actuator, full scale the largest."""
+        if self.focus is None:
+            return {}
+        signals, rate, unit = {}, self.focus.table.rate, self.scene.measured.unit
         for name, method in self.focus.methods.items():
             for index, waveform in enumerate(method.waveforms, 1):
                 number = f"-{index}" if len(method.waveforms) > 1 else ""
                 path = beside.with_name(f"{beside.stem}-{name}{number}.wav")
                 scale = float(np.abs(method.waveforms).max())
                 if scale > 0:
-                    signal = WaveformSignal(self.names, scale, unit, rate, waveform.shape[1], name, waveform)
-                    files += write_wav(signal, path)
-        return files
+                    signals[path] = WaveformSignal(self.names, scale, unit, rate, waveform.shape[1], name, waveform)
+        return signals
 
 
 def measured_drives(
