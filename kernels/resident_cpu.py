@@ -176,23 +176,19 @@ def meet(arrived: wp.array[int], goal: int, yield_core: wp.uint64):
     """Count the caller in and wait until ``goal`` have arrived; ``yield_core``: address of sched_yield or the like."""
 
 
-def flat_ranges(ny, row, order):
-    """Return the ranges of both passes as lists of (first row, rows), or None where plates are walked row by row.
+def walked_flat(ny, row):
+    """Return whether plates of ``ny`` rows of ``row`` numbers are walked in flat ranges, not row by row."""
+    return ny * row <= FLAT_NUMBERS
 
-    ``row``: numbers in a row. In fourth order, the rows next to an edge have taps of their own.
-    """
-    if ny * row > FLAT_NUMBERS:
-        return None
-    if order == 2:
-        return [(0, ny)], [(1, ny - 2)]
-    curvature = [(0, 1), (1, 1), (2, ny - 4), (ny - 2, 1), (ny - 1, 1)]
-    update = [(1, 1), (2, 1), (3, ny - 6), (ny - 3, 1), (ny - 2, 1)]
-    return curvature, update
+
+def end_rows(order):
+    """Return how many rows next to an edge have taps of their own along y, and are walked alone."""
+    return 0 if order == 2 else 2
 
 
 def tap_line(ny, row, order):
     """Return the numbers in a line of taps along x: as many as the longest range has nodes."""
-    return row if order == 2 or ny * row > FLAT_NUMBERS else (ny - 4) * row
+    return row if order == 2 or not walked_flat(ny, row) else (ny - 2 * end_rows(order)) * row
 
 
 @cache
@@ -228,11 +224,10 @@ def make_run_steps(effects, real, ny, stride):
     Parameters, Factors, (Forcing, Fields) = make_parameters(real), make_factors(real), make_state(real)
     order, reach = effects.order, effects.order // 2
     line = tap_line(ny, stride, order)
-    flat = flat_ranges(ny, stride, order)
-    bends, moves = flat or ([], [])
-    bend_rows, move_rows = (max(count for _, count in ranges) for ranges in flat or ([(0, 1)], [(1, 1)]))
+    flat, ends = walked_flat(ny, stride), end_rows(order)
+    inner = (ny - 2 * ends) * stride if flat else stride
     bend_row, move_row, _ = make_passes(effects, real, stride, 1, stride, stride, True, line)
-    bend_flat, move_flat, _ = make_passes(effects, real, stride, 1, bend_rows * stride, move_rows * stride, True, line)
+    bend_flat, move_flat, _ = make_passes(effects, real, stride, 1, inner, max(inner - 2 * stride, stride), True, line)
     Wave = wp.types.vector(length=2, dtype=real)
     RowTaps = wp.types.vector(length=taps_along_y(order), dtype=real)
     Rows = wp.types.vector(length=order + 1, dtype=wp.uint64)
@@ -306,22 +301,32 @@ def make_run_steps(effects, real, ny, stride):
         bend_x = factors.bend_x.ptr
         move_x = factors.move_x.ptr
         stiffness = factors.stiffness.ptr
+        offset = wp.uint64(wp.static((ends + 2) * row_bytes))
         for n in range(start, stop):
             summed = n >= window[0] and n < window[1]
             waves = Wave(drive.wave[k, n, 0], drive.wave[k, n, 1])
-            if wp.static(flat is not None):
-                for index in range(wp.static(len(bends))):
-                    j = wp.static(bends[index][0])
-                    if wp.static(bends[index][1] == bend_rows):
-                        bend_flat(
-                            row_at(u_plane, lowest_row(j)), row_at(u_plane, j + 1), bend_x,
-                            taps_of_row(factors.bend_y, j), row_at(curvature_plane, j + 1),
-                        )
-                    else:
-                        bend_node_row(u_plane, bend_x, factors.bend_y, curvature_plane, j)
-                for index in range(wp.static(len(moves))):
-                    j = wp.static(moves[index][0])
-                    wp.static(move_flat if moves[index][1] == move_rows else move_row)(
+            if wp.static(flat):
+                for j in range(wp.static(ends)):
+                    bend_node_row(u_plane, bend_x, factors.bend_y, curvature_plane, j)
+                bend_flat(
+                    row_at(u_plane, lowest_row(wp.static(ends))), row_at(u_plane, wp.static(ends + 1)), bend_x,
+                    taps_of_row(factors.bend_y, wp.static(ends)), row_at(curvature_plane, wp.static(ends + 1)),
+                )
+                for j in range(wp.static(ny - ends), wp.static(ny)):
+                    bend_node_row(u_plane, bend_x, factors.bend_y, curvature_plane, j)
+                for j in range(1, wp.static(ends + 1)):
+                    move_row(
+                        p, stiffness, move_x, taps_of_row(factors.move_y, j), waves, summed,
+                        rows_around(curvature_plane, j), row_at(cosine, j + 1), row_at(sine, j + 1),
+                        row_at(u_plane, j + 1), row_at(rates, j + 1), row_at(sums, j + 1),
+                    )
+                move_flat(
+                    p, stiffness, move_x, taps_of_row(factors.move_y, wp.static(ends + 1)), waves, summed,
+                    rows_around(curvature_plane, wp.static(ends + 1)), cosine + offset, sine + offset,
+                    u_plane + offset, rates + offset, sums + offset,
+                )
+                for j in range(wp.static(ny - 1 - ends), wp.static(ny - 1)):
+                    move_row(
                         p, stiffness, move_x, taps_of_row(factors.move_y, j), waves, summed,
                         rows_around(curvature_plane, j), row_at(cosine, j + 1), row_at(sine, j + 1),
                         row_at(u_plane, j + 1), row_at(rates, j + 1), row_at(sums, j + 1),

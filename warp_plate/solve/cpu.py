@@ -125,8 +125,8 @@ def _single_plates(specialized: Specialized) -> Callable[..., None]:
     device, stride, (nx, ny) = specialized.device, specialized.stride, specialized.scheme.nodes
     kernel = resident_cpu.make_run_steps(specialized.effects, specialized.real, ny, stride)
     specialized.load(kernel)
-    flat = resident_cpu.flat_ranges(ny, stride, specialized.scheme.order)
-    stiffness = np.zeros((max(rows for _, rows in flat[1]) if flat else 1, stride))
+    rows = ny - 2 - 2 * resident_cpu.end_rows(specialized.scheme.order)
+    stiffness = np.zeros((rows if resident_cpu.walked_flat(ny, stride) else 1, stride))
     stiffness[:, 1 : nx - 1] = specialized.parameters.stiffness  # zero where held or padding
     factors, window = _factors(specialized), wp.vec2i(*specialized.scheme.window)
     factors.stiffness = specialized.to_device(stiffness.ravel())
@@ -199,7 +199,7 @@ def _taps_along_x(specialized: Specialized, lanes: int | None = None) -> tuple[w
     if scheme.order == 4:
         rows = resident_cpu.tap_line(ny, stride, scheme.order) // stride
         return lines(scheme.taps_x.bend.T, rows), lines(scheme.taps_x.move.T, rows)
-    flat = lanes is None and resident_cpu.flat_ranges(ny, stride, scheme.order) is not None
+    flat = lanes is None and resident_cpu.walked_flat(ny, stride)
     factor_y = scheme.taps_y.factors if flat else scheme.taps_y.factors[[0, 1, -1]]
     return lines(np.outer(factor_y, scheme.taps_x.factors)), specialized.to_device(np.zeros(1))
 
