@@ -4,18 +4,21 @@
     python benchmarks/planted_faults.py --panels 100 --clean
 
 Each panel has a fault in turn: in its responses with 1 % noise (its modulus and loss factor are fitted), or in its
-natural frequencies with 0.2 % noise. With ``--clean`` there is none, and verdicts against the model are false alarms.
+natural frequencies with 0.2 % noise; or in a record of its motion by a random force. With ``--clean`` there is none,
+and verdicts against the model are false alarms.
 """
 
 import argparse
 import json
 from collections.abc import Callable
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
+from scipy.io import wavfile
 
 from warp_plate import Scene
-from warp_plate.fitting.fit import fit_modes, fit_responses
+from warp_plate.fitting.fit import fit, fit_modes, fit_responses
 from warp_plate.fitting.measured_modes import MeasuredModes
 from warp_plate.fitting.measured_responses import MeasuredResponses
 from warp_plate.fitting.panel_responses import PanelResponses
@@ -67,7 +70,11 @@ IN_PLACES = {
     "other edge": ("mirrored in x", None),
 }
 IN_MODES = ("missing mode", "further mode", "rad/s", "thick")
-FAULTS = (*IN_DATA, *IN_PLACES, *IN_MODES)
+IN_TIME = ("clipped", "exponential window")
+FAULTS = (*IN_DATA, *IN_PLACES, *IN_MODES, *IN_TIME)
+# Decay rate of the exponential window over that of the lowest mode; part of the largest sample of a sensor at which its
+# record is clipped; segments of the record, and their duration in periods of the lowest mode.
+WINDOW, CLIPPED, SEGMENTS, PERIODS = (5.0, 20.0), 0.6, 8, 100
 
 
 def random_panel(random: np.random.Generator, thick: bool = False) -> Scene:
@@ -119,6 +126,43 @@ def verdict_on_responses(scene: Scene, fault: str | None, random: np.random.Gene
     return wanted, fit_responses(wrong, MeasuredResponses("a", frequencies, data)).verdict
 
 
+def verdict_on_window(scene: Scene, fault: str | None, random: np.random.Generator) -> tuple[str | None, object]:
+    """Return the cause that should be named and the verdict on responses of hits under an exponential window."""
+    resonances = elastic_frequencies(scene, 8)
+    frequencies = np.linspace(0.5 * resonances[0], resonances[-1], FREQUENCIES)
+    rate = np.pi * scene.effects.loss_factor.eta * resonances[0] * random.uniform(*WINDOW) if fault else 0.0
+    flat = MeasuredResponses("", frequencies, np.ones((3, FREQUENCIES), complex), decay=rate)
+    noise = random.normal(size=(2, *flat.responses.shape)) * NOISE / np.sqrt(2)
+    data = PanelResponses(scene, flat).values * (1 + noise[0] + 1j * noise[1])
+    wrong = scene.replace("plate.young_modulus", random.uniform(62e9, 82e9))
+    return fault, fit_responses(wrong, MeasuredResponses("a", frequencies, data)).verdict
+
+
+def verdict_on_record(scene: Scene, fault: str | None, random: np.random.Generator) -> tuple[str | None, object]:
+    """Return the cause that should be named and the verdict on a record of a random force and three sensors."""
+    resonances = elastic_frequencies(scene, 8)
+    rate, segment = round(3 * resonances[-1]), PERIODS / resonances[0]
+    samples = int((SEGMENTS + 1) / 2 * segment * rate)
+    lines = np.fft.rfftfreq(samples, 1 / rate)
+    inside = (lines > 0.3 * resonances[0]) & (lines < 1.2 * resonances[-1])
+    spectrum = np.where(inside, random.normal(size=lines.size) + 1j * random.normal(size=lines.size), 0)
+    at = np.linspace(lines[inside][0], lines[inside][-1], 4000)
+    response = PanelResponses(scene, MeasuredResponses("", at, np.ones((3, at.size), complex))).values
+    rows = [np.interp(lines, at, row.real) + 1j * np.interp(lines, at, row.imag) for row in response]
+    record = np.fft.irfft(np.array([spectrum, *(row * spectrum for row in rows)]), samples)
+    record += NOISE * record.std(axis=1, keepdims=True) * random.normal(size=record.shape)
+    if fault:
+        sensor = random.integers(1, 4)
+        most = CLIPPED * np.abs(record[sensor]).max()
+        record[sensor] = record[sensor].clip(-most, most)
+    signals = {"segment": segment}
+    wrong = scene.with_tables(fit={**scene.fit.model_dump(exclude_none=True), "signals": signals,
+                                   "range": (0.5 * resonances[0], resonances[-1])})  # fmt: skip
+    with TemporaryDirectory() as folder:
+        wavfile.write(path := Path(folder) / "a.wav", rate, record.T.astype(np.float32))
+        return fault, fit(wrong.replace("plate.young_modulus", random.uniform(62e9, 82e9)), path).verdict
+
+
 def verdict_on_modes(scene: Scene, fault: str | None, random: np.random.Generator) -> tuple[str | None, object]:
     """Return the cause that should be named and the verdict on natural frequencies."""
     exact = elastic_frequencies(scene, MODES + 1)
@@ -141,6 +185,7 @@ def judged(number: int, clean: bool) -> dict:
     fault = FAULTS[number % len(FAULTS)]
     scene = random_panel(random, thick=fault == "thick" and not clean)
     judge = verdict_on_modes if fault in IN_MODES else verdict_on_responses
+    judge = {"clipped": verdict_on_record, "exponential window": verdict_on_window}.get(fault, judge)
     wanted, verdict = judge(scene, None if clean else fault, random)
     named = verdict.describes if clean else not verdict.describes and verdict.cause == wanted
     return {"panel": number, "fault": None if clean else fault, "right": named, "error": verdict.error,

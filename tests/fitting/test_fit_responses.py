@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fits.campaign import ALLOWED, INSEPARABLE, measured, summary
+from scipy.io import wavfile
 
 from support.commands import error_of, output_of
 from support.scenes import MATERIAL, refused, scene_of
-from warp_plate import SceneError
+from warp_plate import SceneError, fit
 from warp_plate.fitting.fit import fit_responses
 from warp_plate.fitting.measured_modes import read_modes
 from warp_plate.fitting.measured_responses import MeasuredResponses, read_responses
@@ -41,8 +42,8 @@ def wrong_panel(rows=None, free=FREE, density=0.5, **fit):
     ).with_tables(plate={"size": SIZE, **MATERIAL, "young_modulus": 0.85 * MODULUS}, grid={"modal_density": density})
 
 
-def navier(frequencies, points=POINTS, waves=80):
-    """Return (points, n) accelerances of a point force."""
+def navier(frequencies, points=POINTS, waves=80, decay=0.0):
+    """Return (points, n) accelerances of a point force at iω + decay [1/s]."""
     numbers = np.arange(1, waves + 1) * math.pi
     along = [numbers / side for side in SIZE]
 
@@ -50,7 +51,7 @@ def navier(frequencies, points=POINTS, waves=80):
         return np.outer(*(np.sin(k * place) for k, place in zip(along, point, strict=True)))
 
     stiffness = RIGIDITY * (1 + 1j * ETA) * (along[0][:, None] ** 2 + along[1] ** 2) ** 2
-    omega = 2 * math.pi * frequencies
+    omega = 2 * math.pi * frequencies - 1j * decay
     motion = 4 / math.prod(SIZE) * shapes(HIT) / (stiffness - SURFACE_DENSITY * omega[:, None, None] ** 2)
     return np.array([-(omega**2) * (motion * shapes(point)).sum(axis=(1, 2)) for point in points])
 
@@ -102,6 +103,41 @@ def test_verdict(fault, random):
     assert found.verdict.cause == (None if fault == "none" else fault)
     assert found.warnings[:1] == found.verdict.lines
     assert ("Likely cause: " in found.verdict.text) == (fault != "none")
+
+
+def test_an_exponential_window_is_named_and_its_damping_taken_out(tmp_path, random):
+    """The damping of the window is 3 to 0.3 times that of the panel."""
+    frequencies = np.linspace(6, 80, 150)
+    data = navier(frequencies, decay=2.5) * (1 + 0.01 * random.normal(size=(3, 150)))
+    found = fit_responses(wrong_panel(), MeasuredResponses("data.csv", frequencies, data))
+    assert (found.verdict.describes, found.verdict.cause) == (False, "exponential window")
+    assert "write fit.exponential = 0.4, or if there is none, free effects.damping.viscous" in found.verdict.text
+    assert np.isnan(found.low).all()
+    parts = np.stack([data.real, data.imag], axis=1).reshape(6, -1)
+    np.savetxt(tmp_path / "data.csv", np.column_stack([frequencies, *parts]), delimiter=",", header="f")
+    again = fit(wrong_panel(exponential=0.4), tmp_path / "data.csv")
+    assert again.verdict.cause is None
+    assert again.values == pytest.approx((MODULUS, ETA), rel=0.01)
+
+
+@pytest.mark.parametrize(("part", "bits"), [(0.6, None), (0.75, 16), (1.0, None), (1.0, 16), (1.0, 6)])
+def test_clipped_records_are_named(part, bits, tmp_path, random):
+    """A sensor is clipped at a part of its largest value, in numbers of so many bits."""
+    force, decay = random.normal(size=20_000), np.exp(-0.02 * np.arange(300)) * np.sin(0.9 * np.arange(300))
+    motion = np.convolve(force, decay)[: force.size]
+    motion = motion.clip(*(part * np.abs(motion).max() * np.array([-1, 1]))) / np.abs(motion).max()
+    signals = np.stack([motion, force / np.abs(force).max()], axis=1)
+    if bits:
+        signals = np.round(signals * 2.0 ** (bits - 1)) / 2.0 ** (bits - 1)
+    wavfile.write(tmp_path / "a.wav", 200, signals.astype(np.float32))
+    signals = {"segment": 5.0, "force_channel": 2}
+    scene = wrong_panel([{"force_at": HIT, "point": POINTS[0]}], range=(6.0, 80.0), signals=signals)
+    data = read_responses(tmp_path / "a.wav", 1, scene.fit)
+    assert data.clipped == (("a.wav, channel 1",) if part < 1 else ())
+    if part == 0.6:
+        verdict = fit_responses(scene, data).verdict
+        assert (verdict.describes, verdict.cause) == (False, "clipped")
+        assert verdict.text.startswith("a.wav, channel 1: clipped by an overload, so that no interval holds")
 
 
 @pytest.mark.slow

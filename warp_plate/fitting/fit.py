@@ -43,6 +43,8 @@ TIE = 0.1
 WEIGHTS = 1e-4, 1e4
 # Starts and frequencies for finding out why a model does not describe its data.
 MOST_STARTS, MOST_FREQUENCIES = 4, 400
+# Lowest and highest decay rate of an exponential window that is looked for, over the lowest angular frequency.
+DECAYS = 1e-4, 0.3
 
 
 def fit(scene: SceneSource, data: str | Path | Sequence[str | Path]) -> ModeFit | ResponseFit:
@@ -310,6 +312,22 @@ class _Alternatives:
         predict, stages = ResponsePrediction(free, data, True), [LogErrors(data, width) for width in WIDTHS]
         found = fit_least_squares(predict, stages, self._unknowns[None], weigh).unknowns
         return np.asarray(np.log(predict(found) / responses))
+
+    def refit_decay(self, scene: Scene) -> tuple[float, np.ndarray]:
+        """Return the decay rate [1/s] that the data have and a fitted scene lacks, and errors (m, n) with it."""
+        free, (low, high) = free_numbers(scene), 2 * np.pi * self.measured.frequencies[0] * np.array(DECAYS)
+
+        def rate(unknowns: np.ndarray) -> float:
+            return float(low * (high / low) ** unknowns[-1])
+
+        def respond(unknowns: np.ndarray, coarse: bool = True) -> np.ndarray:
+            data = replace(self.measured, decay=self.measured.decay + rate(unknowns))
+            return PanelResponses(free.panel_at(unknowns[:-1]), data, coarse).values
+
+        fitted, stages = free.starts(1, 0)[0], [LogErrors(self.measured, width) for width in WIDTHS]
+        starts = np.array([[*fitted, part] for part in np.linspace(0.1, 0.9, 5)])
+        found = fit_least_squares(Differenced(respond), stages, starts, weigh).unknowns
+        return rate(found), np.log(respond(found, coarse=False) / self.measured.responses)
 
     def _free(self, rows: Sequence[Measurement]) -> FreeNumbers:
         return free_numbers(self._scene.model_copy(update={"measurement": tuple(rows)}))

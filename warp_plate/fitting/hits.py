@@ -24,8 +24,9 @@ LEAST_HIT, NOISE = 0.1, 8.0
 END, SECOND = 0.02, 0.05
 # Time before a hit and fall of the force window after it, over the width of the pulse.
 BEFORE, FALL = 1.0, 1.0
-# Samples in a row at one extreme value that are an overload, and steps of the numbers by which they are entered.
-FLAT, PLATEAU = 3, 4.0
+# Samples in a row at one extreme value that are an overload, and steps of the numbers by which they are entered; or so
+# many at that value anywhere; relative differences of numbers that are alike.
+FLAT, PLATEAU, OFTEN, ROUNDED = 3, 4.0, 8, 1e-9
 
 
 def hit_spectra(
@@ -102,22 +103,31 @@ def _fault(force: np.ndarray, motion: np.ndarray, start: int, peak: int, end: in
     if after.size and after.max() > max(SECOND * sizes[peak], NOISE * noise):
         return "double hit"
     for name, row in (("force", force), *((f"sensor {number}", row) for number, row in enumerate(motion, 1))):
-        if _flat(row[block]):
+        if is_clipped(row[block]):
             return f"overload of the {name}"
     return ""
 
 
-def _flat(row: np.ndarray) -> bool:
-    """Return whether a signal is cut off: it enters a plateau at its largest or smallest value by more than the steps
-    of its numbers."""
+def is_clipped(row: np.ndarray) -> bool:
+    """Return whether a signal (samples,) is cut off by an overload.
+
+    It then enters a plateau at its largest or smallest value by more than the steps of its numbers, or takes this value
+    often and those next to it hardly ever.
+    """
     steps = np.abs(np.diff(row))
     least = float(steps[steps > 0].min(initial=math.inf))
-    for extreme in (row.max(), row.min()):
-        if abs(extreme) < np.abs(row).max() / 2:
+    for sizes in (row, -row):
+        extreme = sizes.max()
+        if extreme < np.abs(row).max() / 2:
             continue  # a side on which the signal rests
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], (row == extreme).astype(int), [0]])))
+        flat = sizes == extreme
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], flat.astype(int), [0]])))
         for first, behind in edges.reshape(-1, 2).tolist():
             beside = [steps[at] for at in (first - 1, behind - 1) if 0 <= at < steps.size]
             if behind - first >= FLAT and max(beside, default=0.0) > PLATEAU * least:
                 return True
+        below = sizes[sizes < extreme - max(PLATEAU * least, ROUNDED * extreme)]
+        near = sizes.size - below.size - flat.sum() + (below == below.max(initial=-math.inf)).sum()
+        if flat.sum() >= OFTEN and flat.sum() > PLATEAU * near:
+            return True
     return False

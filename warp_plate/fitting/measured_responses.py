@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from warp_plate.fitting.hits import hit_spectra
+from warp_plate.fitting.hits import hit_spectra, is_clipped
 from warp_plate.fitting.measured_modes import check_file
 from warp_plate.fitting.measured_tables import (
     FORCE_UNITS,
@@ -52,7 +52,8 @@ class MeasuredResponses:
     # (measurements, n) coherence γ², NaN for responses without; None if there is none at all
     coherence: np.ndarray | None = None
     remarks: tuple[str, ...] = ()  # what was converted
-    decay: float = 0.0  # [1/s] responses are those at s = iω + decay, by the exponential window of hits
+    decay: float = 0.0  # [1/s] responses are those at s = iω + decay, by an exponential window
+    clipped: tuple[str, ...] = ()  # channels of time signals that an overload cut off
 
 
 @np.errstate(all="ignore")  # of numbers that are refused in the end
@@ -84,17 +85,18 @@ def read_responses(
             raise SceneError(f"{path}: is at other frequencies than {paths[0]}")
     source = ", ".join(map(str, paths))
     frequencies, responses = parts[0][0][0].real, np.vstack([columns[1:] for columns, *_ in parts])
-    coherence = np.vstack([np.full(columns[1:].shape, np.nan) if of is None else of for columns, of, _ in parts])
+    coherence = np.vstack([np.full(columns[1:].shape, np.nan) if of is None else of for columns, of, *_ in parts])
     low, high = fit.range if fit and fit.range else (-np.inf, np.inf)
     selected = (frequencies != 0) & ~((frequencies < low) | (frequencies > high))
     frequencies, responses, coherence = frequencies[selected], responses[:, selected], coherence[:, selected]
-    units = [unit for *_, units in parts for unit in units]
-    window = fit.signals.exponential if fit and fit.signals else None
+    units = [unit for _, _, units, _ in parts for unit in units]
+    window = fit and (fit.signals.exponential if fit.signals else fit.exponential)
     decay = 1 / window if window else 0.0
     responses, remarks = _in_quantities(frequencies - 0.5j * decay / np.pi, responses, units, rows)
     _check(source, frequencies, responses)
     known = None if np.isnan(coherence).all() else coherence
-    return MeasuredResponses(source, frequencies, responses, known, remarks, decay)
+    clipped = tuple(f"{path.name}, {name}" for path, (*_, names) in zip(paths, parts, strict=True) for name in names)
+    return MeasuredResponses(source, frequencies, responses, known, remarks, decay, clipped)
 
 
 def _in_quantities(
@@ -114,9 +116,11 @@ def _in_quantities(
     return responses, tuple(remarks)
 
 
-def _read(path: Path, count: int, fit: Fit | None, rows: Sequence[Measurement] | None) -> Columns:
-    """Return the first ``count`` responses of a file."""
-    ending, signals = path.suffix.lower(), fit.signals if fit else None
+def _read(
+    path: Path, count: int, fit: Fit | None, rows: Sequence[Measurement] | None
+) -> tuple[np.ndarray, np.ndarray | None, Units, list[str]]:
+    """Return the first ``count`` responses of a file, see ``Columns``, and the channels that are clipped."""
+    ending, signals, clipped = path.suffix.lower(), fit.signals if fit else None, []
     try:
         check_file(path, RESPONSES_BYTES)
         if ending in UNIVERSAL:
@@ -126,6 +130,8 @@ def _read(path: Path, count: int, fit: Fit | None, rows: Sequence[Measurement] |
         elif ending == ".wav" or signals is not None:
             values, rate, named = read_signals(path, signals)
             columns, coherence, units = estimate_responses(values, rate, signals or TimeSignals(), named)
+            if not (signals and signals.hits):  # of which those that are clipped are left out
+                clipped = [f"channel {number}" for number, row in enumerate(values, 1) if is_clipped(row)]
         else:
             columns, coherence, units = read_response_table(path.read_bytes())
         if coherence is not None and not np.all(np.isnan(coherence) | (np.abs(coherence) <= MOST_COHERENCE)):
@@ -138,7 +144,7 @@ def _read(path: Path, count: int, fit: Fit | None, rows: Sequence[Measurement] |
             f"{path}: has {len(columns) - 1} responses; the scene has {count} tables [[measurement]] for it"
         )
     units = units[:count] or [None] * count
-    return columns[: 1 + count], None if coherence is None else coherence[:count], units
+    return columns[: 1 + count], None if coherence is None else coherence[:count], units, clipped
 
 
 def _check(source: str, frequencies: np.ndarray, responses: np.ndarray) -> None:

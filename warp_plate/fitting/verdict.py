@@ -28,8 +28,11 @@ from warp_plate.scene.model import Scene
 # Systematic errors of responses (in nepers and rad): the largest, those for which a cause is looked for, and the size
 # from which on errors count alike. Largest error of frequencies.
 LARGEST_ERROR, NOTABLE_ERROR, CAPPED, LARGEST_OF_MODES = 0.4, 0.2, 1.0, 0.03
-# Part of the error that a cause may leave, and error of frequencies for which one is looked for.
-LEFT, NOTABLE = 0.4, 0.005
+# The same for which an exponential window is looked for, whose damping a fitted one conceals.
+NOTABLE_DECAY = 0.03
+# Part of the error that a cause may leave, the same of errors with noise, and error of frequencies for which one is
+# looked for.
+LEFT, LEFT_WITH_NOISE, NOTABLE = 0.4, 0.6, 0.005
 # Sensors whose orders are tried, and the part of the error by which a cause for single sensors must be better.
 MOST_ORDERED, SINGLE = 4, 0.7
 # Mean MAC below which mirrored points are tried, the rise that names them, and what is poor in any case.
@@ -85,6 +88,10 @@ def _thick(scene: Scene, frequency: float) -> str:
 
 def _failure(error: str, cause: str) -> str:
     return f"The model does not describe these data: {error}. {cause}"
+
+
+def _left(error: float) -> str:
+    return f"this leaves {20 / np.log(10) * error:.2g} dB"
 
 
 def _unexplained(error: float, said: str, thick: str, at_limit: Sequence[str], tried: str) -> Verdict:
@@ -175,6 +182,10 @@ class Alternatives(Protocol):
     def refit(self, rows: Sequence[Measurement], responses: np.ndarray) -> np.ndarray:
         """Return errors log(H / Hₘ) (m, n) of a fit between the places of rows to other responses (m, n)."""
 
+    def refit_decay(self, scene: Scene) -> tuple[float, np.ndarray]:
+        """Return the decay rate [1/s] that measured responses have and those of a fitted scene lack, and the errors
+        log(H / Hₘ) (m, n) of a fit with it."""
+
 
 def judge_responses(scene: Scene, errors: np.ndarray, alternatives: Alternatives, at_limit: Sequence[str]) -> Verdict:
     """Return the verdict on errors log(H / Hₘ) (m, n) of a fitted scene.
@@ -189,14 +200,26 @@ def judge_responses(scene: Scene, errors: np.ndarray, alternatives: Alternatives
     thick = _thick(scene, alternatives.measured.frequencies[-1])
     level, angle = 20 / np.log(10) * np.sqrt(np.mean(errors.real**2)), np.degrees(np.sqrt(np.mean(errors.imag**2)))
     said = f"rms error {level:.2g} dB and {angle:.0f}°"
+    if clipped := alternatives.measured.clipped:
+        text = f"{' and '.join(clipped)}: clipped by an overload, so that no interval holds; measure with less gain"
+        return Verdict(False, error, "clipped", text)
     for cause, text, rows, data in _ranked(scene, alternatives) if error > NOTABLE_ERROR else ():
         left = float(systematic_error(alternatives.refit(rows, data)).max())
         if left < LEFT * error and left <= 2 * LARGEST_ERROR:
-            left_over = f"this leaves {20 / np.log(10) * left:.2g} dB"
-            return Verdict(False, error, cause, _failure(said, f"Likely cause: {text} ({left_over})."))
+            return Verdict(False, error, cause, _failure(said, f"Likely cause: {text} ({_left(left)})."))
+    if error > NOTABLE_DECAY:
+        rate, others = alternatives.refit_decay(scene)
+        left = float(systematic_error(others).max())
+        smaller = _size(others).mean() < LEFT_WITH_NOISE * _size(errors).mean()
+        if smaller and left < LEFT * error and (error > NOTABLE_ERROR or left < LEFT**2 * error):
+            key = "fit.signals.exponential" if scene.fit and scene.fit.signals else "fit.exponential"
+            window = 1 / (alternatives.measured.decay + rate)
+            text = f"an exponential window, for all modes decay faster by {rate:.2g}/s ({_left(left)}): write {key} = "
+            text += f"{window:.2g}, or if there is none, free effects.damping.viscous"
+            return Verdict(False, error, "exponential window", _failure(said, f"Likely cause: {text}."))
     if error <= LARGEST_ERROR:
         return Verdict(True, error, None, thick[:1].upper() + thick[1:])
-    return _unexplained(error, said, thick, at_limit, "sign, units, quantity, order, mirror")
+    return _unexplained(error, said, thick, at_limit, "sign, units, quantity, order, mirror, exponential window")
 
 
 def _ranked(scene: Scene, alternatives: Alternatives) -> list[tuple[str, str, Sequence[Measurement], np.ndarray]]:

@@ -93,6 +93,8 @@ class Fit(Table):
     """Lowest and highest frequency of responses that are used."""
     signals: TimeSignals | None = None
     """Set if the data are time signals."""
+    exponential: Annotated[Positive | None, Unit("s"), Field(examples=[0.4])] = None
+    """Time constant of the exponential window under which responses in files were measured (default: none)."""
     origin: Annotated[Point | None, Field(examples=[[0.115, 0.12]])] = None
     """Place x, y on the plate of the origin of coordinates in measured files (default: the lower left corner)."""
     unit: Annotated[Literal["m", "cm", "mm", "in"] | None, Field(examples=["mm"])] = None
@@ -107,6 +109,8 @@ class Fit(Table):
                 raise ValueError(f"free: {key} = {[low, high]}: the lowest value comes first, and they differ")
         if self.range is not None and self.range[0] >= self.range[1]:
             raise ValueError(f"range: {list(self.range)}: the lowest frequency comes first, and they differ")
+        if self.exponential is not None and self.signals is not None:
+            raise ValueError("exponential: is of responses; that of time signals is signals.exponential")
         return self
 
 
