@@ -22,7 +22,7 @@ from warp_plate.modal.modes import solve_modes
 from warp_plate.plate.bending import make_bending
 from warp_plate.plate.files import read_numbers, read_table
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.plate.section import factors_at
+from warp_plate.plate.section import laminate_of
 from warp_plate.plate.weights import node_positions
 
 SIZE, NODES = (0.2, 0.18), (13, 11)
@@ -116,7 +116,7 @@ def in_folder(folder, scene, content):
 
 
 def thickness_at_nodes(scene):
-    return factors_at(scene, *node_positions(scene))["thickness"]
+    return laminate_of(scene).factors_at(*node_positions(scene))["thickness"]
 
 
 def test_rows_of_a_file_lie_along_y(scene, tmp_path):

@@ -17,7 +17,7 @@ from warp_plate.effects.effect import Attachment, Edge, Effect, Patch, Term, att
 from warp_plate.modal.assemble import Galerkin, load_integrals
 from warp_plate.modal.sensitivity import FieldSlopes, PlateMatrices, has_rule, plate_matrices
 from warp_plate.modal.spaces.tensor_splines import TensorSplines
-from warp_plate.plate.section import factors_at, laminates
+from warp_plate.plate.section import laminate_of
 from warp_plate.scene.model import Scene
 from warp_plate.scene.target import PlateRegion
 
@@ -109,7 +109,7 @@ class NumberSlopes:
         """Return the changes of Dx, D1, Dy, Dxy and the mass per area at points (y, x) [m]."""
         fields = []
         for scene in (after, before):
-            rigidities, twist, mass, _ = laminates(scene, x, y, factors_at(scene, x, y))
+            rigidities, twist, mass, _ = laminate_of(scene).fields(x, y)
             fields.append([*rigidities, twist, mass])
         return [one - other for one, other in zip(*fields, strict=True)]
 

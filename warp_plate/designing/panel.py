@@ -26,6 +26,7 @@ from warp_plate.modal.spaces.splines import Splines
 from warp_plate.modal.spaces.tensor_splines import TensorSplines
 from warp_plate.optimize.quadratic import quadratic_forms
 from warp_plate.plate.designs import scene_phasors
+from warp_plate.plate.section import laminate_of
 from warp_plate.plate.weights import localization_factor
 from warp_plate.result.designed import PanelValues
 from warp_plate.scene.errors import SceneError
@@ -190,9 +191,9 @@ class FreePanel:
 
     @cached_property
     def _intervals(self) -> tuple[int, int]:
-        highest = max(case[TONE] for case in self.cases)
-        finer = self.scene.grid.modal_density
-        return intervals_for(self.scene, finer * highest, mean_wave_frequency(self.scene), finer * DENSITY)
+        highest, finer = max(case[TONE] for case in self.cases), self.scene.grid.modal_density
+        wave = mean_wave_frequency(laminate_of(self.scene))
+        return intervals_for(self.scene.plate.size, self.scene.outline, finer * highest, wave, finer * DENSITY)
 
     def evaluate(self, numbers: np.ndarray) -> Value:
         """Return what the panel at free numbers (count,) can do, with its slopes."""

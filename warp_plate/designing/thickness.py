@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 
 from warp_plate.modal.spaces.splines import gauss
-from warp_plate.plate.section import bilinear, factors_at
+from warp_plate.plate.section import bilinear, laminate_of
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fit import FreeThickness
 from warp_plate.scene.model import Scene
@@ -100,7 +100,7 @@ class ThicknessMap:
             places, weights = gauss(np.linspace(0, side, count), GAUSS)
             sides.append((places, weights[:, None] * bilinear(np.eye(count), np.linspace(0, 1, count), places / side)))
         (x, along_x), (y, along_y) = sides
-        shares = (along_y.T @ factors_at(self.scene, x, y)["density"] @ along_x).ravel()
+        shares = (along_y.T @ laminate_of(self.scene).factors_at(x, y)["density"] @ along_x).ravel()
         return np.asarray(shares / shares.sum())
 
     @cached_property
@@ -108,7 +108,7 @@ class ThicknessMap:
         """Sum of shares times factors that the map must have; None if it is free. SceneError: out of range."""
         if self._free.mass is None:
             return None
-        present = factors_at(self.scene, *self._points)["thickness"].ravel()
+        present = laminate_of(self.scene).factors_at(*self._points)["thickness"].ravel()
         mass = float(self._free.mass * (self._shares @ present))
         low, high = self.range
         if not low < mass < high:
@@ -140,7 +140,7 @@ class ThicknessMap:
     def numbers(self, factors: np.ndarray | None = None) -> np.ndarray:
         """Return free numbers (count,) whose map is about that of factors (rows, columns) (default: the scene's)."""
         if factors is None:
-            factors = factors_at(self.scene, *self._points)["thickness"]
+            factors = laminate_of(self.scene).factors_at(*self._points)["thickness"]
         shares = (factors.ravel() - self.range[0]) / (self.range[1] - self.range[0])
         shares = np.clip(shares, 1e-9, 1 - 1e-9)
         averages = 0.5 + np.log(shares / (1 - shares)) / self._free.steepness

@@ -185,7 +185,7 @@ class Waves:
 
     def __init__(self, shapes: PlateInBaffle) -> None:
         sides = shapes.scene.plate.size
-        wave = math.sqrt(float(shapes.frequencies.max(initial=0.0)) / mean_wave_frequency(shapes.scene))
+        wave = math.sqrt(float(shapes.frequencies.max(initial=0.0)) / mean_wave_frequency(shapes.space.laminate))
         self.sides = sides
         self.counts = [2 * math.ceil(max(FEWEST_WAVES, PER_HALF_WAVE * wave * side) / 2) for side in sides]
         parts = _wave_integrals(shapes, self.counts)

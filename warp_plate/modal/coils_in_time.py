@@ -56,7 +56,7 @@ def in_time(plate: ModalPlate) -> ModalPlate:
     mass, loss, stiffness, strokes = coils.matrices(modes, losses)
     moving = np.append(np.ones(modes, dtype=bool), [coil.magnet_mass > 0 for coil, _ in each])
     mass, loss, stiffness = (matrix.real[np.ix_(moving, moving)] for matrix in (mass, loss, stiffness))
-    lowest = 2 * math.pi * mean_wave_frequency(scene) / max(scene.plate.size) ** 2
+    lowest = 2 * math.pi * mean_wave_frequency(plate.space.laminate) / max(scene.plate.size) ** 2
     squares, vectors = all_modes(Matrix(stiffness), Matrix(mass), lowest**2)
     frequencies = np.sqrt(np.maximum(squares, 0)) / (2 * math.pi)
     frequencies[2 * math.pi * frequencies < STILL * lowest] = 0.0

@@ -26,6 +26,7 @@ from warp_plate.modal.poles import NEGLIGIBLE, CoupledModes, Poles, make_poles
 from warp_plate.modal.spaces.integrals import mean_wave_frequency
 from warp_plate.modal.spaces.knots import DEGREE, intervals_for
 from warp_plate.modal.spaces.space import FunctionSpace
+from warp_plate.plate.section import laminate_of
 from warp_plate.plate.signals import highest_frequency
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
@@ -304,9 +305,9 @@ def solve_modes(
     # More functions follow shorter waves, and higher modes are kept of a plate that has too many for all.
     finer = scene.grid.modal_density
     highest, density = finer * (highest_frequency(scene) if highest is None else highest), finer * density
-    wave, area = mean_wave_frequency(scene), scene.plate.area
+    wave, area = mean_wave_frequency(laminate_of(scene)), scene.plate.area
     counted = wave * (math.sqrt(4 / math.pi * count) + 2) ** 2 / area if count else 0.0
-    intervals = intervals_for(scene, max(highest, counted), wave, density)
+    intervals = intervals_for(scene.plate.size, scene.outline, max(highest, counted), wave, density)
     below = max(math.pi / 4 * area * highest / wave, count)
     _check_size(scene, key or ("drive.frequency" if highest >= counted else "count"), below, most, intervals)
     galerkin = make_galerkin(scene, make_space(scene, intervals))
@@ -354,8 +355,8 @@ def errors_of_frequencies(scene: Scene, frequencies: np.ndarray) -> np.ndarray:
 
 def expected_size(scene: Scene, highest: float, density: float = 1.0) -> tuple[float, float]:
     """Return about how many functions and modes :func:`solve_modes` takes for responses up to a frequency [Hz]."""
-    finer, wave = scene.grid.modal_density, mean_wave_frequency(scene)
-    sides = intervals_for(scene, finer * highest, wave, finer * density)
+    finer, wave = scene.grid.modal_density, mean_wave_frequency(laminate_of(scene))
+    sides = intervals_for(scene.plate.size, scene.outline, finer * highest, wave, finer * density)
     functions, area = math.prod(side + DEGREE for side in sides), scene.plate.area
     wanted = 1.1 * math.pi / 4 * area * REACH * finer * highest / wave + FURTHER
     return functions, wanted if wanted * SPARSE < functions else functions

@@ -42,7 +42,7 @@ from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.poles import Poles
 from warp_plate.modal.spaces.integrals import Integrals, bending_terms, mean_wave_frequency, region_rule
 from warp_plate.modal.spaces.tensor_splines import ORDERS, TensorSplines
-from warp_plate.plate.section import bilinear, factor_arrays, factors_at, laminates
+from warp_plate.plate.section import bilinear
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.grid import Window
 from warp_plate.scene.model import Scene
@@ -134,7 +134,7 @@ class EnergyAdjoint:
         self._all = plate_matrices(galerkin) if of_plate is None else of_plate
         self.window = None if scene.steady else scene.window
         self._omega, self._lost = scene.drive.angular_frequency, galerkin.losses
-        lowest = mean_wave_frequency(scene) / max(scene.plate.size) ** 2
+        lowest = mean_wave_frequency(galerkin.space.laminate) / max(scene.plate.size) ** 2
         unknowns = galerkin.mass.shape[0]
         squares, vectors = solve_eigenproblem(galerkin, unknowns, (2 * math.pi * lowest) ** 2, improve=False)
         count = squares.size if self.window is None else _count_modes(squares, REACH * self._omega)
@@ -302,7 +302,7 @@ class FieldSlopes:
     @cached_property
     def of_target(self) -> tuple[Integrals, np.ndarray]:
         """The rule over a target with an area or a mask, and slopes by its mass per area at its points (y, x)."""
-        integrals, share = region_rule(self.space.scene, self.space.along, self.space.scene.target)
+        integrals, share = region_rule(self.space.laminate, self.space.along, self.space.scene.target)
         return integrals, share * _by_coefficient(integrals, self.slopes.regions[1], self.space.unknowns)
 
 
@@ -318,17 +318,17 @@ def thickness_slopes(of: FieldSlopes) -> np.ndarray:
     """
     space, slopes = of.space, of.slopes
     scene, integrals, count = space.scene, space.integrals, space.unknowns
-    factors = factors_at(scene, *integrals.points)
+    laminate, factors = space.laminate, space.laminate.factors_at(*integrals.points)
     factors["thickness"] = factors["thickness"] + 1j * STEP
-    rigidities, twist, mass, _ = laminates(scene, *integrals.points, factors)
+    rigidities, twist, mass, _ = laminate.fields(*integrals.points, factors)
     by_thickness = of.by_fields([np.asarray(field).imag / STEP for field in (*rigidities, twist, mass)])
-    maps, of_mass = factor_arrays(scene), scene.plate.density * scene.plate.thickness
+    maps, of_mass = laminate.maps, scene.plate.density * scene.plate.thickness
     rows, columns = maps["thickness"].shape
     total = _hats(scene, 1, rows, integrals.points[1]).T @ by_thickness @ _hats(scene, 0, columns, integrals.points[0])
     if has_rule(scene.target):
         integrals, by_target = of.of_target
         (x, y) = integrals.points
-        by_mass = of_mass * factors_at(scene, x, y)["density"] * by_target
+        by_mass = of_mass * laminate.factors_at(x, y)["density"] * by_target
         return np.asarray(total + _hats(scene, 1, rows, y).T @ by_mass @ _hats(scene, 0, columns, x))
     points, weights = space.chord_points(scene.target)
     values = space.at_points(points)

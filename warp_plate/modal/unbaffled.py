@@ -44,7 +44,7 @@ class Unbaffled:
         refuse_outline(plate.scene)
         self.plate, self.air, self._highest = plate, air, float(air.wavenumber(highest))
         self.sides = plate.scene.plate.size
-        waves = [side * math.sqrt(highest / mean_wave_frequency(plate.scene)) for side in self.sides]
+        waves = [side * math.sqrt(highest / mean_wave_frequency(plate.space.laminate)) for side in self.sides]
         self._counts = [2 * math.ceil((wave + MORE_FUNCTIONS) / 2) for wave in waves]
         if max(self._counts) > MOST_FUNCTIONS:
             most = f"without a baffle at most {MOST_FUNCTIONS - MORE_FUNCTIONS} are possible; end the range lower"

@@ -18,19 +18,21 @@ not, this is least when N = C e is the same everywhere; then ∫ e dA = ½∫ u_
 plane, gives N = ½∫ u_x² + κu_y² dA / ∫ dA/C: what counts is the harmonic mean of C.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from warp_plate.effects.effect import DISPLACEMENT
+from warp_plate.effects.effect import DISPLACEMENT, attachments
 from warp_plate.effects.layers import Layer
 from warp_plate.effects.table import FACTOR_MAPS, FACTOR_RANGE
 from warp_plate.plate.files import read_table
 from warp_plate.plate.weights import covered_cells, node_positions
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
+from warp_plate.scene.tables import Plate
 from warp_plate.scene.target import PlateRegion
 
 # Keys of ``[plate]`` that maps of factors multiply.
@@ -67,18 +69,130 @@ class _Parts(NamedTuple):
         return mean
 
 
+@dataclass(frozen=True, eq=False)
+class Laminate:
+    """A plate with its layers and maps of factors, at any point; made by :func:`laminate_of`."""
+
+    plate: Plate
+    layers: Sequence[Layer]  # With the bodies of piezo patches
+    maps: Mapping[str, np.ndarray]  # Arrays (rows, columns) of factors of VARIED keys
+    rigidities: tuple[float, float, float, float]  # Dxx, D1, Dyy and torsional Dxy of the plate alone [N·m]
+    masses: Sequence[float]  # Further masses per area [kg/m²]
+    loaded: Sequence[PlateRegion]  # Patches on which something stands
+    folder: Path | None  # Folder of the masks of targets
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Sides of the plate along x and y [m]."""
+        return self.plate.size
+
+    @property
+    def varied(self) -> bool:
+        """True if rectangular layers or maps make the section another one from point to point."""
+        return any(layer.area for layer in self.layers) or bool(self.maps)
+
+    @property
+    def shaped_layers(self) -> list[Layer]:
+        """Layers other than rectangles along x and y."""
+        return [layer for layer in self.layers if layer.area is None]
+
+    def layer_edges(self, axis: int) -> list[float]:
+        """Return the ends of rectangular layers along x (0) or y (1) [m]."""
+        return [place for layer in self.layers if layer.area for place in layer.area[2 * axis : 2 * axis + 2]]
+
+    def factors_at(self, x: np.ndarray, y: np.ndarray) -> dict[str, np.ndarray]:
+        """Return factors of thickness, young_modulus and density at points (y, x) [m], ones without an array, by name.
+
+        Arrays are interpolated bilinearly and not averaged: one finer than the grid is sampled.
+        """
+        width, height = self.size
+        factors = {key: np.ones((y.size, x.size)) for key in VARIED}
+        return factors | {key: bilinear(array, x / width, y / height) for key, array in self.maps.items()}
+
+    def fields(
+        self, x: np.ndarray, y: np.ndarray, factors: dict[str, np.ndarray] | None = None, over: Layer | None = None
+    ) -> tuple[Rigidities, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
+        """Return rigidities and twist [N·m], mass [kg/m²] and membrane stiffness [N/m] at points (y, x) [m], with
+        rectangular layers and one of another shape, which is ``over`` all of the points; ``factors`` are by default
+        those of the maps."""
+        factors = self.factors_at(x, y) if factors is None else factors
+        plate, ratio = self.plate, self.plate.poisson_ratio
+        thickness = plate.thickness * factors["thickness"]
+        mass = plate.density * factors["density"] * thickness
+        # Factor of the plate's own rigidities.
+        stiffer = factors["young_modulus"] * factors["thickness"] ** 3
+        bend_xx, bend_xy, bend_yy, twist = (rigidity * stiffer for rigidity in self.rigidities)
+        # A sheet of rigidity D and thickness H resists strain with 12 D/H².
+        membrane = 12 * factors["young_modulus"] * factors["thickness"] / plate.thickness**2
+        along_x, along_y = self.rigidities[0] * membrane, self.rigidities[2] * membrane
+        if self.layers:
+            added, layers, mass = self._with_layers(x, y, (thickness, factors["young_modulus"], mass), over)
+            bend_xx, bend_xy, bend_yy = bend_xx + added, bend_xy + ratio * added, bend_yy + added
+            twist, along_x, along_y = twist + (1 - ratio) / 2 * added, along_x + layers, along_y + layers
+        for further in self.masses:
+            mass = mass + further
+        return (bend_xx, bend_xy, bend_yy), twist, mass, (along_x, along_y)
+
+    def _with_layers(
+        self, x: np.ndarray, y: np.ndarray, fields: tuple[np.ndarray, np.ndarray, np.ndarray], over: Layer | None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the contributions of layers to the rigidity [N·m] and to the membrane stiffness [N/m], and the total
+        mass [kg/m²], of a plate with thickness [m], factor of Young's modulus and mass as ``fields`` at points."""
+        plate, (thickness, stiffer, mass) = self.plate, fields
+        stretch = plate_alone = plate.young_modulus * stiffer * thickness
+        first, second = np.zeros_like(stretch), stretch * thickness**2 / 12  # moments of E about the plate's middle
+        bare = second / (1 - plate.poisson_ratio**2)
+        top = {1: thickness / 2, -1: thickness / 2}
+        for layer in self.layers:
+            if layer.area is not None:
+                x0, x1, y0, y1 = layer.area
+                covered = np.outer((y > y0) & (y < y1), (x > x0) & (x < x1))
+            elif layer is over:
+                covered = np.ones((y.size, x.size), dtype=bool)
+            else:
+                continue
+            height = covered * layer.thickness
+            for face in (1, -1) if layer.both else (1,):
+                middle, stiffness = top[face] + height / 2, layer.young_modulus * height
+                stretch = stretch + stiffness
+                first = first + face * stiffness * middle
+                second = second + stiffness * (height**2 / 12 + middle**2)
+                mass = mass + layer.density * height
+                top[face] = top[face] + height
+        added = (second - first**2 / stretch) / (1 - plate.poisson_ratio**2) - bare
+        return added, (stretch - plate_alone) / (1 - plate.poisson_ratio**2), mass
+
+
+def laminate_of(scene: Scene) -> Laminate:
+    """Return the plate of a scene with its layers and maps; SceneError: no such file, or the plate is not thin."""
+    plate, terms = scene.plate, scene.terms
+    ratio = plate.poisson_ratio
+    rigidity = plate.young_modulus * plate.thickness**3 / 12 / (1 - ratio**2)
+    isotropic = (rigidity, ratio * rigidity, rigidity, (1 - ratio) / 2 * rigidity)
+    of_area = (term for term in terms if term.role == "mass" and term.distributed and term.factors == DISPLACEMENT)
+    return Laminate(
+        plate=plate,
+        layers=scene.layers,
+        maps={key: _factors(scene, key, given) for key, given in scene.effects.factor_maps.items()},
+        rigidities=scene.effects.rigidities or isotropic,
+        masses=[term.coefficient for term in of_area],
+        loaded=[attachment.region for attachment in attachments(terms)],
+        folder=scene.folder,
+    )
+
+
 def make_section(scene: Scene) -> Section:
     """Return the section of a scene's plate at the nodes of its grid."""
-    plate, (nx, ny), layers = scene.plate, scene.grid.nodes, scene.layers
-    along_x = _parts(plate.size[0], nx, [place for layer in layers if layer.area for place in layer.area[:2]])
-    along_y = _parts(plate.size[1], ny, [place for layer in layers if layer.area for place in layer.area[2:]])
+    laminate, plate, (nx, ny) = laminate_of(scene), scene.plate, scene.grid.nodes
+    shaped = laminate.shaped_layers
+    along_x, along_y = (_parts(plate.size[i], (nx, ny)[i], laminate.layer_edges(i)) for i in (0, 1))
     at_parts = np.ix_(along_y.node, along_x.node)
-    factors = {key: values[at_parts] for key, values in factors_at(scene, *node_positions(scene)).items()}
-    sections = [_section(scene, along_x, along_y, factors, over) for over in (None, *shaped_layers(scene))]
+    factors = {key: values[at_parts] for key, values in laminate.factors_at(*node_positions(scene)).items()}
+    sections = [_section(laminate, along_x, along_y, factors, over) for over in (None, *shaped)]
     section = sections[0]
     if len(sections) > 1:
         cell = covered_cells(scene, PlateRegion.model_construct(area=(0.0, plate.size[0], 0.0, plate.size[1])))
-        covered = np.stack([covered_cells(scene, layer) for layer in shaped_layers(scene)]) / cell
+        covered = np.stack([covered_cells(scene, layer) for layer in shaped]) / cell
         shares = np.concatenate([1 - covered.sum(axis=0, keepdims=True), covered])
         section = _mixed(sections, shares, (shares * cell).sum(axis=(1, 2)) / cell.sum())
     stretch_x, stretch_y = (float(plate.area / soft) for soft in section.softness)
@@ -95,11 +209,11 @@ class _Fields(NamedTuple):
 
 
 def _section(
-    scene: Scene, along_x: _Parts, along_y: _Parts, factors: dict[str, np.ndarray], over: Layer | None
+    laminate: Laminate, along_x: _Parts, along_y: _Parts, factors: dict[str, np.ndarray], over: Layer | None
 ) -> _Fields:
     """Return the section with rectangular layers, and another one over the whole plate."""
-    rigidities, twist, mass, stretches = laminates(scene, along_x.middle, along_y.middle, factors, over)
-    if scene.layers:
+    rigidities, twist, mass, stretches = laminate.fields(along_x.middle, along_y.middle, factors, over)
+    if laminate.layers:
         x_first = _across_y(_across_x(rigidities, along_x), along_y)
         y_first = _across_x(_across_y(rigidities, along_y), along_x)
         xx, xy, yy = ((first + second) / 2 for first, second in zip(x_first, y_first, strict=True))
@@ -129,39 +243,20 @@ def _mixed(sections: Sequence[_Fields], shares: np.ndarray, of_plate: np.ndarray
     return _Fields((xx, xy, yy), twist, mass, of_plate @ [section.softness for section in sections])
 
 
-def shaped_layers(scene: Scene) -> list[Layer]:
-    """Return the layers other than rectangles along x and y."""
-    return [layer for layer in scene.layers if layer.area is None]
-
-
-def factors_at(scene: Scene, x: np.ndarray, y: np.ndarray) -> dict[str, np.ndarray]:
-    """Return factors of thickness, young_modulus and density at points (y, x) [m], ones without an array, by name.
-
-    Arrays are interpolated bilinearly and not averaged: one finer than the grid is sampled.
-    """
-    width, height = scene.plate.size
-    factors = {key: np.ones((y.size, x.size)) for key in VARIED}
-    return factors | {key: bilinear(array, x / width, y / height) for key, array in factor_arrays(scene).items()}
-
-
-def factor_arrays(scene: Scene) -> dict[str, np.ndarray]:
-    """Return the arrays (rows, columns) of factors of the scene's maps, by name; SceneError: no such file, or not
-    thin."""
-    arrays = {}
-    for key, given in scene.effects.factor_maps.items():
-        head = f"{FACTOR_MAPS}.{key}"
-        if isinstance(given, str):
-            array = read_table(head, given, scene.folder, *FACTOR_RANGE)
-            head += f" = {given!r}"
-        else:
-            array = np.array(given)
-        if key == "thickness":
-            try:
-                scene.plate.check_thin(scene.plate.thickness * array.max())
-            except ValueError as error:
-                raise SceneError(f"{head}: {error}") from None
-        arrays[key] = array
-    return arrays
+def _factors(scene: Scene, key: str, given: Any) -> np.ndarray:
+    """Return (rows, columns) factors of a map, read from a file or as written."""
+    head = f"{FACTOR_MAPS}.{key}"
+    if isinstance(given, str):
+        array = read_table(head, given, scene.folder, *FACTOR_RANGE)
+        head += f" = {given!r}"
+    else:
+        array = np.array(given)
+    if key == "thickness":
+        try:
+            scene.plate.check_thin(scene.plate.thickness * array.max())
+        except ValueError as error:
+            raise SceneError(f"{head}: {error}") from None
+    return array
 
 
 def _parts(length: float, nodes: int, cuts: list[float]) -> _Parts:
@@ -172,64 +267,6 @@ def _parts(length: float, nodes: int, cuts: list[float]) -> _Parts:
     node = np.clip(np.searchsorted(ends, middle) - 1, 0, nodes - 1)
     share = np.diff(lines) / np.diff(ends)[node]
     return _Parts(middle, np.diff(lines), share, node, np.searchsorted(node, np.arange(nodes)))
-
-
-def laminates(
-    scene: Scene, x: np.ndarray, y: np.ndarray, factors: dict[str, np.ndarray], over: Layer | None = None
-) -> tuple[Rigidities, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """Return rigidities and twist [N·m], mass [kg/m²] and membrane stiffness [N/m] at points x, y [m], with the factors
-    of :func:`factors_at` at the points (y, x), rectangular layers and one of another shape, which is ``over`` all of
-    the points."""
-    plate, ratio = scene.plate, scene.plate.poisson_ratio
-    thickness = plate.thickness * factors["thickness"]
-    mass = plate.density * factors["density"] * thickness
-    # Factor of the plate's own rigidities.
-    stiffer = factors["young_modulus"] * factors["thickness"] ** 3
-    rigidity = plate.young_modulus * plate.thickness**3 / 12 / (1 - ratio**2)
-    isotropic = (rigidity, ratio * rigidity, rigidity, (1 - ratio) / 2 * rigidity)
-    of_plate = scene.effects.rigidities or isotropic
-    bend_xx, bend_xy, bend_yy, twist = (rigidity * stiffer for rigidity in of_plate)
-    # A sheet of rigidity D and thickness H resists strain with 12 D/H².
-    membrane = 12 * factors["young_modulus"] * factors["thickness"] / plate.thickness**2
-    along_x, along_y = of_plate[0] * membrane, of_plate[2] * membrane
-    if scene.layers:
-        added, layers, mass = _with_layers(scene, x, y, (thickness, factors["young_modulus"], mass), over)
-        bend_xx, bend_xy, bend_yy = bend_xx + added, bend_xy + ratio * added, bend_yy + added
-        twist, along_x, along_y = twist + (1 - ratio) / 2 * added, along_x + layers, along_y + layers
-    for term in scene.terms:
-        if term.role == "mass" and term.distributed and term.factors == DISPLACEMENT:
-            mass = mass + term.coefficient
-    return (bend_xx, bend_xy, bend_yy), twist, mass, (along_x, along_y)
-
-
-def _with_layers(
-    scene: Scene, x: np.ndarray, y: np.ndarray, fields: tuple[np.ndarray, np.ndarray, np.ndarray], over: Layer | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the contributions of layers to the rigidity [N·m] and to the membrane stiffness [N/m], and the total
-    mass [kg/m²], for a plate with thickness [m], factor of Young's modulus and mass as ``fields`` at points (y, x)."""
-    plate, (thickness, stiffer, mass) = scene.plate, fields
-    stretch = plate_alone = plate.young_modulus * stiffer * thickness
-    first, second = np.zeros_like(stretch), stretch * thickness**2 / 12  # moments of E about the plate's middle
-    bare = second / (1 - plate.poisson_ratio**2)
-    top = {1: thickness / 2, -1: thickness / 2}
-    for layer in scene.layers:
-        if layer.area is not None:
-            x0, x1, y0, y1 = layer.area
-            covered = np.outer((y > y0) & (y < y1), (x > x0) & (x < x1))
-        elif layer is over:
-            covered = np.ones((y.size, x.size), dtype=bool)
-        else:
-            continue
-        height = covered * layer.thickness
-        for face in (1, -1) if layer.both else (1,):
-            middle, stiffness = top[face] + height / 2, layer.young_modulus * height
-            stretch = stretch + stiffness
-            first = first + face * stiffness * middle
-            second = second + stiffness * (height**2 / 12 + middle**2)
-            mass = mass + layer.density * height
-            top[face] = top[face] + height
-    added = (second - first**2 / stretch) / (1 - plate.poisson_ratio**2) - bare
-    return added, (stretch - plate_alone) / (1 - plate.poisson_ratio**2), mass
 
 
 def _across_x(rigidities: Rigidities, parts: _Parts | _Phases, axis: int = 1) -> Rigidities:

@@ -11,6 +11,7 @@ by one sum along x. This is exact to rounding for simple polygons, and the work 
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import scipy
@@ -85,7 +86,7 @@ def shape_weights(scene: Scene, key: str, target: Target, within: Area | None = 
         return region_cells(scene, target, moments, within)
     across, up = _axes(scene, moments)
     spacing = _spacing(scene)
-    values = read_mask(scene, key, target)
+    values = read_mask(scene.folder, key, target)
     x0, x1, y0, y1 = (0.0, scene.plate.size[0], 0.0, scene.plate.size[1]) if within is None else within
     along_x = _mask_matrix(across, values.shape[1], x0 / spacing[0], x1 / spacing[0])
     along_y = _mask_matrix(up, values.shape[0], y0 / spacing[1], y1 / spacing[1])
@@ -112,7 +113,7 @@ def bounds(scene: Scene, key: str, target: Target) -> Area:
     """Return x0, x1, y0, y1 [m] of the smallest rectangle that holds a target."""
     corners = target.corners(DISC_CORNERS)
     if corners is None:
-        values = read_mask(scene, key, target)
+        values = read_mask(scene.folder, key, target)
         ends = []
         for side, some in zip(scene.plate.size, (values.any(axis=0), values.any(axis=1)), strict=True):
             first, last = np.flatnonzero(some)[[0, -1]]
@@ -171,9 +172,9 @@ def clipped(corners: np.ndarray, area: Area) -> np.ndarray:
     return corners
 
 
-def read_mask(scene: Scene, key: str, target: Target) -> np.ndarray:
+def read_mask(folder: Path | None, key: str, target: Target) -> np.ndarray:
     """Return (rows, columns) numbers of a target's mask."""
-    values = read_table(f"{key}.mask", target.mask or "", scene.folder, 0, 1)
+    values = read_table(f"{key}.mask", target.mask or "", folder, 0, 1)
     if not values.any():
         raise SceneError(f"{key}.mask = {target.mask!r}: holds no number above 0, so that the target has no inside")
     return values
@@ -246,7 +247,7 @@ def target_outlines(scene: Scene, key: str, target: Target) -> list[np.ndarray]:
     from contourpy import contour_generator
 
     try:
-        values = read_mask(scene, key, target)
+        values = read_mask(scene.folder, key, target)
     except SceneError:
         return []
     values = np.broadcast_to(values, (max(len(values), 2), max(values.shape[1], 2)))

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from warp_plate.plate.section import factor_arrays, factors_at
+from warp_plate.plate.section import laminate_of
 from warp_plate.scene.model import Scene
 
 
@@ -42,7 +42,7 @@ class DesignedPanel:
     @cached_property
     def thickness(self) -> np.ndarray | None:
         """(rows, columns) map of the designed thickness [m]; None if the scene has none."""
-        factors = factor_arrays(self.scene).get("thickness")
+        factors = laminate_of(self.scene).maps.get("thickness")
         return None if factors is None else factors * self.scene.plate.thickness
 
     @property
@@ -52,4 +52,4 @@ class DesignedPanel:
             return None
         shape = self.thickness.shape
         x, y = (np.linspace(0, side, n) for side, n in zip(self.scene.plate.size, shape[::-1], strict=True))
-        return np.asarray(factors_at(self.original, x, y)["thickness"] * self.original.plate.thickness)
+        return np.asarray(laminate_of(self.original).factors_at(x, y)["thickness"] * self.original.plate.thickness)

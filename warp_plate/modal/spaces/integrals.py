@@ -33,11 +33,11 @@ from warp_plate.modal.spaces.splines import (
     side_products,
     weighted_products,
 )
-from warp_plate.plate.section import bilinear, factors_at, laminates, shaped_layers
+from warp_plate.plate.section import Laminate, bilinear
 from warp_plate.plate.shapes import read_mask
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
-from warp_plate.scene.target import PlateRegion, Target
+from warp_plate.scene.target import NamedTarget, PlateRegion, Target
 
 # With this many breaks between two knots (fine maps), this many Gauss points between two breaks suffice.
 FINE, FINE_RULE = 4, 3
@@ -64,6 +64,7 @@ class SplineProducts(ABC):
     """Base of the function spaces of products of splines X_i(x) Y_j(y); x is fastest."""
 
     scene: Scene
+    laminate: Laminate
     integrals: Integrals  # the plate with its rectangular layers
     along: tuple[Splines, Splines]  # splines of x and of y
 
@@ -157,7 +158,7 @@ class SplineProducts(ABC):
     @cached_property
     def _layers(self) -> list[tuple[OnChords, ...]]:
         """Return what each layer of another shape than a rectangle adds to Dx, D1, Dy, Dxy and the mass per area."""
-        return [tuple(self._added(layer, self._chords(curves_of(layer)))) for layer in shaped_layers(self.scene)]
+        return [tuple(self._added(layer, self._chords(curves_of(layer)))) for layer in self.laminate.shaped_layers]
 
     def _added(self, layer: Layer, chords: Chords) -> Iterator[OnChords]:
         bare = chords.sampled(self.integrals.fields_at)
@@ -166,12 +167,12 @@ class SplineProducts(ABC):
 
     def _layer_masses(self, target: Target, within: Area | None) -> Iterator[np.ndarray]:
         """Yield the integrals of what such layers add to the mass of a region."""
-        for layer in shaped_layers(self.scene):
+        for layer in self.laminate.shaped_layers:
             if target.mask is None:
                 chords = self._chords([*curves_of(target, within), *curves_of(layer)])
                 share: np.ndarray | float = 1.0
             else:
-                cuts, mask = mask_of(self.scene, target)
+                cuts, mask = mask_of(self.laminate, target)
                 chords = self._chords(curves_of(layer, within), cuts)
                 (share,) = chords.sampled(mask)
             *_, mass = self._added(layer, chords)
@@ -180,7 +181,7 @@ class SplineProducts(ABC):
     def _density(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return the mass per area [kg/m²] on the grid (y, x) of points [m]."""
         density = self.integrals.fields_at(x, y)[-1]
-        for layer in shaped_layers(self.scene):
+        for layer in self.laminate.shaped_layers:
             inside = layer.contains(np.stack(np.meshgrid(x, y), axis=-1))
             density = np.where(inside, self.integrals.fields_at(x, y, layer)[-1], density)
         return density
@@ -197,7 +198,7 @@ class SplineProducts(ABC):
 
     def _section(self, axis: int) -> list[float]:
         """Return where the fields of the section are not smooth along x (0) or y (1) [m]."""
-        return [place for place, _ in lines(self.scene, axis)]
+        return [place for place, _ in lines(self.laminate, axis)]
 
 
 def bending_terms(fields: Sequence[Field]) -> Iterator[Term]:
@@ -211,24 +212,23 @@ def bending_terms(fields: Sequence[Field]) -> Iterator[Term]:
 
 
 class Integrals:
-    """Integrals of a scene's fields times products of two functions, by Gauss's rule, with ``rule`` points between two
+    """Integrals of a plate's fields times products of two functions, by Gauss's rule, with ``rule`` points between two
     ``breaks`` along x and y [m], between which fields and functions are smooth."""
 
     def __init__(
         self,
-        scene: Scene,
+        laminate: Laminate,
         along_x: Splines,
         along_y: Splines,
         cuts: tuple[Sequence[float], Sequence[float]] = ((), ()),
     ) -> None:
         """Prepare the rule; ``cuts`` are further breaks along x and y [m]."""
-        self.scene, self.along = scene, (along_x, along_y)
-        self._varied = any(layer.area for layer in scene.layers) or bool(scene.effects.factor_maps)
+        self.laminate, self.along = laminate, (along_x, along_y)
         self.breaks = tuple(
-            np.unique(np.clip([*splines.breaks, *(place for place, _ in lines(scene, axis)), *cuts[axis]], 0, side))
-            for axis, (splines, side) in enumerate(zip(self.along, scene.plate.size, strict=True))
+            np.unique(np.clip([*splines.breaks, *(place for place, _ in lines(laminate, axis)), *cuts[axis]], 0, side))
+            for axis, (splines, side) in enumerate(zip(self.along, laminate.size, strict=True))
         )
-        self.rule = along_x.degree + (3 if self._varied else 1)
+        self.rule = along_x.degree + (3 if laminate.varied else 1)
         cells = min(len(breaks) / len(splines.breaks) for breaks, splines in zip(self.breaks, self.along, strict=True))
         if cells >= FINE:
             self.rule = FINE_RULE
@@ -242,13 +242,13 @@ class Integrals:
 
     def fields(self) -> tuple[np.ndarray | float, ...]:
         """Return Dx, D1, Dy, Dxy [N·m] and the mass per area [kg/m²] at Gauss's points (y, x), or as numbers."""
-        if self._varied:
+        if self.laminate.varied:
             return self.fields_at(*self.points)
         return tuple(float(field[0, 0]) for field in self.fields_at(self.points[0][:1], self.points[1][:1]))
 
     def fields_at(self, x: np.ndarray, y: np.ndarray, over: Layer | None = None) -> tuple[np.ndarray, ...]:
         """Return the fields of :meth:`fields` at points (y, x) [m], with a layer of another shape ``over`` them all."""
-        (bend_xx, bend_xy, bend_yy), twist, mass, _ = laminates(self.scene, x, y, factors_at(self.scene, x, y), over)
+        (bend_xx, bend_xy, bend_yy), twist, mass, _ = self.laminate.fields(x, y, over=over)
         return bend_xx, bend_xy, bend_yy, twist, mass
 
     def inside(self, area: Area) -> np.ndarray:
@@ -272,36 +272,36 @@ class Integrals:
         return np.asarray((along_y @ field @ along_x.T)[of_y][:, of_x])
 
 
-def mean_wave_frequency(scene: Scene) -> float:
+def mean_wave_frequency(laminate: Laminate) -> float:
     """Return the frequency [Hz] of a bending wave with one half-wave per metre, by the mean of mass over rigidity."""
-    along_x, along_y = (make_splines(side, ("free", "free"), 1, 2) for side in scene.plate.size)
-    integrals = Integrals(scene, along_x, along_y)
+    along_x, along_y = (make_splines(side, ("free", "free"), 1, 2) for side in laminate.size)
+    integrals = Integrals(laminate, along_x, along_y)
     (x, weights_x), (y, weights_y) = (gauss(breaks, POINTS_OF_MEAN) for breaks in integrals.breaks)
     bend_xx, _, bend_yy, _, mass = integrals.fields_at(x, y)
     total = weights_y @ (mass / np.minimum(bend_xx, bend_yy)) @ weights_x
-    return math.pi / 2 * math.sqrt(math.prod(scene.plate.size) / total)
+    return math.pi / 2 * math.sqrt(math.prod(laminate.size) / total)
 
 
 def region_values(
-    scene: Scene, along: tuple[Splines, Splines], region: Area | Target, within: Area | None
+    laminate: Laminate, along: tuple[Splines, Splines], region: Area | Target, within: Area | None
 ) -> np.ndarray:
     """Return ∫ ρH u u dA over a rectangle or mask [kg], for each pair of functions of y and of x; see
     ``region_matrix``."""
-    integrals, share = region_rule(scene, along, region, within)
+    integrals, share = region_rule(laminate, along, region, within)
     return integrals.values(integrals.fields()[-1] * share)
 
 
 def region_rule(
-    scene: Scene, along: tuple[Splines, Splines], region: Area | Target, within: Area | None = None
+    laminate: Laminate, along: tuple[Splines, Splines], region: Area | Target, within: Area | None = None
 ) -> tuple[Integrals, np.ndarray]:
     """Return the rule for integrals over a rectangle or mask, and what counts of Gauss's points (y, x), from 0 to 1."""
     area = region.area if isinstance(region, Target) else region
     if area is not None:
         area = _common(area, within)
-        integrals = Integrals(scene, *along, (area[:2], area[2:]))
+        integrals = Integrals(laminate, *along, (area[:2], area[2:]))
         return integrals, integrals.inside(area)
     assert isinstance(region, Target)
-    return _over_mask(scene, along, region, within)
+    return _over_mask(laminate, along, region, within)
 
 
 def _common(first: Area, second: Area | None) -> Area:
@@ -311,20 +311,20 @@ def _common(first: Area, second: Area | None) -> Area:
 
 
 def _over_mask(
-    scene: Scene, along: tuple[Splines, Splines], target: Target, within: Area | None
+    laminate: Laminate, along: tuple[Splines, Splines], target: Target, within: Area | None
 ) -> tuple[Integrals, np.ndarray]:
     """Return the rule of a mask, which is bilinear between its numbers, and these at Gauss's points."""
-    cuts, share = mask_of(scene, target)
-    area = _common((0.0, scene.plate.size[0], 0.0, scene.plate.size[1]), within)
-    integrals = Integrals(scene, *along, ([*cuts[0], *area[:2]], [*cuts[1], *area[2:]]))
+    cuts, share = mask_of(laminate, target)
+    area = _common((0.0, laminate.size[0], 0.0, laminate.size[1]), within)
+    integrals = Integrals(laminate, *along, ([*cuts[0], *area[:2]], [*cuts[1], *area[2:]]))
     (shares,) = share(*integrals.points)
     return integrals, shares * integrals.inside(area)
 
 
-def mask_of(scene: Scene, target: Target) -> tuple[Cuts, Callable[[np.ndarray, np.ndarray], list[np.ndarray]]]:
+def mask_of(laminate: Laminate, target: Target) -> tuple[Cuts, Callable[[np.ndarray, np.ndarray], list[np.ndarray]]]:
     """Return the lines of a target's mask along x and y [m], and the function of x and y [m] of its shares."""
-    key = next((key for key, listed in scene.targets_by_key.items() if listed == target), "target")
-    mask, (width, height) = read_mask(scene, key, target), scene.plate.size
+    key = f"targets ({target.name!r})" if isinstance(target, NamedTarget) else "target"
+    mask, (width, height) = read_mask(laminate.folder, key, target), laminate.size
     lines_x, lines_y = (
         np.linspace(0, side, max(count, 2)).tolist()
         for side, count in zip((width, height), mask.shape[::-1], strict=True)

@@ -12,13 +12,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from warp_plate.effects.edges import ElasticEdge
-from warp_plate.effects.effect import attachments
+from warp_plate.effects.edges import Edges, ElasticEdge
 from warp_plate.modal.spaces.singular import ON_EDGE, STRAIGHT, adds_functions, is_round, is_singular, on_edge
 from warp_plate.modal.spaces.splines import Splines, make_splines
 from warp_plate.outline.outline import Outline, bounds
 from warp_plate.outline.pieces import Arc
-from warp_plate.plate.section import factor_arrays, shaped_layers
+from warp_plate.plate.section import Laminate
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Point
 from warp_plate.scene.model import Scene
@@ -63,25 +62,25 @@ NARROW = 0.3
 SAME, CLOSE = 1e-6, 1e-4
 
 
-def plate_splines(scene: Scene, axis: int, intervals: int) -> Splines:
-    """Return the functions along x (0) or y (1) of a scene's plate, with about a number of intervals between knots."""
-    edges, length, degree = scene.edges, scene.plate.size[axis], _degree(scene)
+def plate_splines(laminate: Laminate, edges: Edges, axis: int, intervals: int) -> Splines:
+    """Return the functions along x (0) or y (1) of a plate, with about a number of intervals between knots."""
+    length, degree = laminate.size[axis], _degree(laminate)
     ends, sides = ((edges.left, edges.right), (edges.bottom, edges.top))[:: 1 if axis == 0 else -1]
-    knots = [line for line in lines(scene, axis, degree) if line[1] < degree]
+    knots = [line for line in lines(laminate, axis, degree) if line[1] < degree]
     for end, place in zip(ends, (0.0, length), strict=True):
         if any(_singular(end, side) for side in sides):
             sign = 1 if place == 0 else -1
             knots += [(place + sign * part * length / intervals, degree - 1) for part in CORNER_INTERVALS]
-    knots += [(place, degree - 1) for place in _near_layers(scene, axis, length / intervals)]
+    knots += [(place, degree - 1) for place in _near_layers(laminate, axis, length / intervals)]
     low, high = ("free" if isinstance(end, ElasticEdge) else end for end in ends)
     return make_splines(length, (low, high), intervals, degree, tuple(knots))
 
 
-def outline_splines(scene: Scene, axis: int, intervals: int) -> Splines:
+def outline_splines(scene: Scene, laminate: Laminate, axis: int, intervals: int) -> Splines:
     """Return the same of a plate with an outline: splines along a side of its bounding box, without conditions."""
-    length, degree = scene.plate.size[axis], _degree(scene)
-    knots = [line for line in lines(scene, axis, degree) if line[1] < degree]
-    knots += [(place, degree - 1) for place in _near_layers(scene, axis, length / intervals)]
+    length, degree = laminate.size[axis], _degree(laminate)
+    knots = [line for line in lines(laminate, axis, degree) if line[1] < degree]
+    knots += [(place, degree - 1) for place in _near_layers(laminate, axis, length / intervals)]
     # The shear force jumps across the line of a support.
     lines_across = [support.line for support in scene.supports if support.line and not adds_functions(scene)]
     knots += [(start[axis], 2) for start, end in lines_across if start[axis] == end[axis]]
@@ -180,27 +179,26 @@ def _segments(outline: Outline, supports: tuple[Support, ...]) -> tuple[np.ndarr
     return starts, along, first, np.array([line[[0, -1]] for line in lines])
 
 
-def lines(scene: Scene, axis: int, degree: int = DEGREE) -> list[tuple[float, int]]:
+def lines(laminate: Laminate, axis: int, degree: int = DEGREE) -> list[tuple[float, int]]:
     """Return where section or load are not smooth along x (0) or y (1) [m], and the derivatives of splines there."""
-    loaded = attachments(scene.terms)
     places: list[tuple[float, int]] = []
-    if len(loaded) <= MOST_PATCHES:
-        areas = (attachment.region.area for attachment in loaded)
+    if len(laminate.loaded) <= MOST_PATCHES:
+        areas = (patch.area for patch in laminate.loaded)
         places += [(position, degree - 2) for area in areas if area for position in area[2 * axis : 2 * axis + 2]]
-    places += [(place, 1) for layer in scene.layers if layer.area for place in layer.area[2 * axis : 2 * axis + 2]]
-    kinks = _kinks(scene)
+    places += [(place, 1) for place in laminate.layer_edges(axis)]
+    kinks = _kinks(laminate)
     followed = _most(kinks) <= MOST_KINKS
     return places + [(place, 2 if sharp and followed else degree) for place, sharp in kinks[axis].items()]
 
 
-def _kinks(scene: Scene) -> tuple[dict[float, bool], dict[float, bool]]:
-    """Return the inner lines of the scene's maps along x and along y [m], and whether each is a kink that counts."""
+def _kinks(laminate: Laminate) -> tuple[dict[float, bool], dict[float, bool]]:
+    """Return the inner lines of the maps along x and along y [m], and whether each is a kink that counts."""
     kinks: tuple[dict[float, bool], dict[float, bool]] = {}, {}
-    for array in factor_arrays(scene).values():
+    for array in laminate.maps.values():
         for axis, rows in enumerate((array.T, array)):
             sharp: np.ndarray = np.any(np.abs(np.diff(rows, 2, axis=0)) > KINK * rows[1:-1], axis=1)
             for index, counts in enumerate(sharp.tolist(), 1):
-                place = scene.plate.size[axis] * index / (len(rows) - 1)
+                place = laminate.size[axis] * index / (len(rows) - 1)
                 kinks[axis][place] = kinks[axis].get(place, False) or counts
     return kinks
 
@@ -210,22 +208,20 @@ def _most(kinks: tuple[dict[float, bool], dict[float, bool]]) -> int:
     return max(sum(sharp.values()) for sharp in kinks)
 
 
-def _degree(scene: Scene) -> int:
-    """Return the degree of a scene's splines."""
-    most = _most(_kinks(scene))
-    if scene.layers or 0 < most <= FEW_KINKS or most > MOST_KINKS:
+def _degree(laminate: Laminate) -> int:
+    """Return the degree of the splines."""
+    most = _most(_kinks(laminate))
+    if laminate.layers or 0 < most <= FEW_KINKS or most > MOST_KINKS:
         return DEGREE_OF_JUMPS
     return DEGREE_OF_KINKS if most else DEGREE
 
 
-def _near_layers(scene: Scene, axis: int, interval: float) -> list[float]:
+def _near_layers(laminate: Laminate, axis: int, interval: float) -> list[float]:
     """Return further knots along x (0) or y (1) [m] near the edges of layers; SceneError: two edges nearly coincide."""
-    edges = [
-        {place for layer in scene.layers if layer.area for place in layer.area[2 * i : 2 * i + 2] if 0 < place < side}
-        for i, side in enumerate(scene.plate.size)
-    ]
+    sides = enumerate(laminate.size)
+    edges = [{place for place in laminate.layer_edges(i) if 0 < place < side} for i, side in sides]
     places, parts = [], LAYER_INTERVALS[: max(1, 4 - len(edges[axis]) // 2)] if all(edges) else ()
-    side = scene.plate.size[axis]
+    side = laminate.size[axis]
     for low, high in pairwise(sorted({0.0, side, *edges[axis]})):
         if SAME * side < high - low < CLOSE * side:
             raise SceneError(
@@ -236,7 +232,7 @@ def _near_layers(scene: Scene, axis: int, interval: float) -> list[float]:
         places += [low + step for step in steps if low in edges[axis]]
         places += [high - step for step in steps if high in edges[axis]]
     # Curvatures jump across the edges of other layers, which no knots follow: the smaller the intervals the better.
-    for layer in shaped_layers(scene):
+    for layer in laminate.shaped_layers:
         low, high = layer.box[2 * axis : 2 * axis + 2]
         inner = np.linspace(low, high, math.ceil(SHAPED_INTERVALS * (high - low) / interval) + 1).tolist()
         places += [place for place in inner if 0 < place < side]
@@ -250,14 +246,16 @@ def _singular(first: object, second: object) -> bool:
     return first != second and ((held[0] and loose[1]) or (held[1] and loose[0]))
 
 
-def intervals_for(scene: Scene, highest: float, wave: float, density: float) -> tuple[int, int]:
-    """Return the number of intervals between knots along x and along y for responses up to a frequency [Hz];
+def intervals_for(
+    size: tuple[float, float], outline: Outline | None, highest: float, wave: float, density: float
+) -> tuple[int, int]:
+    """Return the number of intervals between knots along x and along y of a plate for responses up to a frequency [Hz];
     ``wave`` as :func:`mean_wave_frequency`."""
-    waves, longer = math.sqrt(highest / wave), max(scene.plate.size)
+    waves, longer = math.sqrt(highest / wave), max(size)
     per_length = PER_HALF_WAVE * waves
-    if (outline := scene.outline) is not None:  # whose splines have more continuous derivatives at the edges
+    if outline is not None:  # whose splines have more continuous derivatives at the edges
         density *= FEWER
         per_length = max(per_length, PER_WIDTH * outline.length / (2 * outline.area))
-    counts = [math.ceil(max(FEWEST * math.sqrt(side / longer), per_length * side)) for side in scene.plate.size]
+    counts = [math.ceil(max(FEWEST * math.sqrt(side / longer), per_length * side)) for side in size]
     x, y = (math.ceil(density * count) for count in counts)
     return x, y

@@ -13,6 +13,7 @@ import numpy as np
 import scipy
 
 from warp_plate.effects.effect import DISPLACEMENT, Factors, Term
+from warp_plate.plate.section import Laminate
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
 from warp_plate.scene.target import PlateRegion, Target
@@ -46,6 +47,10 @@ class FunctionSpace(Protocol):
     @property
     def shape(self) -> tuple[int, int]:
         """Numbers of points along y and along x that resolve the functions."""
+
+    @property
+    def laminate(self) -> Laminate:
+        """The plate with its layers and maps."""
 
     def of_scene(self, scene: Scene) -> Self:
         """Return the space of another scene, with as many functions where its lines are the same."""

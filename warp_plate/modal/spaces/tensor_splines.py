@@ -25,6 +25,7 @@ from warp_plate.modal.spaces.knots import plate_splines
 from warp_plate.modal.spaces.space import Matrix
 from warp_plate.modal.spaces.splines import Splines, end_products, gauss, overlapping_pairs, side_products
 from warp_plate.outline.outline import Outline
+from warp_plate.plate.section import laminate_of
 from warp_plate.row_blocks import read_only
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
@@ -49,9 +50,10 @@ class TensorSplines(SplineProducts):
 
     def __init__(self, scene: Scene, intervals: tuple[int, int], along: tuple[Splines, Splines] | None = None) -> None:
         """Make the space, with about a number of intervals along x and y, or of given splines ``along`` both."""
-        self.scene, self.intervals = scene, intervals
-        self.along = along or (plate_splines(scene, 0, intervals[0]), plate_splines(scene, 1, intervals[1]))
-        self.integrals = Integrals(scene, *self.along)
+        self.scene, self.laminate, self.intervals = scene, laminate_of(scene), intervals
+        x, y = (plate_splines(self.laminate, scene.edges, axis, intervals[axis]) for axis in (0, 1))
+        self.along = along or (x, y)
+        self.integrals = Integrals(self.laminate, *self.along)
 
     @property
     def unknowns(self) -> int:
@@ -153,7 +155,7 @@ class TensorSplines(SplineProducts):
     def region_matrix(self, region: Area | Target, within: Area | None = None) -> Matrix:
         target = region if isinstance(region, Target) else Target.model_construct(area=region)
         if target.area is not None or target.mask is not None:
-            values = region_values(self.scene, self.along, target, within)
+            values = region_values(self.laminate, self.along, target, within)
         else:
             chords = self._chords(curves_of(target, within))
             (density,) = chords.sampled(lambda x, y: self.integrals.fields_at(x, y)[-1:])

@@ -35,7 +35,7 @@ from warp_plate.modal.spaces.splines import gauss, overlapping_pairs
 from warp_plate.modal.spaces.tensor_splines import ORDERS
 from warp_plate.outline.pieces import Piece
 from warp_plate.plate.memory import refuse_beyond_memory
-from warp_plate.plate.section import shaped_layers
+from warp_plate.plate.section import laminate_of
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
 from warp_plate.scene.target import PlateRegion, Target
@@ -64,13 +64,13 @@ class TrimmedSplines(SplineProducts):
 
     def __init__(self, scene: Scene, intervals: tuple[int, int], like: TrimmedSplines | None = None) -> None:
         assert scene.outline is not None
-        self.scene, self.intervals, self.outline = scene, intervals, scene.outline
+        self.scene, self.laminate, self.intervals, self.outline = scene, laminate_of(scene), intervals, scene.outline
         curves = (support.piece(f"supports[{index}]") for index, support in enumerate(scene.supports))
         self._pieces = (*self.outline.pieces, *(curve for curve in curves if curve is not None))
-        self.along = outline_splines(scene, 0, intervals[0]), outline_splines(scene, 1, intervals[1])
+        x, y = (outline_splines(scene, self.laminate, axis, intervals[axis]) for axis in (0, 1))
+        self.along = x, y
         self._local = LocalSplines(self.along[0]), LocalSplines(self.along[1])
-        self.integrals = Integrals(scene, *self.along)
-        self._varied = any(layer.area for layer in scene.layers) or bool(scene.effects.factor_maps)
+        self.integrals = Integrals(self.laminate, *self.along)
         self._interval = max(side / count for side, count in zip(scene.plate.size, intervals, strict=True))
         self.added = added_functions(scene, self._interval)
         self._forms: dict[Factors, np.ndarray] = {}
@@ -190,7 +190,7 @@ class TrimmedSplines(SplineProducts):
         target = region if isinstance(region, Target) else Target.model_construct(area=region)
         chords = self._chords(curves_of(target))
         mass = float((chords.weights * self._fields_on(chords)[-1]).sum())
-        for layer in shaped_layers(self.scene):
+        for layer in self.laminate.shaped_layers:
             *_, added = self._added(layer, self._chords([*curves_of(target), *curves_of(layer)]))
             mass += float((added.chords.weights * added.values).sum())
         return mass
@@ -205,7 +205,7 @@ class TrimmedSplines(SplineProducts):
         return self.basis is other.basis
 
     def _chords(self, curves: Sequence[Curve] = (), cuts: Cuts = ((), ())) -> Chords:
-        count = self.degree + (3 if self._varied else 1)
+        count = self.degree + (3 if self.laminate.varied else 1)
         along_x, along_y = ([*self._section(axis), *cuts[axis]] for axis in (0, 1))
         near = [place for function in self.added for place in function.near()]
         along_y += [y + side * cut for _, y, cut, _ in near for side in (-1, 1)]
@@ -216,7 +216,7 @@ class TrimmedSplines(SplineProducts):
 
     def _fields_on(self, chords: Chords) -> tuple[np.ndarray | float, ...]:
         """Return Dx, D1, Dy, Dxy [N·m] and the mass per area [kg/m²] at the points of a rule, or as numbers."""
-        if not self._varied:
+        if not self.laminate.varied:
             return self.integrals.fields()
         return tuple(chords.sampled(self.integrals.fields_at))
 
@@ -350,7 +350,7 @@ class TrimmedSplines(SplineProducts):
 
     def _over_mask(self, target: Target, within: Area | None) -> Matrix:
         """Return the mass matrix of a mask, which is bilinear between its numbers."""
-        (cuts, mask), size = mask_of(self.scene, target), self.scene.plate.size
+        (cuts, mask), size = mask_of(self.laminate, target), self.scene.plate.size
         whole = PlateRegion.model_construct(area=(0.0, size[0], 0.0, size[1]))
         chords = self._chords(curves_of(whole, within), cuts)
         (share,) = chords.sampled(mask)
@@ -361,7 +361,7 @@ class TrimmedSplines(SplineProducts):
         """Return (products, unknowns) independent functions that keep the conditions of the edges."""
         stiffness = sum(self.form(term.coefficient, term.factors) for term in self.bending_terms())
         mass = self.form(self._fields()[-1])
-        lowest = LOWEST * (2 / np.pi * mean_wave_frequency(self.scene) / self.outline.area) ** 2
+        lowest = LOWEST * (2 / np.pi * mean_wave_frequency(self.laminate) / self.outline.area) ** 2
         energy = stiffness + lowest * mass
         used = np.flatnonzero(np.diag(energy) > 0)
         unit = 1 / np.sqrt(np.diag(energy)[used])
