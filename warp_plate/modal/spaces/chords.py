@@ -12,19 +12,20 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 import scipy
 from numpy.polynomial import legendre
 
 from warp_plate.modal.spaces.splines import Splines, overlapping_pairs
-from warp_plate.outline.outline import Outline
+from warp_plate.outline.outline import Outline, bounds
 from warp_plate.outline.pieces import Arc, Monotone, Piece
 from warp_plate.scene.fields import Area
 from warp_plate.scene.target import PlateRegion
 
 Curve = Sequence[Piece]
+Square = tuple[float, float, float]  # Middle x, y and half of a side [m]
 
 # Distances from extreme ordinates at which the rule is cut as well, as parts of an interval.
 GRADED = (0.15, 0.0225, 0.003375)
@@ -164,16 +165,26 @@ class Chords:
 
     def add_along_x(self, sums: np.ndarray, some: slice, values: np.ndarray, x: int) -> None:
         """Add to (ordinates, functions of x, n) the sums of (n, some segments, points) times derivatives along x."""
+        chords, over_x = self._along_x(some, values, x)
+        sums[chords] += over_x
+
+    def _along_x(self, some: slice, values: np.ndarray, x: int) -> tuple[slice, np.ndarray]:
+        """Return some of the ordinates, and there (ordinates, functions of x, n) sums as in :meth:`add_along_x`."""
         along_x, columns = self._values[0][x][some], self._columns[some]
         if len(values) == 1:
             local = np.einsum("sp,spi->si", values[0], along_x)
         else:
             local = along_x.transpose(0, 2, 1) @ values.transpose(1, 2, 0)
-        low, high = self.chord[some].min(), self.chord[some].max() + 1
-        places = ((self.chord[some, None] - low) * sums.shape[1] + columns).ravel()
+        low, high, functions = self.chord[some].min(), self.chord[some].max() + 1, self.along[0].splines.functions
+        places = ((self.chord[some, None] - low) * functions + columns).ravel()
         ones = (np.ones(places.size), (places, np.arange(places.size)))
-        sparse = scipy.sparse.csr_array(ones, ((high - low) * sums.shape[1], places.size))
-        sums[low:high] += (sparse @ local.reshape(places.size, -1)).reshape(high - low, *sums.shape[1:])
+        sparse = scipy.sparse.csr_array(ones, ((high - low) * functions, places.size))
+        return slice(low, high), (sparse @ local.reshape(places.size, -1)).reshape(high - low, functions, -1)
+
+    def add_integrals(self, sums: np.ndarray, some: slice, values: np.ndarray, x: int, y: int) -> None:
+        """Add to (functions of y, functions of x, n) integrals of (n, some segments, points) times derivatives."""
+        chords, over_x = self._along_x(some, values, x)
+        sums += np.tensordot(self._values[1][y][chords], over_x, axes=(0, 0))
 
     def along_y(self, sums: np.ndarray, y: int) -> np.ndarray:
         """Return (n, functions of y, functions of x) integrals of sums by :meth:`add_along_x`."""
@@ -203,12 +214,12 @@ def make_chords(
     cuts: tuple[Sequence[float], Sequence[float]] = ((), ()),
     curves: Sequence[Curve] = (),
     folds: Sequence[Piece] = (),
-    near: Sequence[tuple[float, float, float, float]] = (),
+    near: Sequence[Square] = (),
 ) -> Chords:
     """Return the rule of a plate with numbers of ``points`` between breaks along x and y.
 
     ``cuts`` are further breaks along x and y [m]; only what closed ``curves`` hold counts. Chords are cut where they
-    meet ``folds``, and those ``near`` a place x, y also at two distances: (x, y, distance of the cut, of chords) [m].
+    meet ``folds``, and at the sides of squares ``near`` places where functions bend without bound.
     """
     breaks = [np.unique([*side.breaks, *cut]) for side, cut in zip(along, cuts, strict=True)]
     groups = [outline.monotone[1], *(tuple(part for piece in curve for part in piece.monotone(1)) for curve in curves)]
@@ -219,26 +230,25 @@ def make_chords(
     ordinates, extremes = _cuts(pieces, groups, breaks, min(np.diff(side.breaks).max() for side in along))
     (s_x, w_x), (s_y, w_y) = (legendre.leggauss(count) for count in points)
     s_x, w_x, s_y, w_y = (s_x + 1) / 2, w_x / 2, (s_y + 1) / 2, w_y / 2
-    at_extreme = np.isin(ordinates, extremes)
     x, weights, chord, lines = [], [], [], [np.empty(0)]
     count = 0
-    for index, (low, high) in enumerate(pairwise(ordinates)):
+    for (low, high), across in _cells(pieces, ordinates, near).items():
         middle = (low + high) / 2
         edges = [(group, part) for group, parts in enumerate(groups) for part in parts if part.low < middle < part.high]
         if {group for group, _ in edges} != set(range(len(groups))):
             continue
-        part, share = _towards(s_y, w_y, at_extreme[index], at_extreme[index + 1])
+        part, share = _towards(s_y, w_y, *np.isin([low, high], extremes))
         y = low + (high - low) * part
         ends = np.array([part.across(y) for _, part in edges])
         order = np.argsort(ends[:, y.size // 2], kind="stable")
         owner, ends = np.array([group for group, _ in edges])[order], ends[order]
         inside = np.all([np.cumsum(owner == group) % 2 == 1 for group in range(len(groups))], axis=0)
-        for number in np.flatnonzero(inside[:-1]):
-            left, right = ends[number], ends[number + 1]
+        met = [part.across(y) for part in folded if part.low < middle < part.high]
+        for number, (first, last) in product(np.flatnonzero(inside[:-1]).tolist(), across):
+            left, right = np.clip(ends[number], first, last), np.clip(ends[number + 1], first, last)
+            if not (left < right).any():
+                continue
             inner = breaks[0][(breaks[0] > left.mean()) & (breaks[0] < right.mean())]
-            inner = np.append(inner, [x + side * cut for x, at, cut, reach in near for side in (-1, 1)
-                                      if abs(at - middle) < reach])  # fmt: skip
-            met = [part.across(y) for part in folded if part.low < middle < part.high]
             stops = np.concatenate([[left], np.tile(inner[:, None], y.size), *([at] for at in met), [right]])
             stops = np.sort(np.clip(stops, left, right), axis=0)
             width = np.diff(stops, axis=0)
@@ -250,6 +260,33 @@ def make_chords(
     if not x:
         return _empty(along, s_x.size)
     return Chords(along, np.concatenate(x), np.concatenate(weights), np.concatenate(chord), np.concatenate(lines))
+
+
+def _cells(
+    pieces: Sequence[Piece], ordinates: np.ndarray, near: Sequence[Square]
+) -> dict[tuple[float, float], list[tuple[float, float]]]:
+    """Return rising ordinates y0, y1 and the parts x0, x1 [m] of the plate between them within which chords' ends are
+    smooth: cells are the smaller the nearer they are to the middles of squares, at whose sides they are cut."""
+    x0, x1 = bounds(pieces)[:2]
+    cells = np.array([[x0, x1, low, high] for low, high in pairwise(ordinates.tolist())])
+    for x, y, size in sorted(near, key=lambda square: -square[2]):
+        square = np.array([x - size, x + size, y - size, y + size])
+        met = (cells[:, ::2] < square[1::2]).all(axis=1) & (cells[:, 1::2] > square[::2]).all(axis=1)
+        parts = [
+            [*across, *up]
+            for cell in cells[met]
+            for across in pairwise(np.unique([*cell[:2], *np.clip(square[:2], *cell[:2])]).tolist())
+            for up in pairwise(np.unique([*cell[2:], *np.clip(square[2:], *cell[2:])]).tolist())
+        ]
+        cells = np.concatenate([cells[~met], np.reshape(parts, (-1, 4))])
+    sides = np.unique(cells[:, :2])[1:-1].tolist() if near else []
+    crossed = {x: [y for piece in pieces for y in piece.points(piece.crossings(0, np.array([x])))[:, 1]] for x in sides}
+    parts_of: dict[tuple[float, float], list[tuple[float, float]]] = {}
+    for x0, x1, low, high in cells.tolist():
+        cuts = {y for x in (x0, x1) for y in crossed.get(x, ()) if low < y < high}
+        for up in pairwise(sorted({low, high, *cuts})):
+            parts_of.setdefault(up, []).append((x0, x1))
+    return dict(sorted(parts_of.items()))
 
 
 def curves_of(region: PlateRegion, within: Area | None = None) -> list[Curve]:

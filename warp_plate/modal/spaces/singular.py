@@ -84,10 +84,9 @@ class Singular:
                 result[:, near] = sum(factor * part.real for factor, part in parts)
         return values
 
-    def near(self) -> list[tuple[float, float, float, float]]:
-        """Return places x, y, distances at which Gauss's rule is cut, and within which it is along x [m]."""
-        reaches = (2 * max(self.cuts, default=0.0), *self.cuts)
-        return [(x, y, cut, reach) for x, y in self.places for cut, reach in zip(self.cuts, reaches, strict=False)]
+    def near(self) -> list[tuple[float, float, float]]:
+        """Return squares at whose sides Gauss's rule is cut: middle x, y and half of a side [m]."""
+        return [(x, y, cut) for x, y in self.places for cut in self.cuts]
 
 
 def _polar(first: Derivatives, second: Derivatives) -> Callable[[np.ndarray], Local]:

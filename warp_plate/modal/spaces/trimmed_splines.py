@@ -208,7 +208,6 @@ class TrimmedSplines(SplineProducts):
         count = self.degree + (3 if self.laminate.varied else 1)
         along_x, along_y = ([*self._section(axis), *cuts[axis]] for axis in (0, 1))
         near = [place for function in self.added for place in function.near()]
-        along_y += [y + side * cut for _, y, cut, _ in near for side in (-1, 1)]
         low, high = self.outline.bounds[2:]
         section = along_x, np.clip(along_y, low, high).tolist()
         folds = [piece for piece in self._pieces if piece.edge.startswith("supports")] if self.added else []
@@ -243,21 +242,19 @@ class TrimmedSplines(SplineProducts):
         names = sorted({factor for factors in wanted for factor in factors})
         count, weights = self.count - self.products, np.broadcast_to(coefficient, chords.weights.shape) * chords.weights
         squares = {factors: np.zeros((count, count)) for factors in wanted}
-        pairs = sorted({(one, ORDERS[two][0]) for factors in wanted for one, two in (factors, factors[::-1])})
-        sums = {pair: np.zeros((chords.ordinates.size, self.shape[1], count)) for pair in pairs}
+        pairs = sorted({pair for one, two in wanted for pair in ((one, two), (two, one))})
+        crossed = {pair: np.zeros((*self.shape, count)) for pair in pairs}
         for some in chords.blocks():
             sampled = self._added_on(chords, some, [ORDERS[name] for name in names])
             derivatives = dict(zip(names, sampled, strict=True))
             weighted = {name: value * weights[some] for name, value in derivatives.items()}
             for (one, two), square in squares.items():
                 square += weighted[one].reshape(count, -1) @ derivatives[two].reshape(count, -1).T
-            for (name, x), over_x in sums.items():
-                chords.add_along_x(over_x, some, weighted[name], x)
+            for (name, other), integrals in crossed.items():
+                chords.add_integrals(integrals, some, weighted[name], *ORDERS[other])
         for (one, two), square in squares.items():
-            crossed = [chords.along_y(sums[name, ORDERS[other][0]], ORDERS[other][1]).reshape(count, -1)
-                       for name, other in ((one, two), (two, one))]  # fmt: skip
-            lower, upper = (rows[:, self._used] for rows in crossed)
-            forms[one, two] = np.block([[forms[one, two], upper.T], [lower, square]])
+            upper, lower = (crossed[pair].reshape(-1, count)[self._used] for pair in ((two, one), (one, two)))
+            forms[one, two] = np.block([[forms[one, two], upper], [lower.T, square]])
         return forms
 
     def _added_on(self, chords: Chords, some: slice, orders: Sequence[tuple[int, int]]) -> np.ndarray:
