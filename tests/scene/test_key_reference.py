@@ -23,6 +23,7 @@ def test_command(command):
     text = output_of(command("keys"))
     assert "search.magnitude" in text
     assert "drive.burst" in text
+    assert json.loads(output_of(command("keys", "measured", "--json")))["measured"][0]["name"] == "file"
     assert "Poisson's ratio" in output_of(command("keys", "plate"))
     assert "plates: no such table; there are: plate, plate.outline, plate.holes" in error_of(command("keys", "plates"))
 

@@ -185,6 +185,42 @@ def test_focus_moves_a_point_as_its_modes_say(tmp_path, random, command, monkeyp
     assert motion == pytest.approx(methods["time_reversal"]["peak"][0], rel=0.03)
 
 
+@pytest.mark.parametrize(
+    ("name", "table"),
+    [
+        ("localize", ""),
+        ("specify", "[specification]\nlevel = { velocity = 1e-6 }\n"),
+        ("focus", "[focus]\npoints = [[0.05, 0.05]]\nhighest = 400.0\ntime = 0.01\nrate = 2400\n"),
+    ],
+)
+def test_other_commands_answer_from_measured_responses(name, table, tmp_path, random, command, monkeypatch):
+    """They print what ``measured`` prints; scenes that lack their table and others' WAV files are refused."""
+    panel, path = bench(tmp_path, random)
+    monkeypatch.chdir(tmp_path)
+    if table:
+        assert f"bench.toml: {name.replace('specify', 'specification')}: is missing" in error_of(
+            command(name, "bench.toml")
+        )
+    highest = float(panel.frequencies[-1])
+    table = table.replace("400.0", f"{highest}").replace("2400", f"{round(6 * highest)}")
+    path.write_text(path.read_text() + table)
+    wave = tmp_path / "bench-measured-time_reversal.wav"
+    if name == "focus":
+        wave.write_bytes(b"mine")
+        assert "was written by another command or program" in error_of(command(name, "bench.toml"))
+    answers = [
+        json.loads(output_of(command(one, "bench.toml", "--json", "--no-pictures", "--force")))
+        for one in (name, "measured")
+    ]
+    assert answers[0] == answers[1]
+    assert ("Levels of every point hold at the scanned points" in str(answers[0]["warnings"])) == (name == "specify")
+    if name == "focus":
+        output_of(command(name, "bench.toml", "--json", "--no-pictures"))  # over its own files
+    if name == "localize":
+        message = "--seed: is of computed plates; bench.toml has responses that were measured"
+        assert message in error_of(command(name, "bench.toml", "--seed", "3"))
+
+
 def test_impulse_responses_have_the_drives_of_their_spectra(tmp_path, random):
     _, path = bench(tmp_path, random)
     scene = MeasuredScene.load(path)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from warp_plate.cli import options, output
+from warp_plate.cli.measured import answers_measured
 
 if TYPE_CHECKING:
     from warp_plate.result.focus import FocusResult
@@ -33,12 +34,16 @@ def focus(
     all waveforms within the limits. With [focus.burst] each point follows a burst, with [focus.wish] the waveform of a
     file. With [search.robust] an inverse filter is made for many panels within tolerances.
 
+    A scene with [measured] in place of [plate] is answered from its measured responses, as by measured.
+
     Parameters
     ----------
     waveforms
         File of focus with waveforms made for another panel, which are played on this one: shows how a finger or another
         damping changes the focus.
     """
+    if answers_measured(scene, "focus", changes, files, colours):
+        return
     from warp_plate.focusing.focus import focus as compute
     from warp_plate.result.focus import load_focus, save_focus
     from warp_plate.viz.plots.frame import save_plots

@@ -12,6 +12,7 @@ from rich.console import Console
 
 import warp_plate
 from warp_plate.cli import main, options, output
+from warp_plate.cli.measured import answers_measured
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
@@ -96,10 +97,14 @@ def localize(
     Ctrl-C ends the search with the best drive so far and leaves a checkpoint beside the result, from which --resume
     continues to a bit-identical result. A search that runs longer than --checkpoint-every leaves one too, in case the
     machine stops. A finished search deletes its checkpoints.
+
+    A scene with [measured] in place of [plate] is answered from its measured responses, as by measured.
     """
     from warp_plate import viz
     from warp_plate.result.checkpoint import ENDING
 
+    if answers_measured(scene, None, changes, files, search, workers, colours):
+        return
     resume, chosen = search.resume, colours.chosen()
     if resume is not None and files.out is None:
         stem, ending, _ = resume.name.removesuffix(".h5").partition(".checkpoint")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import math
 from functools import partial
 from pathlib import Path
@@ -11,6 +12,7 @@ from cyclopts import Parameter
 from rich.console import Console
 
 from warp_plate.cli import options, output
+from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -43,6 +45,10 @@ def measured(
 
     target = files.target(str(scene), "-measured.json", "measurements with measured_bound")
     loaded = MeasuredScene.load(scene, changes.assignments or [])
+    own = target.exists() and '\n "focus":' in target.read_text(encoding="utf-8", errors="replace")
+    if loaded.focus is not None and not own:
+        for waveform in sorted(target.parent.glob(f"{glob.escape(target.stem)}-*.wav")):
+            output.check_overwriting(waveform, "a waveform of measured", files.force)
     with output.progress_bar("frequencies", shown=not files.json) as show:
         found = measured_drives(loaded, on_progress=show)
     record = output.json_value(_as_json(str(scene), found))
@@ -50,6 +56,31 @@ def measured(
     others = {path: partial(write_wav, signal) for path, signal in found.waveforms(target).items()}
     written = output.write_measurements(target, record, lambda _, path: draw(path), files.pictures, others)
     output.report(files.json, lambda: record, partial(_print, str(scene), found), written=written)
+
+
+def answers_measured(
+    scene: str | None, needed: str | None, changes: options.SceneChanges, files: options.FileOptions, *others: object
+) -> bool:
+    """Answer a scene with a table [measured] as the command ``measured`` does; return False for other scenes.
+
+    Args:
+        needed: table that the scene must have.
+        others: options of the command that must not be given, for there is no plate to compute.
+    """
+    from warp_plate.scene.load import parse_toml, read_scene_text
+    from warp_plate.scene.measured import MeasuredScene
+
+    if scene is None or "measured" not in parse_toml(read_scene_text(scene)[0], scene):
+        return False
+    for of in (changes, *others):
+        for name, value in vars(of).items():
+            if name != "assignments" and value != getattr(type(of)(), name):
+                option = name.replace("_", "-")
+                raise SceneError(f"--{option}: is of computed plates; {scene} has responses that were measured")
+    if needed is not None and getattr(MeasuredScene.load(scene, changes.assignments or []), needed) is None:
+        raise SceneError(f"{scene}: {needed}: is missing; write [{needed}], see docs/measured-drives.md")
+    measured(Path(scene), changes=options.SceneChanges(changes.assignments), files=files)
+    return True
 
 
 def _as_json(source: str, found: MeasuredDrives) -> dict[str, object]:

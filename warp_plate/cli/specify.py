@@ -10,6 +10,7 @@ from cyclopts import Parameter
 from rich.console import Console
 
 from warp_plate.cli import options, output
+from warp_plate.cli.measured import answers_measured
 
 if TYPE_CHECKING:
     from warp_plate.result.specified import SpecifiedDrive
@@ -34,7 +35,11 @@ def specify(
     Levels in targets and elsewhere hold at every point, in steady motion. The answer has forces, margins of all
     requirements, what is in the way, and what larger limits would do; it is written to a .json file with a picture,
     and the drive as OUT.best.toml, which simulate runs.
+
+    A scene with [measured] in place of [plate] is answered from its measured responses, as by measured.
     """
+    if answers_measured(scene, "specification", changes, files):
+        return
     import warp_plate
     from warp_plate.result.atomic_io import write_atomically
     from warp_plate.scene.errors import printable

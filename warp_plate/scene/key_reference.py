@@ -8,6 +8,7 @@ from typing import Any, get_args
 
 from warp_plate.scene.errors import toml_text
 from warp_plate.scene.fields import LARGEST, Table, explain_key, shown_unit
+from warp_plate.scene.measured import MeasuredScene
 from warp_plate.scene.model import Scene
 
 BOUNDS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
@@ -37,16 +38,21 @@ class TableReference:
 
 
 def table_references() -> list[TableReference]:
-    """Return all tables, in the order of the scene's fields."""
-    schema = Scene.model_json_schema()
-    headings: dict[str, list[str]] = {}
-    _collect(schema, "", Scene.__name__, False, headings)
-    models = _subclasses(Table)
-    return [_reference(models[name], tuple(paths), _definition(schema, name)) for name, paths in headings.items()]
+    """Return all tables, in the order of the scene's fields, then those of scenes of measured responses alone."""
+    models, references = _subclasses(Table), []
+    seen = {MeasuredScene.__name__}
+    for scene in (Scene, MeasuredScene):
+        schema = scene.model_json_schema()
+        headings: dict[str, list[str]] = {}
+        _collect(schema, "", scene.__name__, False, headings)
+        own = {name: tuple(paths) for name, paths in headings.items() if name not in seen}
+        references += [_reference(models[name], paths, _definition(schema, name)) for name, paths in own.items()]
+        seen |= set(own)
+    return references
 
 
 def _definition(schema: dict[str, Any], name: str) -> dict[str, Any]:
-    definition: dict[str, Any] = schema if name == Scene.__name__ else schema["$defs"][name]
+    definition: dict[str, Any] = schema if name == schema["title"] else schema["$defs"][name]
     return definition
 
 

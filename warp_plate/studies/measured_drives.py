@@ -25,6 +25,7 @@ from warp_plate.problem.trade_off import Compromise, TradeOffCurve
 from warp_plate.result.export import WaveformSignal
 from warp_plate.scene.errors import SceneError, check_function
 from warp_plate.scene.measured import MeasuredScene
+from warp_plate.scene.specification import Allowance, Level
 
 # Frequencies of a range for which levels are tried: those of the largest localization factors or, without levels
 # elsewhere, of the largest motion of the targets.
@@ -69,8 +70,16 @@ class MeasuredDrives:
             f"{noise}, or measured.averages if the file has coherences.": self.plate.matrix.variance is None,
             "The points are too far apart, or too noisy, for this frequency: the interval is wide.": high - low
             > WIDE * 2,
+            "Levels of every point hold at the scanned points; what is between these counts in mean levels alone.": any(
+                row.measure != "mean" for row in self._levelled
+            ),
         }
         return tuple(line for line, applies in lines.items() if applies)
+
+    @property
+    def _levelled(self) -> tuple[Level | Allowance, ...]:
+        specification = self.scene.specification
+        return () if specification is None else (*specification.levels, *specification.allowances)
 
     def waveforms(self, beside: Path) -> dict[Path, WaveformSignal]:
         """Return the waveforms of ``[focus]`` by WAV files, a channel for each actuator, full scale the largest."""
