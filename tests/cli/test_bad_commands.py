@@ -98,6 +98,9 @@ def test_pipes_and_folders_are_no_files(folder_of_files, command):
     os.mkfifo("pipe")
     for words in (["render", "pipe"], ["view", "pipe"], ["localize", "--resume", "pipe"]):
         assert "pipe: " in refused(command(*words))
+    for name, beside in (("specify", "panel-specify.best.toml"), ("design", "panel.designed.unfinished.json")):
+        os.mkfifo(beside)
+        assert f"{beside}: is a pipe or a device" in refused(command(name, "panel.toml"))
     before = files()
     for out in ("", ".", "file", "folder.h5", "no/x.toml", "file/x", "a\0b", "\ud800", LONG, "/"):
         refused(command("init", "paper", "--out", out))

@@ -1,12 +1,13 @@
 """``warp-plate design``: its JSON, the scene with its map, the picture and the solid, and what it refuses."""
 
 import json
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from support.commands import error_of, output_of
-from warp_plate import Scene
+from warp_plate import Scene, SceneError
 from warp_plate.modal.solver import ModalSolver
 
 CHANGES = [
@@ -45,3 +46,22 @@ def test_scenes_without_a_design_and_files_of_others_are_refused(command, tmp_pa
     other = tmp_path / "paper.designed.toml"
     other.write_text("title = 'mine'")
     assert "would be overwritten" in error_of(command("design", "paper", *CHANGES, "--out", str(other)))
+
+
+def test_starts_are_kept_until_the_panel_is_written(command, tmp_path, monkeypatch):
+    """A full disk costs no search: the same command goes on where its result can be written."""
+    line = [
+        "design",
+        "paper",
+        *CHANGES,
+        "--set=design.iterations=1",
+        "--no-pictures",
+        "--out",
+        str(tmp_path / "a.toml"),
+    ]
+    with monkeypatch.context() as full:
+        full.setattr("warp_plate.cli.output.write_files", Mock(side_effect=SceneError("a.toml: cannot be written")))
+        assert "cannot be written" in error_of(command(*line))
+    monkeypatch.setattr("warp_plate.designing.design._climb", None)
+    output_of(command(*line))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.thickness.csv", "a.toml"]

@@ -8,6 +8,7 @@ import pytest
 
 import warp_plate as wpl
 from support.scenes import scene_of
+from warp_plate.designing.design import _digest
 from warp_plate.designing.panel import FreePanel
 from warp_plate.designing.thickness import ThicknessMap
 from warp_plate.modal.solver import ModalSolver
@@ -107,7 +108,8 @@ def test_a_design_raises_the_bound_and_goes_on_from_its_file(tmp_path):
     scene = designed_scene({"thickness": THICKNESS, "starts": 2, "iterations": 3, "seed": 3})
     file = tmp_path / "starts.json"
     whole = wpl.design(scene, unfinished=file)
-    assert not file.exists()
+    assert len(json.loads(file.read_text())["starts"]) == 2
+    file.unlink()
     assert whole.improved
     assert whole.after.value == whole.after.bound > whole.before.bound + 0.05
     assert whole.after.bound == pytest.approx(ModalSolver(whole.scene, "cpu").response.bound())
@@ -124,6 +126,29 @@ def test_a_design_raises_the_bound_and_goes_on_from_its_file(tmp_path):
     second = wpl.design(scene, unfinished=file)
     assert second.history == whole.history
     assert (second.thickness == whole.thickness).all()
+
+
+START = {"numbers": [0.5], "least": 0.4, "history": [0.4], "evaluations": 3}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"numbers": [5.0]}, {"numbers": ["0.5"]}, {"numbers": 0.5}, {"least": "a"}, {"least": float("inf")},
+        {"history": 4}, {"history": [[]]}, {"evaluations": None}, {"others": 1},
+    ],
+)  # fmt: skip
+def test_forged_files_of_finished_starts_are_refused(change, tmp_path):
+    """Numbers outside the ranges would break the limits of all panels."""
+    free = {"effects.layers[0].thickness": FREE["effects.layers[0].thickness"]}
+    effects = {"loss_factor": {"eta": 0.02}, "layers": [LAYER]}
+    scene = scene_of(modal_density=0.5, effects=effects, design={"free": free, "starts": 1})
+    file = tmp_path / "starts.json"
+    texts = [json.dumps({"design": _digest(scene), "starts": [{**START, **change}]}), '{"design": ' + "[" * 9999]
+    for text in texts:
+        file.write_text(text)
+        with pytest.raises(wpl.SceneError, match="is no unfinished design of this version; delete it"):
+            wpl.design(scene, unfinished=file)
 
 
 def test_a_scene_without_better_panels_stays(monkeypatch):

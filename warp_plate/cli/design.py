@@ -43,7 +43,8 @@ def design(
 
     target = files.target(scene, ".designed.toml", holds=DESIGNED)
     beside = {ending: target.with_suffix(ending) for ending in (MAP, UNFINISHED, SOLID)}
-    output.check_overwriting(beside[UNFINISHED], '{"design"', files.force)
+    for path in beside.values():
+        output.check_overwriting(path, '{"design"', files.force or path != beside[UNFINISHED])
     loaded, scene = changes.load(scene)
     if loaded.folder is not None and loaded.folder.resolve() != target.parent.resolve():
         raise SceneError(f"--out {target}: the scene names files in {loaded.folder}; write there")
@@ -64,6 +65,8 @@ def design(
 
         saves[beside[SOLID]] = partial(save_solid, panel)
     written = output.write_files(saves, partial(_draw, panel, target) if files.pictures else None)
+    if not panel.interrupted:
+        beside[UNFINISHED].unlink(missing_ok=True)
     output.report(files.json, _as_json, _print, scene, panel, written=written)
     if panel.interrupted:
         raise KeyboardInterrupt(f" after {len(panel.history)} starts; the same command continues")

@@ -241,16 +241,14 @@ def output_file(out: Path | None, default: str, endings: Sequence[str] = ()) -> 
 
 
 def check_overwriting(path: Path, holds: str, force: bool) -> None:
-    """Raise a SceneError if a file is there that is read-only, or unless ``--force`` of another command or program.
+    """Raise a SceneError if a file cannot be written, or unless ``--force`` one of another command or program is there.
 
     Args:
         holds: what may be replaced: of HDF5 files their kind, such as "a sweep"; of JSON files "measurements with KEY",
             KEY being one that they have; of others how they begin.
     """
-    from warp_plate.result.atomic_io import is_read_only
-
-    if is_read_only(path):
-        raise SceneError(f"{path}: is read-only; name another file by --out")
+    if problem := writing_problem(path):
+        raise SceneError(f"{path}: {problem}; name another file by --out")
     if force or not path.exists():
         return
     if path.suffix.lower() == ".h5":

@@ -53,7 +53,7 @@ def design(
     Args:
         scene: Scene with a table ``[design]``.
         on_progress: Function of the iterations done, all of them, and a note.
-        unfinished: File of finished starts, from which the same search goes on; it is removed at the end.
+        unfinished: File of finished starts, from which the same search goes on; delete it once the panel is saved.
 
     Raises:
         SceneError: There is no such table, slopes of the scene are not known, or a range reaches too far.
@@ -93,8 +93,6 @@ def design(
         after = panel.exact(designed)
         if after.value > before.value:
             result = replace(result, scene=designed, after=after, values=panel.values(best))
-    if file is not None and not interrupted:
-        file.unlink(missing_ok=True)
     return result
 
 
@@ -151,8 +149,12 @@ def _read(file: Path, digest: str, count: int) -> list[Climb]:
         if record["design"] != digest:
             return []
         climbs = [Climb(**row) for row in record["starts"]]
-        if not all(np.shape(climb.numbers) == (count,) and np.isfinite(climb.numbers).all() for climb in climbs):
-            raise ValueError("numbers")
-    except (OSError, ValueError, TypeError, KeyError):
+        for climb in climbs:
+            every = np.array([*climb.numbers, *climb.history, climb.least, climb.evaluations])
+            free = every[: len(climb.numbers)]
+            within = len(free) == count and every.dtype.kind == "f" and ((free >= 0) & (free <= 1)).all()
+            if not (within and np.isfinite(every).all()):
+                raise ValueError("numbers")
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
         raise SceneError(f"{file}: is no unfinished design of this version; delete it") from None
     return climbs
