@@ -42,13 +42,38 @@ def function(values=VALUES, ends=(1, 3, 3, 3), code=12, per=13, labels=("m/s2", 
     return dataset(58, "NONE\n" * 5 + head + "\n".join(lines) + "\n")
 
 
-def nodes(places=NODES, kind=15):
+def nodes(places=NODES, kind=15, system=0, moved=0):
+    """Return nodes whose coordinates and displacements are in coordinate systems."""
+    heads = {n: f"{n:10d}{system:10d}{moved:10d}{8:10d}" for n in places}
+    three = {n: (*place, 0.0)[:3] for n, place in places.items()}
     if kind == 2411:
-        lines = (f"{n:10d}{0:10d}{0:10d}{8:10d}\n{x:25.16E}{y:25.16E}{0:25.16E}\n".replace("E", "D")
-                 for n, (x, y) in places.items())  # fmt: skip
+        lines = (f"{heads[n]}\n{x:25.16E}{y:25.16E}{z:25.16E}\n".replace("E", "D") for n, (x, y, z) in three.items())
     else:
-        lines = (f"{n:10d}{0:10d}{0:10d}{8:10d}{x:13.5e}{y:13.5e}{0:13.5e}\n" for n, (x, y) in places.items())
+        lines = (f"{heads[n]}{x:13.5e}{y:13.5e}{z:13.5e}\n" for n, (x, y, z) in three.items())
     return dataset(kind, "".join(lines))
+
+
+def system_18(number, origin, axes, reference=0, kind=0):
+    """Return a dataset 18 of a system whose axes are rows; the points on its axes are at any distance."""
+    along, beside = np.add(origin, 2 * axes[0]), np.add(origin, 0.3 * axes[0] + 0.7 * axes[2])
+    lines = "".join(f"{value:13.5e}" for value in (*origin, *along)) + "\n" + "".join(f"{v:13.5e}" for v in beside)
+    return dataset(18, f"{number:10d}{kind:10d}{reference:10d}{8:10d}{1:10d}\nname\n{lines}\n")
+
+
+def system_2420(number, origin, axes, kind=0):
+    rows = "".join("".join(f"{value:25.16e}" for value in row).replace("e", "D") + "\n" for row in (*axes, origin))
+    return dataset(2420, f"{1:10d}\npart\n{number:10d}{kind:10d}{8:10d}\nname\n{rows}")
+
+
+def local(origin, axes, places=NODES):
+    """Return the coordinates of places in a system."""
+    return {n: np.array(axes) @ ((*place, 0.0) - np.array(origin)) for n, place in places.items()}
+
+
+EYE = np.eye(3)
+# Turned by 90° and 180° about z, and the back of the panel, where x and z are reversed.
+QUARTER, HALF, BACK = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]]), np.diag([-1.0, -1, 1]), np.diag([-1.0, 1, -1])
+CENTRE = (0.15, 0.1, 0.0)
 
 
 def units(length, force=1.0):
@@ -79,7 +104,7 @@ FILES = {
     "label before units": units(1e3) + function(),
     "time record": function() + function(np.arange(9.0), kind=1, code=12, per=0, start=0.0),
     "spectra": "".join(function(np.arange(5.0), kind=kind) for kind in (2, 3, 12)) + function(),
-    "other datasets": dataset(151, HEADER) + dataset(82, LINES) + dataset(2420, "odd\n") + function(),
+    "other datasets": dataset(151, HEADER) + dataset(82, LINES) + dataset(2429, "odd\n") + function(),
     "binary": function(binary=True),
     "binary and text": function(np.arange(9.0), kind=1, binary=True) + function().encode(),
 }  # fmt: skip
@@ -117,6 +142,54 @@ def test_one_response(name, tmp_path):
 def test_responses_are_matched_to_sensors(content, fit, name, tmp_path):
     found = read_responses(written(tmp_path, content, name), 2, Fit(free=FREE, **fit), ROWS)
     np.testing.assert_allclose(found.responses, [VALUES, 2 * VALUES], rtol=1e-5)
+
+
+@pytest.mark.parametrize("kind", [15, 2411])
+@pytest.mark.parametrize(
+    ("systems", "origin", "axes"),
+    [
+        (system_2420(5, CENTRE, EYE), CENTRE, EYE),
+        (system_2420(5, CENTRE, QUARTER), CENTRE, QUARTER),
+        (system_2420(5, CENTRE, BACK), CENTRE, BACK),
+        (system_18(5, CENTRE, EYE), CENTRE, EYE),
+        (system_18(5, CENTRE, QUARTER), CENTRE, QUARTER),
+        (system_18(2, CENTRE, QUARTER) + system_18(5, (0.1, -0.05, 0.0), QUARTER, 2), (0.2, 0.2, 0.0), HALF),
+    ],
+    ids=["centred", "turned", "back", "centred 18", "turned 18", "18 in another"],
+)  # fmt: skip
+def test_coordinate_systems(systems, origin, axes, kind, tmp_path):
+    """Nodes are placed by their systems; on the back of the panel +Z is −Z."""
+    sign = axes[2][2]
+    content = systems + nodes(local(origin, axes), kind, 5, 5)
+    content += function(2 * VALUES, (2, 3, 3, 3)) + function(sign * VALUES, (1, int(3 * sign), 3, 3))
+    found = read_responses(written(tmp_path, content), 2, Fit(free=FREE), ROWS)
+    np.testing.assert_allclose(found.responses, [VALUES, 2 * VALUES], rtol=1e-5)
+    modes = read_modes(written(tmp_path, systems + nodes(local(origin, axes), kind, 5, 5) + normal_mode(80.0, SHAPE)))
+    np.testing.assert_allclose(modes.points, list(NODES.values()), rtol=1e-5)
+    np.testing.assert_allclose(modes.shapes, [[sign * value for value in SHAPE.values()]], rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("systems", "moved", "message"),
+    [
+        (system_2420(5, CENTRE, EYE, 1), 0, "node 1 is in coordinate system 5, which is not Cartesian"),
+        (system_18(5, CENTRE, EYE, 0, 2), 0, "node 1 is in coordinate system 5, which is not Cartesian"),
+        (system_2420(5, CENTRE, [[1, 0, 0], [0, 0.8, 0.6], [0, -0.6, 0.8]]), 5, "a direction that is oblique"),
+    ],
+)  # fmt: skip
+def test_other_coordinate_systems_are_refused(systems, moved, message, tmp_path):
+    content = systems + nodes(NODES, 15, 5, moved) + BOTH
+    assert message in refused(read_responses, written(tmp_path, content), 2, None, ROWS)
+
+
+def test_files_with_their_own_origin_and_unit(tmp_path):
+    """Each of two files has its coordinates; those of [fit] are for tables that state none."""
+    millimetres = {n: (1e3 * (x - 0.15), 1e3 * (y - 0.1)) for n, (x, y) in NODES.items()}
+    one = written(tmp_path, nodes(millimetres) + BOTH, "one.uff")
+    other = written(tmp_path, nodes({n: (x - 0.02, y) for n, (x, y) in NODES.items()}) + BOTH, "two.uff")
+    rows = [ROWS[1].model_copy(update={"origin": (0.15, 0.1), "unit": "mm"}), ROWS[0]]
+    found = read_responses([one, other], 2, Fit(free=FREE, origin=(0.02, 0.0)), rows)
+    np.testing.assert_allclose(found.responses, [2 * VALUES, VALUES], rtol=1e-5)
 
 
 def test_coherences_follow_their_responses(tmp_path):

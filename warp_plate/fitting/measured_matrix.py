@@ -191,7 +191,8 @@ def _universal(path: Path, table: Measured) -> MeasuredMatrix:
         for node in nodes:
             if (reference, node) not in found:
                 raise ValueError(f"has no response of node {node} to {_name(reference)}")
-    if missing := [node for node in nodes if node not in file.places]:
+    places = file.places()
+    if missing := [node for node in nodes if node not in places]:
         raise ValueError(f"node {missing[0]} has no place (dataset 15 or 2411)")
     frequency = np.asarray(next(iter(found.values()))["x"], dtype=float)
 
@@ -206,7 +207,7 @@ def _universal(path: Path, table: Measured) -> MeasuredMatrix:
 
     coherence = values(COHERENCE).real if set(functions[COHERENCE]) >= set(found) else None
     spectra = frequency, values(RESPONSE), coherence
-    return _matrix(path, table, spectra, np.array([file.places[node] for node in nodes]), tuple(map(_name, references)))
+    return _matrix(path, table, spectra, np.array([places[node] for node in nodes]), tuple(map(_name, references)))
 
 
 def _ends(item: dict[str, Any]) -> tuple[tuple[int, int], int]:

@@ -112,7 +112,7 @@ def _universal(path: Path, fit: Fit | None) -> MeasuredModes:
     """Return the modes of a universal file that bend the panel, without shapes if nodes have no places."""
     check_file(path)
     try:
-        frequencies, damping, shapes, points = universal_modes(read_universal(path, fit))
+        frequencies, damping, shapes, points = universal_modes(read_universal(path), fit)
     except ValueError as error:
         raise SceneError(f"{path}: {error}") from None
     order = np.argsort(frequencies, kind="stable")

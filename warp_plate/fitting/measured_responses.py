@@ -124,7 +124,7 @@ def _read(
     try:
         check_file(path, RESPONSES_BYTES)
         if ending in UNIVERSAL:
-            columns, coherence, units = universal_responses(read_universal(path, fit), count, rows)
+            columns, coherence, units = universal_responses(read_universal(path), count, rows, fit)
         elif ending in (*MAT, *HDF5):
             columns, coherence, units = *_arrays(path), []
         elif ending == ".wav" or signals is not None:

@@ -1,7 +1,8 @@
-"""Universal files (datasets 15, 55, 58, 58b, 164, 2411, 2414): modes, and frequency responses between nodes.
+"""Universal files (datasets 15, 18, 55, 58, 58b, 164, 2411, 2414, 2420): modes, and responses between nodes.
 
 Datasets of other types, such as lines (82) and headers (151), are not read, and of functions (58) only frequency
-responses and their coherence. A direction −Z turns the sign of its end.
+responses and their coherence. A direction −Z turns the sign of its end. Coordinate systems (18, 2420) have their axes
+as the rows of a matrix and their origin, so that x of the file's own system is origin + x @ axes.
 """
 
 from __future__ import annotations
@@ -19,32 +20,43 @@ from warp_plate.fitting.measured_tables import FREQUENCY_UNITS, LENGTHS, motion_
 from warp_plate.scene.fit import Fit, Measurement
 
 UNIVERSAL = (".uff", ".unv", ".ufb")
-READ = (15, 55, 58, 164, 2411, 2414)
+READ = (15, 18, 55, 58, 164, 2411, 2414, 2420)
 # Codes of dataset 58: a frequency response, a coherence. Of dataset 55: normal modes, and complex modes of displacement
 # and of velocity.
 RESPONSE, COHERENCE, NORMAL, COMPLEX = 4, 6, 2, (3, 7)
 # Codes of ordinates by their order in time, those of a force and those that say nothing; direction across the plate.
 ORDERS, FORCES, UNKNOWN, ACROSS = {8: 0, 11: 1, 12: 2}, (9, 13), (0, 1), 3
+# Columns of nodes: numbers, systems of their coordinates and displacements, coordinates.
+NODES = ("node_nums", "def_cs", "disp_cs", "x", "y", "z")
 MOTIONS = ("displacement", "velocity", "acceleration")
 # Largest distance of a node from a point of the scene, relative to the largest distance of nodes and points.
 NEAR = 0.01
+# Least cosine of directions that are the same.
+PARALLEL = 0.99
 
 
 @dataclass(frozen=True, eq=False)
 class UniversalFile:
-    """The datasets of a universal file that are read."""
+    """The datasets of a universal file that are read, with directions along the axes of the file's own system."""
 
     sets: list[dict[str, Any]]
-    places: dict[int, np.ndarray]  # x, y of the nodes in the plate's coordinates [m]
+    nodes: dict[int, np.ndarray]  # x, y, z of the nodes in the file's own system and unit
+    axes: dict[int, np.ndarray]  # (3, 3) axes, in rows, of the systems of displacements of nodes that have their own
     length: float  # length units in a metre
     force: float  # force units in a newton
+
+    def places(self, *tables: Fit | Measurement | None) -> dict[int, np.ndarray]:
+        """Return x, y of the nodes on the plate [m], by the first of the tables that states an origin, and a unit."""
+        origin = next((table.origin for table in tables if table and table.origin), (0.0, 0.0))
+        unit = next((LENGTHS[table.unit] for table in tables if table and table.unit), 1 / self.length)
+        return {number: np.array(origin) + unit * place[:2] for number, place in self.nodes.items()}
 
     def of(self, *types: int) -> list[dict[str, Any]]:
         """Return the datasets of some types."""
         return [item for item in self.sets if item.get("type") in types]
 
 
-def read_universal(path: Path, fit: Fit | None = None) -> UniversalFile:
+def read_universal(path: Path) -> UniversalFile:
     """Return the datasets of a universal file; ValueError: it cannot be read."""
     try:
         import pyuff
@@ -68,19 +80,63 @@ def read_universal(path: Path, fit: Fit | None = None) -> UniversalFile:
     units = next((item for item in sets if item["type"] == 164), {"length": 1.0, "force": 1.0})
     if not (units["length"] > 0 and units["force"] > 0):
         raise ValueError("dataset 164: factors of length and force must be above 0")
-    stated = LENGTHS[fit.unit] if fit and fit.unit else 1 / units["length"]
-    origin = np.array(fit.origin if fit and fit.origin else (0.0, 0.0))
-    places = {
-        int(number): origin + stated * np.array([x, y])
-        for item in sets
-        if item["type"] in (15, 2411)
-        for number, x, y in zip(item["node_nums"], item["x"], item["y"], strict=False)
-    }
-    return UniversalFile(sets, places, units["length"], units["force"])
+    frames = _frames(sets)
+    nodes, axes = {}, {}
+    for item in sets:
+        for row in zip(*map(item.get, NODES), strict=False) if item["type"] in (15, 2411) else ():
+            number, system, turned = map(int, row[:3])
+            own, origin = _cartesian(frames, system, number) or (np.eye(3), np.zeros(3))
+            nodes[number] = origin + np.array(row[3:]) @ own
+            if (displaced := _cartesian(frames, turned, number)) is not None:
+                axes[number] = displaced[0]
+    for item in functions:
+        for end in ("rsp", "ref"):
+            if (frame := axes.get(int(item[f"{end}_node"]))) is not None:
+                item[f"{end}_dir"] = _turned(item[f"{end}_dir"], frame, item[f"{end}_node"])
+    return UniversalFile(sets, nodes, axes, units["length"], units["force"])
+
+
+def _frames(sets: Sequence[dict[str, Any]]) -> dict[int, tuple[np.ndarray, np.ndarray] | None]:
+    """Return the axes (3, 3) and the origin (3,) of coordinate systems by number; None for those not Cartesian."""
+    frames: dict[int, tuple[np.ndarray, np.ndarray] | None] = {}
+    for item in sets:
+        if item["type"] == 2420:
+            for number, kind, rows in zip(item["CS_sys_labels"], item["CS_types"], item["CS_matrices"], strict=True):
+                frames[int(number)] = (np.array(rows[:3]), np.array(rows[3])) if kind == 0 else None
+        elif item["type"] == 18:
+            columns = ("cs_num", "cs_type", "ref_cs_num", "ref_o", "x_point", "xz_point")
+            for number, kind, reference, origin, along, beside in zip(*(item[name] for name in columns), strict=True):
+                x, beside = along - origin, beside - origin
+                y = np.cross(beside, x)
+                axes = np.array([x, y, np.cross(x, y)])
+                axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+                own, start = frames.get(int(reference)) or (np.eye(3), np.zeros(3))
+                frames[int(number)] = (axes @ own, start + origin @ own) if kind == 0 else None
+    return frames
+
+
+def _cartesian(
+    frames: dict[int, tuple[np.ndarray, np.ndarray] | None], system: int, node: int
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the axes and the origin of a node's coordinate system; None for the file's own."""
+    if system in frames and frames[system] is None:
+        raise ValueError(f"node {node} is in coordinate system {system}, which is not Cartesian; only these are read")
+    return frames.get(system)
+
+
+def _turned(direction: int, axes: np.ndarray, node: int) -> int:
+    """Return a direction along one of the axes of a node, such as −3, as one along the file's own axes."""
+    if not 1 <= abs(direction) <= 3:
+        return direction
+    vector = _sign(direction) * axes[abs(direction) - 1]
+    axis = int(np.abs(vector).argmax())
+    if abs(vector[axis]) < PARALLEL:
+        raise ValueError(f"node {node} has a direction that is oblique to the axes of the file")
+    return axis + 1 if vector[axis] > 0 else -axis - 1
 
 
 def universal_modes(
-    file: UniversalFile,
+    file: UniversalFile, fit: Fit | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
     """Return frequencies [Hz], damping ratios, shapes across the plate (n, points) and x, y of the points [m].
 
@@ -91,7 +147,7 @@ def universal_modes(
     if not modes:
         raise ValueError("has no mode (dataset 55 or 2414 of analysis type 2, 3 or 7)")
     frequencies, damping = np.array([_frequency_and_damping(item) for item in modes], dtype=float).T
-    return frequencies, damping, *_shapes_and_points(file.places, modes)
+    return frequencies, damping, *_shapes_and_points(file, fit, modes)
 
 
 def _as_dataset_55(item: dict[str, Any]) -> dict[str, Any]:
@@ -117,10 +173,10 @@ def _frequency_and_damping(item: dict[str, Any]) -> tuple[float, float]:
 
 
 def _shapes_and_points(
-    places: dict[int, np.ndarray], modes: Sequence[dict[str, Any]]
+    file: UniversalFile, fit: Fit | None, modes: Sequence[dict[str, Any]]
 ) -> tuple[np.ndarray, np.ndarray] | tuple[None, None]:
     """Return (n, points) shapes along z and (points, 2) x, y [m]; None if the nodes have no places."""
-    numbers = modes[0]["node_nums"]
+    numbers, places = modes[0]["node_nums"], file.places(fit)
     if any(not np.array_equal(item["node_nums"], numbers) for item in modes):
         raise ValueError("its modes (dataset 55) are at different nodes")
     if not places:
@@ -133,11 +189,13 @@ def _shapes_and_points(
         if len(item["r3"]) != len(numbers):
             stated = f"{item['n_data_per_node']} values a node, but {len(item['r3'])} of r3 for {len(numbers)} nodes"
             raise ValueError(f"mode {number} of {len(modes)} (dataset 55): record 6 states {stated}")
-    return np.array([item["r3"] for item in modes]), np.array([places[int(number)] for number in numbers])
+    along = np.array([file.axes.get(int(number), np.eye(3))[:, 2] for number in numbers]).T
+    shapes = np.array([sum(part * item.get(f"r{axis}", 0) for axis, part in enumerate(along, 1)) for item in modes])
+    return shapes, np.array([places[int(number)] for number in numbers])
 
 
 def universal_responses(
-    file: UniversalFile, count: int, rows: Sequence[Measurement] | None
+    file: UniversalFile, count: int, rows: Sequence[Measurement] | None, fit: Fit | None = None
 ) -> tuple[np.ndarray, np.ndarray | None, list[tuple[int, float] | None]]:
     """Return (1 + count, n) frequencies and responses across the plate, their coherences, and their units.
 
@@ -149,8 +207,8 @@ def universal_responses(
     if not every:
         raise ValueError("has no frequency response (dataset 58 of function type 4)")
     sets = _across(every)
-    located = rows is not None and all(int(item["rsp_node"]) in file.places for item in sets)
-    chosen = _at_rows(file.places, sets, rows) if located and rows is not None else sets
+    located = rows is not None and all(int(item["rsp_node"]) in file.nodes for item in sets)
+    chosen = _at_rows(file, sets, rows, fit) if located and rows is not None else sets
     if len(chosen) != count:
         named = ", ".join(map(_ends, chosen[:12])) + (", ..." if len(chosen) > 12 else "")
         given = f"has {len(chosen)} responses across the plate ({named})"
@@ -178,31 +236,33 @@ def _across(sets: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _at_rows(
-    places: dict[int, np.ndarray], sets: list[dict[str, Any]], rows: Sequence[Measurement]
+    file: UniversalFile, sets: list[dict[str, Any]], rows: Sequence[Measurement], fit: Fit | None
 ) -> list[dict[str, Any]]:
     """Return the response between the points of each row."""
-    points = np.array([*places.values(), *(row.point for row in rows)])
-    near = NEAR * float(np.linalg.norm(np.ptp(points, axis=0)))
-
-    def distance(item: dict[str, Any], ends: tuple[str, str], row: Measurement) -> float:
-        there = [places.get(int(item[end])) for end in ends]
-        away = [0.0 if at is None or place is None else float(np.linalg.norm(place - at))
-                for place, at in zip(there, (row.point, row.force_at), strict=True)]  # fmt: skip
-        return max(away)
-
     chosen = []
     for index, row in enumerate(rows):
+        places = file.places(row, fit)
+        points = np.array([*places.values(), *(other.point for other in rows)])
+        near = NEAR * float(np.linalg.norm(np.ptp(points, axis=0)))
         found: list[dict[str, Any]] = []
         for ends in (("rsp_node", "ref_node"), ("ref_node", "rsp_node")):
             if row.force_at is not None or ends[0] == "rsp_node":
-                found = found or [item for item in sets if distance(item, ends, row) <= near]
+                found = found or [item for item in sets if _distance(places, item, ends, row) <= near]
         if len(found) != 1:
             stated = f"point = {list(row.point)}" + (f", force_at = {list(row.force_at)}" if row.force_at else "")
             nodes = ", ".join(f"{node} at {x:.4g}, {y:.4g}" for node, (x, y) in list(places.items())[:8])
             given = f"{len(found) or 'no'} responses are at measurement[{index}] ({stated}), which needs one"
-            raise ValueError(f"{given}; nodes: {nodes}; fit.origin and fit.unit place them on the plate")
+            raise ValueError(f"{given}; nodes: {nodes}; origin and unit of [[measurement]] or [fit] place them")
         chosen += found
     return chosen
+
+
+def _distance(places: dict[int, np.ndarray], item: dict[str, Any], ends: tuple[str, str], row: Measurement) -> float:
+    """Return the largest distance of the nodes of a function from the points of a row, of those that are known."""
+    there = [places.get(int(item[end])) for end in ends]
+    away = [0.0 if at is None or place is None else float(np.linalg.norm(place - at))
+            for place, at in zip(there, (row.point, row.force_at), strict=True)]  # fmt: skip
+    return max(away)
 
 
 def _ends(item: dict[str, Any]) -> str:

@@ -20,6 +20,7 @@ from warp_plate.scene.fields import (
     flat_keys,
 )
 
+LengthUnit = Literal["m", "cm", "mm", "in"]
 # Most keys with tolerances in a design.
 MOST_TOLERANCES = 4
 
@@ -37,6 +38,10 @@ class Measurement(Table):
     """Displacement, velocity or acceleration per force."""
     gain: Annotated[Gain, Unit("1"), Field(examples=[0.1])] = 1.0
     """Measured response over the true response in SI units."""
+    origin: Annotated[Point | None, Field(examples=[[0.115, 0.12]])] = None
+    """Place x, y on the plate of the origin of the nodes in a universal file (default: that of ``fit``)."""
+    unit: Annotated[LengthUnit | None, Field(examples=["mm"])] = None
+    """Unit of the nodes in a universal file (default: that of ``fit``)."""
 
     @model_validator(mode="after")
     def _driven_once(self) -> Self:
@@ -97,7 +102,7 @@ class Fit(Table):
     """Time constant of the exponential window under which responses in files were measured (default: none)."""
     origin: Annotated[Point | None, Field(examples=[[0.115, 0.12]])] = None
     """Place x, y on the plate of the origin of coordinates in measured files (default: the lower left corner)."""
-    unit: Annotated[Literal["m", "cm", "mm", "in"] | None, Field(examples=["mm"])] = None
+    unit: Annotated[LengthUnit | None, Field(examples=["mm"])] = None
     """Unit of coordinates in measured files (default: that of dataset 164 of a universal file, otherwise m)."""
 
     @model_validator(mode="after")
