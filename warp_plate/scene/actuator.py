@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from warp_plate.effects.coil import CoilKeys
+from warp_plate.effects.effect import Panel
 from warp_plate.scene.fields import (
     LARGEST,
     SMALLEST,
@@ -76,6 +77,19 @@ class Actuator(CoilKeys, DrivenPatch):
         """Ratio of the number under ``amplitude_key`` to the magnitude: the patch's area [m²] for a force, otherwise
         1."""
         return 1.0 if self.force is None else self.patch_area
+
+    def moment_on(self, plate: Panel) -> float:
+        """Return the bending moment per length and volt [N/V] of a piezo patch on a plate; 0 of a coil.
+
+        It is E d31 / (1 − ν) times the distance of the patch's middle from the neutral plane: the plate's own, or that
+        of plate and patch if the patch has a density and so counts as a layer. Poisson's ratio is the plate's.
+        """
+        if self.d31 is None or self.thickness is None or self.young_modulus is None:
+            return 0.0
+        stretch = plate.young_modulus * plate.thickness
+        added = 0.0 if self.density is None else self.young_modulus * self.thickness
+        distance = (plate.thickness + self.thickness) / 2 * stretch / (stretch + added)
+        return self.young_modulus * self.d31 / (1 - plate.poisson_ratio) * distance
 
     @model_validator(mode="after")
     def _keys_of_kind(self) -> Self:

@@ -1,7 +1,8 @@
 """The tables ``[plate]`` and ``[links]``, and the top level of a scene file with what follows from its tables."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property
 from typing import Annotated, Any, Self
 
 from pydantic import Field, ValidationError, model_serializer, model_validator
@@ -143,12 +144,19 @@ class SceneTables(Table):
     measurement: tuple[Measurement, ...] = ()
     actuators: Annotated[tuple[Actuator, ...], Field(min_length=1)]
 
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Return a copy with other values of fields, for which the cached properties are computed anew."""
+        copy = super().model_copy(update=update, deep=deep)
+        for name in copy.__dict__.keys() - type(self).model_fields.keys():
+            del copy.__dict__[name]
+        return copy
+
     @property
     def piezo(self) -> bool:
         """True if actuators are piezo patches, driven by voltages; then all but coils are."""
         return any(actuator.kind == "piezo" for actuator in self.actuators)
 
-    @property
+    @cached_property
     def coil_indices(self) -> list[int]:
         """Indices of the actuators that are coils."""
         return [index for index, actuator in enumerate(self.actuators) if actuator.kind == "coil"]
@@ -204,27 +212,10 @@ class SceneTables(Table):
 
     @property
     def piezo_moments(self) -> list[float]:
-        """Bending moment per length and volt [N/V] of each piezo patch, 0 of coils.
+        """Bending moment per length and volt [N/V] of each piezo patch, 0 of coils."""
+        return [actuator.moment_on(self.plate) for actuator in self.actuators]
 
-        It is E d31 / (1 − ν) times the distance of the patch's middle from the neutral plane: the plate's own, or that
-        of plate and patch if the patch has a density and so counts as a layer. Poisson's ratio is the plate's.
-        """
-        plate, moments = self.plate, []
-        for patch in self.actuators:
-            if patch.kind == "coil":
-                moments.append(0.0)
-                continue
-            assert patch.d31 is not None
-            assert patch.thickness is not None
-            assert patch.young_modulus is not None
-            stretch, added = plate.young_modulus * plate.thickness, 0.0
-            if patch.density is not None:
-                added = patch.young_modulus * patch.thickness
-            distance = (plate.thickness + patch.thickness) / 2 * stretch / (stretch + added)
-            moments.append(patch.young_modulus * patch.d31 / (1 - plate.poisson_ratio) * distance)
-        return moments
-
-    @property
+    @cached_property
     def layers(self) -> tuple[Layer, ...]:
         """Layers of the plate, among them the bodies of piezo patches that have a density."""
         keys = (*PlateRegion.model_fields, "thickness", "young_modulus", "density")
@@ -264,20 +255,20 @@ class SceneTables(Table):
         joined, as "N/m² or V"."""
         return " or ".join(dict.fromkeys(self.magnitude_units))
 
-    @property
+    @cached_property
     def outline(self) -> Outline | None:
         """Geometry of the plate's outline; None for a rectangle by ``plate.size`` without supports."""
         if self.plate.outline is None:
             return outline_of_rectangle(self.plate.size, self.edges) if self.supports else None
         return outline_of(self.plate.outline, self.plate.holes, self.edges)
 
-    @property
+    @cached_property
     def edge_conditions(self) -> tuple[tuple[str, Any], ...]:
         """Names and conditions of all edges, those of holes included."""
         holes = ((f"holes[{index}]", hole.edge) for index, hole in enumerate(self.plate.holes))
         return (*self.edges, *holes)
 
-    @property
+    @cached_property
     def terms(self) -> tuple[Term, ...]:
         """Terms of the equation of motion besides bending and inertia: those of elastic edges, then of the effects."""
         supports = (
@@ -311,7 +302,7 @@ class SceneTables(Table):
         """True if the scene has no ``[grid]``, and no accuracy could be held because it is not linear."""
         return "grid" not in self.model_fields_set and not self.linear
 
-    @property
+    @cached_property
     def nonlinear_table(self) -> str | None:
         """First table that makes displacements nonlinear in the drives, so that superposition fails; None if none."""
         return self.nonlinear_key or self.effects.first(lambda effect: effect.travels)
