@@ -42,6 +42,8 @@ def test_keys_of_a_fit_are_set():
     row = '[{actuator = "lower left", point = [0.1, 0.1]}]'
     scene = Scene.load("paper", [f"measurement={row}", f"fit.free.{key}=[0.5, 2]", "fit.free.plate.density=[1, 2]"])
     assert dict(scene.fit.free) == {key: (0.5, 2.0), "plate.density": (1.0, 2.0)}
+    quoted = Scene.load("paper", [f"measurement={row}", f'fit.free."{key}"=[0.5, 2]'])
+    assert dict(quoted.fit.free) == {key: (0.5, 2.0)}
     named = Scene.load("paper", ["fit.free.actuators.lower left.area[0]=[0.0, 0.01]"])
     assert list(named.fit.free) == ["actuators.lower left.area[0]"]
     assert "fit.free is no table" in refused(Scene.load, "paper", ["fit.free=3", f"fit.free.{key}=[1, 2]"])

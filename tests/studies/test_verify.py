@@ -72,6 +72,20 @@ def test_another_panel_does_not(lossy_run):
     assert found.correlation < 0.95
 
 
+@pytest.mark.parametrize("name", ["mirrored in x", "mirrored in y", "turned"])
+def test_mirrored_scans_are_named(name, lossy_run, random):
+    """The field has no symmetry; 2 % noise and missing points do not matter."""
+    field = with_noise(field_of(lossy_run), 0.02, random)
+    field.velocity[::17] = np.nan
+    points = field.points.copy()
+    for axis in {"mirrored in x": [0], "mirrored in y": [1], "turned": [0, 1]}[name]:
+        points[:, axis] = SIZE[axis] - points[:, axis]
+    found = verify(lossy_run, replace(field, points=points))
+    assert found.mirrored == name
+    assert f"The scan is {name}: the cosine of the velocities is then 0.99" in "".join(found.warnings)
+    assert verify(lossy_run, field).mirrored is None
+
+
 def test_points_that_were_not_seen_are_left_out(lossy_run, tmp_path):
     """NaN and empty cells; coordinates in millimetres."""
     field = field_of(lossy_run)

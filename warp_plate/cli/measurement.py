@@ -189,7 +189,7 @@ def _draw_verified(verified: Verification, scene: Scene, path: Path) -> output.D
 def _verified_as_json(verified: Verification) -> dict[str, object]:
     names = ("case", "promised_factor", "localization_factor", "deviation", "sampling", "interval", "kept", "scale")
     return {
-        **output.attributes(verified, *names, "correlation"),
+        **output.attributes(verified, *names, "correlation", "mirrored"),
         "points": verified.measured.points,
         "measured": verified.measured.velocity,
         "promised": verified.promised,

@@ -150,8 +150,8 @@ def _size(errors: np.ndarray) -> np.ndarray:
     return np.minimum(np.abs(_wrapped(errors)), CAPPED).mean(axis=1)
 
 
-def _moves(width: float, height: float) -> dict[str, tuple[str, Callable[[float, float], tuple[float, float]]]]:
-    """Return explanations and functions of points that are mirrored or turned, by name."""
+def moves(width: float, height: float) -> dict[str, tuple[str, Callable[[float, float], tuple[float, float]]]]:
+    """Return explanations and functions of points x, y that are mirrored or turned on a plate, by name."""
     return {
         "mirrored in x": ("points or edges are mirrored: x counts from the right", lambda x, y: (width - x, y)),
         "mirrored in y": ("points or edges are mirrored: y counts from the top", lambda x, y: (x, height - y)),
@@ -163,7 +163,7 @@ def _moves(width: float, height: float) -> dict[str, tuple[str, Callable[[float,
 def _geometries(rows: Sequence[Measurement], size: tuple[float, float]) -> Iterator[tuple[str, str, list[Measurement]]]:
     """Yield name, explanation and rows of places that are mirrored or turned."""
     width, height = size
-    for name, (text, move) in _moves(width, height).items():
+    for name, (text, move) in moves(width, height).items():
         named = [{"point": row.point} | ({"force_at": row.force_at} if row.force_at else {}) for row in rows]
         places = [{key: move(*point) for key, point in of.items()} for of in named]
         if any(row.actuator for row in rows) or any(x > width or y > height for at in places for x, y in at.values()):
@@ -303,7 +303,7 @@ def _verdict_on_shapes(scene: Scene, judged: ModesToJudge, error: float) -> Verd
     """Return the verdict on shapes that are not those of the fitted panel; None if they may be."""
     (width, height), points = scene.plate.size, np.asarray(judged.measured.points)
     best = (judged.mac + NOTABLE_MAC, "", "")
-    for name, (text, move) in _moves(width, height).items():
+    for name, (text, move) in moves(width, height).items():
         moved = np.array([move(*point) for point in points])
         if np.all(moved <= (width, height)):
             best = max(best, (judged.assurance(moved), name, text))

@@ -183,7 +183,7 @@ def put(tables: dict[str, Any], key: str, value: Any, shown: str) -> None:
         free = _entered(_entered(tables, "fit", {}, shown), "free", {}, shown)
         if not isinstance(free, dict):
             raise SceneError(f"{shown}: fit.free is no table")
-        free[key.strip().removeprefix(FREE)] = value
+        free[key.strip().removeprefix(FREE).strip("\"'")] = value
         return
     rows = {table: tables[table] for table in NAMED if isinstance(tables.get(table), list)}
     names = {table: [str(row.get("name")) if isinstance(row, dict) else "" for row in rows[table]] for table in rows}

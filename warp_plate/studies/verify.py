@@ -20,6 +20,7 @@ import scipy
 
 from warp_plate.analysis.motion import motions
 from warp_plate.fitting.measured_modes import column_numbers, read_table_columns
+from warp_plate.fitting.verdict import LEFT, moves
 from warp_plate.plate.weights import node_positions, region_weights
 from warp_plate.result.model import Result
 from warp_plate.scene.errors import SceneError, check_type
@@ -28,6 +29,7 @@ from warp_plate.scene.fields import SMALLEST
 MOST_POINTS = 2000
 NORMAL = 1.96  # half-width of 95 % intervals in standard deviations
 COLUMNS = "x", "y", "velocity", "uncertainty"
+UNLIKE = 0.02  # what the cosine of velocities lacks of 1, from which on mirrored points are looked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +55,8 @@ class Verification:
     sampling: float  # localization factor of the predicted field sampled at these points, less its true one
     scale: float  # measured over predicted velocity, by least squares
     correlation: float  # cosine between the measured and the predicted velocities
+    mirrored: str | None = None  # "mirrored in x", ... where that gives another cosine by far; None if not
+    mirrored_correlation: float = math.nan  # that cosine
 
     def __repr__(self) -> str:
         measured, (low, high) = self.localization_factor, self.interval
@@ -74,6 +78,8 @@ class Verification:
         """Lines that the command prints after "!"."""
         lines = {
             "The drive does not keep its promise: fit the scene to a measurement, and search again.": not self.kept,
+            f"The scan is {self.mirrored}: the cosine of the velocities is then {self.mirrored_correlation:.4f}, not "
+            f"{self.correlation:.4f}. Correct x and y of the file.": self.mirrored is not None,
             "The noise is not known: add a column uncertainty, or measure each point twice.": np.isnan(self.deviation),
         }
         return tuple(line for line, applies in lines.items() if applies)
@@ -102,7 +108,8 @@ def verify(result: Result, data: Path | MeasuredField, case: str | None = None) 
     x, y = measured.points.T
     if np.any((measured.points < 0) | (measured.points > scene.plate.size)):
         raise SceneError(f"{measured.source}: a point is off the plate of {list(scene.plate.size)} m")
-    promised = scipy.interpolate.RegularGridInterpolator(axes[::-1], field)(np.stack([y, x], axis=1))
+    predict = scipy.interpolate.RegularGridInterpolator(axes[::-1], field)
+    promised = predict(np.stack([y, x], axis=1))
     plate, target = _quadrature(measured, axes, weights)
     squares, noise = measured.velocity**2, measured.uncertainty
     seen = (target @ promised**2) / (plate @ promised**2)
@@ -115,6 +122,13 @@ def verify(result: Result, data: Path | MeasuredField, case: str | None = None) 
     if noise is not None:
         deviation = float(np.linalg.norm((target - factor * plate) * 2 * measured.velocity * noise) / whole)
     product, size = measured.velocity @ promised, promised @ promised
+    correlation, cosines = _cosine(measured.velocity, promised), {}
+    for moved, (_, move) in moves(*scene.plate.size).items():
+        places = np.array([move(*point) for point in measured.points])
+        if np.all(places <= scene.plate.size):
+            cosines[moved] = _cosine(measured.velocity, predict(places[:, ::-1]))
+    best = max(cosines, key=lambda moved: cosines[moved])
+    mirrored = 1 - correlation > UNLIKE and 1 - cosines[best] < LEFT * (1 - correlation)
     return Verification(
         case=name,
         measured=measured,
@@ -124,8 +138,14 @@ def verify(result: Result, data: Path | MeasuredField, case: str | None = None) 
         deviation=deviation,
         sampling=float(seen - true),
         scale=float(product / size),
-        correlation=float(product / math.sqrt(size * (measured.velocity @ measured.velocity))),
+        correlation=correlation,
+        mirrored=best if mirrored else None,
+        mirrored_correlation=cosines[best] if mirrored else math.nan,
     )
+
+
+def _cosine(one: np.ndarray, other: np.ndarray) -> float:
+    return float(one @ other / math.sqrt((one @ one) * (other @ other)))
 
 
 def read_field(path: Path) -> MeasuredField:
