@@ -70,7 +70,7 @@ IN_PLACES = {
     "other edge": ("mirrored in x", None),
 }
 IN_MODES = ("missing mode", "further mode", "rad/s", "thick")
-IN_TIME = ("clipped", "exponential window")
+IN_TIME = ("clipped", "channels", "exponential window")
 FAULTS = (*IN_DATA, *IN_PLACES, *IN_MODES, *IN_TIME)
 # Decay rate of the exponential window over that of the lowest mode; part of the largest sample of a sensor at which its
 # record is clipped; segments of the record, and their duration in periods of the lowest mode.
@@ -151,7 +151,9 @@ def verdict_on_record(scene: Scene, fault: str | None, random: np.random.Generat
     rows = [np.interp(lines, at, row.real) + 1j * np.interp(lines, at, row.imag) for row in response]
     record = np.fft.irfft(np.array([spectrum, *(row * spectrum for row in rows)]), samples)
     record += NOISE * record.std(axis=1, keepdims=True) * random.normal(size=record.shape)
-    if fault:
+    if fault == "channels":
+        record = record[np.insert([1, 2, 3], random.integers(1, 4), 0)]
+    elif fault == "clipped":
         sensor = random.integers(1, 4)
         most = CLIPPED * np.abs(record[sensor]).max()
         record[sensor] = record[sensor].clip(-most, most)
@@ -185,7 +187,8 @@ def judged(number: int, clean: bool) -> dict:
     fault = FAULTS[number % len(FAULTS)]
     scene = random_panel(random, thick=fault == "thick" and not clean)
     judge = verdict_on_modes if fault in IN_MODES else verdict_on_responses
-    judge = {"clipped": verdict_on_record, "exponential window": verdict_on_window}.get(fault, judge)
+    judge = verdict_on_record if fault in ("clipped", "channels") else judge
+    judge = verdict_on_window if fault == "exponential window" else judge
     wanted, verdict = judge(scene, None if clean else fault, random)
     named = verdict.describes if clean else not verdict.describes and verdict.cause == wanted
     return {"panel": number, "fault": None if clean else fault, "right": named, "error": verdict.error,

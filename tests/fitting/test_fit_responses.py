@@ -120,6 +120,17 @@ def test_an_exponential_window_is_named_and_its_damping_taken_out(tmp_path, rand
     assert again.values == pytest.approx((MODULUS, ETA), rel=0.01)
 
 
+@pytest.mark.slow
+def test_the_channel_of_the_force_is_named(random):
+    """Of three sensors the first stands for the force, which is in the third of four channels."""
+    data = noisy(random, frequencies=np.linspace(6, 80, 100))
+    first, second, third = data.responses
+    wrong = replace(data, responses=np.array([second, np.ones(100), third]) / first)
+    verdict = fit_responses(wrong_panel(signals={"segment": 10.0}), wrong).verdict
+    assert (verdict.describes, verdict.cause) == (False, "channels")
+    assert verdict.text.endswith("write fit.signals.force_channel = 3.")
+
+
 @pytest.mark.parametrize(("part", "bits"), [(0.6, None), (0.75, 16), (1.0, None), (1.0, 16), (1.0, 6)])
 def test_clipped_records_are_named(part, bits, tmp_path, random):
     """A sensor is clipped at a part of its largest value, in numbers of so many bits."""

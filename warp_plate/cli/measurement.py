@@ -63,7 +63,8 @@ def fit(
     save = partial(write_atomically, f"{heading}\n{fitted.scene.to_toml()}".encode())
     saves: dict[Path, Callable[[Path], object]] = {target: save}
     if report is not None:
-        title, show = f"Fit of {fitted.scene.title or scene}", partial(_print_fit, scene, fitted)
+        named = ", ".join(path.name for path in data)
+        title, show = f"Fit of {fitted.scene.title or scene} to {named}", partial(_print_fit, scene, fitted)
         page = partial(
             write_report, title=title, show=show, draw=partial(_draw, fitted), appendix=fitted.scene.to_toml()
         )
@@ -172,7 +173,8 @@ def verify(
     verified = compare_velocities(loaded, data, case)
     written = None
     if report is not None:
-        title, show = f"Verification of {loaded.scene.title or result}", partial(_print_verified, verified)
+        title = f"Verification of {loaded.scene.title or result} by {data.name}"
+        show = partial(_print_verified, verified)
         draw = partial(_draw_verified, verified, loaded.case_scene(loaded.select_cases([verified.case])[verified.case]))
         save = partial(write_report, title=title, show=show, draw=draw, appendix=loaded.scene.to_toml())
         written = output.write_files({report: save}, None)

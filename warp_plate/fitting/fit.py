@@ -313,6 +313,10 @@ class _Alternatives:
         found = fit_least_squares(predict, stages, self._unknowns[None], weigh).unknowns
         return np.asarray(np.log(predict(found) / responses))
 
+    def of_data(self, responses: np.ndarray) -> _Alternatives:
+        """Return the same for other responses (m, n), whose resonances may differ."""
+        return _Alternatives(self._scene, replace(self.measured, responses=responses))
+
     def refit_decay(self, scene: Scene) -> tuple[float, np.ndarray]:
         """Return the decay rate [1/s] that the data have and a fitted scene lacks, and errors (m, n) with it."""
         free, (low, high) = free_numbers(scene), 2 * np.pi * self.measured.frequencies[0] * np.array(DECAYS)

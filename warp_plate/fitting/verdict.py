@@ -182,6 +182,9 @@ class Alternatives(Protocol):
     def refit(self, rows: Sequence[Measurement], responses: np.ndarray) -> np.ndarray:
         """Return errors log(H / Hₘ) (m, n) of a fit between the places of rows to other responses (m, n)."""
 
+    def of_data(self, responses: np.ndarray) -> Alternatives:
+        """Return the same for other responses (m, n), whose resonances may differ."""
+
     def refit_decay(self, scene: Scene) -> tuple[float, np.ndarray]:
         """Return the decay rate [1/s] that measured responses have and those of a fitted scene lack, and the errors
         log(H / Hₘ) (m, n) of a fit with it."""
@@ -217,9 +220,27 @@ def judge_responses(scene: Scene, errors: np.ndarray, alternatives: Alternatives
             text = f"an exponential window, for all modes decay faster by {rate:.2g}/s ({_left(left)}): write {key} = "
             text += f"{window:.2g}, or if there is none, free effects.damping.viscous"
             return Verdict(False, error, "exponential window", _failure(said, f"Likely cause: {text}."))
+    for channel, data in _force_channels(scene, alternatives.measured.responses) if error > LARGEST_ERROR else ():
+        left = float(systematic_error(alternatives.of_data(data).refit(list(scene.measurement), data)).max())
+        if left < LEFT * error:
+            text = f"the force is in channel {channel} ({_left(left)}): write fit.signals.force_channel = {channel}"
+            return Verdict(False, error, "channels", _failure(said, f"Likely cause: {text}."))
     if error <= LARGEST_ERROR:
         return Verdict(True, error, None, thick[:1].upper() + thick[1:])
     return _unexplained(error, said, thick, at_limit, "sign, units, quantity, order, mirror, exponential window")
+
+
+def _force_channels(scene: Scene, responses: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+    """Yield other channels of one file of time signals, from 1, and the responses (m, n) if they hold the force."""
+    signals, count = scene.fit.signals if scene.fit else None, len(responses)
+    if signals is None or signals.force_channel > count + 1:
+        return
+    held = signals.force_channel - 1
+    motions = [channel for channel in range(count + 1) if channel != held]
+    for row, channel in enumerate(motions):
+        ratios = {held: 1 / responses[row]}
+        ratios |= {other: responses[index] / responses[row] for index, other in enumerate(motions) if index != row}
+        yield channel + 1, np.array([ratios[other] for other in sorted(ratios)])
 
 
 def _ranked(scene: Scene, alternatives: Alternatives) -> list[tuple[str, str, Sequence[Measurement], np.ndarray]]:
