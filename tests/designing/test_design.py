@@ -151,6 +151,53 @@ def test_forged_files_of_finished_starts_are_refused(change, tmp_path):
             wpl.design(scene, unfinished=file)
 
 
+LIMITS = {"mass": 0.03, "energy_target": 1e-9, "gap": [200.0, 330.0]}
+
+
+@pytest.mark.parametrize("free", [{"thickness": {**THICKNESS, "mass": None}}, {"free": FREE}], ids=["map", "numbers"])
+def test_slopes_of_limits_are_those_of_differences(free, random):
+    patched = {"layers": [LAYER], "oscillators": [OSCILLATOR], "damping": {"viscous": 60.0}}
+    effects = {"effects": patched, "edges": ("clamped", "clamped", {"translation": 1e5}, "supported")}
+    design = {**free, "limits": LIMITS, "objective": "energy_target"}
+    panel = FreePanel(designed_scene(design, **(effects if "free" in free else {})))
+    numbers, direction = 0.3 + 0.4 * random.random(panel.count), random.normal(size=panel.count)
+    panel.follow(numbers)
+    value = panel.evaluate(numbers)
+    assert len(value.excess) == 4
+
+    def slopes(step):
+        one, other = (panel.evaluate(numbers + sign * step * direction) for sign in (1, -1))
+        return np.append(one.excess - other.excess, one.least - other.least) / (2 * step)
+
+    expected = (4 * slopes(2e-4) - slopes(4e-4)) / 3
+    found = np.append(value.excess_slopes @ direction, value.slopes @ direction)
+    sizes = np.abs(np.vstack([value.excess_slopes, value.slopes])).max(axis=1)
+    assert np.abs(found - expected).max() <= 1e-5 * sizes.max()
+    assert (np.abs(found - expected) <= 1e-4 * sizes + 1e-9).all()
+
+
+@pytest.mark.slow
+def test_limits_are_kept(random):
+    free = {"thickness": {**THICKNESS, "mass": None}, "starts": 1, "iterations": 12}
+    scene = designed_scene({**free, "limits": {"mass": 0.0205, "gap": [44.9, 66.5]}})
+    panel = wpl.design(scene)
+    mass = 1000.0 * 0.2 * 0.2 * (panel.thickness * shares_of(panel.thickness.shape)).sum()
+    assert mass <= 0.0205 * (1 + 1e-6)
+    natural = wpl.modes(panel.scene, 12).frequencies
+    assert not ((natural > 44.9 * (1 + 1e-6)) & (natural < 66.5 * (1 - 1e-6))).any()
+    assert panel.after.kept
+    assert panel.before.excess["gap"] > 1e-3
+    assert panel.after.value > panel.before.value
+
+
+def shares_of(shape):
+    """Return the shares of the numbers of a map in the mass, those of the trapezoidal rule."""
+    ends = [np.full(count, 1.0) for count in shape]
+    for along in ends:
+        along[[0, -1]] = 0.5
+    return np.outer(*ends) / np.outer(*ends).sum()
+
+
 def test_a_scene_without_better_panels_stays(monkeypatch):
     free = {**THICKNESS, "range": [4.999e-4, 5.001e-4]}
     scene = designed_scene({"thickness": free, "starts": 1, "iterations": 1})

@@ -1,25 +1,27 @@
-"""The search for the best panel of a scene's table ``[design]``, by L-BFGS-B from many starts.
+"""The search for the best panel of a scene's table ``[design]``, by L-BFGS-B from many starts, or SLSQP under limits.
 
-The free numbers stay between 0 and 1, and range, length and mass of a map hold for all of them, so that no other limit
-is left. Each start is independent of the others: finished ones are kept in a file, and a search that goes on takes them
-from there. The best panel is then solved for by all functions of other commands; it is kept only if it is better than
-the scene that the search began with.
+The free numbers stay between 0 and 1, and range, length and mass of a map hold for all of them. Each start is
+independent of the others: finished ones are kept in a file, and a search that goes on takes them from there. The best
+panels are then solved for by all functions of other commands, and the first one that keeps all limits is the answer,
+only if it is better than the scene that the search began with, or that scene passes a limit.
 """
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy
 
 from warp_plate._version import __version__
-from warp_plate.designing.panel import FreePanel
+from warp_plate.designing.panel import MARGIN, FreePanel, Value
 from warp_plate.interrupts import check_interrupt, deferred_interrupts
 from warp_plate.plate.files import digests
 from warp_plate.result.atomic_io import write_atomically
@@ -38,8 +40,8 @@ class Climb:
     """The search from one start."""
 
     numbers: list[float]  # best free numbers so far
-    least: float = -np.inf  # value there
-    history: list[float] = field(default_factory=list)  # value of the best after each iteration
+    least: float | None = None  # value there; None if no panel has kept the limits
+    history: list[float] = field(default_factory=list)  # value of the best after each iteration, once there is one
     evaluations: int = 0
 
 
@@ -75,24 +77,27 @@ def design(
                     _write(file, digest, climbs)
     except KeyboardInterrupt:
         interrupted = True
-        climbs = [climb for climb in climbs if climb.history]
+    climbs = [climb for climb in climbs if climb.history]
     result = DesignedPanel(
         original=loaded,
         scene=loaded.model_copy(update={"design": None}),
         before=before,
         after=before,
-        history=tuple(tuple(climb.history) for climb in climbs),
+        history=tuple(tuple(map(panel.shown, climb.history)) for climb in climbs),
         keys=panel.keys,
         values=panel.values(panel.start()),
         evaluations=sum(climb.evaluations for climb in climbs),
         interrupted=interrupted,
     )
-    if climbs:
-        best = np.array(max(climbs, key=lambda climb: climb.least).numbers)
+    for climb in sorted(climbs, key=lambda climb: -_value(climb)):
+        best = np.array(climb.numbers)
         designed = panel.scene_at(best)
         after = panel.exact(designed)
-        if after.value > before.value:
+        if after.kept and (after.value > before.value or not before.kept):
             result = replace(result, scene=designed, after=after, values=panel.values(best))
+            break
+        if not settings.limits.given:  # the others have lower values
+            break
     return result
 
 
@@ -101,31 +106,54 @@ def _start(panel: FreePanel, index: int) -> np.ndarray:
     return panel.start() if index == 0 else panel.draw(np.random.default_rng([panel.design.seed, index]))
 
 
+def _value(climb: Climb) -> float:
+    return -math.inf if climb.least is None else climb.least
+
+
 def _climb(panel: FreePanel, climb: Climb, report: Callable[[int], None]) -> None:
     """Search from the numbers of ``climb``, which has the best panel at any time."""
+    solved: dict[bytes, Value] = {}
+
+    def at(numbers: np.ndarray) -> Value:
+        check_interrupt()
+        if numbers.tobytes() not in solved:
+            value = panel.evaluate(numbers)
+            climb.evaluations += 1
+            if value.least > _value(climb) and value.excess.max(initial=0.0) <= MARGIN / 2:
+                climb.least, climb.numbers = value.least, numbers.tolist()
+            solved.clear()
+            solved[numbers.tobytes()] = value
+        return solved[numbers.tobytes()]
 
     def loss(numbers: np.ndarray) -> tuple[float, np.ndarray]:
-        check_interrupt()
-        value = panel.evaluate(numbers)
-        climb.evaluations += 1
-        if value.least > climb.least:
-            climb.least, climb.numbers = value.least, numbers.tolist()
-        return -value.smooth, -value.slopes
+        return -at(numbers).smooth, -at(numbers).slopes
 
     def iterated(_: np.ndarray) -> None:
-        climb.history.append(climb.least)
+        note()
         report(len(climb.history))
 
-    options = {"maxiter": panel.design.iterations, "maxcor": MEMORY, "ftol": 1e-9, "gtol": 1e-7}
-    start, bounds = np.array(climb.numbers), [(0.0, 1.0)] * panel.count
-    scipy.optimize.minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds, callback=iterated, options=options)
-    climb.history.append(climb.least)
+    def note() -> None:
+        if climb.least is not None:
+            climb.history.append(climb.least)
+
+    start = np.array(climb.numbers)
+    panel.follow(start)
+    limited, count = panel.design.limits.given, panel.design.iterations
+    options: dict[str, Any] = {"maxiter": count, "maxcor": MEMORY, "ftol": 1e-9, "gtol": 1e-7}
+    keys: dict[str, Any] = {"method": "L-BFGS-B"}
+    if limited:
+        options = {"maxiter": count, "ftol": 1e-7}
+        limits = {"type": "ineq", "fun": lambda x: -at(x).excess, "jac": lambda x: -at(x).excess_slopes}
+        keys = {"method": "SLSQP", "constraints": [limits]}
+    bounds = [(0.0, 1.0)] * panel.count
+    scipy.optimize.minimize(loss, start, jac=True, bounds=bounds, callback=iterated, options=options, **keys)
+    note()
 
 
 def _report(progress: Progress | None, panel: FreePanel, climbs: Sequence[Climb], done: int) -> None:
     if progress is not None:
         settings, index = panel.design, len(climbs) - 1
-        note = f"start {index + 1} of {settings.starts}, best {max(climb.least for climb in climbs):.4f}"
+        note = f"start {index + 1} of {settings.starts}, best {panel.shown(max(map(_value, climbs))):.4g}"
         progress(index * settings.iterations + done, settings.starts * settings.iterations, note)
 
 

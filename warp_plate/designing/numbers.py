@@ -25,11 +25,14 @@ from warp_plate.scene.target import PlateRegion
 class NumberSlopes:
     """Changes of a number that has slopes by the matrices of a panel."""
 
-    def __init__(self, galerkin: Galerkin, slopes: PlateMatrices, make: Callable[[Scene], Galerkin]) -> None:
-        """Prepare the slopes; ``make`` returns the matrices of another scene over the same functions."""
+    def __init__(
+        self, galerkin: Galerkin, slopes: PlateMatrices, make: Callable[[Scene], Galerkin], by_mass: float = 0.0
+    ) -> None:
+        """Prepare the slopes; ``make`` returns the matrices of another scene over the same functions, and ``by_mass``
+        is the slope by the mass of the panel [1/kg] beside those by its matrices."""
         assert isinstance(galerkin.space, TensorSplines)
         self._galerkin, self._space, self._slopes, self._make = galerkin, galerkin.space, slopes, make
-        self.of_fields = FieldSlopes(galerkin.space, slopes)
+        self._by_mass, self.of_fields = by_mass, FieldSlopes(galerkin.space, slopes, by_mass)
 
     @property
     def scene(self) -> Scene:
@@ -47,7 +50,7 @@ class NumberSlopes:
         masses = plate + np.arange(swinging.size)
         rows[swinging, masses] = -1
         by_mass = np.zeros(len(attached))
-        by_mass[swinging] = np.diag(slopes.mass)[masses]
+        by_mass[swinging] = np.diag(slopes.mass)[masses] + self._by_mass
         return np.stack([*(((rows @ by) * rows).sum(axis=1) for by in (slopes.support, slopes.damping)), by_mass])
 
     @cached_property
@@ -65,8 +68,9 @@ class NumberSlopes:
     def between(self, after: Scene, before: Scene) -> float:
         """Return the change between two scenes."""
         if _shapes(after) != _shapes(before) or any(layer.area is None for layer in after.layers):
-            one, other = (plate_matrices(self._make(scene)) for scene in (after, before))
-            return self._slopes.product(one - other)
+            one, other = (self._make(scene) for scene in (after, before))
+            by_matrices = self._slopes.product(plate_matrices(one) - plate_matrices(other))
+            return by_matrices + self._by_mass * (panel_mass(one) - panel_mass(other))
         return self._of_terms(after, before) + self._of_fields(after, before) + self._of_loads(after, before)
 
     def _of_terms(self, after: Scene, before: Scene) -> float:
@@ -119,6 +123,11 @@ class NumberSlopes:
         boxes = np.array([actuator.box for actuator in after.actuators])
         one, other = (load_integrals(replace(self._galerkin, scene=scene), boxes) for scene in (after, before))
         return float(np.vdot(self._slopes.forces[: self._space.unknowns], (one - other).T))
+
+
+def panel_mass(galerkin: Galerkin) -> float:
+    """Return the mass of a panel with what is attached [kg]."""
+    return galerkin.space.plate_mass + sum(attachment.mass for attachment in galerkin.masses)
 
 
 def _changes(pairs: Iterable[tuple[Attachment, Attachment]]) -> np.ndarray:

@@ -8,17 +8,18 @@ other number are in :mod:`warp_plate.designing.numbers`.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from warp_plate.designing.numbers import NumberSlopes
+from warp_plate.designing.numbers import NumberSlopes, panel_mass
 from warp_plate.designing.thickness import ThicknessMap
 from warp_plate.modal.assemble import Galerkin, make_galerkin
-from warp_plate.modal.sensitivity import EnergyAdjoint, check_differentiable, thickness_slopes
+from warp_plate.modal.sensitivity import EnergyAdjoint, PlateMatrices, check_differentiable, thickness_slopes
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.modal.spaces.integrals import mean_wave_frequency
 from warp_plate.modal.spaces.knots import intervals_for
@@ -40,10 +41,20 @@ from warp_plate.solve.response import largest_ratio
 DENSITY = 0.7
 # Grid of scenes that have none, and the key of the frequency.
 NODES, TONE = (21, 21), "drive.frequency"
+# Key of the target in a case of a scene with several.
+AIM = "targets"
+# Parts by which limits are narrower for the fewer functions of the search, of energies the second. Half of the
+# first may be passed.
+MARGIN, ENERGY_MARGIN = 2e-3, 1e-2
+# Natural frequencies on either side of the gap that count, steepness of their aggregate, and the part of the gap's ends
+# up to which a motion is rigid.
+NEAR, STEEPNESS, STILL = 6, 500.0, 1e-3
 # Step of differences of terms and fields, as a part of the range of a number.
 STEP = 1e-4
 # Numbers of attachments with slopes of their own.
 ATTACHED_NUMBERS = ("mass", "stiffness", "damping")
+# Most free numbers under limits: a step takes their cube.
+MOST_LIMITED = 1000
 # Numbers of actuators that are no part of the panel.
 NO_PANEL = (*ALTERNATIVES, "phase", "frequency", "delay")
 # Cases within about 1/SHARPNESS of the worst one count in slopes of the least value.
@@ -52,11 +63,13 @@ SHARPNESS = 100.0
 
 @dataclass(frozen=True)
 class Value:
-    """Value of a panel, and its slopes."""
+    """Value of a panel, its limits, and their slopes."""
 
-    least: float  # what is maximised: the least value of all cases
+    least: float  # what is maximised: the least value of all cases; of an energy its logarithm to the base 10
     smooth: float  # smooth lower estimate of it, whose slopes these are
     slopes: np.ndarray  # (numbers,) slopes of ``smooth`` by the free numbers
+    excess: np.ndarray  # (limits,) parts by which the limits are passed; 0 or less where they are kept
+    excess_slopes: np.ndarray  # (limits, numbers) their slopes
 
 
 class FreePanel:
@@ -69,7 +82,7 @@ class FreePanel:
     def __init__(self, scene: Scene) -> None:
         if scene.design is None:
             raise SceneError("design: is missing; write [design.thickness], [design.free] or [design.places]")
-        self.scene, self.design = scene, scene.design
+        self.scene, self.design, self.below = scene, scene.design, 0
         check_differentiable(scene)
         self.thickness = None if scene.design.thickness is None else ThicknessMap(scene)
         if scene.piezo and self.thickness is not None:
@@ -78,6 +91,9 @@ class FreePanel:
         self._check_keys()
         ends = [*self.design.free.values(), *self._travel.values()]
         self._low, self._high = np.array(ends, dtype=float).reshape(-1, 2).T
+        if self.design.limits.given and self.count > MOST_LIMITED:
+            least = f"at most {MOST_LIMITED}; write a larger design.thickness.length_scale"
+            raise SceneError(f"design.limits: {self.count} free numbers; with limits {least}")
         if self.thickness is not None and self.thickness.mass is not None:
             self.thickness.factors(np.full(self.thickness.count, 0.5))
 
@@ -131,7 +147,9 @@ class FreePanel:
             key = resolved_key(self.scene, name)
             factors += [{key: 1 - part}, {key: 1 + part}]
         frequencies = self.design.frequencies or (self.scene.drive.frequency,)
-        return [{**case, TONE: tone} for case, tone in itertools.product(factors, frequencies)]
+        tones = [{TONE: tone} for tone in frequencies]
+        aims: list[dict[str, float]] = [{AIM: index} for index in range(len(self.scene.targets))] or [{}]
+        return [{**case, **tone, **aim} for case, tone, aim in itertools.product(factors, tones, aims)]
 
     def start(self) -> np.ndarray:
         """Return the free numbers (count,) of the scene itself, as nearly as the ranges allow."""
@@ -196,21 +214,69 @@ class FreePanel:
         return intervals_for(self.scene.plate.size, self.scene.outline, finer * highest, wave, finer * DENSITY)
 
     def evaluate(self, numbers: np.ndarray) -> Value:
-        """Return what the panel at free numbers (count,) can do, with its slopes."""
-        solved = [self._solve(numbers, case) for case in self.cases]
+        """Return what the panel at free numbers (count,) can do, and by what it passes its limits, with slopes.
+
+        As many natural frequencies are to stay below the gap as ``below``, see :meth:`follow`.
+        """
+        solved, limits = [], list[tuple[float, np.ndarray]]()
+        for index, case in enumerate(self.cases):
+            galerkin = self._galerkin(numbers, case)
+            adjoint = EnergyAdjoint(galerkin)
+            solved.append(self._solve(adjoint, numbers, case))
+            for excess, slopes, by_mass in self._limits(adjoint, galerkin, first=index == 0):
+                of = NumberSlopes(galerkin, slopes, self._over_splines, by_mass)
+                limits.append((excess, self._by_numbers(of, numbers, case)))
         values = np.array([value for value, _ in solved])
         weights = np.exp(-SHARPNESS * (values - values.min()))
         smooth = values.min() - np.log(weights.mean()) / SHARPNESS
         slopes = (weights / weights.sum()) @ np.stack([slopes for _, slopes in solved])
-        return Value(float(values.min()), float(smooth), slopes)
+        passed = np.array([excess for excess, _ in limits])
+        by_limit = np.array([slopes for _, slopes in limits]).reshape(-1, self.count)
+        return Value(float(values.min()), float(smooth), slopes, passed, by_limit)
 
-    def _solve(self, numbers: np.ndarray, case: Mapping[str, float]) -> tuple[float, np.ndarray]:
-        galerkin = self._galerkin(numbers, case)
-        adjoint = EnergyAdjoint(galerkin)
+    def follow(self, numbers: np.ndarray) -> None:
+        """Let as many natural frequencies stay below the gap as are below its middle at free numbers (count,)."""
+        if (gap := self.design.limits.gap) is not None:
+            natural = EnergyAdjoint(self._galerkin(numbers, self.cases[0])).natural
+            self.below = int(np.searchsorted(natural, sum(gap) / 2))
+
+    def _solve(
+        self, adjoint: EnergyAdjoint, numbers: np.ndarray, case: Mapping[str, float]
+    ) -> tuple[float, np.ndarray]:
+        galerkin = adjoint.plate.galerkin
         value, phasors = _best(self.design, galerkin.scene, adjoint.matrices)
-        plate = quadratic_forms(adjoint.matrices, phasors[None])[0, 0]
-        slopes = adjoint.slopes(phasors, np.array([-value, 1.0]) / plate)
+        plate, target = quadratic_forms(adjoint.matrices, phasors[None])[0]
+        weights = np.array([0.0, 1 / (target * math.log(10))])
+        if self.design.objective != "energy_target":
+            weights = np.array([-value, 1.0]) / plate
+        slopes = adjoint.slopes(phasors, weights)
         return value, self._by_numbers(NumberSlopes(galerkin, slopes, self._over_splines), numbers, case)
+
+    def _limits(
+        self, adjoint: EnergyAdjoint, galerkin: Galerkin, first: bool
+    ) -> Iterator[tuple[float, PlateMatrices, float]]:
+        """Yield the parts by which limits are passed, with slopes by the matrices and by the mass of the panel; those
+        that the search keeps are narrower, for it takes fewer functions. Frequencies count in the ``first`` case."""
+        limits, nothing = self.design.limits, adjoint.without_slopes
+        if limits.mass is not None and first:
+            most = limits.mass * (1 - MARGIN)
+            yield panel_mass(galerkin) / most - 1, nothing, 1 / most
+        if limits.energy_target is not None:
+            phasors = scene_phasors(galerkin.scene)
+            energy = quadratic_forms(adjoint.matrices, phasors[None])[0, 1]
+            least = limits.energy_target * (1 + ENERGY_MARGIN)
+            yield 1 - energy / least, adjoint.slopes(phasors, np.array([0.0, -1 / least])), 0.0
+        if limits.gap is not None and first:
+            low, high = limits.gap[0] * (1 - MARGIN), limits.gap[1] * (1 + MARGIN)
+            lower = np.arange(max(self.below - NEAR, 0), self.below)
+            for sign, end, near in ((1, low, lower), (-1, high, self.below + np.arange(NEAR))):
+                near = near[adjoint.natural[near] > STILL * end]
+                if near.size:  # the aggregate of Kreisselmeier and Steinhauser, smooth where frequencies are equal
+                    ratios = adjoint.natural[near] / end
+                    passed = sign * (ratios - 1)
+                    weights = np.exp(STEEPNESS * (passed - passed.max()))
+                    excess = passed.max() + math.log(weights.sum()) / STEEPNESS
+                    yield excess, adjoint.frequency_slopes(near, sign * ratios * weights / weights.sum()), 0.0
 
     def _by_numbers(self, of: NumberSlopes, numbers: np.ndarray, case: Mapping[str, float]) -> np.ndarray:
         """Return the slopes (count,) by free numbers (count,) in a case of what has slopes by its matrices."""
@@ -253,27 +319,40 @@ class FreePanel:
         return tuple((self._low + numbers[self._mapped :] * (self._high - self._low)).tolist())
 
     def exact(self, scene: Scene) -> PanelValues:
-        """Return what a scene can do, by all functions of other commands."""
-        bound = ModalSolver(_gridded(scene), "cpu").response.bound()
-        values = []
+        """Return what a scene can do, and by what it passes its limits, by all functions of other commands."""
+        solver, limits, excess = ModalSolver(_gridded(scene), "cpu"), self.design.limits, dict[str, float]()
+        bound, values, energies = solver.response.bound(), [], []
         for case in self.cases:
             other = _in_case(scene, {}, case)
-            alike = other is scene and self.design.objective == "bound"
-            solved = None if alike else ModalSolver(_gridded(other), "cpu").response.matrices
-            values.append(bound if solved is None else _best(self.design, other, solved)[0])
-        return PanelValues(bound, min(values))
+            matrices = (solver if other is scene else ModalSolver(_gridded(other), "cpu")).response.matrices
+            values.append(self.shown(_best(self.design, other, matrices)[0]))
+            energies.append(quadratic_forms(matrices, scene_phasors(other)[None])[0, 1])
+        if limits.mass is not None:
+            excess["mass"] = panel_mass(solver.plate.galerkin) / limits.mass - 1
+        if limits.energy_target is not None:
+            excess["energy_target"] = float(1 - min(energies) / limits.energy_target)
+        if limits.gap is not None:
+            (low, high), natural = limits.gap, solver.plate.frequencies
+            inside = np.minimum(natural / low - 1, 1 - natural / high)
+            excess["gap"] = float(inside.max())
+        return PanelValues(bound, min(values), excess)
+
+    def shown(self, value: float) -> float:
+        """Return what is maximised from a value: of an energy, which counts by its logarithm, the energy [J]."""
+        return 10**value if self.design.objective == "energy_target" else value
 
 
 def _in_case(scene: Scene, values: Mapping[str, float], case: Mapping[str, float]) -> Scene:
     """Return a scene with numbers by key, in a case of the tolerances and frequencies; SceneError: out of range."""
     changed: dict[str, Any] = dict(values)
-    for key, factor in case.items():
-        changed[key] = factor if key == TONE else factor * changed.get(key, value_of(scene, key))
+    for key in case.keys() - {AIM}:
+        changed[key] = case[key] if key == TONE else case[key] * changed.get(key, value_of(scene, key))
     changed = {key: value for key, value in changed.items() if value_of(scene, key) != value}
     try:
-        return scene.with_values(changed) if changed else scene
+        scene = scene.with_values(changed) if changed else scene
     except SceneError as error:
         raise SceneError(f"design.free: a range reaches too far: {error}") from None
+    return scene.aimed_at(int(case[AIM])) if AIM in case else scene
 
 
 def _gridded(scene: Scene) -> Scene:
@@ -288,6 +367,9 @@ def _best(design: Design, scene: Scene, matrices: np.ndarray) -> tuple[float, np
     if design.objective == "drive":
         phasors = scene_phasors(scene)
         return float(localization_factor(quadratic_forms(matrices, phasors[None]))[0]), phasors
+    if design.objective == "energy_target":
+        phasors = scene_phasors(scene)
+        return math.log10(quadratic_forms(matrices, phasors[None])[0, 1]), phasors
     value, z = largest_ratio(matrices)
     if not np.isfinite(value):
         raise SceneError("actuators: no drive moves the plate; move them off the edges")

@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -162,6 +162,28 @@ class EnergyAdjoint:
         frequency = np.array([[self._omega / (2 * math.pi)]])
         return gram_matrices(means, self._forces[None], np.repeat(frequency, self._forces.shape[1], axis=1))[0]
 
+    @property
+    def natural(self) -> np.ndarray:
+        """Natural frequencies [Hz] of the undamped plate, rising."""
+        return np.asarray(np.sqrt(np.maximum(self._squares, 0)) / (2 * math.pi))
+
+    @property
+    def without_slopes(self) -> PlateMatrices:
+        """Slopes of 0 by all entries."""
+        all_of = self._all
+        square, regions = np.zeros_like(all_of.mass), np.zeros_like(all_of.regions)
+        return PlateMatrices(square, square, square, square, regions, np.zeros_like(all_of.forces))
+
+    def frequency_slopes(self, indices: np.ndarray, weights: np.ndarray) -> PlateMatrices:
+        """Return the slopes of Σ ``weights`` times the logarithms of natural frequencies, by δλ = φᵀ(δK − λ δM)φ.
+
+        Equal frequencies have slopes only together, with equal weights.
+        """
+        squares, shapes = self._squares[indices], self._vectors[:, indices]
+        stiffness = (shapes * (weights / (2 * squares))) @ shapes.T
+        mass = -(shapes * (weights / 2)) @ shapes.T
+        return replace(self.without_slopes, mass=mass, bending=stiffness, support=stiffness)
+
     def slopes(self, phasors: np.ndarray, weights: np.ndarray) -> PlateMatrices:
         """Return the slopes of Σ weights_r E_r of plate and target under phasors (M,) [N/m²]."""
         region, force = np.tensordot(weights, self._regions, axes=1), self._forces @ phasors
@@ -278,14 +300,17 @@ def _count_modes(squares: np.ndarray, highest: float) -> int:
 class FieldSlopes:
     """Slopes of a number by the fields of a plate at points, from those by its matrices, which are linear in them."""
 
-    def __init__(self, space: TensorSplines, slopes: PlateMatrices) -> None:
-        self.space, self.slopes = space, slopes
+    def __init__(self, space: TensorSplines, slopes: PlateMatrices, by_mass: float = 0.0) -> None:
+        """Prepare the slopes; ``by_mass`` is that by the mass of the plate [1/kg] beside those by its matrices."""
+        self.space, self.slopes, self.by_mass = space, slopes, by_mass
 
     @cached_property
     def _by_field(self) -> list[tuple[int, np.ndarray]]:
         """Indices of fields, Dx, D1, Dy, Dxy and the mass per area, and slopes by them at Gauss's points (y, x)."""
         integrals, count, slopes = self.space.integrals, self.space.unknowns, self.slopes
         rows = [(4, _by_coefficient(integrals, slopes.mass + slopes.regions[0], count))]
+        if self.by_mass:
+            rows.append((4, self.by_mass * integrals.weights))
         for index in range(4):
             for term in bending_terms([float(index == field) for field in range(5)]):
                 if term.coefficient:

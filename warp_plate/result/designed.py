@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -10,13 +12,38 @@ import numpy as np
 from warp_plate.plate.section import laminate_of
 from warp_plate.scene.model import Scene
 
+# Part by which rounding may pass a limit.
+EXCESS = 1e-6
+
 
 @dataclass(frozen=True)
 class PanelValues:
     """Values of a panel, by all modes of other commands."""
 
     bound: float  # largest localization factor of any drive
-    value: float  # what is maximised: the least of all cases of the bound, or of the factor of the scene's drive
+    value: float  # what is maximised: the least of all cases of the bound, or of what the scene's drive does
+    # by what part each limit of the design is passed, by name; 0 or less where it is kept
+    excess: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def kept(self) -> bool:
+        """True if all limits are kept."""
+        return all(excess <= EXCESS for excess in self.excess.values())
+
+
+@dataclass(frozen=True)
+class StepCheck:
+    """Localization factor of one drive of the designed panel by modes, and by time steps on ever finer grids."""
+
+    modes: float
+    steps: float = math.nan  # extrapolated from the grids; NaN without
+    error: float = math.inf  # its error, as by Richardson's extrapolation
+    reason: str = ""  # why there are no time steps
+
+    @property
+    def agrees(self) -> bool:
+        """True if the modes are within the error of the time steps."""
+        return abs(self.modes - self.steps) <= self.error
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,11 +60,12 @@ class DesignedPanel:
     values: tuple[float, ...]  # (n,) their values in the designed scene; of places the middle
     evaluations: int  # number of panels that were solved for, cases of tolerances and frequencies not counted
     interrupted: bool = False  # True if the search ended before its last start
+    check: StepCheck | None = None  # the designed panel in time steps; None if that was not asked for
 
     @property
     def improved(self) -> bool:
         """True if the designed scene is another one than the original."""
-        return self.after.value > self.before.value
+        return self.after is not self.before
 
     @cached_property
     def thickness(self) -> np.ndarray | None:

@@ -141,11 +141,35 @@ class FreeThickness(Table):
         return self
 
 
+class DesignLimits(Table):
+    """Limits that a designed panel keeps."""
+
+    mass: Annotated[Positive | None, Unit("kg"), Field(examples=[0.025])] = None
+    """Largest mass of the panel with what is attached."""
+    energy_target: Annotated[Positive | None, Unit("J"), Field(examples=[1e-9])] = None
+    """Least kinetic energy of the target under the scene's drive."""
+    gap: Annotated[tuple[Positive, Positive] | None, Unit("Hz"), Field(examples=[[250.0, 330.0]])] = None
+    """Lowest and highest frequency of a band without natural frequencies."""
+
+    @property
+    def given(self) -> bool:
+        """True if there is a limit."""
+        return self != DesignLimits()
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.gap is not None and self.gap[0] >= self.gap[1]:
+            raise ValueError(f"gap: {list(self.gap)}: the lowest frequency comes first, and they differ")
+        return self
+
+
 class Design(Table):
     """Free numbers of a panel, the quantity that they maximise, and the search for it."""
 
-    objective: Annotated[Literal["bound", "drive"], Field(examples=["drive"])] = "bound"
-    """Quantity that is maximised: the largest localization factor of any drive, or that of the scene's own drive."""
+    objective: Annotated[Literal["bound", "drive", "energy_target"], Field(examples=["drive"])] = "bound"
+    """Quantity that is maximised: the largest localization factor of any drive, that of the scene's own drive, or the
+    kinetic energy of the target under that drive."""
+    limits: DesignLimits = DesignLimits()
     thickness: FreeThickness | None = None
     free: Annotated[
         dict[str, tuple[Moderate, Moderate]],
