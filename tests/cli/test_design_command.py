@@ -37,8 +37,12 @@ def test_the_designed_scene_is_written_with_its_map(command, tmp_path):
     assert solid.is_manifold
     assert solid.volume == pytest.approx(200 * 200 * 0.5, rel=3e-3)  # mm³, of the same mass, in flat triangles
 
+    assert record["check"]["agrees"]
+    assert abs(record["check"]["modes"] - record["after"]["bound"]) < 1e-6
+
     printed = output_of(command("design", "paper", *CHANGES, "--no-pictures", "--out", str(out)))
-    assert f"any drive {record['before']['bound']:.4f} {record['after']['bound']:.4f}" in " ".join(printed.split())
+    assert "best drive in time steps: 0." in printed
+    assert f"of any drive {record['before']['bound']:.4f} {record['after']['bound']:.4f}" in " ".join(printed.split())
 
 
 def test_scenes_without_a_design_and_files_of_others_are_refused(command, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,6 +18,11 @@ if TYPE_CHECKING:
 
 # First words of the designed scene; endings of the files beside it.
 DESIGNED = "# Designed by: warp-plate design"
+OBJECTIVES = {
+    "bound": "localization factor of any drive",
+    "drive": "localization factor of the scene's drive",
+    "energy_target": "energy of the target [J]",
+}
 MAP, UNFINISHED, SOLID = ".thickness.csv", ".unfinished.json", ".stl"
 
 
@@ -28,6 +34,9 @@ def design(
     solid: Annotated[
         bool, Parameter(negative="", help="Also write the panel with its map of thickness as a solid, .stl in mm.")
     ] = False,
+    check: Annotated[
+        bool, Parameter(negative="--no-check", help="Simulate the drive of the designed panel in time steps too.")
+    ] = True,
     files: options.FileOptions = options.FileOptions(),
 ) -> None:
     """Design the panel itself: thickness, ribs, masses, springs and places that let a drive move the target alone.
@@ -49,7 +58,7 @@ def design(
     if loaded.folder is not None and loaded.folder.resolve() != target.parent.resolve():
         raise SceneError(f"--out {target}: the scene names files in {loaded.folder}; write there")
     with output.scene_errors(scene), output.progress_bar("designs", shown=not files.json) as show:
-        panel = warp_plate.design(loaded, show, beside[UNFINISHED])
+        panel = warp_plate.design(loaded, show, beside[UNFINISHED], check)
     saves = {}
     designed = panel.scene
     if panel.improved and panel.thickness is not None and loaded.design is not None and loaded.design.thickness:
@@ -89,6 +98,8 @@ def _as_json(name: str, panel: DesignedPanel) -> dict[str, object]:
         "numbers": dict(zip(panel.keys, panel.values, strict=True)),
         **output.attributes(panel, "evaluations", "interrupted"),
     }
+    if panel.check is not None:
+        record["check"] = {**vars(panel.check), "agrees": panel.check.agrees}
     return record | ({} if panel.thickness is None else {"thickness": panel.thickness})
 
 
@@ -96,14 +107,14 @@ def _print(name: str, panel: DesignedPanel, console: Console) -> None:
     settings = panel.original.design
     assert settings is not None
     console.print(f"{panel.original.title or name}: {len(panel.history)} starts, {panel.evaluations} panels\n")
-    rows = {"any drive": (panel.before.bound, panel.after.bound)}
-    values = panel.before.value, panel.after.value
-    if values != rows["any drive"]:
-        least = "scene's drive" if settings.objective == "drive" else "any drive"
-        cases = ", least of all cases" if settings.tolerance or settings.frequencies else ""
-        rows[least + cases] = values
-    texts = [[label, *(output.number_text(value, ".4f") for value in pair)] for label, pair in rows.items()]
-    output.print_rows(console, ("localization factor of", "before", "after"), texts)
+    values, bounds = ((getattr(panel.before, name), getattr(panel.after, name)) for name in ("value", "bound"))
+    texts = [["localization factor of any drive", *(output.number_text(value, ".4f") for value in bounds)]]
+    if values != bounds:
+        several = settings.tolerance or settings.frequencies or panel.original.targets
+        cases = ", least of all cases" if several else ""
+        form = ".4g" if settings.objective == "energy_target" else ".4f"
+        texts.append([OBJECTIVES[settings.objective] + cases, *(output.number_text(value, form) for value in values)])
+    output.print_rows(console, ("quantity", "before", "after"), texts)
     if panel.keys:
         pairs = zip(panel.keys, panel.values, strict=True)
         numbers = [[key, output.number_text(value, ".5g")] for key, value in pairs]
@@ -111,5 +122,24 @@ def _print(name: str, panel: DesignedPanel, console: Console) -> None:
     if panel.thickness is not None:
         low, high = 1e3 * panel.thickness.min(), 1e3 * panel.thickness.max()
         console.print(f"thickness from {low:.4g} to {high:.4g} mm")
+    if panel.after.excess:
+        both = panel.before.excess, panel.after.excess
+        parts = [[name, *(f"{max(100 * excess[name], 0):.3g}" for excess in both)] for name in panel.after.excess]
+        output.print_rows(console, ("limit passed by (%)", "before", "after"), parts)
+    _print_check(panel, console)
     if not panel.improved:
         output.print_warnings(console, ["no panel is better than the scene's own; try more starts or wider ranges"])
+
+
+def _print_check(panel: DesignedPanel, console: Console) -> None:
+    """Print what the drive of the designed panel does in time steps."""
+    if (check := panel.check) is None:
+        return
+    if check.reason or not math.isfinite(check.error):
+        console.print(f"not checked in time steps: {check.reason or 'too few grids within the time'}")
+        return
+    drive = "best" if panel.original.design is None or panel.original.design.objective == "bound" else "scene's"
+    steps = f"{check.steps:.4f} ± {check.error:.2g}"
+    console.print(f"localization factor of the {drive} drive in time steps: {steps}, by modes {check.modes:.4f}")
+    if not check.agrees:
+        output.print_warnings(console, ["time steps and modes differ by more than the error; raise grid.modal_density"])

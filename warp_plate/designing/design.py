@@ -21,6 +21,7 @@ import numpy as np
 import scipy
 
 from warp_plate._version import __version__
+from warp_plate.designing.confirm import check_by_steps
 from warp_plate.designing.panel import MARGIN, FreePanel, Value
 from warp_plate.interrupts import check_interrupt, deferred_interrupts
 from warp_plate.plate.files import digests
@@ -46,7 +47,10 @@ class Climb:
 
 
 def design(
-    scene: SceneSource, on_progress: Progress | None = None, unfinished: str | Path | None = None
+    scene: SceneSource,
+    on_progress: Progress | None = None,
+    unfinished: str | Path | None = None,
+    check: bool = True,
 ) -> DesignedPanel:
     """Find the panel that lets a drive put most of its energy into the target; see docs/design.md.
 
@@ -56,6 +60,7 @@ def design(
         scene: Scene with a table ``[design]``.
         on_progress: Function of the iterations done, all of them, and a note.
         unfinished: File of finished starts, from which the same search goes on; delete it once the panel is saved.
+        check: Simulate the best drive of the designed panel, or its own, in time steps too.
 
     Raises:
         SceneError: There is no such table, slopes of the scene are not known, or a range reaches too far.
@@ -98,6 +103,8 @@ def design(
             break
         if not settings.limits.given:  # the others have lower values
             break
+    if check and result.improved and not interrupted:
+        result = replace(result, check=check_by_steps(result.scene, settings.objective))
     return result
 
 
@@ -178,7 +185,8 @@ def _read(file: Path, digest: str, count: int) -> list[Climb]:
             return []
         climbs = [Climb(**row) for row in record["starts"]]
         for climb in climbs:
-            every = np.array([*climb.numbers, *climb.history, climb.least, climb.evaluations])
+            least = [] if climb.least is None and not climb.history else [climb.least]  # limits that no panel kept
+            every = np.array([*climb.numbers, *climb.history, *least, climb.evaluations])
             free = every[: len(climb.numbers)]
             within = len(free) == count and every.dtype.kind == "f" and ((free >= 0) & (free <= 1)).all()
             if not (within and np.isfinite(every).all()):

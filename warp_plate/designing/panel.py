@@ -320,11 +320,11 @@ class FreePanel:
 
     def exact(self, scene: Scene) -> PanelValues:
         """Return what a scene can do, and by what it passes its limits, by all functions of other commands."""
-        solver, limits, excess = ModalSolver(_gridded(scene), "cpu"), self.design.limits, dict[str, float]()
+        solver, limits, excess = ModalSolver(gridded(scene), "cpu"), self.design.limits, dict[str, float]()
         bound, values, energies = solver.response.bound(), [], []
         for case in self.cases:
             other = _in_case(scene, {}, case)
-            matrices = (solver if other is scene else ModalSolver(_gridded(other), "cpu")).response.matrices
+            matrices = (solver if other is scene else ModalSolver(gridded(other), "cpu")).response.matrices
             values.append(self.shown(_best(self.design, other, matrices)[0]))
             energies.append(quadratic_forms(matrices, scene_phasors(other)[None])[0, 1])
         if limits.mass is not None:
@@ -355,7 +355,7 @@ def _in_case(scene: Scene, values: Mapping[str, float], case: Mapping[str, float
     return scene.aimed_at(int(case[AIM])) if AIM in case else scene
 
 
-def _gridded(scene: Scene) -> Scene:
+def gridded(scene: Scene) -> Scene:
     """Return a scene with some grid, which modes do not need."""
     if scene.grid.accuracy is None:
         return scene

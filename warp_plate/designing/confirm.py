@@ -1,0 +1,36 @@
+"""The drive of a designed panel in time steps on ever finer grids, which share nothing with the modes of the search."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from warp_plate.accuracy.reference_solution import refine_until
+from warp_plate.accuracy.richardson import extrapolate_drives
+from warp_plate.designing.panel import gridded
+from warp_plate.modal.solver import ModalSolver
+from warp_plate.plate.designs import scene_phasors
+from warp_plate.result.designed import StepCheck
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
+
+# Relative error at which grids are fine enough, and the nominal time of all of them [s].
+WANTED, SECONDS = 2e-3, 10.0
+
+
+def check_by_steps(scene: Scene, objective: str, device: str = "cpu") -> StepCheck:
+    """Return the localization factor, by modes and by time steps, of a scene's best drive, or of its own.
+
+    ``objective`` is that of the design: with "bound" the best drive is taken, which no drive exceeds.
+    """
+    response = ModalSolver(gridded(scene), "cpu").response
+    phasors = response.best_drive() if objective == "bound" else scene_phasors(scene)
+    drives = np.asarray(phasors)[None]
+    by_modes = float(response.localization_factors(drives)[0])
+    try:
+        if scene.steady:
+            raise SceneError("time steps end at window.end, and this motion is steady")
+        found = refine_until(extrapolate_drives(scene, drives, device), lambda _: WANTED, SECONDS)
+    except SceneError as error:
+        return StepCheck(by_modes, reason=str(error))
+    steps = float(found.values[0])
+    return StepCheck(by_modes, steps, abs(steps) * found.uncertainty)
