@@ -29,6 +29,8 @@ from warp_plate.kernels.update import (
 
 # As in the plain plate of second order, but for the warps that share a multiprocessor, which need fewer registers.
 REACH, ROUND, WARPS = temporal_blocking.REACH[2], temporal_blocking.ROUND[2], {wp.float32: 12, wp.float64: 8}
+# Threads of a block, whose warps are independent.
+BLOCK = 128
 
 
 def margin_of(effects, levels):
@@ -56,7 +58,7 @@ def make_advance_tiles(effects, real, nx, ny, stride, planes, levels, summed):
     columns, margin, strip_count = COLUMNS, margin_of(effects, levels), strips(nx, margin_of(effects, levels))
     useful, width = LANES * columns - 2 * margin, plane_width(effects, nx, levels) // columns
     at_plane = {name: index * (ny + 2 + 4 * margin) * width for index, name in enumerate(planes)}
-    read_row, write_row, row_at, _ = make_row_access(real, ny, stride)
+    read_row, write_row, row_at = make_row_access(real, ny, stride)
     read_pair = make_pairs(real)[0]
     Row = wp.types.vector(length=columns, dtype=real)
     Rows = wp.types.matrix(shape=(levels * ROUND, columns), dtype=real)

@@ -3,41 +3,51 @@
 A warp walks up a strip of columns; a lane holds ``COLUMNS`` neighbouring ones. For each new row of u that the warp
 reads, level 1 can move the row two below (fourth order: four below) by one step, level 2 the row as far below that by a
 second step, and so on: each level needs only the last rows of the level before, which it keeps in registers. After
-``levels`` steps a row is written back. So one pass serves several steps, without shared memory or barriers, at the
-price of a margin around each strip that neighbouring warps compute as well.
+``levels`` steps a row is written back. So one pass serves several steps, without barriers, at the price of a margin
+around each strip that neighbouring warps compute as well.
 
 Each level keeps its last 3 rows (fourth order: 4) in a window; row y is in slot y mod 3 (mod 4), so no register is
-copied from slot to slot. The loop over rows is unrolled by as many, which makes a round. Most rounds touch neither a
-loaded row nor an edge: their body is compiled without either. In fourth order, nodes at edges are moved like others,
-with taps of their own, see ``resident_strips``.
+copied from slot to slot. The loop over rows is unrolled by as many, which makes a round. Its body is compiled three
+times: for rounds that touch neither a loaded row nor an edge, which are most, for those that touch loaded rows alone,
+and for the others. In fourth order, nodes at edges are moved like others, with taps of their own, see
+``resident_strips``.
+
+Rows are copied to shared memory ``AHEAD`` rounds before they are read. There each field has a ring of rounds; that of
+the loads is longer, because each level needs the row of a load when it moves it.
 
 Displacement and rate are double-buffered, because neighbours still read the old ones. ``clock`` counts steps on the
 device, so that a captured CUDA graph can be replayed: a launch adds its own offset to it.
 """
 
+from dataclasses import dataclass
 from functools import cache
 
 import warp as wp
 
 from warp_plate.kernels.arithmetic import make_fused
+from warp_plate.kernels.async_copies import make_copies, shared_place
 from warp_plate.kernels.cuda import (
     LANES,
-    any_lane,
     cuda_kernel,
     make_apply_taps,
+    make_from_lane,
     make_laplacian_of_row,
     make_pairs,
     most_registers,
     opaque,
 )
 from warp_plate.kernels.resident_strips import SPECIAL
-from warp_plate.kernels.update import make_parameters, make_state, make_update
+from warp_plate.kernels.update import make_parameters, make_state, make_update, make_update_unloaded
 
 # Columns per lane, which it reads and writes in one access.
 COLUMNS = 2
 # By order: how many rows below its newest row a level moves one, and the rows of a round, in which every slot of a
 # window is written once.
 REACH, ROUND = {2: 2, 4: 4}, {2: 3, 4: 4}
+# Rounds by which rows are copied ahead.
+AHEAD = 2
+# Bit of ``loaded`` that is set where the loads of the round AHEAD rounds later will be read.
+READ_LATER = 30
 # Warps that share a multiprocessor: with eight, a thread may use as many registers as it can address.
 WARPS = {(2, wp.float32): 8, (2, wp.float64): 8, (4, wp.float32): 12, (4, wp.float64): 8}
 
@@ -47,9 +57,38 @@ def strips(nx, margin):
     return -(-nx // (LANES * COLUMNS - 2 * margin))
 
 
+@dataclass(frozen=True)
+class Rings:
+    """Rings of rows in a warp's shared memory, in bytes: first those of u, rate and the sums, one after another."""
+
+    round: int  # length of a round of rows
+    field: int  # length of the ring of a field
+    load: int  # length of the ring of a load
+    loads: int  # start of the rings of both loads
+    waves: int  # start of the factors of the loads, a row for each level
+    end: int
+    rounds_back: int  # how many rounds before the last level's loads were the first level's
+
+
+def make_rings(order, real, levels, summed):
+    """Return the layout of the rings of a warp."""
+    row, per_round = LANES * COLUMNS * wp.types.type_size_in_bytes(real), ROUND[order]
+    back = -(-REACH[order] * (levels - 1) // per_round)
+    field, load = (AHEAD + 1) * per_round * row, (AHEAD + 1 + back) * per_round * row
+    loads = (2 + summed) * field
+    waves = loads + 2 * load
+    return Rings(per_round * row, field, load, loads, waves, waves + levels * row, back)
+
+
+def warps_of_block(order, real, levels, shared_bytes):
+    """Return the warps of a block, which are independent: up to four, as shared memory allows."""
+    needed = make_rings(order, real, levels, True).end
+    return next(warps for warps in (4, 2, 1) if warps * needed <= shared_bytes or warps == 1)
+
+
 @cache
 def make_row_access(real, ny, stride):
-    """Make functions of a lane's columns of a row of a field: read_row, write_row, row_at, zero_if."""
+    """Make functions of a lane's columns of a row of a field: read_row, write_row, row_at."""
     size = wp.types.type_size_in_bytes(real)
     read_pair, write_pair = make_pairs(real)
     Row = wp.types.vector(length=COLUMNS, dtype=real)
@@ -68,26 +107,24 @@ def make_row_access(real, ny, stride):
         """Return row y times stride; rows beyond the plate stand for its first or last one."""
         return opaque(wp.min(wp.max(y, 1), wp.static(ny)) * wp.static(stride))
 
-    @wp.func
-    def zero_if(zero: bool, row: Row):
-        values = Row()
-        for c in range(COLUMNS):
-            values[c] = wp.where(zero, real(0.0), row[c])
-        return values
-
-    return read_row, write_row, row_at, zero_if
+    return read_row, write_row, row_at
 
 
 @cache
-def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
-    """Make the kernel of ``levels`` steps, in the window if ``summed``; launch over (plates · strips · tiles · 32,)."""
+def make_advance_tiles(effects, real, nx, ny, stride, warps, levels, summed):
+    """Make the kernel of ``levels`` steps, in the window if ``summed``; launch over (plates · strips · tiles · 32,).
+
+    Blocks have so many warps.
+    """
     laplacian_of_row = make_laplacian_of_row(effects.square_cells, real, COLUMNS, False)
     apply_taps = make_apply_taps(real, COLUMNS)
-    update, Parameters = make_update(effects, real), make_parameters(real)
-    fused, (Forcing, Fields) = make_fused(real), make_state(real)
+    update, update_unloaded = make_update(effects, real), make_update_unloaded(effects, real)
+    Parameters, fused, (Forcing, Fields) = make_parameters(real), make_fused(real), make_state(real)
     order, reach, per_round = effects.order, REACH[effects.order], ROUND[effects.order]
-    read_row, write_row, row_at, zero_if = make_row_access(real, ny, stride)
-    size = wp.types.type_size_in_bytes(real)
+    copy_pair, commit_copies, wait_for_copies, read_pair_if = make_copies(real, per_round * AHEAD - 1)
+    _, write_row, row_at = make_row_access(real, ny, stride)
+    rings, from_lane = make_rings(order, real, levels, summed), make_from_lane(int)
+    size, row_bytes, back = wp.types.type_size_in_bytes(real), rings.round // per_round, rings.rounds_back
     columns, margin, strip_count = COLUMNS, reach * levels, strips(nx, reach * levels)
     useful = LANES * columns - 2 * margin
     # Rows at the start of a plate's tensor that are not updated as those inside: the row of zeros and the plate's first
@@ -101,8 +138,7 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
     ColumnTaps = wp.types.matrix(shape=(columns, taps), dtype=real)
     Row = wp.types.vector(length=columns, dtype=real)
     Rows = wp.types.matrix(shape=(levels * per_round, columns), dtype=real)
-    Waves = wp.types.matrix(shape=(levels, 2), dtype=real)
-    Round = wp.types.matrix(shape=(per_round, columns), dtype=real)
+    Places = wp.types.vector(length=back + 1, dtype=int)
 
     @cuda_kernel(most_registers(WARPS[order, real]), max_unroll=32)
     def advance_tiles(
@@ -124,8 +160,11 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
         # outputs
         new: Fields,
     ):
-        warp = wp.tid() // LANES
+        # From the first lane's number the compiler sees that all lanes take the same branches.
+        warp = from_lane(wp.tid() // LANES, 0)
         lane = wp.tid() % LANES
+        reserved = wp.tile_empty(shape=(wp.static(warps * rings.end // size),), dtype=real, storage="shared")
+        ring = shared_place() + warp % wp.static(warps) * wp.static(rings.end) + lane * wp.static(columns * size)
         strip = warp % wp.static(strip_count)
         tile = (warp // wp.static(strip_count)) % tiles
         k = warp // (wp.static(strip_count) * tiles)
@@ -166,70 +205,96 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
         if wp.static(order == 2):
             bottom = bend_y[0, 0]
             top = bend_y[wp.static(ny - 1), 0]
-        waves = Waves()
         plate_wave = drive.wave[k]
         for level in range(wp.static(levels)):
-            waves[level, 0] = plate_wave[n + level, 0]
-            waves[level, 1] = plate_wave[n + level, 1]
+            place = ring + wp.static(rings.waves + level * row_bytes)
+            copy_pair(place, plate_wave.ptr, (n + level) * wp.static(2 * size), False)
 
         # Windows of each level: displacement, curvature, and the rates and sums that the level before passed on.
         window_u = Rows()
         window_curvature = Rows()
         window_rate = Rows()
         window_sum = Rows()
-        # Rows are requested a round ahead, so that memory has time to answer.
-        ahead_u = Round()
-        ahead_rate = Round()
-        ahead_squares = Round()
+        last_word = wp.static(ny + 1 + 4 * margin)
+        # The first rounds; columns beside the plate are zeros.
         first = low - wp.static(margin)
-        for phase in range(wp.static(per_round)):
-            ahead_u[phase] = zero_if(beside, read_row(lane_u, row_at(first + phase)))
+        for ahead in range(wp.static(AHEAD * per_round)):
+            place = ring + wp.static(ahead * row_bytes)
+            behind = row_at(first + wp.static(ahead - reach)) * wp.static(size)
+            copy_pair(place, lane_u, row_at(first + ahead) * wp.static(size), beside)
+            copy_pair(place + wp.static(rings.field), lane_rate, behind, beside)
+            copy_pair(place + wp.static(rings.loads), lane_in_phase, behind, beside)
+            copy_pair(place + wp.static(rings.loads + rings.load), lane_quadrature, behind, beside)
+            if wp.static(summed):
+                behind = row_at(first + wp.static(ahead - reach - delay)) * wp.static(size)
+                copy_pair(place + wp.static(2 * rings.field), lane_squares, behind, beside)
+            commit_copies()
+        # Rounds of the rings of fields that are read and copied; of loads, their numbers in the rings.
+        read_round = ring
+        copied_round = ring + wp.static(AHEAD * rings.round)
+        read_load = int(0)
+        copied_load = int(wp.static(AHEAD))
+        # Each lane has the word of ``loaded`` for one of 32 rounds, and for one of the 32 after these.
+        word = int(0)
+        next_word = loaded[wp.min(first + wp.static(margin) + lane * wp.static(per_round), last_word)]
         for round in range((high - first + wp.static(margin + per_round - 1)) // wp.static(per_round)):
             start = first + wp.static(per_round) * round
-            bits = loaded[opaque(start + wp.static(margin))]  # of rows from start − margin on
-            away = start >= wp.static(margin + edge) and start <= wp.static(ny - 2 * per_round)
+            if round % LANES == 0:
+                word = next_word
+                later = start + wp.static(margin + LANES * per_round) + lane * wp.static(per_round)
+                next_word = loaded[wp.min(later, last_word)]
+            bits = from_lane(word, round % LANES)  # of rows from start − margin on
+            if (bits >> wp.static(READ_LATER)) != 0:
+                place = ring + wp.static(rings.loads) + copied_load * wp.static(rings.round)
+                for phase in range(wp.static(per_round)):
+                    where = row_at(start + wp.static(AHEAD * per_round - reach) + phase) * wp.static(size)
+                    copy_pair(place + wp.static(phase * row_bytes), lane_in_phase, where, beside)
+                    copy_pair(place + wp.static(phase * row_bytes + rings.load), lane_quadrature, where, beside)
+            bits = bits & wp.static((1 << READ_LATER) - 1)
+            away = start >= wp.static(margin + edge) and start <= wp.static(ny - (AHEAD + 1) * per_round)
             away = away and start + wp.static(per_round) <= high + wp.static(margin)
-            plain = any_lane(away and bits == 0)
-            for body in range(2):
-                if plain == wp.static(body == 0):
-                    at = int(0)  # index of row start − margin
-                    if wp.static(body == 0):
-                        at = opaque((start - wp.static(margin)) * wp.static(stride))
-                    loads = Rows()
-                    if wp.static(body == 1):
-                        if bits != 0:
-                            # All reads first, so that they overlap; rows without load hold zeros.
-                            cosines = Rows()
-                            sines = Rows()
-                            for phase in range(wp.static(per_round)):
-                                for level in range(wp.static(levels)):
-                                    where = row_at(start + phase - wp.static(reach * (level + 1)))
-                                    slot = wp.static(per_round * level + phase)
-                                    cosines[slot] = zero_if(beside, read_row(lane_in_phase, where))
-                                    sines[slot] = zero_if(beside, read_row(lane_quadrature, where))
-                            for phase in range(wp.static(per_round)):
-                                for level in range(wp.static(levels)):
-                                    for c in range(wp.static(columns)):
-                                        slot = wp.static(per_round * level + phase)
-                                        quadrature_part = waves[level, 1] * sines[slot, c]
-                                        loads[slot, c] = fused(waves[level, 0], cosines[slot, c], quadrature_part)
+            # 0: neither a loaded row nor an edge is touched, 1: loaded rows alone are, 2: edges are.
+            kind = wp.where(away, wp.where(bits != 0, 1, 0), 2)
+            for body in range(3):
+                if kind == body:
+                    # Addresses of the lane's columns of row start − margin, at edges those of row 0.
+                    skipped = wp.uint64(0)
+                    if wp.static(body < 2):
+                        skipped = wp.uint64(opaque((start - wp.static(margin)) * wp.static(stride * size)))
+                    from_u = lane_u + skipped
+                    from_rate = lane_rate + skipped
+                    squares = lane_squares + skipped
+                    to_u = lane_u_next + skipped
+                    to_rate = lane_rate_next + skipped
+                    load_rounds = Places()  # of this round and of those before it
+                    if wp.static(body > 0):
+                        for age in range(wp.static(back + 1)):
+                            number = read_load - age
+                            if number < 0:
+                                number += wp.static(AHEAD + 1 + back)
+                            load_rounds[age] = ring + wp.static(rings.loads) + number * wp.static(rings.round)
                     for phase in range(wp.static(per_round)):
                         y = start + phase
-                        above = ahead_u[phase]
-                        stepped_rate = ahead_rate[phase]
-                        total = ahead_squares[phase]  # of the row that the first level to add to them moves
-                        next_u = at + wp.static((margin + per_round + phase) * stride)
-                        next_rate = at + wp.static((margin + per_round - reach + phase) * stride)
-                        if wp.static(body == 1):
-                            next_u = row_at(y + wp.static(per_round))
-                            next_rate = row_at(y + wp.static(per_round - reach))
-                        ahead_u[phase] = zero_if(beside, read_row(lane_u, next_u))
-                        ahead_rate[phase] = zero_if(beside, read_row(lane_rate, next_rate))
+                        wait_for_copies()
+                        place = read_round + wp.static(phase * row_bytes)
+                        above = read_pair_if(True, place)
+                        stepped_rate = read_pair_if(True, place + wp.static(rings.field))
+                        total = Row()  # of the row that the first level to add to them moves
                         if wp.static(summed):
-                            next_squares = next_rate - wp.static(delay * stride)
-                            if wp.static(delay > 0 and body == 1):
-                                next_squares = row_at(y - delay)
-                            ahead_squares[phase] = read_row(lane_squares, next_squares)
+                            total = read_pair_if(True, place + wp.static(2 * rings.field))
+                        next_u = wp.static((margin + AHEAD * per_round + phase) * stride * size)
+                        next_rate = wp.static((margin + AHEAD * per_round - reach + phase) * stride * size)
+                        next_squares = wp.static((margin + AHEAD * per_round - reach - delay + phase) * stride * size)
+                        if wp.static(body == 2):
+                            next_u = row_at(y + wp.static(AHEAD * per_round)) * wp.static(size)
+                            next_rate = row_at(y + wp.static(AHEAD * per_round - reach)) * wp.static(size)
+                            next_squares = row_at(y + wp.static(AHEAD * per_round - reach - delay)) * wp.static(size)
+                        place = copied_round + wp.static(phase * row_bytes)
+                        copy_pair(place, from_u, next_u, beside)
+                        copy_pair(place + wp.static(rings.field), from_rate, next_rate, beside)
+                        if wp.static(summed):
+                            copy_pair(place + wp.static(2 * rings.field), squares, next_squares, beside)
+                        commit_copies()
 
                         for level in range(wp.static(levels)):
                             # ``above`` is row y − reach·level of this level; ``here`` is the row that it moves.
@@ -245,11 +310,11 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
                             if wp.static(order == 2):
                                 bare = laplacian_of_row(window_u[row_2], window_u[row_1], above, lane, p.aspect)
                                 factor_row = real(1.0)
-                                if wp.static(body == 1):
+                                if wp.static(body == 2):
                                     factor_row = wp.where(here == 0, bottom, factor_row)
                                     factor_row = wp.where(here == wp.static(ny - 1), top, factor_row)
                                 for c in range(wp.static(columns)):
-                                    if wp.static(body == 1):
+                                    if wp.static(body == 2):
                                         curvature[c] = (factor_row * bend_taps[c, 0]) * bare[c]
                                     else:
                                         curvature[c] = bend_taps[c, 0] * bare[c]
@@ -259,7 +324,7 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
                             else:
                                 bend = inside
                                 move = inside
-                                if wp.static(body == 1):
+                                if wp.static(body == 2):
                                     for tap in range(5):
                                         bend[tap] = bend_y[opaque(here + wp.static(2 + 2 * margin)), tap]
                                         move[tap] = move_y[opaque(here + wp.static(2 * margin)), tap]
@@ -271,8 +336,18 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
                                     window_curvature[row_2], window_curvature[row_1], window_curvature[newest],
                                     window_curvature[row_3], curvature, move_taps, move, lane,
                                 )  # fmt: skip
+                            load = Row()
+                            if wp.static(body > 0):
+                                place = load_rounds[wp.static(-((phase - reach * level) // per_round))]
+                                place += wp.static((phase - reach * level) % per_round * row_bytes)
+                                wanted = wp.static(body == 1) or bits != 0
+                                cosines = read_pair_if(wanted, place)
+                                sines = read_pair_if(wanted, place + wp.static(rings.load))
+                                wave = read_pair_if(True, ring + wp.static(rings.waves + level * row_bytes))
+                                for c in range(wp.static(columns)):
+                                    load[c] = fused(wave[0], cosines[c], wave[1] * sines[c])
                             moves = True
-                            if wp.static(body == 1):
+                            if wp.static(body == 2):
                                 moves = here > 1 and here < wp.static(ny)
                             for c in range(wp.static(columns)):
                                 before = stepped_rate[c]
@@ -286,10 +361,12 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
                                             window_sum[newest, c] = total[c]
                                         total[c] = fused(before, before, partial)
                                 stiffness_here = stiffness[c]
-                                if wp.static(body == 1):
+                                if wp.static(body == 2):
                                     stiffness_here = wp.where(moves, stiffness[c], real(0.0))
-                                load = loads[wp.static(per_round * level + phase), c]
-                                stepped_rate[c] = update(before, biharmonic[c], load, stiffness_here, p)
+                                if wp.static(body == 0):
+                                    stepped_rate[c] = update_unloaded(before, biharmonic[c], stiffness_here, p)
+                                else:
+                                    stepped_rate[c] = update(before, biharmonic[c], load[c], stiffness_here, p)
                                 entering = above[c]
                                 above[c] = window_u[moved, c] + stepped_rate[c]
                                 window_u[newest, c] = entering
@@ -297,16 +374,22 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
 
                         done = y - wp.static(margin)
                         storing = stores and done >= low
-                        to = at + wp.static(phase * stride)
-                        if wp.static(body == 1):
+                        to = wp.static(phase * stride)
+                        if wp.static(body == 2):
                             storing = storing and done < high
                             to = opaque(wp.max(done, 0) * wp.static(stride))
                         if storing:
-                            write_row(lane_u_next, to, above)
-                            write_row(lane_rate_next, to, stepped_rate)
+                            write_row(to_u, to, above)
+                            write_row(to_rate, to, stepped_rate)
                             if wp.static(summed):
                                 for c in range(wp.static(columns)):
                                     total[c] = fused(stepped_rate[c], stepped_rate[c], total[c])
-                                write_row(lane_squares, to, total)
+                                write_row(squares, to, total)
+            copied_round = read_round
+            read_round += wp.static(rings.round)
+            if read_round == ring + wp.static(rings.field):
+                read_round = ring
+            read_load = wp.where(read_load == wp.static(AHEAD + back), 0, read_load + 1)
+            copied_load = wp.where(copied_load == wp.static(AHEAD + back), 0, copied_load + 1)
 
     return advance_tiles

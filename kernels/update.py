@@ -177,6 +177,21 @@ def make_update(effects, real):
 
 
 @cache
+def make_update_unloaded(effects, real):
+    """Make ``update_unloaded``: the same where there is no load, with the same roundings."""
+    Parameters, fused = make_parameters(real), make_fused(real)
+
+    @wp.func
+    def update_unloaded(rate: real, biharmonic: real, stiffness: real, p: Parameters):
+        decayed = rate
+        if wp.static(effects.damping):
+            decayed = p.decay * rate
+        return fused(-stiffness, biharmonic, decayed)
+
+    return update_unloaded
+
+
+@cache
 def make_moment(effects, real):
     """Make ``moment``: Mx − Tx u from both curvatures; its second derivative has the force of the tension too."""
     fused = make_fused(real)

@@ -91,7 +91,7 @@ def cuda_factories(effects, real):
     plan = next(strip_plans(order, axes[0].length, axes[1].length, real, SHARED_BYTES))
     yield resident_strips.make_run_steps, effects, real, *axes, HUGE[2], plan, True
     for levels, summed in ((2, True), (5 if order == 2 else 1, True), (1, False)):
-        yield temporal_blocking.make_advance_tiles, effects, real, *LARGE, levels, summed
+        yield temporal_blocking.make_advance_tiles, effects, real, *LARGE, 4, levels, summed
 
 
 @cache

@@ -7,6 +7,7 @@ Warp's types; launches by ``solve.cuda`` are taken over, so that its host code r
 
 import ast
 import inspect
+import re
 import textwrap
 import threading
 import types
@@ -74,7 +75,40 @@ def write_pair(address, pair):
     address[0], address[1] = pair
 
 
+def copy_pair(place, address, offset, zeros):
+    """Start to copy a pair from an address to a place in shared memory."""
+    here.copies[-1].append((place, address + offset, zeros))
+
+
+def commit_copies():
+    """Make a group of the copies since the last one."""
+    here.copies.append([])
+
+
+def waits(pending):
+    """Return ``wait_for_copies``, which lets copies arrive as late as it can: all groups but the last ``pending``."""
+
+    def wait_for_copies():
+        while len(here.copies) - 1 > pending:
+            for place, address, zeros in here.copies.pop(0):
+                at = Address(here.block.shared, place)
+                at[0], at[1] = (0, 0) if zeros else (address[0], address[1])
+
+    return wait_for_copies
+
+
+def read_pair_if(wanted, place):
+    """Return a pair in shared memory, or zeros."""
+    at = Address(here.block.shared, place)
+    pair = [at[0], at[1]] if wanted else [0, 0]
+    return np.array(pair, here.block.shared.dtype).view(Values)
+
+
 NATIVE = {
+    "copy_pair": copy_pair,
+    "commit_copies": commit_copies,
+    "read_pair_if": read_pair_if,
+    "shared_place": lambda: 0,
     "from_lane": lambda value, lane: exchange(value)[lane % LANES],
     "any_lane": lambda condition: any(exchange(bool(condition))),
     "barrier": lambda: here.block.barrier.wait(),
@@ -95,7 +129,7 @@ WARP = types.SimpleNamespace(
     tile_empty=lambda **options: None,
     array=lambda ptr, shape, dtype: ptr,
 )
-NUMPY = {wp.float32: np.float32, wp.float64: np.float64}
+NUMPY = {wp.float32: np.float32, wp.float64: np.float64, wp.int32: np.int32}
 
 
 class _CopyNames(ast.NodeTransformer):
@@ -133,6 +167,8 @@ def _converted(value):
         return WARP
     if isinstance(value, wp.Function):
         name = value.func.__name__
+        if name == "wait_for_copies":
+            return waits(int(re.search(r"wait_group (\d+)", value.native_snippet)[1]))
         return NATIVE[name] if name in NATIVE else in_python(value.func)
     if isinstance(value, type) and hasattr(value, "_shape_"):
         return lambda: np.zeros(value._shape_, NUMPY[value._wp_scalar_type_]).view(Values)
@@ -162,7 +198,7 @@ def run(kernel, threads, arguments, block_dim):
     real = type(arguments[0].stiffness)
 
     def work(block, warp, lane, tid):
-        here.block, here.warp, here.lane, here.tid = block, warp, lane, tid
+        here.block, here.warp, here.lane, here.tid, here.copies = block, warp, lane, tid, [[]]
         try:
             with np.errstate(all="ignore"):
                 function(*arguments)

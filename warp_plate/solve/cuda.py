@@ -22,9 +22,8 @@ LANES_BLOCK = 32
 # 2 to FEW_PLATES plates per multiprocessor: optimise latency, with FEW_REGISTERS if at most FEW_LOADED_ROWS rows are
 # loaded; more: occupancy.
 FEW_PLATES, FEW_REGISTERS, FEW_LOADED_ROWS = 12, 160, 16
-# Temporal blocking: steps per launch by order and precision, and threads per block, whose warps are independent.
+# Temporal blocking: steps per launch by order and precision.
 LEVELS = {(2, wp.float32): 5, (2, wp.float64): 3, (4, wp.float32): 2, (4, wp.float64): 2}
-STREAMING_BLOCK = 128
 # Warps of a multiprocessor below which temporal blocking divides strips into tiles.
 BUSY_WARPS = 8
 # Fewest rows of a tile, which must pay for its margins.
@@ -217,15 +216,16 @@ def plan_tiles(specialized: Specialized, plates: int) -> tuple[list[Cut], StripP
 def _blocking_path(specialized: Specialized) -> Advance:
     """Return the path of temporal blocking, with several steps per launch (one where traces are recorded)."""
     device, scheme = specialized.device, specialized.scheme
-    (nx, ny), most_levels = scheme.nodes, LEVELS[scheme.order, specialized.real]
+    (nx, ny), real, most_levels = scheme.nodes, specialized.real, LEVELS[scheme.order, specialized.real]
+    warps = temporal_blocking.warps_of_block(scheme.order, real, most_levels, specialized.shared_bytes)
     kernels = {
         (levels, summed): temporal_blocking.make_advance_tiles(
-            specialized.effects, specialized.real, nx, ny, specialized.stride, levels, summed
+            specialized.effects, real, nx, ny, specialized.stride, warps, levels, summed
         )
         for levels in (1, most_levels)
         for summed in (False, True)
     }
-    specialized.load(*kernels.values(), block_dim=STREAMING_BLOCK)
+    specialized.load(*kernels.values(), block_dim=warps * LANES)
     constants = {levels: _constants(specialized, levels) for levels in (1, most_levels)}
 
     def launch_tiles(
@@ -239,7 +239,7 @@ def _blocking_path(specialized: Specialized) -> Advance:
             inputs=[*constants[levels], clock, offset, tiles, -(-(ny - 2) // tiles), state.drive, state.fields],
             outputs=[state.next_fields],
             device=device,
-            block_dim=STREAMING_BLOCK,
+            block_dim=warps * LANES,
         )
 
     return several_steps_a_launch(specialized, most_levels, launch_tiles)
@@ -261,5 +261,7 @@ def _constants(specialized: Specialized, levels: int) -> list[Any]:
         beyond = ((2 * margin + 1, 2 * margin + 1), (0, 0))
         inside = scheme.aspect * np.array(INSIDE[4])
         taps = [x.bend, np.pad(scheme.aspect * y.bend, beyond), x.move, np.pad(scheme.aspect * y.move, beyond)]
-    loaded = streaming.loaded_ahead(specialized, margin, margin + ahead)
+    back = temporal_blocking.make_rings(scheme.order, specialized.real, levels, True).rounds_back
+    later = [temporal_blocking.ROUND[scheme.order] * (temporal_blocking.AHEAD + count) for count in range(back + 1)]
+    loaded = streaming.loaded_ahead(specialized, margin, margin + ahead, later)
     return [specialized.parameters, inside, *map(specialized.to_device, taps), loaded]

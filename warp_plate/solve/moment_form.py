@@ -100,7 +100,7 @@ def streaming_path(specialized: Specialized) -> Advance:
         for levels in (1, most_levels)
         for summed in (False, True)
     }
-    specialized.load(*kernels.values(), block_dim=cuda.STREAMING_BLOCK)
+    specialized.load(*kernels.values(), block_dim=moment_form_blocking.BLOCK)
     material = make_material(specialized)
     planes = np.stack([_material_plane(material, name) for name in names])
     constants = {levels: [material, *_planes_of_lanes(specialized, planes, levels)] for levels in (1, most_levels)}
@@ -128,7 +128,7 @@ def streaming_path(specialized: Specialized) -> Advance:
             + [state.drive, state.drive.wave, state.loads, state.fields, sums[0]],
             outputs=[state.next_fields, sums[1]],
             device=specialized.device,
-            block_dim=cuda.STREAMING_BLOCK,
+            block_dim=moment_form_blocking.BLOCK,
         )
 
     steps = several_steps_a_launch(specialized, most_levels, launch_tiles)

@@ -1,12 +1,13 @@
 """The plain streaming path of every device, and launches repeated from records, which saves Python's overhead."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 import warp as wp
 
 from warp_plate.kernels import streaming
+from warp_plate.kernels.temporal_blocking import READ_LATER
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import Advance, State
 
@@ -92,15 +93,19 @@ def split_at_window(specialized: Specialized, start: int, stop: int) -> list[tup
     return [run for run in runs if run[1] > run[0]]
 
 
-def loaded_ahead(specialized: Specialized, margin: int, rows: int) -> wp.array:
+def loaded_ahead(specialized: Specialized, margin: int, rows: int, later: Sequence[int] = ()) -> wp.array:
     """Return bits of the loaded rows, ``rows`` of them from each on, from 2·margin below the tensor to as many above.
 
-    A round of temporal blocking moves these rows: bit b is set where the row b above is loaded.
+    A round of temporal blocking moves these rows: bit b is set where the row b above is loaded, and bit READ_LATER
+    where one of the words ``later`` rows above has a bit.
     """
     padded = np.pad(np.array(specialized.loaded_rows, dtype=np.int32), (2 * margin, 2 * margin + rows))
     count = specialized.rows + 4 * margin
-    ahead = np.sum([padded[bit : bit + count] << bit for bit in range(rows)], axis=0)
-    return wp.array(ahead.astype(np.int32), dtype=int, device=specialized.device)
+    words = np.sum([padded[bit : bit + count] << bit for bit in range(rows)], axis=0)
+    loaded = np.pad(words != 0, (0, max(later, default=0)))
+    read_later = sum(loaded[distance : distance + count] for distance in later)
+    words += np.sign(read_later) << READ_LATER
+    return wp.array(words.astype(np.int32), dtype=int, device=specialized.device)
 
 
 def streaming_path(specialized: Specialized) -> Advance:
