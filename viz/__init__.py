@@ -1,6 +1,9 @@
 """Pictures of results. PyVista, VTK and Matplotlib are imported when something is drawn, not before."""
 
-from warp_plate.viz.availability import DrawingUnavailable, missing_renderer, prepare
-from warp_plate.viz.pictures import draw_all, draw_history, draw_surfaces
+import lazy_loader
 
-__all__ = ["DrawingUnavailable", "draw_all", "draw_history", "draw_surfaces", "missing_renderer", "prepare"]
+_NAMES = {
+    "availability": ["DrawingUnavailable", "missing_renderer", "prepare"],
+    "pictures": ["draw_all", "draw_history", "draw_surfaces"],
+}
+__getattr__, __dir__, __all__ = lazy_loader.attach(__name__, submod_attrs=_NAMES)

@@ -28,6 +28,8 @@ _LOCK = threading.Lock()
 
 # Draws an empty white window; prints its class, and whether it is white.
 TRIAL = """
+import sys
+sys.modules["numpy"] = None  # VTK would import it
 import vtkmodules.vtkRenderingOpenGL2
 from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindow, vtkWindowToImageFilter
 window, renderer, image = vtkRenderWindow(), vtkRenderer(), vtkWindowToImageFilter()

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 
 from warp_plate.effects.effect import attachments
 from warp_plate.scene.errors import printable
@@ -95,6 +96,7 @@ def _draw_shape(axes: Axes, scene: Scene, shape: np.ndarray, cmap: str) -> objec
     for attachment in attachments(scene.terms):
         draw_outline(axes, scene, attachment.region, TARGET, ":")
     draw_edges(axes, scene)
+    axes.set_axis_off()  # which takes less time to lay out than axes without ticks and spines
     return mesh
 
 
@@ -123,17 +125,26 @@ def nodal_field(scene: Scene, fine: np.ndarray, shape: tuple[int, ...]) -> np.nd
 
     It is NaN along held edges, where the shape vanishes anyway, and in spots of one sign that hardly rise.
     """
-    from scipy.ndimage import label, maximum
-
     refine = _refinement(shape)
     field = np.where(np.abs(fine) < NOISE, 0.0, fine)
-    for sign in (1, -1):
-        spots, count = label(sign * field > 0)
-        heights = maximum(sign * field, spots, range(1, count + 1))
-        field[np.isin(spots, 1 + np.flatnonzero(np.asarray(heights) < FLAT))] = math.nan
+    spots = _spots(np.sign(field))
+    heights = np.zeros(spots.max() + 1)
+    np.maximum.at(heights, spots, np.abs(field))
+    field[(heights[spots] < FLAT) & (field != 0)] = math.nan
     strips = {"left": np.s_[:, :refine], "right": np.s_[:, -refine:]}
     strips |= {"bottom": np.s_[:refine], "top": np.s_[-refine:]}
     for edge, strip in strips.items():
         if getattr(scene.edges, edge) in ("clamped", "supported"):
             field[strip] = math.nan
     return field
+
+
+def _spots(signs: np.ndarray) -> np.ndarray:
+    """Return the number (ny, nx) of the connected spot of one sign that each point belongs to."""
+    numbers = np.arange(signs.size).reshape(signs.shape)
+    pairs = [(numbers[:-1], numbers[1:]), (numbers[:, :-1], numbers[:, 1:])]
+    alike = [signs.flat[first] == signs.flat[second] for first, second in pairs]
+    ends = [np.concatenate([pair[end][same] for pair, same in zip(pairs, alike, strict=True)]) for end in (0, 1)]
+    # Not by scipy.ndimage, which takes as long to import as a picture to draw.
+    graph = scipy.sparse.coo_array((np.ones(len(ends[0])), tuple(ends)), (signs.size, signs.size))
+    return np.asarray(scipy.sparse.csgraph.connected_components(graph, directed=False)[1]).reshape(signs.shape)

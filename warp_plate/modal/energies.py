@@ -10,12 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-import warp as wp
 
 from warp_plate.modal.assemble import rectangular
-from warp_plate.modal.device_tones import DeviceToneMatrices
 from warp_plate.modal.gram import Means, ToneMatrices, gram_matrices
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.motion import make_excitation
@@ -25,6 +24,11 @@ from warp_plate.modal.slopes import EnergySlopes, energy_slopes
 from warp_plate.optimize.quadratic import quadratic_forms, real_parts
 from warp_plate.plate.signals import actuator_frequencies
 from warp_plate.plate.weights import CoilRegion
+
+if TYPE_CHECKING:
+    import warp as wp
+
+    from warp_plate.modal.device_tones import DeviceToneMatrices
 
 # Numbers in a block of designs that are computed at once.
 AMPLITUDES_AT_ONCE = 2**20
@@ -114,6 +118,8 @@ class ModalEnergies:
 
     @cached_property
     def _device_tones(self) -> DeviceToneMatrices:
+        from warp_plate.modal.device_tones import DeviceToneMatrices  # declares kernels
+
         assert self._device is not None
         return DeviceToneMatrices(self._means, self._device)
 

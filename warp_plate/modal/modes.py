@@ -290,7 +290,7 @@ def solve_modes(
         count: Number of modes, from the lowest, that must be accurate.
         density: Factor of the number of functions along each side, besides ``grid.modal_density`` (default: 1, whose
             errors docs/modal.md lists).
-        alone: Leave out modes above ``highest``, which responses up to it need, but for a few.
+        alone: Leave out modes above ``highest`` and beyond ``count``, which responses need, but for a few.
         most: Limit of the number of modes up to ``highest``, and of ``count``.
         key: Where ``highest`` or ``count`` comes from, for errors (default: ``drive.frequency``, or ``count``).
         improve: Solve for the lowest modes once more, so that the rounding of large matrices does not remain in them.
@@ -315,7 +315,7 @@ def solve_modes(
     wanted = 1.1 * math.pi / 4 * area * max(REACH * highest, counted) / wave + (FURTHER if highest else SPARE)
     least = 0.0
     if alone:
-        wanted, least = math.pi / 4 * area * highest / wave, (2 * math.pi * highest) ** 2
+        wanted, least = max(math.pi / 4 * area * highest / wave, 2 * count), (2 * math.pi * highest) ** 2
     lowest = wave / max(scene.plate.size) ** 2
     squares, vectors = solve_eigenproblem(galerkin, math.ceil(wanted), (2 * math.pi * lowest) ** 2, least, improve)
     frequencies = np.sqrt(np.maximum(squares, 0.0)) / (2 * math.pi)
@@ -340,7 +340,7 @@ def errors_of_frequencies(scene: Scene, frequencies: np.ndarray) -> np.ndarray:
     They come from a second solution with more functions: 0 for rigid motions, NaN if these functions are too many.
     """
     try:
-        finer = solve_modes(scene, highest=0.0, count=frequencies.size + UNCUT, density=FINER)
+        finer = solve_modes(scene, highest=0.0, count=frequencies.size + UNCUT, density=FINER, alone=True)
     except SceneError:
         return np.full(frequencies.shape, math.nan)
     reference = finer.frequencies[: frequencies.size]
