@@ -7,7 +7,7 @@ from support.scenes import PAPER, refusal, scene_of
 from warp_plate import Scene, SceneError
 from warp_plate.cli import output
 from warp_plate.cli.tables import drive_json, print_drive
-from warp_plate.plate.designs import actuator_centres, scene_phasors, scene_with
+from warp_plate.plate.designs import patch_ends, scene_phasors, scene_with
 from warp_plate.plate.scheme import discretize
 from warp_plate.problem.uncertainty import draw_scenarios
 from warp_plate.result.case import Case
@@ -70,7 +70,7 @@ def test_other_drives_places_and_scenarios():
         (pytest.approx(2 * AREA), pytest.approx(2.0)),
         (None, 3.0),
     ]
-    moved = scene_with(made, centre=actuator_centres(made.actuators) + 0.003).actuators[0]
+    moved = scene_with(made, centre=patch_ends(made.actuators).mean(axis=2) + 0.003).actuators[0]
     assert (moved.force, moved.magnitude) == (0.3, pytest.approx(500))
     for drawn in draw_scenarios(made, 3, 0):
         row = drawn.scene.actuators[0]

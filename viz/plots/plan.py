@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_plate.effects.effect import attachments
+from warp_plate.plate.designs import patch_ends
 from warp_plate.plate.shapes import outlines
 from warp_plate.result.case import relative_to_own, target_cases
 from warp_plate.result.model import crosstalk
@@ -193,7 +194,7 @@ def draw_actuators(axes: Axes, scene: Scene, length: float = LENGTH) -> None:
     for actuator in scene.actuators:
         draw_outline(axes, scene, actuator, INK)
     names = [shortened(actuator.name) for actuator in scene.actuators]
-    patches = np.array([actuator.box for actuator in scene.actuators]).reshape(-1, 2, 2)
+    patches = patch_ends(scene.actuators)
     letter = 0.6 * NAME_SIZE / 72 / length * max(scene.plate.size)
     middles = place_names(names, patches, np.array([(0.0, side) for side in scene.plate.size]), letter)
     centred = {"ha": "center", "va": "center", "zorder": 5}

@@ -197,14 +197,10 @@ def toggle(scene: Scene, name: str) -> tuple[Scene, str]:
         return (_clamped(scene), "free and elastic edges clamped") if on else _springs(scene)
     value, text = Effects.model_fields[name].default, "left out"
     if not on:
-        value, text = effect_type(name).typical(setting_of(scene))
+        spot = scene.target.area or _middle_of_target(scene)
+        setting = Setting(scene.plate, scene.drive.angular_frequency, scene.window.end, scene.actuators, spot)
+        value, text = effect_type(name).typical(setting)
     return scene.model_copy(update={"effects": scene.effects.model_copy(update={name: value})}), text
-
-
-def setting_of(scene: Scene) -> Setting:
-    """Return what the typical values of effects depend on."""
-    spot = scene.target.area or _middle_of_target(scene)
-    return Setting(scene.plate, scene.drive.angular_frequency, scene.window.end, scene.actuators, spot)
 
 
 def _clamped(scene: Scene) -> Scene:

@@ -213,15 +213,11 @@ def scene_errors(source: object, **options: str) -> Iterator[None]:
         message = str(error)
         key = re.split(r"\W", message, maxsplit=1)[0]
         if key in options and re.match(rf"{key}(\[\d+\])? = ", message):
-            named = re.sub(r"(?<![\w.])(\w+)(?:\[\d+\])? = ", lambda name: _option(name, options), message)
-            raise SceneError(named) from None
+            arguments = rf"(?<![\w.])({'|'.join(options)})(?:\[\d+\])? = "
+            raise SceneError(re.sub(arguments, lambda name: f"--{options[name[1]]} ", message)) from None
         if source is None or key not in Scene.model_fields or message.startswith(f"{source}:"):
             raise
         raise SceneError(f"{source}: {error}") from None
-
-
-def _option(name: re.Match[str], options: Mapping[str, str]) -> str:
-    return f"--{options[name[1]]} " if name[1] in options else name[0]
 
 
 def output_file(out: Path | None, default: str, endings: Sequence[str] = ()) -> Path:

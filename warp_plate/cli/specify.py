@@ -92,10 +92,11 @@ def _print(source: str, answer: SpecifiedDrive, console: Console) -> None:
         drives.append((answer.robust_peaks, answer.robust_phases))
         headings[2] = f"at {answer.frequency:.6g} Hz: peak ({unit})"
         headings += [f"for all cases, at {answer.robust_frequency:.6g} Hz: peak ({unit})", "phase lag (°)"]
-    rows = [
-        [name, f"{limit:.4g}", *(cell for one in drives for cell in (f"{one[0][name]:.4g}", _degrees(one[1][name])))]
-        for name, limit in zip(answer.peaks, answer.limits.tolist(), strict=True)
-    ]
+    rows = []
+    for name, limit in zip(answer.peaks, answer.limits.tolist(), strict=True):
+        rows.append([name, f"{limit:.4g}"])
+        for peaks, phases in drives:
+            rows[-1] += [f"{peaks[name]:.4g}", f"{math.degrees(phases[name]):.1f}"]
     output.print_rows(console, headings, rows, "")
     _print_levels(answer, console)
     rows = [
@@ -114,10 +115,6 @@ def _print(source: str, answer: SpecifiedDrive, console: Console) -> None:
     if answer.scatter:
         _print_tolerances(answer, console)
     output.print_warnings(console, answer.warnings)
-
-
-def _degrees(phase: float) -> str:
-    return f"{math.degrees(phase):.1f}"
 
 
 def _print_levels(answer: SpecifiedDrive, console: Console) -> None:

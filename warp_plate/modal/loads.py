@@ -22,7 +22,7 @@ import numpy as np
 
 from warp_plate.effects.moving_load import MovingLoad
 from warp_plate.modal.modes import ModalPlate
-from warp_plate.plate.designs import actuator_spaces, per_plate_of
+from warp_plate.plate.designs import actuator_spaces, patch_ends, per_plate_of
 from warp_plate.plate.signals import actuator_frequencies, highest_frequency
 from warp_plate.plate.waveforms import read_samples, sample_at, sweep
 from warp_plate.scene.drive import Burst, Drive
@@ -244,14 +244,14 @@ def trial_forces(plate: ModalPlate) -> np.ndarray:
     scene = plate.scene
     if scene.piezo or scene.coil_indices:
         return plate.actuator_forces()
-    areas = np.array([actuator.box for actuator in scene.actuators])
-    half = np.stack([areas[:, 1] - areas[:, 0], areas[:, 3] - areas[:, 2]], axis=1) / 2
+    ends = patch_ends(scene.actuators)
+    half = np.ptp(ends, axis=2) / 2
     spaces = actuator_spaces(scene, per_plate_of(scene))
     low, high = spaces[:, [0, 2]] + half, spaces[:, [1, 3]] - half
     parts = (np.arange(PLACES) + 0.5) / PLACES
     centre = low + np.stack(np.meshgrid(parts, parts), axis=-1).reshape(-1, 1, 2) * (high - low)
     placed = np.stack([centre - half, centre + half], axis=-1).reshape(-1, 4)
-    return plate.patch_forces(np.unique(np.concatenate([areas, placed]).round(9), axis=0))
+    return plate.patch_forces(np.unique(np.concatenate([ends.reshape(-1, 4), placed]).round(9), axis=0))
 
 
 def trial_frequencies(scene: Scene) -> np.ndarray:

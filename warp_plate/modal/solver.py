@@ -26,6 +26,7 @@ from warp_plate.plate.designs import (
     as_phasors,
     carriers_of,
     check_designs,
+    patch_ends,
 )
 from warp_plate.plate.scheme import check_grid, sampling_step
 from warp_plate.plate.section import make_section
@@ -87,8 +88,7 @@ class ModalGrid:
     @property
     def cell(self) -> float:
         """Area of a cell of the grid [m²]."""
-        (width, height), (nx, ny) = self.scene.plate.size, self.scene.grid.nodes
-        return width / (nx - 1) * (height / (ny - 1))
+        return math.prod(self.scene.spacing)
 
     def __post_init__(self) -> None:
         check_grid(self.scene)
@@ -236,9 +236,7 @@ class ModalSolver:
         values = self._check(designs)
         frequency = actuator_frequencies(self.scene) if values.frequency is None else values.frequency
         delay = actuator_delays(self.scene) if values.delay is None else values.delay
-        areas = (
-            np.array([[actuator.box for actuator in self.scene.actuators]]) if values.edges is None else values.edges
-        )
+        areas = patch_ends(self.scene.actuators).reshape(1, -1, 4) if values.edges is None else values.edges
         shape = designs.drives.shape
         return np.broadcast_to(frequency, shape), areas, np.broadcast_to(delay, shape)
 

@@ -85,8 +85,7 @@ class Bending:
 
 def make_bending(scene: Scene) -> Bending:
     """Return the fields of a scene on its grid; SceneError: the grid has no such term, or a file cannot be read."""
-    (width, height), (nx, ny) = scene.plate.size, scene.grid.nodes
-    spacing, section = (width / (nx - 1), height / (ny - 1)), make_section(scene)
+    (nx, ny), spacing, section = scene.grid.nodes, scene.spacing, make_section(scene)
     if (outline := scene.outline) is not None:
         return _outlined(scene, outline_grid(outline, scene.plate.size, scene.grid.nodes), section, spacing)
     bend_xx, bend_xy, bend_yy = _in_series(section, *_edge_compliances(scene, spacing))

@@ -157,8 +157,7 @@ def actuator_spaces(scene: Scene, per_plate: PerPlate) -> np.ndarray:
 
 def _edges(scene: Scene, per_plate: PerPlate, centre: np.ndarray) -> np.ndarray:
     """Return (plates, actuators, 4) rectangles of actuators around other centres."""
-    areas = np.array([actuator.box for actuator in scene.actuators])
-    half = np.stack([areas[:, 1] - areas[:, 0], areas[:, 3] - areas[:, 2]], axis=1) / 2
+    half = np.ptp(patch_ends(scene.actuators), axis=2) / 2
     low, high = centre - half, centre + half
     spaces, slack = actuator_spaces(scene, per_plate), SLACK * np.array(scene.plate.size)
     inside: Any = ((low >= spaces[:, [0, 2]] - slack) & (high <= spaces[:, [1, 3]] + slack)).all(axis=-1)
@@ -250,7 +249,6 @@ def scene_phasors(scene: Scene) -> np.ndarray:
     return phasors
 
 
-def actuator_centres(actuators: Sequence[Actuator]) -> np.ndarray:
-    """Return (actuators, 2) x, y of the actuators' centres [m]."""
-    areas = np.array([actuator.box for actuator in actuators])
-    return np.stack([(areas[:, 0] + areas[:, 1]) / 2, (areas[:, 2] + areas[:, 3]) / 2], axis=1)
+def patch_ends(actuators: Sequence[Actuator]) -> np.ndarray:
+    """Return (actuators, 2, 2) ends along x and along y of the actuators' patches [m]."""
+    return np.array([actuator.box for actuator in actuators]).reshape(-1, 2, 2)

@@ -139,7 +139,7 @@ def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = 
     taps_x, taps_y = plain_taps(scene.edges, grid.nodes, grid.order)
     return Scheme(
         nodes=grid.nodes,
-        spacing=(plate.size[0] / (grid.nodes[0] - 1), plate.size[1] / (grid.nodes[1] - 1)),
+        spacing=scene.spacing,
         rigidity=plate.rigidity,
         surface_density=surface_density,
         kappa=plate.kappa,

@@ -117,8 +117,7 @@ def _limit_of_plain_plate(scene: Scene) -> StabilityLimit:
     mirror images; of fourth see tests/plate/test_operator.py). Undamped or with centred damping the scheme is stable
     for Λ Δt² ≤ 4 (κΔt/h² ≤ 1/4 or 3/16 on square cells); with backward damping for Λ Δt² ≤ 4 − 2cΔt/ρH.
     """
-    plate, (nx, ny), order = scene.plate, scene.grid.nodes, scene.grid.order
-    spacing = (plate.size[0] / (nx - 1), plate.size[1] / (ny - 1))
+    plate, (nx, ny), spacing, order = scene.plate, scene.grid.nodes, scene.spacing, scene.grid.order
     surface_density = plate.density * plate.thickness
     kappa_squared = plate.rigidity / surface_density
     viscous, backward = viscous_damping(scene)

@@ -56,8 +56,7 @@ def moving_weights(scene: Scene, time_step: float, steps: int) -> MovingWeights:
             f"{TRAVELLING}.start = {list(load.start)}: the load is never on the plate of "
             f"{list(scene.plate.size)} m during the run; change start, velocity, from_time or force"
         )
-    spacing = [side / (nodes - 1) for side, nodes in zip(scene.plate.size, scene.grid.nodes, strict=True)]
-    wave /= spacing[0] * spacing[1]
+    wave /= math.prod(scene.spacing)
     wave[0] /= 2
     return MovingWeights(wave, *along)
 

@@ -17,7 +17,7 @@ from functools import cached_property, reduce
 import numpy as np
 
 from warp_plate.optimize.optimizer import SearchSpace
-from warp_plate.plate.designs import Designs, actuator_centres, scene_with
+from warp_plate.plate.designs import Designs, patch_ends, scene_with
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
 from warp_plate.problem.design_variables import (
     DesignVariable,
@@ -164,7 +164,7 @@ class Parametrization:
     def _fixed(self) -> dict[str, np.ndarray]:
         """(actuators,) values of each kind as the scene has them; in the paper's reading magnitude 1 and phase 0."""
         actuators, tables = self.scene.actuators, has_design_tables(self.scene)
-        x, y = actuator_centres(actuators).T
+        x, y = patch_ends(actuators).mean(axis=2).T
         return {
             "magnitude": fixed_magnitudes(self.scene) if tables else np.ones(len(actuators)),
             "phase": np.array([actuator.phase if tables else 0.0 for actuator in actuators]),
@@ -232,8 +232,7 @@ class Clearance:
 
     def __init__(self, scene: Scene) -> None:
         table, self._scene = scene.search.position, scene
-        areas = np.array([actuator.box for actuator in scene.actuators])
-        size = np.stack([areas[:, 1] - areas[:, 0], areas[:, 3] - areas[:, 2]], axis=1)
+        size = np.ptp(patch_ends(scene.actuators), axis=2)
         names = [actuator.name for actuator in scene.actuators]
         moves = np.array([table is not None and name in (table.actuators or names) for name in names])
         first, second = np.triu_indices(len(names), k=1)

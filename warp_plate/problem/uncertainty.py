@@ -18,7 +18,7 @@ from warp_plate.cluster.evaluator import Evaluator
 from warp_plate.cluster.pool import WorkerPool
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.optimize.quadratic import quadratic_forms
-from warp_plate.plate.designs import Designs, PerPlate, per_plate_of
+from warp_plate.plate.designs import Designs, PerPlate, patch_ends, per_plate_of
 from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.problem.objectives import Objectives, make_objectives
@@ -80,14 +80,9 @@ def scenario_bytes(actuators: int) -> float:
     return SCENE_BYTES + ACTUATOR_BYTES * actuators
 
 
-def _patches(scene: Scene) -> np.ndarray:
-    """Return the ends (actuators, axis, 2) of the actuators' patches [m]."""
-    return np.array([actuator.box for actuator in scene.actuators]).reshape(-1, 2, 2)
-
-
 def _on_plate(scene: Scene, centre: np.ndarray) -> np.ndarray:
     """Return centres (..., actuators, 2) [m] of the actuators' patches, moved so that these lie on the plate."""
-    half = np.diff(_patches(scene), axis=2)[..., 0] / 2
+    half = np.ptp(patch_ends(scene.actuators), axis=2) / 2
     return np.clip(centre, half, np.maximum(np.asarray(scene.plate.size) - half, half))
 
 
@@ -123,7 +118,7 @@ def _scenario(scene: Scene, robust: Robust, numbers: np.ndarray) -> Scenario:
 
 def _moved_actuators(scene: Scene, offset: np.ndarray) -> list[dict[str, Any]]:
     """Return the tables of the actuators, each moved by its offset (actuators, 2) [m] and kept on the plate."""
-    areas = _patches(scene)
+    areas = patch_ends(scene.actuators)
     centre = areas.mean(axis=2)
     shift = _on_plate(scene, centre + offset) - centre
     # An actuator without offset keeps its place to the last bit.

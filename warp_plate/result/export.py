@@ -62,7 +62,7 @@ def write_vtkhdf(scene: Scene, times: np.ndarray, fields: Mapping[str, np.ndarra
         root.attrs["Type"] = np.bytes_("ImageData")
         root.attrs["WholeExtent"] = np.array([0, nx - 1, 0, ny - 1, 0, 0])
         root.attrs["Origin"] = np.zeros(3)
-        root.attrs["Spacing"] = np.array([scene.plate.size[0] / (nx - 1), scene.plate.size[1] / (ny - 1), 1.0])
+        root.attrs["Spacing"] = np.array([*scene.spacing, 1.0])
         root.attrs["Direction"] = np.eye(3).ravel()
         points = root.create_group("PointData")
         steps = root.create_group("Steps")

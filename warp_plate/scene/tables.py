@@ -152,6 +152,12 @@ class SceneTables(Table):
         return copy
 
     @property
+    def spacing(self) -> tuple[float, float]:
+        """Distances of the nodes along x and y [m]."""
+        (width, height), (nx, ny) = self.plate.size, self.grid.nodes
+        return width / (nx - 1), height / (ny - 1)
+
+    @property
     def piezo(self) -> bool:
         """True if actuators are piezo patches, driven by voltages; then all but coils are."""
         return any(actuator.kind == "piezo" for actuator in self.actuators)

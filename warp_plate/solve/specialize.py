@@ -13,7 +13,7 @@ from warp_plate.effects.effect import DISPLACEMENT, IN_PLANE, Patch
 from warp_plate.kernels.cuda import RESERVED_BYTES
 from warp_plate.kernels.update import KernelEffects, make_parameters
 from warp_plate.plate.coils import MountedCoil
-from warp_plate.plate.designs import actuator_spaces
+from warp_plate.plate.designs import actuator_spaces, patch_ends
 from warp_plate.plate.scheme import Discretization
 from warp_plate.plate.signals import running_sums, waves_apart
 from warp_plate.plate.stability_limit import needs_moment_form
@@ -109,8 +109,7 @@ class Specialized:
         """Rate, in the kernels' units, that the loads' work adds at most in a step; cached as ``masses``."""
         norms = np.linalg.norm(self.patches.numpy().astype(float), axis=1)
         if self.discretization.per_plate.centre:  # the largest norms wherever the actuators are
-            areas = np.array([actuator.box for actuator in self.scene.actuators])
-            sides = np.stack([areas[:, 1] - areas[:, 0], areas[:, 3] - areas[:, 2]], axis=1)
+            sides = np.ptp(patch_ends(self.scene.actuators), axis=2)
             covered = (sides / self.scheme.spacing + 2).prod(axis=1)
             norms = np.maximum(norms, self.share.max() * np.sqrt(covered))
         share = np.zeros(self.discretization.patches.shape[1:])

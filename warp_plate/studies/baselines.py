@@ -35,17 +35,12 @@ from warp_plate.solve.solver import PlateSolver
 REGULARISATION = 0.1
 
 
-def baseline_phasors(solver: PlateSolver | ModalSolver) -> dict[str, np.ndarray]:
-    """Return the phasors (actuators,) of "time_reversal" and "inverse_filter", as strong as the scene's strongest."""
-    transfer = transfer_functions(solver)
-    return {"time_reversal": time_reversal(solver, transfer), "inverse_filter": inverse_filter(solver, transfer)}
-
-
 def baseline_cases(problem: Problem, recorded: Sequence[float]) -> tuple[dict[str, Case], int]:
     """Simulate the baselines of a problem's scene, recorded at times [s]; return their cases by name, and the
     node-steps."""
     solver = problem.resolved.solver(areas=problem.objectives.regions)
-    phasors = baseline_phasors(solver)
+    transfer = transfer_functions(solver)
+    phasors = {"time_reversal": time_reversal(solver, transfer), "inverse_filter": inverse_filter(solver, transfer)}
     run, peaks = run_with_peaks(solver, np.array(list(phasors.values())), recorded=recorded)
     return cases_from_run(phasors, run, solver.discretization, peaks), solver.node_steps
 
