@@ -30,8 +30,8 @@ from .scene.grid import Grid as Grid
 from .scene.grid import Record as Record
 from .scene.grid import Window as Window
 from .scene.model import Scene as Scene
+from .scene.outline import Plate as Plate
 from .scene.search import Search as Search
-from .scene.tables import Plate as Plate
 from .scene.target import Target as Target
 from .solve.solver import PlateSolver as PlateSolver
 from .studies.frequency_response import frf as frf

@@ -121,15 +121,15 @@ def _alternative(resolved: Resolved, name: str) -> tuple[PlateSolver | ModalSolv
     """Return the scene with one effect switched, and its description; or None and why it is refused."""
     other, text = toggle(resolved.scene, name)
     refusal = ""
-    for grid in (other.grid, other.grid.model_copy(update={"time_step": None})):
+    for update in ({}, {"time_step": None}):
         try:
-            variant = other.model_copy(update={"grid": grid}).with_tables(search={}, **WITHOUT_KEYS)
+            variant = other.with_keys("grid", **update).with_tables(search={}, **WITHOUT_KEYS)
             solver = resolved.with_scene(variant).solver()
         except SceneError as error:
             refusal = f"refused ({text}): {error}"
         else:
             step = solver.discretization.time_step
-            return solver, text if grid is other.grid else f"{text}; with its own time step of {step:.2g} s"
+            return solver, text if not update else f"{text}; with its own time step of {step:.2g} s"
     return None, refusal
 
 
@@ -161,14 +161,13 @@ def seconds_a_step(
 def _shortened(solver: PlateSolver, most_steps: int) -> Scene:
     """Return the solver's scene cut to at most this number of steps, with all loads acting from the start."""
     scene, scheme = solver.scene, solver.specialized.scheme
-    scene = scene.model_copy(update={"drive": scene.drive.model_copy(update={"burst": None})})
+    scene = scene.with_keys("drive", burst=None).with_keys("grid", time_step=scheme.time_step)
     if (force := scene.effects.travelling) is not None:
         middle = (scene.plate.size[0] / 2, scene.plate.size[1] / 2)
         resting = type(force)(force=1.0, start=middle)
         scene = scene.model_copy(update={"effects": scene.effects.with_travelling(resting)})
-    grid = scene.grid.model_copy(update={"time_step": scheme.time_step})
     end = min(scheme.steps, most_steps) * scheme.time_step
-    return scene.model_copy(update={"grid": grid, "window": scene.window.model_copy(update={"start": 0.0, "end": end})})
+    return scene.with_keys("window", start=0.0, end=end)
 
 
 def names() -> list[str]:
@@ -186,8 +185,7 @@ def is_on(scene: Scene, name: str) -> bool:
 def bare_scene(scene: Scene) -> Scene:
     """Return the scene without effects: clamped or supported edges, a tone, and a time step that suits them."""
     tables = {"effects": Effects(), "drive": Drive(frequency=scene.drive.frequency)}
-    tables["grid"] = scene.grid.model_copy(update={"time_step": None})
-    return with_one_frequency(_clamped(scene)).model_copy(update=tables)
+    return with_one_frequency(_clamped(scene)).with_keys("grid", time_step=None).model_copy(update=tables)
 
 
 def toggle(scene: Scene, name: str) -> tuple[Scene, str]:
@@ -200,7 +198,7 @@ def toggle(scene: Scene, name: str) -> tuple[Scene, str]:
         spot = scene.target.area or _middle_of_target(scene)
         setting = Setting(scene.plate, scene.drive.angular_frequency, scene.window.end, scene.actuators, spot)
         value, text = effect_type(name).typical(setting)
-    return scene.model_copy(update={"effects": scene.effects.model_copy(update={name: value})}), text
+    return scene.with_keys("effects", **{name: value}), text
 
 
 def _clamped(scene: Scene) -> Scene:

@@ -73,7 +73,7 @@ class Term:
 
 
 class Panel(Protocol):
-    """The table ``[plate]`` as effects see it; see :class:`warp_plate.scene.model.Plate`."""
+    """The table ``[plate]`` as effects see it; see :class:`warp_plate.scene.outline.Plate`."""
 
     @property
     def size(self) -> tuple[float, float]: ...

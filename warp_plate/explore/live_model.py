@@ -107,7 +107,7 @@ def changed_scene(scene: Scene, frequency: float, numbers: Mapping[str, float]) 
     for key, value in numbers.items():
         if value != number_at(scene, key):
             changed = changed.replace(key, value)
-    return changed.model_copy(update={"drive": scene.drive.model_copy(update={"frequency": frequency})})
+    return changed.with_keys("drive", frequency=frequency)
 
 
 def polar(phasors: np.ndarray) -> tuple[tuple[float, ...], tuple[float, ...]]:

@@ -32,7 +32,7 @@ from warp_plate.plate.files import read_table
 from warp_plate.plate.weights import covered_cells, node_positions
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.scene.tables import Plate
+from warp_plate.scene.outline import Plate
 from warp_plate.scene.target import PlateRegion
 
 # Keys of ``[plate]`` that maps of factors multiply.

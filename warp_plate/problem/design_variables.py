@@ -193,7 +193,7 @@ def with_paper_search(scene: Scene) -> Scene:
     """Return the scene with the source paper's search for its localization factor, by the scene's own swarm."""
     default = Search()
     paper = {name: getattr(default, name) for name in (*TABLES, "objectives", "limits", "robust")}
-    return scene.model_copy(update={"search": scene.search.model_copy(update=paper)})
+    return scene.with_keys("search", **paper)
 
 
 def only_ratios(scene: Scene) -> bool:

@@ -114,7 +114,7 @@ def with_method(scene: Scene) -> Scene:
         if parametrization.only_drives:
             free = bounded_by == "localization" and allowed_drives(parametrization).free
             method = "exact" if free else "gradient"
-    return scene.model_copy(update={"search": search.model_copy(update={"method": method})})
+    return scene.with_keys("search", method=method)
 
 
 def _is_plain(search: Search) -> bool:
@@ -136,7 +136,7 @@ def with_method_of_engine(resolved: Resolved, written: Search) -> Resolved:
     scene = with_method(resolved.scene)
     free = resolved.by_modes and written.method is None and _is_plain(written)
     if free and searches_only_frequency(parametrization_of(scene)):
-        scene = scene.model_copy(update={"search": scene.search.model_copy(update={"method": "exact"})})
+        scene = scene.with_keys("search", method="exact")
     return resolved.with_scene(scene)
 
 

@@ -71,8 +71,8 @@ def draw_scenarios(
     scenarios = [_scenario(some, robust, row) for some, row in zip(scenes, numbers, strict=True)]
     if not stepped or scene.modal_only_key is not None:
         return tuple(scenarios)
-    grid = scene.grid.model_copy(update={"time_step": _common_step(scene, scenarios)})
-    return tuple(replace(drawn, scene=drawn.scene.model_copy(update={"grid": grid})) for drawn in scenarios)
+    step = _common_step(scene, scenarios)
+    return tuple(replace(drawn, scene=drawn.scene.with_keys("grid", time_step=step)) for drawn in scenarios)
 
 
 def scenario_bytes(actuators: int) -> float:
@@ -142,9 +142,9 @@ def _per_plate(scene: Scene, place: float) -> PerPlate:
 
 def _common_step(scene: Scene, scenarios: list[Scenario]) -> float:
     """Return a time step [s] that is stable for all."""
-    update, step = {"grid": scene.grid.model_copy(update={"time_step": None})}, scene.grid.time_step
-    moment_form = per_plate_of(scene).per_actuator  # whose limit may differ
-    schemes = [make_scheme(drawn.scene.model_copy(update=update), moment_form=moment_form) for drawn in scenarios]
+    step, moment_form = scene.grid.time_step, per_plate_of(scene).per_actuator  # whose limit may differ
+    scenes = (drawn.scene.with_keys("grid", time_step=None) for drawn in scenarios)
+    schemes = [make_scheme(scene, moment_form=moment_form) for scene in scenes]
     if step is not None and step <= min(scheme.limit for scheme in schemes):
         return step
     return min(scheme.time_step for scheme in schemes)

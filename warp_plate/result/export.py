@@ -97,8 +97,7 @@ def _constant_fields(scene: Scene, times: np.ndarray) -> dict[str, np.ndarray]:
     if not len(times):
         raise SceneError("holds no displacements; add record.times = [...] (seconds) to its scene and run it again")
     areas = {str(index): actuator for index, actuator in enumerate(scene.actuators)}
-    by_overlap = scene.model_copy(update={"grid": scene.grid.model_copy(update={"load": "overlap"})})
-    weights = region_weights(by_overlap, areas)
+    weights = region_weights(scene.with_keys("grid", load="overlap"), areas)
     actuators = np.minimum(weights[len(REGIONS) :].sum(axis=0), 1)
     return {"target": weights[REGIONS.index("target")], "actuators": actuators}
 

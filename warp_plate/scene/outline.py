@@ -1,21 +1,35 @@
-"""The tables ``[plate.outline]`` and ``[[plate.holes]]``: plates that are not rectangles with sides along x and y."""
+"""The table ``[plate]`` with its outline and holes, and ``[[supports]]``."""
 
 import math
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_serializer, model_validator
 
 from warp_plate.effects.edges import EdgeCondition, Edges
 from warp_plate.outline.contours import piece_of_row
 from warp_plate.outline.outline import Outline, make_outline
 from warp_plate.outline.pieces import Piece, Straight, ellipse, straight
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.fields import Coordinate, Name, Point, Positive, Table, Unit, check_file_name
+from warp_plate.scene.fields import (
+    Coordinate,
+    Density,
+    Name,
+    Point,
+    Positive,
+    Table,
+    Unit,
+    YoungModulus,
+    check_file_name,
+)
 from warp_plate.scene.load import read_beside
 from warp_plate.scene.target import Shape
+
+# Beyond any side of a panel [m]; below most sides in millimetres.
+LONGEST = 50.0
 
 
 class ClosedCurve(Shape):
@@ -141,6 +155,89 @@ def outline_of_rectangle(size: tuple[float, float], edges: Edges) -> Outline:
     loop = straight([(0, 0), (width, 0), (width, height), (0, height)], None, "")
     pieces = [piece.on(getattr(edges, side), side) for piece, side in zip(loop, sides, strict=True)]
     return make_outline({"plate.size": pieces}, {})
+
+
+class Plate(Table):
+    """Geometry and material of the plate."""
+
+    size: Annotated[tuple[Positive, Positive], Unit("m"), Field(examples=[[0.2, 0.12]])]
+    """Sides along x and y; of a plate with an outline, which has no such key, where the outline ends."""
+    thickness: Annotated[Positive, Unit("m"), Field(examples=[0.7e-3])]
+    """Thickness H, at most a fifth of the shorter side."""
+    young_modulus: Annotated[YoungModulus, Field(examples=[72e9])]
+    """Young's modulus E."""
+    poisson_ratio: Annotated[float, Field(ge=-0.99, lt=0.5, examples=[0.22]), Unit("1")]
+    """Poisson's ratio ν."""
+    density: Annotated[Density, Field(examples=[2480.0])]
+    """Density ρ."""
+    outline: PlateOutline | None = None
+    """Outline of a plate that is no rectangle with sides along x and y."""
+    holes: tuple[Hole, ...] = ()
+    """Holes of a plate with an outline."""
+
+    @property
+    def rigidity(self) -> float:
+        """Bending rigidity EH³/12(1 − ν²) [N·m] of the isotropic plate."""
+        return self.young_modulus * self.thickness**3 / (12 * (1 - self.poisson_ratio**2))
+
+    @property
+    def kappa(self) -> float:
+        """κ = √(D/ρH) [m²/s] of the isotropic plate: a bending wave of frequency f has the length √(2πκ/f)."""
+        return math.sqrt(self.rigidity / (self.density * self.thickness))
+
+    @property
+    def area(self) -> float:
+        """Area [m²]."""
+        return math.prod(self.size) if self.outline is None else outline_of(self.outline, self.holes, Edges()).area
+
+    @model_validator(mode="before")
+    @classmethod
+    def _size_of_outline(cls, tables: Any) -> Any:
+        """Set the size of a plate with an outline: the upper ends of the outline's coordinates."""
+        if not isinstance(tables, dict) or tables.get("outline") is None:
+            return tables
+        if "size" in tables:
+            raise ValueError("size: outline is given too; write one of them")
+        try:
+            outline = PlateOutline.model_validate(tables["outline"])
+        except ValidationError:  # reported by the validation of ``outline``
+            return {**tables, "size": (1.0, 1.0)}
+        if outline.file is not None:
+            raise ValueError(f"outline.file: {outline.file!r} is read with a scene file beside it; write that, or path")
+        x0, x1, y0, y1 = outline_of(outline, (), Edges()).bounds
+        if min(x0, y0) < -1e-9 * max(x1 - x0, y1 - y0):
+            raise ValueError(f"outline: reaches to x = {x0:.6g}, y = {y0:.6g} m; move it to x, y from 0 on")
+        return {**tables, "size": (x1, y1)}
+
+    @model_serializer(mode="wrap")
+    def _without_size_of_outline(self, write: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        """Write the tables of a file, in which a plate with an outline has no size."""
+        tables = write(self)
+        if self.outline is not None:
+            del tables["size"]
+        return tables
+
+    @model_validator(mode="after")
+    def _thin(self) -> Self:
+        if self.holes and self.outline is None:
+            raise ValueError("holes: need an outline; write outline = { rectangle = [width, height] } in place of size")
+        if max(self.size) > LONGEST:
+            raise ValueError(f"size: {list(self.size)} is above {LONGEST:g} m; are lengths in metres?")
+        self.check_thin(self.thickness, "thickness: ")
+        return self
+
+    def check_point(self, key: str, point: Point) -> None:
+        """Raise ValueError, beginning with ``key``, unless a point x, y [m] is on the plate."""
+        if not all(0 <= at <= side for at, side in zip(point, self.size, strict=True)):
+            raise ValueError(f"{key}: {list(point)} is off the plate of {list(self.size)} m")
+        if self.outline is not None and not outline_of(self.outline, self.holes, Edges()).contains([point]).all():
+            raise ValueError(f"{key}: {list(point)} is off the plate; move it inside the outline, outside its holes")
+
+    def check_thin(self, thickness: float, head: str = "") -> None:
+        """Raise ValueError, beginning with ``head``, unless a thickness [m] is small against the sides."""
+        if thickness > min(self.size) / 5:
+            limit = "a plate is thinner than a fifth of its side (lengths are in metres)"
+            raise ValueError(f"{head}{thickness:g} m is not thin for a side of {min(self.size):g} m; {limit}")
 
 
 def with_drawing(tables: dict[str, Any], folder: Path | None) -> dict[str, Any]:

@@ -137,8 +137,7 @@ def run_with_peaks(
         else:
             chosen = [latest := int(last[QUARTER:].argmax()), latest + QUARTER]
         run = replace(run, displacement=run.displacement[:, chosen], times=run.times[chosen])
-    at_peaks = scene.grid.model_copy(update={"nodes": run.peak.shape[:0:-1]})
-    plate, target = region_weights(scene.model_copy(update={"grid": at_peaks}))
+    plate, target = region_weights(scene.with_keys("grid", nodes=run.peak.shape[:0:-1]))
     half = 2 * target >= np.maximum(plate, SMALLEST)  # of a node's cell is in the target
     target = half if half.any() else target > 0
     peaks = np.stack([run.peak[:, nodes].max(axis=1, initial=0.0) for nodes in (target, ~target)], axis=1)

@@ -64,7 +64,7 @@ def transfer_functions(solver: PlateSolver | ModalSolver) -> np.ndarray:
     check_baselines(scene)
     (frequency,) = carrier_frequencies(scene)
     # ``steady_motions`` reads the frequency of the drive, which the actuators may override.
-    tone = scene.model_copy(update={"drive": scene.drive.model_copy(update={"frequency": frequency})})
+    tone = scene.with_keys("drive", frequency=frequency)
     times = last_period(tone, solver.discretization.time_step)
     count = len(scene.actuators)
     run = solver.run(np.concatenate([np.eye(count), -1j * np.eye(count)]), times)
