@@ -243,7 +243,7 @@ def check_overwriting(path: Path, holds: str, force: bool) -> None:
         holds: what may be replaced: of HDF5 files their kind, such as "a sweep"; of JSON files "measurements with KEY",
             KEY being one that they have; of others how they begin.
     """
-    if problem := writing_problem(path):
+    if problem := writing_problem(path, beside=False):
         raise SceneError(f"{path}: {problem}; name another file by --out")
     if force or not path.exists():
         return
@@ -260,8 +260,8 @@ def check_overwriting(path: Path, holds: str, force: bool) -> None:
         raise SceneError(f"{path}: {what} and would be overwritten; name another file by --out, or give --force")
 
 
-def writing_problem(path: Path) -> str:
-    """Return why a file or those beside it (checkpoints, pictures, temporary files) cannot be written, or ""."""
+def writing_problem(path: Path, beside: bool = True) -> str:
+    """Return why a file or those ``beside`` it (checkpoints, pictures, temporary files) cannot be written, or ""."""
     from warp_plate.result.atomic_io import is_read_only
 
     if is_read_only(path):
@@ -279,7 +279,7 @@ def writing_problem(path: Path) -> str:
         return f"no permission to write to the folder {path.parent}"
     added = len(LONGEST_ENDING) + 1 - len(path.suffix)
     try:
-        os.stat(path.parent / f".{path.stem}{LONGEST_ENDING}")
+        os.stat(path.parent / (f".{path.stem}{LONGEST_ENDING}" if beside else path.name))
     except FileNotFoundError:
         return ""
     except (OSError, ValueError) as error:  # too long, or with forbidden characters
