@@ -27,8 +27,10 @@ import clarabel
 import numpy as np
 import scipy
 
+from warp_plate.optimize.relaxation import LARGEST, ROUNDING, best_multipliers, make_forms
+
 TOLERANCE = 1e-10
-LARGE = 300  # unknowns above which Clarabel's method of dense blocks takes less time
+LARGE = 80  # unknowns above which Clarabel's method of dense blocks takes less time
 RANK = 1e-9  # least singular value, over the largest, of rows that absorb the rounding of a proof
 INFEASIBLE = (clarabel.SolverStatus.PrimalInfeasible, clarabel.SolverStatus.AlmostPrimalInfeasible)
 # Steps of the drive's phases in a problem that is not convex, and the relative gain below which they end.
@@ -210,78 +212,27 @@ def _relaxed(
 ) -> tuple[float, list[np.ndarray]]:
     """Return the bound of the relaxation, and drives to start a search from.
 
-    The matrix Z holds 1, the parts of z and their products; wanted rows are linear in its first column.
+    What is left of S(y) ⪰ 0 by rounding is absorbed by the multipliers of the limits.
     """
     inputs, count = wanted.shape[1], len(wanted)
     unit, scale_unit, rows, every = _normalised(np.vstack([wanted, *squares]), blocks, actuators_scaled)
     limited = [(rows, block.scaled) for block in every for rows in block.rows]
-    size = 2 * inputs + 1
-    one = np.zeros((size, size))
-    one[-1, -1] = 1.0
-    least = [*map(_linear_form, rows[:count]), *(_real_form(unit * factor) for factor in squares)]
-    most = [*(_real_form(rows) for rows, _ in limited), one]
-    scaled = np.array([*(scaled for _, scaled in limited), False])
-    entries = size * (size + 1) // 2
-    # Rows of the constraints: −tr(R Z) ≤ −1, tr(G Z) − σ·scaled ≤ 1 − scaled, Z ⪰ 0, with σ = s².
-    matrix = np.zeros((len(least) + len(most), entries + 1))
-    matrix[: len(least), :-1] = [-_triangle(form) for form in least]
-    matrix[len(least) :, :-1] = [_triangle(form) for form in most]
-    matrix[len(least) :, -1] = -scaled.astype(float)
-    limits = np.concatenate([-np.ones(len(least)), 1.0 - scaled])
-    cone = np.hstack([-np.eye(entries), np.zeros((entries, 1))])
-    cost = np.zeros(entries + 1)
-    cost[-1] = 1.0
-    cones = [clarabel.NonnegativeConeT(len(limits)), clarabel.PSDTriangleConeT(size)]
-    solution = _solve(cost, np.vstack([matrix, cone]), np.concatenate([limits, np.zeros(entries)]), cones)
-    multipliers = np.maximum(np.array(solution.z)[: len(limits)], 0)
-    of_least, of_most = multipliers[: len(least)], multipliers[len(least) :]
-    slack = np.tensordot(of_most, most, 1) - np.tensordot(of_least, least, 1)
-    excess = max(0.0, -float(np.linalg.eigvalsh(slack)[0]))  # Σ ν GᴴG − Σ λ RᴴR ⪰ 0 exactly
-    of_most[-1] += excess
-    bound = 0.0
-    for absorbing in (slice(inputs), slice(len(limited))):  # rounding is absorbed by actuators alone, or by all rows
-        added = np.zeros(len(most))
+    forms = make_forms(rows[:count], [unit * factor for factor in squares], limited)
+    multipliers, products = best_multipliers(forms)
+    rounding = ROUNDING * float(forms.sums((np.abs(forms.rows) ** 2).sum(axis=1)) @ multipliers)
+    missing = max(0.0, rounding - float(np.linalg.eigvalsh(forms.slack(multipliers))[0]))
+    multipliers[-1] += missing
+    bound, least = 0.0, count + len(squares)
+    for absorbing in (slice(least, least + inputs), slice(least, -1)):  # limits of actuators alone, or all
+        added = np.zeros(len(multipliers))
         added[absorbing] = 1.0
-        least_added = float(np.linalg.eigvalsh(np.tensordot(added, most, 1)[:-1, :-1])[0])
+        least_added = float(np.linalg.eigvalsh(forms.slack(added)[:-1, :-1])[0])
         if least_added > 0:
-            raised = of_most + excess / least_added * added
-            squared = _bound(of_least.sum() - raised[~scaled].sum(), raised[scaled].sum())
-            bound = max(bound, scale_unit * math.sqrt(squared))
-    if solution.status in INFEASIBLE:
-        return bound, []
-    products = _square(np.array(solution.x)[:-1], size)
+            raised = multipliers + missing / least_added * added
+            bound = max(bound, _bound(float(forms.gains @ raised), float(raised[forms.scaled].sum())))
+    if bound > LARGEST:
+        return scale_unit * math.sqrt(bound), []
     values, vectors = np.linalg.eigh(products[:-1, :-1])
     scaled_vectors = (vectors * np.sqrt(np.maximum(values, 0))).T[::-1]
-    parts = [products[:-1, -1], *scaled_vectors[:3:2], scaled_vectors[::2].sum(axis=0)]
-    return bound, [unit * (part[:inputs] + 1j * part[inputs:]) for part in parts if np.abs(part).any()]
-
-
-def _real_form(factor: np.ndarray) -> np.ndarray:
-    """Return the real symmetric matrix of ‖factor z‖² over the real and imaginary parts of z, and 1."""
-    form = factor.conj().T @ factor
-    return np.pad(np.block([[form.real, -form.imag], [form.imag, form.real]]), (0, 1))
-
-
-def _linear_form(row: np.ndarray) -> np.ndarray:
-    """Return the symmetric matrix of Re(row z) over the real and imaginary parts of z, and 1."""
-    form = np.zeros((2 * row.size + 1,) * 2)
-    form[-1, :-1] = form[:-1, -1] = np.concatenate([row.real, -row.imag]) / 2
-    return form
-
-
-def _triangle(form: np.ndarray) -> np.ndarray:
-    """Return the upper triangle by columns of a symmetric matrix, scaled so that products are traces."""
-    rows, columns = np.triu_indices(len(form))
-    order = np.lexsort((rows, columns))
-    rows, columns = rows[order], columns[order]
-    return form[rows, columns] * np.where(rows == columns, 1.0, math.sqrt(2))
-
-
-def _square(triangle: np.ndarray, size: int) -> np.ndarray:
-    """Return the symmetric matrix of :func:`_triangle`."""
-    rows, columns = np.triu_indices(size)
-    order = np.lexsort((rows, columns))
-    rows, columns = rows[order], columns[order]
-    matrix = np.zeros((size, size))
-    matrix[rows, columns] = triangle / np.where(rows == columns, 1.0, math.sqrt(2))
-    return matrix + np.triu(matrix, 1).T
+    parts = [products[:-1, -1], *scaled_vectors[:2], scaled_vectors.sum(axis=0)]
+    return scale_unit * math.sqrt(bound), [unit * part for part in parts if np.abs(part).any()]

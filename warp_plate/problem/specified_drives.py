@@ -366,6 +366,8 @@ def solve_together(
         wanted = np.concatenate([part[0] for part in parts])
         squares, blocks = [item for part in parts for item in part[1]], [item for part in parts for item in part[2]]
         program = partial(least_scale_of_squares, wanted, squares, blocks, scaled != "elsewhere")
+        if not squares:
+            drive = None  # programs that are convex need no start
         result = program(drive, STEPS if settled else FEW_STEPS)
         if not np.isfinite(result.drive).all():
             if drive is None or done >= searches:
@@ -384,7 +386,7 @@ def solve_together(
             drive, done = None, done + 1
             continue
         settled = not any(added)
-        drive = result.drive if squares else None
+        drive = result.drive
     return result
 
 
