@@ -62,6 +62,21 @@ def test_no_point_between_others_violates_the_specification(console):
     assert 20 * math.log10(worst / GRAVITY) < console.contrast_db + 1e-5
 
 
+def test_no_point_along_the_rim_of_a_disc_violates_the_specification():
+    """The polygon of a disc contains it, and that of its guard lies within."""
+    scene = Scene.load("console", ["specification.frequency=250.0"]).with_tables(target={"disc": (0.24, 0.065, 0.012)})
+    answer = warp_plate.specify(scene)
+    plate = solve_modes(scene, 250)
+    tone = Tone(plate, make_requirements(plate), 250, answer.limits / np.array(scene.unit_drives))
+    drive, angles = answer.drive / answer.limits, np.linspace(0, 2 * math.pi, 20001)
+    ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    assert (tone.rows((0.24, 0.065) + 0.012 * ring) @ drive).real.min() > GRAVITY * (1 - 1e-8)
+    guard = (0.24, 0.065) + 0.072 * ring
+    guard = guard[(guard >= 0).all(axis=1) & (guard <= scene.plate.size).all(axis=1)]
+    worst = np.abs(tone.rows(guard) @ drive).max()
+    assert 20 * math.log10(worst / GRAVITY) < answer.contrast_db + 1e-7
+
+
 def test_levels_and_margins_are_those_of_the_field(console):
     x, y, field = fields(console)
     away = distance(console.scene.target.area, x, y)

@@ -25,7 +25,7 @@ ROUNDING = 64 * np.finfo(float).eps  # relative error of an eigenvalue of S
 
 
 @dataclass(frozen=True)
-class Forms:
+class RowForms:
     """Matrices A_i = Σ sign uᴴ u (size, size), each by its own rows u, and what they limit."""
 
     rows: np.ndarray  # (rows, size) u of all matrices, one after another
@@ -49,7 +49,9 @@ class Forms:
         return np.asarray(np.add.reduceat(values, self.starts, axis=axis))
 
 
-def make_forms(wanted: np.ndarray, squares: Sequence[np.ndarray], limits: Sequence[tuple[np.ndarray, bool]]) -> Forms:
+def make_forms(
+    wanted: np.ndarray, squares: Sequence[np.ndarray], limits: Sequence[tuple[np.ndarray, bool]]
+) -> RowForms:
     """Return the matrices of wanted rows g (wanted, inputs), of wanted squares by R (rows, inputs) and of limited ones
     by G (rows, inputs), each with whether σ limits it."""
     sizes = np.sqrt(np.maximum(np.linalg.norm(wanted, axis=1), 1e-300))[:, None]
@@ -64,7 +66,7 @@ def make_forms(wanted: np.ndarray, squares: Sequence[np.ndarray], limits: Sequen
     signs = np.repeat(np.where(gains > 0, -1.0, 1.0), counts)
     signs[1 : 2 * len(wanted) : 2] = 1.0
     starts = np.cumsum(counts) - counts
-    return Forms(np.concatenate([linear, *others, one]), signs, starts, gains, scaled)
+    return RowForms(np.concatenate([linear, *others, one]), signs, starts, gains, scaled)
 
 
 @dataclass(frozen=True)
@@ -80,12 +82,12 @@ class _Point:
         matrix, room = self.matrix + primal * change.matrix, self.room + primal * change.room
         return _Point(self.y + dual * change.y, matrix, room)
 
-    def gap(self, forms: Forms) -> float:
+    def gap(self, forms: RowForms) -> float:
         """Return tr(W S) + room · y."""
         return float(forms.of(self.matrix) @ self.y + self.room @ self.y)
 
 
-def best_multipliers(forms: Forms) -> tuple[np.ndarray, np.ndarray]:
+def best_multipliers(forms: RowForms) -> tuple[np.ndarray, np.ndarray]:
     """Return the multipliers (forms,) of the largest bound, with S(y) ⪰ 0 up to rounding, and W (size, size)."""
     size, wanted = forms.rows.shape[1], forms.gains > 0
     y = np.where(forms.scaled, 1 / np.count_nonzero(forms.scaled), 1.0)
@@ -105,7 +107,7 @@ def best_multipliers(forms: Forms) -> tuple[np.ndarray, np.ndarray]:
     return best, point.matrix
 
 
-def _step(forms: Forms, point: _Point, mu: float) -> _Point | None:
+def _step(forms: RowForms, point: _Point, mu: float) -> _Point | None:
     """Return the next point from one whose gap is ``mu`` for each multiplier and row of W; None if rounding prevents
     it."""
     y, scaled = point.y, forms.scaled.astype(float)

@@ -6,16 +6,20 @@ from functools import cached_property
 
 import numpy as np
 import shapely
+import shapely.affinity
 
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.radiation import Radiation
-from warp_plate.problem.worst_points import Region, make_region, shape_of
+from warp_plate.problem.worst_points import CORNERS, Region, make_region, shape_of
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.specification import Allowance, Level, Specification
 
 # Samples along a bending wave, along the longer side of the plate, and along a side of a target, at least.
 PER_WAVE, PER_PLATE, PER_TARGET = 24, 80, 9
-CORNERS = 64  # corners of a quarter of the rounded corners of a guard
+QUARTER = 64  # corners of a quarter of the rounded corners of a guard
+# Factors by which the polygon inside a disc contains the disc, or has its area.
+AROUND = 1 / math.cos(math.pi / CORNERS)
+OF_EQUAL_AREA = (math.sin(2 * math.pi / CORNERS) * CORNERS / (2 * math.pi)) ** -0.5
 
 
 @dataclass(frozen=True)
@@ -86,9 +90,13 @@ def make_requirements(plate: ModalPlate) -> Requirements:
         key = next(iter(keys)) if level.target is None else names[level.target]
         x0, y0, x1, y1 = shapes[key].bounds
         fine = min(spacing, max(x1 - x0, y1 - y0) / PER_TARGET)
-        aims.append(Aim(labels[key], level, make_region(plate, shapes[key], fine, PER_TARGET)))
+        shape = shapes[key]
+        if keys[key].disc is not None:
+            wider = AROUND if level.measure == "weakest" else OF_EQUAL_AREA
+            shape = shapely.affinity.scale(shape, wider, wider)
+        aims.append(Aim(labels[key], level, make_region(plate, shape, fine, PER_TARGET)))
         aimed.append(shapes[key])
-    guarded = shapely.union_all([shapely.buffer(shape, specification.guard, quad_segs=CORNERS) for shape in aimed])
+    guarded = shapely.union_all([shapely.buffer(shape, specification.guard, quad_segs=QUARTER) for shape in aimed])
     rests = []
     for index, allowance in enumerate(specification.allowances):
         x0, x1, y0, y1 = allowance.area or (0.0, scene.plate.size[0], 0.0, scene.plate.size[1])

@@ -31,9 +31,8 @@ Key = tuple[Literal["aim", "rest"], int]
 Scaled = Literal["elsewhere", "actuators", "actuators alone"]
 # Largest violation between the points of a program, of the least part of the limits, at samples alone; and rounds.
 TOLERANCE, OF_EFFORT, COARSE, ROUNDS = 1e-8, 1e-6, 1e-4, 60
-# Relative gain of a scale by a new search that is worth more rounds, most of such searches, and the steps of one while
-# points are added.
-GAIN, SEARCHES, FEW_STEPS = 1e-5, 3, 1
+# Relative gain of a scale by a new search that is worth more rounds, most of such searches, and their steps at first.
+GAIN, SEARCHES, FEW_STEPS, FEW_ROUNDS = 1e-5, 3, 1, 8
 # Programs ask for this much more than the specification, so that their rounding does not violate it.
 MARGIN = 2e-8
 # Multiplier of a point, relative to the largest, from which on a result depends on it.
@@ -361,17 +360,17 @@ def solve_together(
             bound.
     """
     refined, settled, done, drive = False, False, 0, start
-    for _ in range(ROUNDS):
+    for number in range(ROUNDS):
         parts = [tone.program(scaled, level) for tone in tones]
         wanted = np.concatenate([part[0] for part in parts])
         squares, blocks = [item for part in parts for item in part[1]], [item for part in parts for item in part[2]]
         program = partial(least_scale_of_squares, wanted, squares, blocks, scaled != "elsewhere")
         if not squares:
             drive = None  # programs that are convex need no start
-        result = program(drive, STEPS if settled else FEW_STEPS)
+        result = program(drive, STEPS if settled or number >= FEW_ROUNDS else FEW_STEPS)
         if not np.isfinite(result.drive).all():
             if drive is None or done >= searches:
-                break
+                return result
             drive, done = None, done + 1  # this one leads nowhere with the added points
             continue
         added = [tone.add_points(result, scaled, level, refined) for tone in tones]
@@ -379,15 +378,14 @@ def solve_together(
             refined, added = True, [tone.add_points(result, scaled, level, True) for tone in tones]
         if not any(added) and (settled or drive is None):
             if drive is None or not searches:
-                break
+                return result
             relaxed = program()
             if relaxed.scale >= result.scale * (1 - GAIN) or done >= searches:
                 return replace(result, bound=min(relaxed.bound, result.scale))
             drive, done = None, done + 1
             continue
-        settled = not any(added)
-        drive = result.drive
-    return result
+        settled, drive = not any(added), result.drive
+    return replace(result, bound=min(program().bound, result.scale)) if squares and searches else result
 
 
 def _size(unit: float, acceleration: np.ndarray) -> np.ndarray:

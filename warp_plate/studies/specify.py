@@ -27,8 +27,9 @@ TRIED, FREQUENCY_ACCURACY = 24, 1e-5
 # Multiples of the wanted levels on the curve of level against contrast.
 PARETO = np.geomspace(1 / 8, 8, 13)
 SAME = 1e-4  # relative difference of two scales that counts as none
-# Relative violation that counts as none; part of a certificate above which a requirement is named.
-NOTHING, NAMED = 1e-7, 0.02
+# Relative violation that counts as none, in programs and of levels; part of a certificate above which a requirement is
+# named.
+NOTHING, VIOLATION, NAMED = 1e-7, 1e-6, 0.02
 # Density of the splines that errors are estimated with, and the error of the answer over the difference.
 COARSER, CAUTION = 1 / 1.3, 3.0
 # Points of the map along the longer side of the plate.
@@ -175,7 +176,8 @@ def _answer(
     if not math.isfinite(result.scale) and whole.scale <= 1:
         result = tone.solve(scaled, start=whole.drive)
     binding, reached, band = tone.binding(result), math.isfinite(result.scale), tone.requirements.specification.band
-    limits, feasible = tone.largest * scene.unit_drives, reached and result.scale <= 1 + NOTHING
+    limits = tone.largest * scene.unit_drives
+    feasible = reached and result.scale <= 1 + NOTHING and tone.is_met(result.drive, VIOLATION)
     essential = replace(tone, points=tone.essential_points(result))
     effort = essential.solve("actuators") if rests else result
     drive = result.drive if reached else whole.drive / whole.scale
