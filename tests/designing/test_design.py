@@ -2,6 +2,7 @@
 
 import json
 from itertools import pairwise
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -202,6 +203,14 @@ def shares_of(shape):
     for along in ends:
         along[[0, -1]] = 0.5
     return np.outer(*ends) / np.outer(*ends).sum()
+
+
+def test_a_full_disk_does_not_end_a_design(monkeypatch, tmp_path, caplog):
+    full = Mock(side_effect=wpl.SceneError("starts.json: cannot be written: No space left on device"))
+    monkeypatch.setattr("warp_plate.designing.design.write_atomically", full)
+    scene = designed_scene({"thickness": THICKNESS, "starts": 2, "iterations": 1})
+    assert len(wpl.design(scene, unfinished=tmp_path / "starts.json").history) == 2
+    assert caplog.messages == ["starts.json: cannot be written: No space left on device; continuing without"] * 2
 
 
 def test_a_scene_without_better_panels_stays(monkeypatch):

@@ -9,6 +9,7 @@ only if it is better than the scene that the search began with, or that scene pa
 from __future__ import annotations
 
 import json
+import logging
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -172,7 +173,10 @@ def _digest(scene: Scene) -> str:
 
 def _write(file: Path, digest: str, climbs: Sequence[Climb]) -> None:
     record = {"design": digest, "starts": [asdict(climb) for climb in climbs]}
-    write_atomically(f"{json.dumps(record)}\n".encode(), file)
+    try:
+        write_atomically(f"{json.dumps(record)}\n".encode(), file)
+    except SceneError as error:
+        logging.getLogger("warp_plate").warning("%s; continuing without", error)
 
 
 def _read(file: Path, digest: str, count: int) -> list[Climb]:
