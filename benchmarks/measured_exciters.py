@@ -1,12 +1,13 @@
-"""Impedances of measured panels: python benchmarks/measured_exciters.py FOLDER [--json FILE] [--pictures OUT].
+"""Impedance and sound of measured panels: python benchmarks/measured_exciters.py SOURCE [--json FILE] [--picture FILE].
 
-FOLDER holds files of github.com/Homeswinghome/DML-simulation-test-cases: NAME.txt (plate, material, exciter), Z_NAME
-(frequency [Hz], impedance [Ω], phase [°]) and EFR_NAME (frequency, level of the pressure at 1 m [dB]). Plates are free,
-with an exciter in the middle whose magnet is held. Fitted are the series resistance, and a common gain of levels.
+SOURCE is a folder with files of github.com/Homeswinghome/DML-simulation-test-cases: NAME.txt (plate, material,
+exciter), Z_NAME (frequency [Hz], impedance [Ω], phase [°]) and EFR_NAME (frequency, level of the pressure at 1 m [dB]);
+or the JSON of an earlier run, of which the picture is drawn again. Three plates are free, with an exciter in the middle
+whose magnet is held; fitted are the series resistance, and a common gain of levels. Two are supported, with free
+magnets, whose mass is set by the first peak of the impedance; samples of their files are in supported_panels.toml.
 
 Printed are rms differences of |Z| in dB, the first peaks of the PMMA panel, and rms differences of levels in third
-octaves; those computed are of a panel in a baffle, those measured of one without. OUT gets a picture for each panel:
-impedance, magnitude and phase, and levels at 1 m.
+octaves, of panels without a baffle, open at the back: in vacuo, and with the load of the air on both sides.
 """
 
 from __future__ import annotations
@@ -14,6 +15,9 @@ from __future__ import annotations
 import argparse
 import configparser
 import json
+import tomllib
+from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -22,22 +26,35 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from warp_plate import Scene
-from warp_plate.modal.modes import solve_modes
-from warp_plate.modal.radiation import AIR, pressures
+from warp_plate.modal.modes import ModalPlate, solve_modes
+from warp_plate.modal.poles import adaptive_frequencies
+from warp_plate.modal.unbaffled import Unbaffled
 from warp_plate.plate.designs import scene_phasors
-from warp_plate.studies.frequency_response import frf
 
 PANELS = {
     "PMMA": ("PMMA3d5_FFFF_42x30.txt", "PMMA3d5_42x30.txt"),
     "plywood": ("PWD5d15_585x407_FFFF.txt", "PWD5_FFFF.txt"),
     "foam": ("EPS12d55_582x406_FFFF.txt", "EPS12d55_582x406.txt"),
 }
+Bands = Sequence[tuple[float, float]]
 BANDS = ((20.0, 200.0), (200.0, 1000.0), (1000.0, 5000.0), (200.0, 5000.0))
 # Radius of the coil [m], and half the band around a measured peak in which the computed one is sought.
 RADIUS, AROUND = 0.0125, 0.06
 PEAKS = (41.0, 87.2, 176.1, 233.6)
 # Middles of third octaves [Hz] in which levels are compared, frequencies in each, and distance of the microphone [m].
-OCTAVES, IN_OCTAVE, DISTANCE = 1000 * 2 ** (np.arange(-6, 8) / 3), 40, 1.0
+OCTAVES, IN_OCTAVE, DISTANCE = 1000 * 2 ** (np.arange(-6, 8) / 3), 24, 1.0
+# Supported panels: file, sides [m], mass of the magnet [kg], and bands [Hz] and third octaves of their samples.
+SUPPORTED, SIDES, MAGNET = Path(__file__).with_name("supported_panels.toml"), (0.407, 0.585), 0.074
+SAMPLED, SAMPLED_OCTAVES = ((20.0, 75.0), (75.0, 230.0)), slice(1, 10)
+# Points of curves in files, and names of the plates in the picture.
+SHOWN = 700
+TITLES = {
+    "PMMA": "acrylic glass, free",
+    "plywood": "plywood, free",
+    "foam": "polystyrene foam, free",
+    "plywood-40": "plywood, supported, exciter at 0.4",
+    "plywood-50": "plywood, supported, exciter at 0.5",
+}
 
 
 def scene_of(file: Path) -> Scene:
@@ -74,32 +91,49 @@ def scene_of(file: Path) -> Scene:
     )
 
 
-def compare(scene: Scene, measured: np.ndarray) -> dict[str, Any]:
-    """Return differences from measured impedances (n, 3): frequency, magnitude and phase."""
-    frequency, magnitude, _ = measured[(measured[:, 0] >= BANDS[0][0]) & (measured[:, 0] <= BANDS[-1][1])].T
-    response = frf(scene, quantity="impedance", frequency_range=(20.0, 5000.0))
-    computed = np.interp(frequency, response.frequencies, response.responses[0])
-    fitted = (frequency >= BANDS[-1][0]) & (frequency <= BANDS[-1][1])
+def supported(free: Scene, place: float) -> Scene:
+    """Return a supported panel of a free one's material, with a free magnet, the exciter at a part of the sides."""
+    tables = free.model_dump(mode="json", exclude_none=True, include={"effects", "drive", "target"})
+    coil = {"disc": (SIDES[0] * place, SIDES[1] * place, RADIUS), "magnet": "free", "magnet_mass": MAGNET}
+    return Scene.from_tables(
+        {
+            **tables,
+            "plate": {**free.plate.model_dump(exclude_none=True), "size": SIDES},
+            "edges": dict.fromkeys(("left", "bottom", "right", "top"), "supported"),
+            "actuators": [{"name": "coil", "kind": "coil", "model": "DAEX25VT-4", "voltage": 2.0, **coil}],
+        }
+    )
+
+
+def compare(plate: ModalPlate, frequency: np.ndarray, magnitude: np.ndarray, bands: Bands) -> dict[str, Any]:
+    """Return differences from measured impedances |Z| (n,) at frequencies (n,) in bands, in the last of which the
+    series resistance is fitted."""
+    assert plate.coils is not None
+    low, high = frequency[0], frequency[-1]
+    frequencies = adaptive_frequencies(*plate.coils.resonances(opened=True), low, high)
+    if plate.air is not None:  # whose resonances are lower than those that the grid resolves
+        frequencies = np.union1d(np.arange(low, min(high, 400.0), 0.4), np.geomspace(low, high, 800))
+    impedance = plate.coils.impedance(2 * np.pi * frequencies)[0][:, 0, 0]
+    computed = np.interp(frequency, frequencies, impedance)
+    inside = (frequency >= bands[-1][0]) & (frequency <= bands[-1][1])
 
     def decibels(added: float) -> np.ndarray:
         return 20 * np.log10(np.abs(computed + added) / magnitude)
 
-    added = minimize_scalar(lambda value: (decibels(value)[fitted] ** 2).sum(), bounds=(-2.0, 5.0)).x
-    errors = decibels(added)
-    rms = {}
-    for low, high in BANDS:
-        band = (frequency >= low) & (frequency <= high)
-        rms[f"{low:g} to {high:g} Hz"] = float(np.sqrt(np.mean(errors[band] ** 2)))
-    shown = np.geomspace(BANDS[0][0], BANDS[-1][1], 2000)
-    curve = np.interp(shown, response.frequencies, response.responses[0]) + added
+    added = minimize_scalar(lambda value: (decibels(value)[inside] ** 2).sum(), bounds=(-2.0, 5.0)).x
+    errors, rms = decibels(added), {}
+    for start, end in bands:
+        band = (frequency >= start) & (frequency <= end)
+        rms[f"{start:g} to {end:g} Hz"] = float(np.sqrt(np.mean(errors[band] ** 2)))
+    shown = np.geomspace(low, high, SHOWN)
+    curves = np.interp(shown, frequency, magnitude), np.abs(np.interp(shown, frequencies, impedance + added))
     return {
-        "curve": (shown, curve),
-        "resistance": scene.actuators[0].coil.resistance + float(added),
+        "resistance": plate.coils.numbers[0].resistance + float(added),
         "rms_db": rms,
-        "largest_error_bar": float((response.errors.responses / np.abs(response.responses)).max()),
         "peaks": [
-            _peaks(peak, frequency, magnitude, response.frequencies, response.responses[0] + added) for peak in PEAKS
+            _peaks(peak, frequency, magnitude, frequencies, impedance + added) for peak in PEAKS if peak < high * 0.94
         ],
+        "impedance": [curve.round(3).tolist() for curve in (shown, *curves)],
     }
 
 
@@ -116,75 +150,103 @@ def _peaks(
     return peaks[0], peaks[1]
 
 
-def compare_levels(scene: Scene, measured: np.ndarray) -> dict[str, Any]:
-    """Return differences from measured levels (n, 2), frequency and dB, in third octaves, after a common gain."""
-    bands = OCTAVES[:, None] * 2 ** ((np.arange(IN_OCTAVE) + 0.5) / IN_OCTAVE / 3 - 1 / 6)
+def compare_levels(scene: Scene, level: np.ndarray, chosen: slice) -> dict[str, Any]:
+    """Return differences from measured levels (n,) [dB] of some third octaves, after a common gain."""
+    octaves = OCTAVES[chosen]
+    bands = octaves[:, None] * 2 ** ((np.arange(IN_OCTAVE) + 0.5) / IN_OCTAVE / 3 - 1 / 6)
     plate, frequencies = solve_modes(scene, float(bands.max())), bands.ravel()
     place = np.array([[*np.array(scene.plate.size) / 2, DISTANCE]])
-    pressure = pressures(plate, frequencies, plate.respond_to_drive(frequencies, scene_phasors(scene)), place, AIR)
-    squares = np.abs(pressure[:, 0, 0]) ** 2, 10 ** (np.interp(frequencies, *measured.T) / 10)
-    computed, level = (10 * np.log10(part.reshape(bands.shape).mean(axis=1)) for part in squares)
+    amplitudes = plate.respond_to_drive(frequencies, scene_phasors(scene))
+    pressure = Unbaffled(plate, float(frequencies.max())).pressures(frequencies, amplitudes, place)
+    computed = 10 * np.log10((np.abs(pressure[:, 0, 0]) ** 2).reshape(bands.shape).mean(axis=1))
     gain = np.mean(computed - level)
     differences = computed - level - gain
     return {
         "rms_db": float(np.sqrt(np.mean(differences**2))),
         "differences_db": differences.round(2).tolist(),
-        "curve": (OCTAVES, computed - gain, level),
+        "curve": [curve.round(2).tolist() for curve in (octaves, level, computed - gain)],
     }
 
 
-def draw(name: str, found: dict[str, Any], impedance: np.ndarray, out: Path) -> None:
-    """Draw measured and computed impedance and levels of a panel."""
-    figure, axes = plt.subplots(3, 1, figsize=(7, 8), layout="constrained")
-    frequency, curve = found["curve"]
-    measured = impedance[(impedance[:, 0] >= frequency[0]) & (impedance[:, 0] <= frequency[-1])].T
-    octaves, computed, level = found["levels"]["curve"]
-    rows = (
-        ("|impedance| (Ω)", measured[:2], (frequency, np.abs(curve))),
-        ("phase of the impedance (°)", measured[[0, 2]], (frequency, np.degrees(np.angle(curve)))),
-        ("level at 1 m, third octaves (dB)", (octaves, level), (octaves, computed)),
-    )
-    for axis, (label, of_panel, of_model) in zip(axes, rows, strict=True):
-        axis.semilogx(*of_panel, color="0.45", label="measured")
-        axis.semilogx(*of_model, color="C0", linewidth=1, label="computed")
-        axis.set(ylabel=label, xlim=(frequency[0], 6000.0))
-        axis.grid(alpha=0.3)
-        axis.set_xticks([20, 50, 100, 200, 500, 1000, 2000, 5000])
-        axis.xaxis.set_major_formatter("{x:g}")
-        axis.xaxis.set_minor_formatter("")
-    axes[0].set_title(f"{name}: {found['resistance']:.2f} Ω in series, a common gain of levels")
-    axes[0].legend()
-    axes[-1].set_xlabel("frequency (Hz)")
-    figure.savefig(out / f"measured-{name.lower()}.png", dpi=120)
+def mean_levels(level: np.ndarray) -> np.ndarray:
+    """Return mean levels [dB] of the last axis."""
+    return np.asarray(10 * np.log10((10 ** (level / 10)).mean(axis=-1)))
+
+
+def draw(results: dict[str, Any], out: Path) -> None:
+    """Draw measured and computed impedance and levels of all panels."""
+    figure, axes = plt.subplots(len(TITLES), 2, figsize=(9, 11.5), layout="constrained")
+    for row, (name, title) in zip(axes, TITLES.items(), strict=True):
+        for key, style in (("", {"color": "C0"}), (" in air", {"color": "C3", "linestyle": "--"})):
+            found, label = results[name + key], "computed" + (key or " in vacuo")
+            frequency, measured, computed = found["impedance"]
+            octaves, level, computed_level = found["levels"]["curve"]
+            if not key:
+                row[0].loglog(frequency, measured, color="0.55", linewidth=2, label="measured")
+                row[1].semilogx(octaves, level, "o-", color="0.55", linewidth=2, markersize=3)
+            row[0].loglog(frequency, computed, linewidth=0.9, label=label, **style)
+            row[1].semilogx(octaves, computed_level, linewidth=1.2, **style)
+        row[0].set(title=title, ylabel="|impedance| [Ω]", xlim=(20, 5000), ylim=(4, 60))
+        row[0].set_yticks([5, 10, 20, 50])
+        row[1].set(title="level at 1 m, third octaves, one gain", ylabel="level [dB]", xlim=(200, 6000))
+        for axis in row:
+            axis.set_xticks([20, 50, 100, 200, 500, 1000, 2000, 5000][3 * (axis is row[1]) :])
+            axis.grid(alpha=0.3)
+            axis.xaxis.set_major_formatter("{x:g}")
+            axis.xaxis.set_minor_formatter("")
+        row[0].yaxis.set_major_formatter("{x:g}")
+        row[0].yaxis.set_minor_formatter("")
+    axes[0, 0].legend(fontsize=8)
+    for axis in axes[-1]:
+        axis.set_xlabel("frequency [Hz]")
+    figure.savefig(out, dpi=130)
     plt.close(figure)
+
+
+def run(folder: Path) -> dict[str, Any]:
+    """Return the comparisons of all panels by name."""
+    results: dict[str, Any] = {}
+    samples = tomllib.loads(SUPPORTED.read_text(encoding="utf-8"))
+    for name, air in product(TITLES, (False, True)):
+        if name in PANELS:
+            parameters, ending = PANELS[name]
+            scene, limits, chosen = scene_of(folder / parameters), BANDS, slice(None)
+            frequency, magnitude, _ = np.loadtxt(folder / f"Z_{ending}").T
+            inside = (frequency >= BANDS[0][0]) & (frequency <= BANDS[-1][1])
+            frequency, magnitude = frequency[inside], magnitude[inside]
+            bands = OCTAVES[:, None] * 2 ** ((np.arange(40) + 0.5) / 120 - 1 / 6)
+            level = mean_levels(np.interp(bands, *np.loadtxt(folder / f"EFR_{ending}").T))
+        else:
+            scene, limits, chosen = scene_of(folder / PANELS["plywood"][0]), SAMPLED, SAMPLED_OCTAVES
+            scene = supported(scene, samples[name]["place"])
+            frequency, magnitude = np.array(samples[name]["impedance"]).T
+            level = mean_levels(np.reshape(samples[name]["levels"], (-1, 3)))
+        if air:
+            name, scene = f"{name} in air", scene.replace("effects.air", {"baffle": False})
+        results[name] = found = compare(solve_modes(scene, frequency[-1]), frequency, magnitude, limits)
+        scene = scene.replace("actuators.coil.resistance", found["resistance"])
+        found["levels"] = levels = compare_levels(scene, level, chosen)
+        rms = ", ".join(f"{band}: {value:.2f} dB" for band, value in found["rms_db"].items())
+        print(f"{name}: series resistance {found['resistance']:.2f} Ω; rms of |Z| {rms}")
+        print(f"{name}: third octaves: rms {levels['rms_db']:.1f} dB, {levels['differences_db']}")
+        for measured, computed in found["peaks"] if name.startswith("PMMA") else ():
+            ends = f"measured at {measured:.1f} Hz, computed at {computed:.1f} Hz"
+            print(f"{name}: peak {ends}, {computed / measured - 1:+.1%}", flush=True)
+    return results
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("source", type=Path)
     parser.add_argument("--json", type=Path)
-    parser.add_argument("--pictures", type=Path)
+    parser.add_argument("--picture", type=Path)
     options = parser.parse_args()
-    results = {}
-    for name, (parameters, ending) in PANELS.items():
-        scene = scene_of(options.folder / parameters)
-        impedance = np.loadtxt(options.folder / f"Z_{ending}")
-        results[name] = found = compare(scene, impedance)
-        scene = scene.replace("actuators.coil.resistance", found["resistance"])
-        found["levels"] = compare_levels(scene, np.loadtxt(options.folder / f"EFR_{ending}"))
-        if options.pictures is not None:
-            draw(name, found, impedance, options.pictures)
-        del found["curve"], found["levels"]["curve"]
-        rms = ", ".join(f"{band}: {value:.2f} dB" for band, value in found["rms_db"].items())
-        print(f"{name}: series resistance {found['resistance']:.2f} Ω; rms of |Z| {rms}")
-        levels = found["levels"]
-        print(f"{name}: third octaves, 250 Hz to 5 kHz: rms {levels['rms_db']:.1f} dB, {levels['differences_db']}")
-    for measured, computed in results["PMMA"]["peaks"]:
-        print(
-            f"PMMA: peak measured at {measured:.1f} Hz, computed at {computed:.1f} Hz, {computed / measured - 1:+.1%}"
-        )
+    source = options.source
+    results = run(source) if source.is_dir() else json.loads(source.read_text(encoding="utf-8"))
     if options.json is not None:
-        options.json.write_text(json.dumps(results, indent=1), encoding="utf-8")
+        options.json.write_text(json.dumps(results), encoding="utf-8")
+    if options.picture is not None:
+        draw(results, options.picture)
 
 
 if __name__ == "__main__":

@@ -80,3 +80,86 @@ def test_a_small_panel_is_quieter_without_a_baffle():
 def test_outlines_are_refused():
     made = outlined({"disc": (0.1, 0.1, 0.1)})
     assert "plate.outline: sound without a baffle is that of rectangles" in refused(sound, made, baffle=False)
+
+
+def open_scene(density, **tables):
+    effects = {"air": {"density": density, "baffle": False}, "damping": {"viscous": 3.0}, **tables}
+    return scene_of(size=(0.3, 0.2), plate={**PLATE, "size": (0.3, 0.2), "thickness": 5e-4}, frequency=250.0,
+                    edges=("free", "free", "supported", "free"), modal_density=0.4, effects=effects)  # fmt: skip
+
+
+@pytest.mark.parametrize("density", [1.204, 20.0])
+def test_what_goes_in_is_lost_or_radiated_to_both_sides(density):
+    oscillator = {"area": (0.1, 0.12, 0.1, 0.12), "mass": 0.005, "stiffness": 2e3, "damping": 0.5}
+    plate = solve_modes(open_scene(density, oscillators=[oscillator]))
+    assert not plate.proportional
+    frequencies = np.array([12.0, 33.0, 88.0, 100.0])
+    forces = plate.actuator_forces() @ np.array([[1.0], [0.5j], [2.0]])
+    amplitudes = plate.respond(frequencies, forces)
+    rates = 2j * math.pi * frequencies[:, None, None] * amplitudes
+    given = (forces.conj() * rates).sum(axis=(1, 2)).real / 2
+    lost = np.einsum("nal,ab,nbl->n", rates.conj(), plate.damping, rates).real / 2
+    radiated = Unbaffled(plate, plate.highest, Air(density)).powers(frequencies, amplitudes)[:, 0]
+    np.testing.assert_allclose(lost + radiated, given, rtol=1e-8)
+
+
+def test_modes_feel_the_jump_of_pressure():
+    """The equation of motion holds with the jump that the found motion makes."""
+    plate = solve_modes(open_scene(5.0))
+    frequency, forces = 70.0, plate.actuator_forces()
+    amplitudes, omega = plate.respond(np.array([frequency]), forces)[0], 2 * math.pi * frequency
+    radiation = Unbaffled(plate, plate.highest, Air(5.0))
+    pressed = np.tensordot(radiation.projection, radiation.jumps(frequency, amplitudes), ((0, 1), (0, 1)))
+    balanced = (plate.angular_frequencies[:, None] ** 2 - omega**2) * amplitudes
+    balanced = balanced + 1j * omega * plate.damping @ amplitudes + pressed
+    np.testing.assert_allclose(balanced, forces, atol=1e-8 * np.abs(forces).max())
+
+
+def test_a_rigid_strip_swings_with_its_added_mass():
+    """A free plate far below its resonances is a mass, that of the air of DNV-RP-C205 beside its own."""
+    made = scene_of(plate={**PLATE, "size": (0.2, 0.1)}, size=(0.2, 0.1), edges=("free",) * 4, frequency=20.0,
+                    effects={"air": {"density": 30.0, "baffle": False}})  # fmt: skip
+    plate = solve_modes(made, 20.0)
+    own, added = 2700.0 * 3e-3 * 0.02, 30.0 * 0.757 * math.pi / 4 * 0.1**2 * 0.2
+    force = plate.at_points([(0.1, 0.05)])
+    moved = (force.T @ plate.respond(np.array([2.0]), force)[0])[0, 0]
+    assert -1 / (moved.real * (4 * math.pi) ** 2) == pytest.approx(own + added, rel=2e-3)
+
+
+def test_resonances_without_a_baffle_are_peaks():
+    plate = solve_modes(open_scene(5.0))
+    frequencies, widths = plate.resonances
+    shown = np.flatnonzero((frequencies > 5) & (frequencies < 100))
+    assert (frequencies[shown] < plate.frequencies[shown]).all()
+    force = plate.at_points([(0.21, 0.17)])
+    for index in shown[:4]:
+        near = frequencies[index] + widths[index] * np.linspace(-3, 3, 61)
+        moved = np.abs(force.T @ plate.respond(near, force))[:, 0, 0]
+        assert 10 < moved.argmax() < 50
+
+
+@pytest.mark.parametrize(
+    ("tables", "message"),
+    [
+        ({"effects": {"air": {"baffle": False, "sides": "front"}}}, 'effects.air.sides: "front", but without a baffle'),
+        ({"search": {"limits": {"sound": 30.0}}}, "search.limits.sound: is the sound of a plate in a baffle"),
+        (
+            {
+                "specification": {
+                    "level": {"velocity": 1e-3},
+                    "limits": {"pressures": [{"point": (0, 0, 1), "level": 9}]},
+                }
+            },
+            "specification.limits.pressures: is the sound of a plate in a baffle",
+        ),
+    ],
+)
+def test_what_is_refused_without_a_baffle(tables, message):
+    assert message in refused(scene_of(effects={"air": {"baffle": False}}).with_tables, **tables)
+
+
+def test_the_sound_in_open_air_is_that_without_a_baffle():
+    made = open_scene(1.204)
+    found, named = (sound(made, [(0.1, 0.1, 1.0)], (240.0, 260.0), baffle=one) for one in (True, False))
+    assert not found.baffle
+    np.testing.assert_array_equal(found.power, named.power)

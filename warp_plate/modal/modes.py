@@ -18,7 +18,6 @@ from functools import cached_property
 import numpy as np
 
 from warp_plate.effects.effect import per_mode
-from warp_plate.modal.air import AirOnPlate
 from warp_plate.modal.assemble import Galerkin, load_integrals, make_galerkin, make_space
 from warp_plate.modal.coils import Coils
 from warp_plate.modal.eigenproblem import SPARSE, bending_energies, solve_eigenproblem
@@ -26,6 +25,7 @@ from warp_plate.modal.poles import NEGLIGIBLE, CoupledModes, Poles, make_poles
 from warp_plate.modal.spaces.integrals import mean_wave_frequency
 from warp_plate.modal.spaces.knots import DEGREE, intervals_for
 from warp_plate.modal.spaces.space import FunctionSpace
+from warp_plate.modal.unbaffled import AirLoads, air_on
 from warp_plate.plate.section import laminate_of
 from warp_plate.plate.signals import highest_frequency
 from warp_plate.scene.errors import SceneError
@@ -129,9 +129,9 @@ class ModalPlate:
         return self.coils.means
 
     @cached_property
-    def air(self) -> AirOnPlate | None:
+    def air(self) -> AirLoads | None:
         """The load of the scene's air on the modes, which are those in vacuo; None if there is none."""
-        return None if self.scene.effects.air is None else AirOnPlate(self, self.scene.effects.air)
+        return None if self.scene.effects.air is None else air_on(self, self.scene.effects.air)
 
     @cached_property
     def _poles(self) -> dict[float, Poles]:

@@ -1,4 +1,4 @@
-"""Sound radiated by a thin rectangular plate without a baffle, open at the back, by the jump of pressure across it.
+"""Sound and air of a thin rectangular plate without a baffle, open at the back, by the jump of pressure across it.
 
 The pressure is odd in z, so that with the jump Δp over the plate, zero beyond its edges, the velocity has the transform
 
@@ -8,30 +8,52 @@ at a wavenumber κ in the plane. Δp is a sum of √(1 − x²) U_m(x) √(1 −
 Chebyshev polynomials of the second kind, whose transforms are Bessel functions. Galerkin's method gives the sum for the
 velocity of the plate: that of B. Laulagnet (J. Acoust. Soc. Am. 103, 1998, p. 2451), with other functions. The power of
 both sides is ½ Re ∫ Δp* v dA. The plate is taken as infinitely thin.
+
+With P the integrals of functions times shapes and A those of kz ψ*ψ, the jump that a motion q makes presses on the
+modes by −2iρω² PᵀA⁻¹P q, the load of ``[effects.air]``. With the response y to forces and Y to Pᵀ, both in vacuo, the
+modes move by q = y − Y (A/2iρω² + P Y)⁻¹ P y, by Woodbury's formula.
 """
 
 from __future__ import annotations
 
 import math
 from functools import cached_property
+from typing import Protocol, TypeAlias
 
 import numpy as np
 import scipy
 from numpy.polynomial import chebyshev
 
-from warp_plate.modal.modes import ModalPlate
+from warp_plate.effects.air import AirLoad
+from warp_plate.modal.air import AirOnPlate, DryPlate
+from warp_plate.modal.poles import CoupledModes, multiply_modes
 from warp_plate.modal.radiation import AIR, FURTHER, Air, distances_to
 from warp_plate.modal.spaces.integrals import mean_wave_frequency
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
 # Functions of the jump along a side beyond one for each half-wave, and most of them.
-MORE_FUNCTIONS, MOST_FUNCTIONS = 4, 24
+MORE_FUNCTIONS, MOST_FUNCTIONS = 4, 28
 # Largest wavenumber of integrals over waves that do not radiate, over π times functions per side: what lies beyond
 # falls as its inverse, and is extrapolated from half of it.
 REACH = 4.0
 # Gauss's points of a panel of wavenumbers, and panels for each turn of a wave across the plate.
 PANEL_POINTS, PANELS = 10, 0.3
+# Modes whose resonances in air are computed: up to so many times the highest frequency, with the coupling by masses at
+# rest of those up to twice as much, and at least.
+RESONANT, COUPLED, FEWEST = 1.2, 2.0, 40
+# Relative distance of the frequency that is taken for a natural one of an undamped plate.
+BESIDE = 1e-8
+
+
+class OpenPlate(DryPlate, Protocol):
+    """A plate without its air; see :class:`warp_plate.modal.modes.ModalPlate`."""
+
+    @property
+    def coupled(self) -> CoupledModes | None: ...
+
+    def shapes(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return (modes, ny, nx) shapes φ [1/√kg] on the grid of x and y [m]."""
 
 
 class Unbaffled:
@@ -40,7 +62,7 @@ class Unbaffled:
     SceneError: the plate is no rectangle, or has too many half-waves at the highest frequency [Hz].
     """
 
-    def __init__(self, plate: ModalPlate, highest: float, air: Air = AIR) -> None:
+    def __init__(self, plate: OpenPlate, highest: float, air: Air = AIR) -> None:
         refuse_outline(plate.scene)
         self.plate, self.air, self._highest = plate, air, float(air.wavenumber(highest))
         self.sides = plate.scene.plate.size
@@ -55,7 +77,7 @@ class Unbaffled:
         rates = 2j * math.pi * frequency * amplitudes
         moved = np.tensordot(self.projection, rates, (2, 0))
         jumps = np.zeros(moved.shape, dtype=complex)
-        for (y, x), matrix in zip(_PARITIES, self._matrices(frequency), strict=True):
+        for (y, x), matrix in zip(_PARITIES, self.matrices(frequency), strict=True):
             part = moved[y::2, x::2]
             jumps[y::2, x::2] = np.linalg.solve(matrix, part.reshape(len(matrix), -1)).reshape(part.shape)
         return jumps * (4 * math.pi * frequency * self.air.density)
@@ -112,7 +134,7 @@ class Unbaffled:
         shapes = self.plate.shapes(x, y)
         return np.asarray(np.einsum("my,nx,ryx->mnr", up, across, shapes, optimize=True))
 
-    def _matrices(self, frequency: float) -> list[np.ndarray]:
+    def matrices(self, frequency: float) -> list[np.ndarray]:
         """Return ∫ kz ψ*ψ d²κ/4π² [m] between functions of one parity along x and y, see ``_PARITIES``."""
         k = float(self.air.wavenumber(frequency))
         values = chebyshev.chebvander(np.array([2 * (k / self._highest) ** 2 - 1]), len(self._polynomials[0][0]) - 1)[0]
@@ -179,6 +201,84 @@ class Unbaffled:
         ]
         x, y = (values * (1 - np.arange(len(values)) // 2 % 2 * 2)[:, None] for values in along)
         return [(y[b::2, None] * x[None, a::2]).reshape(-1, x.shape[1]) for b, a in _PARITIES]
+
+
+class AirWithoutBaffle:
+    """The load of the air on the modes of a plate without a baffle.
+
+    Attributes:
+        resonances: Frequencies, rising, and half-widths (modes,) [Hz] of the resonances in air.
+    """
+
+    def __init__(self, plate: OpenPlate, table: AirLoad) -> None:
+        """SceneError: as of :class:`Unbaffled`."""
+        dry = plate.frequencies
+        self._plate, self._highest = plate, max(plate.highest, float(dry[dry > 0].min(initial=1.0)))
+        self._radiation = Unbaffled(plate, self._highest, Air(table.density, table.sound_speed))
+        parts = self._radiation.projection
+        # (functions, modes) of one parity after the other
+        self._projection = np.concatenate([parts[y::2, x::2].reshape(-1, dry.size) for y, x in _PARITIES])
+        self.resonances = self._find_resonances()
+
+    def _system(self, frequency: float) -> np.ndarray:
+        """Return (functions, functions) A [m] at a frequency [Hz]."""
+        return scipy.linalg.block_diag(*self._radiation.matrices(min(frequency, self._highest)))
+
+    def respond(self, omega: np.ndarray, forces: np.ndarray) -> np.ndarray:
+        """Return (n, modes, loads) amplitudes under forces (n, modes, loads) that vary as exp(iωt), ω (n,) [rad/s]."""
+        amplitudes = np.empty(forces.shape, dtype=complex)
+        for index, (one, force) in enumerate(zip(omega.tolist(), forces, strict=True)):
+            response = self._respond(one, force)
+            amplitudes[index] = response if np.isfinite(response).all() else self._respond(one * (1 + BESIDE), force)
+        return amplitudes
+
+    def _respond(self, omega: float, force: np.ndarray) -> np.ndarray:
+        loads = np.concatenate([force, self._projection.T], axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            if self._plate.coupled is None:
+                both = loads / self._plate.dynamic_stiffness(np.array([omega]))[0, :, None]
+            else:
+                both = self._plate.coupled.respond(np.array([omega]), loads[None])[0]
+            alone, by_air = np.split(both, [force.shape[1]], axis=1)
+            compliance = multiply_modes(self._projection, by_air)
+            system = self._system(omega / (2 * math.pi)) / (2j * self._radiation.air.density * omega**2) + compliance
+            if not np.isfinite(both).all():
+                return np.full(force.shape, math.nan, dtype=complex)
+        return np.asarray(alone - by_air @ np.linalg.solve(system, self._projection @ alone))
+
+    def _find_resonances(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return resonances: of the modes with the masses at rest, each with its own load at its frequency."""
+        plate, dry, density = self._plate, self._plate.frequencies, self._radiation.air.density
+        count = min(max(int((dry <= COUPLED * self._highest).sum()), FEWEST), dry.size)
+        projection, low = self._projection[:, :count], np.ix_(range(count), range(count))
+        at_rest = 2 * density * projection.T @ np.linalg.solve(-self._system(0.0).imag, projection)
+        squares, mixing = scipy.linalg.eigh(np.diag(plate.angular_frequencies[:count] ** 2), np.eye(count) + at_rest)
+        frequencies = plate.frequencies.copy()
+        frequencies[:count] = np.sqrt(np.maximum(squares, 0)) / (2 * math.pi)
+        viscous, hysteretic = np.diag(plate.damping).copy(), np.diag(plate.hysteretic).copy()
+        for values, matrix in ((viscous, plate.damping), (hysteretic, plate.hysteretic)):
+            values[:count] = np.einsum("rm,rs,sm->m", mixing, matrix[low], mixing, optimize=True)
+        for index in np.flatnonzero((frequencies[:count] > 0) & (frequencies[:count] <= RESONANT * self._highest)):
+            moved, own = projection @ mixing[:, index], float((mixing[:, index] ** 2).sum())
+            mass, rate = 1.0, 2 * math.pi * frequencies[index]
+            for _ in range(2):
+                load = 2j * density * moved @ np.linalg.solve(self._system(rate / (2 * math.pi)), moved)
+                mass = own - load.real
+                rate = math.sqrt(squares[index] / mass)
+            frequencies[index] = rate / (2 * math.pi)
+            viscous[index] = (viscous[index] + rate * load.imag) / mass
+            hysteretic[index] /= mass
+        omega = 2 * math.pi * np.where(frequencies > 0, frequencies, math.inf)
+        order = np.argsort(frequencies)
+        return frequencies[order], ((viscous + hysteretic / omega) / (4 * math.pi))[order]
+
+
+AirLoads: TypeAlias = AirOnPlate | AirWithoutBaffle
+
+
+def air_on(plate: OpenPlate, table: AirLoad) -> AirLoads:
+    """Return the load of the air on a plate."""
+    return AirOnPlate(plate, table) if table.baffle else AirWithoutBaffle(plate, table)
 
 
 def refuse_outline(scene: Scene) -> None:

@@ -252,6 +252,9 @@ def _check_tables(scene: SceneTables) -> None:
     _check_drive(scene)
     drives = ("ramp", "burst", "chirp", "signal", "electrostatic")
     check_modal_tables(scene.effects, {f"drive.{name}": getattr(scene.drive, name) or None for name in drives})
+    if scene.effects.air is not None:
+        sounds = [table.sound_key for table in (scene.search, scene.specification) if table is not None]
+        scene.effects.air.check(scene.plate.outline is not None, sounds)
     scene.search.check_limits([actuator.name for actuator in actuators])
     if scene.search.robust is not None:
         scene.search.robust.check(scene.effects, scene.grid.load)

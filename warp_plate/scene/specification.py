@@ -157,6 +157,12 @@ class Specification(Table):
     """Relative tolerances of numbers of the scene, by their keys."""
 
     @property
+    def sound_key(self) -> str | None:
+        """First key that limits the sound of the plate; None if none."""
+        keys = [key for key in ("sound", "pressures") if getattr(self.limits, key) not in (None, ())]
+        return f"specification.limits.{keys[0]}" if keys else None
+
+    @property
     def levels(self) -> Sequence[Level]:
         """Levels of the targets."""
         return (self.level,) if isinstance(self.level, Level) else self.level

@@ -38,7 +38,8 @@ def sound(
             each target).
         frequency_range: Lowest and highest frequency [Hz] (default: as of ``frf``).
         air: The medium (default: that of ``[effects.air]``, or air at 20 °C).
-        baffle: True for one side of a plate in a rigid baffle, False for both sides of a rectangle without one.
+        baffle: True for one side of a plate in a rigid baffle, False for both sides of a rectangle without one
+            (also where ``[effects.air]`` says so).
 
     Raises:
         SceneError: The scene is not linear, a point is too near to the plate, the range is invalid, or the plate has
@@ -52,6 +53,7 @@ def sound(
     for key, value in vars(air).items():
         if not numbers_of(f"air.{key}", [value], 1, "a positive number")[0] > SMALLEST:
             raise SceneError(f"air.{key} = {value!r}: must be a positive number")
+    baffle = baffle and (scene.effects.air is None or scene.effects.air.baffle)
     if not baffle:
         refuse_outline(scene)
     frequency_range = check_linear(scene, frequency_range)
