@@ -76,6 +76,17 @@ def test_json_files_picture_and_text(command, write_scene):
         assert part in out
 
 
+def test_a_panel_without_a_baffle_by_the_command(command, write_scene):
+    made = write_scene(damping=10.0, modal_density=0.5)
+    asked = ("--at", "0.3,-0.1,0.8", "--range", "250:320", "--unbaffled", "--no-pictures")
+    record = json.loads(output_of(command("sound", "panel.toml", *asked, "--json", "--out", "s.csv")))
+    expected = sound(made, [POINT], (250.0, 320.0), baffle=False)
+    assert record["power"] == pytest.approx(expected.power.tolist(), rel=1e-6)
+    assert record["pressure_levels"] == [pytest.approx(expected.pressure_levels[0].tolist())]
+    in_baffle = json.loads(output_of(command("sound", "panel.toml", *asked[:-2], "--no-pictures", "--json")))
+    assert record["power"] != pytest.approx(in_baffle["power"], rel=0.1)
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
