@@ -1,4 +1,4 @@
-"""Impedance and sound of measured panels: python benchmarks/measured_exciters.py SOURCE [--json FILE] [--picture FILE].
+"""Impedance and sound of measured panels: python benchmarks/measured_exciters.py SOURCE [options].
 
 SOURCE is a folder with files of github.com/Homeswinghome/DML-simulation-test-cases: NAME.txt (plate, material,
 exciter), Z_NAME (frequency [Hz], impedance [Ω], phase [°]) and EFR_NAME (frequency, level of the pressure at 1 m [dB]);
@@ -18,6 +18,7 @@ import json
 import tomllib
 from collections.abc import Sequence
 from itertools import product
+from multiprocessing import Pool
 from pathlib import Path
 from typing import Any
 
@@ -203,46 +204,54 @@ def draw(results: dict[str, Any], out: Path) -> None:
     plt.close(figure)
 
 
-def run(folder: Path) -> dict[str, Any]:
+def compare_panel(folder: Path, name: str, air: bool) -> dict[str, Any]:
+    """Return the comparison of a panel in vacuo or in air, and print it."""
+    if name in PANELS:
+        parameters, ending = PANELS[name]
+        scene, limits, chosen = scene_of(folder / parameters), BANDS, slice(None)
+        frequency, magnitude, _ = np.loadtxt(folder / f"Z_{ending}").T
+        inside = (frequency >= BANDS[0][0]) & (frequency <= BANDS[-1][1])
+        frequency, magnitude = frequency[inside], magnitude[inside]
+        bands = OCTAVES[:, None] * 2 ** ((np.arange(40) + 0.5) / 120 - 1 / 6)
+        level = mean_levels(np.interp(bands, *np.loadtxt(folder / f"EFR_{ending}").T))
+    else:
+        scene, limits, chosen = scene_of(folder / PANELS["plywood"][0]), SAMPLED, SAMPLED_OCTAVES
+        samples = tomllib.loads(SUPPORTED.read_text(encoding="utf-8"))[name]
+        scene = supported(scene, samples["place"])
+        frequency, magnitude = np.array(samples["impedance"]).T
+        level = mean_levels(np.reshape(samples["levels"], (-1, 3)))
+    if air:
+        name, scene = f"{name} in air", scene.replace("effects.air", {"baffle": False})
+    found = compare(solve_modes(scene, frequency[-1]), frequency, magnitude, limits)
+    scene = scene.replace("actuators.coil.resistance", found["resistance"])
+    found["levels"] = levels = compare_levels(scene, level, chosen)
+    rms = ", ".join(f"{band}: {value:.2f} dB" for band, value in found["rms_db"].items())
+    lines = [f"{name}: series resistance {found['resistance']:.2f} Ω; rms of |Z| {rms}"]
+    lines.append(f"{name}: third octaves: rms {levels['rms_db']:.1f} dB, {levels['differences_db']}")
+    for measured, computed in found["peaks"]:
+        ends = f"measured at {measured:.1f} Hz, computed at {computed:.1f} Hz"
+        lines += [f"{name}: peak {ends}, {computed / measured - 1:+.1%}"] * name.startswith("PMMA")
+    print("\n".join(lines), flush=True)
+    return found
+
+
+def run(folder: Path, jobs: int) -> dict[str, Any]:
     """Return the comparisons of all panels by name."""
-    results: dict[str, Any] = {}
-    samples = tomllib.loads(SUPPORTED.read_text(encoding="utf-8"))
-    for name, air in product(TITLES, (False, True)):
-        if name in PANELS:
-            parameters, ending = PANELS[name]
-            scene, limits, chosen = scene_of(folder / parameters), BANDS, slice(None)
-            frequency, magnitude, _ = np.loadtxt(folder / f"Z_{ending}").T
-            inside = (frequency >= BANDS[0][0]) & (frequency <= BANDS[-1][1])
-            frequency, magnitude = frequency[inside], magnitude[inside]
-            bands = OCTAVES[:, None] * 2 ** ((np.arange(40) + 0.5) / 120 - 1 / 6)
-            level = mean_levels(np.interp(bands, *np.loadtxt(folder / f"EFR_{ending}").T))
-        else:
-            scene, limits, chosen = scene_of(folder / PANELS["plywood"][0]), SAMPLED, SAMPLED_OCTAVES
-            scene = supported(scene, samples[name]["place"])
-            frequency, magnitude = np.array(samples[name]["impedance"]).T
-            level = mean_levels(np.reshape(samples[name]["levels"], (-1, 3)))
-        if air:
-            name, scene = f"{name} in air", scene.replace("effects.air", {"baffle": False})
-        results[name] = found = compare(solve_modes(scene, frequency[-1]), frequency, magnitude, limits)
-        scene = scene.replace("actuators.coil.resistance", found["resistance"])
-        found["levels"] = levels = compare_levels(scene, level, chosen)
-        rms = ", ".join(f"{band}: {value:.2f} dB" for band, value in found["rms_db"].items())
-        print(f"{name}: series resistance {found['resistance']:.2f} Ω; rms of |Z| {rms}")
-        print(f"{name}: third octaves: rms {levels['rms_db']:.1f} dB, {levels['differences_db']}")
-        for measured, computed in found["peaks"] if name.startswith("PMMA") else ():
-            ends = f"measured at {measured:.1f} Hz, computed at {computed:.1f} Hz"
-            print(f"{name}: peak {ends}, {computed / measured - 1:+.1%}", flush=True)
-    return results
+    cases = list(product(TITLES, (False, True)))
+    with Pool(jobs) as pool:
+        results = pool.starmap(compare_panel, [(folder, *case) for case in cases], chunksize=1)
+    return {name + " in air" * air: found for (name, air), found in zip(cases, results, strict=True)}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("source", type=Path)
+    parser.add_argument("--jobs", type=int, default=1, help="number of processes")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--picture", type=Path)
     options = parser.parse_args()
     source = options.source
-    results = run(source) if source.is_dir() else json.loads(source.read_text(encoding="utf-8"))
+    results = run(source, options.jobs) if source.is_dir() else json.loads(source.read_text(encoding="utf-8"))
     if options.json is not None:
         options.json.write_text(json.dumps(results), encoding="utf-8")
     if options.picture is not None:
