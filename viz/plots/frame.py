@@ -47,7 +47,9 @@ def figure(
             text.set_text(printable(text.get_text()))
             if "$" in text.get_text():
                 text.set_parse_math(False)
-        fig.savefig(path, dpi=dpi)
+        # A PNG is compressed in half the time to a third more.
+        options = {"pil_kwargs": {"compress_level": 2}} if Path(path).suffix == ".png" else {}
+        fig.savefig(path, dpi=dpi, **options)
 
 
 def add_panels(figure: FigureBase, count: int, columns: int, **options: Any) -> list[Axes]:

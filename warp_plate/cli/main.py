@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import atexit
-import gc
 import io
 import logging
 import os
@@ -14,7 +13,7 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 from warp_plate._version import __version__
-from warp_plate.cli import log
+from warp_plate.cli import log, postpone_garbage
 from warp_plate.interrupts import ignore_interrupts, interrupt_on_termination, remember_lost_interrupts
 from warp_plate.scene.errors import SceneError
 
@@ -46,8 +45,6 @@ COMMANDS = {
     "keys": ("scene_files", "Show every key of a scene file with unit, default, range, example and meaning."),
     "doctor": ("doctor", "Check the GPUs, folders, drawing and extras of this installation."),
 }
-# New objects after which Python looks for garbage.
-GARBAGE = 100_000
 _began = time.perf_counter()
 
 
@@ -100,11 +97,7 @@ def main(arguments: list[str] | None = None) -> None:
     # Threads of linear algebra sleep soon while they wait for a task: commands have small ones, far apart.
     os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")
     os.environ.pop("MPLBACKEND", None)  # commands draw to files
-    # Nearly all objects of a command live until it ends: collecting them again and again, and once more at the end,
-    # takes a quarter of the time of a short one.
-    gc.set_threshold(GARBAGE)
-    atexit.unregister(gc.freeze)
-    atexit.register(gc.freeze)
+    postpone_garbage()
     _prepare_streams()
     interrupt_on_termination()
     remember_lost_interrupts()

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import cyclopts
 from cyclopts import Parameter, validators
 
-from warp_plate.cli import output
+from warp_plate.cli import collect_garbage, output
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
@@ -98,7 +98,9 @@ class SceneChanges:
 
         changed = self.assignments or []
         name = " ".join([source, *(f"--set {shlex.quote(assignment)}" for assignment in changed)])
-        return Scene.load(source, changed), name
+        scene = Scene.load(source, changed)
+        collect_garbage()
+        return scene, name
 
 
 @Parameter(name="*")

@@ -19,6 +19,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from warp_plate.cli import collect_garbage
 from warp_plate.cli import log as log
 from warp_plate.interrupts import deferred_interrupts, end_signals
 from warp_plate.scene.errors import SceneError, printable
@@ -181,6 +182,7 @@ def progress_bar(label: str, shown: bool, scene: Scene | None = None, last: str 
     Before the first update it says that kernels are compiled, or that a grid is chosen if the scene asks for an
     accuracy; when all is done, ``last`` (default: ``label``).
     """
+    collect_garbage()
     if not shown or not sys.stderr.isatty():
         yield lambda done, total, note="": None
         return
