@@ -63,12 +63,11 @@ def _limits(panel: DesignedPanel) -> tuple[float, float] | None:
 def _draw_plan(
     axes: Axes, scene: Scene, thickness: np.ndarray | None, limits: tuple[float, float] | None
 ) -> AxesImage | None:
-    width, height = scene.plate.size
     image = None
     if thickness is not None and limits is not None:
         image = axes.imshow(
             1e3 * thickness, cmap=colour_map("cividis"), vmin=limits[0], vmax=max(limits[1], limits[0] + 1e-9),
-            origin="lower", extent=(0.0, width, 0.0, height), interpolation="bilinear",
+            origin="lower", extent=scene.plate.box, interpolation="bilinear",
         )  # fmt: skip
     for patch in (*scene.effects.layers, *(attachment.region for attachment in attachments(scene.terms))):
         axes.fill(*patch.closed_path().T, color=ADDED, linewidth=0, zorder=1)

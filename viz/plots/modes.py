@@ -82,11 +82,9 @@ def frequency_text(frequency: float) -> str:
 
 
 def _draw_shape(axes: Axes, scene: Scene, shape: np.ndarray, cmap: str) -> object:
-    width, height = scene.plate.size
     fine_x, fine_y, fine = refined(scene, shape)
-    extent = (0.0, width, 0.0, height)
     look = {"cmap": colour_map(cmap), "vmin": -1, "vmax": 1, "origin": "lower", "interpolation": "bilinear"}
-    mesh = axes.imshow(fine, extent=extent, **look)
+    mesh = axes.imshow(fine, extent=scene.plate.box, **look)
     clip(mesh, axes, scene)
     field = nodal_field(scene, fine, shape.shape)
     if np.nanmin(field) < 0 < np.nanmax(field):

@@ -276,10 +276,10 @@ def draw_focus(result: FocusResult, path: str | Path, colours: ColourOptions = D
 
 
 def _draw_plate(axes: Axes, result: FocusResult, field: np.ndarray, scale: DrawingScale) -> None:
-    (width, height), table = result.scene.plate.size, result.scene.focus
+    plate, table = result.scene.plate, result.scene.focus
     assert table is not None
     (low, high), cmap = scale.clim, colour_map(scale.cmap)
-    look = {"origin": "lower", "extent": (0.0, width, 0.0, height), "interpolation": "bilinear"}
+    look = {"origin": "lower", "extent": plate.box, "interpolation": "bilinear"}
     values = continued(result.scene, field * scale.unit_factor)
     clip(axes.imshow(values, cmap=cmap, vmin=low, vmax=high, **look), axes, result.scene)
     draw_actuators(axes, result.scene, LENGTH)

@@ -53,10 +53,10 @@ def draw_specified(answer: SpecifiedDrive, path: str | Path) -> None:
 
 
 def _draw_map(answer: SpecifiedDrive, axes: Axes) -> None:
-    (width, height), levels = answer.scene.plate.size, np.maximum(answer.field_db, LOWEST)
+    levels = np.maximum(answer.field_db, LOWEST)
     image = axes.imshow(
         continued(answer.scene, levels), cmap=colour_map("cividis"), vmin=LOWEST, vmax=max(0.0, float(levels.max())),
-        origin="lower", extent=(0.0, width, 0.0, height), interpolation="bilinear",
+        origin="lower", extent=answer.scene.plate.box, interpolation="bilinear",
     )  # fmt: skip
     clip(image, axes, answer.scene)
     for line in answer.guard:

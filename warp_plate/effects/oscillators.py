@@ -51,8 +51,7 @@ class Oscillator(Effect, PlateRegion):
         if (column, row) == (0, 0):
             return self.region
         assert self.pitch is not None
-        x0, x1, y0, y1 = self.box
-        moved = self.placed((x0 + x1) / 2 + column * self.pitch[0], (y0 + y1) / 2 + row * self.pitch[1])
+        moved = self.placed(self.middle[0] + column * self.pitch[0], self.middle[1] + row * self.pitch[1])
         return PlateRegion.model_construct(**{**dict(self.region), **moved})
 
     def check(self, key: str, size: tuple[float, float], over: bool = False, note: str = "") -> None:

@@ -172,9 +172,8 @@ def _multiplier(values: np.ndarray, parts: np.ndarray, square: float, ratio: flo
 
 def _root_mean_square(plate: ModalPlate, disc: tuple[float, float, float]) -> np.ndarray:
     """Return the root S of the matrix of the mean square, by mass, outside a disc x, y, radius [m]."""
-    width, height = plate.scene.plate.size
-    inside = plate.kinetic_matrix(Target(disc=disc), (0.0, width, 0.0, height))
+    inside = plate.kinetic_matrix(Target(disc=disc), plate.scene.plate.box)
     outside, total = plate.kinetic_matrix() - inside, plate.space.plate_mass
-    mass = total * (1 - math.pi * disc[2] ** 2 / (width * height))
+    mass = total * (1 - math.pi * disc[2] ** 2 / math.prod(plate.scene.plate.size))
     squares, vectors = scipy.linalg.eigh(outside)
     return np.asarray((vectors * np.sqrt(np.maximum(squares, 0) / mass)) @ vectors.T)

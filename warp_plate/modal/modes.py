@@ -226,8 +226,7 @@ class ModalPlate:
         if isinstance(region, str) and within is None:
             attached = self.attached_motions * np.sqrt([attachment.mass for attachment in self.galerkin.masses])
             return np.eye(len(self.frequencies)) - attached @ attached.T
-        area = (0.0, self.scene.plate.size[0], 0.0, self.scene.plate.size[1])
-        matrix = self.galerkin.region_matrix(area if isinstance(region, str) else region, within)
+        matrix = self.galerkin.region_matrix(self.scene.plate.box if isinstance(region, str) else region, within)
         return np.asarray(self.vectors.T @ (matrix @ self.vectors))
 
     def respond(self, frequencies: np.ndarray, forces: np.ndarray) -> np.ndarray:

@@ -272,7 +272,7 @@ class ModalSolver:
     @cached_property
     def _masses(self) -> np.ndarray:
         space = self.plate.space
-        regions: list[Any] = [(0.0, self.scene.plate.size[0], 0.0, self.scene.plate.size[1]), self.scene.target]
+        regions: list[Any] = [self.scene.plate.box, self.scene.target]
         regions += self._areas.values()
         if isinstance(space, TrimmedSplines) and all(map(_has_curve, regions)):
             return np.array([0.0 if isinstance(one, ToneRegion) else space.region_mass(one) for one in regions])

@@ -60,7 +60,7 @@ def per_plate_of(scene: Scene) -> PerPlate:
     """Return the quantities that differ between plates of the scene's ``[search]``."""
     search, position, areas = scene.search, scene.search.position, None
     if position is not None:
-        area = position.area or (0.0, scene.plate.size[0], 0.0, scene.plate.size[1])
+        area = position.area or scene.plate.box
         moved = [actuator.name in (position.actuators or [actuator.name]) for actuator in scene.actuators]
         areas = tuple(area if moves else actuator.box for moves, actuator in zip(moved, scene.actuators, strict=True))
     searched = [table for table in (search.frequency, search.delay) if table is not None]
@@ -150,8 +150,7 @@ def check_designs(designs: Designs, scene: Scene, per_plate: PerPlate, time_step
 
 def actuator_spaces(scene: Scene, per_plate: PerPlate) -> np.ndarray:
     """Return (actuators, 4) x0, x1, y0, y1 [m] of the part of the plate within which each actuator stays whole."""
-    plate = (0.0, scene.plate.size[0], 0.0, scene.plate.size[1])
-    spaces = np.array(per_plate.areas if per_plate.areas is not None else [plate] * len(scene.actuators))
+    spaces = np.array(per_plate.areas if per_plate.areas is not None else [scene.plate.box] * len(scene.actuators))
     return np.clip(spaces, 0, np.repeat(scene.plate.size, 2))
 
 

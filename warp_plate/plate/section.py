@@ -191,7 +191,7 @@ def make_section(scene: Scene) -> Section:
     sections = [_section(laminate, along_x, along_y, factors, over) for over in (None, *shaped)]
     section = sections[0]
     if len(sections) > 1:
-        cell = covered_cells(scene, PlateRegion.model_construct(area=(0.0, plate.size[0], 0.0, plate.size[1])))
+        cell = covered_cells(scene, PlateRegion.model_construct(area=plate.box))
         covered = np.stack([covered_cells(scene, layer) for layer in shaped]) / cell
         shares = np.concatenate([1 - covered.sum(axis=0, keepdims=True), covered])
         section = _mixed(sections, shares, (shares * cell).sum(axis=(1, 2)) / cell.sum())

@@ -87,7 +87,7 @@ def shape_weights(scene: Scene, key: str, target: Target, within: Area | None = 
     across, up = _axes(scene, moments)
     spacing = _spacing(scene)
     values = read_mask(scene.folder, key, target)
-    x0, x1, y0, y1 = (0.0, scene.plate.size[0], 0.0, scene.plate.size[1]) if within is None else within
+    x0, x1, y0, y1 = within or scene.plate.box
     along_x = _mask_matrix(across, values.shape[1], x0 / spacing[0], x1 / spacing[0])
     along_y = _mask_matrix(up, values.shape[0], y0 / spacing[1], y1 / spacing[1])
     weights: np.ndarray = (along_x @ (along_y @ values).T).T
@@ -96,7 +96,7 @@ def shape_weights(scene: Scene, key: str, target: Target, within: Area | None = 
 
 def region_cells(scene: Scene, region: PlateRegion, moments: bool, within: Area | None = None) -> np.ndarray:
     """Return (ny, nx) weights of a region in cells, by moments or by overlap; see :func:`shape_weights`."""
-    corners = clipped(region.flattened(DISC_CORNERS), within or (0.0, scene.plate.size[0], 0.0, scene.plate.size[1]))
+    corners = clipped(region.flattened(DISC_CORNERS), within or scene.plate.box)
     return polygon_weights(corners / _spacing(scene), *_axes(scene, moments))
 
 

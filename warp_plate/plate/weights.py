@@ -165,8 +165,7 @@ def region_weights(scene: Scene, areas: Mapping[str, RegionLike] = NO_AREAS) -> 
 
     They are by moments if loads are, otherwise by overlap. SceneError: a target covers no moving node, or has no mask.
     """
-    width, height = scene.plate.size
-    regions: dict[str, RegionLike] = {"plate": (0.0, width, 0.0, height), "target": scene.target, **areas}
+    regions: dict[str, RegionLike] = {"plate": scene.plate.box, "target": scene.target, **areas}
     return np.stack([weigh_region(scene, name, region) for name, region in regions.items()])
 
 

@@ -141,7 +141,7 @@ class Place(DesignVariable):
                 '"overlap" or "moments"'
             )
         width, height = scene.plate.size
-        everywhere, areas = table.area or (0.0, width, 0.0, height), table.areas or {}
+        everywhere, areas = table.area or scene.plate.box, table.areas or {}
         moving = _named_actuators(scene, "position")
         names = [scene.actuators[actuator].name for actuator in moving]
         for name in areas.keys() - set(names):

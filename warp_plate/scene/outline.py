@@ -15,6 +15,7 @@ from warp_plate.outline.outline import Outline, make_outline
 from warp_plate.outline.pieces import Piece, Straight, ellipse, straight
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import (
+    Area,
     Coordinate,
     Density,
     Name,
@@ -174,6 +175,11 @@ class Plate(Table):
     """Outline of a plate that is no rectangle with sides along x and y."""
     holes: tuple[Hole, ...] = ()
     """Holes of a plate with an outline."""
+
+    @property
+    def box(self) -> Area:
+        """Ends 0, width, 0, height of the sides [m]."""
+        return 0.0, self.size[0], 0.0, self.size[1]
 
     @property
     def rigidity(self) -> float:

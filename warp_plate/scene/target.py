@@ -145,6 +145,12 @@ class PlateRegion(Shape):
         return bounds(self.loop()) if self.area is None else self.area
 
     @property
+    def middle(self) -> Point:
+        """Middle x, y of the bounding box [m]."""
+        x0, x1, y0, y1 = self.box
+        return (x0 + x1) / 2, (y0 + y1) / 2
+
+    @property
     def patch_area(self) -> float:
         """Area of the region [m²]."""
         if self.area is None:
@@ -165,10 +171,9 @@ class PlateRegion(Shape):
 
     def placed(self, x: float, y: float) -> dict[str, Any]:
         """Return the keys of the shape with the middle of its ``box`` at x, y [m]; the same numbers if it is there."""
-        x0, x1, y0, y1 = self.box
         if self.area is not None:
-            return {"area": (*_span_around(x, x0, x1), *_span_around(y, y0, y1))}
-        shift = x - (x0 + x1) / 2, y - (y0 + y1) / 2
+            return {"area": (*_span_around(x, *self.area[:2]), *_span_around(y, *self.area[2:]))}
+        shift = x - self.middle[0], y - self.middle[1]
         if self.polygon is not None:
             return {"polygon": tuple((at_x + shift[0], at_y + shift[1]) for at_x, at_y in self.polygon)}
         key = "centre" if self.rectangle is not None else self.shape

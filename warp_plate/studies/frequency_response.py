@@ -124,16 +124,16 @@ def frf(
 def _terminals(scene: Scene, inputs: Sequence[str | Point], points: Sequence[Point]) -> tuple[list[str], list[Point]]:
     """Return the names of coils (default: all) and their middles [m]; SceneError: an input is none, or there are
     points."""
-    boxes = {scene.actuators[index].name: scene.actuators[index].box for index in scene.coil_indices}
-    if not boxes:
+    middles = {scene.actuators[index].name: scene.actuators[index].middle for index in scene.coil_indices}
+    if not middles:
         raise SceneError(f'quantity = "{IMPEDANCE}": no actuator is a coil; write kind = "coil" for one of them')
     if len(points):
         raise SceneError(f"points = {points[0]}: the {IMPEDANCE} is that of terminals of coils; leave out points")
-    names = [str(name) for name in inputs] or list(boxes)
+    names = [str(name) for name in inputs] or list(middles)
     for name in names:
-        if name not in boxes:
-            raise SceneError(f"inputs = {name}: is no coil; there are {', '.join(boxes)}")
-    return names, [((x0 + x1) / 2, (y0 + y1) / 2) for x0, x1, y0, y1 in (boxes[name] for name in names)]
+        if name not in middles:
+            raise SceneError(f"inputs = {name}: is no coil; there are {', '.join(middles)}")
+    return names, [middles[name] for name in names]
 
 
 def _coil_response(plate: ModalPlate, frequencies: np.ndarray) -> CoilResponse | None:
@@ -257,8 +257,7 @@ def input_forces(plate: ModalPlate, inputs: Sequence[str | Point]) -> tuple[np.n
             continue
         if name not in patches:
             raise SceneError(f"inputs = {name}: is neither a point nor an actuator; there are {', '.join(patches)}")
-        x0, x1, y0, y1 = patches[name].box
-        places.append(((x0 + x1) / 2, (y0 + y1) / 2))
+        places.append(patches[name].middle)
         columns.append(plate.region_forces([patches[name]])[:, 0] / patches[name].patch_area)
     return np.array(places, dtype=float), np.stack(columns, axis=1)
 

@@ -315,7 +315,7 @@ def _over_mask(
 ) -> tuple[Integrals, np.ndarray]:
     """Return the rule of a mask, which is bilinear between its numbers, and these at Gauss's points."""
     cuts, share = mask_of(laminate, target)
-    area = _common((0.0, laminate.size[0], 0.0, laminate.size[1]), within)
+    area = _common(laminate.plate.box, within)
     integrals = Integrals(laminate, *along, ([*cuts[0], *area[:2]], [*cuts[1], *area[2:]]))
     (shares,) = share(*integrals.points)
     return integrals, shares * integrals.inside(area)
