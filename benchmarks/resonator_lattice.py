@@ -150,6 +150,8 @@ def main() -> None:
     parser.add_argument("--nodes", type=int, nargs=2, default=None, help="grid of time steps instead of modes")
     parser.add_argument("--density", type=float, default=1.5, help="grid.modal_density of the modes")
     taken = parser.parse_args()
+    if taken.loss and taken.nodes:
+        parser.error("--loss: the time steps leave it out; delete --nodes")
     numbers = taken.columns, taken.rows, taken.ratio, taken.resonance, taken.loss
     scene = scene_with(*numbers, tuple(taken.nodes or (43, 31)), taken.density)
     print(json.dumps({"lattice": numbers, **(by_modes(scene) if taken.nodes is None else by_steps(scene))}), flush=True)

@@ -1,7 +1,9 @@
 """``warp-plate design``: its JSON, the scene with its map, the picture and the solid, and what it refuses."""
 
 import json
+import zipfile
 from unittest.mock import Mock
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -36,6 +38,13 @@ def test_the_designed_scene_is_written_with_its_map(command, tmp_path):
     solid = pyvista.read(out.with_suffix(".stl"))
     assert solid.is_manifold
     assert solid.volume == pytest.approx(200 * 200 * 0.5, rel=3e-3)  # mm³, of the same mass, in flat triangles
+    with zipfile.ZipFile(out.with_suffix(".3mf")) as file:
+        assert [ElementTree.fromstring(file.read(name)).tag for name in file.namelist()]
+        model = ElementTree.fromstring(file.read("3D/model.model"))
+    rows = [[[float(value) for value in row.attrib.values()] for row in part] for part in model[0][0][0]]
+    points, corners = np.array(rows[0]), np.array(rows[1], dtype=int)
+    volume = np.linalg.det(points[corners]).sum() / 6  # positive only if all triangles face outwards
+    assert (model.get("unit"), volume) == ("millimeter", pytest.approx(solid.volume, rel=1e-5))
 
     assert record["check"]["agrees"]
     assert abs(record["check"]["modes"] - record["after"]["bound"]) < 1e-6

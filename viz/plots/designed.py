@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 # Longer side of a plate, and height of the course of the search [inch].
 LENGTH, COURSE = 3.4, 2.0
 ALL, BEST = "#9ecae1", "#08519c"
+# Names of the parts of a 3MF file.
+PACKAGE, MODEL = "http://schemas.openxmlformats.org/package/2006", "http://schemas.microsoft.com/3dmanufacturing"
 # Colour of layers and of what is attached.
 ADDED = "#d8b365"
 
@@ -89,7 +92,7 @@ def _draw_course(panel: DesignedPanel, axes: Axes) -> None:
 
 
 def save_solid(panel: DesignedPanel, path: str | Path) -> None:
-    """Save the panel as a solid between a flat face and one of the map's height, in millimetres, as an STL file."""
+    """Save the panel as a solid between a flat face and one of the map's height, in millimetres, as .stl or .3mf."""
     import pyvista
 
     thickness = panel.thickness
@@ -98,5 +101,30 @@ def save_solid(panel: DesignedPanel, path: str | Path) -> None:
     (width, height), (rows, columns) = panel.scene.plate.size, thickness.shape
     x, y = np.meshgrid(np.linspace(0, 1e3 * width, columns), np.linspace(0, 1e3 * height, rows))
     x, y = (np.repeat(places[:, :, None], 2, axis=2) for places in (x, y))
-    z = np.stack([np.zeros_like(thickness), 1e3 * thickness], axis=2)
-    pyvista.StructuredGrid(x, y, z).extract_surface(algorithm="dataset_surface").triangulate().save(str(path))
+    z = np.stack([1e3 * thickness, np.zeros_like(thickness)], axis=2)  # in this order all triangles face outwards
+    surface = pyvista.StructuredGrid(x, y, z).extract_surface(algorithm="dataset_surface").triangulate()
+    if Path(path).suffix == ".3mf":
+        _write_3mf(surface.points, surface.faces.reshape(-1, 4)[:, 1:], Path(path))
+    else:
+        surface.save(str(path))
+
+
+def _write_3mf(points: np.ndarray, triangles: np.ndarray, path: Path) -> None:
+    """Write a mesh, points (n, 3) in millimetres, as the single object of a file of the 3MF core specification."""
+    vertices = "".join(f'<vertex x="{x:.6g}" y="{y:.6g}" z="{z:.6g}"/>' for x, y, z in points.tolist())
+    faces = "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in triangles.tolist())
+    mesh = f"<mesh><vertices>{vertices}</vertices><triangles>{faces}</triangles></mesh>"
+    objects = f'<resources><object id="1" type="model">{mesh}</object></resources>'
+    parts = {
+        "[Content_Types].xml": f'<Types xmlns="{PACKAGE}/content-types"><Default Extension="rels" ContentType="'
+        'application/vnd.openxmlformats-package.relationships+xml"/><Default Extension="model" ContentType="'
+        'application/vnd.ms-package.3dmanufacturing-3dmodel+xml"/></Types>',
+        "_rels/.rels": f'<Relationships xmlns="{PACKAGE}/relationships"><Relationship Id="model" '
+        f'Target="/3D/model.model" Type="{MODEL}/2013/01/3dmodel"/></Relationships>',
+        "3D/model.model": f'<model unit="millimeter" xmlns="{MODEL}/core/2015/02">{objects}'
+        '<build><item objectid="1"/></build></model>',
+    }
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
+        for name, text in parts.items():
+            entry = zipfile.ZipInfo(name)  # without the time, so that equal panels have equal files
+            file.writestr(entry, f'<?xml version="1.0" encoding="UTF-8"?>{text}', zipfile.ZIP_DEFLATED)

@@ -23,7 +23,7 @@ OBJECTIVES = {
     "drive": "localization factor of the scene's drive",
     "energy_target": "energy of the target [J]",
 }
-MAP, UNFINISHED, SOLID = ".thickness.csv", ".unfinished.json", ".stl"
+MAP, UNFINISHED, SOLIDS = ".thickness.csv", ".unfinished.json", (".stl", ".3mf")
 
 
 def design(
@@ -32,7 +32,8 @@ def design(
     *,
     changes: options.SceneChanges = options.SceneChanges(),
     solid: Annotated[
-        bool, Parameter(negative="", help="Also write the panel with its map of thickness as a solid, .stl in mm.")
+        bool,
+        Parameter(negative="", help="Also write the panel with its map of thickness as a solid in mm, .stl and .3mf."),
     ] = False,
     check: Annotated[
         bool, Parameter(negative="--no-check", help="Simulate the drive of the designed panel in time steps too.")
@@ -51,7 +52,7 @@ def design(
     from warp_plate.scene.errors import printable
 
     target = files.target(scene, ".designed.toml", holds=DESIGNED)
-    beside = {ending: target.with_suffix(ending) for ending in (MAP, UNFINISHED, SOLID)}
+    beside = {ending: target.with_suffix(ending) for ending in (MAP, UNFINISHED, *SOLIDS)}
     for path in beside.values():
         output.check_overwriting(path, '{"design"', files.force or path != beside[UNFINISHED])
     loaded, scene = changes.load(scene)
@@ -72,7 +73,7 @@ def design(
     if solid:
         from warp_plate.viz.plots.designed import save_solid
 
-        saves[beside[SOLID]] = partial(save_solid, panel)
+        saves |= {beside[ending]: partial(save_solid, panel) for ending in SOLIDS}
     written = output.write_files(saves, partial(_draw, panel, target) if files.pictures else None)
     if not panel.interrupted:
         beside[UNFINISHED].unlink(missing_ok=True)
