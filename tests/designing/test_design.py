@@ -181,6 +181,36 @@ def test_slopes_of_limits_are_those_of_differences(free, random):
     assert (np.abs(found - expected) <= 1e-4 * sizes + 1e-9).all()
 
 
+def symmetric_panel(frequency, **design):
+    """Return a square panel on four equal springs, of which that of the left edge is free."""
+    actuators = [(x, x + 0.012, y, y + 0.012) for x in (0.03, 0.158) for y in (0.03, 0.158)]
+    free = {"free": {"edges.left.translation": [5e4, 1.5e5]}, **design}
+    edges, target = ({"translation": 1e5},) * 4, {"area": (0.05, 0.15, 0.05, 0.15)}
+    tables = {"window": (0.01, 0.03), "modal_density": 0.4, "damping": 60.0, "actuators": actuators, "target": target}
+    return FreePanel(scene_of(edges=edges, frequency=frequency, design=free, **tables))
+
+
+def test_slopes_of_a_repeated_bound_lie_between_those_of_both_sides():
+    """At 240 Hz drives that are odd along x and odd along y reach the same bound, and one spring parts them."""
+    panel, step = symmetric_panel(240.0), 1e-4
+    below, here, above = (panel.evaluate(np.array([0.5 + sign * step])) for sign in (-1, 0, 1))
+    left, right = (here.least - below.least) / step, (above.least - here.least) / step
+    assert right - left > 5e-4
+    assert left - 1e-6 <= here.slopes[0] <= right + 1e-6
+
+
+def test_equal_natural_frequencies_have_slopes_together():
+    """The second and the third mode of the square panel are equal; their aggregate is smooth, each of them is not."""
+    natural = wpl.modes(symmetric_panel(240.0).scene, 3).frequencies
+    assert natural[1] == pytest.approx(natural[2], rel=1e-9)
+    panel, numbers, step = symmetric_panel(240.0, limits={"gap": [natural[2], 2 * natural[2]]}), np.array([0.5]), 1e-3
+    panel.below = 3
+    below, here, above = (panel.evaluate(numbers + sign * step) for sign in (-1, 0, 1))
+    assert here.excess_slopes[0] == pytest.approx((above.excess[0] - below.excess[0]) / (2 * step), rel=1e-4)
+    one_sided = (here.excess[0] - below.excess[0]) / step, (above.excess[0] - here.excess[0]) / step
+    assert one_sided[0] == pytest.approx(one_sided[1], rel=0.1)
+
+
 @pytest.mark.slow
 def test_limits_are_kept(random):
     free = {"thickness": {**THICKNESS, "mass": None}, "starts": 1, "iterations": 12}
