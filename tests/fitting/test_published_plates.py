@@ -58,6 +58,21 @@ def test_spruce(plate):
 
 
 @pytest.mark.slow
+def test_spruce_by_hits():
+    """Rigidities are those that other fits of this record gave; a gain of the wrong sign is named."""
+    name = PLATES / "spruce-2R-hits.toml"
+    found = fit(Scene.load(name, ["fit.starts=1"]), PLATES / "spruce-2R-hits.csv")
+    table = found.scene.effects.orthotropic
+    assert [table.Dx, table.Dy, table.Dxy] == pytest.approx([107.8, 9.60, 6.60], rel=0.01)
+    assert found.verdict.describes
+    assert found.scene.measurement[0].gain == pytest.approx(-1 / 9.81, rel=0.02)
+    gain = "fit.free.measurement[0].gain=[0.01, 1.0]"
+    wrong = fit(Scene.load(name, ["fit.starts=1", gain]), PLATES / "spruce-2R-hits.csv")
+    assert (wrong.verdict.describes, wrong.verdict.cause) == (False, "sign")
+    assert np.isnan(wrong.low).all()
+
+
+@pytest.mark.slow
 def test_aluminium():
     found, printed = fitted("aluminium")
     assert np.sqrt(np.mean(found.errors**2)) < 0.02

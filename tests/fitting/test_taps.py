@@ -51,10 +51,21 @@ def test_modes_of_a_tap(seed):
     assert found.mean() > 0.8
 
 
+def test_clipped_beginnings_are_left_out():
+    """A record that is clipped at half of its largest sample has the same modes; with its beginning, two are left."""
+    frequencies, damping, _, record, rate = tapped(4)
+    most = 0.5 * np.abs(record).max()
+    found, ratios = tap_modes(record[None].clip(-most, most), rate)
+    nearest = np.abs(found[:, None] / frequencies - 1).argmin(axis=1)
+    assert len(found) == len(tap_modes(record[None], rate)[0])
+    np.testing.assert_allclose(found, frequencies[nearest], rtol=1e-4)
+    np.testing.assert_allclose(ratios, damping[nearest], rtol=0.02)
+
+
 @pytest.mark.slow
 def test_taps_of_panels():
     errors, found = (np.concatenate(parts) for parts in zip(*map(judged, range(20)), strict=True))
-    assert (np.abs(errors) < [1e-3, 0.05]).all(axis=1).mean() > 0.98
+    assert (np.abs(errors) < [1e-3, 0.05]).all()
     assert found.mean() > 0.8
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import scipy
 
+from warp_plate.fitting.hits import is_clipped
 from warp_plate.fitting.measured_modes import MOST_MODES, MeasuredModes, check_file
 from warp_plate.plate.waveforms import MOST_SAMPLES, wav_channels
 from warp_plate.scene.errors import SceneError
@@ -87,10 +88,15 @@ def tap_modes(
 
 
 def free_decay(values: np.ndarray, rate: float) -> np.ndarray:
-    """Return what follows the largest sample of records (channels, samples) by more than a contact, without means."""
+    """Return what follows the largest sample of records (channels, samples) by more than a contact, without means.
+
+    Of channels that are clipped, the last clipped sample counts as the largest.
+    """
+    clipped = [np.abs(row) == np.abs(row).max() for row in values if is_clipped(row)]
     values = values - values.mean(axis=1, keepdims=True)
     power = (values**2).sum(axis=0)
-    start = int(power.argmax()) + math.ceil(CONTACT * rate)
+    start = max([int(power.argmax()), *(int(np.flatnonzero(flat)[-1]) for flat in clipped)])
+    start += math.ceil(CONTACT * rate)
     if not power.max() > 0 or values.shape[1] - start < 4 * rate / LOWEST:
         raise ValueError(f"holds less than {4 / LOWEST:g} s after its largest sample; a tap and its decay are needed")
     return values[:, start:]
