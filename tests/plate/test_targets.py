@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from support import series
 from support.scenes import PAPER, refusal, refused
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.plate.files import digests
@@ -128,9 +127,6 @@ def test_a_solver_takes_shapes_and_weights_as_regions(scene):
 def test_other_shapes_are_refused_where_they_cannot_be(scene):
     with pytest.raises(SceneError, match="covers no node that can move on a grid of 13 x 13"):
         PlateSolver(scene(target={"disc": (0.1, 0.004, 0.002)}), "cpu")
-    made = scene(edges=("supported",) * 4, target={"disc": (0.1, 0.1, 0.05)})
-    with pytest.raises(SceneError, match=r"^target\.disc = \[0\.1, 0\.1, 0\.05\]: .* rectangles only"):
-        series.kinetic_energies(made, np.ones(3), terms=2)
 
 
 NAMED_A = '[[targets]]\nname = "a"\ndisc = [0.1, 0.1, 0.05]'

@@ -129,7 +129,7 @@ def kinetic_energies(scene: Scene, drive: np.ndarray, terms: int = 32) -> np.nda
 
     The average over time is exact to rounding for the modes kept; the plate's energy converges from below.
     """
-    plate, (width, height), (x0, x1, y0, y1) = supported_plate(scene), scene.plate.size, scene.target.reference_area()
+    plate, (width, height), (x0, x1, y0, y1) = supported_plate(scene), scene.plate.size, scene.target.area
     along, across = _sine_products(width, x0, x1, terms), _sine_products(height, y0, y1, terms)
     fastest = math.sqrt(plate.rigidity / plate.surface_density) * wavenumber_squared((terms, terms), plate.size)
     start, end = scene.window.start, scene.window.end

@@ -133,11 +133,9 @@ def aligned(window: Window, longest: float) -> float:
     return window.end / int(steps[np.argmin(misalignment)])
 
 
-def make_configuration(
-    scene: Scene, order: Order, nodes: tuple[int, int], precision: Precision = "float32"
-) -> Configuration:
-    """Return the configuration with the loads that the order needs and the longest time step."""
-    return Configuration(order, LOAD_OF[order], nodes, longest_time_step(scene, order, nodes), precision)
+def make_configuration(scene: Scene, order: Order, nodes: tuple[int, int]) -> Configuration:
+    """Return the configuration in float32 with the loads that the order needs and the longest time step."""
+    return Configuration(order, LOAD_OF[order], nodes, longest_time_step(scene, order, nodes), "float32")
 
 
 def refine(scene: Scene, configuration: Configuration, factor: float) -> Configuration:

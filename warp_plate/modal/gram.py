@@ -234,12 +234,12 @@ class ExponentialMotion:
 
 
 def free_forms(
-    poles: Poles, regions: Sequence[np.ndarray], window: Window, most: int = ROWS
+    poles: Poles, regions: Sequence[np.ndarray], window: Window
 ) -> Iterator[tuple[np.ndarray, list[list[Matrix]]]]:
     """Yield indices (rows,) of poles and, for each region G, the rows of ψᵀGψ and of ψ̄ᵀGψ times the means of the free
-    motions' products, for at most so many rows at a time."""
+    motions' products, for at most ROWS rows at a time."""
     motions, count = [poles.observe(region) for region in regions], poles.values.size
-    for rows in np.split(np.arange(count), range(most, count, most)):
+    for rows in np.split(np.arange(count), range(ROWS, count, ROWS)):
         part = poles.part(rows)
         sides = part.values[:, None], part.values[:, None].conj()
         means = [mean_exponential(side, poles.values, window) for side in sides]

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from warp_plate.outline.outline import Outline, bounds
 from warp_plate.outline.pieces import Piece, ellipse, rounded, straight
-from warp_plate.scene.errors import SceneError, toml_text
+from warp_plate.scene.errors import toml_text
 from warp_plate.scene.fields import (
     NARROWEST,
     Area,
@@ -239,12 +239,6 @@ class Target(PlateRegion):
         if self.mask is not None:
             check_file_name("mask", self.mask, (".csv",))
         return self
-
-    def reference_area(self) -> Area:
-        """Return the rectangle x0, x1, y0, y1 [m], or raise a SceneError if the target has another shape."""
-        if self.area is None:
-            raise SceneError(f"target.{self.description}: the reference solutions take rectangles only")
-        return self.area
 
     def corners(self, of_disc: int) -> np.ndarray | None:
         """Return the corners of :meth:`flattened`; None for a mask."""
