@@ -47,8 +47,10 @@ COMMANDS = {
     ),
     "focusing.png": ("focusing-glass-focus.png", "focus focusing-glass"),
     "frequency-response.png": ("touch-panel-frf.png", "frf touch-panel"),
+    "design-resonators.png": ("design-resonators.designed.png", "design design-resonators.toml"),
     "design-ribs.png": ("design-ribs.designed.png", "design design-ribs.toml"),
     "design-thickness.png": ("design-thickness.designed.png", "design design-thickness.toml"),
+    "design-two-targets.png": ("design-two-targets.designed.png", "design design-two-targets.toml"),
     "sound.png": ("touch-panel-sound.png", "sound touch-panel"),
     "objectives-phases-alone.png": (
         "phases-alone-localize.png",

@@ -86,7 +86,8 @@ def _draw_course(panel: DesignedPanel, axes: Axes) -> None:
         axes.plot(range(1, len(values) + 1), values, label=label, **style)
     axes.axhline(panel.before.value, color="black", linewidth=0.8, linestyle="--", label="scene before")
     axes.set_xlabel("iteration")
-    axes.set_ylabel("localization factor")
+    energy = panel.original.design is not None and panel.original.design.objective == "energy_target"
+    axes.set_ylabel("energy of the target [J]" if energy else "localization factor")
     axes.grid(True, color=GRID, linewidth=0.4, alpha=0.4)
     axes.legend(loc="center right", fontsize=7)
 
