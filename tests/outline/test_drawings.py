@@ -228,6 +228,12 @@ def test_dxf_entities_are_refused_by_their_handles(entities, message):
         read_drawing(dxf(*entities), ".dxf", "mm")
 
 
+def test_many_contours_that_touch_are_a_line_that_can_be_read():
+    with pytest.raises(ValueError, match=r"where it meets .*\[\.\.\.\]") as refused:
+        read_drawing(svg("<path d='M0 0H9V9H0Z'/>" * 500), ".svg")
+    assert len(str(refused.value)) < 400
+
+
 def test_ends_that_nearly_meet_are_joined():
     entities = (line(0, 0, 9, 4e-6), line(9, 9, 9, 0), line(9, 9, 0, 9), line(0, 9, 3e-6, 0))
     (rows,) = read_drawing(dxf(*entities), ".dxf", "mm")

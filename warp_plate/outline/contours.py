@@ -2,6 +2,7 @@
 
 import cmath
 import math
+import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 
@@ -126,7 +127,7 @@ def _partners(pieces: Sequence[Piece], distance: float) -> list[int]:
         if not others:
             raise ValueError(f"{where}, where nothing begins; close the contour")
         if len(others) > 1:
-            met = ", ".join(dict.fromkeys(pieces[other // 2].name for other in others))
+            met = textwrap.shorten(", ".join(dict.fromkeys(pieces[other // 2].name for other in others)), 200)
             raise ValueError(f"{where}, where it meets {met}; contours must not touch, nor pieces be there twice")
     return [others[0] for others in near]
 
