@@ -51,6 +51,12 @@ def test_modes_of_a_tap(seed):
     assert found.mean() > 0.8
 
 
+def test_silent_channels_do_not_matter():
+    *_, record, rate = tapped(1)
+    both = tap_modes(np.array([record, np.zeros(record.size), np.full(record.size, 0.1)]), rate)
+    np.testing.assert_allclose(both, tap_modes(record[None], rate), rtol=2e-3)
+
+
 def test_clipped_beginnings_are_left_out():
     """A record that is clipped at half of its largest sample has the same modes; with its beginning, two are left."""
     frequencies, damping, _, record, rate = tapped(4)

@@ -115,7 +115,9 @@ def is_clipped(row: np.ndarray) -> bool:
     often and those next to it hardly ever.
     """
     steps = np.abs(np.diff(row))
-    least = float(steps[steps > 0].min(initial=math.inf))
+    if not steps.any():
+        return False  # a channel that was not connected
+    least = float(steps[steps > 0].min())
     for sizes in (row, -row):
         extreme = sizes.max()
         if extreme < np.abs(row).max() / 2:
