@@ -235,6 +235,23 @@ def shares_of(shape):
     return np.outer(*ends) / np.outer(*ends).sum()
 
 
+def test_ctrl_c_after_the_search_keeps_the_starts(monkeypatch, tmp_path):
+    scene, file = designed_scene({"thickness": THICKNESS, "starts": 1, "iterations": 1}), tmp_path / "starts.json"
+    exact = FreePanel.exact
+
+    def interrupted(*given):
+        if file.exists():
+            raise KeyboardInterrupt
+        return exact(*given)
+
+    with monkeypatch.context() as late:
+        late.setattr(FreePanel, "exact", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            wpl.design(scene, unfinished=file)
+    monkeypatch.setattr("warp_plate.designing.design._climb", None)
+    assert len(wpl.design(scene, unfinished=file).history) == 1
+
+
 def test_a_full_disk_does_not_end_a_design(monkeypatch, tmp_path, caplog):
     full = Mock(side_effect=wpl.SceneError("starts.json: cannot be written: No space left on device"))
     monkeypatch.setattr("warp_plate.designing.design.write_atomically", full)

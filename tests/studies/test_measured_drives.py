@@ -1,6 +1,7 @@
 """Drives from noisy scans of random panels, compared with what the panels' modes say of them and of all drives."""
 
 import json
+from unittest.mock import Mock
 
 import h5py
 import numpy as np
@@ -219,6 +220,18 @@ def test_other_commands_answer_from_measured_responses(name, table, tmp_path, ra
     if name == "localize":
         message = "--seed: is of computed plates; bench.toml has responses that were measured"
         assert message in error_of(command(name, "bench.toml", "--seed", "3"))
+
+
+@pytest.mark.parametrize(("target", "files"), [("read_matrix", 0), ("Figure.savefig", 1)])
+def test_ctrl_c_leaves_all_files_or_none(target, files, tmp_path, random, command, monkeypatch):
+    bench(tmp_path, random)
+    monkeypatch.chdir(tmp_path)
+    where = {"read_matrix": "warp_plate.studies.measured_drives", "Figure.savefig": "matplotlib.figure"}[target]
+    monkeypatch.setattr(f"{where}.{target}", Mock(side_effect=KeyboardInterrupt))
+    status, out, err = command("measured", "bench.toml")
+    assert (status, err) == ((0, "") if files else (130, "warp-plate: interrupted\n"))
+    assert out.endswith("no pictures: interrupted by Ctrl-C\n") == bool(files)
+    assert [path.name for path in tmp_path.glob("*-measured*")] == ["bench-measured.json"] * files
 
 
 def test_impulse_responses_have_the_drives_of_their_spectra(tmp_path, random):
