@@ -3,6 +3,8 @@ operator.
 
 ``pytest --seed N`` draws other random inputs than the default seed 0, here and in Hypothesis."""
 
+import atexit
+import gc
 import os
 import shutil
 import subprocess
@@ -64,6 +66,12 @@ def pytest_configure(config):
 def pytest_collection_modifyitems(config, items):
     for item in items if is_hour(config) else ():
         item.add_marker(pytest.mark.timeout(7200))
+
+
+def pytest_collection_finish():
+    """Leave modules and tests out of the search for garbage, also at the end."""
+    gc.freeze()
+    atexit.register(gc.freeze)
 
 
 def pytest_generate_tests(metafunc):
