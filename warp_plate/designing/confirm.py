@@ -7,14 +7,16 @@ import numpy as np
 from warp_plate.accuracy.reference_solution import refine_until
 from warp_plate.accuracy.richardson import extrapolate_drives
 from warp_plate.designing.panel import gridded
+from warp_plate.effects.effect import attachments
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.plate.designs import scene_phasors
 from warp_plate.result.designed import StepCheck
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
-# Relative error at which grids are fine enough, and the nominal time of all of them [s].
-WANTED, SECONDS = 2e-3, 10.0
+# Relative error at which grids are fine enough, the nominal time of all of them [s], and the number of attachments that
+# take as long as the rest of a step.
+WANTED, SECONDS, ATTACHED = 2e-3, 10.0, 10
 
 
 def check_by_steps(scene: Scene, objective: str, device: str = "cpu") -> StepCheck:
@@ -29,7 +31,8 @@ def check_by_steps(scene: Scene, objective: str, device: str = "cpu") -> StepChe
     try:
         if scene.steady:
             raise SceneError("time steps end at window.end, and this motion is steady")
-        found = refine_until(extrapolate_drives(scene, drives, device), lambda _: WANTED, SECONDS)
+        seconds = SECONDS / (1 + len(attachments(scene.terms)) / ATTACHED)
+        found = refine_until(extrapolate_drives(scene, drives, device), lambda _: WANTED, seconds)
     except SceneError as error:
         return StepCheck(by_modes, reason=str(error))
     steps = float(found.values[0])
