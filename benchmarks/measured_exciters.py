@@ -43,7 +43,7 @@ BANDS = ((20.0, 200.0), (200.0, 1000.0), (1000.0, 5000.0), (200.0, 5000.0))
 RADIUS, AROUND = 0.0125, 0.06
 PEAKS = (41.0, 87.2, 176.1, 233.6)
 # Middles of third octaves [Hz] in which levels are compared, frequencies in each, and distance of the microphone [m].
-OCTAVES, IN_OCTAVE, DISTANCE = 1000 * 2 ** (np.arange(-6, 8) / 3), 24, 1.0
+OCTAVES, IN_OCTAVE, DISTANCE = 1000 * 2 ** (np.arange(-6, 8) / 3), 12, 1.0
 # Supported panels: file, sides [m], mass of the magnet [kg], and bands [Hz] and third octaves of their samples.
 SUPPORTED, SIDES, MAGNET = Path(__file__).with_name("supported_panels.toml"), (0.407, 0.585), 0.074
 SAMPLED, SAMPLED_OCTAVES = ((20.0, 75.0), (75.0, 230.0)), slice(1, 10)
@@ -113,7 +113,7 @@ def compare(plate: ModalPlate, frequency: np.ndarray, magnitude: np.ndarray, ban
     low, high = frequency[0], frequency[-1]
     frequencies = adaptive_frequencies(*plate.coils.resonances(opened=True), low, high)
     if plate.air is not None:  # whose resonances are lower than those that the grid resolves
-        frequencies = np.union1d(np.arange(low, min(high, 400.0), 0.4), np.geomspace(low, high, 800))
+        frequencies = np.union1d(np.arange(low, 120.0, 0.4), np.geomspace(low, high, 600))
     impedance = plate.coils.impedance(2 * np.pi * frequencies)[0][:, 0, 0]
     computed = np.interp(frequency, frequencies, impedance)
     inside = (frequency >= bands[-1][0]) & (frequency <= bands[-1][1])

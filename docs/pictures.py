@@ -52,6 +52,11 @@ COMMANDS = {
     "design-thickness.png": ("design-thickness.designed.png", "design design-thickness.toml"),
     "design-two-targets.png": ("design-two-targets.designed.png", "design design-two-targets.toml"),
     "sound.png": ("touch-panel-sound.png", "sound touch-panel"),
+    "sound-localization.png": (
+        "console-sweep.png",
+        "sweep console --what localize --set search.limits.least_velocity=2e-3 --set search.magnitude.range=[0,7812.5] "
+        "--set search.phase={} --vary search.limits.sound=22:50:29",
+    ),
     "objectives-phases-alone.png": (
         "phases-alone-localize.png",
         "localize phases-alone.toml",
@@ -179,6 +184,14 @@ def hard_cases(name: str) -> Path:
     return Path(name)
 
 
+def measured_panels(name: str) -> Path:
+    """Draw the curves that ``benchmarks/measured_exciters.py`` has compared."""
+    program = str(DOCS.parent / "benchmarks" / "measured_exciters.py")
+    curves = str(MEASURED / "measured-panels.json")
+    subprocess.run([sys.executable, program, curves, "--picture", name], check=True)
+    return Path(name)
+
+
 def targets(name: str) -> Path:
     """Draw one motion with targets of three shapes."""
     from dataclasses import replace
@@ -296,6 +309,7 @@ class chromium:
 
 
 OTHERS = {"explore-page.png": explorer, "hard-cases.png": hard_cases, "outlines-bracket.png": bracket}
+OTHERS |= {"measured-panels.png": measured_panels}
 OTHERS |= {"targets.png": targets, "view-page.png": page, "view-window.png": window}
 
 if __name__ == "__main__":
