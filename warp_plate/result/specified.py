@@ -152,7 +152,7 @@ class SpecifiedDrive:
             return None
         if specification.guard == 0:
             return "Levels elsewhere hold right beside the targets: specification.guard is 0."
-        return f"Levels elsewhere hold farther than {1e3 * specification.guard:g} mm from the targets (the guard)."
+        return f"Levels elsewhere hold {1e3 * specification.guard:g} mm from the targets (the guard) and farther."
 
     @property
     def robust(self) -> bool:
