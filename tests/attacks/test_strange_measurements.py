@@ -1,6 +1,7 @@
 """Measurements from strangers: bombs, complex frequencies, loud signals and headings of any length end in a line."""
 
 import io
+import os
 from pathlib import Path
 
 import h5py
@@ -70,6 +71,15 @@ def test_files_that_are_too_large(ending, tmp_path):
     refusal = "134217729 bytes; at most 134217728 are read"
     assert refusal in refusal_of_responses(tmp_path / f"a.{ending}")
     assert refusal in refused(read_beside, "drive.signal.file", f"a.{ending}", tmp_path)
+
+
+def test_files_that_may_not_be_read(tmp_path, monkeypatch):
+    """Root may read them, so that a mode does not serve."""
+    for name in ("a.h5", "a.csv"):
+        (tmp_path / name).write_bytes(b"a")
+        with monkeypatch.context() as unreadable:
+            unreadable.setattr(os, "access", lambda path, mode: mode != os.R_OK)
+            assert f"{name}: cannot be read: Permission denied" in refusal_of_responses(tmp_path / name)
 
 
 def test_scans_that_are_too_large(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import textwrap
 from dataclasses import dataclass
 from pathlib import Path
@@ -130,11 +131,13 @@ def _universal(path: Path, fit: Fit | None) -> MeasuredModes:
 
 
 def check_file(path: Path, most: int = TABLE_BYTES) -> None:
-    """Raise a SceneError unless a file is there that is small enough."""
+    """Raise a SceneError unless a file is there that may be read and is small enough."""
     if path.exists() and not path.is_file():
         raise SceneError(f"{path}: is a folder, a pipe or a device; data are read from files")
     if not path.is_file():
         raise SceneError(f"{path}: no such file")
+    if not os.access(path, os.R_OK):
+        raise SceneError(f"{path}: cannot be read: Permission denied")
     if path.stat().st_size > most:
         raise SceneError(f"{path}: {path.stat().st_size} bytes; at most {most} are read")
 

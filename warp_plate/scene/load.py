@@ -52,7 +52,9 @@ def read_scene_text(source: str | Path) -> tuple[str, Path | None]:
         if path.stat().st_size > SCENE_BYTES:
             raise SceneError(f"{name}: {path.stat().st_size} bytes; a scene file has at most {SCENE_BYTES}")
         return path.read_text(encoding="utf-8-sig"), path.parent
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
+        raise SceneError(f"{name}: cannot be read: {error.strerror or error}") from None
+    except UnicodeDecodeError as error:
         raise SceneError(f"{name}: cannot be read as UTF-8 text: {error}") from None
 
 
