@@ -11,7 +11,7 @@ import pytest
 
 from support.scenes import MATERIAL
 from support.scenes_of_outlines import dimensionless, outlined
-from warp_plate.modal.modes import errors_of_frequencies, solve_modes
+from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.spaces import singular
 from warp_plate.outline.pieces import ellipse
 
@@ -170,19 +170,4 @@ def test_slivers_take_little_memory():
     ],
 )
 def test_slanted_slits(hole, slanted):
-    assert outlined({"rectangle": (0.2, 0.2)}, "clamped", [hole]).outline.slanted_slits is slanted
-
-
-@pytest.mark.slow
-def test_errors_of_plates_with_slanted_slits_hold():
-    """The second frequency of a clamped square with a slit along x is 60.8; a turned one changes it by less than 4 %,
-    but splines that reach across it hold its sides together."""
-    slit = {"rectangle": (0.08, 0.008), "centre": (0.1, 0.1), "edge": "free"}
-    frequencies = []
-    for angle in (0.0, 0.2):
-        scene = outlined({"rectangle": (0.2, 0.2)}, "clamped", [{**slit, "angle": angle}], material=HARD,
-                         actuators=[(0, 0.02, 0, 0.02)])  # fmt: skip
-        frequencies.append(lowest(scene, 4))
-    errors = errors_of_frequencies(scene, frequencies[1])
-    assert (np.abs(frequencies[1] / frequencies[0] - 1) < errors + 0.04).all()
-    assert errors.min() > 0.2
+    assert bool(outlined({"rectangle": (0.2, 0.2)}, "clamped", [hole]).outline.slanted_slits) is slanted

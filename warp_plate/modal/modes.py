@@ -22,6 +22,7 @@ from warp_plate.modal.assemble import Galerkin, load_integrals, make_galerkin, m
 from warp_plate.modal.coils import Coils
 from warp_plate.modal.eigenproblem import SPARSE, bending_energies, solve_eigenproblem
 from warp_plate.modal.poles import NEGLIGIBLE, CoupledModes, Poles, make_poles
+from warp_plate.modal.spaces.added import ties_banks
 from warp_plate.modal.spaces.integrals import mean_wave_frequency
 from warp_plate.modal.spaces.knots import DEGREE, intervals_for
 from warp_plate.modal.spaces.space import FunctionSpace
@@ -50,7 +51,7 @@ PROPORTIONAL, RELATIVE_ZERO = 1e-6, 1e-13
 # falls as the first power of the spacing, so that it is 3.5 times the change. With an outline errors fall unevenly: of
 # 51 random plates, the largest was up to 6.6 times the largest change.
 FINER, FACTOR, OUTLINE_FACTOR, LEAST = 1.4, 4.0, 8.0, 1e-6
-# Least error with a narrow slanted hole, which splines reach across: more functions do not show what that changes.
+# Least error with a narrow slanted hole both sides of which splines tie: more functions do not show what that changes.
 SLIT = 0.3
 # Further modes that are solved for, so that no group of equal frequencies is cut.
 UNCUT = 4
@@ -347,7 +348,7 @@ def errors_of_frequencies(scene: Scene, frequencies: np.ndarray) -> np.ndarray:
     changes = np.abs(np.divide(reference, frequencies, out=np.ones_like(frequencies), where=moving) - 1)
     uneven = scene.outline is not None and changes.size > 0
     largest = OUTLINE_FACTOR * changes.max() if uneven else FACTOR * np.maximum.accumulate(changes)
-    if scene.outline is not None and scene.outline.slanted_slits:
+    if ties_banks(scene):
         largest = np.maximum(largest, SLIT)
     return np.where(frequencies > 0, largest + LEAST, 0.0)
 

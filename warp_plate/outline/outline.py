@@ -98,15 +98,16 @@ class Outline:
         return float(shared[0, 0] / shared_areas([corners], [corners])[0, 0])
 
     @property
-    def slanted_slits(self) -> bool:
-        """True if a hole is long and narrow, and neither along x nor along y."""
+    def slanted_slits(self) -> list[tuple[Piece, ...]]:
+        """Holes that are long and narrow, and neither along x nor along y."""
+        slits = []
         for hole in self.loops[1:]:
             area, around = -sum(piece.area for piece in hole), sum(piece.length for piece in hole)
             x0, x1, y0, y1 = bounds(hole)
             narrow = 4 * np.pi * area < NARROW * around**2
             if narrow and min(x1 - x0, y1 - y0) > SLANTED * 2 * area / around:
-                return True
-        return False
+                slits.append(hole)
+        return slits
 
     def corners(self) -> Iterator[tuple[Piece, Piece, float]]:
         """Yield the pieces before and after each corner or change of condition, and the angle of the plate between
@@ -185,6 +186,19 @@ def bounds(loop: Sequence[Piece]) -> tuple[float, float, float, float]:
         values = [piece.points(np.array([0.0, 1.0, *piece.extremes(axis)]))[:, axis] for piece in loop]
         limits += [float(np.concatenate(values).min()), float(np.concatenate(values).max())]
     return limits[0], limits[1], limits[2], limits[3]
+
+
+def inner_line(loop: Sequence[Piece]) -> tuple[np.ndarray, float]:
+    """Return the ends (2, 2) [m] of the middle line of the smallest turned rectangle around a convex loop, as far as it
+    is inside the loop, and the rectangle's width [m]."""
+    import shapely
+
+    polygon = shapely.Polygon(np.concatenate([piece.polyline() for piece in loop]))
+    box = np.array(polygon.minimum_rotated_rectangle.exterior.coords)[:4]
+    if np.linalg.norm(box[1] - box[0]) < np.linalg.norm(box[2] - box[1]):
+        box = np.roll(box, 1, axis=0)
+    line = shapely.LineString([(box[0] + box[3]) / 2, (box[1] + box[2]) / 2])
+    return np.array(polygon.intersection(line).coords), float(np.linalg.norm(box[2] - box[1]))
 
 
 def _check_crossings(loops: Mapping[str, Sequence[Piece]]) -> None:

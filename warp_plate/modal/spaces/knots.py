@@ -13,7 +13,8 @@ from itertools import pairwise
 import numpy as np
 
 from warp_plate.effects.edges import Edges, ElasticEdge
-from warp_plate.modal.spaces.singular import ON_EDGE, STRAIGHT, adds_functions, is_round, is_singular, on_edge
+from warp_plate.modal.spaces.added import adds_functions, slots_of
+from warp_plate.modal.spaces.singular import ON_EDGE, STRAIGHT, is_round, is_singular, on_edge
 from warp_plate.modal.spaces.splines import Splines, make_splines
 from warp_plate.outline.outline import Outline, bounds
 from warp_plate.outline.pieces import Arc
@@ -100,7 +101,10 @@ def _graded(scene: Scene, axis: int, interval: float) -> np.ndarray:
     outline, side, added = scene.outline, scene.plate.size[axis], adds_functions(scene)
     assert outline is not None
     spans = []
+    slots = slots_of(outline) if added else ()
     for hole in outline.loops[1:]:
+        if hole in slots:
+            continue
         low, high = bounds(hole)[2 * axis : 2 * axis + 2]
         if added and is_round(hole):
             centre, radius = hole[0].centre, hole[0].least_radius
@@ -115,7 +119,9 @@ def _graded(scene: Scene, axis: int, interval: float) -> np.ndarray:
             if not arc.closed and high - low < interval:
                 spans.append((low, high, ARC_INTERVAL * (high - low), CORNER_GROWTH))
     plain = CORNER_INTERVAL * interval**2 / side
-    corners = [after.start for before, after, angle in outline.corners() if is_singular(before, after, angle)]
+    of_slots = {piece for slot in slots for piece in slot}
+    corners = [after.start for before, after, angle in outline.corners()
+               if is_singular(before, after, angle) and after not in of_slots]  # fmt: skip
     places = [(place, APART * _apart(scene, place) if added else plain) for place in corners]
     for support in scene.supports:
         for end in (np.array(end) for end in support.ends if not _on_edge(support, end, outline)):

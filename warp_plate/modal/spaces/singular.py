@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TypeGuard
 
 import numpy as np
@@ -20,8 +19,6 @@ from numpy.polynomial import legendre
 
 from warp_plate.outline.outline import Outline
 from warp_plate.outline.pieces import Arc, Piece
-from warp_plate.scene.model import Scene
-from warp_plate.scene.outline import Support
 
 # Exponents between these are taken at corners: smaller ones are those of rigid motions, and splines follow larger ones.
 LEAST_EXPONENT, LARGEST_EXPONENT = 1.01, 3.6
@@ -39,11 +36,6 @@ ON_EDGE = 1e-9
 SAME = 1e-9
 # Orders of Laurent's series: at least so many, so many more for a radius of an interval, and at most so many.
 FEWEST_ORDERS, FURTHER_ORDERS, MOST_ORDERS = 3, 3, 8
-# Functions along a line besides one for each interval, and waves for each interval of a ring.
-LINE_FUNCTIONS, RING_WAVES = 4, 0.35
-# About so many functions a corner and a hole take; if more are needed than the last, knots nearer to each other cost
-# less.
-CORNER_FUNCTIONS, HOLE_FUNCTIONS, MOST_FUNCTIONS = 6, 24, 250
 # Distances from a place at which Gauss's rule is cut, as parts of an interval; their ratio for holes.
 NEAR, HOLE_RATIO = (0.3, 0.09, 0.0225, 0.005, 0.001, 1e-4), 1.7
 # Points whose values are computed at once.
@@ -235,7 +227,7 @@ def along_line(ends: np.ndarray, inner: Sequence[bool], count: int, outline: Out
     length = abs(end - start)
     direction = (end - start) / length
     low, high = (
-        point if inside else point + sign * direction / 2 * min(length, _clear(outline, point, sign * direction))
+        point if inside else point + sign * direction / 2 * min(length, clear(outline, point, sign * direction))
         for point, inside, sign in ((start, inner[0], -1), (end, inner[1], 1))
     )
     middle, half, n = (low + high) / 2, abs(high - low) / 2, np.arange(1, count + 1)[:, None]
@@ -312,51 +304,6 @@ def sample(
     return np.concatenate([function.values(x, y, orders) for function in functions], axis=1)
 
 
-def added_functions(scene: Scene, interval: float) -> tuple[Singular, ...]:
-    """Return the functions that a plate's splines of an interval [m] need besides, the same object for the same."""
-    assert scene.outline is not None
-    if not adds_functions(scene):
-        return ()
-    return _added(scene.outline, tuple(scene.supports), scene.plate.poisson_ratio, interval)
-
-
-def adds_functions(scene: Scene) -> bool:
-    """Return whether functions are added: to isotropic plates with few corners and holes."""
-    return scene.effects.rigidities is None and _is_simple(scene.outline)
-
-
-@lru_cache
-def _is_simple(outline: Outline) -> bool:
-    corners = sum(is_singular(*corner) for corner in outline.corners())
-    return CORNER_FUNCTIONS * corners + HOLE_FUNCTIONS * sum(map(is_round, outline.loops[1:])) < MOST_FUNCTIONS
-
-
-@lru_cache
-def _added(outline: Outline, supports: tuple[Support, ...], ratio: float, interval: float) -> tuple[Singular, ...]:
-    functions: list[Singular | None] = []
-    for before, after, angle in outline.corners():
-        if is_singular(before, after, angle):
-            first = math.atan2(*after.tangents(0.0)[::-1])
-            reach = _clear(outline, complex(*after.start), -np.exp(1j * (first + angle / 2)))
-            kinds = _kind(after), _kind(before)
-            functions.append(at_corner(after.start, first, angle, kinds, ratio, interval, reach))
-    for support in supports:
-        if support.ring is not None:
-            ring = support.piece("")
-            assert isinstance(ring, Arc)
-            functions.append(along_ring(ring, math.ceil(RING_WAVES * ring.length / interval) + 1))
-        elif support.line is not None:
-            ends = np.array(support.line)
-            count = math.ceil(math.dist(*ends) / interval) + LINE_FUNCTIONS
-            functions.append(along_line(ends, [not on_edge(outline, end) for end in ends], count, outline, interval))
-        elif not on_edge(outline, point := np.array(support.point)):
-            functions.append(at_point(point, interval))
-    for loop in outline.loops[1:]:
-        if is_round(loop):
-            functions.append(around_hole(loop[0], interval))
-    return tuple(function for function in functions if function is not None)
-
-
 def is_singular(before: Piece, after: Piece, angle: float) -> bool:
     """Return whether moments are singular where two pieces meet at an angle [rad] of the plate."""
     return angle > math.pi + STRAIGHT or before.condition != after.condition
@@ -380,11 +327,7 @@ def laurent_orders(radius: float, interval: float) -> int:
     return min(MOST_ORDERS, FEWEST_ORDERS + math.ceil(FURTHER_ORDERS * radius / interval))
 
 
-def _kind(piece: Piece) -> str:
-    return piece.condition if isinstance(piece.condition, str) else "free"
-
-
-def _clear(outline: Outline, place: complex, direction: complex) -> float:
+def clear(outline: Outline, place: complex, direction: complex) -> float:
     """Return the distance [m] from a place in a direction, of size 1, at which a ray meets the outline again."""
     nearest = math.inf
     for polygon in outline.polygons():

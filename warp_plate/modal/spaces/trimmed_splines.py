@@ -17,6 +17,7 @@ import scipy
 from numpy.polynomial import legendre
 
 from warp_plate.effects.effect import DISPLACEMENT, SLOPE, Factors
+from warp_plate.modal.spaces.added import added_functions
 from warp_plate.modal.spaces.chords import Chords, Curve, LocalSplines, curves_of, make_chords
 from warp_plate.modal.spaces.edge_moments import FURTHER, edge_rule, further_polynomials, moments, null_space
 from warp_plate.modal.spaces.integrals import (
@@ -29,7 +30,7 @@ from warp_plate.modal.spaces.integrals import (
     mean_wave_frequency,
 )
 from warp_plate.modal.spaces.knots import outline_splines
-from warp_plate.modal.spaces.singular import added_functions, is_round, laurent_orders, sample
+from warp_plate.modal.spaces.singular import is_round, laurent_orders, sample
 from warp_plate.modal.spaces.space import Matrix
 from warp_plate.modal.spaces.splines import gauss, overlapping_pairs
 from warp_plate.modal.spaces.tensor_splines import ORDERS

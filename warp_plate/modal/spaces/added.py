@@ -1,0 +1,106 @@
+"""The functions that a plate's splines need besides, by its corners, holes and supports."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+
+from warp_plate.modal.spaces.singular import (
+    Singular,
+    along_line,
+    along_ring,
+    around_hole,
+    at_corner,
+    at_point,
+    clear,
+    is_round,
+    is_singular,
+    on_edge,
+)
+from warp_plate.modal.spaces.slots import around_slot, functions_of, middle_line
+from warp_plate.outline.outline import Outline
+from warp_plate.outline.pieces import Arc, Piece
+from warp_plate.scene.model import Scene
+from warp_plate.scene.outline import Support
+
+# Functions along a line besides one for each interval, and waves for each interval of a ring.
+LINE_FUNCTIONS, RING_WAVES = 4, 0.35
+# About so many functions a corner and a round hole take; if more are needed than the third, knots nearer to each other
+# cost less. At most as many as the last with those about slots.
+CORNER_FUNCTIONS, HOLE_FUNCTIONS, MOST_FUNCTIONS, MOST_WITH_SLOTS = 6, 24, 250, 300
+
+
+def added_functions(scene: Scene, interval: float) -> tuple[Singular, ...]:
+    """Return the functions that a plate's splines of an interval [m] need besides, the same object for the same."""
+    assert scene.outline is not None
+    if not adds_functions(scene):
+        return ()
+    return _added(scene.outline, tuple(scene.supports), scene.plate.poisson_ratio, interval)
+
+
+def adds_functions(scene: Scene) -> bool:
+    """Return whether functions are added: to isotropic plates with few corners and holes."""
+    return scene.effects.rigidities is None and _is_simple(scene.outline)
+
+
+@lru_cache
+def _is_simple(outline: Outline) -> bool:
+    return _functions(outline, slots_of(outline)) < MOST_FUNCTIONS
+
+
+@lru_cache
+def slots_of(outline: Outline) -> tuple[tuple[Piece, ...], ...]:
+    """Return the holes with middle lines, about which functions are added; none if these would be too many."""
+    slots = tuple(hole for hole in outline.loops[1:] if middle_line(hole) is not None)
+    return slots if _functions(outline, slots) + sum(map(functions_of, slots)) < MOST_WITH_SLOTS else ()
+
+
+def _functions(outline: Outline, slots: tuple[tuple[Piece, ...], ...]) -> int:
+    """Return about the number of functions that are added at corners and round holes but for some holes."""
+    rest = Outline(tuple(loop for loop in outline.loops if loop not in slots))
+    corners, holes = sum(is_singular(*corner) for corner in rest.corners()), sum(map(is_round, rest.loops[1:]))
+    return CORNER_FUNCTIONS * corners + HOLE_FUNCTIONS * holes
+
+
+@lru_cache
+def _added(outline: Outline, supports: tuple[Support, ...], ratio: float, interval: float) -> tuple[Singular, ...]:
+    functions: list[Singular | None] = []
+    slots = slots_of(outline)
+    for before, after, angle in Outline(tuple(loop for loop in outline.loops if loop not in slots)).corners():
+        if is_singular(before, after, angle):
+            first = math.atan2(*after.tangents(0.0)[::-1])
+            reach = clear(outline, complex(*after.start), -np.exp(1j * (first + angle / 2)))
+            kinds = _kind(after), _kind(before)
+            functions.append(at_corner(after.start, first, angle, kinds, ratio, interval, reach))
+    for support in supports:
+        if support.ring is not None:
+            ring = support.piece("")
+            assert isinstance(ring, Arc)
+            functions.append(along_ring(ring, math.ceil(RING_WAVES * ring.length / interval) + 1))
+        elif support.line is not None:
+            ends = np.array(support.line)
+            count = math.ceil(math.dist(*ends) / interval) + LINE_FUNCTIONS
+            functions.append(along_line(ends, [not on_edge(outline, end) for end in ends], count, outline, interval))
+        elif not on_edge(outline, point := np.array(support.point)):
+            functions.append(at_point(point, interval))
+    for loop in outline.loops[1:]:
+        if is_round(loop):
+            functions.append(around_hole(loop[0], interval))
+        elif loop in slots:
+            functions += around_slot(outline, loop, interval)
+    return tuple(function for function in functions if function is not None)
+
+
+def ties_banks(scene: Scene) -> bool:
+    """Return whether splines tie both sides of a narrow slanted hole to each other."""
+    outline = scene.outline
+    if outline is None:
+        return False
+    slots = slots_of(outline) if adds_functions(scene) else ()
+    return any(hole not in slots for hole in outline.slanted_slits)
+
+
+def _kind(piece: Piece) -> str:
+    return piece.condition if isinstance(piece.condition, str) else "free"
