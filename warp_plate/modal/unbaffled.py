@@ -62,7 +62,7 @@ class Unbaffled:
     SceneError: the plate is no rectangle, or has too many half-waves at the highest frequency [Hz].
     """
 
-    def __init__(self, plate: OpenPlate, highest: float, air: Air = AIR) -> None:
+    def __init__(self, plate: OpenPlate, highest: float, air: Air = AIR, key: str = "frequency_range") -> None:
         refuse_outline(plate.scene)
         self.plate, self.air, self._highest = plate, air, float(air.wavenumber(highest))
         self.sides = plate.scene.plate.size
@@ -70,7 +70,7 @@ class Unbaffled:
         self._counts = [2 * math.ceil((wave + MORE_FUNCTIONS) / 2) for wave in waves]
         if max(self._counts) > MOST_FUNCTIONS:
             most = f"without a baffle at most {MOST_FUNCTIONS - MORE_FUNCTIONS} are possible; end the range lower"
-            raise SceneError(f"frequency_range: {highest:g} Hz has {max(waves):.0f} half-waves along a side; {most}")
+            raise SceneError(f"{key}: {highest:g} Hz has {max(waves):.0f} half-waves along a side; {most}")
 
     def jumps(self, frequency: float, amplitudes: np.ndarray) -> np.ndarray:
         """Return (functions along y, along x, loads) coefficients of Δp [Pa] of modal amplitudes (modes, loads)."""
@@ -214,7 +214,7 @@ class AirWithoutBaffle:
         """SceneError: as of :class:`Unbaffled`."""
         dry = plate.frequencies
         self._plate, self._highest = plate, max(plate.highest, float(dry[dry > 0].min(initial=1.0)))
-        self._radiation = Unbaffled(plate, self._highest, Air(table.density, table.sound_speed))
+        self._radiation = Unbaffled(plate, self._highest, Air(table.density, table.sound_speed), "effects.air.baffle")
         parts = self._radiation.projection
         # (functions, modes) of one parity after the other
         self._projection = np.concatenate([parts[y::2, x::2].reshape(-1, dry.size) for y, x in _PARITIES])
