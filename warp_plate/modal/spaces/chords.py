@@ -19,7 +19,7 @@ import scipy
 from numpy.polynomial import legendre
 
 from warp_plate.modal.spaces.splines import Splines, overlapping_pairs
-from warp_plate.outline.outline import Outline, bounds
+from warp_plate.outline.outline import Outline
 from warp_plate.outline.pieces import Arc, Monotone, Piece
 from warp_plate.scene.fields import Area
 from warp_plate.scene.target import PlateRegion
@@ -267,8 +267,7 @@ def _cells(
 ) -> dict[tuple[float, float], list[tuple[float, float]]]:
     """Return rising ordinates y0, y1 and the parts x0, x1 [m] of the plate between them within which chords' ends are
     smooth: cells are the smaller the nearer they are to the middles of squares, at whose sides they are cut."""
-    x0, x1 = bounds(pieces)[:2]
-    cells = np.array([[x0, x1, low, high] for low, high in pairwise(ordinates.tolist())])
+    cells = np.array([[-math.inf, math.inf, low, high] for low, high in pairwise(ordinates.tolist())])
     for x, y, size in sorted(near, key=lambda square: -square[2]):
         square = np.array([x - size, x + size, y - size, y + size])
         met = (cells[:, ::2] < square[1::2]).all(axis=1) & (cells[:, 1::2] > square[::2]).all(axis=1)
