@@ -28,7 +28,7 @@ FEW = {"particles": "8", "iterations": "6"}
 def scenes(checkout, folder):
     """Copy presets and examples into a folder, their searches cut short; return their paths."""
     presets = sorted((checkout / "warp_plate" / "scene" / "presets").glob("*.toml"))
-    examples = sorted((checkout / "docs" / "examples").iterdir())
+    examples = sorted(path for path in (checkout / "docs" / "examples").iterdir() if path.is_file())
     for path in [*presets, *examples]:
         text = path.read_text(encoding="utf-8")
         for key, value in FEW.items():
