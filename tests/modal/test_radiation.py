@@ -111,6 +111,28 @@ def test_power_is_that_of_the_pressure_far_away(random):
     np.testing.assert_allclose(np.abs(pressure), expected, rtol=2e-3, atol=2e-3 * expected.max())
 
 
+def test_pressure_by_a_force_is_the_velocity_by_a_source():
+    """The pressure at a point by a force on the plate is the velocity there by a volume velocity at the point.
+
+    The source presses on the baffled plate with twice its free pressure, integrated here by Gauss's rule.
+    """
+    plate = solve_modes(scene_of(edges=("clamped", "free", "supported", "clamped")), highest=0.0, count=12)
+    frequency, pushed, heard = 700.0, (0.07, 0.11), np.array([0.15, 0.02, 0.4])
+    omega = 2 * math.pi * frequency
+    compliance = 1 / ((2 * math.pi * plate.frequencies) ** 2 * (1 + 0.05j) - omega**2)
+    moved = plate.at_points([pushed])[:, 0] * compliance
+    pressure = pressures(plate, np.array([frequency]), moved[None, :, None], heard[None])[0, 0, 0]
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    x, y = ((nodes + 1) / 2 * side for side in plate.scene.plate.size)
+    places = np.column_stack([part.ravel() for part in np.meshgrid(x, y, indexing="ij")])
+    areas = np.outer(weights, weights).ravel() / 4 * math.prod(plate.scene.plate.size)
+    distances = np.linalg.norm(np.column_stack([places, np.zeros(len(places))]) - heard, axis=1)
+    source = 1j * omega * AIR.density * np.exp(-1j * AIR.wavenumber(frequency) * distances) / (2 * math.pi * distances)
+    velocity = 1j * omega * (moved @ (plate.at_points(places) @ (-areas * source)))
+    assert abs(pressure) > 0
+    np.testing.assert_allclose(velocity, -pressure, rtol=1e-6)
+
+
 def test_points_beside_or_too_near_the_plate_are_refused():
     plate = solve_modes(scene_of(), highest=0.0, count=3)
     still = np.zeros((1, len(plate.frequencies), 1))
