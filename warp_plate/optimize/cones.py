@@ -21,16 +21,16 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import clarabel
 import numpy as np
 import scipy
 
 from warp_plate.optimize.relaxation import LARGEST, ROUNDING, best_multipliers, make_forms
-from warp_plate.optimize.second_order import Cones, solve_cones
 
 TOLERANCE = 1e-10
-LARGE = 80  # unknowns above which methods for full matrices take less time
+LARGE = 80  # unknowns above which Clarabel's method of dense blocks takes less time
 RANK = 1e-9  # least singular value, over the largest, of rows that absorb the rounding of a proof
 INFEASIBLE = (clarabel.SolverStatus.PrimalInfeasible, clarabel.SolverStatus.AlmostPrimalInfeasible)
 # Steps of the drive's phases in a problem that is not convex, and the relative gain below which they end.
@@ -61,7 +61,7 @@ def least_scale(wanted: np.ndarray, blocks: Sequence[Block], actuators_scaled: b
     """Return the least scale for the wanted rows g (wanted, inputs), and blocks."""
     inputs = wanted.shape[1]
     unit, scale_unit, wanted, every = _normalised(wanted, blocks, actuators_scaled)
-    matrix, limits, cones = [-_real_parts(wanted)], [-np.ones(len(wanted))], [(len(wanted), 1)]
+    matrix, limits, cones = [-_real_parts(wanted)], [-np.ones(len(wanted))], [clarabel.NonnegativeConeT(len(wanted))]
     for block in every:
         count, rows, _ = block.rows.shape
         real = np.stack([_real_parts(block.rows), _real_parts(-1j * block.rows)], axis=2)
@@ -72,15 +72,17 @@ def least_scale(wanted: np.ndarray, blocks: Sequence[Block], actuators_scaled: b
         limit[:, 0] = 0.0 if block.scaled else 1.0
         matrix.append(part.reshape(-1, 2 * inputs + 1))
         limits.append(limit.ravel())
-        cones.append((count, 1 + 2 * rows))
+        cones += [clarabel.SecondOrderConeT(1 + 2 * rows)] * count
     cost = np.zeros(2 * inputs + 1)
     cost[-1] = 1.0
-    x, multipliers, feasible = _solve(cost, np.concatenate(matrix), np.concatenate(limits), cones)
+    solution = _solve(cost, np.concatenate(matrix), np.concatenate(limits), cones)
+    multipliers = np.array(solution.z)
     wanted_by = np.maximum(multipliers[: len(wanted)], 0)
     bound, norms = _proof(wanted, wanted_by, every, multipliers[len(wanted) :])
     allowed = tuple(norm / (scale_unit if block.scaled else 1.0) for norm, block in zip(norms, every, strict=True))
+    x = np.array(solution.x)
     drive = unit * (x[:inputs] + 1j * x[inputs:-1])
-    if not feasible:
+    if solution.status in INFEASIBLE:
         return LeastScale(math.inf, scale_unit * bound, np.full(inputs, np.nan), wanted_by, allowed)
     return LeastScale(scale_unit * float(x[-1]), scale_unit * bound, drive, wanted_by, allowed)
 
@@ -140,24 +142,15 @@ def _real_parts(rows: np.ndarray) -> np.ndarray:
     return np.concatenate([rows.real, -rows.imag, np.zeros((*rows.shape[:-1], 1))], axis=-1)
 
 
-def _solve(
-    cost: np.ndarray, matrix: np.ndarray, limits: np.ndarray, cones: Cones
-) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Return the x of the least cost · x with limits − matrix x in the cones, the multipliers, and whether there is
-    one."""
-    if cost.size > LARGE and (solution := solve_cones(cost, matrix, limits, cones)) is not None:
-        return *solution, True
+def _solve(cost: np.ndarray, matrix: np.ndarray, limits: np.ndarray, cones: list[Any]) -> Any:
+    """Return Clarabel's solution of: minimise cost · x, limits − matrix x in the cones."""
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     if cost.size > LARGE:
         settings.direct_solve_method, settings.max_threads = "faer", 1
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = TOLERANCE
-    sparse, kinds = scipy.sparse.csc_matrix, []
-    for count, size in cones:
-        kinds += [clarabel.NonnegativeConeT(count)] if size == 1 else [clarabel.SecondOrderConeT(size)] * count
-    empty = sparse((cost.size, cost.size))
-    found = clarabel.DefaultSolver(empty, cost, sparse(matrix), limits, kinds, settings).solve()
-    return np.array(found.x), np.array(found.z), found.status not in INFEASIBLE
+    sparse = scipy.sparse.csc_matrix
+    return clarabel.DefaultSolver(sparse((cost.size, cost.size)), cost, sparse(matrix), limits, cones, settings).solve()
 
 
 def least_scale_of_squares(
