@@ -44,7 +44,7 @@ def test_waveforms_are_exported_and_played_on_another_panel(command, write_scene
     write_scene(damping=10.0, focus=TABLE)
     output_of(command("focus", "panel.toml", "--no-pictures"))
     out = output_of(command("export", "panel-focus.h5", "--to", "drive-wav", "--case", "time_reversal"))
-    assert out.splitlines()[:2] == ["wrote panel-focus-drive-1.wav", "wrote panel-focus-drive-2.wav"]
+    assert out.splitlines()[-2:] == ["wrote panel-focus-drive-1.wav", "wrote panel-focus-drive-2.wav"]
     rate, stored = wavfile.read("panel-focus-drive-2.wav")
     waveforms = load_focus("panel-focus.h5").methods["time_reversal"].waveforms
     assert rate == TABLE["rate"]
