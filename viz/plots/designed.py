@@ -37,7 +37,7 @@ def draw_designed(panel: DesignedPanel, path: str | Path) -> None:
     width, height = drawn_size(panel.scene, LENGTH)
     with figure(path, (2 * width + 2.2, height + COURSE + 1.4), font_size=9) as fig:
         plans, course = fig.subfigures(2, 1, height_ratios=[height + 0.9, COURSE])
-        axes = plans.subplots(1, 2, sharey=True)
+        axes = plans.subplots(1, 2, sharey=True, gridspec_kw={"wspace": 0.06})
         pairs = (panel.original, panel.original_thickness), (panel.scene, panel.thickness)
         values = [panel.before, panel.after]
         limits = _limits(panel)
@@ -86,10 +86,11 @@ def _draw_course(panel: DesignedPanel, axes: Axes) -> None:
         axes.plot(range(1, len(values) + 1), values, label=label, **style)
     axes.axhline(panel.before.value, color="black", linewidth=0.8, linestyle="--", label="scene before")
     axes.set_xlabel("iteration")
+    axes.xaxis.get_major_locator().set_params(integer=True)
     energy = panel.original.design is not None and panel.original.design.objective == "energy_target"
     axes.set_ylabel("energy of the target [J]" if energy else "localization factor")
     axes.grid(True, color=GRID, linewidth=0.4, alpha=0.4)
-    axes.legend(loc="center right", fontsize=7)
+    axes.figure.legend(loc="outside right center", fontsize=7)
 
 
 def save_solid(panel: DesignedPanel, path: str | Path) -> None:
