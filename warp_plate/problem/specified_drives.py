@@ -236,7 +236,7 @@ class Tone:
         levels that it reaches there; its points are shared."""
         tone = copy(self)  # with what is computed already
         for index, aim in enumerate(self.requirements.aims):
-            if self._is_fixed(aim):
+            if self.is_fixed(aim):
                 motion = (self._rows_of(("aim", index), aim.region) @ drive).mean()
                 tone.rotation = float(-np.angle(motion) - aim.level.phase)
                 break
@@ -249,13 +249,12 @@ class Tone:
         aim = self.requirements.aims[index]
         if aim.level.measure == "mean":
             return self._mean(aim.region, drive) / float(self.wanted[index])
-        shortfall = _shortfall(self.wanted[index], self._phase(aim), self._sampled(aim.region, drive))
-        return 1 - float(shortfall.max())
+        return 1 - float(_shortfall(self.wanted[index], self._phase(aim), self._sampled(aim.region, drive)).max())
 
     def binding(self, result: LeastScale) -> list[tuple[str, float]]:
         """Return what the proof of a program of this tone alone rests on, in words, with its part of the proof."""
         named, place = [], 0
-        for index, aim in sorted(enumerate(self.requirements.aims), key=lambda row: not self._is_fixed(row[1])):
+        for index, aim in sorted(enumerate(self.requirements.aims), key=lambda row: not self.is_fixed(row[1])):
             points = self.points.get(("aim", index), np.empty((0, 2)))
             count = 1 if aim.level.measure == "mean" else len(points)
             part = result.wanted[place : place + count]
@@ -271,7 +270,8 @@ class Tone:
         parts = result.allowed[0].tolist() if result.allowed else []
         return named + list(zip([actuator.name for actuator in self.plate.scene.actuators], parts, strict=False))
 
-    def _is_fixed(self, aim: Aim) -> bool:
+    def is_fixed(self, aim: Aim) -> bool:
+        """Return whether a level is wanted at all points at one phase."""
         return aim.level.measure == "weakest" and aim.level.phase != "free"
 
     def extremes(self, drive: np.ndarray) -> list[RegionLevels]:

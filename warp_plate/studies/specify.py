@@ -197,7 +197,7 @@ def _answer(
         margins=_margins(tone, drive, levels, limits),
         contrast_db=contrast,
         bound_db=bound if reached else math.nan,
-        interval=_interval(tone, drive, levels),
+        interval=_interval(tone, drive, levels, 1.0 if reached else 1 / whole.scale),
         effort=effort.scale,
         largest_level=1 / whole.scale,
         obstacles=obstacles,
@@ -269,16 +269,20 @@ def _margins(tone: Tone, drive: np.ndarray, levels: Ratios, limits: np.ndarray) 
     return margins
 
 
-def _interval(tone: Tone, drive: np.ndarray, levels: Ratios) -> tuple[float, float]:
-    """Return the contrast [dB] of a drive, or its least level over the wanted one, with its numerical error."""
-    scene = tone.plate.scene
-    other = solve_modes(scene, tone.plate.highest / scene.grid.modal_density, density=COARSER)
+def _interval(tone: Tone, drive: np.ndarray, levels: Ratios, in_phase: float) -> tuple[float, float]:
+    """Return the contrast [dB] of a drive, or its least level over the wanted one, with its numerical error.
+
+    Levels that are wanted at a phase count by their part at this phase, which is ``in_phase`` times the wanted one.
+    """
+    other = solve_modes(tone.plate.scene, tone.plate.highest / tone.plate.scene.grid.modal_density, density=COARSER)
     coarser = replace(tone, plate=other, requirements=make_requirements(other), points={})
+    least = np.where([tone.is_fixed(aim) for aim in tone.requirements.aims], in_phase, levels[0])
     ends = tone.errors(coarser, drive, CAUTION)
-    low, high = ((levels[0] * in_aims, levels[1] * in_rests) for in_aims, in_rests in ends)
+    low, high = ((least + levels[0] * (in_aims - 1), levels[1] * in_rests) for in_aims, in_rests in ends)
+    lowest = max(low[0].min(), 0.0)
     if not tone.requirements.rests:
-        return float(low[0].min()), float(high[0].min())
-    return _contrast(tone, low[1].max() / high[0].min()), _contrast(tone, high[1].max() / max(low[0].min(), 1e-300))
+        return float(lowest), float(high[0].min())
+    return _contrast(tone, low[1].max() / high[0].min()), _contrast(tone, high[1].max() / max(lowest, 1e-300))
 
 
 def _gains(result: LeastScale, limits: np.ndarray) -> np.ndarray:
