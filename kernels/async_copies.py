@@ -11,8 +11,7 @@ import warp as wp
 
 _SHARED_PLACE = """
 #if defined(__CUDA_ARCH__)
-extern __shared__ char dynamic_smem_base[];
-return (int)__cvta_generic_to_shared(dynamic_smem_base);
+return (int)__cvta_generic_to_shared((const void*)address);
 #else
 return 0;
 #endif
@@ -47,8 +46,8 @@ return {first, second};
 
 
 @wp.func_native(_SHARED_PLACE)
-def shared_place() -> int:
-    """Return the place of the block's shared memory, which is as large as the tiles that the kernel allocates."""
+def shared_place(address: wp.uint64) -> int:
+    """Return the place at an address in shared memory, see ``cuda.shared_memory``."""
 
 
 @cache

@@ -35,6 +35,7 @@ from warp_plate.kernels.cuda import (
     make_pairs,
     most_registers,
     opaque,
+    shared_memory,
 )
 from warp_plate.kernels.resident_strips import SPECIAL
 from warp_plate.kernels.update import make_parameters, make_state, make_update, make_update_unloaded
@@ -164,7 +165,8 @@ def make_advance_tiles(effects, real, nx, ny, stride, warps, levels, summed):
         warp = from_lane(wp.tid() // LANES, 0)
         lane = wp.tid() % LANES
         reserved = wp.tile_empty(shape=(wp.static(warps * rings.end // size),), dtype=real, storage="shared")
-        ring = shared_place() + warp % wp.static(warps) * wp.static(rings.end) + lane * wp.static(columns * size)
+        ring = shared_place(shared_memory()) + warp % wp.static(warps) * wp.static(rings.end)
+        ring += lane * wp.static(columns * size)
         strip = warp % wp.static(strip_count)
         tile = (warp // wp.static(strip_count)) % tiles
         k = warp // (wp.static(strip_count) * tiles)

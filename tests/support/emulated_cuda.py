@@ -108,7 +108,7 @@ NATIVE = {
     "copy_pair": copy_pair,
     "commit_copies": commit_copies,
     "read_pair_if": read_pair_if,
-    "shared_place": lambda: 0,
+    "shared_place": lambda address: address.at,
     "from_lane": lambda value, lane: exchange(value)[lane % LANES],
     "any_lane": lambda condition: any(exchange(bool(condition))),
     "barrier": lambda: here.block.barrier.wait(),
