@@ -51,8 +51,10 @@ class TensorSplines(SplineProducts):
     def __init__(self, scene: Scene, intervals: tuple[int, int], along: tuple[Splines, Splines] | None = None) -> None:
         """Make the space, with about a number of intervals along x and y, or of given splines ``along`` both."""
         self.scene, self.laminate, self.intervals = scene, laminate_of(scene), intervals
-        x, y = (plate_splines(self.laminate, scene.edges, axis, intervals[axis]) for axis in (0, 1))
-        self.along = along or (x, y)
+        if along is None:
+            x, y = (plate_splines(self.laminate, scene.edges, axis, intervals[axis]) for axis in (0, 1))
+            along = x, y
+        self.along = along
         self.integrals = Integrals(self.laminate, *self.along)
 
     @property
