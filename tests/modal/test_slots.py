@@ -11,6 +11,7 @@ import pytest
 import shapely
 import shapely.affinity
 
+from support.derivatives import errors_of_derivatives
 from support.scenes import MATERIAL
 from support.scenes_of_outlines import dimensionless, outlined
 from warp_plate.modal.modes import solve_modes
@@ -41,17 +42,9 @@ def test_derivatives_are_differences(index):
         lambda: slots.at_poles(np.array([0.1, 0.1]), away, (0.01,)),
     )[index]()
     x, y = np.random.default_rng(0).uniform(0.03, 0.17, (2, 40))
-    step = 1e-6
-    for order in ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2)):
-        axis = 0 if order[0] else 1
-        lower = (order[0] - (axis == 0), order[1] - (axis == 1))
-        ahead, behind = (
-            function.values(x + sign * step * (axis == 0), y + sign * step * (axis == 1), [lower])[0]
-            for sign in (1, -1)
-        )
-        difference, values = (ahead - behind) / (2 * step), function.values(x, y, [order])[0]
-        assert function.functions == len(values)
-        assert np.median(np.abs(difference - values).max(axis=0) / np.abs(values).max(axis=0)) < 1e-5
+    for count, errors in errors_of_derivatives(function, x, y, 1e-6):
+        assert function.functions == count
+        assert np.median(errors) < 1e-5
 
 
 @pytest.mark.parametrize(
