@@ -26,7 +26,7 @@ from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.solver import MODAL, ModalGrid, ModalSolver
 from warp_plate.plate.designs import NO_PER_PLATE, PerPlate
 from warp_plate.plate.scheme import MOST_STEPS, STEPS_A_PERIOD, Discretization, discretize
-from warp_plate.plate.signals import Signals, plate_harmonic
+from warp_plate.plate.signals import plate_harmonic
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.grid import CELLS_A_WAVE, Grid
 from warp_plate.scene.model import Scene
@@ -72,11 +72,6 @@ class Resolved:
     def grid(self) -> Discretization | ModalGrid:
         """The scene on its grid."""
         return self.grid_for(NO_PER_PLATE)
-
-    @property
-    def signals(self) -> Signals | None:
-        """Waves of the drive in time steps; None for modes, which take the drive as a formula."""
-        return None if isinstance(self.grid, ModalGrid) else self.grid.signals
 
     def grid_for(self, per_plate: PerPlate) -> Discretization | ModalGrid:
         """Return the scene on its grid for plates that differ in more than their drives."""

@@ -2,7 +2,9 @@
 refusals."""
 
 import asyncio
+import copy
 import math
+import pickle
 import threading
 import time
 from contextlib import ExitStack, closing
@@ -54,6 +56,12 @@ def view(model, drawing):
         made = ExplorerView(plotter, model, 16)
         made.plotter = plotter
         yield made
+
+
+def test_models_are_neither_pickled_nor_copied(model):
+    for duplicate in (pickle.dumps, copy.copy, copy.deepcopy):
+        with pytest.raises(TypeError, match="LiveModel: make it again from its scene"):
+            duplicate(model)
 
 
 def after(model, **changes):

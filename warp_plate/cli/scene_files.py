@@ -36,7 +36,7 @@ def init(name: str, /, *, out: Path | None = None) -> None:
     except (OSError, ValueError) as error:
         with suppress(OSError, ValueError):
             path.unlink()  # what a full disk took of it
-        raise SceneError(f"{path}: cannot be written: {error}") from None
+        raise SceneError(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error}") from None
     command = next((command for command, table in COMMANDS.items() if table in text), "localize")
     print(printable(f"wrote {path}; run it with: warp-plate {command} {path}"))
 

@@ -30,6 +30,7 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import label_of, linked_keys, unit_of, value_of
 from warp_plate.scene.model import Scene
 from warp_plate.solve.run import Progress
+from warp_plate.solve.solver import refuse_pickling
 
 # Ends of the sliders as multiples of the scene's values; if it has no damping, as a loss factor at its frequency.
 FREQUENCY_RANGE, MAGNITUDE_RANGE, LOSS_FACTOR_RANGE = (0.2, 2.0), 2.0, 0.5
@@ -132,6 +133,7 @@ class LiveModel:
     """
 
     choices = CHOICES
+    __reduce__ = refuse_pickling
 
     def __init__(
         self, scene: Scene, device: str = "auto", path: str = "auto", progress: Progress | None = None,

@@ -51,7 +51,7 @@ def _one_at_a_time(method: Callable[Concatenate["PlateSolver", P], T]) -> Callab
 
 def refuse_pickling(solver: object) -> NoReturn:
     """Raise a TypeError that says what to do instead; for ``__reduce__``, which copies use too."""
-    raise TypeError(f"cannot pickle or copy a {type(solver).__name__}, which is compiled; make it again from its scene")
+    raise TypeError(f"cannot pickle or copy a {type(solver).__name__}: make it again from its scene")
 
 
 class PlateSolver:
