@@ -56,6 +56,9 @@ def test_the_designed_scene_is_written_with_its_map(command, tmp_path):
 
 def test_scenes_without_a_design_and_files_of_others_are_refused(command, tmp_path):
     assert "design: is missing" in error_of(command("design", "paper"))
+    flat = ("--set=design.free={'plate.density'=[900.0,1100.0]}", "--solid", "--out", str(tmp_path / "a.toml"))
+    assert "--solid: the scene has no map of thickness" in error_of(command("design", "paper", *flat))
+    assert not list(tmp_path.iterdir())
     other = tmp_path / "paper.designed.toml"
     other.write_text("title = 'mine'")
     assert "would be overwritten" in error_of(command("design", "paper", *CHANGES, "--out", str(other)))

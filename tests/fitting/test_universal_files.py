@@ -57,7 +57,7 @@ def system_18(number, origin, axes, reference=0, kind=0):
     """Return a dataset 18 of a system whose axes are rows; the points on its axes are at any distance."""
     along, beside = np.add(origin, 2 * axes[0]), np.add(origin, 0.3 * axes[0] + 0.7 * axes[2])
     lines = "".join(f"{value:13.5e}" for value in (*origin, *along)) + "\n" + "".join(f"{v:13.5e}" for v in beside)
-    return dataset(18, f"{number:10d}{kind:10d}{reference:10d}{8:10d}{1:10d}\nname\n{lines}\n")
+    return dataset(18, f"{number:10.0f}{kind:10d}{reference:10d}{8:10d}{1:10d}\nname\n{lines}\n")
 
 
 def system_2420(number, origin, axes, kind=0):
@@ -213,6 +213,8 @@ def test_coherences_follow_their_responses(tmp_path):
         (nodes() + function() + function(), "2 responses are at measurement[0]"),
         (function(np.arange(9.0), kind=1), "has no frequency response"),
         (units(-1.0) + function(), "dataset 164: factors of length and force must be above 0"),
+        (nodes().replace(f"{1:10d}", "       inf", 1) + BOTH, "dataset 15: the row of node inf has a number"),
+        (system_18(np.inf, (0, 0, 0), np.eye(3)) + nodes() + BOTH, "dataset 18 has a number that is not finite"),
     ],
 )  # fmt: skip
 def test_contradictions_are_refused(content, message, tmp_path):

@@ -61,6 +61,23 @@ def test_curve_is_attained_and_its_bound_is_that_of_an_optimiser(zones):
     assert least == pytest.approx(middle.bound, rel=1e-4)
 
 
+def test_bounds_hold_for_actuators_of_any_strength(zones):
+    """They and their drives are those of equal actuators; one alone has nothing to trade."""
+    target, rest, wanted = zones
+    strength = np.array([1e-3, 1.0, 1e3, 1e5])
+    for few in (rest, rest[:2]):
+        for one, weaker in zip(
+            curve_of(target, few, wanted).curve(8),
+            curve_of(target * strength, few * strength, wanted).curve(8),
+            strict=True,
+        ):
+            assert (weaker.contrast_db, weaker.misfit, weaker.bound) == pytest.approx(
+                (one.contrast_db, one.misfit, one.bound), abs=1e-5
+            )
+    (alone,) = curve_of(target[:, :1], rest[:, :1], wanted).curve()
+    assert alone.bound == alone.misfit
+
+
 def test_spans_are_contrast_control_and_pressure_matching(zones):
     target, rest, wanted = zones
     spans = curve_of(*zones).spans(0.5)

@@ -1,6 +1,7 @@
 """Drives from noisy scans of random panels, compared with what the panels' modes say of them and of all drives."""
 
 import json
+import re
 from unittest.mock import Mock
 
 import h5py
@@ -220,6 +221,16 @@ def test_other_commands_answer_from_measured_responses(name, table, tmp_path, ra
     if name == "localize":
         message = "--seed: is of computed plates; bench.toml has responses that were measured"
         assert message in error_of(command(name, "bench.toml", "--seed", "3"))
+
+
+def test_levels_that_no_drive_reaches_are_told_in_words(tmp_path, random, command):
+    _, path = bench(tmp_path, random)
+    path.write_text(
+        path.read_text() + "[specification]\nlevel = { velocity = 1e-3 }\nelsewhere = { relative_db = -199 }\n"
+    )
+    text = " ".join(output_of(command("measured", path, "--no-pictures", "--out", tmp_path / "a.json")).split())
+    assert re.search("no drive (meets|was found that meets) the levels; (none of any size does|one would take)", text)
+    assert not re.search(r"\b(inf|nan)\b", text)
 
 
 @pytest.mark.parametrize(("target", "files"), [("read_matrix", 0), ("Figure.savefig", 1)])

@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_plate.effects.effect import attachments
+from warp_plate.plate.section import laminate_of
 from warp_plate.result.designed import DesignedPanel
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.viz.annotations import GRID
+from warp_plate.viz.availability import missing_plots
 from warp_plate.viz.fields import colour_map
 from warp_plate.viz.plots.frame import figure
 from warp_plate.viz.plots.plan import draw_parts, drawn_size, label_sides, outline_handles
@@ -93,13 +95,20 @@ def _draw_course(panel: DesignedPanel, axes: Axes) -> None:
     axes.figure.legend(loc="outside right center", fontsize=7)
 
 
+def check_solid(scene: Scene) -> None:
+    """Raise a SceneError unless panels that are designed from a scene can be saved as solids."""
+    if missing := missing_plots():
+        raise SceneError(f"--solid: {missing}")
+    if not (scene.design and scene.design.thickness) and "thickness" not in laminate_of(scene).maps:
+        raise SceneError("--solid: the scene has no map of thickness; write [design.thickness]")
+
+
 def save_solid(panel: DesignedPanel, path: str | Path) -> None:
     """Save the panel as a solid between a flat face and one of the map's height, in millimetres, as .stl or .3mf."""
     import pyvista
 
     thickness = panel.thickness
-    if thickness is None:
-        raise SceneError("--solid: the scene has no map of thickness; write [design.thickness]")
+    assert thickness is not None
     (width, height), (rows, columns) = panel.scene.plate.size, thickness.shape
     x, y = np.meshgrid(np.linspace(0, 1e3 * width, columns), np.linspace(0, 1e3 * height, rows))
     x, y = (np.repeat(places[:, :, None], 2, axis=2) for places in (x, y))

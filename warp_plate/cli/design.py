@@ -58,6 +58,10 @@ def design(
     loaded, scene = changes.load(scene)
     if loaded.folder is not None and loaded.folder.resolve() != target.parent.resolve():
         raise SceneError(f"--out {target}: the scene names files in {loaded.folder}; write there")
+    if solid:
+        from warp_plate.viz.plots.designed import check_solid
+
+        check_solid(loaded)
     with output.scene_errors(scene), output.progress_bar("designs", shown=not files.json) as show:
         panel = warp_plate.design(loaded, show, beside[UNFINISHED], check)
     saves = {}

@@ -174,10 +174,12 @@ def _print_levels(found: MeasuredDrives, console: Console) -> None:
     ]
     output.print_rows(console, ["level (m/s² peak)", "limit", "reached", "± of the mean"], rows, "")
     met = "a drive meets" if levels.feasible else "no drive meets" if levels.proved else "no drive was found that meets"
-    console.print(
-        f"At {levels.frequency:.6g} Hz {met} the levels; the least effort is {100 * levels.effort:.3g} % of the "
-        f"largest drives, proved to be at least {100 * levels.effort_bound:.3g} %."
-    )
+    effort, least = f"{100 * levels.effort:.3g} % of the largest drives", f"{100 * levels.effort_bound:.3g} %"
+    effort = f"the least effort is {effort}, proved to be at least {least}"
+    if math.isinf(levels.effort):
+        none = math.isinf(levels.effort_bound)
+        effort = "none of any size does" if none else f"one would take at least {least} of the largest drives"
+    console.print(f"At {levels.frequency:.6g} Hz {met} the levels; {effort}.")
     if math.isfinite(levels.contrast_db):
         console.print(
             f"Elsewhere over target: {levels.contrast_db:.2f} dB within the largest drives; no drive has less than "

@@ -84,6 +84,8 @@ def read_universal(path: Path) -> UniversalFile:
     nodes, axes = {}, {}
     for item in sets:
         for row in zip(*map(item.get, NODES), strict=False) if item["type"] in (15, 2411) else ():
+            if not np.isfinite(row).all():
+                raise ValueError(f"dataset {item['type']}: the row of node {row[0]:g} has a number that is not finite")
             number, system, turned = map(int, row[:3])
             own, origin = _cartesian(frames, system, number) or (np.eye(3), np.zeros(3))
             nodes[number] = origin + np.array(row[3:]) @ own
@@ -105,6 +107,8 @@ def _frames(sets: Sequence[dict[str, Any]]) -> dict[int, tuple[np.ndarray, np.nd
                 frames[int(number)] = (np.array(rows[:3]), np.array(rows[3])) if kind == 0 else None
         elif item["type"] == 18:
             columns = ("cs_num", "cs_type", "ref_cs_num", "ref_o", "x_point", "xz_point")
+            if not all(np.isfinite(item[name]).all() for name in columns):
+                raise ValueError("dataset 18 has a number that is not finite")
             for number, kind, reference, origin, along, beside in zip(*(item[name] for name in columns), strict=True):
                 x, beside = along - origin, beside - origin
                 y = np.cross(beside, x)

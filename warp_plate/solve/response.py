@@ -94,19 +94,25 @@ def has_full_rank(matrix: np.ndarray, basis: np.ndarray) -> bool:
     return bool(values.size and values[0] > RANK_TOLERANCE * values[-1] > 0)
 
 
+def unit_energy_basis(forms: np.ndarray) -> np.ndarray:
+    """Return vectors (..., n, n) of unit energy in which Hermitian forms are diagonal; zeros where it is rounding."""
+    # Scaled to units of equal energy, so that no small actuator looks like rounding.
+    diagonal = np.diagonal(forms, axis1=-2, axis2=-1).real
+    size = np.sqrt(np.where(diagonal > 0, diagonal, 1))
+    values, vectors = np.linalg.eigh(forms / (size[..., :, None] * size[..., None, :]))
+    largest = values[..., -1:]
+    nonzero = (values > RANK_TOLERANCE * largest) & (largest > 0)
+    lengths = np.where(nonzero, 1 / np.sqrt(np.where(nonzero, values, 1)), 0)
+    return np.asarray(vectors * lengths[..., None, :] / size[..., :, None])
+
+
 def largest_ratio(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the largest λ (...) of A z = λ B z and its z (..., 2M), among drives that move the plate.
 
     ``matrices``: (..., regions, 2M, 2M) Gram matrices. NaN and 0 where no drive moves the plate.
     """
     target, plate = matrices[..., REGIONS.index("target"), :, :], matrices[..., REGIONS.index("plate"), :, :]
-    # Scaled to units of equal energy, so that no small actuator looks like rounding.
-    diagonal = np.diagonal(plate, axis1=-2, axis2=-1)
-    size = np.sqrt(np.where(diagonal > 0, diagonal, 1))
-    values, vectors = np.linalg.eigh(plate / (size[..., :, None] * size[..., None, :]))
-    largest = values[..., -1:]
-    nonzero = (values > RANK_TOLERANCE * largest) & (largest > 0)
-    basis = vectors * np.where(nonzero, 1 / np.sqrt(np.where(nonzero, values, 1)), 0)[..., None, :] / size[..., :, None]
+    basis = unit_energy_basis(plate)
     ratios, directions = np.linalg.eigh(basis.mT @ target @ basis)
     best = (basis @ directions[..., -1:])[..., 0]
-    return np.where(nonzero.any(axis=-1), ratios[..., -1], np.nan), best
+    return np.where(basis.any(axis=(-2, -1)), ratios[..., -1], np.nan), best
