@@ -67,6 +67,15 @@ def test_files_of_other_programs_stay(command, tmp_path):
     ours.unlink()
     notes.write_text("title = 'mine'")
     assert f"{notes}: was written by another" in error_of(command("localize", "paper", *FAST, "--out", ours))
+    for name, ending in (("frf", ".csv"), ("frf", ".CSV"), ("sound", ".csv")):
+        (numbers := tmp_path / f"a{ending}").write_text("frequency [Hz],mine\n")
+        assert f"{numbers}: was written by another" in error_of(command(name, "paper", "--out", numbers))
+    free = "--set=design.thickness={range=[3e-4,7e-4],length_scale=0.1}"
+    for ending in (".thickness.csv", ".stl", ".3mf"):
+        (drawn := tmp_path / f"a{ending}").write_text("mine")
+        line = ("design", "paper", free, "--solid", "--out", tmp_path / "a.toml")
+        assert f"{drawn}: was written by another" in error_of(command(*line))
+        drawn.unlink()
     file = tmp_path / "a.json"
     file.write_text(json.dumps({"limits": 1}, indent=1))
     assert "--force" in error_of(command("accuracy", "paper", "--out", file))

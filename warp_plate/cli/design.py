@@ -52,9 +52,10 @@ def design(
     from warp_plate.scene.errors import printable
 
     target = files.target(scene, ".designed.toml", holds=DESIGNED)
-    beside = {ending: target.with_suffix(ending) for ending in (MAP, UNFINISHED, *SOLIDS)}
-    for path in beside.values():
-        output.check_overwriting(path, '{"design"', files.force or path != beside[UNFINISHED])
+    beside = {ending: target.with_suffix(ending) for ending in (UNFINISHED, MAP, *(SOLIDS * solid))}
+    own = target.exists() or beside[UNFINISHED].exists()  # then so are the files that say nothing of their program
+    for ending, path in beside.items():
+        output.check_overwriting(path, '{"design"', files.force or (own and ending != UNFINISHED))
     loaded, scene = changes.load(scene)
     if loaded.folder is not None and loaded.folder.resolve() != target.parent.resolve():
         raise SceneError(f"--out {target}: the scene names files in {loaded.folder}; write there")

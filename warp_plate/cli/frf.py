@@ -81,10 +81,11 @@ def frf(
 
     target = files.target(scene, "-frf.png", endings=(*PICTURES, *(ending for ending, _ in WRITERS.values())))
     formats = formats_of(target, to, WRITERS)
+    holds = {"csv": "localization factor [1]", "hdf5": "a frequency response"}
+    for name in formats:
+        output.check_overwriting(_path_of(target, WRITERS[name][0]), holds[name], files.force)
     points = [_point(text) for text in responses.at or ()]
     limits = None if responses.range is None else frequency_range(responses.range)
-    if "hdf5" in formats:
-        output.check_overwriting(target.with_suffix(".h5"), "a frequency response", files.force)
     loaded, scene = changes.load(scene)
     names = {actuator.name for actuator in loaded.actuators}
     sources = [
@@ -118,6 +119,10 @@ def formats_of(target: Path, to: list[ResponseFormat] | None, writers: Writers) 
     return [*(to or ()), *([by_ending[target.suffix.lower()]] if target.suffix.lower() in by_ending else ())]
 
 
+def _path_of(target: Path, ending: str) -> Path:
+    return target if target.suffix.lower() == ending else target.with_suffix(ending)
+
+
 def write_and_draw(
     result: Any,
     target: Path,
@@ -131,7 +136,7 @@ def write_and_draw(
     saves: dict[Path, Callable[[Path], object]] = {}
     for name in formats:
         ending, write = writers[name]
-        saves[target if target.suffix.lower() == ending else target.with_suffix(ending)] = partial(write, result)
+        saves[_path_of(target, ending)] = partial(write, result)
     ending = target.suffix if target.suffix.lower() in PICTURES else ".png"
     plots = None if draw is None else partial(save_plots, partial(draw, result), target, [ending])
     return output.write_files(saves, plots)
@@ -249,10 +254,11 @@ def sound(
 
     target = files.target(scene, "-sound.png", endings=(*PICTURES, *(ending for ending, _ in WRITERS.values())))
     formats = formats_of(target, to, WRITERS)
+    holds = {"csv": "sound power [W]", "hdf5": "a sound"}
+    for name in formats:
+        output.check_overwriting(_path_of(target, WRITERS[name][0]), holds[name], files.force)
     points = [_point(text, "X,Y,Z", "0.05,0.1,1") for text in sounds.at or ()]
     limits = None if sounds.range is None else frequency_range(sounds.range)
-    if "hdf5" in formats:
-        output.check_overwriting(target.with_suffix(".h5"), "a sound", files.force)
     loaded, scene = changes.load(scene)
     with output.scene_errors(scene, points="at", frequency_range="range"):
         result = compute(loaded, points, limits, baffle=not sounds.unbaffled)

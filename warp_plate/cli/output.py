@@ -243,7 +243,7 @@ def check_overwriting(path: Path, holds: str, force: bool) -> None:
 
     Args:
         holds: what may be replaced: of HDF5 files their kind, such as "a sweep"; of JSON files "measurements with KEY",
-            KEY being one that they have; of others how they begin.
+            KEY being one that they have; of others a part of their first line.
     """
     if problem := writing_problem(path, beside=False):
         raise SceneError(f"{path}: {problem}; name another file by --out")
@@ -256,7 +256,7 @@ def check_overwriting(path: Path, holds: str, force: bool) -> None:
     else:
         text = path.read_text(encoding="utf-8", errors="replace")
         key = holds.removeprefix("measurements with ")
-        content = holds if (f'\n "{key}":' in text if key != holds else text.startswith(holds)) else ""
+        content = holds if (f'\n "{key}":' in text if key != holds else holds in text.partition("\n")[0]) else ""
     if content != holds:
         what = f"is {content}" if content else "was written by another command or program"
         raise SceneError(f"{path}: {what} and would be overwritten; name another file by --out, or give --force")
