@@ -66,8 +66,9 @@ def interrupt_on_termination() -> None:
 
 def ignore_interrupts() -> None:
     """Ignore Ctrl-C, SIGTERM and SIGHUP for good, when a command is done and only Python has to end."""
-    for number in END_SIGNALS:
-        signal.signal(number, signal.SIG_IGN)
+    if threading.current_thread() is threading.main_thread():
+        for number in END_SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
 
 
 def remember_lost_interrupts() -> None:

@@ -223,14 +223,20 @@ def test_a_command_that_is_done_keeps_its_status(number):
     ["simulate panel.toml --device cpu --no-estimate --no-pictures", "export panel-simulate.h5 --to drive-csv --json"],
 )
 def test_a_command_whose_files_are_written_is_done(line, endless, command, monkeypatch):
-    """A signal comes while the answer is printed."""
+    """A signal comes while the answer is printed, and one after it."""
     output_of(command("simulate", "panel.toml", *QUICK))
+    report = output.report
     for name in ("console", "json_value"):
         function = getattr(output, name)
         monkeypatch.setattr(
             output, name, lambda *given, f=function: (os.kill(os.getpid(), signal.SIGTERM), f(*given))[1]
         )
+    monkeypatch.setattr(
+        output, "report", lambda *given, **options: (report(*given, **options), os.kill(os.getpid(), signal.SIGINT))
+    )
+    handler = signal.getsignal(signal.SIGINT)
     assert "panel-" in output_of(command(*line.split()))
+    assert signal.getsignal(signal.SIGINT) is handler
 
 
 @pytest.mark.parametrize("target", ["warp_plate.result.model.save_result", "matplotlib.figure.Figure.savefig"])

@@ -6,15 +6,17 @@ import atexit
 import io
 import logging
 import os
+import signal
 import sys
 import time
 from collections import namedtuple
+from contextlib import nullcontext
 from functools import cache
 from typing import TYPE_CHECKING
 
 from warp_plate._version import __version__
 from warp_plate.cli import log, postpone_garbage
-from warp_plate.interrupts import ignore_interrupts, interrupt_on_termination, remember_lost_interrupts
+from warp_plate.interrupts import end_signals, ignore_interrupts, interrupt_on_termination, remember_lost_interrupts
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
@@ -101,8 +103,11 @@ def main(arguments: list[str] | None = None) -> None:
     _prepare_streams()
     interrupt_on_termination()
     remember_lost_interrupts()
+    # A command that is done ignores signals, but not in a program that called main.
+    signals = nullcontext() if arguments is None else end_signals(signal.default_int_handler)
     try:
-        _run(sys.argv[1:] if arguments is None else arguments)
+        with signals:
+            _run(sys.argv[1:] if arguments is None else arguments)
     except KeyboardInterrupt as interrupt:
         print(f"warp-plate: interrupted{interrupt}", file=sys.stderr)
         # Python ends by SIGINT if Ctrl-C came in an exec() of a text, until another text is executed, as here.

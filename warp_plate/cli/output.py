@@ -9,7 +9,7 @@ import re
 import shlex
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from functools import partial
 from json import dumps
 from pathlib import Path
@@ -21,7 +21,7 @@ from rich.text import Text
 
 from warp_plate.cli import collect_garbage
 from warp_plate.cli import log as log
-from warp_plate.interrupts import deferred_interrupts, end_signals
+from warp_plate.interrupts import deferred_interrupts, ignore_interrupts
 from warp_plate.scene.errors import SceneError, printable
 from warp_plate.scene.errors import number_text as number_text
 
@@ -110,14 +110,15 @@ def report(
         written: The files written, and why pictures are missing.
     """
     files, missing = written or ([], None)
-    with end_signals(lambda *_: None) if files else nullcontext():
-        if json:
-            print(dumps(json_value({**as_json(*results), **({"files": files} if written else {})}), indent=2))
-        else:
-            show(*results, console())
-            for line in (*(f"wrote {file}" for file in files), *([missing] if missing else [])):
-                print(printable(line))
-        sys.stdout.flush()
+    if files:
+        ignore_interrupts()
+    if json:
+        print(dumps(json_value({**as_json(*results), **({"files": files} if written else {})}), indent=2))
+    else:
+        show(*results, console())
+        for line in (*(f"wrote {file}" for file in files), *([missing] if missing else [])):
+            print(printable(line))
+    sys.stdout.flush()
 
 
 def json_value(value: Any) -> Any:
