@@ -10,6 +10,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 # Sent by a terminal to all processes of a command; Windows has no SIGHUP.
 TERMINAL_SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGHUP") if hasattr(signal, name))
@@ -34,7 +35,7 @@ def deferred_interrupts() -> Iterator[None]:
 
 
 @contextmanager
-def end_signals(handle: Callable[[int, object], object]) -> Iterator[None]:
+def end_signals(handle: Callable[[int, Any], object]) -> Iterator[None]:
     """Handle Ctrl-C, SIGTERM and SIGHUP by a function, unless they are ignored; outside the main thread do nothing."""
     if threading.current_thread() is not threading.main_thread():
         yield

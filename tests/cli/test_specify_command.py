@@ -13,7 +13,8 @@ from warp_plate.cli.specify import MOST_CASES, _print_tolerances
 
 def test_the_answer_is_printed_drawn_and_written(command, tmp_path):
     out = tmp_path / "button.json"
-    printed = output_of(command("specify", "console", "--set", "specification.frequency=250.0", "--out", str(out)))
+    changes = ("--set=specification.frequency=250.0", "--set=title=two\nlines = 2")
+    printed = output_of(command("specify", "console", *changes, "--out", str(out)))
     assert "at 250 Hz a drive meets the specification" in printed
     assert "elsewhere, worst point" in printed
     assert out.with_suffix(".png").stat().st_size > 50_000

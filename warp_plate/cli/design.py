@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from warp_plate.result.designed import DesignedPanel
 
 # First words of the designed scene; endings of the files beside it.
-DESIGNED = "# Designed by: warp-plate design"
+DESIGNED = "Designed by: warp-plate design"
 OBJECTIVES = {
     "bound": "localization factor of any drive",
     "drive": "localization factor of the scene's drive",
@@ -49,7 +49,7 @@ def design(
     """
     import warp_plate
     from warp_plate.result.atomic_io import write_atomically
-    from warp_plate.scene.errors import printable
+    from warp_plate.scene.errors import toml_comment
 
     target = files.target(scene, ".designed.toml", holds=DESIGNED)
     beside = {ending: target.with_suffix(ending) for ending in (UNFINISHED, MAP, *(SOLIDS * solid))}
@@ -73,8 +73,8 @@ def design(
         saves[beside[MAP]] = partial(write_atomically, f"{rows}\n".encode())
         effects = designed.effects.with_thickness(beside[MAP].name)
         designed = designed.model_copy(update={"effects": effects})
-    heading = printable(f"{DESIGNED} {scene}")
-    saves[target] = partial(write_atomically, f"{heading}\n{designed.to_toml()}".encode())
+    heading = toml_comment(f"{DESIGNED} {scene}")
+    saves[target] = partial(write_atomically, f"{heading}{designed.to_toml()}".encode())
     if solid:
         from warp_plate.viz.plots.designed import save_solid
 

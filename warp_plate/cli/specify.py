@@ -19,7 +19,6 @@ BEST = ".best.toml"
 # Most cases of the tolerances that are printed.
 MOST_CASES = 12
 LEVELS = ("worst", "mean", "weakest", "worst_at", "weakest_at")
-HEAD = "# Found by: warp-plate specify {scene}\n# Run it by: warp-plate simulate {file} --path modal\n"
 
 
 def specify(
@@ -42,7 +41,7 @@ def specify(
         return
     import warp_plate
     from warp_plate.result.atomic_io import write_atomically
-    from warp_plate.scene.errors import printable
+    from warp_plate.scene.errors import toml_comment
     from warp_plate.viz.plots.specified import draw_specified
 
     target = files.target(scene, "-specify.json", "measurements with contrast_db")
@@ -53,7 +52,8 @@ def specify(
         answer = warp_plate.specify(loaded, tolerances, on_progress=show)
     record = _as_json(scene, answer)
     draw = partial(draw_specified, answer)
-    head = printable(HEAD.format(scene=scene, file=best.name))
+    run = f"Run it by: warp-plate simulate {best.name} --path modal"
+    head = toml_comment(f"Found by: warp-plate specify {scene}", run)
     others = {best: partial(write_atomically, (head + answer.driven_scene().to_toml()).encode())}
     written = output.write_measurements(target, record, lambda _, path: draw(path), files.pictures, others)
     output.report(files.json, lambda: record, partial(_print, scene, answer), written=written)

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from warp_plate.scene.errors import SceneError, printable
+from warp_plate.scene.errors import SceneError, printable_line
 
 # First characters of formulas.
 FORMULAS = frozenset("=+-@")
@@ -88,7 +88,7 @@ def write_table(path: Path, heading: list[str], blocks: Iterable[np.ndarray]) ->
     Headings are one line of texts: control characters are escaped, and an apostrophe precedes what a spreadsheet would
     take for a formula.
     """
-    names = [printable(name).replace("\n", "\\n") for name in heading]
+    names = list(map(printable_line, heading))
     with atomic_paths(path) as (temporary,), temporary.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n").writerow(f"'{name}" if name[:1] in FORMULAS else name for name in names)
         for block in blocks:

@@ -62,6 +62,16 @@ def printable(text: str) -> str:
     )
 
 
+def printable_line(text: str) -> str:
+    """Return the text as one line, with control characters and line ends escaped."""
+    return printable(text).replace("\n", "\\n")
+
+
+def toml_comment(*lines: str) -> str:
+    """Return texts as the lines of a comment in TOML."""
+    return "".join(f"# {printable_line(line)}\n" for line in lines)
+
+
 def number_text(value: object, digits: str, unit: str = "") -> str:
     """Format a number; "none" if it is missing or not finite."""
     missing = value is None or (isinstance(value, float) and not math.isfinite(value))

@@ -24,7 +24,7 @@ from warp_plate.result.atomic_io import write_atomically
 from warp_plate.result.case import Case, target_cases
 from warp_plate.result.checkpoint import Checkpoint, load_checkpoint
 from warp_plate.result.model import Result, RobustComparison, TargetSearch, best_drive_scenes
-from warp_plate.scene.errors import SceneError, check_function, check_type, printable
+from warp_plate.scene.errors import SceneError, check_function, check_type, toml_comment
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.solve.devices import processor_of
 from warp_plate.studies.baselines import baseline_cases, check_baselines
@@ -209,10 +209,10 @@ def save_best_scenes(result: Result, path: Path) -> list[Path]:
     for number, scene in enumerate(best_drive_scenes(result).values(), 1):
         file = path if number == 1 else path.with_suffix(f".{number}.toml")
         command = f"warp-plate simulate {file.name}" + (" --path modal" if result.evaluator == MODAL else "")
-        head = f"# Found by: warp-plate localize {result.source}\n# Run it by: {command}\n"
+        head = [f"Found by: warp-plate localize {result.source}", f"Run it by: {command}"]
         if result.evaluator == MODAL:
-            head += "# By modes, [grid] only says at which points results are given.\n"
-        write_atomically((printable(head) + scene.to_toml()).encode(), file)
+            head.append("By modes, [grid] only says at which points results are given.")
+        write_atomically((toml_comment(*head) + scene.to_toml()).encode(), file)
         files.append(file)
     return files
 
