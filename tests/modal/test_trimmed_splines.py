@@ -147,6 +147,7 @@ def test_what_lies_outside_the_outline_does_not_press():
     # The rest of the disc, in three rectangles.
     rest = plate.patch_forces([(0.0, 0.15, 0.0, 0.2), (0.15, 0.2, 0.0, 0.1)])[:10].sum(axis=1)
     assert crossing + rest == pytest.approx(whole, abs=1e-9 * np.abs(whole).max())
+    assert plate.patch_forces([(0.0, 0.02, 0.0, 0.02)]) == pytest.approx(0, abs=0)  # no chord is inside the disc
     assert plate.at_points([(0.01, 0.01)]) == pytest.approx(0, abs=0)
     assert not plate.shapes(np.array([0.0, 0.1]), np.array([0.0, 0.1]))[:, 0, 0].any()
     mass = plate.kinetic_matrix(Target(disc=(0.18, 0.1, 0.05))) + plate.kinetic_matrix("plate")

@@ -157,7 +157,7 @@ class Chords:
         """Return (..., functions of y, functions of x) ∫ values · u^(x, y) dA of values (..., segments, points)."""
         values = np.broadcast_to(values, np.broadcast_shapes(np.shape(values), self.x.shape))
         over_x = np.zeros((self.ordinates.size, self.along[0].splines.functions, math.prod(values.shape[:-2])))
-        flat = values.reshape(-1, *self.x.shape)
+        flat = values.reshape(math.prod(values.shape[:-2]), *self.x.shape)
         for some in self.blocks(BLOCK if len(flat) > 1 else self.block):
             self.add_along_x(over_x, some, flat[:, some] * self.weights[some], x)
         integrals = self.along_y(over_x, y)
