@@ -13,6 +13,7 @@ from support.commands import error_of, output_of
 from support.measured import TruePanel, drawn_panel
 from warp_plate import SceneError
 from warp_plate.fitting.measured_matrix import MeasuredMatrix, read_matrix
+from warp_plate.plate import memory
 from warp_plate.problem.measured_plate import MeasuredPlate
 from warp_plate.scene.measured import MeasuredScene
 from warp_plate.studies.measured_drives import measured_drives
@@ -185,6 +186,9 @@ def test_focus_moves_a_point_as_its_modes_say(tmp_path, random, command, monkeyp
     moment = round(duration * rate) / rate
     motion = 2 * lines[0] * (np.exp(omega * moment) @ (rows * spectra).sum(axis=1)).real
     assert motion == pytest.approx(methods["time_reversal"]["peak"][0], rel=0.03)
+    monkeypatch.setattr(memory, "machine_memory", lambda: 2.0**20)
+    refusal = error_of(command("measured", "bench.toml", "--no-pictures"))
+    assert re.search(r"focus.time = .*: the motion of \d+ points at \d+ samples: takes about", refusal)
 
 
 @pytest.mark.parametrize(

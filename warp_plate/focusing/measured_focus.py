@@ -17,6 +17,7 @@ from warp_plate.focusing.methods import (
     scale_to_limits,
 )
 from warp_plate.focusing.wishes import make_wish
+from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.problem.measured_plate import POWERS, MeasuredPlate
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.focus import Focus
@@ -84,6 +85,10 @@ def _places(plate: MeasuredPlate, table: Focus) -> np.ndarray:
 def _responses(plate: MeasuredPlate, table: Focus, samples: int) -> np.ndarray:
     """Return h (actuators, points, samples): motion l + 1 samples after the beginning of a unit drive of one sample."""
     matrix, quantity = plate.matrix, plate.scene.measured.quantity
+    moved = len(matrix.points) * len(matrix.names) * samples
+    waves = 0 if matrix.impulses is not None else len(matrix.frequencies) * samples
+    what = f"focus.time = {table.time:g}: the motion of {len(matrix.points)} points at {samples} samples"
+    refuse_beyond_memory(16.0 * (moved + waves) + 8.0 * moved * (waves > 0), what)
     if matrix.impulses is not None:
         wanted = {"displacement": "receptance", "velocity": "mobility"}[table.quantity]
         if matrix.rate != table.rate or quantity != wanted:
@@ -108,8 +113,7 @@ def _responses(plate: MeasuredPlate, table: Focus, samples: int) -> np.ndarray:
     spectrum = (1 - np.exp(-jw / table.rate)) / jw * jw**power * 2 * step
     waves = spectrum[:, None] * np.exp(np.outer(jw, np.arange(1, samples + 1) / table.rate))
     rows = np.moveaxis(matrix.responses[used], 0, 2)  # (points, actuators, n)
-    moved = rows.real @ waves.real - rows.imag @ waves.imag
-    return np.asarray(moved.swapaxes(0, 1))
+    return np.asarray((rows.real @ waves.real - rows.imag @ waves.imag).swapaxes(0, 1))
 
 
 def _at_moment(h: np.ndarray, waveform: np.ndarray, moment: int) -> np.ndarray:
