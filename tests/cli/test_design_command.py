@@ -2,6 +2,7 @@
 
 import json
 import zipfile
+from types import SimpleNamespace
 from unittest.mock import Mock
 from xml.etree import ElementTree
 
@@ -11,6 +12,7 @@ import pytest
 from support.commands import error_of, output_of
 from warp_plate import Scene, SceneError
 from warp_plate.modal.solver import ModalSolver
+from warp_plate.viz.plots.designed import save_solid
 
 CHANGES = [
     f"--set={change}"
@@ -62,6 +64,17 @@ def test_scenes_without_a_design_and_files_of_others_are_refused(command, tmp_pa
     other = tmp_path / "paper.designed.toml"
     other.write_text("title = 'mine'")
     assert "would be overwritten" in error_of(command("design", "paper", *CHANGES, "--out", str(other)))
+
+
+@pytest.mark.parametrize("ending", [".stl", ".3mf"])
+def test_solids_are_written_whole_or_not_at_all(ending, tmp_path, monkeypatch):
+    pytest.importorskip("pyvista")
+    panel = SimpleNamespace(thickness=np.full((3, 4), 5e-4), scene=Scene.load("paper"))
+    (path := tmp_path / f"a{ending}").write_text("old")
+    monkeypatch.setattr("os.replace", Mock(side_effect=OSError(28, "No space left on device")))
+    with pytest.raises(SceneError, match="No space left"):
+        save_solid(panel, path)
+    assert [file.read_text() for file in tmp_path.iterdir()] == ["old"]
 
 
 def test_starts_are_kept_until_the_panel_is_written(command, tmp_path, monkeypatch):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import struct
 import zipfile
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,6 +12,7 @@ import numpy as np
 
 from warp_plate.effects.effect import attachments
 from warp_plate.plate.section import laminate_of
+from warp_plate.result.atomic_io import write_atomically
 from warp_plate.result.designed import DesignedPanel
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -114,14 +117,21 @@ def save_solid(panel: DesignedPanel, path: str | Path) -> None:
     x, y = (np.repeat(places[:, :, None], 2, axis=2) for places in (x, y))
     z = np.stack([1e3 * thickness, np.zeros_like(thickness)], axis=2)  # in this order all triangles face outwards
     surface = pyvista.StructuredGrid(x, y, z).extract_surface(algorithm="dataset_surface").triangulate()
-    if Path(path).suffix == ".3mf":
-        _write_3mf(surface.points, surface.faces.reshape(-1, 4)[:, 1:], Path(path))
-    else:
-        surface.save(str(path))
+    content = _as_3mf if Path(path).suffix == ".3mf" else _as_stl
+    write_atomically(content(surface.points, surface.faces.reshape(-1, 4)[:, 1:]), Path(path))
 
 
-def _write_3mf(points: np.ndarray, triangles: np.ndarray, path: Path) -> None:
-    """Write a mesh, points (n, 3) in millimetres, as the single object of a file of the 3MF core specification."""
+def _as_stl(points: np.ndarray, triangles: np.ndarray) -> bytes:
+    """Return a mesh as a binary STL file."""
+    facets = np.zeros(len(triangles), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    corners = facets["corners"] = points[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    facets["normal"] = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    return bytes(80) + struct.pack("<I", len(facets)) + facets.tobytes()
+
+
+def _as_3mf(points: np.ndarray, triangles: np.ndarray) -> bytes:
+    """Return a mesh, points (n, 3) in millimetres, as the single object of a file of the 3MF core specification."""
     vertices = "".join(f'<vertex x="{x:.6g}" y="{y:.6g}" z="{z:.6g}"/>' for x, y, z in points.tolist())
     faces = "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in triangles.tolist())
     mesh = f"<mesh><vertices>{vertices}</vertices><triangles>{faces}</triangles></mesh>"
@@ -135,7 +145,8 @@ def _write_3mf(points: np.ndarray, triangles: np.ndarray, path: Path) -> None:
         "3D/model.model": f'<model unit="millimeter" xmlns="{MODEL}/core/2015/02">{objects}'
         '<build><item objectid="1"/></build></model>',
     }
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
+    with zipfile.ZipFile(content := io.BytesIO(), "w", zipfile.ZIP_DEFLATED) as file:
         for name, text in parts.items():
             entry = zipfile.ZipInfo(name)  # without the time, so that equal panels have equal files
             file.writestr(entry, f'<?xml version="1.0" encoding="UTF-8"?>{text}', zipfile.ZIP_DEFLATED)
+    return content.getvalue()
