@@ -2,19 +2,20 @@
 
 The matrices are linear in the coefficients of the plate's terms and in its fields. What two scenes differ in is
 therefore multiplied by slopes by these, which are computed once, and no matrix is assembled for a number. Only where
-patches move are the matrices themselves differenced.
+actuators or layers move are the matrices themselves differenced.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
+import scipy
 
 from warp_plate.effects.effect import Attachment, Edge, Effect, Patch, Term, attachments
-from warp_plate.modal.assemble import Galerkin, load_integrals
+from warp_plate.modal.assemble import DIFFERENCE, Galerkin, load_integrals
 from warp_plate.modal.sensitivity import FieldSlopes, PlateMatrices, has_rule, plate_matrices
 from warp_plate.modal.spaces.tensor_splines import TensorSplines
 from warp_plate.plate.section import laminate_of
@@ -40,18 +41,52 @@ class NumberSlopes:
         return self._galerkin.scene
 
     @cached_property
+    def _relative(self) -> tuple[np.ndarray, list[np.ndarray]]:
+        """(attachments, unknowns) mean motion of each patch relative to its mass, and its products with slopes by
+        stiffness and damping."""
+        attached, plate = self._galerkin.attachments, self._space.unknowns
+        rows = np.zeros((len(attached), len(self._slopes.mass)))
+        rows[:, :plate] = self._means([attachment.region for attachment in attached])
+        rows[self._swinging, plate + np.arange(self._swinging.size)] = -1
+        sparse = scipy.sparse.csr_array(rows)
+        return rows, [sparse @ by for by in (self._slopes.support, self._slopes.damping)]
+
+    def _means(self, regions: Sequence[PlateRegion]) -> np.ndarray:
+        """Return (regions, unknowns of the plate) mean values of the functions."""
+        return self._space.region_integrals(regions) / self._space.region_areas(regions)[:, None]
+
+    @cached_property
+    def _swinging(self) -> np.ndarray:
+        """Indices of the attachments with a mass."""
+        return np.flatnonzero([attachment.mass > 0 for attachment in self._galerkin.attachments])
+
+    @cached_property
     def _attached(self) -> np.ndarray:
         """(3, attachments) slopes by stiffness, damping and mass of each attachment."""
-        attached, plate = self._galerkin.attachments, self._space.unknowns
-        regions, slopes = [attachment.region for attachment in attached], self._slopes
-        rows = np.zeros((len(attached), len(slopes.mass)))
-        rows[:, :plate] = self._space.region_integrals(regions) / self._space.region_areas(regions)[:, None]
-        swinging = np.flatnonzero([attachment.mass > 0 for attachment in attached])
-        masses = plate + np.arange(swinging.size)
-        rows[swinging, masses] = -1
-        by_mass = np.zeros(len(attached))
-        by_mass[swinging] = np.diag(slopes.mass)[masses] + self._by_mass
-        return np.stack([*(((rows @ by) * rows).sum(axis=1) for by in (slopes.support, slopes.damping)), by_mass])
+        rows, products = self._relative
+        by_mass = np.zeros(len(rows))
+        by_mass[self._swinging] = np.diag(self._slopes.mass)[self._space.unknowns :] + self._by_mass
+        return np.stack([*((product * rows).sum(axis=1) for product in products), by_mass])
+
+    @cached_property
+    def by_places(self) -> dict[str, tuple[float, float]]:
+        """Slopes [1/m] by x and by y of the place of each table of attachments, by its key."""
+        attached, slopes = self._galerkin.attachments, []
+        numbers = np.array([[attachment.stiffness, attachment.damping] for attachment in attached]).reshape(-1, 2)
+        pulls = sum(
+            number[:, None] * product for number, product in zip(numbers.T, self._relative[1], strict=True)
+        )[:, : self._space.unknowns]  # fmt: skip
+        step = DIFFERENCE * max(self.scene.plate.size)
+        for shift in ((step, 0.0), (0.0, step)):
+            ahead, behind = (
+                self._means([_moved(attachment.region, sign * shift[0], sign * shift[1]) for attachment in attached])
+                for sign in (1, -1)
+            )
+            slopes.append(((ahead - behind) * pulls).sum(axis=1) / step)
+        totals = {key: np.zeros(2) for key in self._first}
+        for key, by in zip(self.scene.effects.attachment_keys(self.scene.plate), np.transpose(slopes), strict=True):
+            totals[key] += by
+        return {key: (float(by[0]), float(by[1])) for key, by in totals.items()}
 
     @cached_property
     def _first(self) -> dict[str, int]:
@@ -123,6 +158,12 @@ class NumberSlopes:
         boxes = np.array([actuator.box for actuator in after.actuators])
         one, other = (load_integrals(replace(self._galerkin, scene=scene), boxes) for scene in (after, before))
         return float(np.vdot(self._slopes.forces[: self._space.unknowns], (one - other).T))
+
+
+def _moved(region: PlateRegion, x: float, y: float) -> PlateRegion:
+    """Return a region moved by x, y [m]."""
+    middle = region.middle
+    return PlateRegion.model_construct(**{**dict(region), **region.placed(middle[0] + x, middle[1] + y)})
 
 
 def panel_mass(galerkin: Galerkin) -> float:

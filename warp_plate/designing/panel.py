@@ -33,7 +33,7 @@ from warp_plate.result.designed import PanelValues
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fit import Design
 from warp_plate.scene.grid import Grid
-from warp_plate.scene.keys import ALTERNATIVES, linked_keys, resolved_key, value_of
+from warp_plate.scene.keys import ALTERNATIVES, linked_keys, put, resolved_key, scalar_keys, value_of
 from warp_plate.scene.model import Scene
 from warp_plate.solve.response import largest_ratio
 
@@ -87,7 +87,8 @@ class FreePanel:
         self.thickness = None if scene.design.thickness is None else ThicknessMap(scene)
         if scene.piezo and self.thickness is not None:
             raise SceneError("design.thickness: not with piezo patches, which take a uniform plate; delete it")
-        self._keys = [resolved_key(scene, name) for name in self.design.free]
+        kinds = scalar_keys(scene)
+        self._keys = [resolved_key(scene, name, kinds) for name in self.design.free]
         self._check_keys()
         ends = [*self.design.free.values(), *self._travel.values()]
         self._low, self._high = np.array(ends, dtype=float).reshape(-1, 2).T
@@ -113,16 +114,16 @@ class FreePanel:
                     raise SceneError(f"design.free: {name}: slopes are known for a panel of one size; delete it")
                 if inner.startswith("actuators[") and last in NO_PANEL:
                     raise SceneError(f"design.free: {name}: is a number of the drive, not of the panel; delete it")
-                massless = table in self.scene.effects.attachment_keys(self.scene.plate) and last == "mass"
+                massless = table in self._tables and last == "mass"
                 if massless and not self.design.free[name][0] > 0:
                     raise SceneError(f"design.free: {name}: a mass of 0 is fixed to the ground; begin above it")
 
     @cached_property
     def _travel(self) -> dict[tuple[str, int], tuple[float, float]]:
         """Least and largest middle along x (0) and y (1) [m] of each patch that moves."""
-        travel = {}
+        travel, movable = {}, self.scene.movable
         for key, area in self.design.places.items():
-            box = self.scene.movable[key].box
+            box = movable[key].box
             for axis in (0, 1):
                 half, (low, high) = (box[2 * axis + 1] - box[2 * axis]) / 2, area[2 * axis : 2 * axis + 2]
                 if high - low < 2 * half:
@@ -155,7 +156,8 @@ class FreePanel:
         """Return the free numbers (count,) of the scene itself, as nearly as the ranges allow."""
         present = [np.empty(0) if self.thickness is None else self.thickness.numbers()]
         values = [value_of(self.scene, key) for key in self._keys]
-        boxes = {key: self.scene.movable[key].box for key, _ in self._travel}
+        movable = self.scene.movable
+        boxes = {key: movable[key].box for key, _ in self._travel}
         values += [sum(boxes[key][2 * axis : 2 * axis + 2]) / 2 for key, axis in self._travel]
         numbers = np.array([np.nan if value is None else value for value in values], dtype=float)
         present.append(np.clip(np.nan_to_num((numbers - self._low) / (self._high - self._low), nan=0.5), 0, 1))
@@ -182,13 +184,16 @@ class FreePanel:
         numbers = dict(zip(self._keys, values[: len(self._keys)].tolist(), strict=True))
         scene = _in_case(self.scene.model_copy(update={"design": None}), numbers, case)
         middles = dict(zip(self._travel, values[len(self._keys) :].tolist(), strict=True))
+        if not middles:
+            return scene
+        tables, movable = scene.model_dump(mode="json", include={"actuators", "effects"}), scene.movable
         for key in dict.fromkeys(key for key, _ in middles):
-            patch = scene.movable[key]
+            patch = movable[key]
             x0, x1, y0, y1 = patch.box
             middle = middles.get((key, 0), (x0 + x1) / 2), middles.get((key, 1), (y0 + y1) / 2)
             for name, value in patch.placed(*middle).items():
-                scene = scene.replace(f"{key}.{name}", value)
-        return scene
+                put(tables, f"{key}.{name}", value, key)
+        return scene.with_tables(**tables)
 
     def _galerkin(self, numbers: np.ndarray, case: Mapping[str, float]) -> Galerkin:
         """Return the matrices of a panel."""
@@ -280,14 +285,18 @@ class FreePanel:
 
     def _by_numbers(self, of: NumberSlopes, numbers: np.ndarray, case: Mapping[str, float]) -> np.ndarray:
         """Return the slopes (count,) by free numbers (count,) in a case of what has slopes by its matrices."""
-        slopes, rows = np.zeros(self.count), dict(of.scene.effects.rows)
+        slopes, rows, width = np.zeros(self.count), dict(of.scene.effects.rows), self._high - self._low
         if self.thickness is not None:
             slopes[: self._mapped] = self.thickness.slopes(numbers[: self._mapped], thickness_slopes(of.of_fields))
         shares = numbers[self._mapped :]
-        for index, share in enumerate(shares.tolist()):
+        moving = [None] * len(self._keys) + list(self._travel)
+        for index, (share, place) in enumerate(zip(shares.tolist(), moving, strict=True)):
+            if place is not None and place[0] in self._tables:
+                slopes[self._mapped + index] = width[index] * of.by_places[place[0]][place[1]]
+                continue
             ends = np.clip(share + np.array([STEP, -STEP]), 0, 1)
             if (places := self._attached[index]) and not case.keys() & {".".join(place) for place in places}:
-                values = (self._low[index] + ends * (self._high[index] - self._low[index])).tolist()
+                values = (self._low[index] + ends * width[index]).tolist()
                 changes = [
                     of.of_row(row, *(rows[row].model_copy(update={name: value}) for value in values))
                     for row, name in places
@@ -299,13 +308,17 @@ class FreePanel:
         return slopes
 
     @cached_property
+    def _tables(self) -> set[str]:
+        """Keys of the tables of attachments."""
+        return set(self.scene.effects.attachment_keys(self.scene.plate))
+
+    @cached_property
     def _attached(self) -> list[list[tuple[str, str]]]:
         """Tables and names of the numbers of attachments that each free number but for the map is; none of others."""
-        tables = set(self.scene.effects.attachment_keys(self.scene.plate))
         places = []
         for key in self._keys:
             parts = [linked.rpartition(".") for linked in linked_keys(self.scene, key)]
-            known = all(table in tables and name in ATTACHED_NUMBERS for table, _, name in parts)
+            known = all(table in self._tables and name in ATTACHED_NUMBERS for table, _, name in parts)
             places.append([(table, name) for table, _, name in parts] if known else [])
         return places + [[] for _ in self._travel]
 

@@ -142,10 +142,10 @@ class SplineProducts(ABC):
         return self.scatter(sum(others, start=first))
 
     def region_integrals(self, regions: Sequence[PlateRegion]) -> np.ndarray:
+        areas = [region.area for region in regions if region.area is not None]
+        rectangles = iter(self.patch_integrals(np.array(areas)) if areas else ())
         rows = [
-            self.patch_integrals(np.array([region.area]))[0]
-            if region.area is not None
-            else self._on_chords(self._chords(curves_of(region)))
+            next(rectangles) if region.area is not None else self._on_chords(self._chords(curves_of(region)))
             for region in regions
         ]
         return np.array(rows).reshape(-1, self.unknowns)
