@@ -1,6 +1,7 @@
 """``warp-plate design``: its JSON, the scene with its map, the picture and the solid, and what it refuses."""
 
 import json
+import sys
 import zipfile
 from types import SimpleNamespace
 from unittest.mock import Mock
@@ -29,7 +30,8 @@ CHANGES = [
 def test_the_designed_scene_is_written_with_its_map(command, tmp_path):
     pyvista = pytest.importorskip("pyvista")
     out = tmp_path / "panel.designed.toml"
-    record = json.loads(output_of(command("design", "paper", *CHANGES, "--solid", "--json", "--out", str(out))))
+    files = "--solid", "--drawing", "--json", "--out", str(out)
+    record = json.loads(output_of(command("design", "paper", *CHANGES, *files)))
     assert record["after"]["bound"] > record["before"]["bound"] > 0.6
     assert record["history"][0][-1] == pytest.approx(record["after"]["value"], abs=0.02)
     assert out.with_suffix(".png").stat().st_size > 30_000
@@ -47,6 +49,11 @@ def test_the_designed_scene_is_written_with_its_map(command, tmp_path):
     points, corners = np.array(rows[0]), np.array(rows[1], dtype=int)
     volume = np.linalg.det(points[corners]).sum() / 6  # positive only if all triangles face outwards
     assert (model.get("unit"), volume) == ("millimeter", pytest.approx(solid.volume, rel=1e-5))
+
+    drawing = pytest.importorskip("ezdxf").readfile(out.with_suffix(".dxf"))
+    drawn = {entity.dxf.layer for entity in drawing.modelspace()}
+    assert {"outline", "actuators"} < drawn
+    assert any(name.startswith("thickness 0.") for name in drawn)
 
     assert record["check"]["agrees"]
     assert abs(record["check"]["modes"] - record["after"]["bound"]) < 1e-6
@@ -75,6 +82,13 @@ def test_solids_are_written_whole_or_not_at_all(ending, tmp_path, monkeypatch):
     with pytest.raises(SceneError, match="No space left"):
         save_solid(panel, path)
     assert [file.read_text() for file in tmp_path.iterdir()] == ["old"]
+
+
+def test_drawings_without_their_library_are_refused_before_the_search(command, tmp_path, monkeypatch):
+    monkeypatch.setattr("warp_plate.designing.design._climb", None)
+    monkeypatch.setitem(sys.modules, "ezdxf", None)
+    error = error_of(command("design", "paper", *CHANGES, "--drawing", "--out", str(tmp_path / "a.toml")))
+    assert "--drawing: DXF files need ezdxf: pip install 'warp-plate[cad]'" in error
 
 
 def test_starts_are_kept_until_the_panel_is_written(command, tmp_path, monkeypatch):

@@ -23,7 +23,7 @@ OBJECTIVES = {
     "drive": "localization factor of the scene's drive",
     "energy_target": "energy of the target [J]",
 }
-MAP, UNFINISHED, SOLIDS = ".thickness.csv", ".unfinished.json", (".stl", ".3mf")
+MAP, UNFINISHED, SOLIDS, DRAWING = ".thickness.csv", ".unfinished.json", (".stl", ".3mf"), ".dxf"
 
 
 def design(
@@ -34,6 +34,14 @@ def design(
     solid: Annotated[
         bool,
         Parameter(negative="", help="Also write the panel with its map of thickness as a solid in mm, .stl and .3mf."),
+    ] = False,
+    drawing: Annotated[
+        bool,
+        Parameter(
+            negative="",
+            help="Also write the outlines of the panel, its ribs and what is attached, and the contours of its map of "
+            "thickness for a cutter in mm, .dxf.",
+        ),
     ] = False,
     check: Annotated[
         bool, Parameter(negative="--no-check", help="Simulate the drive of the designed panel in time steps too.")
@@ -52,7 +60,8 @@ def design(
     from warp_plate.scene.errors import toml_comment
 
     target = files.target(scene, ".designed.toml", holds=DESIGNED)
-    beside = {ending: target.with_suffix(ending) for ending in (UNFINISHED, MAP, *(SOLIDS * solid))}
+    endings = UNFINISHED, MAP, *(SOLIDS * solid), *((DRAWING,) * drawing)
+    beside = {ending: target.with_suffix(ending) for ending in endings}
     own = target.exists() or beside[UNFINISHED].exists()  # then so are the files that say nothing of their program
     for ending, path in beside.items():
         output.check_overwriting(path, '{"design"', files.force or (own and ending != UNFINISHED))
@@ -63,6 +72,10 @@ def design(
         from warp_plate.viz.plots.designed import check_solid
 
         check_solid(loaded)
+    if drawing:
+        from warp_plate.viz.plots.cutter import check_drawing
+
+        check_drawing()
     with output.scene_errors(scene), output.progress_bar("designs", shown=not files.json) as show:
         panel = warp_plate.design(loaded, show, beside[UNFINISHED], check)
     saves = {}
@@ -79,6 +92,10 @@ def design(
         from warp_plate.viz.plots.designed import save_solid
 
         saves |= {beside[ending]: partial(save_solid, panel) for ending in SOLIDS}
+    if drawing:
+        from warp_plate.viz.plots.cutter import save_drawing
+
+        saves[beside[DRAWING]] = partial(save_drawing, panel)
     written = output.write_files(saves, partial(_draw, panel, target) if files.pictures else None)
     if not panel.interrupted:
         beside[UNFINISHED].unlink(missing_ok=True)
