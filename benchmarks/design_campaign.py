@@ -1,0 +1,407 @@
+"""Random panels: slopes of what is designed against differences, and designs judged by finite elements.
+
+    python benchmarks/design_campaign.py slopes [--first 0] [--count 200] [--processes 2]
+    python benchmarks/design_campaign.py designs [--first 0] [--count 60] [--processes 2]
+    python benchmarks/design_campaign.py many [--side 40]
+
+A number is a scene of ``error_bars/scenes.py`` with a table ``[design]``. "slopes" compares slopes by each free number
+with central differences of the values; every fifth scene is a square panel with all its symmetries, where two drives
+reach the bound and the slope has to lie between the slopes of both sides. "designs" searches, and lets ``judge.py``,
+which shares no code with the program, compute what the best drive does before and after, and what limits are passed.
+"many" compares the processor time of a value with that of its slopes by the places and masses of a lattice.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import sys
+import time
+from functools import partial
+from itertools import pairwise
+from multiprocessing import get_context
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+sys.path.insert(0, str(Path(__file__).parent))
+
+import numpy as np
+import scipy
+from error_bars.elements import Side, density_at, element_frequencies
+from error_bars.judge import true_factors
+from error_bars.scenes import random_scene
+
+from warp_plate import Scene, SceneError
+from warp_plate.designing.design import design
+from warp_plate.designing.panel import FreePanel, gridded
+from warp_plate.modal.assemble import make_galerkin
+from warp_plate.modal.sensitivity import EnergyAdjoint
+from warp_plate.modal.solver import ModalSolver
+from warp_plate.plate.designs import scene_phasors
+from warp_plate.solve.response import largest_ratio
+
+# Steps of the differences, as parts of the range of a number.
+STEPS = (8e-2, 4e-2, 2e-2, 1e-2, 5e-3, 2e-3, 1e-3)
+# Where these do not tell, polynomials of a degree through so many values within distances average rounding.
+DEGREE, POINTS, DISTANCES = 11, 36, (2e-2, 6e-3, 2e-3, 6e-4)
+RIB = {"thickness": 1e-4, "young_modulus": 3e9, "density": 1500.0}
+
+
+def designed_scene(number: int, limited: bool, accurate: bool = False) -> Scene:
+    """Return a random scene with a random table ``[design]``."""
+    rng = np.random.default_rng([number, 47])
+    scene, _ = random_scene(number)
+    effects, plate = scene.model_dump()["effects"], scene.plate
+    if rng.random() < 0.3:
+        effects |= {"loss_factor": {"eta": 10 ** rng.uniform(-2, -1)}, "material_damping": None}
+    design: dict = {"starts": 2, "iterations": 8, "seed": number, "free": {}, "places": {}}
+    design["objective"] = str(rng.choice(["bound", "drive", "energy_target"], p=(0.6, 0.2, 0.2)))
+    mapped = effects["orthotropic"] is None and rng.random() < 0.5
+    if mapped:
+        effects["variation"] = None
+        length = max(plate.size) / rng.uniform(2, 4)
+        design["thickness"] = {
+            "range": [0.7 * plate.thickness, 1.4 * plate.thickness], "length_scale": length,
+            "mass": rng.choice([None, 1.0]),
+            "symmetry": str(rng.choice(["none", "x", "y", "both"], p=(0.7, 0.1, 0.1, 0.1))),
+        }  # fmt: skip
+    free, whole = design["free"], (0.0, plate.size[0], 0.0, plate.size[1])
+    if effects["oscillators"]:
+        for name in ("mass", "stiffness"):
+            value = effects["oscillators"][0][name]
+            free[f"effects.oscillators[0].{name}"] = [0.3 * value, 3 * value]
+        if rng.random() < 0.5:
+            design["places"]["effects.oscillators[0]"] = whole
+    if effects["layers"]:
+        value = effects["layers"][0]["thickness"]
+        free["effects.layers[0].thickness"] = [0.3 * value, 2 * value]
+    if isinstance(edge := scene.model_dump()["edges"]["top"], dict):
+        free["edges.top.translation"] = [0.3 * edge["translation"], 3 * edge["translation"]]
+    if effects["foundation"]:
+        free["effects.foundation.stiffness"] = [
+            0.3 * effects["foundation"]["stiffness"],
+            2 * effects["foundation"]["stiffness"],
+        ]
+    if rng.random() < 0.3 or not (mapped or free):
+        design["places"]["actuators[0]"] = whole
+    if rng.random() < 0.2:
+        design["tolerance"] = {"plate.young_modulus": 0.05}
+    if rng.random() < 0.2:
+        design["frequencies"] = [scene.drive.frequency, 1.1 * scene.drive.frequency]
+    scene = scene.with_tables(
+        effects=effects, design=design, grid={"nodes": [21, 21], **({} if accurate else {"modal_density": 0.7})}
+    )
+    return scene if not limited or rng.random() < 0.4 else with_limits(scene, rng)
+
+
+def with_limits(scene: Scene, rng: np.random.Generator) -> Scene:
+    """Return a scene with random limits about what its panel has."""
+    panel, limits = FreePanel(scene), {}
+    bare = scene.model_copy(update={"design": None})
+    solver = ModalSolver(gridded(bare), "cpu")
+    if rng.random() < 0.5 and (panel.thickness is None or panel.thickness.mass is None):
+        limits["mass"] = true_mass(bare) * rng.uniform(0.97, 1.1)
+    if rng.random() < 0.5:
+        natural = solver.plate.frequencies[:6]
+        index = int(rng.integers(0, 5))
+        low, high = natural[index : index + 2]
+        if high - low > 0.03 * high and low > 1e-2 * high:
+            part = rng.uniform(0.02, 0.3) * (high - low)
+            limits["gap"] = [low + part * rng.choice([-0.2, 1]), high - part]
+    if rng.random() < 0.3:
+        energy = energy_of(panel, bare)
+        limits["energy_target"] = energy * rng.uniform(0.5, 1.2)
+    return scene if not limits else scene.replace("design.limits", limits)
+
+
+def energy_of(panel: FreePanel, scene: Scene) -> float:
+    adjoint = EnergyAdjoint(make_galerkin(scene, panel._over_splines(scene).space))
+    phasors = scene_phasors(scene)
+    z = np.concatenate([phasors.real, -phasors.imag])
+    return float(z @ adjoint.matrices[1] @ z)
+
+
+def symmetric_scene(number: int) -> Scene:
+    """Return a square panel on equal springs with all its symmetries, of which one spring or the thickness is free, if
+    possible at a frequency at which two drives reach the bound."""
+    rng = np.random.default_rng([number, 48])
+    side, thickness = 0.2, 5e-4
+    low, width = rng.uniform(0.02, 0.07), rng.uniform(0.01, 0.02)
+    places = low, side - low - width
+    actuators = [{"name": f"{x:g} {y:g}", "area": (x, x + width, y, y + width)} for x in places for y in places]
+    inner = rng.uniform(0.03, 0.07)
+    edge = {"translation": 10 ** rng.uniform(4, 6)}
+    design = {"free": {"edges.left.translation": [0.5 * edge["translation"], 1.5 * edge["translation"]]}}
+    if rng.random() < 0.5:
+        design = {"thickness": {"range": [4e-4, 6e-4], "length_scale": 0.1}}
+    scene = Scene.from_tables({
+        "plate": {"size": (side, side), "thickness": thickness, "young_modulus": 1e9, "poisson_ratio": 0.33,
+                  "density": 1000.0},
+        "edges": dict.fromkeys(("left", "right", "bottom", "top"), edge), "actuators": actuators,
+        "effects": {"damping": {"viscous": rng.uniform(20, 100)}}, "grid": {"nodes": [21, 21], "modal_density": 0.5},
+        "target": {"area": (inner, side - inner, inner, side - inner)},
+        "drive": {"frequency": 300.0}, "window": {"start": 0.01, "end": 0.03}, "design": design,
+    })  # fmt: skip
+    for frequency in rng.uniform(60, 600, 30):
+        scene = scene.replace("drive.frequency", frequency)
+        panel = FreePanel(scene)
+        matrices = EnergyAdjoint(panel._galerkin(panel.start(), panel.cases[0])).matrices
+        ratios = np.sort(scipy.linalg.eigh(matrices[1], matrices[0], eigvals_only=True))[::-1]
+        if ratios[2] > ratios[0] - 1e-9:  # each drive counts twice, with a lag of a quarter of a period
+            break
+    return scene
+
+
+def slopes_of(number: int) -> tuple[int, str, list[tuple[str, float]]]:
+    """Return the kind of a scene, and the error of each slope as a part of the largest one."""
+    try:
+        if number % 5 == 4:
+            return number, "symmetric", _one_sided(symmetric_scene(number), number)
+        scene = designed_scene(number, limited=True)
+        panel = FreePanel(scene)
+        rng = np.random.default_rng([number, 49])
+        numbers = 0.2 + 0.6 * rng.random(panel.count)
+        if scene.design.limits.gap is not None:
+            panel.follow(numbers)
+        value = panel.evaluate(numbers)
+        directions = (
+            [("map", np.append(rng.normal(size=panel._mapped), np.zeros(len(panel.keys))))] if panel._mapped else []
+        )
+        directions += [(key, np.eye(panel.count)[panel._mapped + index]) for index, key in enumerate(panel.keys)]
+        every = np.vstack([value.slopes, value.excess_slopes])
+        sizes = np.linalg.norm(every, axis=1)
+        errors = []
+        for name, direction in directions:
+            direction = direction / np.linalg.norm(direction)
+            ends = {step: _difference(panel, numbers, direction, step) for step in STEPS}
+            richardson = np.array([
+                ends[fine] + (ends[fine] - ends[rough]) / ((rough / fine) ** 2 - 1)
+                for rough, fine in pairwise(STEPS)
+            ])  # fmt: skip
+            scale = np.maximum(sizes, 1e-300)
+            off = np.abs(richardson - every @ direction) / scale
+            for distance in DISTANCES if off.min(axis=0).max() > 5e-7 else ():
+                fitted = _fitted(panel, numbers, direction, distance)
+                off = np.vstack([off, np.abs(fitted - every @ direction) / scale])
+            labels = ["value", *(f"limit {index}" for index in range(len(value.excess)))]
+            errors += [(f"{name}: {label}", float(error)) for label, error in zip(labels, off.min(axis=0), strict=True)]
+        return number, "plain" if not value.excess.size else "limited", errors
+    except SceneError as error:
+        return number, f"refused: {error}", []
+
+
+def _difference(panel: FreePanel, numbers: np.ndarray, direction: np.ndarray, step: float) -> np.ndarray:
+    one, other = (panel.evaluate(numbers + sign * step * direction) for sign in (1, -1))
+    return np.append(one.smooth - other.smooth, one.excess - other.excess) / (2 * step)
+
+
+def _fitted(panel: FreePanel, numbers: np.ndarray, direction: np.ndarray, distance: float) -> np.ndarray:
+    """Return the slope at the middle of polynomials through values, even ones left out."""
+    places = distance * np.cos(np.pi * (np.arange(POINTS) + 0.5) / (2 * POINTS))
+    ends = np.array([2 * step * _difference(panel, numbers, direction, step) for step in places])
+    odd = np.polynomial.chebyshev.chebvander(places / distance, DEGREE)[:, 1::2]
+    return (
+        np.linalg.lstsq(odd, ends / 2, rcond=None)[0].T
+        @ [(-1) ** k * (2 * k + 1) for k in range(odd.shape[1])]
+        / distance
+    )
+
+
+def _one_sided(scene: Scene, number: int) -> list[tuple[str, float]]:
+    """Return by how much a slope leaves the interval of the slopes of both sides."""
+    panel, rng = FreePanel(scene), np.random.default_rng([number, 50])
+    middle, direction, step = panel.start(), rng.normal(size=panel.count), 1e-3
+    direction /= np.linalg.norm(direction)
+    sides = ([panel.evaluate(middle + sign * step * index * direction).least for index in range(4)] for sign in (-1, 1))
+    left, right = (
+        sign * np.array([-11, 18, -9, 2]) @ values / (6 * step) for sign, values in zip((-1, 1), sides, strict=True)
+    )
+    slopes = panel.evaluate(middle).slopes
+    slope, low, high = slopes @ direction, min(left, right), max(left, right)
+    kind = "one-sided, repeated" if right - left > 1e-4 * np.linalg.norm(slopes) else "one-sided, simple"
+    return [(kind, max(low - slope, slope - high, 0.0) / float(np.linalg.norm(slopes)))]
+
+
+def true_mass(scene: Scene) -> float:
+    sides = [Side(scene, axis, 7) for axis in (0, 1)]
+    weights = np.outer(sides[1].weights, sides[0].weights)
+    plate = (weights * density_at(scene, sides[0].points, sides[1].points)).sum()
+    return float(plate + sum(oscillator.mass for oscillator in scene.effects.oscillators))
+
+
+def judged(scene: Scene, objective: str) -> tuple[float, float]:
+    """Return the localization factor of the scene's best drive by modes, or of its own, by the judge, and by how much
+    it changes with the degree of the elements."""
+    phasors = scene_phasors(scene) if objective == "drive" else ModalSolver(gridded(scene), "cpu").response.best_drive()
+    degree = 7 if scene.effects.layers or scene.effects.variation else 10
+    fine, coarse = (float(true_factors(scene, np.asarray(phasors)[None], each)[0]) for each in (degree, degree - 2))
+    return fine, abs(fine - coarse)
+
+
+def design_of(number: int) -> tuple[int, str, dict[str, float]]:
+    """Return what a design of a random scene does, and what the judge says of it."""
+    try:
+        scene = designed_scene(number, limited=True, accurate=True)
+        limits, objective = scene.design.limits, scene.design.objective
+        panel = design(scene, check=False)
+    except SceneError as error:
+        return number, f"refused: {error}", {}
+    bare = scene.model_copy(update={"design": None})
+    row = {
+        "before": panel.before.value,
+        "after": panel.after.value,
+        "kept": float(panel.after.kept),
+        "kept before": float(panel.before.kept),
+    }
+    several = bool(scene.design.tolerance or scene.design.frequencies)
+    if objective != "energy_target" and not several:
+        (first, unsure), (second, unsure_after) = judged(bare, objective), judged(panel.scene, objective)
+        row |= {"judged before": first, "judged after": second, "unsure": unsure + unsure_after}
+    if limits.mass is not None:
+        row["mass"] = true_mass(panel.scene) / limits.mass - 1
+    if limits.gap is not None:
+        natural = element_frequencies(panel.scene, 16, 9)
+        row["gap"] = float(np.minimum(natural / limits.gap[0] - 1, 1 - natural / limits.gap[1]).max())
+    if scene.design.thickness is not None and panel.improved:
+        low, high = scene.design.thickness.range
+        row["range"] = max(low / panel.thickness.min() - 1, panel.thickness.max() / high - 1)
+        if scene.design.thickness.mass is not None:
+            plates = [
+                one.model_copy(update={"effects": one.effects.model_copy(update={"oscillators": (), "layers": ()})})
+                for one in (panel.scene, bare)
+            ]
+            row["mass of the plate"] = abs(true_mass(plates[0]) / true_mass(plates[1]) - 1)
+    return number, "improved" if panel.improved else "stays", row
+
+
+def lattice(side: int) -> Scene:
+    """Return a pane with a lattice of resonators whose places and masses are free: three numbers each."""
+    pitch, table = 0.2 / side, {}
+    rows = [
+        {"area": [(i + 0.4) * pitch, (i + 0.6) * pitch, (j + 0.4) * pitch, (j + 0.6) * pitch],
+         "mass": 2e-2 / side**2, "stiffness": 2e-2 / side**2 * (2 * math.pi * 400) ** 2, "damping": 1e-5}
+        for j in range(side) for i in range(side)
+    ]  # fmt: skip
+    for index, row in enumerate(rows):
+        x0, x1, y0, y1 = row["area"]
+        half = 0.2 * pitch
+        table[f"effects.oscillators[{index}]"] = [x0 - half, x1 + half, y0 - half, y1 + half]
+    free = {f"{key}.mass": [0.5 * rows[0]["mass"], 2 * rows[0]["mass"]] for key in table}
+    effects = {"damping": {"viscous": 88.3}, "oscillators": rows}
+    return Scene.load("paper").with_tables(effects=effects, design={"free": free, "places": table})
+
+
+def many(side: int) -> None:
+    """Print the cost of a value and of its slopes, and their errors along random directions."""
+    began = time.process_time()
+    panel = FreePanel(lattice(side))
+    print(f"{panel.count} free numbers; prepared in {time.process_time() - began:.1f} s of processor time", flush=True)
+    numbers = 0.3 + 0.4 * np.random.default_rng(0).random(panel.count)
+    panel.evaluate(panel.start())
+    began = time.process_time()
+    largest_ratio(EnergyAdjoint(panel._galerkin(numbers, panel.cases[0])).matrices)
+    alone = time.process_time() - began
+    began = time.process_time()
+    value = panel.evaluate(numbers)
+    whole = time.process_time() - began
+    print(f"a value {alone:.2f} s, with all slopes {whole:.2f} s: {whole / alone:.2f} times", flush=True)
+    direction = np.random.default_rng(1).normal(size=panel.count)
+    direction /= np.linalg.norm(direction)
+    ends = [_difference(panel, numbers, direction, step)[0] for step in (2e-2, 1e-2)]
+    error = abs((4 * ends[1] - ends[0]) / 3 - value.slopes @ direction) / np.linalg.norm(value.slopes)
+    print(f"a random direction: error {error:.1e} of the norm of the slopes", flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("what", choices=["slopes", "designs", "many"])
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--count", type=int, default=None)
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--side", type=int, default=42)
+    asked = parser.parse_args()
+    if asked.what == "many":
+        return many(asked.side)
+    task, count = {"slopes": (slopes_of, 200), "designs": (design_of, 60)}[asked.what]
+    numbers = range(asked.first, asked.first + (asked.count or count))
+    with get_context("spawn").Pool(asked.processes) as pool:
+        rows = []
+        for row in pool.imap_unordered(partial(_timed, task), numbers):
+            rows.append(row)
+            if os.environ.get("WORDY"):
+                print(*row, flush=True)
+    (summarise_slopes if asked.what == "slopes" else summarise_designs)(rows)
+    print(f"slowest {max(row[-1] for row in rows):.0f} s of processor time, all {sum(row[-1] for row in rows):.0f} s")
+    return None
+
+
+def _timed(task, number):
+    began = time.process_time()
+    return *task(number), time.process_time() - began
+
+
+def summarise_slopes(rows: list) -> None:
+    errors = [(error, number, name) for number, _, found, _ in rows for name, error in found]
+    kinds = [kind for _, kind, _, _ in rows]
+    print(f"{len(rows)} scenes, {sum(kind.startswith('refused') for kind in kinds)} refused, {len(errors)} slopes")
+    for kind in ("plain", "limited", "symmetric"):
+        print(f"  {kind}: {kinds.count(kind)} scenes")
+    repeated = [error for error, _, name in errors if "repeated" in name]
+    print(f"  repeated bounds {len(repeated)}, largest excess {max(repeated, default=0):.1e}")
+    sizes = np.array([error for error, _, _ in errors])
+    print(
+        f"errors as parts of the norm of the slopes: median {np.median(sizes):.1e}, above 1e-6: {(sizes > 1e-6).sum()}"
+    )
+    for error, number, name in sorted(errors, reverse=True)[:25]:
+        print(f"  {error:.1e} scene {number} {name}")
+    for number, kind, _, _ in rows:
+        if kind.startswith("refused"):
+            print(f"  scene {number} {kind}"[:110])
+
+
+def summarise_designs(rows: list) -> None:
+    done = [(number, row) for number, _, row, _ in rows if row]
+    kinds = [kind for _, kind, _, _ in rows]
+    print(
+        f"{len(rows)} scenes: {kinds.count('improved')} improved, {kinds.count('stays')} stay, "
+        f"{len(rows) - len(done)} refused"
+    )
+    worse = [number for number, row in done if row["after"] < row["before"] and row["kept before"]]
+    print(
+        f"worse than the start: {worse}; limits not kept although the scene kept them: "
+        f"{[number for number, row in done if row['kept before'] and not row['kept']]}"
+    )
+    pairs = [(number, row) for number, row in done if "judged after" in row]
+    off = [
+        (max(abs(row[f"judged {when}"] / row[when] - 1) for when in ("before", "after")), number)
+        for number, row in pairs
+    ]
+    print(
+        f"judged {len(pairs)}: median difference from modes {np.median([error for error, _ in off]):.1e}; largest "
+        + ", ".join(f"{error:.1e} ({number})" for error, number in sorted(off, reverse=True)[:6])
+    )
+    lost = sorted(
+        (row["judged after"] - row["judged before"], row["unsure"], row["after"] - row["before"], number)
+        for number, row in pairs
+        if row["kept before"]
+    )
+    print(
+        "least judged gains (± the judge's change with its degree; by modes): "
+        + ", ".join(f"{gain:+.1e} ± {unsure:.0e}; {modes:+.1e} ({number})" for gain, unsure, modes, number in lost[:8])
+    )
+    for name in ("mass", "gap", "range", "mass of the plate"):
+        passed = [
+            (row[name], number) for number, row in done if name in row and (row["kept"] or name not in ("mass", "gap"))
+        ]
+        print(
+            f"{name}: {len(passed)}, passed at most by "
+            + ", ".join(f"{error:.1e} ({number})" for error, number in sorted(passed, reverse=True)[:4])
+        )
+    for number, kind, _, _ in rows:
+        if kind.startswith("refused"):
+            print(f"  scene {number} {kind}"[:110])
+
+
+if __name__ == "__main__":
+    main()
