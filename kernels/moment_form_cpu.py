@@ -120,12 +120,12 @@ def make_run_steps(effects, real, ny, stride):
             curvature[i] = along_x + stretch_ratio * along_y
 
     @wp.func
-    def sum_of_products(a_at: wp.uint64, b_at: wp.uint64, columns_at: wp.uint64):
-        """Return Σ a·b over the plate, columns first."""
+    def sum_of_products(a_at: wp.uint64, b_at: wp.uint64, columns_at: wp.uint64, rows: wp.vec2i):
+        """Return Σ a·b over rows of the plate, first and last + 1, columns first."""
         columns = array_at(columns_at)
         for i in range(wp.static(stride)):
             columns[i] = real(0.0)
-        for row in range(wp.static(ny)):
+        for row in range(rows[0], rows[1]):
             a = array_at(a_at + wp.uint64(row) * wp.uint64(wp.static(row_bytes)))
             b = array_at(b_at + wp.uint64(row) * wp.uint64(wp.static(row_bytes)))
             for i in range(wp.static(stride)):
@@ -144,10 +144,10 @@ def make_run_steps(effects, real, ny, stride):
             product[i] = a[i] * b[i]
 
     @wp.func
-    def add_multiple(factor: real, plane_at: wp.uint64, sum_at: wp.uint64):
+    def add_multiple(factor: real, plane_at: wp.uint64, sum_at: wp.uint64, rows: wp.vec2i):
         values = array_at(plane_at)
         total = array_at(sum_at)
-        for i in range(wp.static(count)):
+        for i in range(rows[0] * wp.static(stride), rows[1] * wp.static(stride)):
             total[i] = total[i] + factor * values[i]
 
     @wp.func
@@ -251,6 +251,7 @@ def make_run_steps(effects, real, ny, stride):
         m: Material,  # its along_x padded to ``stride``
         shared: wp.array3d[real],  # (len(SHARED_PLANES), rows, stride); south, north times (hx / hy)²
         patches: wp.array3d[real],  # (attached masses, then coils, rows, stride) shares of the nodes
+        patch_rows: wp.array[wp.vec2i],  # (attached masses, then coils) first and last + 1 of the rows with shares
         window: wp.vec2i,  # first and last + 1 of the steps whose rate² is summed
         start: int,
         stop: int,
@@ -279,6 +280,7 @@ def make_run_steps(effects, real, ny, stride):
         u_at = f.u.ptr + plane_offset
         rate_at = f.rate.ptr + plane_offset
         tension = real(0.0)
+        whole = wp.vec2i(0, wp.static(ny))
         for n in range(start, stop):
             strained = u_at
             if wp.static(effects.retarded):
@@ -292,7 +294,7 @@ def make_run_steps(effects, real, ny, stride):
                 # The pressure plane is not in use yet; it holds weight · u.
                 weight = shared.ptr + wp.uint64(wp.static(plane["weight"] * plane_bytes)) + row
                 multiply_planes(weight, u_at, pressure)
-                tension = membrane_tension(d, m, k, -sum_of_products(pressure, curvature, retarded))
+                tension = membrane_tension(d, m, k, -sum_of_products(pressure, curvature, retarded, whole))
             if wp.static(effects.attached or effects.travelling):
                 clear(pressure)
             if wp.static(effects.travelling):
@@ -300,13 +302,14 @@ def make_run_steps(effects, real, ny, stride):
             if wp.static(effects.terms != 2):
                 clear(load)
                 for t in range(wp.static(effects.terms)):
-                    add_multiple(d.wave[k, n, t], first_load + wp.uint64(t) * term, load)
+                    add_multiple(d.wave[k, n, t], first_load + wp.uint64(t) * term, load, whole)
             if wp.static(effects.attached):
                 for o in range(m.attached.shape[0]):
                     shares = patches.ptr + wp.uint64(o) * step + row
-                    plate_u = sum_of_products(shares, u_at, retarded)
-                    plate_rate = sum_of_products(shares, rate_at, retarded)
-                    add_multiple(attached_force(f, m, k, o, plate_u, plate_rate), shares, pressure)
+                    rows = patch_rows[o]
+                    plate_u = sum_of_products(shares, u_at, retarded, rows)
+                    plate_rate = sum_of_products(shares, rate_at, retarded, rows)
+                    add_multiple(attached_force(f, m, k, o, plate_u, plate_rate), shares, pressure, rows)
             summed = real(0.0)
             if n >= window[0] and n < window[1]:
                 summed = real(1.0)
@@ -319,9 +322,10 @@ def make_run_steps(effects, real, ny, stride):
                 clear(pressure)
                 for c in range(m.coils.shape[0]):
                     shares = patches.ptr + wp.uint64(m.attached.shape[0] + c) * step + row
-                    plate_u = sum_of_products(shares, u_at, retarded)
-                    plate_rate = sum_of_products(shares, rate_at, retarded)
-                    add_multiple(coil_force(d, f, m, k, c, n, plate_u, plate_rate), shares, pressure)
+                    rows = patch_rows[m.attached.shape[0] + c]
+                    plate_u = sum_of_products(shares, u_at, retarded, rows)
+                    plate_rate = sum_of_products(shares, rate_at, retarded, rows)
+                    add_multiple(coil_force(d, f, m, k, c, n, plate_u, plate_rate), shares, pressure, rows)
                 add_coils(shared.ptr, pressure, u_at, rate_at, f.squares.ptr + plane_offset, summed)
             for traced in range(f.nodes.shape[0]):
                 f.trace[k, traced, n] = f.u[k, f.nodes[traced, 0], f.nodes[traced, 1]]

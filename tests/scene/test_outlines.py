@@ -11,6 +11,7 @@ from warp_plate import Scene, check, modes
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.resolve import resolve
+from warp_plate.scene.grid import Grid
 
 DISC = {"disc": (0.1, 0.1, 0.1)}
 HOLE = {"disc": (0.1, 0.15, 0.02), "edge": {"translation": 1e3}}
@@ -99,15 +100,15 @@ def test_plates_with_outlines_are_solved_by_modes_unless_a_grid_is_written():
             assert resolve(Scene.from_tables(tables | grid), "cpu", purpose=purpose).engine == "modes"
 
 
-def test_supports_are_not_stepped():
+def test_supports_are_stepped_where_a_grid_is_written():
     scene = outlined(DISC, supports=[{"point": (0.1, 0.1)}])
-    assert resolve(scene, "cpu").engine == "modes"
-    assert "supports: cannot be stepped in time" in refused(scene.check_stepped)
+    assert resolve(scene, "cpu", purpose="simulate").engine == "steps"
+    unwritten = scene.model_copy(update={"grid": Grid()})
+    assert resolve(unwritten, "cpu", purpose="simulate").engine == "modes"
 
 
-@pytest.mark.parametrize("edge", ["clamped", {"translation": 1e3, "rotation": 1.0}])
-def test_plates_that_are_not_stepped_are_checked(edge):
-    scene = outlined(DISC, edge, supports=[{"point": (0.1, 0.1)}] if edge == "clamped" else [])
+def test_plates_that_are_not_stepped_are_checked():
+    scene = outlined(DISC, {"translation": 1e3, "rotation": 1.0})
     checked = check(scene, "cpu")
     assert checked.path == "modal"
     assert not checked.numerics

@@ -14,6 +14,7 @@ from warp_plate.plate.memory import memory_room
 from warp_plate.plate.scheme import Scheme, discretize
 from warp_plate.plate.signals import carrier_frequencies, highest_frequency
 from warp_plate.plate.stability_limit import StabilityLimit
+from warp_plate.plate.weights import cell_shares
 from warp_plate.problem.methods import resolve_search, with_method_of_engine
 from warp_plate.problem.search_cost import PROGRAM, Cost, cost_of_run, cost_of_search
 from warp_plate.resolve import Resolved
@@ -140,8 +141,9 @@ def check(scene: SceneSource, device: str = "auto", allow_unstable: bool = False
     bending, plate = scheme.bending, scene.plate
     mass = plate.area * plate.thickness * plate.density
     if bending is not None:
-        # Nodes off an outline have a weight of 1, and masses beside its held pieces are raised.
-        weight = bending.weight if bending.grid is None else bending.grid.count(np.ones(bending.weight.shape))
+        # Nodes off an outline have a weight of 1, and masses beside its held pieces and at supports are raised.
+        shape, grid = bending.mass.shape, bending.grid
+        weight = cell_shares(shape) if grid is None else grid.count(np.ones(shape))
         mass = plate.area * float(np.average(bending.mass, weights=weight))
     return Check(
         plate=_plate_text(scene, mass),

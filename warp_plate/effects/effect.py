@@ -181,14 +181,20 @@ def losses(terms: Iterable[Term]) -> Losses:
 
 
 @dataclass(frozen=True)
-class Attachment:
-    """A mass on a patch with its spring and damper; see :class:`Patch`."""
+class Joint:
+    """A spring and a damper between the plate and a mass, or the ground where mass is zero."""
 
-    region: PlateRegion
     mass: float
     stiffness: float
     damping: float
     label: str
+
+
+@dataclass(frozen=True)
+class Attachment(Joint):
+    """A mass on a patch with its spring and damper; see :class:`Patch`."""
+
+    region: PlateRegion
 
 
 def attachments(terms: Iterable[Term]) -> list[Attachment]:
@@ -200,7 +206,10 @@ def attachments(terms: Iterable[Term]) -> list[Attachment]:
             values = patches.setdefault(term.place, {"stiffness": 0.0, "damping": 0.0})
             values[term.role] += term.coefficient
             labels[term.place] = term.label
-    return [Attachment(patch.region, patch.mass, **values, label=labels[patch]) for patch, values in patches.items()]
+    return [
+        Attachment(mass=patch.mass, **values, label=labels[patch], region=patch.region)
+        for patch, values in patches.items()
+    ]
 
 
 def per_mode(values: float | tuple[float, ...], count: int) -> np.ndarray:

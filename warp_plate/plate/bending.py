@@ -20,11 +20,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import scipy
 
-from warp_plate.effects.effect import DISPLACEMENT, IN_PLANE, SLOPE, Attachment, Edge, Patch, Term, attachments
+from warp_plate.effects.effect import DISPLACEMENT, IN_PLANE, SLOPE, Attachment, Edge, Joint, Patch, Term, attachments
 from warp_plate.plate.coils import MountedCoil, mounted_coils
-from warp_plate.plate.outline_grid import OutlineGrid, outline_grid
+from warp_plate.plate.outline_grid import OutlineGrid
 from warp_plate.plate.section import Section, make_section
-from warp_plate.plate.weights import EDGE_LINES, covered_cells, moving_nodes, on_plate
+from warp_plate.plate.supports import springs_of_supports
+from warp_plate.plate.weights import EDGE_LINES, cell_shares, covered_cells, grid_of, moving_nodes, on_plate
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
@@ -42,15 +43,16 @@ class Bending:
     bend_yy: np.ndarray  # (ny, nx) Cyy above [N·m]
     twist: np.ndarray  # (ny − 1, nx − 1) 4Dxy of the cells [N·m]
     mass: np.ndarray  # (ny, nx) mass per area [kg/m²]
-    weight: np.ndarray  # (ny, nx) share of each node's cell on the plate: 1, ½ or ¼
+    # (ny, nx) share of each node's cell on the plate, 1, ½ or ¼; raised where supports are
+    weight: np.ndarray
     moves: np.ndarray  # (ny, nx) true for nodes that move
     stretch: tuple[float, float]  # Membrane stiffness of the whole plate along x and y [N/m], see ``section``
     # (ny, nx) springs per area [N/m³], by what they belong to
     springs: Mapping[str, np.ndarray] = field(default_factory=dict)
     membrane: tuple[float, float] = (0.0, 0.0)  # In-plane force along x and y [N/m], positive where it pulls
     retardation: float = 0.0  # Retardation time of the bending moments [s]
-    attachments: Sequence[Attachment] = ()  # Masses, springs and dampers on patches
-    # (attachments, ny, nx) shares of the nodes in the mean displacement of each patch
+    attachments: Sequence[Joint] = ()  # Masses, springs and dampers on patches, then springs of supports
+    # (attachments, ny, nx) shares of the nodes in the mean displacement of each patch or point
     shares: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 0)))
     coils: Sequence[MountedCoil] = ()  # Coils on patches
     labels: Mapping[str, str] = field(default_factory=dict)  # Names of ``membrane`` and ``retardation`` in texts
@@ -80,17 +82,15 @@ class Bending:
     @property
     def berger(self) -> float:
         """Berger's force along x for ∫ u_x² + κu_y² dA = 1 m² [N/m³]; for an isotropic plate 6D/(H² area)."""
-        return self.stretch[0] / (2 * self.cell * float(self.weight.sum()))
+        return self.stretch[0] / (2 * self.cell * float(cell_shares(self.weight.shape).sum()))
 
 
 def make_bending(scene: Scene) -> Bending:
     """Return the fields of a scene on its grid; SceneError: the grid has no such term, or a file cannot be read."""
-    (nx, ny), spacing, section = scene.grid.nodes, scene.spacing, make_section(scene)
-    if (outline := scene.outline) is not None:
-        return _outlined(scene, outline_grid(outline, scene.plate.size, scene.grid.nodes), section, spacing)
+    spacing, section = scene.spacing, make_section(scene)
+    if (grid := grid_of(scene)) is not None:
+        return _with_supports(scene, _outlined(scene, grid, section, spacing))
     bend_xx, bend_xy, bend_yy = _in_series(section, *_edge_compliances(scene, spacing))
-    half_x, half_y = np.ones(nx), np.ones(ny)
-    half_x[[0, -1]] = half_y[[0, -1]] = 0.5
     bare = Bending(
         spacing=spacing,
         bend_xx=bend_xx,
@@ -98,11 +98,31 @@ def make_bending(scene: Scene) -> Bending:
         bend_yy=bend_yy,
         twist=_of_cells(section.twist),
         mass=section.mass,
-        weight=np.outer(half_y, half_x),
+        weight=cell_shares(section.mass.shape),
         moves=moving_nodes(scene),
         stretch=section.stretch,
     )
-    return _complete(scene, bare)
+    return _with_supports(scene, _complete(scene, bare))
+
+
+def _with_supports(scene: Scene, bare: Bending) -> Bending:
+    """Return the plate with the springs of its supports, after other attachments, and raised masses."""
+    if not scene.supports:
+        return bare
+    rows, masses = _sums_of_rows(bare), mass_matrix(bare).reshape(bare.mass.shape)
+    attached, shares, added = springs_of_supports(scene, bare.moves, rows)
+    median = np.median((rows / masses)[bare.moves])
+    raised = 1 + added / np.where(bare.moves, np.minimum(rows, masses * median), 1)
+    return replace(
+        bare,
+        weight=bare.weight * raised,
+        bend_xx=bare.bend_xx / raised,
+        bend_xy=bare.bend_xy / raised,
+        bend_yy=bare.bend_yy / raised,
+        springs={label: springs / raised for label, springs in bare.springs.items()},
+        attachments=[*bare.attachments, *attached],
+        shares=np.concatenate([bare.shares, shares]),
+    )
 
 
 def _complete(scene: Scene, bare: Bending) -> Bending:
@@ -152,8 +172,7 @@ def _outlined(scene: Scene, grid: OutlineGrid, section: Section, spacing: tuple[
 
     area = np.where(grid.moves, np.maximum(grid.count(np.ones(grid.moves.shape)), 1e-3), 1.0)
     plate = with_area(area)
-    rows = np.asarray(abs(stiffness_matrix(plate)).sum(axis=1)).reshape(area.shape)
-    per_mass = rows / (area * section.mass)
+    per_mass = _sums_of_rows(plate) / (area * section.mass)
     inside = per_mass[grid.deep].max() if grid.deep.any() else math.inf
     return with_area(np.where(grid.held, area * np.maximum(per_mass / inside, 1), area))
 
@@ -222,7 +241,7 @@ def stiffness_parts(bending: Bending) -> dict[str, scipy.sparse.csr_array]:
     curve_x = scipy.sparse.kron(scipy.sparse.eye_array(ny), _mirrored_second_difference(nx)) / hx**2
     curve_y = scipy.sparse.kron(_mirrored_second_difference(ny), scipy.sparse.eye_array(nx)) / hy**2
     cells = scipy.sparse.kron(_difference(ny), _difference(nx)) / (hx * hy)
-    weight, in_plane = bending.weight, bending.weight
+    weight, in_plane = bending.weight, cell_shares(bending.weight.shape)
     if bending.grid is not None:
         # What ends at the outline in place of the two neighbours; forces in the plane pass whole cells.
         own_x, own_y = (2 - np.ravel(centre) for centre in bending.grid.centres)
@@ -257,6 +276,11 @@ def stiffness_matrix(bending: Bending) -> scipy.sparse.csr_array:
     return scipy.sparse.csr_array(sum(others, start=first))
 
 
+def _sums_of_rows(bending: Bending) -> np.ndarray:
+    """Return (ny, nx) Σ|K_ij| [N/m] of each node i."""
+    return np.asarray(abs(stiffness_matrix(bending)).sum(axis=1)).reshape(bending.mass.shape)
+
+
 def system(bending: Bending) -> tuple[scipy.sparse.csr_array, np.ndarray]:
     """Return stiffness [N/m] and masses [kg] of the moving nodes, row by row, then of the attached masses."""
     moves = np.flatnonzero(bending.moves)
@@ -280,7 +304,7 @@ def with_attachments(
 
 
 def join_masses(
-    matrix: scipy.sparse.csr_array, means: np.ndarray, attached: Sequence[Attachment], values: Sequence[float]
+    matrix: scipy.sparse.csr_array, means: np.ndarray, attached: Sequence[Joint], values: Sequence[float]
 ) -> scipy.sparse.csr_array:
     """Return a matrix extended by the attached masses: the sum of its form and of Σ value (ū − z)².
 

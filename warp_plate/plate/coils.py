@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from warp_plate.effects.coil import Coil
-from warp_plate.effects.effect import Attachment
+from warp_plate.effects.effect import Joint
 from warp_plate.plate.weights import covered_cells, on_plate
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.scene.target import PlateRegion
 
 
 @dataclass(frozen=True)
@@ -22,13 +21,12 @@ class MountedCoil:
     coil: Coil
     actuator: int  # Index of the actuator
     by_voltage: bool  # True for a voltage, False for a current
-    region: PlateRegion  # Its patch
     share: np.ndarray  # (ny, nx) shares of the nodes in the mean displacement of the patch
 
     @property
-    def springs(self) -> Attachment:
+    def springs(self) -> Joint:
         """Suspension and magnet; dampers are centred in time and do not count for the stability limit."""
-        return Attachment(self.region, self.coil.magnet_mass, self.coil.suspension_stiffness, 0.0, "coil")
+        return Joint(self.coil.magnet_mass, self.coil.suspension_stiffness, 0.0, "coil")
 
 
 def mounted_coils(scene: Scene) -> tuple[MountedCoil, ...]:
@@ -39,9 +37,7 @@ def mounted_coils(scene: Scene) -> tuple[MountedCoil, ...]:
     for index in scene.coil_indices:
         actuator = scene.actuators[index]
         share = on_plate(scene, covered_cells(scene, actuator))
-        mounted.append(
-            MountedCoil(actuator.coil, index, actuator.voltage is not None, actuator.region, share / share.sum())
-        )
+        mounted.append(MountedCoil(actuator.coil, index, actuator.voltage is not None, share / share.sum()))
     return tuple(mounted)
 
 

@@ -27,6 +27,7 @@ from warp_plate.plate.operator import DIVISOR, Taps, plain_taps
 from warp_plate.plate.section import make_section
 from warp_plate.plate.signals import Signals, check_rate, highest_frequency, make_signals
 from warp_plate.plate.stability_limit import StabilityLimit, find_limit, needs_moment_form, viscous_damping
+from warp_plate.plate.supports import support_points
 from warp_plate.plate.travelling import MovingWeights, moving_weights
 from warp_plate.plate.weights import patches, region_weights
 from warp_plate.scene.errors import SceneError
@@ -176,8 +177,9 @@ def grid_bytes(scene: Scene, moment_form: bool) -> float:
     terms, nodes = scene.terms, math.prod(scene.grid.nodes)
     bytes_a_node = PLAIN + 16.0 * (len(scene.actuators) + CASES * len(scene.record.times))
     if moment_form:
-        attached = [*attachments(terms), *scene.coil_indices]
-        bytes_a_node += MOMENT_FORM + 32 * len(attached)
+        springs = (len(support_points(support, scene.spacing)[0]) for support in scene.supports)
+        attached = len(attachments(terms)) + len(scene.coil_indices) + sum(springs)
+        bytes_a_node += MOMENT_FORM + 32 * attached
         bytes_a_node += MATRICES * bool(scene.layers or attached)
         bytes_a_node += FACTORISED * any(term.role == "stiffness" and term.coefficient < 0 for term in terms)
     return nodes * bytes_a_node

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.plate.outline_grid import outline_grid
+from warp_plate.plate.outline_grid import OutlineGrid, outline_grid
 from warp_plate.plate.shapes import lagrange, region_cells, shape_weights
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
@@ -136,10 +136,23 @@ def reachable_nodes(scene: Scene, areas: np.ndarray) -> np.ndarray:
     return np.any(loaded, axis=0) & moving_nodes(scene)
 
 
+def grid_of(scene: Scene) -> OutlineGrid | None:
+    """Return the grid of a plate with an outline; None for a rectangle."""
+    if scene.plate.outline is None or scene.outline is None:
+        return None
+    return outline_grid(scene.outline, scene.plate.size, scene.grid.nodes)
+
+
+def cell_shares(shape: tuple[int, ...]) -> np.ndarray:
+    """Return (ny, nx) the part of each node's cell within the grid: 1, on edges ½ and in corners ¼."""
+    along_y, along_x = (np.array([0.5, *[1.0] * (count - 2), 0.5]) for count in shape)
+    return np.outer(along_y, along_x)
+
+
 def moving_nodes(scene: Scene) -> np.ndarray:
     """Return (ny, nx), true for nodes that move: all but those on clamped and supported edges, or off the plate."""
-    if (outline := scene.outline) is not None:
-        return outline_grid(outline, scene.plate.size, scene.grid.nodes).moves
+    if (grid := grid_of(scene)) is not None:
+        return grid.moves
     moves = np.ones(scene.grid.nodes[::-1], dtype=bool)
     for side, line in EDGE_LINES.items():
         if getattr(scene.edges, side) in ("clamped", "supported"):
@@ -152,12 +165,10 @@ def on_plate(scene: Scene, cells: np.ndarray) -> np.ndarray:
 
     These are the same for a rectangle; within an outline they are the parts on the plate.
     """
-    if (outline := scene.outline) is None:
+    if (grid := grid_of(scene)) is None:
         return cells
     x, y = node_positions(scene)
-    return outline_grid(outline, scene.plate.size, scene.grid.nodes).count(
-        cells / _rectangle(overlap, x, y, (x[0], x[-1], y[0], y[-1]))
-    )
+    return grid.count(cells / _rectangle(overlap, x, y, (x[0], x[-1], y[0], y[-1])))
 
 
 def region_weights(scene: Scene, areas: Mapping[str, RegionLike] = NO_AREAS) -> np.ndarray:

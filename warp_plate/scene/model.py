@@ -285,9 +285,8 @@ def _check_outline(scene: SceneTables) -> None:
     """Check that a plate with an outline or supports has nothing that these exclude."""
     if (outline := scene.outline) is None:
         return
-    if scene.effects.stretches:
-        key = "supports" if scene.plate.outline is None else "plate.outline"
-        raise ValueError(f"effects.stretching: not with {key}; delete one of them")
+    if scene.effects.stretches and scene.plate.outline is not None:
+        raise ValueError("effects.stretching: not with plate.outline; delete one of them")
     for index, support in enumerate(scene.supports):
         key = f"supports[{index}].{next(name for name in ('point', 'line', 'ring') if getattr(support, name))}"
         for end in support.ends:
@@ -303,8 +302,6 @@ def _check_outline(scene: SceneTables) -> None:
             raise ValueError(
                 f"{key}.{region.shape}: {value} is off the plate; move it inside the outline, outside its holes"
             )
-    if scene.supports and scene.nonlinear_key is not None:
-        raise ValueError(f"supports: not with {scene.nonlinear_key}, which modes do not know; delete one of them")
     for before, after, angle in outline.corners():
         if angle > math.pi + REENTRANT and before.condition == after.condition == "supported":
             x, y = after.start

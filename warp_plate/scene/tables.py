@@ -255,8 +255,6 @@ class SceneTables(Table):
             yield key, "a lossy inductance ", ", or write eddy_resistance = [0, 0] and eddy_reactance = [0, 0]"
         if self.search.tone_key is not None:
             yield self.search.tone_key, "", ""
-        if self.supports:
-            yield "supports", "", ""
         if (key := self.effects.first(lambda effect: not effect.stepped)) is not None:
             yield key, "", ", or write [effects.damping] instead"
         if self.plate.outline is None:

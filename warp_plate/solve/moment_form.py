@@ -8,6 +8,7 @@ import warp as wp
 from warp_plate.kernels import moment_form_blocking, moment_form_cpu, moment_form_cuda, plans, temporal_blocking
 from warp_plate.kernels import update as structs
 from warp_plate.kernels.cuda import LANES
+from warp_plate.plate.weights import cell_shares
 from warp_plate.solve import cuda
 from warp_plate.solve.coils import coil_numbers
 from warp_plate.solve.cpu import distribute
@@ -29,14 +30,11 @@ def make_material(specialized: Specialized) -> Any:
     ratio = bending.mass / scheme.surface_density
     gain = np.ones_like(loss) if scheme.backward else 1 / (1 + loss / 2)
     on_plate = unit / (hx * hy)
-    # Kernels know nodes that own a whole cell, or half of one on an edge; of a plate with an outline they get the
-    # energies and masses of each node's own area.
-    weight, area, centre_x, centre_y = bending.weight, np.ones_like(loss), np.full_like(loss, 2), np.full_like(loss, 2)
-    if bending.grid is not None:
-        weight = np.ones_like(loss)
-        weight[:, [0, -1]] /= 2
-        weight[[0, -1]] /= 2
-        area, (centre_x, centre_y) = bending.weight / weight, bending.grid.centres
+    # Kernels know nodes that own a whole cell, or half of one on an edge; of a plate with an outline or supports they
+    # get the energies and masses of each node's own area.
+    weight = cell_shares(loss.shape)
+    area = bending.weight / weight
+    centre_x, centre_y = (np.full_like(loss, 2),) * 2 if bending.grid is None else bending.grid.centres
     attached = [
         (
             attachment.stiffness * on_plate,
@@ -222,10 +220,10 @@ def _cpu_path(specialized: Specialized) -> Advance:
     specialized.load(kernel)
     material = make_material(specialized)
     planes = np.stack([_shared_plane(material, name) for name in moment_form_cpu.SHARED_PLANES])
-    shared = [
-        specialized.to_device(np.pad(values, ((0, 0), (1, 1), (0, stride - nx))))
-        for values in (planes, material.attached_shares.numpy())
-    ]
+    patches = material.attached_shares.numpy()
+    shared = [specialized.to_device(np.pad(values, ((0, 0), (1, 1), (0, stride - nx)))) for values in (planes, patches)]
+    patch_rows = [np.flatnonzero(patch.any(axis=1))[[0, -1]] + [0, 1] for patch in patches]
+    shared.append(wp.array(np.reshape(patch_rows, (-1, 2)), dtype=wp.vec2i, device=device))
     along_x = material.along_x.numpy()
     material.along_x = specialized.to_device(np.pad(along_x, ((0, 0), (0, stride - along_x.shape[1]))))
     window = wp.vec2i(*specialized.scheme.window)

@@ -9,7 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 import warp as wp
 
-from warp_plate.effects.effect import DISPLACEMENT, IN_PLANE, Patch
+from warp_plate.effects.effect import DISPLACEMENT, IN_PLANE
 from warp_plate.kernels.cuda import RESERVED_BYTES
 from warp_plate.kernels.update import KernelEffects, make_parameters
 from warp_plate.plate.coils import MountedCoil
@@ -17,7 +17,7 @@ from warp_plate.plate.designs import actuator_spaces, patch_ends
 from warp_plate.plate.scheme import Discretization
 from warp_plate.plate.signals import running_sums, waves_apart
 from warp_plate.plate.stability_limit import needs_moment_form
-from warp_plate.plate.weights import NO_AREAS, REGIONS, RegionLike, reachable_nodes, weigh_region
+from warp_plate.plate.weights import EDGE_LINES, NO_AREAS, REGIONS, RegionLike, reachable_nodes, weigh_region
 from warp_plate.scene.errors import SceneError
 from warp_plate.solve.coils import largest_rates
 from warp_plate.solve.devices import cpu_threads, load_kernel
@@ -194,7 +194,8 @@ def kernel_effects(discretization: Discretization) -> KernelEffects:
     """Return the compile key of the kernels."""
     scheme, scene = discretization.scheme, discretization.scene
     grid = None if scheme.bending is None else scheme.bending.grid
-    kinds = {(term.role, term.multiple_of, term.factors) for term in scene.terms if not isinstance(term.place, Patch)}
+    distributed = (term for term in scene.terms if term.place is None or getattr(term.place, "side", "") in EDGE_LINES)
+    kinds = {(term.role, term.multiple_of, term.factors) for term in distributed}
     return KernelEffects(
         damping=("damping", "", DISPLACEMENT) in kinds,
         square_cells=scheme.square_cells or scheme.order == 4,
@@ -205,7 +206,7 @@ def kernel_effects(discretization: Discretization) -> KernelEffects:
         in_plane=any(("stiffness", "", factors) in kinds for factors in IN_PLANE),
         springs=("stiffness", "", DISPLACEMENT) in kinds or (grid is not None and bool(grid.strips.any())),
         membrane=scene.effects.stretches,
-        attached=scene.effects.attached,
+        attached=scheme.bending is not None and bool(scheme.bending.attachments),
         coils=scene.coils_in_time,
         travelling=scene.effects.travelling is not None,
         outline=grid is not None,
