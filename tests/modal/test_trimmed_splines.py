@@ -14,6 +14,7 @@ from support.scenes import MATERIAL, refused, scene_of
 from support.scenes_of_outlines import dimensionless, outlined
 from warp_plate.modal.assemble import make_galerkin, make_space
 from warp_plate.modal.modes import errors_of_frequencies, solve_modes
+from warp_plate.modal.solver import ModalSolver
 from warp_plate.scene.target import Target
 
 DISC = {"disc": (0.1, 0.1, 0.1)}
@@ -162,6 +163,13 @@ def test_slopes_of_loads_are_differences():
         move[2 * axis : 2 * axis + 2] = step
         difference = (space.patch_integrals(area + move) - space.patch_integrals(area - move)) / (2 * step)
         assert slope == pytest.approx(difference, abs=1e-6 * np.abs(difference).max())
+
+
+def test_loads_off_the_plate_are_none():
+    """As small actuators are that a search tries in the corners of the bounding box."""
+    scene = outlined(DISC, "clamped", actuators=[(0.1, 0.11, 0.1, 0.11)])
+    assert not make_space(scene, (10, 10)).patch_integrals(np.array([[0.0, 0.01, 0.0, 0.01]])).any()
+    assert ModalSolver(scene, "cpu").run([[1.0]]).energy[0, 0] > 0
 
 
 def test_scenes_of_the_same_outline_share_their_functions():

@@ -321,7 +321,8 @@ class TrimmedSplines(SplineProducts):
         rows = []
         for area in np.asarray(areas, dtype=float).reshape(-1, 4):
             chords = self._chords(curves_of(PlateRegion.model_construct(area=tuple(area.tolist()))))
-            rows.append(sum(self._integrals(chords, 1.0, order) for order in orders))
+            parts = [self._integrals(chords, 1.0, order) for order in orders if chords.x.size]
+            rows.append(sum(parts) if parts else np.zeros(self.basis.shape[0]))
         return np.array(rows).reshape(-1, self.basis.shape[0]) @ self.basis
 
     def _tables(self, products: np.ndarray) -> np.ndarray:
