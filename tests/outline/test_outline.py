@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import shapely
 
+from warp_plate.outline.contours import piece_of_row
 from warp_plate.outline.outline import make_outline
 from warp_plate.outline.pieces import ellipse, rounded, straight
 
@@ -25,6 +26,24 @@ PLATES = {
     "clockwise": {"outline": [piece.reversed() for piece in reversed(square(0, 0, 2))], "hole": square(0.5, 0.5, 0.4)},
     "bracket": {"outline": BRACKET, "hole": disc(0.5, 0.5, 0.2)},
 }
+
+
+# A circle as a drawing program writes it, whose arcs meet within 2e-17.
+FOUR_ARCS = (
+    (0.10176712181300002, 0.07380447272929999, 0.10090169584020303, 0.073804472729297, -1.570796325877423),
+    (0.10090169584100003, 0.0729390467565, 0.10090169584079703, 0.073804472729297, -1.5707963270329275),
+    (0.10003626986800003, 0.07380447272929998, 0.10090169584079703, 0.07380447272930299, -1.570796327032927),
+    (0.100901695841, 0.07466989870209999, 0.100901695840203, 0.07380447272930299, -1.570796325877423),
+)
+
+
+def test_polygons_of_arcs_that_meet_within_rounding():
+    rows = zip(FOUR_ARCS, (*FOUR_ARCS[1:], FOUR_ARCS[0]), strict=True)
+    hole = [piece_of_row(row, ahead, "", "free", "holes[0]") for row, ahead in rows]
+    outline = make_outline({"outline": square(0, 0, 0.2), "hole": hole})
+    assert all(shapely.Polygon(corners).is_valid for corners in outline.polygons())
+    covered = np.array([(0.0, 0.0), (0.2, 0.0), (0.2, 0.2), (0.0, 0.2)])
+    assert outline.share(covered) == pytest.approx(outline.area / 0.04, rel=1e-6)
 
 
 @pytest.mark.parametrize("name", PLATES)

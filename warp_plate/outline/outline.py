@@ -89,8 +89,11 @@ class Outline:
         return list(zip(places[::2], places[1::2], strict=False))
 
     def polygons(self, turn: float = TURN) -> list[np.ndarray]:
-        """Return a closed polyline (n, 2) [m] for each loop, the outer edge first, with arcs in steps of ``turn``."""
-        return [np.concatenate([piece.polyline(turn) for piece in loop]) for loop in self.loops]
+        """Return the corners (n, 2) [m] of a polygon for each loop, the outer edge first, arcs in steps of ``turn``.
+
+        Where pieces meet within rounding, there is one corner: shapely's polygons may not cross themselves.
+        """
+        return [np.concatenate([piece.polyline(turn)[:-1] for piece in loop]) for loop in self.loops]
 
     def share(self, corners: np.ndarray) -> float:
         """Return the part of a polygon (corners, 2) [m] that is on the plate."""
@@ -193,7 +196,7 @@ def inner_line(loop: Sequence[Piece]) -> tuple[np.ndarray, float]:
     is inside the loop, and the rectangle's width [m]."""
     import shapely
 
-    polygon = shapely.Polygon(np.concatenate([piece.polyline() for piece in loop]))
+    polygon = shapely.Polygon(np.concatenate([piece.polyline()[:-1] for piece in loop]))
     box = np.array(polygon.minimum_rotated_rectangle.exterior.coords)[:4]
     if np.linalg.norm(box[1] - box[0]) < np.linalg.norm(box[2] - box[1]):
         box = np.roll(box, 1, axis=0)
