@@ -86,3 +86,14 @@ def test_bounds_of_points_with_free_phases_hold():
     scales = np.abs(drives @ rest.rows[:, 0].T).max(axis=1) / weakest
     assert result.bound <= scales[weakest >= 1].min()
     assert result.bound > 0.7 * result.scale
+
+
+@pytest.mark.parametrize("near", [1e8, 1e10])
+def test_what_the_solver_gives_up_is_no_scale(near):
+    """Levels 26 and more powers of ten below what is wanted at the same points."""
+    for _ in range(6):
+        rows = random_rows(20, 3)
+        blocks = [Block(1e-8 * rows[4:, None]), Block(near * rows[:3, None])]
+        result = least_scale_of_squares(np.empty((0, 3)), [1e-18 * rows[:4]], blocks, True)
+        assert (result.scale, result.bound) == (np.inf, 0.0)
+        assert np.isnan(result.drive).all()

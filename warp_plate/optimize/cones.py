@@ -33,6 +33,7 @@ TOLERANCE = 1e-10
 LARGE = 80  # unknowns above which Clarabel's method of dense blocks takes less time
 RANK = 1e-9  # least singular value, over the largest, of rows that absorb the rounding of a proof
 INFEASIBLE = (clarabel.SolverStatus.PrimalInfeasible, clarabel.SolverStatus.AlmostPrimalInfeasible)
+EXCESS = 1e-3  # violation of a normalised program from which on what the solver ends with is no solution
 # Steps of the drive's phases in a problem that is not convex, and the relative gain below which they end.
 STEPS, GAIN = 60, 1e-7
 PROMISING = 2  # searches that go on after their first step
@@ -76,15 +77,23 @@ def least_scale(wanted: np.ndarray, blocks: Sequence[Block], actuators_scaled: b
     cost = np.zeros(2 * inputs + 1)
     cost[-1] = 1.0
     solution = _solve(cost, np.concatenate(matrix), np.concatenate(limits), cones)
-    multipliers = np.array(solution.z)
+    multipliers = np.nan_to_num(np.array(solution.z), posinf=0.0, neginf=0.0)  # any multipliers prove a bound
     wanted_by = np.maximum(multipliers[: len(wanted)], 0)
     bound, norms = _proof(wanted, wanted_by, every, multipliers[len(wanted) :])
     allowed = tuple(norm / (scale_unit if block.scaled else 1.0) for norm, block in zip(norms, every, strict=True))
     x = np.array(solution.x)
     drive = unit * (x[:inputs] + 1j * x[inputs:-1])
-    if solution.status in INFEASIBLE:
+    if solution.status in INFEASIBLE or not _excess(x, wanted, every) <= EXCESS:
         return LeastScale(math.inf, scale_unit * bound, np.full(inputs, np.nan), wanted_by, allowed)
     return LeastScale(scale_unit * float(x[-1]), scale_unit * bound, drive, wanted_by, allowed)
+
+
+def _excess(x: np.ndarray, wanted: np.ndarray, blocks: Sequence[Block]) -> float:
+    """Return by how much a solution violates a normalised program; NaN where it has no numbers."""
+    z = x[: wanted.shape[1]] + 1j * x[wanted.shape[1] : -1]
+    limits = ((block, x[-1] if block.scaled else 1.0) for block in blocks)
+    over = [np.linalg.norm(block.rows @ z, axis=1) - limit for block, limit in limits]
+    return float(np.concatenate([1 - (wanted @ z).real, *over]).max())
 
 
 def _normalised(
@@ -194,17 +203,18 @@ def _ascend(
     """Return the result of convex programs that follow one another from a drive z."""
     best = LeastScale(math.inf, 0.0, z, np.zeros(len(wanted)), ())
     for _ in range(steps):
-        images = [factor @ best.drive for factor in squares]
-        rows = [
-            image.conj() @ factor / np.linalg.norm(image)
-            for image, factor in zip(images, squares, strict=True)
-            if image.any()
-        ]
+        rows = [_along(factor @ best.drive, factor) for factor in squares]
         following = least_scale(np.vstack([wanted, *rows]), blocks, actuators_scaled)
         if not following.scale < best.scale * (1 - GAIN):
             return following if following.scale < best.scale else best
         best = following
     return best
+
+
+def _along(image: np.ndarray, factor: np.ndarray) -> np.ndarray:
+    """Return dᴴR (inputs,) with the unit vector d along an image R z, or along the strongest row where that is 0."""
+    size = float(np.linalg.norm(image))
+    return np.asarray(image.conj() @ factor / size if size > 0 else factor[np.linalg.norm(factor, axis=1).argmax()])
 
 
 def _relaxed(
