@@ -9,8 +9,10 @@ import pytest
 
 from support.commands import error_of as refused
 from support.commands import start_program
+from warp_plate.cli.design import MAP, UNFINISHED
 from warp_plate.cli.output import LONGEST_ENDING
 from warp_plate.plate import memory
+from warp_plate.result.checkpoint import ENDING
 
 with suppress(ImportError):  # Windows
     import resource
@@ -108,7 +110,9 @@ def test_pipes_and_folders_are_no_files(folder_of_files, command):
 
 
 def test_the_longest_file_names(folder_of_files, command):
-    """Names that leave no room for the temporary file of a checkpoint are refused before any work."""
+    """Names that leave no room for the temporary files beside a result are refused before any work."""
+    for beside in (UNFINISHED, MAP, ENDING, ".best.64.toml", "-time_reversal-64.wav", "-inverse_filter-64.wav"):
+        assert len(f"{beside}.123456789abc.part{Path(f'x{beside}').suffix}") <= len(LONGEST_ENDING)
     most = os.pathconf(".", "PC_NAME_MAX") - len(LONGEST_ENDING) - 1
     longest = "y" * most + ".h5"
     assert command("localize", "panel.toml", "--out", longest, "--checkpoint-every", "0", *QUICK)[::2] == (0, "")
@@ -116,7 +120,7 @@ def test_the_longest_file_names(folder_of_files, command):
     assert longest in before
     for out in ("y" * (most + 1) + ".h5", "ä" * (most // 2 + 1) + ".h5"):
         for name in ("simulate", "localize"):
-            assert "33 bytes longer" in refused(command(name, "panel.toml", "--out", out))
+            assert "42 bytes longer" in refused(command(name, "panel.toml", "--out", out))
     for words in (["render", longest, "--out", "y" * (most + 1) + ".png"],
                   ["export", longest, "--to", "vtkhdf", "--out", "y" * (most + 1) + ".vtkhdf"]):  # fmt: skip
         assert "bytes longer" in refused(command(*words))

@@ -26,7 +26,7 @@ from warp_plate.scene.errors import SceneError, printable
 from warp_plate.scene.errors import number_text as number_text
 
 # The longest ending of the files that are written beside a result.
-LONGEST_ENDING = ".checkpoint.h5.123456789abc.part.h5"
+LONGEST_ENDING = "-inverse_filter-64.wav.123456789abc.part.wav"
 if TYPE_CHECKING:
     from warp_plate.result.model import Result
     from warp_plate.scene.model import Scene
