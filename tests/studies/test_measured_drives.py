@@ -36,11 +36,19 @@ def test_drive_is_nearly_the_best_and_intervals_hold(seed):
     assert holds
 
 
+@pytest.mark.parametrize("seed", [113, 203, 354])
+def test_drive_near_the_noise(seed):
+    """With the energy of noise left in, drives of these panels have 95 to 97.6 % of the largest factor."""
+    part, holds = attained(seed)
+    assert part > 0.98
+    assert holds
+
+
 @pytest.mark.slow
 def test_hundred_panels():
     parts, holds = np.array([attained(seed) for seed in range(100, 200)]).T
-    assert (parts > 0.97).sum() >= 95
-    assert parts.mean() > 0.99
+    assert (parts > 0.97).sum() >= 97
+    assert parts.mean() > 0.995
     assert holds.sum() >= 97
 
 
@@ -141,7 +149,7 @@ def bench(folder, random, **tables):
     responses = matrix.responses.T
     with h5py.File(folder / "scan.h5", "w") as file:
         file["frequency"], file["points"], file["response"] = matrix.frequencies, matrix.points, responses
-        file["coherence"] = 1 / (1 + 16 * matrix.variance.T / np.abs(responses) ** 2)
+        file["coherence"] = 1 / (1 + 15 * matrix.variance.T / np.abs(responses) ** 2)
     toml = panel.measured_scene(measured={"averages": 16}, **tables)
     (folder / "bench.toml").write_text(
         f"[measured]\nfile = 'scan.h5'\naverages = 16\nunit = 'A'\npanel = {list(toml.measured.panel)}\n"
@@ -156,6 +164,20 @@ def test_file_has_the_variances_of_its_coherences(tmp_path, random):
     sizes = np.mean(np.abs(matrix.responses) ** 2, axis=1, keepdims=True)
     np.testing.assert_allclose(matrix.variance, np.broadcast_to(1e-6 * sizes, matrix.variance.shape), rtol=0.01)
     assert matrix.names == ("actuator 1", "actuator 2", "actuator 3")
+
+
+def test_variances_of_few_averages(tmp_path, random):
+    """The coherence of as few averages as these is too large; the variances are those of the means all the same."""
+    true, noise, places = np.ones((2, 40, 50)), 0.3, np.stack(np.meshgrid(np.arange(8.0), np.arange(5.0)), -1)
+    drawn = random.normal(size=(3, *true.shape)) + 1j * random.normal(size=(3, *true.shape))
+    spectra = true + noise * drawn
+    response = spectra.mean(axis=0)
+    with h5py.File(tmp_path / "scan.h5", "w") as file:
+        file["points"], file["frequency"], file["response"] = places.reshape(-1, 2), np.arange(1.0, 51), response
+        file["coherence"] = np.abs(response) ** 2 / np.mean(np.abs(spectra) ** 2, axis=0)
+    scene = MeasuredScene(measured={"file": "scan.h5", "averages": 3}, target={"area": (0.0, 2.0, 0.0, 2.0)})
+    matrix = read_matrix(scene.in_folder(tmp_path))
+    assert matrix.variance.mean() == pytest.approx(np.mean(np.abs(response - true) ** 2), rel=0.05)
 
 
 def test_focus_moves_a_point_as_its_modes_say(tmp_path, random, command, monkeypatch):
@@ -296,6 +318,7 @@ def test_universal_file(tmp_path, random):
         ("largest = [1.0, 2.0]", "measured.largest = [1.0, 2.0]: must be one number, or 3"),
         ("frequency = 1e5", "frequency = 100000.0: no response is there"),
         ("noise = 0.01\naverages = 4", "delete one of them"),
+        ("averages = 1", "measured.averages"),
         ("panel = [0.1, 0.2, 0.0, 1.0]", "measured.panel = [0.1, 0.2, 0.0, 1.0]: point 1"),
         ("[trade_off]\nlike = 'Bob'", "trade_off.like = 'Bob': must be one of actuator 1"),
         ("[plate]\nsize = [1.0, 1.0]", "plate: unknown key"),

@@ -80,7 +80,8 @@ class TruePanel:
         drawn = random.normal(size=rows.shape) + 1j * random.normal(size=rows.shape)
         names = tuple(actuator.name for actuator in self.scene.actuators)
         noisy = rows + drawn * np.sqrt(variance / 2)
-        return MeasuredMatrix("scan", self.frequencies, noisy, points, names, variance if known else None)
+        variance = variance if known else None
+        return MeasuredMatrix("scan", self.frequencies, noisy, points, names, variance, noise=variance)
 
     def measured_scene(self, **tables):
         """Return the scene of measured responses with the panel's target."""

@@ -2,14 +2,17 @@
 
 A coherence γ² of n averages leaves a response with the variance (Bendat, Piersol, Random Data, chapter 9)
 
-    E|ΔH|² = |H|² (1 − γ²) / (γ² n)
+    E|ΔH|² = |H|² (1 − γ²) / (γ² (n − 1)),
+
+n − 1 because γ² is estimated by the same averages.
 
 Where there is a fitted plate with responses M, responses of each actuator at each frequency are taken between both,
 
     H' = g M + w (H − g M),     w = τ² / (τ² + σ²),     τ² = mean |H − g M|² − σ²,
 
 with the gain g of least squares: the posterior means if the plate's errors have the variance τ², estimated by that of
-the differences (C. N. Morris, J. Am. Stat. Assoc. 78, 1983, pp. 47-55). Their variance is w σ², and that of the gain.
+the differences (C. N. Morris, J. Am. Stat. Assoc. 78, 1983, pp. 47-55). Their variance is w σ², and that of the gain;
+noise adds w² σ² to their squares on average.
 """
 
 from __future__ import annotations
@@ -47,6 +50,7 @@ class MeasuredMatrix:
     variance: np.ndarray | None = None  # (n, points, actuators) E|ΔH|²; None if it is not known
     impulses: np.ndarray | None = None  # (actuators, points, samples) motion after a unit sample; None if not measured
     rate: float = 0.0  # samples a second of the impulse responses
+    noise: np.ndarray | None = None  # (n, points, actuators) what noise adds to |H|² on average; None if not known
 
 
 def read_matrix(scene: MeasuredScene) -> MeasuredMatrix:
@@ -170,10 +174,10 @@ def _matrix(
         if not np.all((coherence >= 0) & (coherence <= 1 + 1e-6)):
             raise ValueError("coherence must be from 0 to 1")
         coherence = np.clip(coherence, LEAST_COHERENCE, 1)
-        variance = np.abs(responses) ** 2 * (1 - coherence) / (coherence * table.averages)
+        variance = np.abs(responses) ** 2 * (1 - coherence) / (coherence * (table.averages - 1))
     elif table.averages is not None:
         raise ValueError("has no coherences; delete measured.averages, or write measured.noise")
-    return replace(matrix, variance=variance)
+    return replace(matrix, variance=variance, noise=variance)
 
 
 def _universal(path: Path, table: Measured) -> MeasuredMatrix:
@@ -248,4 +252,5 @@ def blend(matrix: MeasuredMatrix, scene: MeasuredScene) -> MeasuredMatrix:
     tau2 = np.mean(np.abs(rest) ** 2 - sigma2, axis=1, keepdims=True).clip(min=0)
     weight = tau2 / np.maximum(tau2 + sigma2, 1e-300)
     variance = sigma2 * (weight + 1 / len(matrix.points))
-    return replace(matrix, responses=model + weight * rest, variance=variance)
+    noise = sigma2 * weight**2
+    return replace(matrix, responses=model + weight * rest, variance=variance, noise=noise)

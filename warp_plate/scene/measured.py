@@ -47,7 +47,7 @@ class Measured(Table):
     """Frequency, or a range of which the best is chosen (default: all frequencies of the file)."""
     panel: Annotated[Area | None, Field(examples=[[0.0, 0.4, 0.0, 0.3]])] = None
     """Rectangle x0, x1, y0, y1 of the panel (default: the convex hull of the points)."""
-    averages: Annotated[int | None, Field(ge=1, le=10**9, examples=[16])] = None
+    averages: Annotated[int | None, Field(ge=2, le=10**9, examples=[16])] = None
     """Number of averages of the coherences in the file, from which the variances of the responses follow."""
     noise: Annotated[NotNegative | None, Unit("1"), Field(examples=[0.01])] = None
     """Standard deviation of the responses over the root mean square of their actuator, without coherences."""

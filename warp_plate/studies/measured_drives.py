@@ -134,7 +134,7 @@ def measured_drives(
         frequency=float(plate.matrix.frequencies[best]),
         frequencies=plate.matrix.frequencies[lines],
         factors=factors,
-        localized=localize_measured(*forms[best], equal),
+        localized=localize_measured(*forms[best], len(matrix.points), equal),
         curve=curve.curve(),
         spans=curve.spans(scene.trade_off.weight),
         levels=None if scene.specification is None else _levels(plate, lines, factors, on_progress),
