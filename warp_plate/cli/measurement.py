@@ -101,7 +101,9 @@ def _fit_as_json(name: str, fitted: ModeFit | ResponseFit) -> dict[str, object]:
         return record | output.attributes(fitted, "rms_decibels", "rms_degrees")
     record |= {"modes": fitted.numbers, "frequencies_measured": measured}
     record |= output.attributes(fitted, "frequencies", "errors")
-    return record | {"damping_ratios_measured": fitted.measured.damping, "damping_ratios": fitted.damping}
+    record |= {"damping_ratios_measured": fitted.measured.damping, "damping_ratios": fitted.damping}
+    bars = fitted.measured.damping_bars
+    return record if bars is None else record | {"damping_ratio_bars": bars}
 
 
 def _print_fit(name: str, fitted: ModeFit | ResponseFit, console: Console) -> None:
@@ -123,7 +125,10 @@ def _print_fit(name: str, fitted: ModeFit | ResponseFit, console: Console) -> No
         columns = {"measured (Hz)": (fitted.measured.frequencies, ".6g"), "fitted (Hz)": (fitted.frequencies, ".6g")}
         columns["error (%)"] = 100 * fitted.errors, ".2g"
         if np.isfinite(fitted.measured.damping).any():
-            columns |= {"damping measured": (fitted.measured.damping, ".3g"), "fitted": (fitted.damping, ".3g")}
+            columns["damping measured"] = fitted.measured.damping, ".3g"
+            if fitted.measured.damping_bars is not None:
+                columns["±"] = fitted.measured.damping_bars, ".2g"
+            columns["fitted"] = fitted.damping, ".3g"
     cells = [[output.number_text(value, digits) for value in values] for values, digits in columns.values()]
     kind = "response" if isinstance(fitted, ResponseFit) else "mode"
     output.print_rows(console, (kind, *columns), list(zip(names, *cells, strict=True)))

@@ -191,6 +191,8 @@ def without_rigid_motions(scene: Scene, measured: MeasuredModes) -> MeasuredMode
     said = f"{gaps[-1]} modes up to {rising[gaps[-1] - 1]:.3g} Hz are rigid motions, which are not fitted"
     shapes = None if measured.shapes is None else measured.shapes[moving]
     each = {"frequencies": measured.frequencies[moving], "damping": measured.damping[moving]}
+    if measured.damping_bars is not None:
+        each["damping_bars"] = measured.damping_bars[moving]
     return replace(measured, **each, numbers=numbers, shapes=shapes, remarks=(*measured.remarks, said))
 
 

@@ -52,6 +52,7 @@ class MeasuredModes:
     shapes: np.ndarray | None = None
     points: np.ndarray | None = None  # (points, 2) x, y of the points of the shapes [m]; None if not known
     remarks: tuple[str, ...] = ()  # what was left out
+    damping_bars: np.ndarray | None = None  # (n,) errors that damping ratios hardly exceed; None if not known
 
 
 def read_modes(path: Path, fit: Fit | None = None) -> MeasuredModes:

@@ -7,11 +7,19 @@ without the first, differ by a matrix with the eigenvalues exp(s Δ) (R. Roy and
 Signal Process. 37, 1989, pp. 984-995; on decaying sounds J. Laroche, J. Acoust. Soc. Am. 94, 1993, pp. 1958-1965).
 Poles that several orders of the model agree on are refined by least squares, whose covariance σ² (JᴴJ)⁻¹ tells which of
 them the record determines; others are left out.
+
+Two modes closer than their widths may appear as one pole, their mean s̄ with the amplitudes a as weights, and leave
+
+    Σ a exp(s t) − A exp(s̄ t) ≈ A v t²/2 exp(s̄ t),     A = Σ a,     v = Σ a (s − s̄)² / A,
+
+of which v is estimated for each pole. Where it is larger than the noise lets it be, the pole may be two, with the
+distance √|v| from the stronger: that is its bar then.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -34,12 +42,26 @@ NARROWEST = 25.0
 ORDERS, AGREE, ALIKE = range(6, 37, 3), 4, (2e-3, 0.1)
 # Largest standard deviations, relative to frequency and damping ratio, of modes that are told.
 DEVIATIONS = 2e-4, 0.0125
+# Bar over the standard deviation, which is up to 15 % too small because filters color the noise; ratio of v to its own
+# above which a pole may be two, if the distance is so large a part of the decay rate.
+BAR, TWO, APART = 3.5, 2.4, 0.05
 # Relative deviation of a decay rate from which on its pole is dropped at first, gain of the sum of squares, in those of
 # single samples, for which a pole is split, most splits, steps of the least squares, and the relative gain at which
 # they end.
 UNDETERMINED, SPLIT, MOST_SPLITS, STEPS, GAIN = 0.3, 16.0, 3, 8, 1e-5
-MOST_DAMPING = 0.2
+MOST_DAMPING, RANK = 0.2, 1e-12
 TAP_BYTES = 2**28
+
+
+@dataclass(frozen=True, eq=False)
+class TapModes:
+    """Modes that the decay after a tap determines, with rising frequencies."""
+
+    frequencies: np.ndarray  # (n,) [Hz]
+    damping: np.ndarray  # (n,) damping ratios ζ
+    frequency_bars: np.ndarray  # (n,) errors that they hardly exceed [Hz]
+    damping_bars: np.ndarray  # (n,) the same of the damping ratios
+    pairs: np.ndarray  # (n,) True for modes that may be two that are closer than their widths
 
 
 def read_tap(path: Path, band: tuple[float, float] | None = None) -> MeasuredModes:
@@ -53,16 +75,23 @@ def read_tap(path: Path, band: tuple[float, float] | None = None) -> MeasuredMod
         values, rate = wav_channels(path.read_bytes())
         if values.size > MOST_SAMPLES:
             raise ValueError(f"{values.size} samples; at most {MOST_SAMPLES} are read")
-        frequencies, damping = tap_modes(values, float(rate), band)
+        modes = tap_modes(values, float(rate), band)
     except (OSError, ValueError) as error:
         raise SceneError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
-    return MeasuredModes(str(path), frequencies[:MOST_MODES], damping[:MOST_MODES])
+    frequencies, damping, bars = (
+        numbers[:MOST_MODES] for numbers in (modes.frequencies, modes.damping, modes.damping_bars)
+    )
+    remarks = [
+        f"The mode at {frequencies[at]:.6g} Hz may be two closer than their widths; its damping ratio, "
+        f"{damping[at]:.3g} ± {bars[at]:.2g}, is not fitted"
+        for at in np.flatnonzero(modes.pairs[:MOST_MODES]).tolist()
+    ]
+    damping, bars = (np.where(modes.pairs[:MOST_MODES], math.nan, numbers) for numbers in (damping, bars))
+    return MeasuredModes(str(path), frequencies, damping, remarks=tuple(remarks), damping_bars=bars)
 
 
-def tap_modes(
-    values: np.ndarray, rate: float, band: tuple[float, float] | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return frequencies [Hz] and damping ratios of the modes in records (channels, samples) of one tap.
+def tap_modes(values: np.ndarray, rate: float, band: tuple[float, float] | None = None) -> TapModes:
+    """Return the modes in records (channels, samples) of one tap, within a band [Hz] (default: all).
 
     Raises:
         ValueError: There is no decay, or it determines no mode.
@@ -72,19 +101,20 @@ def tap_modes(
     duration = free.shape[1] / rate
     width = max(NARROWEST, MOST / duration / OVERSAMPLING)
     width = min(width, rate / 4)
-    poles = [
+    bands = [
         _in_band(free, rate, centre, width)
         for centre in np.arange(low + width / 2, high + width / 2, width)
         if centre < rate / 2
     ]
-    found = np.concatenate([np.empty(0, dtype=complex), *poles])
-    sizes = np.abs(found)
-    frequencies, damping = sizes / (2 * math.pi), -found.real / sizes
-    order = np.argsort(frequencies)
-    inside = order[(frequencies[order] >= low) & (frequencies[order] <= high)]
+    poles, bars, pairs = np.concatenate([np.empty((3, 0)), *bands], axis=1)
+    sizes = np.abs(poles)
+    order = np.argsort(sizes)
+    inside = order[(sizes[order] >= 2 * math.pi * low) & (sizes[order] <= 2 * math.pi * high)]
     if not inside.size:
         raise ValueError("no mode is determined by its decay; record longer, nearer, or choose a band by fit.range")
-    return frequencies[inside], damping[inside]
+    poles, bars, sizes = poles[inside], bars.real[inside], sizes[inside]
+    turns = 2 * math.pi
+    return TapModes(sizes / turns, -poles.real / sizes, bars / turns, bars / sizes, pairs.real[inside] > 0)
 
 
 def free_decay(values: np.ndarray, rate: float) -> np.ndarray:
@@ -92,18 +122,21 @@ def free_decay(values: np.ndarray, rate: float) -> np.ndarray:
 
     Of channels that are clipped, the last clipped sample counts as the largest.
     """
+    values = values[np.ptp(values, axis=1) > 0]  # silent channels would seem to lower the noise
     clipped = [np.abs(row) == np.abs(row).max() for row in values if is_clipped(row)]
+    if not len(values):
+        raise ValueError("holds no sound")
     values = values - values.mean(axis=1, keepdims=True)
     power = (values**2).sum(axis=0)
     start = max([int(power.argmax()), *(int(np.flatnonzero(flat)[-1]) for flat in clipped)])
     start += math.ceil(CONTACT * rate)
-    if not power.max() > 0 or values.shape[1] - start < 4 * rate / LOWEST:
+    if values.shape[1] - start < 4 * rate / LOWEST:
         raise ValueError(f"holds less than {4 / LOWEST:g} s after its largest sample; a tap and its decay are needed")
     return values[:, start:]
 
 
 def _in_band(free: np.ndarray, rate: float, centre: float, width: float) -> np.ndarray:
-    """Return the poles [1/s] of a band around a centre [Hz] that the decay determines."""
+    """Return (3, n) poles of a band around a centre [Hz] that the decay determines, their bars [1/s], 1 for pairs."""
     step = max(1, int(rate / (OVERSAMPLING * width)))
     taps = (
         scipy.signal.firwin(TAPS * step | 1, 0.5 * rate / step, fs=rate, window=("kaiser", ATTENUATION))
@@ -114,20 +147,22 @@ def _in_band(free: np.ndarray, rate: float, centre: float, width: float) -> np.n
     samples = scipy.signal.oaconvolve(shifted, np.atleast_2d(taps), mode="valid", axes=1)[:, ::step][:, :MOST]
     interval = step / rate
     if samples.shape[1] < 3 * ORDERS[0]:
-        return np.empty(0, dtype=complex)
+        return np.empty((3, 0))
     rows = samples.shape[1] // 2
     hankel = np.concatenate([scipy.linalg.hankel(row[:rows], row[rows - 1 :]) for row in samples], axis=1)
     vectors, sizes, _ = scipy.linalg.svd(hankel, full_matrices=False)
     if not sizes[0] > 0:
-        return np.empty(0, dtype=complex)
+        return np.empty((3, 0))
     orders = [order for order in ORDERS if order < rows // 2]
     stable = _stable([_esprit(vectors[:, :order]) / interval for order in orders], 2 * math.pi * centre)
-    poles, deviations = _refine(stable, samples, interval, FAINT * float(np.abs(free).max()))
+    fit = _refine(stable, samples, interval, FAINT * float(np.abs(free).max()))
+    poles, deviations, (apart, spread) = fit.poles, fit.deviations, fit.pairs
     absolute = poles + 2j * math.pi * centre
     decay, size = -poles.real, np.abs(absolute)
     told = (np.abs(poles.imag) <= math.pi * width) & (decay > 0) & (decay < MOST_DAMPING * size)
     told &= (deviations < DEVIATIONS[0] * size) & (deviations < DEVIATIONS[1] * decay)
-    return absolute[told]
+    bars = np.maximum(np.where(spread, apart, 0.0), BAR * deviations)
+    return np.stack([absolute, bars, spread & (apart > APART * decay)])[:, told]
 
 
 def _esprit(vectors: np.ndarray) -> np.ndarray:
@@ -155,8 +190,8 @@ def _stable(poles: list[np.ndarray], shift: float) -> np.ndarray:
     return np.array([complex(np.median(np.real(group)), np.median(np.imag(group))) for group in shared], dtype=complex)
 
 
-def _refine(poles: np.ndarray, samples: np.ndarray, interval: float, least: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return poles [1/s] of least squares for samples (channels, n), with the standard deviations of their parts.
+def _refine(poles: np.ndarray, samples: np.ndarray, interval: float, least: float) -> _Sum:
+    """Return the waves of least squares for samples (channels, n).
 
     Poles of amplitudes up to ``least``, and those that the samples do not determine, are dropped; those are split in
     two that describe the samples clearly better so.
@@ -176,7 +211,7 @@ def _refine(poles: np.ndarray, samples: np.ndarray, interval: float, least: floa
         if fit.residual - best.residual < SPLIT * fit.residual / fit.freedom:
             break
         fit = best
-    return fit.poles, fit.deviations
+    return fit
 
 
 class _Sum:
@@ -210,6 +245,21 @@ class _Sum:
         slopes = slopes / np.where(size > 0, size, 1.0)
         covariance = np.diag(np.linalg.pinv(slopes.conj().T @ slopes)).real / np.where(size > 0, size, 1.0) ** 2
         return np.asarray(np.sqrt(np.maximum(covariance[: self.poles.size], 0) * self.residual / self.freedom / 2))
+
+    @property
+    def pairs(self) -> tuple[np.ndarray, np.ndarray]:
+        """(poles,) distances √|v| [1/s] of the modes in a pole, of the worst channel; whether v exceeds the noise."""
+        basis, count = np.linalg.qr(self._slopes)[0], len(self._times)
+        apart, ratios = np.zeros(self.poles.size), np.zeros(self.poles.size)
+        for channel, amplitudes in enumerate(self._amplitudes.T):
+            rows = slice(channel * count, (channel + 1) * count)
+            waves = self._times[:, None] ** 2 / 2 * self._waves * amplitudes
+            square = np.linalg.norm(waves, axis=0) ** 2 - np.linalg.norm(basis[rows].conj().T @ waves, axis=0) ** 2
+            square = np.maximum(square, RANK * np.linalg.norm(waves, axis=0) ** 2 + 1e-300)
+            spread = np.abs(waves.conj().T @ self._rest[rows]) / square
+            apart = np.maximum(apart, np.sqrt(spread))
+            ratios = np.maximum(ratios, spread * np.sqrt(square * self.freedom / max(self.residual, 1e-300)))
+        return apart, ratios > TWO
 
     def split(self, index: int) -> _Sum:
         """Return the waves with two poles, half a decay rate apart, in place of one."""
