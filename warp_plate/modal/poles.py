@@ -206,7 +206,7 @@ class CoupledModes:
         amplitudes, left = self.approximate(omega, forces), np.arange(len(omega))
         limit = RESIDUAL * np.linalg.norm(forces, axis=1)
         for _ in range(REFINEMENTS):
-            residual = forces[left] - self._forces(omega[left], amplitudes[left])
+            residual = forces[left] - self.balanced(omega[left], amplitudes[left])
             converged = (np.linalg.norm(residual, axis=1) <= limit[left]).all(axis=1)
             left, residual = left[~converged], residual[~converged]
             if not left.size:
@@ -228,7 +228,7 @@ class CoupledModes:
         amplitudes[:, :count] = multiply_modes(vectors, shares)
         return np.asarray(amplitudes)
 
-    def _forces(self, omega: np.ndarray, amplitudes: np.ndarray) -> np.ndarray:
+    def balanced(self, omega: np.ndarray, amplitudes: np.ndarray) -> np.ndarray:
         """Return the forces that amplitudes (n, modes, loads) balance."""
         rate = 1j * omega[:, None, None]
         balanced = (self.squares[:, None] + rate**2) * amplitudes + rate * multiply_modes(self.damping, amplitudes)

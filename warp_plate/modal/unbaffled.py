@@ -10,8 +10,8 @@ velocity of the plate: that of B. Laulagnet (J. Acoust. Soc. Am. 103, 1998, p. 2
 both sides is ½ Re ∫ Δp* v dA. The plate is taken as infinitely thin.
 
 With P the integrals of functions times shapes and A those of kz ψ*ψ, the jump that a motion q makes presses on the
-modes by −2iρω² PᵀA⁻¹P q, the load of ``[effects.air]``. With the response y to forces and Y to Pᵀ, both in vacuo, the
-modes move by q = y − Y (A/2iρω² + P Y)⁻¹ P y, by Woodbury's formula.
+modes by −2iρω² PᵀA⁻¹P q, the load of ``[effects.air]``. Responses take that on the lowest modes alone, and without the
+coupling of higher ones by damping; both are restored by iterative refinement.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from numpy.polynomial import chebyshev
 from warp_plate.effects.air import AirLoad
 from warp_plate.modal.air import AirOnPlate, DryPlate
 from warp_plate.modal.poles import CoupledModes, multiply_modes
-from warp_plate.modal.radiation import AIR, FURTHER, Air, distances_to
+from warp_plate.modal.radiation import AIR, FURTHER, Air, Radiation, distances_to
 from warp_plate.modal.spaces.integrals import mean_wave_frequency
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -44,6 +44,8 @@ PANEL_POINTS, PANELS = 10, 0.3
 RESONANT, COUPLED, FEWEST = 1.2, 2.0, 40
 # Relative distance of the frequency that is taken for a natural one of an undamped plate.
 BESIDE = 1e-8
+# Frequencies at a time; relative residual of the forces, and most refinements.
+BLOCK_FREQUENCIES, RESIDUAL, REFINEMENTS = 16, 1e-11, 30
 
 
 class OpenPlate(DryPlate, Protocol):
@@ -218,6 +220,7 @@ class AirWithoutBaffle:
         parts = self._radiation.projection
         # (functions, modes) of one parity after the other
         self._projection = np.concatenate([parts[y::2, x::2].reshape(-1, dry.size) for y, x in _PARITIES])
+        self._low = min(max(int((dry <= RESONANT * self._highest).sum()), FEWEST), dry.size)
         self.resonances = self._find_resonances()
 
     def _system(self, frequency: float) -> np.ndarray:
@@ -227,24 +230,70 @@ class AirWithoutBaffle:
     def respond(self, omega: np.ndarray, forces: np.ndarray) -> np.ndarray:
         """Return (n, modes, loads) amplitudes under forces (n, modes, loads) that vary as exp(iωt), ω (n,) [rad/s]."""
         amplitudes = np.empty(forces.shape, dtype=complex)
-        for index, (one, force) in enumerate(zip(omega.tolist(), forces, strict=True)):
-            response = self._respond(one, force)
-            amplitudes[index] = response if np.isfinite(response).all() else self._respond(one * (1 + BESIDE), force)
+        for start in range(0, len(omega), BLOCK_FREQUENCIES):
+            some = slice(start, start + BLOCK_FREQUENCIES)
+            found = self._respond(omega[some], forces[some])
+            beside = ~np.isfinite(found).all(axis=(1, 2))
+            if beside.any():
+                found[beside] = self._respond(omega[some][beside] * (1 + BESIDE), forces[some][beside])
+            amplitudes[some] = found
         return amplitudes
 
-    def _respond(self, omega: float, force: np.ndarray) -> np.ndarray:
-        loads = np.concatenate([force, self._projection.T], axis=1)
+    def _respond(self, omega: np.ndarray, forces: np.ndarray) -> np.ndarray:
+        pressed = self._pressed(omega)
+        inverse, load = self._low_loads(omega, pressed)
+        amplitudes = self._nearly(omega, forces, inverse @ load)
+        left, limit = np.arange(len(omega)), RESIDUAL * np.linalg.norm(forces, axis=1)
+        for _ in range(REFINEMENTS):
+            rest = forces[left] - self._balanced(omega[left], amplitudes[left], pressed[left])
+            more = (np.linalg.norm(rest, axis=1) > limit[left]).any(axis=1)
+            left, rest = left[more], rest[more]
+            if not left.size:
+                return amplitudes
+            amplitudes[left] += self._nearly(omega[left], rest, inverse[left] @ load[left])
+        for row in left:
+            ones = np.eye(forces.shape[1])[None]
+            amplitudes[row] = np.linalg.solve(self._balanced(omega[[row]], ones, pressed[[row]])[0], forces[row])
+        return amplitudes
+
+    def _pressed(self, omega: np.ndarray) -> np.ndarray:
+        """Return (n, functions, functions) 2iρω² A⁻¹ [N/m]: the forces of the jumps that motions make."""
+        rows = []
+        for one in omega.tolist():
+            inverses = map(np.linalg.inv, self._radiation.matrices(min(one / (2 * math.pi), self._highest)))
+            rows.append(2j * self._radiation.air.density * one**2 * scipy.linalg.block_diag(*inverses))
+        return np.array(rows)
+
+    def _low_loads(self, omega: np.ndarray, pressed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the (n, low, low) load Z of the air on the lowest modes, and (1 + Z Y)⁻¹ with their compliance Y."""
+        projection, one = self._projection[:, : self._low], np.eye(self._low)
+        load = projection.T @ (pressed @ projection)
+        units = np.broadcast_to(
+            np.eye(len(self._projection.T))[:, : self._low], (len(omega), self._projection.shape[1], self._low)
+        )
+        compliance = self._alone(omega, units)[:, : self._low]
+        finite = np.isfinite(compliance).all(axis=(1, 2), keepdims=True)
+        return np.linalg.inv(one + load @ np.where(finite, compliance, 0)), load
+
+    def _nearly(self, omega: np.ndarray, forces: np.ndarray, held: np.ndarray) -> np.ndarray:
+        """Return the amplitudes of :meth:`respond` without the air on higher modes and without their coupling."""
+        forces = np.array(forces, dtype=complex)
+        forces[:, : self._low] -= held @ self._alone(omega, forces)[:, : self._low]
+        return self._alone(omega, forces)
+
+    def _alone(self, omega: np.ndarray, forces: np.ndarray) -> np.ndarray:
+        if self._plate.coupled is not None:
+            return self._plate.coupled.approximate(omega, forces)
         with np.errstate(divide="ignore", invalid="ignore"):
-            if self._plate.coupled is None:
-                both = loads / self._plate.dynamic_stiffness(np.array([omega]))[0, :, None]
-            else:
-                both = self._plate.coupled.respond(np.array([omega]), loads[None])[0]
-            alone, by_air = np.split(both, [force.shape[1]], axis=1)
-            compliance = multiply_modes(self._projection, by_air)
-            system = self._system(omega / (2 * math.pi)) / (2j * self._radiation.air.density * omega**2) + compliance
-            if not np.isfinite(both).all():
-                return np.full(force.shape, math.nan, dtype=complex)
-        return np.asarray(alone - by_air @ np.linalg.solve(system, self._projection @ alone))
+            return np.asarray(forces / self._plate.dynamic_stiffness(omega)[:, :, None])
+
+    def _balanced(self, omega: np.ndarray, amplitudes: np.ndarray, pressed: np.ndarray) -> np.ndarray:
+        """Return the forces that amplitudes (n, modes, loads) balance."""
+        if self._plate.coupled is not None:
+            balanced = self._plate.coupled.balanced(omega, amplitudes)
+        else:
+            balanced = self._plate.dynamic_stiffness(omega)[:, :, None] * amplitudes
+        return balanced + multiply_modes(self._projection.T, pressed @ multiply_modes(self._projection, amplitudes))
 
     def _find_resonances(self) -> tuple[np.ndarray, np.ndarray]:
         """Return resonances: of the modes with the masses at rest, each with its own load at its frequency."""
@@ -274,6 +323,11 @@ class AirWithoutBaffle:
 
 
 AirLoads: TypeAlias = AirOnPlate | AirWithoutBaffle
+
+
+def radiation_of(plate: OpenPlate, highest: float, air: Air, baffle: bool) -> Radiation | Unbaffled:
+    """Return the radiation of a plate in a baffle or without one, for frequencies up to a highest one [Hz]."""
+    return Radiation(plate, highest, air) if baffle else Unbaffled(plate, highest, air)
 
 
 def air_on(plate: OpenPlate, table: AirLoad) -> AirLoads:
