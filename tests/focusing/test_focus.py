@@ -4,12 +4,14 @@ import math
 
 import numpy as np
 import pytest
+import scipy
 
+from support.coils import LOSSLESS_COILS, first_order_system, panel
 from support.scenes import scene_of
 from warp_plate import PlateSolver, SceneError, export, focus
 from warp_plate.focusing.figures import focus_motions, measure_focus
 from warp_plate.focusing.responses import HeldResponses
-from warp_plate.modal.modes import modes_below
+from warp_plate.modal.modes import modes_below, solve_modes
 from warp_plate.result.focus import load_focus, save_focus
 from warp_plate.scene.target import Target
 
@@ -178,6 +180,47 @@ def test_time_stepping_agrees_and_converges(tmp_path, quantity):
         inside = found.times < 0.0235
         errors.append(np.abs(moved - method.responses[0])[:, inside].max() / np.abs(method.responses[0]).max())
     assert errors[1] < min(0.01, errors[0] / 2), errors
+
+
+def coil_panel(rows, **table):
+    """A panel with coils for volts, one of them with inductance, and a focus."""
+    voltages = [{key: value for key, value in row.items() if key != "phase"} for row in rows]
+    return panel(voltages).with_tables(focus={**TABLE, "highest": 400.0, "energy": 0.02, **table})
+
+
+def test_a_current_in_a_coil_without_mass_is_a_force():
+    places = [
+        {"name": str(index), "area": area}
+        for index, area in enumerate([(0.05, 0.07, 0.06, 0.08), (0.12, 0.15, 0.03, 0.07)])
+    ]
+    numbers = {"kind": "coil", "current": 1.0, "force_factor": 2.0, "resistance": 4.0}
+    table = {**TABLE, "energy": 0.02}
+    pressed, driven = (
+        panel([{**place, **more} for place in places]).with_tables(focus=table) for more in ({}, numbers)
+    )
+    by_pressure, by_current = (HeldResponses.of_scene(one, 300).at_foci() for one in (pressed, driven))
+    areas = np.array([actuator.patch_area for actuator in pressed.actuators])[:, None, None]
+    np.testing.assert_allclose(by_current, 2.0 * by_pressure / areas, atol=1e-6 * np.abs(by_current).max())
+
+
+def test_waveforms_of_coils_move_the_foci_as_one_system_of_first_order_does():
+    """The matrix exponential of modes, magnets and currents steps from sample to sample; motions above the highest
+    frequency, which focused responses leave out, are small."""
+    scene = coil_panel(LOSSLESS_COILS[:2], highest=1000.0)
+    found = focus(scene).methods["optimum"]
+    plate = solve_modes(scene, 1000.0)
+    plate = plate.part(np.arange(90))
+    matrix, drives = first_order_system(plate)
+    count, samples = len(matrix), found.waveforms.shape[2]
+    whole = np.zeros((count + 2, count + 2))
+    whole[:count, :count], whole[:count, count:] = matrix, drives
+    step, state = scipy.linalg.expm(whole / TABLE["rate"]), np.zeros(count + 2)
+    shapes, moved = plate.at_points(TABLE["points"]).T, np.zeros((2, samples))
+    for sample in range(samples):
+        state[count:] = found.waveforms[0, :, sample]
+        state = step @ state
+        moved[:, sample] = shapes @ state[: len(plate.frequencies)]
+    np.testing.assert_allclose(moved, found.responses[0][:, :samples], atol=0.01 * np.abs(moved).max())
 
 
 def test_area_and_contrast_of_a_known_field():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy
 
-from support.coils import LOSSLESS_COILS, panel
+from support.coils import LOSSLESS_COILS, first_order_system, panel
 from warp_plate.modal.coils_in_time import in_time
 from warp_plate.modal.energies import ModalEnergies
 from warp_plate.modal.modes import solve_modes
@@ -18,52 +18,12 @@ POINTS = [(0.03, 0.1), (0.14, 0.05)]
 
 
 def first_order(plate, omega, phasors):
-    """Return displacements (points, times) from modes, magnets, rates and currents with x' = A x + Re(b exp(iωt)).
+    """Return displacements (points, times) of the first-order system under Re(Z exp(iωt)).
 
     The tone is a further part of the state, so that the matrix exponential is exact.
     """
-    scene, modes = plate.scene, len(plate.frequencies)
-    coils = [scene.actuators[index] for index in scene.coil_indices]
-    size = modes + len(coils)
-    mass, loss, stiffness = np.eye(size), np.zeros((size, size)), np.zeros((size, size))
-    loss[:modes, :modes], stiffness[:modes, :modes] = plate.damping, np.diag(plate.angular_frequencies**2)
-    push, load = np.zeros((size, len(coils))), np.zeros(size, dtype=complex)
-    load[:modes] = plate.actuator_forces()[:, 3] * phasors[3]
-    circuits = np.zeros((len(coils), len(coils)))
-    by_rates, sources = np.zeros((len(coils), size)), np.zeros(len(coils), dtype=complex)
-    for index, actuator in enumerate(coils):
-        coil, magnet = actuator.coil, modes + index
-        patch = np.zeros(size)
-        patch[:modes] = plate.coils.means[:, index]
-        stroke = patch.copy()
-        if coil.magnet_mass:
-            mass[magnet, magnet] = coil.magnet_mass
-            stiffness[magnet, magnet], loss[magnet, magnet] = coil.magnet_stiffness, coil.magnet_damping
-            stroke[magnet] = -1.0
-        mass += coil.moving_mass * np.outer(patch, patch)
-        stiffness += coil.suspension_stiffness * np.outer(stroke, stroke)
-        loss += coil.suspension_damping * np.outer(stroke, stroke)
-        drive = phasors[scene.coil_indices[index]]
-        if actuator.current is not None:
-            load += coil.force_factor * drive * stroke
-        elif coil.inductance == 0:
-            loss += coil.force_factor**2 / coil.resistance * np.outer(stroke, stroke)
-            load += coil.force_factor / coil.resistance * drive * stroke
-        else:
-            push[:, index] = coil.force_factor * stroke
-            by_rates[index] = -coil.force_factor * stroke / coil.inductance
-            circuits[index, index] = -coil.resistance / coil.inductance
-            sources[index] = drive / coil.inductance
-    inverse, nothing = np.linalg.inv(mass), np.zeros((size, size))
-    matrix = np.block(
-        [
-            [nothing, np.eye(size), np.zeros(push.shape)],
-            [-inverse @ stiffness, -inverse @ loss, inverse @ push],
-            [np.zeros(by_rates.shape), by_rates, circuits],
-        ]
-    )
-    driven = np.concatenate([np.zeros(size), inverse @ load, sources])
-    count = len(matrix)
+    matrix, columns = first_order_system(plate)
+    driven, count = columns @ phasors, len(matrix)
     whole = np.zeros((count + 2, count + 2))
     whole[:count, :count], whole[:count, count:] = matrix, np.stack([driven.real, -driven.imag], axis=1)
     whole[count:, count:] = [[0, -omega], [omega, 0]]  # cos ωt, sin ωt
@@ -72,7 +32,7 @@ def first_order(plate, omega, phasors):
     shapes, found = plate.at_points(POINTS).T, np.zeros((len(POINTS), len(TIMES)))
     for n in range(1, len(TIMES)):
         state = step @ state
-        found[:, n] = shapes @ state[:modes]
+        found[:, n] = shapes @ state[: len(plate.frequencies)]
     return found
 
 

@@ -70,3 +70,50 @@ def dense_motion(plate, omega):
         load[current] = phasors[plate.coils.indices[index]]
     found = np.linalg.solve(system, load)
     return found[:modes], found[modes : modes + count], found[modes + count :]
+
+
+def first_order_system(plate):
+    """Return A and B of x' = A x + B drives, of displacements of modes and magnets, their rates, and currents of coils
+    without lossy inductance."""
+    scene, modes = plate.scene, len(plate.frequencies)
+    coils = [scene.actuators[index] for index in scene.coil_indices]
+    size = modes + len(coils)
+    mass, loss, stiffness = np.eye(size), np.zeros((size, size)), np.zeros((size, size))
+    loss[:modes, :modes], stiffness[:modes, :modes] = plate.damping, np.diag(plate.angular_frequencies**2)
+    loads = np.zeros((size, len(scene.actuators)))
+    for index, actuator in enumerate(scene.actuators):
+        if actuator.kind == "pressure":
+            loads[:modes, index] = plate.actuator_forces()[:, index]
+    push, circuits = np.zeros((size, len(coils))), np.zeros((len(coils), len(coils)))
+    by_rates, sources = np.zeros((len(coils), size)), np.zeros((len(coils), len(scene.actuators)))
+    for index, (actuator, place) in enumerate(zip(coils, scene.coil_indices, strict=True)):
+        coil, magnet = actuator.coil, modes + index
+        patch = np.zeros(size)
+        patch[:modes] = plate.coils.means[:, index]
+        stroke = patch.copy()
+        if coil.magnet_mass:
+            mass[magnet, magnet] = coil.magnet_mass
+            stiffness[magnet, magnet], loss[magnet, magnet] = coil.magnet_stiffness, coil.magnet_damping
+            stroke[magnet] = -1.0
+        mass += coil.moving_mass * np.outer(patch, patch)
+        stiffness += coil.suspension_stiffness * np.outer(stroke, stroke)
+        loss += coil.suspension_damping * np.outer(stroke, stroke)
+        if actuator.current is not None:
+            loads[:, place] = coil.force_factor * stroke
+        elif coil.inductance == 0:
+            loss += coil.force_factor**2 / coil.resistance * np.outer(stroke, stroke)
+            loads[:, place] = coil.force_factor / coil.resistance * stroke
+        else:
+            push[:, index] = coil.force_factor * stroke
+            by_rates[index] = -coil.force_factor * stroke / coil.inductance
+            circuits[index, index] = -coil.resistance / coil.inductance
+            sources[index, place] = 1 / coil.inductance
+    inverse, nothing = np.linalg.inv(mass), np.zeros((size, size))
+    matrix = np.block(
+        [
+            [nothing, np.eye(size), np.zeros(push.shape)],
+            [-inverse @ stiffness, -inverse @ loss, inverse @ push],
+            [np.zeros(by_rates.shape), by_rates, circuits],
+        ]
+    )
+    return matrix, np.vstack([np.zeros_like(loads), inverse @ loads, sources])

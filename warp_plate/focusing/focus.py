@@ -152,11 +152,14 @@ def _table(scene: Scene) -> Focus:
         raise SceneError("focus: there is no such table; write [focus] with points = [[x, y]] and highest, in Hz")
     if scene.nonlinear_table is not None:
         raise SceneError(f"{scene.nonlinear_table}: waveforms are focused on a linear plate without it")
-    for index in scene.coil_indices[:1]:
-        raise SceneError(f"actuators[{index}].kind: waveforms are focused by actuators that press, or piezo patches")
     if scene.steady:
         rule = "take viscous damping or effects.modal_damping"
+        if scene.steady_key == scene.lossy_inductance_key:
+            rule = "write eddy_resistance = [0, 0] and eddy_reactance = [0, 0], and an inductance"
         raise SceneError(f"{scene.steady_key}: has no motion in time; {rule}")
+    if len(set(scene.magnitude_units)) > 1:
+        rule = "focus by actuators of one unit"
+        raise SceneError(f"actuators: waveforms in {scene.drive_unit} have no common scale; {rule}")
     return scene.focus
 
 

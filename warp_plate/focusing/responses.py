@@ -1,4 +1,4 @@
-"""Responses of points to held samples of the actuators' pressures, exact in time.
+"""Responses of points to held samples of the actuators' pressures, voltages or currents, exact in time.
 
 A pressure of 1 N/m² during one sample, Δ = 1/rate long, moves a point at the end of sample l + 1 by
 
@@ -29,7 +29,8 @@ from collections.abc import Iterator
 import numpy as np
 import scipy
 
-from warp_plate.modal.modes import ModalPlate, modes_below
+from warp_plate.modal.coils_in_time import in_time
+from warp_plate.modal.modes import ModalPlate, modes_below, solve_modes
 from warp_plate.modal.poles import Poles
 from warp_plate.scene.focus import Focus
 from warp_plate.scene.model import Scene
@@ -44,10 +45,12 @@ RANGE, HALVINGS = 1e10, 100
 class HeldResponses:
     """Responses of a plate to samples of its actuators' pressures, so many of them; of velocity or displacement."""
 
-    def __init__(self, plate: ModalPlate, rate: int, samples: int, velocity: bool) -> None:
+    def __init__(self, plate: ModalPlate, rate: int, samples: int, velocity: bool, highest: float = math.inf) -> None:
+        """Free motions above ``highest`` [Hz] are left out."""
         poles = plate.poles(samples / rate)
         # One pole of each conjugate pair is enough, counted twice, because motion is real.
-        self._poles: Poles = poles.part(np.flatnonzero(poles.values.imag >= 0))
+        turning = poles.values.imag
+        self._poles: Poles = poles.part(np.flatnonzero((turning >= 0) & (turning <= 2 * math.pi * highest)))
         s, self._samples, self._step = self._poles.values, samples, 1 / rate
         one_sample = np.expm1(s * self._step) / (1 if velocity else s)
         self._gains = self._poles.gains(plate.actuator_forces()) * (one_sample * np.where(s.imag > 0, 2, 1))[:, None]
@@ -58,8 +61,13 @@ class HeldResponses:
         """Return the responses of a scene's plate by its table ``[focus]``; ``velocity`` if not as the table says."""
         table = scene.focus
         assert table is not None
-        plate = modes_below(scene, table.highest, "focus.highest")
-        return cls(plate, table.rate, samples, table.quantity == "velocity" if velocity is None else velocity)
+        velocity = table.quantity == "velocity" if velocity is None else velocity
+        if not scene.coil_indices:
+            plate = modes_below(scene, table.highest, "focus.highest")
+            return cls(plate, table.rate, samples, velocity)
+        # Higher modes yield to coils, and so take part in the lowest motions of the plate with them.
+        plate = in_time(solve_modes(scene, table.highest, key=f"focus.highest {table.highest:g}"))
+        return cls(plate, table.rate, samples, velocity, table.highest)
 
     @property
     def table(self) -> Focus:
