@@ -14,6 +14,7 @@ from warp_plate import Scene, specify
 from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.radiation import Air
 from warp_plate.quantities.sound_levels import a_weighting
+from warp_plate.studies.frequency_response import frf
 from warp_plate.studies.sound import sound
 
 # Frequencies [Hz] and values [dB] of IEC 61672-1, table 3.
@@ -175,3 +176,81 @@ def test_no_quiet_drive_has_less_than_the_proved_contrast(quiet_console, random)
     contrast = 20 * np.log10(np.abs(outside @ drives.T).max(axis=0) / 9.80665)
     assert permitted.sum() > 20
     assert contrast[permitted].min() >= quiet_console.bound_db - 0.1  # a maximum between nodes is up to 0.1 dB higher
+
+
+SOUNDS = ("sound_power", "radiation_efficiency", "sound_pressure")
+
+
+@pytest.fixture(scope="module", params=[True, False], ids=["baffle", "open"])
+def spectra(request):
+    """A scene of one actuator, its sound, and its responses by quantity; in a baffle or without one."""
+    made = scene_of(damping=20.0, actuators=[(0.05, 0.09, 0.06, 0.11)], modal_density=0.4, frequency=110.0)
+    options = {"frequency_range": (50.0, 120.0), "baffle": request.param}
+    heard = sound(made, [POINT], **options)
+    found = {
+        name: frf(made, points=[POINT] if name == "sound_pressure" else (), quantity=name, **options) for name in SOUNDS
+    }
+    return made, heard, found
+
+
+def test_responses_of_sound_are_the_sound_of_one_newton(spectra):
+    """The sound of a drive is that of its force, by the responses that ``frf`` computes."""
+    made, heard, found = spectra
+    force = made.actuators[0].magnitude * made.actuators[0].patch_area
+    at = [np.searchsorted(heard.frequencies, one.frequencies) for one in found.values()]
+    power, efficiency, pressure = (one.responses[0] for one in found.values())
+    np.testing.assert_allclose(power * force**2, heard.power[at[0]], rtol=1e-9)
+    np.testing.assert_allclose(efficiency, heard.efficiency[at[1]], rtol=1e-9)
+    np.testing.assert_allclose(pressure * force, heard.pressures[0, at[2]], rtol=1e-9)
+    level = found["sound_power"].level(np.abs(power)) + 20 * math.log10(force)
+    np.testing.assert_allclose(level, heard.power_level[at[0]], atol=1e-9)
+    level = found["sound_pressure"].level(np.abs(pressure)) + 20 * math.log10(force)
+    np.testing.assert_allclose(level, heard.pressure_levels[0, at[2]], atol=1e-9)
+    assert [one.unit for one in found.values()] == ["W/N²", "1", "Pa/N"]
+    assert [one.labels for one in found.values()] == [["0"], ["0"], ["0 → 0.3,-0.1,0.8"]]
+
+
+def test_error_bars_hold_the_sound_of_a_finer_plate(spectra):
+    made, heard, found = spectra
+    for name, one in found.items():
+        points = [POINT] if name == "sound_pressure" else ()
+        finer = frf(made.replace("grid.modal_density", 0.8), points=points, frequency_range=(50.0, 120.0),
+                    quantity=name, baffle=heard.baffle)  # fmt: skip
+        values = np.interp(one.frequencies, finer.frequencies, np.abs(finer.responses[0]))
+        low, high = one.band("responses")
+        assert np.all((low[0] <= values) & (values <= high[0] * 1.01) | np.isnan(low[0]))
+
+
+@pytest.mark.parametrize("quantity", SOUNDS)
+def test_responses_of_sound_by_the_command(command, write_scene, quantity):
+    pytest.importorskip("matplotlib")
+    made = write_scene(damping=10.0, modal_density=0.4)
+    asked = ["--from", "0", "--range", "50:100", "--quantity", quantity]
+    expected = frf(made, ["0"], (), (50.0, 100.0), quantity)
+    words = ["--json", "--to", "csv", "--to", "hdf5", "--out", "s.svg"]
+    record = json.loads(output_of(command("frf", "panel.toml", *asked, *words)))
+    size = np.abs(expected.responses).max()
+    assert record["real"] == [pytest.approx(expected.responses[0].real.tolist(), abs=1e-6 * size)]
+    of_plate = quantity != "sound_pressure"
+    assert record["pairs"] == [{"from": "0", "at": [] if of_plate else [0.05, 0.1, 1.0]}]
+    assert ("level" in record) == (quantity != "radiation_efficiency")
+    words = {"sound_power": "sound power level", "radiation_efficiency": "radiation efficiency [1]"}
+    drawn = Path("s.svg").read_text(encoding="utf-8")
+    assert f"<!-- {words.get(quantity, 'sound pressure level')} -->" in drawn
+    assert ("<!-- phase [°] -->" in drawn) != of_plate
+    out = output_of(command("frf", "panel.toml", *asked, "--no-pictures"))
+    assert (quantity.replace("_", " ") in out, "phase" in out) == (True, not of_plate)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("sound_power", "--at", "0.1,0.1"), "the sound_power is that of the whole plate; leave out points"),
+        (("sound_pressure", "--at", "0.1,0.1"), "--at 0.1,0.1: must be X,Y,Z in metres"),
+        (("sound_pressure", "--at", "0.1,0.1,-1"), "--at 0.1,0.1,-1: must lie in front of the plate"),
+        (("mobility", "--unbaffled"), "--quantity mobility: only sound is that of plates without a baffle"),
+    ],
+)
+def test_what_responses_of_sound_refuse(command, write_scene, words, message):
+    write_scene(damping=10.0)
+    assert message in error_of(command("frf", "panel.toml", "--no-pictures", "--quantity", *words))

@@ -53,28 +53,33 @@ LENGTH, MOST_WAVEFORMS, BURST_PERIODS, PULSE_PERIODS = 2.0, 8, 16, 50
 def draw_frequency_response(response: FrequencyResponse, path: str | Path) -> None:
     """Draw the responses of all pairs, with ticks at natural frequencies; those of several inputs above the
     localization factor of the scene's drive and the mean square velocity that each input causes."""
-    x, several = response.frequencies, len(response.inputs) > 1
-    heights = [2.2, 1, 1.2, 1.4] if several else [2.2, 1]
-    with figure(path, (7.2, 8.0 if several else 4.9), font_size=9) as fig:
-        panels = fig.subplots(len(heights), 1, sharex=True, height_ratios=heights)
-        magnitude, phase, *others = panels
-        extent = np.abs(np.concatenate([response.points, response.input_places])).max(initial=0)
+    x, several, real = response.frequencies, len(response.inputs) > 1, response.of_plate
+    heights = [2.2, *[1] * (not real), *[1.2, 1.4] * several]
+    with figure(path, (7.2, (8.0 if several else 4.9) - 1.2 * real), font_size=9) as fig:
+        panels = fig.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
+        magnitude, *others = panels
+        phase = None if real else others.pop(0)
+        extent = np.abs(np.concatenate([response.points[:, :2], response.input_places])).max(initial=0)
         names = [_input_label(response, index, extent) for index in range(len(response.inputs))]
-        places = [f"({point_text(point, [extent])})" for point in response.points]
-        unit = length_unit([extent])[0]
+        places = [f" → ({point_text(point, [extent])}) {length_unit([extent])[0]}" for point in response.points]
         of_coils = response.quantity == IMPEDANCE
-        labels = [f"{name} → {place} {unit}" for name in names for place in places]
+        labels = [name + place for name in names for place in places or [""]]
         labels = [shortened(label) for label in response.labels] if of_coils else labels
         drawn, bands = response.responses[response.distinct], response.band("responses")
+        curves = np.abs(drawn)
+        if response.level_unit:
+            curves, bands = response.level(curves), (response.level(bands[0]), response.level(bands[1]))
         labels = [labels[index] for index in response.distinct]
-        for index, look in _plot(magnitude, x, np.abs(drawn), labels).items():
+        for index, look in _plot(magnitude, x, curves, labels).items():
             _draw_band(magnitude, x, bands, response.distinct[index], look["color"])
-            phase.plot(x, _unbroken(drawn[index]), **look)
-        phase.set(ylabel="phase [°]", ylim=(-190, 190), yticks=(-180, -90, 0, 90, 180))
-        if of_coils and not several:  # which is passive
-            phase.set(ylim=(-95, 95), yticks=(-90, -45, 0, 45, 90))
+            if phase is not None:
+                phase.plot(x, _unbroken(drawn[index]), **look)
+        if phase is not None:
+            phase.set(ylabel="phase [°]", ylim=(-190, 190), yticks=(-180, -90, 0, 90, 180))
+            if of_coils and not several:  # which is passive
+                phase.set(ylim=(-95, 95), yticks=(-90, -45, 0, 45, 90))
         set_frequency_axes(x, response.natural_frequencies, panels)
-        _set_log_axis(magnitude, np.abs(response.responses), MOST_DECADES, f"{response.quantity} [{response.unit}]")
+        _set_magnitude_axis(magnitude, response, curves)
         if several:
             _draw_localization(response, others[0])
             for index, look in _plot(others[1], x, response.mean_square_velocity, names).items():
@@ -86,6 +91,17 @@ def draw_frequency_response(response: FrequencyResponse, path: str | Path) -> No
         what = "coils" if of_coils else "the plate"
         fig.suptitle(response.title or f"{response.quantity} of {what}", fontsize=10)
         fig.align_ylabels()
+
+
+def _set_magnitude_axis(axes: Axes, response: FrequencyResponse, curves: np.ndarray) -> None:
+    """Set and label the axis of magnitudes, logarithmic, or of levels of sound [dB]."""
+    quantity = response.quantity.replace("_", " ")
+    if response.level_unit:
+        high = float(np.nanmax(curves))
+        axes.set_ylim(max(float(np.nanmin(curves)), high - 10 * MOST_DECADES) - 3, high + 3)
+        axes.set_ylabel(f"{quantity} level\nunder 1 N [{response.level_unit}]")
+    else:
+        _set_log_axis(axes, curves, MOST_DECADES, f"{quantity} [{response.unit}]")
 
 
 def _draw_localization(response: FrequencyResponse, axes: Axes) -> None:

@@ -42,17 +42,21 @@ class ResponseOptions:
         inputs: Name of an actuator, or a point X,Y in metres on which 1 N acts; may be repeated (default: all
             actuators, or of impedances all coils).
         at: Point X,Y in metres that responds; may be repeated (default: the scene's record.points, or the middle of
-            each target).
+            each target); of sound pressure X,Y,Z, Z above the plate (default: 1 m above the middle of each target).
         range: Lowest and highest frequency in hertz, LOW:HIGH (default: from half the lowest natural frequency, or half
             the drive's frequency if that is lower, to twice the drive's frequency, and at least to the sixth mode).
-        quantity: Displacement (receptance), velocity (mobility) or acceleration (accelerance) per force, or the
-            impedance of coils.
+        quantity: Displacement (receptance), velocity (mobility), acceleration (accelerance) or sound pressure per
+            force, sound power under 1 N, radiation efficiency under each force, or the impedance of coils.
+        unbaffled: Sound is that of a rectangle without a baffle, open at the back; the power is that of both sides.
     """
 
     inputs: Annotated[list[str] | None, Parameter(name="--from", negative="", allow_leading_hyphen=True)] = None
     at: Annotated[list[str] | None, Parameter(negative="", allow_leading_hyphen=True)] = None
     range: str | None = None
-    quantity: Literal["receptance", "mobility", "accelerance", "impedance"] = "mobility"
+    quantity: Literal[
+        "receptance", "mobility", "accelerance", "impedance", "sound_pressure", "sound_power", "radiation_efficiency"
+    ] = "mobility"
+    unbaffled: Annotated[bool, Parameter(negative="")] = False
 
 
 def frf(
@@ -64,7 +68,7 @@ def frf(
     to: Annotated[list[ResponseFormat] | None, Parameter(negative="")] = None,
     files: options.FileOptions = options.FileOptions(),
 ) -> None:
-    """Show frequency responses of a linear plate or impedances of coils, localization factor and mean square velocity.
+    """Show responses of a linear plate, its sound, impedances of coils, localization factor and mean square velocity.
 
     Responses are steady, for a force of 1 N; an actuator spreads it evenly over its patch. Frequencies are spaced so
     that every resonance is resolved, however sharp. They are drawn as a picture (.png, .svg or .pdf).
@@ -84,7 +88,8 @@ def frf(
     holds = {"csv": "localization factor [1]", "hdf5": "a frequency response"}
     for name in formats:
         output.check_overwriting(_path_of(target, WRITERS[name][0]), holds[name], files.force)
-    points = [_point(text) for text in responses.at or ()]
+    listening = ("X,Y,Z", "0.05,0.1,1") if responses.quantity == "sound_pressure" else ()
+    points = [_point(text, *listening) for text in responses.at or ()]
     limits = None if responses.range is None else frequency_range(responses.range)
     loaded, scene = changes.load(scene)
     names = {actuator.name for actuator in loaded.actuators}
@@ -92,7 +97,7 @@ def frf(
         text if text in names or not re.fullmatch(POINT, text) else _point(text) for text in responses.inputs or ()
     ]
     with output.scene_errors(scene, inputs="from", points="at", frequency_range="range", quantity="quantity"):
-        response = compute(loaded, sources, points, limits, responses.quantity)
+        response = compute(loaded, sources, points, limits, responses.quantity, baffle=not responses.unbaffled)
     drawn = write_and_draw(response, target, formats, WRITERS, draw_frequency_response if files.pictures else None)
     output.report(files.json, _as_json, _print, scene, loaded, response, written=files.check_drawn(target, drawn))
 
@@ -149,6 +154,7 @@ def _as_json(name: str, scene: Scene, response: FrequencyResponse) -> dict[str, 
         "real": response.responses.real,
         "imaginary": response.responses.imag,
         "inputs": response.inputs,
+        **({"level": response.level(abs(response.responses))} if response.level_unit else {}),
         **output.attributes(response, "localization_factor", "bound", "mean_square_velocity"),
         **output.attributes(response, "natural_frequencies", "loss_factors", "undamped"),
         "errors": dataclasses.asdict(response.errors),
@@ -169,21 +175,22 @@ def _print(name: str, scene: Scene, response: FrequencyResponse, console: Consol
     import numpy as np
 
     low, high, count = response.frequencies[0], response.frequencies[-1], len(response.natural_frequencies)
+    quantity = response.quantity.replace("_", " ")
     console.print(
-        f"{scene.title or name}: {response.quantity} at {len(response.frequencies)} frequencies from {low:g} to "
-        f"{high:g} Hz, {count} modes\n"
+        f"{scene.title or name}: {quantity} at {len(response.frequencies)} frequencies from {low:g} to {high:g} Hz, "
+        f"{count} modes\n"
     )
-    peaks = []
-    errors = response.errors
+    peaks, errors, real = [], response.errors, response.of_plate
     for index in response.distinct[:MOST_ROWS]:
         label, values = response.labels[index], response.responses[index]
-        at = int(np.abs(values).argmax())
+        at = int(np.nan_to_num(np.abs(values)).argmax())
         of_value, of_frequency = errors.responses[index, at] / abs(values[at] or 1), errors.frequencies[at]
         phase, frequency = np.degrees(np.angle(values[at])), response.frequencies[at]
-        numbers = [abs(values[at]), 100 * of_value, frequency, 100 * of_frequency, phase]
-        peaks.append([label, *map(output.number_text, numbers, (".4g", ".2g", ".6g", ".2g", ".1f"))])
-    headings = ("response", f"largest ({response.unit})", "± (%)", "at (Hz)", "± (%)", "phase (°)")
-    output.print_rows(console, headings, peaks)
+        numbers = [abs(values[at]), 100 * of_value, frequency, 100 * of_frequency, *([phase] * (not real))]
+        numbers += [float(response.level(numbers[0]))] if response.level_unit else []
+        peaks.append([label, *map(output.number_text, numbers, (".4g", ".2g", ".6g", ".2g", ".1f", ".1f"))])
+    last = [*["phase (°)"] * (not real), *[f"level ({response.level_unit})"] * bool(response.level_unit)]
+    output.print_rows(console, ["response", f"largest ({response.unit})", "± (%)", "at (Hz)", "± (%)", *last], peaks)
     if len(response.distinct) > MOST_ROWS:
         console.print(f"and {len(response.distinct) - MOST_ROWS} more, in the files of --to and in --json")
     if response.coils is not None and scene.drive.frequency in response.frequencies:

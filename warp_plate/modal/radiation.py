@@ -187,6 +187,10 @@ class Radiation:
                 powers[some] += 0.5 * (part * (resistances @ part)).sum(axis=1)
         return powers
 
+    def pressures(self, frequencies: np.ndarray, amplitudes: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Return (n, points, loads) pressures [Pa], see :func:`pressures`."""
+        return pressures(self.plate, frequencies, amplitudes, points, self.air)
+
     def far_sound(self, frequency: float, amplitudes: np.ndarray, sine: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
         """Return (directions,) relative pressures far away of modal amplitudes (modes,), in directions with sin θ and φ
         [rad]."""
@@ -200,6 +204,19 @@ class Radiation:
         """Return (modes, modes) R/ρck² [m⁴/kg] of a wavenumber [1/m]."""
         factor = self.far_field.resistance_factor(wavenumber)
         return np.asarray(factor.T @ factor)
+
+
+def efficiencies(
+    plate: PlateInBaffle, air: Air, frequencies: np.ndarray, amplitudes: np.ndarray, powers: np.ndarray
+) -> np.ndarray:
+    """Return (n, loads) radiation efficiencies of modal amplitudes (n, modes, loads) at frequencies (n,) [Hz]: powers
+    (n, loads) [W] over ½ρc ∫ |v|² dA, that of a piston to one side; NaN where nothing moves."""
+    space, vectors = plate.space, plate.vectors[: plate.space.unknowns]
+    areas = vectors.T @ (space.scatter(space.form(1.0)) @ vectors)
+    squares = sum((part * (areas @ part)).sum(axis=1) for part in (amplitudes.real, amplitudes.imag))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        pistons = air.density * air.sound_speed / 2 * (2 * math.pi * frequencies[:, None]) ** 2 * squares
+        return np.asarray(powers / pistons)
 
 
 def pressure_rows(plate: PlateInBaffle, frequency: float, points: np.ndarray) -> np.ndarray:

@@ -11,10 +11,10 @@ all of the response. So shifts of frequencies and errors of values are told apar
 frequencies mapped so that its natural frequencies meet those of the first.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import numpy as np
-import scipy
 
 from warp_plate.modal.modes import ModalPlate, solve_modes
 from warp_plate.modal.poles import adaptive_frequencies, as_sparse, multiply_modes
@@ -24,6 +24,8 @@ from warp_plate.quantities.region_quantities import mean_square
 from warp_plate.result.frequency_response import (
     DERIVATIVES,
     IMPEDANCE,
+    SOUND,
+    UNITS,
     CoilResponse,
     FrequencyResponse,
     Quantity,
@@ -32,6 +34,7 @@ from warp_plate.result.frequency_response import (
 from warp_plate.scene.errors import SceneError, check_type, numbers_of
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.scene.target import Target
+from warp_plate.studies.listening import Observer, Point, in_baffle, listening_points, observe_sound, target_middles
 
 # Modes that the default range reaches at least.
 MODES_SHOWN = 6
@@ -45,17 +48,17 @@ RANK_TOLERANCE = 1e-12
 COARSER, FACTOR, LEAST_SHIFT, AROUND = 1 / 1.3, 4.0, 1e-6, 25
 # Of responses at points, and of means over regions.
 LEAST_ERRORS = (2e-3, 5e-4, 5e-4, 5e-4)
-Point = tuple[float, float]
 
 
 def frf(
     scene: SceneSource,
     inputs: Sequence[str | Point] = (),
-    points: Sequence[Point] = (),
+    points: Sequence[tuple[float, ...]] = (),
     frequency_range: tuple[float, float] | None = None,
     quantity: Quantity = "mobility",
+    baffle: bool = True,
 ) -> FrequencyResponse:
-    """Return the steady responses of points to unit forces, or the impedances of coils.
+    """Return the steady responses of points to unit forces, the impedances of coils, or the sound of unit forces.
 
     They are those at frequencies that resolve every resonance.
 
@@ -63,28 +66,35 @@ def frf(
         scene: Linear scene; its grid, window and waveforms are not used.
         inputs: Names of actuators, over which 1 N is spread evenly, and points (x, y) [m] at which 1 N acts (default:
             all actuators); of impedances, names of coils (default: all coils).
-        points: Points (x, y) [m] that respond (default: ``record.points``, or the middles of the targets); none of
-            impedances.
+        points: Points (x, y) [m] that respond (default: ``record.points``, or the middles of the targets); of pressures
+            (x, y, z), z above the plate (default: 1 m above the middles of the targets); none of impedances, of sound
+            power and of radiation efficiency.
         frequency_range: Lowest and highest frequency [Hz] (default: from half the lowest natural frequency, or half the
             frequency of the drive if that is lower, to twice the latter, and at least to the sixth mode).
         quantity: Quantity that responds.
+        baffle: As of :func:`warp_plate.studies.sound.sound`.
 
     Raises:
-        SceneError: The scene is not linear, an actuator is unknown, a point is off the plate, or the range is invalid.
+        SceneError: The scene is not linear, an actuator is unknown, a point is off the plate or too near to it, or the
+            range is invalid.
     """
     scene = Scene.load(scene)
     check_type("inputs", inputs, Sequence, np.ndarray)
     check_type("points", points, Sequence, np.ndarray)
     if isinstance(points, str | bytes) or (isinstance(points, np.ndarray) and points.ndim == 0):
         raise SceneError(f"points: must be a list of points (x, y), not {points!r}")
-    if quantity not in (*DERIVATIVES, IMPEDANCE):
-        raise SceneError(f"quantity = {quantity!r}: must be one of {', '.join(DERIVATIVES)} and {IMPEDANCE}")
+    if quantity not in UNITS:
+        raise SceneError(f"quantity = {quantity!r}: must be one of {', '.join(UNITS)}")
+    if not baffle and quantity not in SOUND:
+        raise SceneError(f"quantity = {quantity}: only sound is that of plates without a baffle: {', '.join(SOUND)}")
     if quantity == IMPEDANCE:
         inputs, points = _terminals(scene, inputs, points)
     inputs = inputs if len(inputs) else [actuator.name for actuator in scene.actuators]
-    points = points if len(points) else scene.record.points or target_middles(scene)
     frequency_range = check_linear(scene, frequency_range)
-    if quantity != IMPEDANCE:  # a coil may stand around a hole
+    if quantity in SOUND:
+        points, baffle = listening_points(scene, points, quantity), in_baffle(scene, baffle)
+    elif quantity != IMPEDANCE:  # a coil may stand around a hole
+        points = points if len(points) else scene.record.points or target_middles(scene)
         _check_on_plate(scene, "points", points)
     _check_on_plate(scene, "inputs", inputs)
     low, high = frequency_range or default_range(scene)
@@ -97,10 +107,14 @@ def frf(
         natural, widths = plate.coils.resonances(opened=True)
         lost = 2 * widths / natural
     terminals = inputs if quantity == IMPEDANCE else ()
+
+    def observer(plate: ModalPlate, highest: float) -> Observer:
+        return observe_sound(plate, highest, quantity, points, baffle) if quantity in SOUND else _motion(plate, points)
+
     responses, factor, bound, velocity = curves = _responses(
-        plate, frequencies, forces, plate.at_points(points), terminals
+        plate, frequencies, forces, observer(plate, high), terminals
     )
-    shifts, of_responses, *of_others = _errors(plate, high, frequencies, inputs, points, curves, terminals)
+    shifts, of_responses, *of_others = _errors(plate, high, frequencies, inputs, observer, curves, terminals)
     derivative = (2j * np.pi * frequencies) ** DERIVATIVES.get(quantity, 0)
     shown = (natural >= low) & (natural <= high)
     return FrequencyResponse(
@@ -108,7 +122,7 @@ def frf(
         quantity=quantity,
         inputs=tuple(name if isinstance(name, str) else f"{name[0]:g},{name[1]:g}" for name in inputs),
         input_places=places,
-        points=np.array(points, dtype=float),
+        points=np.array(points, dtype=float).reshape(len(points), -1) if len(points) else np.zeros((0, 2)),
         frequencies=frequencies,
         responses=derivative * responses,
         localization_factor=factor,
@@ -121,7 +135,7 @@ def frf(
     )
 
 
-def _terminals(scene: Scene, inputs: Sequence[str | Point], points: Sequence[Point]) -> tuple[list[str], list[Point]]:
+def _terminals(scene: Scene, inputs: Sequence[str | Point], points: Sequence[Any]) -> tuple[list[str], Sequence[Any]]:
     """Return the names of coils (default: all) and their middles [m]; SceneError: an input is none, or there are
     points."""
     middles = {scene.actuators[index].name: scene.actuators[index].middle for index in scene.coil_indices}
@@ -152,7 +166,7 @@ def _errors(
     high: float,
     frequencies: np.ndarray,
     inputs: Sequence[str | Point],
-    points: Sequence[Point],
+    observer: Callable[[ModalPlate, float], Observer],
     curves: Sequence[np.ndarray],
     terminals: Sequence[str | Point],
 ) -> list[np.ndarray]:
@@ -164,13 +178,21 @@ def _errors(
     natural, mapped = np.append(0.0, natural[elastic]), np.append(0.0, mapped[elastic])
     shifts = FACTOR * np.maximum.accumulate(np.abs(mapped[1:] / natural[1:] - 1)) + LEAST_SHIFT
     next_mode = np.minimum(np.searchsorted(natural[1:], frequencies), shifts.size - 1)
-    forces, shapes = input_forces(coarser, inputs)[1], coarser.at_points(points)
-    others = _responses(coarser, np.interp(frequencies, natural, mapped), forces, shapes, terminals)
+    moved = np.interp(frequencies, natural, mapped)
+    observed = observer(coarser, float(moved.max()))
+    others = _responses(coarser, moved, input_forces(coarser, inputs)[1], observed, terminals)
     errors = [
-        scipy.ndimage.maximum_filter1d(FACTOR * np.abs(other - curve) + least * np.abs(curve), AROUND)
+        _largest_around(FACTOR * np.abs(other - curve) + least * np.abs(curve))
         for curve, other, least in zip(curves, others, LEAST_ERRORS, strict=True)
     ]
     return [shifts[next_mode], *errors]
+
+
+def _largest_around(rows: np.ndarray) -> np.ndarray:
+    """Return the largest of the AROUND values about each one along the last axis."""
+    ends = [(0, 0)] * (rows.ndim - 1) + [(AROUND // 2, AROUND // 2)]
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(rows, ends, "edge"), AROUND, axis=-1)
+    return np.asarray(np.fmax.reduce(around, axis=-1))
 
 
 def respond_to_drive(scene: Scene, frequencies: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -178,8 +200,7 @@ def respond_to_drive(scene: Scene, frequencies: np.ndarray) -> tuple[np.ndarray,
     check_linear(scene, None)
     plate = solve_modes(scene, frequencies.max(), key=f"highest frequency {frequencies.max():g}")
     forces = plate.actuator_forces() @ scene_phasors(scene)[:, None]
-    nowhere = np.zeros((len(forces), 0))
-    _, factor, bound, velocity = _responses(plate, frequencies, forces, nowhere)
+    _, factor, bound, velocity = _responses(plate, frequencies, forces, _motion(plate, np.zeros((0, 2))))
     if plate.coils is not None:  # whose forces depend on the frequency
         driven = plate.respond_to_drive(frequencies, scene_phasors(scene))
         velocity = _mean_square_velocity(plate, frequencies, driven, _plate_mass(plate)).T
@@ -202,20 +223,7 @@ def default_range(scene: Scene) -> tuple[float, float]:
     return float(0.5 * min(natural[0], drive)), float(max(2 * drive, 1.05 * natural[-1]))
 
 
-def target_middles(scene: Scene) -> list[Point]:
-    """Return the middle of the bounding box of each target [m]; of a mask, the middle of the plate."""
-    width, height = scene.plate.size
-    middles = []
-    for target in scene.targets_by_key.values():
-        corners = target.corners(of_disc=4)
-        if corners is None:
-            corners = np.array([(0, 0), (width, height)])
-        x, y = (corners.min(axis=0) + corners.max(axis=0)) / 2
-        middles.append((float(x), float(y)))
-    return list(dict.fromkeys(middles))
-
-
-def _check_on_plate(scene: Scene, argument: str, places: Sequence[str | Point]) -> None:
+def _check_on_plate(scene: Scene, argument: str, places: Sequence[Any]) -> None:
     """Raise a SceneError, which names the argument, unless all places but names are points on the plate."""
     width, height = scene.plate.size
     for place in (place for place in places if not isinstance(place, str)):
@@ -266,11 +274,11 @@ def _responses(
     plate: ModalPlate,
     frequencies: np.ndarray,
     forces: np.ndarray,
-    shapes: np.ndarray,
+    observer: Observer,
     terminals: Sequence[str | Point] = (),
 ) -> tuple[np.ndarray, ...]:
-    """Return receptances (inputs · points, n) under forces (modes, inputs) at shapes (modes, points) [1/√kg], and the
-    last attributes of :class:`FrequencyResponse`, block by block; or impedances of the coils named ``terminals``."""
+    """Return what is observed (inputs · points, n) under forces (modes, inputs), and the last attributes of
+    :class:`FrequencyResponse`, block by block; or impedances of the coils named ``terminals``."""
     scene, inputs = plate.scene, forces.shape[1]
     loads = np.column_stack([forces, plate.actuator_forces()])
     of_plate, of_target = _plate_mass(plate), _moved_by(plate, scene.target)
@@ -280,15 +288,22 @@ def _responses(
         unit, driven = amplitudes[:, :, :inputs], amplitudes[:, :, inputs:]
         if plate.coils is not None:
             driven = driven * plate.coils.gains(2 * np.pi * chosen[:, None])[:, None, :]
-        at_points = (np.moveaxis(unit, 1, 2) @ shapes).reshape(len(chosen), -1)
         if terminals and plate.coils is not None:
             impedances, unit = plate.coils.impedance(2 * np.pi * chosen)
             named = [plate.coils.names.index(str(name)) for name in terminals]
-            at_points, unit = impedances[:, named][:, :, named].mT.reshape(len(chosen), -1), unit[:, :, named]
+            observed, unit = impedances[:, named][:, :, named].mT.reshape(len(chosen), -1), unit[:, :, named]
+        else:
+            observed = observer(chosen, unit)
         velocity = _mean_square_velocity(plate, chosen, unit, of_plate)
-        blocks.append((at_points, *_localization(driven, drive, of_target, of_plate), velocity))
+        blocks.append((observed, *_localization(driven, drive, of_target, of_plate), velocity))
     responses, factor, bound, velocity = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
     return responses.T, factor, bound, velocity.T
+
+
+def _motion(plate: ModalPlate, points: Sequence[Any] | np.ndarray) -> Observer:
+    """Return the observer of receptances of points (x, y) [m]."""
+    shapes = plate.at_points(points)
+    return lambda frequencies, amplitudes: (np.moveaxis(amplitudes, 1, 2) @ shapes).reshape(len(frequencies), -1)
 
 
 def _plate_mass(plate: ModalPlate) -> np.ndarray | None:

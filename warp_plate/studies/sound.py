@@ -8,19 +8,18 @@ import numpy as np
 
 from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.poles import adaptive_frequencies
-from warp_plate.modal.radiation import Air, Radiation, air_of, pressures
-from warp_plate.modal.unbaffled import Unbaffled, refuse_outline
+from warp_plate.modal.radiation import Air, Radiation, air_of, efficiencies
+from warp_plate.modal.unbaffled import Unbaffled, radiation_of
 from warp_plate.plate.designs import scene_phasors
 from warp_plate.result.sound import Sound
 from warp_plate.scene.errors import SceneError, check_type, numbers_of
 from warp_plate.scene.fields import SMALLEST
 from warp_plate.scene.model import Scene, SceneSource
-from warp_plate.studies.frequency_response import check_linear, default_range, resonances_of, target_middles
+from warp_plate.studies.frequency_response import check_linear, default_range, resonances_of
+from warp_plate.studies.listening import in_baffle, listening_points
 
 # Directions of a plane, and the least level that is told apart from silence [dB].
 ANGLES, LEAST_LEVEL = np.linspace(-90.0, 90.0, 181), -60.0
-# Distance of the default point from the plate [m].
-DISTANCE = 1.0
 
 
 def sound(
@@ -53,12 +52,9 @@ def sound(
     for key, value in vars(air).items():
         if not numbers_of(f"air.{key}", [value], 1, "a positive number")[0] > SMALLEST:
             raise SceneError(f"air.{key} = {value!r}: must be a positive number")
-    baffle = baffle and (scene.effects.air is None or scene.effects.air.baffle)
-    if not baffle:
-        refuse_outline(scene)
+    baffle = in_baffle(scene, baffle)
     frequency_range = check_linear(scene, frequency_range)
-    given = [numbers_of(f"points[{index}]", point, 3, "x, y, z in metres") for index, point in enumerate(points)]
-    places = np.array(given or [[x, y, DISTANCE] for x, y in target_middles(scene)])
+    places = np.array(listening_points(scene, points))
     low, high = frequency_range or default_range(scene)
     drive = scene.drive.frequency
     if not low <= drive <= high:
@@ -66,16 +62,10 @@ def sound(
     plate = solve_modes(scene, high, key=f"frequency_range = {low:g}:{high:g}" if frequency_range is not None else None)
     frequencies = np.union1d(adaptive_frequencies(*plate.resonances, low, high), [drive])
     amplitudes = plate.respond_to_drive(frequencies, scene_phasors(scene))
-    radiation = Radiation(plate, high, air)
-    unbaffled = None if baffle else Unbaffled(plate, high, air)
-    power = (unbaffled or radiation).powers(frequencies, amplitudes)[:, 0]
-    space, vectors = plate.space, plate.vectors[: plate.space.unknowns]
-    squares = _squares(amplitudes[:, :, 0], vectors.T @ (space.scatter(space.form(1.0)) @ vectors))
+    radiation = radiation_of(plate, high, air, baffle)
+    power = radiation.powers(frequencies, amplitudes)
     energies = [_squares(amplitudes[:, :, 0], plate.kinetic_matrix(region)) for region in (scene.target, "plate")]
     with np.errstate(invalid="ignore", divide="ignore"):
-        # A piston radiates ρc ∫ v² dA to each side, on average ½ ρc ω² ∫ |u|² dA.
-        squares = squares * (1 if baffle else 2)
-        efficiency = power / (air.density * air.sound_speed * (2 * np.pi * frequencies) ** 2 * squares / 2)
         factor = energies[0] / energies[1]
     natural, lost = resonances_of(plate)
     shown = (natural >= low) & (natural <= high)
@@ -83,18 +73,16 @@ def sound(
     return Sound(
         title=scene.title,
         frequencies=frequencies,
-        power=power,
-        efficiency=efficiency,
+        power=power[:, 0],
+        efficiency=efficiencies(plate, air, frequencies, amplitudes, power)[:, 0] / (1 if baffle else 2),
         localization_factor=factor,
         points=places,
-        pressures=pressures(plate, frequencies, amplitudes, places, air)[:, :, 0].T
-        if unbaffled is None
-        else unbaffled.pressures(frequencies, amplitudes, places)[:, :, 0].T,
+        pressures=radiation.pressures(frequencies, amplitudes, places)[:, :, 0].T,
         natural_frequencies=natural[shown],
         loss_factors=lost[shown],
         drive_frequency=drive,
         angles=ANGLES,
-        directivity=_directivity(unbaffled or radiation, drive, at_drive),
+        directivity=_directivity(radiation, drive, at_drive),
         baffle=baffle,
     )
 
