@@ -73,7 +73,9 @@ class FocusedWaveforms:
     peak: Annotated[np.ndarray, Dataset("m or m/s", "motion at the focus at its moment", FOCI)]
     focus_area: Annotated[np.ndarray, Dataset("m²", "area around the focus that moves half as far", FOCI)]
     contrast_db: Annotated[np.ndarray, Dataset("dB", "peak over the root mean square of the rest", FOCI)]
-    energy: Annotated[np.ndarray, Dataset("(N/m²)²·s, V²·s or A²·s", "sum over actuators of the integral of drive²", FOCI)]
+    energy: Annotated[
+        np.ndarray, Dataset("(N/m²)²·s, V²·s or A²·s", "sum over actuators of the integral of drive²", FOCI)
+    ]
     gap: Annotated[np.ndarray, Dataset("1", "part of the bound of all waveforms that the peak lacks", FOCI)]
     limits: tuple[str, ...]
     misfit: Annotated[np.ndarray | None, Dataset("1", "part of the burst or wish that is not followed", FOCI)] = None
