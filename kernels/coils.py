@@ -8,7 +8,8 @@ after it, p the force on the patch and i the current, in the scaled units of ``u
     r⁺ = r* + Y p,
 
 r* being the mean rate of the patch without the coil. The loss Bl²/(R + 2L/Δt) in d, β = Bl/(R + 2L/Δt) and c = 2L/Δt
-are the trapezoidal rule for L di/dt + R i = V − Bl (r − s)/Δt.
+are the trapezoidal rule for L di/dt + R i = V − Bl (r − s)/Δt. An inductor Lₖ that is shunted by Rₖ has a current j,
+Lₖ dj/dt = Rₖ (i − j); with a = RₖΔt/2Lₖ it adds Rₖ/(1 + a) to R, and Rₖ/(1 + a) j to V.
 """
 
 from functools import cache
@@ -24,8 +25,9 @@ NUMBERS = (
     "stiffness", "half_damping", "moving_mass", "force", "memory", "magnet", "magnet_decay", "magnet_stiffness",
     "response", "implicit", "resistance", "current", "induced", "follow",
 )  # fmt: skip
-# Numbers of a coil's state: displacement and rate of the magnet, current, and rate of the patch.
-STATE = 4
+# Numbers of a coil's state: displacement and rate of the magnet, current, and rate of the patch; then the currents of
+# shunted inductors. The numbers of these follow those above: Rₖ/(1 + a), and 2a/(1 + a).
+STATE, BRANCH = 4, 2
 
 
 @cache
@@ -41,6 +43,8 @@ def make_coil_force(effects, real):
         current = f.coils[k, c, 2]
         before = f.coils[k, c, 3]
         driven = m.coils[c, wp.static(at["memory"])] * current
+        for b in range(wp.static(effects.branches)):
+            driven += m.coils[c, wp.static(len(NUMBERS)) + wp.static(BRANCH) * b] * f.coils[k, c, wp.static(STATE) + b]
         for t in range(wp.static(effects.terms)):
             driven += d.wave[k, n, t] * d.coefficients[k, t, m.coil_actuators[c]]
         half = m.coils[c, wp.static(at["half_damping"])]
@@ -61,6 +65,10 @@ def make_coil_force(effects, real):
         f.coils[k, c, 1] = moved
         f.coils[k, c, 2] = current + m.coils[c, wp.static(at["follow"])] * (mean - current)
         f.coils[k, c, 3] = after
+        for b in range(wp.static(effects.branches)):
+            shunted = f.coils[k, c, wp.static(STATE) + b]
+            follow = m.coils[c, wp.static(len(NUMBERS) + 1) + wp.static(BRANCH) * b]
+            f.coils[k, c, wp.static(STATE) + b] = shunted + follow * (mean - shunted)
         return force
 
     return coil_force

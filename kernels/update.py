@@ -48,6 +48,7 @@ class KernelEffects:
     membrane: bool = False  # Tension that grows with the deflection (Berger)
     attached: bool = False  # Masses on springs
     coils: bool = False  # Coils on patches
+    branches: int = 0  # Shunted inductors of each coil
     travelling: bool = False  # A load that travels over the plate
     outline: bool = False  # Curvatures next to the outline reach to it, between two nodes
 

@@ -243,7 +243,7 @@ def test_what_a_coil_excludes_is_named(tables, key):
 def test_a_lossy_inductance_has_no_motion_in_time(tables, key):
     line = refused(Scene.from_tables, {**panel().model_dump(), **tables})
     assert line == (
-        "actuators[0].eddy_resistance: is defined for steady tones alone; write eddy_resistance = [0, 0] and "
-        f"eddy_reactance = [0, 0], or delete {key}"
+        "actuators[0].eddy_resistance: is defined for steady tones alone; write eddy_branches in place of "
+        f"eddy_resistance and eddy_reactance, or delete {key}"
     )
     assert panel().steady_key == "actuators[0].eddy_resistance"

@@ -3,11 +3,16 @@
 import numpy as np
 import pytest
 
-from support.coils import LOSSLESS_COILS, panel
+from support.coils import COILS, LOSSLESS_COILS, panel
 from support.oracle import check_run, check_same, reference, run_on_a_block
 from support.scenes import refused
 from warp_plate import PlateSolver
+from warp_plate.effects.coil import Coil, catalogue
+from warp_plate.modal.coils_in_time import in_time
+from warp_plate.modal.modes import solve_modes
+from warp_plate.modal.motion import trace
 from warp_plate.modal.solver import ModalSolver
+from warp_plate.plate.coils import rational_keys
 from warp_plate.plate.scheme import make_scheme
 
 DRIVES = np.random.default_rng(4).normal(size=(3, 4, 2)) @ [1, 1j]
@@ -67,6 +72,7 @@ def random_coil(random, name, place):
         "force_factor": random.uniform(-9, 9),
         "resistance": 10 ** random.uniform(-1, 2),
         "inductance": random.choice([0.0, 10 ** random.uniform(-6, -2)]),
+        "eddy_branches": (10 ** random.uniform((-2, -6), (2, -2), (random.integers(4), 2))).tolist(),
         "moving_mass": random.choice([0.0, 10 ** random.uniform(-5, -1)]),
         "suspension_stiffness": 10 ** random.uniform(1, 6),
         "suspension_damping": random.uniform(0, 3),
@@ -138,12 +144,56 @@ def test_steps_meet_the_modes_at_second_order():
     assert 3 < errors[0] / errors[1] < 6
 
 
+EDDY = [(0.4, 2e-4), (2.0, 1e-4)]
+
+
+def test_shunted_inductors_meet_the_modes_at_second_order():
+    """Of two coils, one of them with a further inductance."""
+    tables = {"edges": edges("clamped", "supported", "clamped", "supported")}
+    tables |= {"drive": {"frequency": 60.0, "ramp": 0.01}, "window": {"start": 0.0, "end": 0.03}}
+    coils = [{**COILS[index], "eddy_branches": EDDY, "phase": 0.0} for index in (0, 1)]
+    drive, errors = np.array([[2.0, 2.0]]), []
+    for nodes in ((21, 17), (41, 33)):
+        made = panel(coils).with_tables(grid={"nodes": nodes, "precision": "float64"}, **tables)
+        run = PlateSolver(made, "cpu").run(drive, [], [(0.1, 0.08), (0.05, 0.04)])
+        exact = ModalSolver(made, "cpu").run(drive, [], [(0.1, 0.08), (0.05, 0.04)])
+        errors.append(np.abs(run.trace - exact.trace).max() / np.abs(exact.trace).max())
+    assert errors[1] < 0.03
+    assert 3 < errors[0] / errors[1] < 6
+
+
+def test_shunted_inductors_stand_for_a_lossy_inductance():
+    """Motion long after the start is the steady one of the powers, but for the error of the circuit."""
+    keys, error = rational_keys(Coil(**catalogue()["DAEX25FHE-4"]), 20.0, 2000.0, count=4)
+    assert error < 0.003
+    coil = {"kind": "coil", "name": "0", "model": "DAEX25FHE-4", "voltage": 2.0, "disc": (0.07, 0.09, 0.012)}
+    lossy, circuit = (panel([{**coil, **more}], damping=200.0) for more in ({}, keys))
+    omega, phasors = 2 * np.pi * 290.0, np.array([2.0])
+    motion = [
+        solve_modes(made, 290.0).respond_to_drive(np.array([290.0]), phasors)[0, :, 0] for made in (lossy, circuit)
+    ]
+    assert np.linalg.norm(motion[1] - motion[0]) < error * np.linalg.norm(motion[0])
+    plate, times = in_time(solve_modes(circuit, 290.0).part(np.arange(60))), np.linspace(0.4, 0.41, 21)
+    found, steady = (
+        trace(plate, phasors[None], [(0.05, 0.06)], times)[0],
+        solve_modes(circuit, 290.0).part(np.arange(60)),
+    )
+    amplitude = steady.at_points([(0.05, 0.06)]).T @ steady.respond_to_drive(np.array([290.0]), phasors)[0, :, 0]
+    expected = (amplitude[:, None] * np.exp(1j * omega * times)).real
+    np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
+
+
+def test_powers_that_no_passive_circuit_has_leave_an_error():
+    _, error = rational_keys(Coil(**catalogue()["XT25-4"]), 20.0, 2000.0, 8)
+    assert error > 0.3
+
+
 def test_a_lossy_inductance_is_not_stepped():
     made = panel().with_tables(grid={"nodes": (15, 12)})
     line = refused(make_scheme, made)
     assert line == (
         "actuators[0].eddy_resistance: a lossy inductance cannot be stepped in time; use the evaluator "
-        '"modal", or write eddy_resistance = [0, 0] and eddy_reactance = [0, 0]'
+        '"modal", or write eddy_branches in place of eddy_resistance and eddy_reactance'
     )
 
 

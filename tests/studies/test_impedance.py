@@ -214,6 +214,6 @@ def test_studies_without_coils_say_so():
     assert line == "actuators[0].kind: responses are fitted without coils; measure the panel before they are mounted"
     table = {"points": [(0.05, 0.05)], "highest": 500.0}
     line = refused(focus, panel(COILS[:1]).with_tables(focus=table))
-    assert line.startswith("actuators[0].eddy_resistance: has no motion in time; write eddy_resistance = [0, 0]")
+    assert line.startswith("actuators[0].eddy_resistance: has no motion in time; write eddy_branches in place of")
     line = refused(focus, panel(LOSSLESS_COILS[:3:2]).with_tables(focus=table))
     assert line == "actuators: waveforms in V or A have no common scale; focus by actuators of one unit"

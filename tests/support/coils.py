@@ -26,9 +26,9 @@ LOSSLESS = {"eddy_resistance": (0.0, 0.0), "eddy_reactance": (0.0, 0.0)}
 LOSSLESS_COILS = [{**row, **LOSSLESS} if "model" in row else row for row in COILS]
 
 
-def panel(actuators=COILS, coupled=False):
+def panel(actuators=COILS, coupled=False, damping=20.0):
     """Return a panel with coils; its modes may be coupled by a damper on a patch."""
-    tables = {"damping": {"viscous": 20.0}}
+    tables = {"damping": {"viscous": damping}}
     if coupled:
         tables["loss_factor"] = {"eta": 0.01}
         tables["oscillators"] = [{"area": (0.12, 0.15, 0.05, 0.08), "mass": 0.002, "stiffness": 400.0, "damping": 1.0}]
@@ -80,6 +80,7 @@ def first_order_system(plate):
     size = modes + len(coils)
     mass, loss, stiffness = np.eye(size), np.zeros((size, size)), np.zeros((size, size))
     loss[:modes, :modes], stiffness[:modes, :modes] = plate.damping, np.diag(plate.angular_frequencies**2)
+    assert not any(actuator.coil.eddy_branches for actuator in coils)
     loads = np.zeros((size, len(scene.actuators)))
     for index, actuator in enumerate(scene.actuators):
         if actuator.kind == "pressure":

@@ -209,7 +209,10 @@ def run_moment_form(scene: Scene, drives: np.ndarray) -> History:
     u, v = np.zeros((nx * ny, plates)), np.zeros((nx * ny, plates))
     z, speed = np.zeros((len(m.attached), plates)), np.zeros((len(m.attached), plates))
     assert scheme.bending is not None
-    circuits = np.zeros((3, len(scheme.bending.coils), plates))  # magnets, their rates, currents
+    coils = scheme.bending.coils
+    # Magnets, their rates, currents, and those of shunted inductors of one coil after the other.
+    circuits = [np.zeros((len(coils), plates)) for _ in range(3)]
+    circuits.append(np.zeros((sum(len(coil.branches) for coil in coils), plates)))
     history, masses = np.zeros((scheme.steps + 1, *u.shape)), np.zeros((scheme.steps + 1, *z.shape))
     for n in range(scheme.steps):
         force = pressed.T @ forces[n].T + travel[n][:, None] - m.bending @ (u + m.retardation * v) - m.other @ u
@@ -246,20 +249,21 @@ def with_coils(
     rate: np.ndarray,
     u: np.ndarray,
     force: np.ndarray,
-    circuits: np.ndarray,
+    circuits: list[np.ndarray],
     sources: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return v (nodes, plates) a step later [m/s], and magnets, their rates and currents (3, coils, plates); force as
-    in :func:`next_rate` without coils, sources (plates, actuators) [V or A]."""
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Return v (nodes, plates) a step later [m/s], and magnets, their rates and currents (coils, plates), and those of
+    shunted inductors; force as in :func:`next_rate` without coils, sources (plates, actuators) [V or A]."""
     assert scheme.bending is not None
     step, coils, nodes = scheme.time_step, scheme.bending.coils, len(rate)
-    size = nodes + 2 * len(coils)
+    size = shunted = nodes + 2 * len(coils)
+    size += len(circuits[3])
     viscous = m.viscous / 2
     new, old = np.zeros((size, size)), np.zeros((size, size))  # new · x⁺ = old · x + given
     ahead, behind = (0 * viscous, 2 * viscous) if scheme.backward else (viscous, viscous)
     new[range(nodes), range(nodes)] = m.mass / step + ahead
     old[range(nodes), range(nodes)] = m.mass / step - behind
-    given = np.concatenate([force, np.zeros((2 * len(coils), force.shape[1]))])
+    given = np.concatenate([force, np.zeros((size - nodes, force.shape[1]))])
     for index, mounted in enumerate(coils):
         coil, magnet, current = mounted.coil, nodes + index, nodes + len(coils) + index
         patch, stroke = np.zeros(size), np.zeros(size)
@@ -272,13 +276,22 @@ def with_coils(
         new, old = new + inertia + loss, old + inertia - loss
         new[:, current] -= coil.force_factor * stroke / 2
         old[:, current] += coil.force_factor * stroke / 2
-        given[:size] -= coil.suspension_stiffness * stroke[:, None] * (patch[:nodes] @ u - circuits[0, index])
-        given[magnet] -= coil.magnet_stiffness * circuits[0, index]
+        given[:size] -= coil.suspension_stiffness * stroke[:, None] * (patch[:nodes] @ u - circuits[0][index])
+        given[magnet] -= coil.magnet_stiffness * circuits[0][index]
         if mounted.by_voltage:
             inductance, half = coil.inductance / step, coil.resistance / 2
             new[current] += coil.force_factor * stroke / 2
             old[current] -= coil.force_factor * stroke / 2
             new[current, current], old[current, current] = inductance + half, inductance - half
+            for resistance, inductance in mounted.branches:
+                across = np.zeros(size)
+                across[current], across[shunted] = 1, -1
+                drop = resistance / 2 * np.outer(across, across)
+                new[[current, shunted]] += drop[[current, shunted]]
+                old[[current, shunted]] -= drop[[current, shunted]]
+                new[shunted, shunted] += inductance / step
+                old[shunted, shunted] += inductance / step
+                shunted += 1
         else:
             new[current, current] = old[current, current] = 0.5
             old[current, current] = -0.5
@@ -290,8 +303,8 @@ def with_coils(
     new[held], old[held], given[held] = 0, 0, 0
     new[held, held] = 1
     x = np.linalg.solve(new, old @ np.concatenate([rate, *circuits[1:]]) + given)
-    moved = x[nodes : nodes + len(coils)]
-    return x[:nodes], np.stack([circuits[0] + step * moved, moved, x[nodes + len(coils) :]])
+    moved, currents, others = np.split(x[nodes:], [len(coils), 2 * len(coils)])
+    return x[:nodes], [circuits[0] + step * moved, moved, currents, others]
 
 
 def inverse(masses: np.ndarray) -> np.ndarray:

@@ -7,6 +7,9 @@ of the magnet,
 
 the last two terms being the lossy inductance of eddy currents (J. R. Wright, J. Audio Eng. Soc. 38, 1990, pp. 749-754;
 that of W. M. Leach, 50, 2002, pp. 442-450, is K cos(nπ/2) ω^n + i K sin(nπ/2) ω^n), which is defined for steady tones.
+Inductors that are shunted by resistors, in series with the coil, are a lossy inductance for any motion: each adds
+iωLₖRₖ/(Rₖ + iωLₖ) to Ze.
+
 The force on the plate is Bl i − k(ū − z) − r(u̇̄ − ż) − m ǖ, on the magnet Bl i − k(ū − z) − r(u̇̄ − ż) the other way.
 """
 
@@ -24,6 +27,9 @@ from warp_plate.scene.fields import Gain, Moderate, Name, NotNegative, Positive,
 
 # Factor [Ω (s/rad)^X] and exponent of a power of the angular frequency.
 PowerLaw = tuple[NotNegative, Annotated[float, Field(ge=0, le=1)]]
+# Resistance and inductance of a shunted inductor [Ω, H]; most of them.
+Branch = tuple[Positive, Positive]
+MOST_BRANCHES = 12
 
 
 @cache
@@ -41,6 +47,7 @@ class Coil:
     inductance: float = 0.0  # L [H]
     eddy_resistance: tuple[float, float] = (0.0, 0.0)  # Kr, Xr
     eddy_reactance: tuple[float, float] = (0.0, 0.0)  # Kx, Xx
+    eddy_branches: tuple[tuple[float, float], ...] = ()  # Rk, Lk of shunted inductors
     moving_mass: float = 0.0  # m [kg]
     suspension_stiffness: float = 0.0  # k [N/m]
     suspension_damping: float = 0.0  # r [N·s/m]
@@ -57,7 +64,10 @@ class Coil:
         """Return Ze [Ω] of the coil at rest at ω [rad/s]."""
         (factor, power), (factor_x, power_x) = self.eddy_resistance, self.eddy_reactance
         reactance = self.inductance * omega + factor_x * omega**power_x
-        return np.asarray(self.resistance + factor * omega**power + 1j * reactance)
+        impedance = self.resistance + factor * omega**power + 1j * reactance
+        for resistance, inductance in self.eddy_branches:
+            impedance = impedance + resistance / (1 + resistance / (1j * omega * inductance))
+        return np.asarray(impedance)
 
 
 class CoilKeys(Table):
@@ -79,6 +89,11 @@ class CoilKeys(Table):
     """K and X of the series resistance K ω^X of eddy currents (default: none)."""
     eddy_reactance: Annotated[PowerLaw | None, Unit("Ω (s/rad)^X, 1"), Field(examples=[[1.3e-3, 0.74]])] = None
     """K and X of the series reactance K ω^X of a lossy inductance (default: none)."""
+    eddy_branches: Annotated[
+        tuple[Branch, ...] | None, Unit("Ω, H"), Field(max_length=MOST_BRANCHES, examples=[[[1.2, 2e-4]]])
+    ] = None
+    """Resistance and inductance of inductors in series with the coil, each shunted by its resistor: a lossy inductance
+    that moves in time, in place of the powers of a model (default: none)."""
     moving_mass: Annotated[NotNegative | None, Unit("kg"), Field(examples=[1.6e-3])] = None
     """Mass that moves with the patch: coil, former and foot (default: 0)."""
     suspension_stiffness: Annotated[NotNegative | None, Unit("N/m"), Field(examples=[2700.0])] = None
@@ -98,6 +113,8 @@ class CoilKeys(Table):
     def coil(self) -> Coil:
         """Numbers of the coil: those of the keys, else of the model."""
         numbers = dict(catalogue()[self.model]) if self.model is not None else {}
+        if self.eddy_branches is not None:
+            numbers |= {"eddy_resistance": (0.0, 0.0), "eddy_reactance": (0.0, 0.0)}
         given = {field.name: getattr(self, field.name) for field in fields(Coil)}
         return Coil(**(numbers | {key: value for key, value in given.items() if value is not None}))
 

@@ -155,7 +155,7 @@ def _table(scene: Scene) -> Focus:
     if scene.steady:
         rule = "take viscous damping or effects.modal_damping"
         if scene.steady_key == scene.lossy_inductance_key:
-            rule = "write eddy_resistance = [0, 0] and eddy_reactance = [0, 0], and an inductance"
+            rule = "write eddy_branches in place of eddy_resistance and eddy_reactance"
         raise SceneError(f"{scene.steady_key}: has no motion in time; {rule}")
     if len(set(scene.magnitude_units)) > 1:
         rule = "focus by actuators of one unit"

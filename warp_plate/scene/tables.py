@@ -122,7 +122,7 @@ class SceneTables(Table):
         if self.nonlinear_table is not None:
             raise ValueError(f"{head} is solved for linear plates; delete {self.nonlinear_table}")
         if self.drive.waveform_key is not None and (lossy := self.lossy_inductance_key) is not None:
-            rule = "write eddy_resistance = [0, 0] and eddy_reactance = [0, 0]"
+            rule = "write eddy_branches in place of eddy_resistance and eddy_reactance"
             raise ValueError(f"{lossy}: is defined for steady tones alone; {rule}, or delete {self.drive.waveform_key}")
         robust = self.search.robust
         moved = {"search.position": self.search.position, "search.robust.place": robust and robust.place}
@@ -252,7 +252,7 @@ class SceneTables(Table):
     def _unstepped(self) -> Iterator[tuple[str, str, str]]:
         """Yield the keys that have no time steps, what of each, and what else to do about it."""
         if (key := self.lossy_inductance_key) is not None:
-            yield key, "a lossy inductance ", ", or write eddy_resistance = [0, 0] and eddy_reactance = [0, 0]"
+            yield key, "a lossy inductance ", ", or write eddy_branches in place of eddy_resistance and eddy_reactance"
         if self.search.tone_key is not None:
             yield self.search.tone_key, "", ""
         if (key := self.effects.first(lambda effect: not effect.stepped)) is not None:

@@ -208,6 +208,7 @@ def kernel_effects(discretization: Discretization) -> KernelEffects:
         membrane=scene.effects.stretches,
         attached=scheme.bending is not None and bool(scheme.bending.attachments),
         coils=scene.coils_in_time,
+        branches=0 if scheme.bending is None else max((len(coil.branches) for coil in scheme.bending.coils), default=0),
         travelling=scene.effects.travelling is not None,
         outline=grid is not None,
     )

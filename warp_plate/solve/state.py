@@ -51,7 +51,7 @@ class State:
         self.u_next = self.fields_memory[3]  # Alternates with u on streaming paths; holds the curvature on the others
         self.rate_next = self.fields_memory[4]  # Alternates with rate on streaming paths
         self.attached = zeros(capacity, attached_masses(specialized), 2)  # Displacements and rates of attached masses
-        self.coils = zeros(capacity, len(specialized.coils), COIL_STATE)
+        self.coils = zeros(capacity, len(specialized.coils), COIL_STATE + specialized.effects.branches)
         self.units = zeros(capacity)  # Displacement [m] of a unit of u
         self.travelling = zeros(capacity)  # Strength of the load that travels, in units of each plate's pressure
         self.nodes = wp.empty((0, 2), dtype=int, device=device) if nodes is None else nodes
