@@ -25,6 +25,7 @@ print(len(sys.modules), *sys.modules)
         (["export", "--help"], set(), 600),
         (["check", "paper"], STEPS, 950),
         (["modes", "paper", "--no-pictures"], STEPS - {"warp"}, 850),
+        (["frf", "paper", "--no-pictures"], STEPS - {"warp"} | {"h5py"}, 880),
         pytest.param(
             ["localize", "paper", "--device", "cpu", "--no-pictures"],
             STEPS | {"h5py", "rich.progress"},

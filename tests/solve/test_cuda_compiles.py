@@ -30,7 +30,7 @@ KERNELS = Path(__file__).parents[2] / "kernels"
 # Plates (nx, ny, stride) for a warp, for a block, for a block with sums in shared memory, and for no multiprocessor.
 SMALL, LARGE, LARGEST, HUGE = (27, 27, 32), (41, 43, 48), (97, 89, 112), (257, 129, 272)
 ALONE = ("retarded", "in_plane", "springs", "membrane", "attached", "coils", "travelling", "outline")
-EVERYTHING = KernelEffects(True, True, 2, terms=5, moments=True, **dict.fromkeys(ALONE, True))
+EVERYTHING = KernelEffects(True, True, 2, terms=5, moments=True, branches=2, **dict.fromkeys(ALONE, True))
 FEW = [KernelEffects(True, True, 2), KernelEffects(True, True, 4), EVERYTHING]
 PLAIN = itertools.product((False, True), ((False, 2), (True, 2), (True, 4)))
 PORTABLE = ("energy.", "loads.", "streaming.", "tones.")
