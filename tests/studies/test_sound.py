@@ -232,7 +232,7 @@ def test_responses_of_sound_by_the_command(command, write_scene, quantity):
     size = np.abs(expected.responses).max()
     assert record["real"] == [pytest.approx(expected.responses[0].real.tolist(), abs=1e-6 * size)]
     of_plate = quantity != "sound_pressure"
-    assert record["pairs"] == [{"from": "0", "at": [] if of_plate else [0.05, 0.1, 1.0]}]
+    assert record["pairs"] == [{"from": "0", "at": [] if of_plate else [0.05, 0.05, 1.0]}]
     assert ("level" in record) == (quantity != "radiation_efficiency")
     words = {"sound_power": "sound power level", "radiation_efficiency": "radiation efficiency [1]"}
     drawn = Path("s.svg").read_text(encoding="utf-8")

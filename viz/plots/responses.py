@@ -66,11 +66,11 @@ def draw_frequency_response(response: FrequencyResponse, path: str | Path) -> No
         labels = [name + place for name in names for place in places or [""]]
         labels = [shortened(label) for label in response.labels] if of_coils else labels
         drawn, bands = response.responses[response.distinct], response.band("responses")
-        curves = np.abs(drawn)
+        magnitudes = curves = np.abs(drawn)
         if response.level_unit:
             curves, bands = response.level(curves), (response.level(bands[0]), response.level(bands[1]))
         labels = [labels[index] for index in response.distinct]
-        for index, look in _plot(magnitude, x, curves, labels).items():
+        for index, look in _plot(magnitude, x, curves, labels, magnitudes).items():
             _draw_band(magnitude, x, bands, response.distinct[index], look["color"])
             if phase is not None:
                 phase.plot(x, _unbroken(drawn[index]), **look)
@@ -158,15 +158,21 @@ def _unbroken(values: np.ndarray) -> np.ndarray:
     return np.where(np.abs(np.diff(degrees, prepend=degrees[0])) > JUMP, np.nan, degrees)
 
 
-def _plot(axes: Axes, x: np.ndarray, curves: np.ndarray, labels: list[str]) -> dict[int, dict[str, Any]]:
-    """Plot curves (curves, frequencies), the largest in colours and the others in grey; return the former's looks."""
+def _plot(
+    axes: Axes, x: np.ndarray, curves: np.ndarray, labels: list[str], magnitudes: np.ndarray | None = None
+) -> dict[int, dict[str, Any]]:
+    """Plot curves (curves, frequencies), of magnitudes or their levels, the largest in colours and the others in grey;
+    return the former's looks."""
+    magnitudes = curves if magnitudes is None else magnitudes
     peaks = np.nan_to_num(curves).max(axis=1)
     chosen = sorted(np.argsort(-peaks, kind="stable")[:MOST_COLOURED].tolist())
     for index in sorted(set(range(len(curves))) - set(chosen)):
         axes.plot(x, curves[index], color=GRID, linewidth=0.6, alpha=0.6)
     looks: dict[int, dict[str, Any]] = {}
     for rank, index in enumerate(chosen):
-        covered = sum(np.allclose(curves[index], curves[earlier], rtol=COVERED, atol=0) for earlier in chosen[:rank])
+        covered = sum(
+            np.allclose(magnitudes[index], magnitudes[earlier], rtol=COVERED, atol=0) for earlier in chosen[:rank]
+        )
         dashes = DASHES[min(covered + index // len(CURVE_COLOURS), len(DASHES) - 1)]
         looks[index] = {"color": CURVE_COLOURS[index % len(CURVE_COLOURS)], "linestyle": dashes, "linewidth": 1.0}
         axes.plot(x, curves[index], label=labels[index], **looks[index])
