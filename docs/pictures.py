@@ -47,6 +47,8 @@ COMMANDS = {
     ),
     "focusing.png": ("focusing-glass-focus.png", "focus focusing-glass"),
     "frequency-response.png": ("touch-panel-frf.png", "frf touch-panel"),
+    "design-exciter.png": ("design-exciter.designed.png", "design design-exciter.toml"),
+    "design-quiet.png": ("design-quiet.designed.png", "design design-quiet.toml"),
     "design-resonators.png": ("design-resonators.designed.png", "design design-resonators.toml"),
     "design-ribs.png": ("design-ribs.designed.png", "design design-ribs.toml"),
     "design-thickness.png": ("design-thickness.designed.png", "design design-thickness.toml"),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import warp_plate as wpl
-from support.scenes import scene_of
+from support.scenes import MATERIAL, scene_of
 from warp_plate.designing.design import _digest
 from warp_plate.designing.panel import FreePanel
 from warp_plate.designing.thickness import ThicknessMap
@@ -78,12 +78,15 @@ def test_slopes_of_a_map_are_those_of_differences(random):
     [
         {"thickness": THICKNESS, "tolerance": {"plate.thickness": 0.05}},
         {"thickness": THICKNESS, "objective": "drive"},
+        {"thickness": THICKNESS, "objective": "velocity"},
+        {"free": {**FREE}, "objective": "displacement", "effort": "drive"},
+        {"thickness": THICKNESS, "objective": "velocity", "effort": "sound", "steady": True},
         pytest.param({"free": FREE}, marks=pytest.mark.slow),
         pytest.param({"free": PROPERTIES, "tolerance": {"plate.density": 0.1}}, marks=pytest.mark.slow),
         {"free": {"plate.thickness": [4e-4, 6e-4], "plate.density": [800.0, 1200.0]}},
         pytest.param({"places": PLACES, "frequencies": [270.0, 310.0]}, marks=pytest.mark.slow),
     ],
-    ids=["tolerance", "drive", "numbers", "properties", "targets", "places"],
+    ids=["tolerance", "drive", "velocity", "displacement", "sound", "numbers", "properties", "targets", "places"],
 )
 def test_slopes_of_a_panel_are_those_of_differences(design, random):
     edges = ("clamped", "clamped", {"translation": 1e5}, "supported")
@@ -154,6 +157,65 @@ def test_forged_files_of_finished_starts_are_refused(change, tmp_path):
         file.write_text(text)
         with pytest.raises(wpl.SceneError, match="is no unfinished design of this version; delete it"):
             wpl.design(scene, unfinished=file)
+
+
+COIL = {
+    "kind": "coil", "force_factor": 2.0, "resistance": 4.0, "moving_mass": 1e-3, "suspension_stiffness": 500.0,
+    "suspension_damping": 0.1, "magnet": "free", "magnet_mass": 0.02,
+}  # fmt: skip
+ROUND = {"plate": {**MATERIAL, "outline": {"disc": (0.1, 0.1, 0.1)}}, "edges": {"outline": {"translation": 1e5}}}
+DISCS = [{"name": str(index), "disc": (0.07 + 0.05 * index, 0.1, 0.012)} for index in range(2)]
+COILS = [{**row, **COIL, source: 1.0} for row, source in zip(DISCS, ("voltage", "current"), strict=True)]
+OF_COILS = {
+    "actuators[0].force_factor": [1.0, 3.0],
+    "actuators[1].moving_mass": [5e-4, 2e-3],
+    "actuators[1].magnet_mass": [0.01, 0.05],
+    "edges.outline.translation": [1e4, 1e6],
+}
+HELD = {
+    "supports": [{"point": (0.13, 0.12), "stiffness": 1e4}, {"line": ((0.05, 0.05), (0.05, 0.15)), "stiffness": 1e4}]
+}
+OTHERS = {
+    "map of a disc": {**ROUND, "actuators": DISCS, "design": {"thickness": THICKNESS}},
+    "coils": {
+        **ROUND,
+        "actuators": COILS,
+        "effects": {"damping": {"viscous": 60.0}, "air": {"sides": "front"}},
+        "design": {
+            "free": OF_COILS,
+            "places": {"actuators[0]": [0.04, 0.1, 0.05, 0.15]},
+            "objective": "velocity",
+            "effort": "power",
+            "limits": {"sound": 40.0, "power": 0.01, "mass": 0.05},
+        },
+    },
+    "supports": {
+        **HELD,
+        "design": {
+            "free": {"supports[0].stiffness": [1e3, 1e5], "supports[1].stiffness": [1e3, 1e5]},
+            "thickness": {**THICKNESS, "mass": None},
+            "limits": {"mass": 0.019},
+        },
+    },
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", OTHERS)
+def test_slopes_of_other_panels_are_those_of_differences(name, random):
+    base = designed_scene(None).model_dump(mode="json", exclude_none=True)
+    panel = FreePanel(wpl.Scene.model_validate({**base, **OTHERS[name]}))
+    numbers, direction = 0.3 + 0.4 * random.random(panel.count), random.normal(size=panel.count)
+    value = panel.evaluate(numbers)
+
+    def slopes(step):
+        one, other = (panel.evaluate(numbers + sign * step * direction) for sign in (1, -1))
+        return np.append(one.excess - other.excess, one.smooth - other.smooth) / (2 * step)
+
+    expected = (4 * slopes(5e-4) - slopes(1e-3)) / 3
+    found = np.append(value.excess_slopes @ direction, value.slopes @ direction)
+    sizes = np.abs(np.vstack([value.excess_slopes, value.slopes])).max(axis=1)
+    assert (np.abs(found - expected) <= 1e-5 * sizes).all()
 
 
 LIMITS = {"mass": 0.03, "energy_target": 1e-9, "gap": [200.0, 330.0]}
@@ -280,11 +342,20 @@ def test_a_scene_without_better_panels_stays(monkeypatch):
         ({"places": {"actuators[7]": [0.0, 0.1, 0.0, 0.1]}}, r"design.places: actuators\[7\]: is no patch"),
         ({"free": {"plate.thickness": [5e-4, 4e-4]}}, "free: plate.thickness = .*: the lowest value comes first"),
         ({"free": {"plate.thicknes": [4e-4, 5e-4]}}, "design.free: plate.thicknes: is not a key"),
-        ({"free": {"plate.size[0]": [0.1, 0.3]}}, "slopes are known for a panel of one size"),
+        (
+            {"free": {"plate.size[0]": [0.1, 0.3]}},
+            "slopes are known for a panel of one size",
+        ),
         ({"free": {"effects.oscillators[0].mass": [0.0, 0.3]}}, "a mass of 0 is fixed to the ground"),
         ({"free": {"effects.material_damping.time": [0.0, 0.3]}}, "losses of all bending are not known"),
         ({"free": {"actuators[0].magnitude": [0.0, 0.3]}}, "is a number of the drive, not of the panel"),
         ({}, "thickness: nothing is free"),
+        (
+            {"thickness": THICKNESS, "objective": "sound"},
+            "design.objective: sound is that of a steady state",
+        ),
+        ({"thickness": THICKNESS, "limits": {"power": 0.1}}, "design.limits.power: power is that of a steady state"),
+        ({"thickness": THICKNESS, "effort": "drive"}, "effort: is of energy_target, .*, and not of bound; delete it"),
     ],
 )
 def test_what_cannot_be_designed_is_refused(design, message):

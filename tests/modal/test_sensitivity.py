@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from support.scenes import scene_of
+from warp_plate.designing.functions import PanelFunctions
 from warp_plate.modal.assemble import make_galerkin
-from warp_plate.modal.sensitivity import EnergyAdjoint, FieldSlopes, PlateMatrices, plate_matrices, thickness_slopes
+from warp_plate.modal.sensitivity.adjoint import EnergyAdjoint
+from warp_plate.modal.sensitivity.fields import FieldSlopes
+from warp_plate.modal.sensitivity.matrices import PlateMatrices, plate_matrices
 from warp_plate.modal.spaces.space import Matrix
 from warp_plate.modal.spaces.tensor_splines import TensorSplines
 from warp_plate.optimize.quadratic import quadratic_forms
@@ -16,6 +19,7 @@ from warp_plate.solve.response import largest_ratio
 
 OSCILLATOR = {"area": (0.05, 0.09, 0.1, 0.12), "mass": 2e-3, "stiffness": 3e3, "damping": 0.5}
 LAYER = {"area": (0.02, 0.12, 0.05, 0.08), "thickness": 1e-4, "young_modulus": 2e9, "density": 1800.0}
+DISC = {**{key: LAYER[key] for key in LAYER if key != "area"}, "disc": (0.12, 0.1, 0.03)}
 # Without any symmetry, so that modes of all parities mix.
 THICKNESS = [[1.0, 0.98, 1.01], [0.99, 1.01, 1.0]]
 CASES = {
@@ -25,10 +29,18 @@ CASES = {
     "steady": {"effects": {"loss_factor": {"eta": 0.02}, "oscillators": [OSCILLATOR]}},
     "material": {"effects": {"material_damping": {"time": 1e-5}}},
     "modal damping": {"effects": {"modal_damping": {"ratio": 0.02}, "oscillators": [OSCILLATOR]}},
+    "displacement": {"damping": 40.0},
+    "sound and power": {"effects": {"loss_factor": {"eta": 0.02}, "oscillators": [OSCILLATOR]}},
+    "air": {"effects": {"air": {"sides": "front"}, "damping": {"viscous": 30.0}}},
     "springs": {"damping": 40.0, "edges": ({"translation": 1e5}, "clamped", "free", "supported")},
 }
 NAMES = [field.name for field in fields(PlateMatrices)]
 INTERVALS = (5, 5)
+WEIGHTS = {
+    "displacement": {"displacement": 1e6, "target": -0.7},
+    "sound and power": {"sound": 1e3, "power": 1.0, "plate": -1.0, "acceleration": 1e-6},
+    "air": {"sound": 1e3, "target": 0.3},
+}
 
 
 def scene_with(thickness, window=(0.003, 0.008), **case):
@@ -46,23 +58,27 @@ def difference(function, step):
 def test_slopes_by_matrices(name, random):
     scene = scene_with(THICKNESS, **CASES[name])
     galerkin = make_galerkin(scene, TensorSplines(scene, INTERVALS))
-    base, weights = plate_matrices(galerkin), np.array([1.0, -0.7])
+    base, weights = plate_matrices(galerkin), WEIGHTS.get(name, {"plate": 1.0, "target": -0.7})
     phasors = random.normal(size=3) + 1j * random.normal(size=3)
-    slopes = EnergyAdjoint(galerkin, base).slopes(phasors, weights)
+    functions = PanelFunctions(scene, 290.0)
+    functions.space = galerkin.space
+    air = functions.air(290.0)
+    slopes = EnergyAdjoint(galerkin, base, air=air).slopes(phasors, weights)
 
     def energy(changed, factor):
         matrices = PlateMatrices(*(getattr(base, key) + factor * getattr(changed, key) for key in NAMES))
         sparse = {key: Matrix(getattr(matrices, key)) for key in NAMES[:4]}
-        adjoint = EnergyAdjoint(replace(galerkin, **sparse), matrices)
-        return weights @ quadratic_forms(adjoint.matrices, phasors[None])[0]
+        adjoint = EnergyAdjoint(replace(galerkin, **sparse), matrices, air=air)
+        forms = np.stack([adjoint[name] for name in weights])
+        return quadratic_forms(forms, phasors[None])[0] @ list(weights.values())
 
     changes = []
-    for key in NAMES:
+    for key in NAMES[:-1]:
         reference = getattr(base, "mass" if key == "damping" else "bending" if key == "support" else key)
         scale = random.normal(size=reference.shape[-1] if key != "forces" else reference.shape)
         change = reference * (scale if key == "forces" else scale[:, None] + scale) * 0.3
         changes.append(change * (80.0 if key == "damping" else 1.0))
-    change = PlateMatrices(*changes)
+    change = PlateMatrices(*changes, coils=np.zeros((3, 0)))
     assert slopes.product(change) == pytest.approx(difference(lambda factor: energy(change, factor), 2e-4), rel=1e-6)
 
 
@@ -72,9 +88,10 @@ def test_slopes_by_matrices(name, random):
         {"damping": 40.0},
         {"damping": 40.0, "target": {"disc": (0.13, 0.11, 0.03)}},
         {"damping": 40.0, "effects": {"layers": [LAYER], "oscillators": [OSCILLATOR]}},
+        {"damping": 40.0, "effects": {"layers": [DISC]}, "target": {"disc": (0.13, 0.11, 0.03)}},
         {"effects": {"loss_factor": {"eta": 0.02}}},
     ],
-    ids=["viscous", "disc", "layer", "steady"],
+    ids=["viscous", "disc", "layer", "disc layer", "steady"],
 )
 def test_slopes_of_the_bound_by_thickness(case, random):
     thickness = 1 + 0.2 * random.random((4, 5))
@@ -85,12 +102,13 @@ def test_slopes_of_the_bound_by_thickness(case, random):
         scene = scene_with((thickness + factor * direction).tolist(), (0.01, 0.03), **case)
         space = TensorSplines(scene, INTERVALS, along)
         adjoint = EnergyAdjoint(make_galerkin(scene, space))
-        return space, adjoint, *largest_ratio(adjoint.matrices)
+        return space, adjoint, *largest_ratio(np.stack([adjoint["plate"], adjoint["target"]]))
 
     space, adjoint, bound, z = solved(0.0)
     phasors = z[: len(z) // 2] - 1j * z[len(z) // 2 :]
-    plate = quadratic_forms(adjoint.matrices, phasors[None])[0, 0]
-    slopes = thickness_slopes(FieldSlopes(space, adjoint.slopes(phasors, np.array([-bound, 1.0]) / plate)))
+    plate = quadratic_forms(adjoint["plate"][None], phasors[None])[0, 0]
+    weights = {"plate": -bound / plate, "target": 1 / plate}
+    slopes = FieldSlopes(space, adjoint.slopes(phasors, weights)).by_thickness()
     expected = difference(lambda factor: solved(factor)[2], 2e-4)
     assert np.sum(slopes * direction) == pytest.approx(expected, rel=1e-6)
 
@@ -100,8 +118,7 @@ def test_slopes_of_the_bound_by_thickness(case, random):
     [
         ({"drive": {"frequency": 290.0, "burst": {"start": 0.0, "duration": 0.01}}}, "drive.burst"),
         ({"effects": {"modal_damping": {"ratio": [0.02, 0.01]}}}, "effects.modal_damping"),
-        ({"effects": {"air": {}}}, "effects.air"),
-        ({"supports": [{"point": (0.1, 0.1), "stiffness": 1e3}]}, "supports"),
+        ({"effects": {"air": {"baffle": False}}}, "effects.air.baffle: false"),
     ],
 )
 def test_scenes_without_slopes_are_refused(case, key):

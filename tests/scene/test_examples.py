@@ -16,7 +16,8 @@ names = pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 # Least weighted sum of objectives, or localization factor, of each example; below the figures of the pages where the
 # rounding of another processor may lead a swarm elsewhere.
 LEAST = {
-    "bursts": 5.0, "design-resonators": 0.75, "design-ribs": 0.81, "design-thickness": 0.95,
+    "bursts": 5.0, "design-exciter": 0.06, "design-quiet": 4.9, "design-resonators": 0.75,
+    "design-ribs": 0.81, "design-thickness": 0.95,
     "design-two-targets": 0.93, "frequency": 0.74, "mask": 0.33,
     "phases-alone": 1.0, "places": 0.75, "robust-touch-panel": 0.5, "strong-and-quiet": 80.0, "three-targets": 0.53,
 }  # fmt: skip
@@ -25,9 +26,10 @@ LEAST = {
 @names
 def test_examples_can_be_searched_and_are_documented(path):
     scene = with_common_step(Scene.load(path))
-    scheme = make_scheme(scene)
-    assert 0 < scheme.time_step <= scheme.limit
-    assert make_design_variables(scene)
+    if scene.modal_only_key is None:
+        scheme = make_scheme(scene)
+        assert 0 < scheme.time_step <= scheme.limit
+    assert scene.design or make_design_variables(scene)
     assert f"examples/{path.name}" in "\n".join(page.read_text(encoding="utf-8") for page in DOCS.glob("*.md"))
     command = re.search(r"#\s+warp-plate (?:localize|design) .*docs/examples/(\S+)\n", path.read_text(encoding="utf-8"))
     assert command[1] == path.name
@@ -42,7 +44,7 @@ def test_examples_reach_the_documented_results(path):
     if scene.design is not None:
         few = {"starts": 1, "iterations": 30} if scene.design.thickness else {}
         scene = scene.model_copy(update={"design": scene.design.model_copy(update=few)})
-        assert design(scene).after.bound >= LEAST[path.stem]
+        assert design(scene).after.value >= LEAST[path.stem]
         return
     if scene.search.robust is not None:  # the comparison over fresh scenarios has its own tests
         few = scene.search.robust.model_copy(update={"fresh": 2})

@@ -19,6 +19,7 @@ from warp_plate.scene.model import Scene
 from warp_plate.viz.annotations import GRID
 from warp_plate.viz.availability import missing_plots
 from warp_plate.viz.fields import colour_map
+from warp_plate.viz.outlined import clip
 from warp_plate.viz.plots.frame import figure
 from warp_plate.viz.plots.plan import draw_parts, drawn_size, label_sides, outline_handles
 
@@ -77,6 +78,7 @@ def _draw_plan(
             1e3 * thickness, cmap=colour_map("cividis"), vmin=limits[0], vmax=max(limits[1], limits[0] + 1e-9),
             origin="lower", extent=scene.plate.box, interpolation="bilinear",
         )  # fmt: skip
+        clip(image, axes, scene)
     for patch in (*scene.effects.layers, *(attachment.region for attachment in attachments(scene.terms))):
         axes.fill(*patch.closed_path().T, color=ADDED, linewidth=0, zorder=1)
     draw_parts(axes, scene)
@@ -84,7 +86,9 @@ def _draw_plan(
 
 
 def _draw_course(panel: DesignedPanel, axes: Axes) -> None:
-    best = max(range(len(panel.history)), key=lambda index: panel.history[index][-1], default=-1)
+    design = panel.original.design
+    sign = -1 if design is not None and design.lowers else 1
+    best = max(range(len(panel.history)), key=lambda index: sign * panel.history[index][-1], default=-1)
     for index, values in enumerate(panel.history):
         style = {"color": BEST, "linewidth": 1.6, "zorder": 3} if index == best else {"color": ALL, "linewidth": 0.9}
         label = "best start" if index == best else "others" if index == (best == 0) else None
@@ -92,8 +96,8 @@ def _draw_course(panel: DesignedPanel, axes: Axes) -> None:
     axes.axhline(panel.before.value, color="black", linewidth=0.8, linestyle="--", label="scene before")
     axes.set_xlabel("iteration")
     axes.xaxis.get_major_locator().set_params(integer=True)
-    energy = panel.original.design is not None and panel.original.design.objective == "energy_target"
-    axes.set_ylabel("energy of the target [J]" if energy else "localization factor")
+    label = "localization factor" if design is None or design.unit == "1" else design.label
+    axes.set_ylabel(label.replace(" by ", "\nby ").replace(" [", "\n["))
     axes.grid(True, color=GRID, linewidth=0.4, alpha=0.4)
     axes.figure.legend(loc="outside right center", fontsize=7)
 
@@ -104,6 +108,8 @@ def check_solid(scene: Scene) -> None:
         raise SceneError(f"--solid: {missing}")
     if not (scene.design and scene.design.thickness) and "thickness" not in laminate_of(scene).maps:
         raise SceneError("--solid: the scene has no map of thickness; write [design.thickness]")
+    if scene.plate.outline is not None:
+        raise SceneError("--solid: plate.outline: solids are those of rectangles; take the map, .thickness.csv")
 
 
 def save_solid(panel: DesignedPanel, path: str | Path) -> None:

@@ -18,11 +18,6 @@ if TYPE_CHECKING:
 
 # First words of the designed scene; endings of the files beside it.
 DESIGNED = "Designed by: warp-plate design"
-OBJECTIVES = {
-    "bound": "localization factor of any drive",
-    "drive": "localization factor of the scene's drive",
-    "energy_target": "energy of the target [J]",
-}
 MAP, UNFINISHED, SOLIDS, DRAWING = ".thickness.csv", ".unfinished.json", (".stl", ".3mf"), ".dxf"
 
 
@@ -51,9 +46,9 @@ def design(
     """Design the panel itself: thickness, ribs, masses, springs and places that let a drive move the target alone.
 
     The table [design] of the scene says what is free and what is maximised: by default the bound, the largest
-    localization factor of any drive. The designed scene is written as SCENE.designed.toml, its map of thickness as a
-    CSV file beside it, and both panels with the course of the search as a picture. Ctrl-C keeps the best panel so far;
-    the same command then continues with the next start.
+    localization factor of any drive; or the velocity of the target, the sound, or another quantity. The designed scene
+    is written as SCENE.designed.toml, its map of thickness as a CSV file beside it, and both panels with the course of
+    the search as a picture. Ctrl-C keeps the best panel so far; the same command then continues with the next start.
     """
     import warp_plate
     from warp_plate.result.atomic_io import write_atomically
@@ -133,10 +128,11 @@ def _print(name: str, panel: DesignedPanel, console: Console) -> None:
     values, bounds = ((getattr(panel.before, name), getattr(panel.after, name)) for name in ("value", "bound"))
     texts = [["localization factor of any drive", *(output.number_text(value, ".4f") for value in bounds)]]
     if values != bounds:
-        several = settings.tolerance or settings.frequencies or panel.original.targets
-        cases = ", least of all cases" if several else ""
-        form = ".4g" if settings.objective == "energy_target" else ".4f"
-        texts.append([OBJECTIVES[settings.objective] + cases, *(output.number_text(value, form) for value in values)])
+        cases = settings.tolerance or settings.frequencies or panel.original.targets
+        form = ".4f" if settings.unit == "1" else ".4g"
+        shown = [output.number_text(value, form) for value in values]
+        several = "" if not cases else f", {'largest' if settings.lowers else 'least'} of all cases"
+        texts.append([settings.label + several, *shown])
     output.print_rows(console, ("quantity", "before", "after"), texts)
     if panel.keys:
         pairs = zip(panel.keys, panel.values, strict=True)

@@ -12,6 +12,7 @@ from warp_plate.modal.solver import ModalSolver
 from warp_plate.plate.designs import scene_phasors
 from warp_plate.result.designed import StepCheck
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.fit import Design
 from warp_plate.scene.model import Scene
 
 # Relative error at which grids are fine enough, the nominal time of all of them [s], and the number of attachments that
@@ -19,17 +20,17 @@ from warp_plate.scene.model import Scene
 WANTED, SECONDS, ATTACHED = 2e-3, 10.0, 10
 
 
-def check_by_steps(scene: Scene, objective: str, device: str = "cpu") -> StepCheck:
+def check_by_steps(scene: Scene, design: Design, device: str = "cpu") -> StepCheck:
     """Return the localization factor, by modes and by time steps, of a scene's best drive, or of its own.
 
-    ``objective`` is that of the design: with "bound" the best drive is taken, which no drive exceeds.
+    With a design's objective "bound" the best drive is taken, which no drive exceeds.
     """
     response = ModalSolver(gridded(scene), "cpu").response
-    phasors = response.best_drive() if objective == "bound" else scene_phasors(scene)
+    phasors = response.best_drive() if design.objective == "bound" else scene_phasors(scene)
     drives = np.asarray(phasors)[None]
     by_modes = float(response.localization_factors(drives)[0])
     try:
-        if scene.steady:
+        if scene.steady or design.steady:
             raise SceneError("time steps end at window.end, and this motion is steady")
         seconds = SECONDS / (1 + len(attachments(scene.terms)) / ATTACHED)
         found = refine_until(extrapolate_drives(scene, drives, device), lambda _: WANTED, seconds)

@@ -53,7 +53,7 @@ def design(
     unfinished: str | Path | None = None,
     check: bool = True,
 ) -> DesignedPanel:
-    """Find the panel that lets a drive put most of its energy into the target; see docs/design.md.
+    """Find the panel with the largest or least value of what ``[design]`` names; see docs/design.md.
 
     Ctrl-C ends the search, and the best panel so far is returned, with ``interrupted`` set.
 
@@ -99,13 +99,14 @@ def design(
         best = np.array(climb.numbers)
         designed = panel.scene_at(best)
         after = panel.exact(designed)
-        if after.kept and (after.value > before.value or not before.kept):
+        better = after.value < before.value if settings.lowers else after.value > before.value
+        if after.kept and (better or not before.kept):
             result = replace(result, scene=designed, after=after, values=panel.values(best))
             break
         if not settings.limits.given:  # the others have lower values
             break
     if check and result.improved and not interrupted:
-        result = replace(result, check=check_by_steps(result.scene, settings.objective))
+        result = replace(result, check=check_by_steps(result.scene, settings))
     return result
 
 

@@ -2,38 +2,49 @@
 
 The matrices are linear in the coefficients of the plate's terms and in its fields. What two scenes differ in is
 therefore multiplied by slopes by these, which are computed once, and no matrix is assembled for a number. Only where
-actuators or layers move are the matrices themselves differenced.
+layers move are the matrices themselves differenced.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, Literal
 
 import numpy as np
 import scipy
 
 from warp_plate.effects.effect import Attachment, Edge, Effect, Patch, Term, attachments
-from warp_plate.modal.assemble import DIFFERENCE, Galerkin, load_integrals
-from warp_plate.modal.sensitivity import FieldSlopes, PlateMatrices, has_rule, plate_matrices
-from warp_plate.modal.spaces.tensor_splines import TensorSplines
-from warp_plate.plate.section import laminate_of
+from warp_plate.modal.assemble import DIFFERENCE, Galerkin
+from warp_plate.modal.coils import coil_numbers
+from warp_plate.modal.sensitivity.fields import FieldSlopes
+from warp_plate.modal.sensitivity.matrices import PlateMatrices, plate_matrices, unit_loads
+from warp_plate.modal.spaces.integrals import SplineProducts
+from warp_plate.plate.section import Laminate, laminate_of
 from warp_plate.scene.model import Scene
 from warp_plate.scene.target import PlateRegion
 
 
-class NumberSlopes:
-    """Changes of a number that has slopes by the matrices of a panel."""
+@dataclass(frozen=True)
+class PanelSlopes:
+    """Slopes of a number by a panel."""
 
-    def __init__(
-        self, galerkin: Galerkin, slopes: PlateMatrices, make: Callable[[Scene], Galerkin], by_mass: float = 0.0
-    ) -> None:
-        """Prepare the slopes; ``make`` returns the matrices of another scene over the same functions, and ``by_mass``
-        is the slope by the mass of the panel [1/kg] beside those by its matrices."""
-        assert isinstance(galerkin.space, TensorSplines)
-        self._galerkin, self._space, self._slopes, self._make = galerkin, galerkin.space, slopes, make
-        self._by_mass, self.of_fields = by_mass, FieldSlopes(galerkin.space, slopes, by_mass)
+    matrices: PlateMatrices  # by its matrices
+    by_mass: float = 0.0  # by its mass [1/kg], beside those by matrices
+    by_target: float = 0.0  # by the mass of its target [1/kg], likewise
+
+
+class NumberSlopes:
+    """Changes of numbers that have slopes by a panel."""
+
+    def __init__(self, galerkin: Galerkin, make: Callable[[Scene], Galerkin], slopes: Sequence[PanelSlopes]) -> None:
+        """Prepare the slopes; ``make`` returns the matrices of another scene over the same functions."""
+        assert isinstance(galerkin.space, SplineProducts)
+        self._galerkin, self._space, self._make, self._slopes = galerkin, galerkin.space, make, slopes
+        space = galerkin.space
+        self.of_fields = [FieldSlopes(space, one.matrices, one.by_mass, one.by_target) for one in slopes]
+        self._by_mass = np.array([one.by_mass for one in slopes])
 
     @property
     def scene(self) -> Scene:
@@ -41,15 +52,16 @@ class NumberSlopes:
         return self._galerkin.scene
 
     @cached_property
-    def _relative(self) -> tuple[np.ndarray, list[np.ndarray]]:
-        """(attachments, unknowns) mean motion of each patch relative to its mass, and its products with slopes by
-        stiffness and damping."""
+    def _relative(self) -> tuple[np.ndarray, list[list[np.ndarray]]]:
+        """(attachments, unknowns) mean motion of each patch relative to its mass, and for each number its products with
+        slopes by stiffness and damping."""
         attached, plate = self._galerkin.attachments, self._space.unknowns
-        rows = np.zeros((len(attached), len(self._slopes.mass)))
+        rows = np.zeros((len(attached), self._galerkin.mass.shape[0]))
         rows[:, :plate] = self._means([attachment.region for attachment in attached])
         rows[self._swinging, plate + np.arange(self._swinging.size)] = -1
         sparse = scipy.sparse.csr_array(rows)
-        return rows, [sparse @ by for by in (self._slopes.support, self._slopes.damping)]
+        both = [(one.matrices.support, one.matrices.damping) for one in self._slopes]
+        return rows, [[sparse @ by for by in one] for one in both]
 
     def _means(self, regions: Sequence[PlateRegion]) -> np.ndarray:
         """Return (regions, unknowns of the plate) mean values of the functions."""
@@ -62,31 +74,30 @@ class NumberSlopes:
 
     @cached_property
     def _attached(self) -> np.ndarray:
-        """(3, attachments) slopes by stiffness, damping and mass of each attachment."""
+        """(numbers, attachments, 3) slopes by stiffness, damping and mass of each attachment."""
         rows, products = self._relative
-        by_mass = np.zeros(len(rows))
-        by_mass[self._swinging] = np.diag(self._slopes.mass)[self._space.unknowns :] + self._by_mass
-        return np.stack([*((product * rows).sum(axis=1) for product in products), by_mass])
+        slopes = np.zeros((len(self._slopes), len(rows), 3))
+        for values, both, one in zip(slopes, products, self._slopes, strict=True):
+            values[:, :2] = np.stack([(product * rows).sum(axis=1) for product in both], axis=1)
+            values[self._swinging, 2] = np.diag(one.matrices.mass)[self._space.unknowns :] + one.by_mass
+        return slopes
 
     @cached_property
-    def by_places(self) -> dict[str, tuple[float, float]]:
-        """Slopes [1/m] by x and by y of the place of each table of attachments, by its key."""
-        attached, slopes = self._galerkin.attachments, []
-        numbers = np.array([[attachment.stiffness, attachment.damping] for attachment in attached]).reshape(-1, 2)
-        pulls = sum(
-            number[:, None] * product for number, product in zip(numbers.T, self._relative[1], strict=True)
-        )[:, : self._space.unknowns]  # fmt: skip
-        step = DIFFERENCE * max(self.scene.plate.size)
-        for shift in ((step, 0.0), (0.0, step)):
+    def by_places(self) -> dict[str, np.ndarray]:
+        """Slopes (numbers, 2) [1/m] by x and by y of the place of each table of attachments, by its key."""
+        attached, numbers = self._galerkin.attachments, _numbers(self._galerkin.attachments)
+        plate, step = self._space.unknowns, DIFFERENCE * max(self.scene.plate.size)
+        pulls = [sum(numbers[:, [i]] * both[i] for i in range(2))[:, :plate] for both in self._relative[1]]
+        totals = {key: np.zeros((len(pulls), 2)) for key in self._first}
+        for axis, shift in enumerate(((step, 0.0), (0.0, step))):
             ahead, behind = (
                 self._means([_moved(attachment.region, sign * shift[0], sign * shift[1]) for attachment in attached])
                 for sign in (1, -1)
             )
-            slopes.append(((ahead - behind) * pulls).sum(axis=1) / step)
-        totals = {key: np.zeros(2) for key in self._first}
-        for key, by in zip(self.scene.effects.attachment_keys(self.scene.plate), np.transpose(slopes), strict=True):
-            totals[key] += by
-        return {key: (float(by[0]), float(by[1])) for key, by in totals.items()}
+            slopes = np.array([((ahead - behind) * pull).sum(axis=1) / step for pull in pulls])
+            for index, key in enumerate(self.scene.effects.attachment_keys(self.scene.plate)):
+                totals[key][:, axis] += slopes[:, index]
+        return totals
 
     @cached_property
     def _first(self) -> dict[str, int]:
@@ -94,24 +105,30 @@ class NumberSlopes:
         keys = self.scene.effects.attachment_keys(self.scene.plate)
         return {key: index for index, key in reversed(list(enumerate(keys)))}
 
-    def of_row(self, key: str, after: Effect, before: Effect) -> float:
-        """Return the change between two tables of attachments at a key of the scene, of the same patches."""
+    def of_row(self, key: str, after: Effect, before: Effect) -> np.ndarray:
+        """Return the changes (numbers,) between two tables of attachments at a key of the scene, of the same
+        patches."""
         plate, first = self.scene.plate, self._first[key]
-        changes = _changes(zip(attachments(after.terms(plate)), attachments(before.terms(plate)), strict=True))
-        return float((self._attached[:, first : first + len(changes)].T * changes).sum())
+        changes = _numbers(attachments(after.terms(plate))) - _numbers(attachments(before.terms(plate)))
+        return np.asarray((self._attached[:, first : first + len(changes)] * changes).sum(axis=(1, 2)))
 
-    def between(self, after: Scene, before: Scene) -> float:
-        """Return the change between two scenes."""
-        if _shapes(after) != _shapes(before) or any(layer.area is None for layer in after.layers):
+    def between(self, after: Scene, before: Scene) -> np.ndarray:
+        """Return the changes (numbers,) between two scenes."""
+        if _shapes(after.layers) != _shapes(before.layers):
             one, other = (self._make(scene) for scene in (after, before))
-            by_matrices = self._slopes.product(plate_matrices(one) - plate_matrices(other))
-            return by_matrices + self._by_mass * (panel_mass(one) - panel_mass(other))
-        return self._of_terms(after, before) + self._of_fields(after, before) + self._of_loads(after, before)
+            matrices, target = plate_matrices(one) - plate_matrices(other), self.scene.target
+            mass = panel_mass(one) - panel_mass(other)
+            of_target = one.space.region_mass(target) - other.space.region_mass(target)
+            changes = [by.matrices.product(matrices) + by.by_target * of_target for by in self._slopes]
+            return np.array(changes) + self._by_mass * mass
+        changes = _numbers(attachments(after.terms)) - _numbers(attachments(before.terms))
+        terms = (self._attached * changes).sum(axis=(1, 2)) + self._of_terms(after, before)
+        section, coils = self._of_section(after, before), self._of_coils(after, before)
+        return terms + section + coils + self._of_loads(after, before)
 
-    def _of_terms(self, after: Scene, before: Scene) -> float:
-        """Return the change with the terms but those in the fields of bending and of the mass per area."""
-        pairs = zip(attachments(after.terms), attachments(before.terms), strict=True)
-        total = float((self._attached.T * _changes(pairs)).sum())
+    def _of_terms(self, after: Scene, before: Scene) -> np.ndarray:
+        """Return the changes with the terms but those in the fields of bending and of the mass per area."""
+        total = np.zeros(len(self._slopes))
         for term, other in zip(after.terms, before.terms, strict=True):
             if isinstance(term.place, Patch) or term.multiple_of or term.role == "mass":
                 continue
@@ -119,45 +136,34 @@ class NumberSlopes:
                 total += self._of_form(term, change)
         return total
 
-    def _of_form(self, term: Term, change: float) -> float:
-        """Return the change with the coefficient of a term along an edge or over the plate."""
+    def _of_form(self, term: Term, change: float) -> list[float]:
+        """Return the changes with the coefficient of a term along an edge or over the plate."""
         space, count = self._space, self._space.unknowns
         if isinstance(term.place, Edge):
             values = space.edge_form(term.place.side, {term.factors: change})
         else:
             values = space.form(float(change), term.factors)
-        by = self._slopes.damping if term.role == "damping" else self._slopes.support
-        return float(space.scatter(values).multiply(by[:count, :count]).sum())
+        role: Literal["damping", "support"] = "damping" if term.role == "damping" else "support"
+        matrix = space.scatter(values)
+        return [float(matrix.multiply(getattr(by.matrices, role)[:count, :count]).sum()) for by in self._slopes]
 
-    def _of_fields(self, after: Scene, before: Scene) -> float:
-        target = self.scene.target
-        changes = self._field_changes(after, before, *self._space.integrals.points)
-        if not any(change.any() for change in changes):
-            return 0.0
-        total = float(self.of_fields.by_fields(changes).sum())
-        if not changes[-1].any():
-            return total
-        if has_rule(target):
-            rule, by_mass = self.of_fields.of_target
-            return total + float((by_mass * self._field_changes(after, before, *rule.points)[-1]).sum())
-        one, other = (self._make(scene).region_matrix(target) for scene in (after, before))
-        return total + float((one - other).multiply(self._slopes.regions[1]).sum())
+    def _of_section(self, after: Scene, before: Scene) -> np.ndarray:
+        one, other = laminate_of(after), laminate_of(before)
+        changes = [0.0 if _alike(one, other) else by.change(one, other) for by in self.of_fields]
+        return np.array(changes)
 
-    @staticmethod
-    def _field_changes(after: Scene, before: Scene, x: np.ndarray, y: np.ndarray) -> list[np.ndarray]:
-        """Return the changes of Dx, D1, Dy, Dxy and the mass per area at points (y, x) [m]."""
-        fields = []
-        for scene in (after, before):
-            rigidities, twist, mass, _ = laminate_of(scene).fields(x, y)
-            fields.append([*rigidities, twist, mass])
-        return [one - other for one, other in zip(*fields, strict=True)]
+    def _of_coils(self, after: Scene, before: Scene) -> np.ndarray:
+        omega = self.scene.drive.angular_frequency
+        numbers = coil_numbers(after, omega) - coil_numbers(before, omega)
+        changes = [np.vdot(by.matrices.coils, numbers).real for by in self._slopes]
+        return np.array(changes) + self._by_mass * (coil_mass(after) - coil_mass(before))
 
-    def _of_loads(self, after: Scene, before: Scene) -> float:
-        if not after.piezo:
-            return 0.0
-        boxes = np.array([actuator.box for actuator in after.actuators])
-        one, other = (load_integrals(replace(self._galerkin, scene=scene), boxes) for scene in (after, before))
-        return float(np.vdot(self._slopes.forces[: self._space.unknowns], (one - other).T))
+    def _of_loads(self, after: Scene, before: Scene) -> np.ndarray:
+        if not after.piezo and _shapes(after.actuators) == _shapes(before.actuators):
+            return np.zeros(len(self._slopes))
+        one, other = (unit_loads(replace(self._galerkin, scene=scene)) for scene in (after, before))
+        plate = self._space.unknowns
+        return np.array([np.vdot(by.matrices.forces[:plate], one - other) for by in self._slopes])
 
 
 def _moved(region: PlateRegion, x: float, y: float) -> PlateRegion:
@@ -168,17 +174,29 @@ def _moved(region: PlateRegion, x: float, y: float) -> PlateRegion:
 
 def panel_mass(galerkin: Galerkin) -> float:
     """Return the mass of a panel with what is attached [kg]."""
-    return galerkin.space.plate_mass + sum(attachment.mass for attachment in galerkin.masses)
+    attached = sum(attachment.mass for attachment in galerkin.masses)
+    return galerkin.space.plate_mass + attached + coil_mass(galerkin.scene)
 
 
-def _changes(pairs: Iterable[tuple[Attachment, Attachment]]) -> np.ndarray:
-    """Return (attachments, 3) changes of stiffness, damping and mass between pairs of attachments."""
-    names = "stiffness", "damping", "mass"
-    changes = [[getattr(one, name) - getattr(other, name) for name in names] for one, other in pairs]
-    return np.array(changes).reshape(-1, 3)
+def coil_mass(scene: Scene) -> float:
+    """Return the mass of the coils of a scene with their magnets [kg]."""
+    coils = (scene.actuators[index].coil for index in scene.coil_indices)
+    return float(sum(coil.moving_mass + coil.magnet_mass for coil in coils))
 
 
-def _shapes(scene: Scene) -> list[PlateRegion]:
-    """Return the places of actuators, layers and attachments."""
-    attached = (attachment.region for attachment in attachments(scene.terms))
-    return [*(row.region for row in (*scene.actuators, *scene.layers)), *attached]
+def _numbers(attached: Iterable[Attachment]) -> np.ndarray:
+    """Return (attachments, 3) stiffness, damping and mass."""
+    return np.array([[one.stiffness, one.damping, one.mass] for one in attached]).reshape(-1, 3)
+
+
+def _shapes(patches: Iterable[PlateRegion]) -> list[list[Any]]:
+    """Return the places of patches."""
+    return [[getattr(patch.region, name) for name in PlateRegion.model_fields] for patch in patches]
+
+
+def _alike(one: Laminate, other: Laminate) -> bool:
+    """Return whether two plates have the same section everywhere."""
+    names = "plate", "layers", "rigidities", "masses"
+    if one.maps.keys() != other.maps.keys() or any((one.maps[key] != other.maps[key]).any() for key in one.maps):
+        return False
+    return all(getattr(one, name) == getattr(other, name) for name in names)

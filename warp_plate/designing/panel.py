@@ -16,29 +16,21 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.designing.numbers import NumberSlopes, panel_mass
+from warp_plate.designing.functions import PanelFunctions
+from warp_plate.designing.numbers import NumberSlopes, PanelSlopes, panel_mass
+from warp_plate.designing.objectives import check_steady, judge, largest, limits, shown, uses_sound
 from warp_plate.designing.thickness import ThicknessMap
-from warp_plate.modal.assemble import Galerkin, make_galerkin
-from warp_plate.modal.sensitivity import EnergyAdjoint, PlateMatrices, check_differentiable, thickness_slopes
-from warp_plate.modal.solver import ModalSolver
-from warp_plate.modal.spaces.integrals import mean_wave_frequency
-from warp_plate.modal.spaces.knots import intervals_for
-from warp_plate.modal.spaces.splines import Splines
-from warp_plate.modal.spaces.tensor_splines import TensorSplines
-from warp_plate.optimize.quadratic import quadratic_forms
-from warp_plate.plate.designs import scene_phasors
-from warp_plate.plate.section import laminate_of
-from warp_plate.plate.weights import localization_factor
+from warp_plate.modal.modes import solve_modes
+from warp_plate.modal.sensitivity.adjoint import EnergyAdjoint, check_differentiable
+from warp_plate.modal.sensitivity.forms import PlateForms
+from warp_plate.modal.sensitivity.matrices import PlateMatrices
+from warp_plate.modal.spaces.chords import Chords
 from warp_plate.result.designed import PanelValues
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.fit import Design
 from warp_plate.scene.grid import Grid
 from warp_plate.scene.keys import ALTERNATIVES, linked_keys, put, resolved_key, scalar_keys, value_of
 from warp_plate.scene.model import Scene
-from warp_plate.solve.response import largest_ratio
 
-# Functions along each side, relative to those of other commands.
-DENSITY = 0.7
 # Grid of scenes that have none, and the key of the frequency.
 NODES, TONE = (21, 21), "drive.frequency"
 # Key of the target in a case of a scene with several.
@@ -57,6 +49,11 @@ ATTACHED_NUMBERS = ("mass", "stiffness", "damping")
 MOST_LIMITED = 1000
 # Numbers of actuators that are no part of the panel.
 NO_PANEL = (*ALTERNATIVES, "phase", "frequency", "delay")
+# Tables that say what shape a panel has and where it is held, and the numbers there that do not.
+SHAPE, SPRINGS = (
+    ("plate.size", "plate.outline", "plate.holes", "edges.", "supports["),
+    ("translation", "rotation", "stiffness"),
+)
 # Cases within about 1/SHARPNESS of the worst one count in slopes of the least value.
 SHARPNESS = 100.0
 
@@ -65,7 +62,7 @@ SHARPNESS = 100.0
 class Value:
     """Value of a panel, its limits, and their slopes."""
 
-    least: float  # what is maximised: the least value of all cases; of an energy its logarithm to the base 10
+    least: float  # what is maximised: the least value of all cases, see :mod:`warp_plate.designing.objectives`
     smooth: float  # smooth lower estimate of it, whose slopes these are
     slopes: np.ndarray  # (numbers,) slopes of ``smooth`` by the free numbers
     excess: np.ndarray  # (limits,) parts by which the limits are passed; 0 or less where they are kept
@@ -83,8 +80,9 @@ class FreePanel:
         if scene.design is None:
             raise SceneError("design: is missing; write [design.thickness], [design.free] or [design.places]")
         self.scene, self.design, self.below = scene, scene.design, 0
-        check_differentiable(scene)
-        self.thickness = None if scene.design.thickness is None else ThicknessMap(scene)
+        check_steady(self.design, scene)
+        check_differentiable(scene, self.design.steady)
+        self.thickness = None if scene.design.thickness is None else ThicknessMap(scene, self._rule)
         if scene.piezo and self.thickness is not None:
             raise SceneError("design.thickness: not with piezo patches, which take a uniform plate; delete it")
         kinds = scalar_keys(scene)
@@ -110,8 +108,11 @@ class FreePanel:
                     raise SceneError(
                         f"design.free: {name}: slopes by the losses of all bending are not known; delete it"
                     )
-                if inner.startswith("plate.size"):
-                    raise SceneError(f"design.free: {name}: slopes are known for a panel of one size; delete it")
+                if inner.startswith(SHAPE) and last not in SPRINGS:
+                    shape = "slopes are known for a panel of one size and outline, held where it is"
+                    raise SceneError(f"design.free: {name}: {shape}; delete it")
+                if inner.startswith("supports[") and value_of(self.scene, inner) is None:
+                    raise SceneError(f"design.free: {name}: the support is rigid; write a stiffness for it")
                 if inner.startswith("actuators[") and last in NO_PANEL:
                     raise SceneError(f"design.free: {name}: is a number of the drive, not of the panel; delete it")
                 massless = table in self._tables and last == "mass"
@@ -195,83 +196,66 @@ class FreePanel:
                 put(tables, f"{key}.{name}", value, key)
         return scene.with_tables(**tables)
 
-    def _galerkin(self, numbers: np.ndarray, case: Mapping[str, float]) -> Galerkin:
-        """Return the matrices of a panel."""
-        return self._over_splines(self._with_map(self._with_numbers(numbers[self._mapped :], case), numbers))
-
-    def _over_splines(self, scene: Scene) -> Galerkin:
-        """Return the matrices of a scene over the splines of all panels."""
-        return make_galerkin(scene, TensorSplines(scene, self._intervals, self._along))
-
     @cached_property
-    def _along(self) -> tuple[Splines, Splines]:
-        """Splines of all panels, which follow neither the map nor patches, so that values are smooth."""
+    def _functions(self) -> PanelFunctions:
         scene = self.scene
         if self.thickness is not None:
             flat = np.ones(self.thickness.shape).tolist()
             scene = scene.model_copy(update={"effects": scene.effects.with_thickness(flat)})
-        return TensorSplines(scene, self._intervals).along
+        return PanelFunctions(scene, max(case[TONE] for case in self.cases))
 
-    @cached_property
-    def _intervals(self) -> tuple[int, int]:
-        highest, finer = max(case[TONE] for case in self.cases), self.scene.grid.modal_density
-        wave = mean_wave_frequency(laminate_of(self.scene))
-        return intervals_for(self.scene.plate.size, self.scene.outline, finer * highest, wave, finer * DENSITY)
+    def _rule(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return points (n, 2) [m] and weights (n,) [m²] on a plate with an outline, cut at the lines of the map."""
+        rule = self._functions.space.rule
+        assert isinstance(rule, Chords)
+        return np.stack([rule.x.ravel(), rule.y.ravel()], axis=1), rule.weights.ravel()
+
+    def _adjoint(self, numbers: np.ndarray, case: Mapping[str, float]) -> EnergyAdjoint:
+        """Return the motion of a panel, with its matrices."""
+        galerkin = self._functions.galerkin(self.scene_at(numbers, case))
+        loaded = uses_sound(self.design) or self.scene.effects.air is not None
+        air = self._functions.air(case[TONE]) if loaded else None
+        return EnergyAdjoint(galerkin, steady=self.design.steady, air=air)
 
     def evaluate(self, numbers: np.ndarray) -> Value:
         """Return what the panel at free numbers (count,) can do, and by what it passes its limits, with slopes.
 
         As many natural frequencies are to stay below the gap as ``below``, see :meth:`follow`.
         """
-        solved, limits = [], list[tuple[float, np.ndarray]]()
+        solved, passed, slopes, by_limit = [], list[float](), [], []
         for index, case in enumerate(self.cases):
-            galerkin = self._galerkin(numbers, case)
-            adjoint = EnergyAdjoint(galerkin)
-            solved.append(self._solve(adjoint, numbers, case))
-            for excess, slopes, by_mass in self._limits(adjoint, galerkin, first=index == 0):
-                of = NumberSlopes(galerkin, slopes, self._over_splines, by_mass)
-                limits.append((excess, self._by_numbers(of, numbers, case)))
-        values = np.array([value for value, _ in solved])
+            adjoint = self._adjoint(numbers, case)
+            judged = [judge(self.design, adjoint), *(one for _, one in limits(self.design, adjoint, ENERGY_MARGIN))]
+            of_panel = list(self._panel_limits(adjoint)) if index == 0 else []
+            by = [PanelSlopes(adjoint.slopes(one.phasors, one.weights), by_target=one.by_target) for one in judged]
+            by += [PanelSlopes(by_matrices, by_mass) for _, by_matrices, by_mass in of_panel]
+            of = NumberSlopes(adjoint.plate.galerkin, self._functions.galerkin, by)
+            first, *others = self._by_numbers(of, numbers, case)
+            solved.append(judged[0].value)
+            slopes.append(first)
+            passed += [*(one.value for one in judged[1:]), *(excess for excess, *_ in of_panel)]
+            by_limit += others
+        values = np.array(solved)
         weights = np.exp(-SHARPNESS * (values - values.min()))
         smooth = values.min() - np.log(weights.mean()) / SHARPNESS
-        slopes = (weights / weights.sum()) @ np.stack([slopes for _, slopes in solved])
-        passed = np.array([excess for excess, _ in limits])
-        by_limit = np.array([slopes for _, slopes in limits]).reshape(-1, self.count)
-        return Value(float(values.min()), float(smooth), slopes, passed, by_limit)
+        by_limits = np.array(by_limit).reshape(-1, self.count)
+        mean = (weights / weights.sum()) @ np.stack(slopes)
+        return Value(float(values.min()), float(smooth), mean, np.array(passed), by_limits)
 
     def follow(self, numbers: np.ndarray) -> None:
         """Let as many natural frequencies stay below the gap as are below its middle at free numbers (count,)."""
         if (gap := self.design.limits.gap) is not None:
-            natural = EnergyAdjoint(self._galerkin(numbers, self.cases[0])).natural
+            natural = self._adjoint(numbers, self.cases[0]).natural
             self.below = int(np.searchsorted(natural, sum(gap) / 2))
 
-    def _solve(
-        self, adjoint: EnergyAdjoint, numbers: np.ndarray, case: Mapping[str, float]
-    ) -> tuple[float, np.ndarray]:
-        galerkin = adjoint.plate.galerkin
-        value, phasors = _best(self.design, galerkin.scene, adjoint.matrices)
-        plate, target = quadratic_forms(adjoint.matrices, phasors[None])[0]
-        weights = np.array([0.0, 1 / (target * math.log(10))])
-        if self.design.objective != "energy_target":
-            weights = np.array([-value, 1.0]) / plate
-        slopes = adjoint.slopes(phasors, weights)
-        return value, self._by_numbers(NumberSlopes(galerkin, slopes, self._over_splines), numbers, case)
-
-    def _limits(
-        self, adjoint: EnergyAdjoint, galerkin: Galerkin, first: bool
-    ) -> Iterator[tuple[float, PlateMatrices, float]]:
-        """Yield the parts by which limits are passed, with slopes by the matrices and by the mass of the panel; those
-        that the search keeps are narrower, for it takes fewer functions. Frequencies count in the ``first`` case."""
+    def _panel_limits(self, adjoint: EnergyAdjoint) -> Iterator[tuple[float, PlateMatrices, float]]:
+        """Yield the parts by which limits of the panel itself are passed, with slopes by the matrices and by the mass
+        of the panel; those that the search keeps are narrower, for it takes fewer functions."""
         limits, nothing = self.design.limits, adjoint.without_slopes
-        if limits.mass is not None and first:
+        if limits.mass is not None:
             most = limits.mass * (1 - MARGIN)
-            yield panel_mass(galerkin) / most - 1, nothing, 1 / most
-        if limits.energy_target is not None:
-            phasors = scene_phasors(galerkin.scene)
-            energy = quadratic_forms(adjoint.matrices, phasors[None])[0, 1]
-            least = limits.energy_target * (1 + ENERGY_MARGIN)
-            yield 1 - energy / least, adjoint.slopes(phasors, np.array([0.0, -1 / least])), 0.0
-        if limits.gap is not None and first:
+            yield panel_mass(adjoint.plate.galerkin) / most - 1, nothing, 1 / most
+        if limits.gap is not None:
             low, high = limits.gap[0] * (1 - MARGIN), limits.gap[1] * (1 + MARGIN)
             lower = np.arange(max(self.below - NEAR, 0), self.below)
             for sign, end, near in ((1, low, lower), (-1, high, self.below + np.arange(NEAR))):
@@ -284,15 +268,17 @@ class FreePanel:
                     yield excess, adjoint.frequency_slopes(near, sign * ratios * weights / weights.sum()), 0.0
 
     def _by_numbers(self, of: NumberSlopes, numbers: np.ndarray, case: Mapping[str, float]) -> np.ndarray:
-        """Return the slopes (count,) by free numbers (count,) in a case of what has slopes by its matrices."""
-        slopes, rows, width = np.zeros(self.count), dict(of.scene.effects.rows), self._high - self._low
+        """Return the slopes (n, count) by free numbers (count,) in a case of n numbers with slopes by the panel."""
+        slopes, rows = np.zeros((len(of.of_fields), self.count)), dict(of.scene.effects.rows)
+        width = self._high - self._low
         if self.thickness is not None:
-            slopes[: self._mapped] = self.thickness.slopes(numbers[: self._mapped], thickness_slopes(of.of_fields))
+            for by_number, by in zip(slopes, of.of_fields, strict=True):
+                by_number[: self._mapped] = self.thickness.slopes(numbers[: self._mapped], by.by_thickness())
         shares = numbers[self._mapped :]
         moving = [None] * len(self._keys) + list(self._travel)
         for index, (share, place) in enumerate(zip(shares.tolist(), moving, strict=True)):
             if place is not None and place[0] in self._tables:
-                slopes[self._mapped + index] = width[index] * of.by_places[place[0]][place[1]]
+                slopes[:, self._mapped + index] = width[index] * of.by_places[place[0]][:, place[1]]
                 continue
             ends = np.clip(share + np.array([STEP, -STEP]), 0, 1)
             if (places := self._attached[index]) and not case.keys() & {".".join(place) for place in places}:
@@ -304,7 +290,7 @@ class FreePanel:
             else:
                 scenes = (np.where(np.arange(shares.size) == index, end, shares) for end in ends)
                 changes = [of.between(*(self._with_map(self._with_numbers(one, case), numbers) for one in scenes))]
-            slopes[self._mapped + index] = sum(changes) / np.ptp(ends)
+            slopes[:, self._mapped + index] = sum(changes) / np.ptp(ends)
         return slopes
 
     @cached_property
@@ -333,26 +319,28 @@ class FreePanel:
 
     def exact(self, scene: Scene) -> PanelValues:
         """Return what a scene can do, and by what it passes its limits, by all functions of other commands."""
-        solver, limits, excess = ModalSolver(gridded(scene), "cpu"), self.design.limits, dict[str, float]()
-        bound, values, energies = solver.response.bound(), [], []
+        nominal, given, excess = self._forms(scene), self.design.limits, dict[str, float]()
+        bound, values = largest(np.stack([nominal["plate"], nominal["target"]]))[0], []
         for case in self.cases:
             other = _in_case(scene, {}, case)
-            matrices = (solver if other is scene else ModalSolver(gridded(other), "cpu")).response.matrices
-            values.append(self.shown(_best(self.design, other, matrices)[0]))
-            energies.append(quadratic_forms(matrices, scene_phasors(other)[None])[0, 1])
-        if limits.mass is not None:
-            excess["mass"] = panel_mass(solver.plate.galerkin) / limits.mass - 1
-        if limits.energy_target is not None:
-            excess["energy_target"] = float(1 - min(energies) / limits.energy_target)
-        if limits.gap is not None:
-            (low, high), natural = limits.gap, solver.plate.frequencies
+            forms = nominal if other is scene else self._forms(other)
+            values.append(judge(self.design, forms).value)
+            for key, one in limits(self.design, forms):
+                excess[key] = max(one.value, excess.get(key, -math.inf))
+        if given.mass is not None:
+            excess["mass"] = panel_mass(nominal.plate.galerkin) / given.mass - 1
+        if given.gap is not None:
+            (low, high), natural = given.gap, nominal.plate.frequencies
             inside = np.minimum(natural / low - 1, 1 - natural / high)
             excess["gap"] = float(inside.max())
-        return PanelValues(bound, min(values), excess)
+        return PanelValues(bound, self.shown(min(values)), excess)
+
+    def _forms(self, scene: Scene) -> PlateForms:
+        return PlateForms(solve_modes(scene), self.design.steady)
 
     def shown(self, value: float) -> float:
-        """Return what is maximised from a value: of an energy, which counts by its logarithm, the energy [J]."""
-        return 10**value if self.design.objective == "energy_target" else value
+        """Return the quantity that is maximised, or lowered, in its unit."""
+        return shown(self.design, value)
 
 
 def _in_case(scene: Scene, values: Mapping[str, float], case: Mapping[str, float]) -> Scene:
@@ -373,18 +361,3 @@ def gridded(scene: Scene) -> Scene:
     if scene.grid.accuracy is None:
         return scene
     return scene.model_copy(update={"grid": Grid(nodes=NODES, modal_density=scene.grid.modal_density)})
-
-
-def _best(design: Design, scene: Scene, matrices: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the value of Gram matrices of plate and target, and the phasors (M,) that have it."""
-    if design.objective == "drive":
-        phasors = scene_phasors(scene)
-        return float(localization_factor(quadratic_forms(matrices, phasors[None]))[0]), phasors
-    if design.objective == "energy_target":
-        phasors = scene_phasors(scene)
-        return math.log10(quadratic_forms(matrices, phasors[None])[0, 1]), phasors
-    value, z = largest_ratio(matrices)
-    if not np.isfinite(value):
-        raise SceneError("actuators: no drive moves the plate; move them off the edges")
-    cosine, sine = np.split(z, 2)
-    return float(value), cosine - 1j * sine

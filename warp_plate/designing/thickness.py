@@ -12,6 +12,7 @@ in which η is the one with the mass that is asked for, as in S. Xu, Y. Cai and 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -39,6 +40,8 @@ class ThicknessMap:
     """The map of thickness of a scene's design as a function of free numbers."""
 
     scene: Scene
+    # function that returns points (n, 2) [m] and weights (n,) [m²] on a plate with an outline
+    on_outline: Callable[[], tuple[np.ndarray, np.ndarray]] | None = None
 
     @property
     def _free(self) -> FreeThickness:
@@ -95,12 +98,19 @@ class ThicknessMap:
     def _shares(self) -> np.ndarray:
         """(points,) shares of the points' thickness in the mass of a plate of the factor 1."""
         rows, columns = self.shape
+        laminate = laminate_of(self.scene)
+        if self.scene.outline is not None and self.on_outline is not None:
+            (x, y), weights = self.on_outline()[0].T / np.array([laminate.size]).T, self.on_outline()[1]
+            density = laminate.maps.get("density", np.ones((1, 1)))
+            weights = weights * ((_hats(y, len(density)) @ density) * _hats(x, density.shape[1])).sum(axis=1)
+            shares = ((_hats(y, rows) * weights[:, None]).T @ _hats(x, columns)).ravel()
+            return np.asarray(shares / shares.sum())
         sides = []
         for side, count in zip(self.scene.plate.size, (columns, rows), strict=True):
             places, weights = gauss(np.linspace(0, side, count), GAUSS)
-            sides.append((places, weights[:, None] * bilinear(np.eye(count), np.linspace(0, 1, count), places / side)))
+            sides.append((places, weights[:, None] * _hats(places / side, count)))
         (x, along_x), (y, along_y) = sides
-        shares = (along_y.T @ laminate_of(self.scene).factors_at(x, y)["density"] @ along_x).ravel()
+        shares = (along_y.T @ laminate.factors_at(x, y)["density"] @ along_x).ravel()
         return np.asarray(shares / shares.sum())
 
     @cached_property
@@ -168,3 +178,8 @@ class ThicknessMap:
         reach = 1 + LARGEST_EXPONENT / steep
         middle = scipy.optimize.brentq(lambda at: self._shares @ logistic(at) - share, -reach, reach, xtol=1e-15)
         return logistic(float(middle))
+
+
+def _hats(places: np.ndarray, count: int) -> np.ndarray:
+    """Return (places, count) shares of the numbers along a side of a map in its values at shares of the side."""
+    return bilinear(np.eye(count), np.linspace(0, 1, count), places)

@@ -223,3 +223,30 @@ def _element(coil: Coil, omega: np.ndarray, shorted: bool) -> tuple[np.ndarray, 
         compliance = 1 / (between + of_magnet)
         ratio = of_magnet * compliance
     return blocked, ratio, compliance, between * ratio - omega**2 * coil.moving_mass
+
+
+def coil_numbers(scene: Scene, omega: float) -> np.ndarray:
+    """Return (3, coils) the numbers of a scene's coils at ω [rad/s] on which the motion depends: stiffness S on the
+    plate [N/m], force per drive [N], and current per voltage or voltage per current of a plate at rest."""
+    columns = []
+    for actuator in (scene.actuators[index] for index in scene.coil_indices):
+        coil, by_voltage = actuator.coil, actuator.voltage is not None
+        numbers = _element(coil, np.array([omega]), by_voltage)
+        blocked, ratio, compliance, stiffness = (complex(values[0]) for values in numbers)
+        induced = 1j * omega * coil.force_factor**2 * compliance  # voltage per ampere
+        force = coil.force_factor * ratio
+        if by_voltage:
+            columns.append([stiffness, force / blocked, (1 - induced / blocked) / blocked])
+        else:
+            columns.append([stiffness, force, blocked + induced])
+    return np.array(columns, dtype=complex).reshape(-1, 3).T
+
+
+def feeding(scene: Scene, omega: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return numbers a and b (actuators,) of the mean power ½ Re Z̄ (a Z + b ū) that drives Z feed at ω [rad/s], with ū
+    the integral of the displacement that a unit drive loads, of coils the mean over the patch."""
+    own, fed = np.zeros(len(scene.actuators), dtype=complex), np.full(len(scene.actuators), 1j * omega)
+    _, gains, own[scene.coil_indices] = coil_numbers(scene, omega)
+    voltages = np.array([scene.actuators[index].voltage is not None for index in scene.coil_indices], dtype=bool)
+    fed[scene.coil_indices] *= np.where(voltages, -1, 1) * gains
+    return own, fed

@@ -23,6 +23,19 @@ from warp_plate.scene.fields import (
 LengthUnit = Literal["m", "cm", "mm", "in"]
 # Most keys with tolerances in a design.
 MOST_TOLERANCES = 4
+# Names and units of the objectives of a design for people.
+OBJECTIVES = {
+    "bound": ("localization factor of any drive", "1"),
+    "drive": ("localization factor", "1"),
+    "energy_target": ("energy of the target", "J"),
+    "velocity": ("velocity of the target", "m/s"),
+    "displacement": ("displacement of the target", "m"),
+    "acceleration": ("acceleration of the target", "m/s²"),
+    "sound": ("sound power level", "dB(A)"),
+    "power": ("power fed", "W"),
+}
+# Objectives of a design that may be those of any drive of a unit effort.
+PER_EFFORT = ("energy_target", "velocity", "displacement", "acceleration")
 
 
 class Measurement(Table):
@@ -148,6 +161,16 @@ class DesignLimits(Table):
     """Largest mass of the panel with what is attached."""
     energy_target: Annotated[Positive | None, Unit("J"), Field(examples=[1e-9])] = None
     """Least kinetic energy of the target under the scene's drive."""
+    least_velocity: Annotated[Positive | None, Unit("m/s"), Field(examples=[1e-3])] = None
+    """Least root mean square of the target's velocity under the scene's drive."""
+    least_displacement: Annotated[Positive | None, Unit("m"), Field(examples=[1e-6])] = None
+    """The same of its displacement."""
+    least_acceleration: Annotated[Positive | None, Unit("m/s²"), Field(examples=[2.0])] = None
+    """The same of its acceleration, in a steady state."""
+    sound: Annotated[float | None, Unit("dB(A)"), Field(ge=-200, le=200, examples=[40.0])] = None
+    """Largest A-weighted level of the sound power, re 1 pW, under the scene's drive, in a steady state."""
+    power: Annotated[Positive | None, Unit("W"), Field(examples=[0.1])] = None
+    """Largest mean power that the scene's drive feeds, of coils the electrical one, in a steady state."""
     gap: Annotated[tuple[Positive, Positive] | None, Unit("Hz"), Field(examples=[[250.0, 330.0]])] = None
     """Lowest and highest frequency of a band without natural frequencies."""
 
@@ -166,9 +189,20 @@ class DesignLimits(Table):
 class Design(Table):
     """Free numbers of a panel, the quantity that they maximise, and the search for it."""
 
-    objective: Annotated[Literal["bound", "drive", "energy_target"], Field(examples=["drive"])] = "bound"
-    """Quantity that is maximised: the largest localization factor of any drive, that of the scene's own drive, or the
-    kinetic energy of the target under that drive."""
+    objective: Annotated[
+        Literal["bound", "drive", "energy_target", "velocity", "displacement", "acceleration", "sound", "power"],
+        Field(examples=["velocity"]),
+    ] = "bound"
+    """Quantity that is raised: the largest localization factor of any drive, that of the scene's own drive, or under
+    that drive the kinetic energy of the target or the root mean square of its velocity, displacement or acceleration;
+    or that is lowered: the level of the sound power, or the power that the scene's drive feeds."""
+    effort: Annotated[Literal["drive", "power", "sound"] | None, Field(examples=["power"])] = None
+    """Set for the largest energy, velocity, displacement or acceleration of the target by any drive of a unit effort,
+    in place of that by the scene's own drive: the sum of the squares of all drives, the power that they feed, or the
+    sound power that the plate radiates."""
+    steady: Annotated[Flag, Field(examples=[True])] = False
+    """True for means over all time of steady tones in place of the window from rest. Acceleration, sound, power and
+    coils need it, or an effect that is steady."""
     limits: DesignLimits = DesignLimits()
     thickness: FreeThickness | None = None
     free: Annotated[
@@ -204,6 +238,27 @@ class Design(Table):
     seed: Annotated[int, Field(ge=0, lt=2**63, examples=[7])] = 0
     """Random seed of the starts."""
 
+    @property
+    def lowers(self) -> bool:
+        """True if the objective is lowered."""
+        return self.objective in ("sound", "power")
+
+    @property
+    def unit(self) -> str:
+        """Unit of the objective."""
+        one = OBJECTIVES[self.objective][1]
+        if self.effort is None:
+            return one
+        of_effort = {"drive": "drive²", "power": "W", "sound": "W of sound"}[self.effort]
+        return f"{one} per {of_effort}" if self.objective == "energy_target" else f"{one} per √({of_effort})"
+
+    @property
+    def label(self) -> str:
+        """Name of the objective for people, with its unit."""
+        name = OBJECTIVES[self.objective][0]
+        drive = "" if self.objective == "bound" else " by the scene's drive" if self.effort is None else " by any drive"
+        return f"{name}{drive}" if self.unit == "1" else f"{name}{drive} [{self.unit}]"
+
     @model_validator(mode="after")
     def _free(self) -> Self:
         if self.thickness is None and not self.free and not self.places:
@@ -211,6 +266,8 @@ class Design(Table):
         for key, (low, high) in self.free.items():
             if low >= high:
                 raise ValueError(f"free: {key} = {[low, high]}: the lowest value comes first, and they differ")
+        if self.effort is not None and self.objective not in PER_EFFORT:
+            raise ValueError(f"effort: is of {', '.join(PER_EFFORT)}, and not of {self.objective}; delete it")
         if len(self.tolerance) > MOST_TOLERANCES:
             raise ValueError(f"tolerance: {len(self.tolerance)} keys; at most {MOST_TOLERANCES} are varied")
         return self

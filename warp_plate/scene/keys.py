@@ -27,7 +27,7 @@ INDEX_NAMES = {
     "range": ("smallest", "largest"),
 }
 # Tables with properties of the panel, which a fit may change; keys of actuators there that searches change, too.
-PANEL = ("plate.", "edges.", "effects.", "actuators[", "measurement[")
+PANEL = ("plate.", "edges.", "supports[", "effects.", "actuators[", "measurement[")
 # Keys of an actuator that exclude each other.
 ALTERNATIVES = {"magnitude": "force", "force": "magnitude", "voltage": "current", "current": "voltage"}
 DRIVEN = (*PlateRegion.model_fields, *ALTERNATIVES, "phase", "frequency", "delay")

@@ -41,6 +41,8 @@ from warp_plate.scene.target import NamedTarget, PlateRegion, Target
 
 # With this many breaks between two knots (fine maps), this many Gauss points between two breaks suffice.
 FINE, FINE_RULE = 4, 3
+# Eigenvalues of a matrix below this part of the largest are rounding.
+ROUNDING = 1e-15
 # Gauss points between two lines of the plate for its mean wave.
 POINTS_OF_MEAN = 2
 Field: TypeAlias = "np.ndarray | float | OnChords"
@@ -67,6 +69,7 @@ class SplineProducts(ABC):
     laminate: Laminate
     integrals: Integrals  # the plate with its rectangular layers
     along: tuple[Splines, Splines]  # splines of x and of y
+    rule: Integrals | Chords  # points of the plate at which fields count
 
     @property
     def degree(self) -> int:
@@ -105,6 +108,10 @@ class SplineProducts(ABC):
     @abstractmethod
     def _weights(self) -> np.ndarray:
         """Weights [m²] of the plate's rule."""
+
+    @abstractmethod
+    def region_rule(self, target: Target) -> tuple[Integrals | Chords, np.ndarray | float]:
+        """Return the rule on a target, and what counts of its points, from 0 to 1."""
 
     @abstractmethod
     def patch_integrals(self, areas: np.ndarray) -> np.ndarray:
@@ -165,16 +172,24 @@ class SplineProducts(ABC):
         for values in chords.sampled(partial(self.integrals.fields_at, over=layer)) - bare:
             yield OnChords(chords, values)
 
-    def _layer_masses(self, target: Target, within: Area | None) -> Iterator[np.ndarray]:
-        """Yield the integrals of what such layers add to the mass of a region."""
-        for layer in self.laminate.shaped_layers:
-            if target.mask is None:
-                chords = self._chords([*curves_of(target, within), *curves_of(layer)])
-                share: np.ndarray | float = 1.0
+    def layer_rules(
+        self, target: Target | None = None, within: Area | None = None
+    ) -> Iterator[tuple[Chords, np.ndarray | float]]:
+        """Yield the rule on each such layer, or on its part in a region, and what counts of its points."""
+        for index, layer in enumerate(self.laminate.shaped_layers):
+            if target is None:
+                yield self._layers[index][0].chords, 1.0
+            elif target.mask is None:
+                yield self._chords([*curves_of(target, within), *curves_of(layer)]), 1.0
             else:
                 cuts, mask = mask_of(self.laminate, target)
                 chords = self._chords(curves_of(layer, within), cuts)
-                (share,) = chords.sampled(mask)
+                yield chords, chords.sampled(mask)[0]
+
+    def _layer_masses(self, target: Target, within: Area | None) -> Iterator[np.ndarray]:
+        """Yield the integrals of what such layers add to the mass of a region."""
+        rules = self.layer_rules(target, within)
+        for layer, (chords, share) in zip(self.laminate.shaped_layers, rules, strict=True):
             *_, mass = self._added(layer, chords)
             yield self._form_on(chords, mass.values * share, DISPLACEMENT)
 
@@ -195,6 +210,33 @@ class SplineProducts(ABC):
             coupled = (bend_xy * xx) @ yy.T
             energies += (bend_xx * xx) @ xx.T + (bend_yy * yy) @ yy.T + 4 * (twist * xy) @ xy.T + coupled + coupled.T
         return energies
+
+    def diagonals(
+        self, chords: Chords, matrix: np.ndarray, orders: Sequence[tuple[tuple[int, int], tuple[int, int]]]
+    ) -> list[np.ndarray]:
+        """Return Σ_ij matrix_ij ∂ψ_i ∂'ψ_j (segments, points) of a symmetric matrix (unknowns, unknowns) at the points
+        of a rule, for pairs of ``orders`` of derivatives along x and y."""
+        values, vectors = np.linalg.eigh(matrix)
+        counts = np.abs(values) > ROUNDING * np.abs(values).max()
+        values, vectors = values[counts], vectors[:, counts]
+        single = sorted({order for pair in orders for order in pair})
+        totals = [np.zeros(chords.weights.shape) for _ in orders]
+        for some, sums in self._sums(chords, vectors, single) if values.size else ():
+            by_order = dict(zip(single, sums, strict=True))
+            for total, (one, two) in zip(totals, orders, strict=True):
+                total[some] = (values @ (by_order[one] * by_order[two])).reshape(total[some].shape)
+        return totals
+
+    def region_mass(self, region: Area | Target) -> float:
+        """Return the mass [kg] of the part of a rectangle or target on the plate, without what is attached."""
+        target = region if isinstance(region, Target) else Target.model_construct(area=region)
+        rule, share = self.region_rule(target)
+        (density,) = rule.sampled(lambda x, y: self.integrals.fields_at(x, y)[-1:])
+        mass = float((rule.weights * share * density).sum())
+        for layer, (chords, part) in zip(self.laminate.shaped_layers, self.layer_rules(target), strict=True):
+            *_, added = self._added(layer, chords)
+            mass += float((chords.weights * part * added.values).sum())
+        return mass
 
     def _section(self, axis: int) -> list[float]:
         """Return where the fields of the section are not smooth along x (0) or y (1) [m]."""
@@ -234,6 +276,10 @@ class Integrals:
             self.rule = FINE_RULE
         rules = [gauss(breaks, self.rule) for breaks in self.breaks]
         self.points, self._weights = (rules[0][0], rules[1][0]), (rules[0][1], rules[1][1])
+
+    def sampled(self, fields: Callable[[np.ndarray, np.ndarray], Sequence[np.ndarray]]) -> np.ndarray:
+        """Return fields (n, y, x) at Gauss's points by their function of x and y [m]."""
+        return np.stack(fields(*self.points))
 
     @property
     def pairs(self) -> tuple[Pairs, Pairs]:

@@ -113,5 +113,8 @@ class FunctionSpace(Protocol):
     def region_matrix(self, region: Area | Target, within: Area | None = None) -> Matrix:
         """Return the mass matrix [kg] of a rectangle or target, or of its part in the rectangle ``within``."""
 
+    def region_mass(self, region: Area | Target) -> float:
+        """Return the mass [kg] of a rectangle or target, without what is attached."""
+
     def parity_bases(self) -> list[Matrix]:
         """Return bases (unknowns, n) of motions that the modes of a uniform plate do not mix."""

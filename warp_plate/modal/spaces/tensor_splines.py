@@ -19,6 +19,7 @@ from warp_plate.modal.spaces.integrals import (
     Integrals,
     OnChords,
     SplineProducts,
+    region_rule,
     region_values,
 )
 from warp_plate.modal.spaces.knots import plate_splines
@@ -55,7 +56,7 @@ class TensorSplines(SplineProducts):
             x, y = (plate_splines(self.laminate, scene.edges, axis, intervals[axis]) for axis in (0, 1))
             along = x, y
         self.along = along
-        self.integrals = Integrals(self.laminate, *self.along)
+        self.rule = self.integrals = Integrals(self.laminate, *self.along)
 
     @property
     def unknowns(self) -> int:
@@ -164,11 +165,10 @@ class TensorSplines(SplineProducts):
             values = self._form_on(chords, density, DISPLACEMENT)
         return self.scatter(sum(self._layer_masses(target, within), start=values))
 
-    def chord_points(self, target: Target) -> tuple[np.ndarray, np.ndarray]:
-        """Return points (n, 2) [m] and weights (n,) [m²] for integrals over a target with a curved or oblique side."""
-        chords = self._chords(curves_of(target))
-        y = np.repeat(chords.ordinates[chords.chord], chords.x.shape[1])
-        return np.stack([chords.x.ravel(), y], axis=1), chords.weights.ravel()
+    def region_rule(self, target: Target) -> tuple[Integrals | Chords, np.ndarray | float]:
+        if target.area is not None or target.mask is not None:
+            return region_rule(self.laminate, self.along, target)
+        return self._chords(curves_of(target)), 1.0
 
     @cached_property
     def _whole(self) -> tuple[Outline, tuple[LocalSplines, LocalSplines]]:

@@ -30,7 +30,7 @@ from warp_plate.modal.spaces.integrals import (
     mean_wave_frequency,
 )
 from warp_plate.modal.spaces.knots import outline_splines
-from warp_plate.modal.spaces.singular import is_round, laurent_orders, sample
+from warp_plate.modal.spaces.singular import Singular, is_round, laurent_orders, sample
 from warp_plate.modal.spaces.space import Matrix
 from warp_plate.modal.spaces.splines import gauss, overlapping_pairs
 from warp_plate.modal.spaces.tensor_splines import ORDERS
@@ -57,33 +57,49 @@ DENSE_MATRICES = 12
 class TrimmedSplines(SplineProducts):
     """Function space of a plate with an outline.
 
-    The methods are described in :class:`warp_plate.modal.spaces.space.FunctionSpace`. An array by :meth:`form` is the
-    full matrix over the products, and ``basis`` has the functions of the space as its columns.
+    See :class:`warp_plate.modal.spaces.space.FunctionSpace`; an array by :meth:`form` is the full matrix of products.
     """
 
     sparse = False
+    added: tuple[Singular, ...]  # functions beside the products
+    chords: Chords  # rule of the plate
+    basis: np.ndarray  # (products and added functions, unknowns)
+    _used: np.ndarray  # products that take part
+    products: int  # their number
+    count: int  # number of products and added functions
 
-    def __init__(self, scene: Scene, intervals: tuple[int, int], like: TrimmedSplines | None = None) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        intervals: tuple[int, int],
+        like: TrimmedSplines | None = None,
+        fixed: TrimmedSplines | None = None,
+    ) -> None:
+        """Make the space, with the functions of ``like`` where they would be the same, or with those of ``fixed``."""
         assert scene.outline is not None
         self.scene, self.laminate, self.intervals, self.outline = scene, laminate_of(scene), intervals, scene.outline
         curves = (support.piece(f"supports[{index}]") for index, support in enumerate(scene.supports))
         self._pieces = (*self.outline.pieces, *(curve for curve in curves if curve is not None))
-        x, y = (outline_splines(scene, self.laminate, axis, intervals[axis]) for axis in (0, 1))
-        self.along = x, y
+        along = fixed.along if fixed else [outline_splines(scene, self.laminate, i, intervals[i]) for i in (0, 1)]
+        self.along = along[0], along[1]
         self._local = LocalSplines(self.along[0]), LocalSplines(self.along[1])
         self.integrals = Integrals(self.laminate, *self.along)
         self._interval = max(side / count for side, count in zip(scene.plate.size, intervals, strict=True))
-        self.added = added_functions(scene, self._interval)
-        self._forms: dict[Factors, np.ndarray] = {}
-        self.chords = self._chords()
-        sizes = np.outer(*(_widths(splines.knots, splines.degree) for splines in reversed(self.along)))
+        self.added = fixed.added if fixed else added_functions(scene, self._interval)
+        alike = fixed if fixed and fixed._lines == self._lines else None
+        self._forms: dict[Factors, np.ndarray] = alike._forms if alike else {}
+        self.rule = self.chords = alike.chords if alike else self._chords()
+        if fixed:
+            self._used, self.products, self.count, self.basis = fixed._used, fixed.products, fixed.count, fixed.basis
+            return
+        sizes = np.outer(*(one.knots[one.degree + 1 :] - one.knots[: -one.degree - 1] for one in reversed(self.along)))
         self._used = np.flatnonzero(self.chords.squares() > UNTOUCHED * sizes)
         self.products = self._used.size
         self.count = self.products + sum(function.functions for function in self.added)
         refuse_beyond_memory(8.0 * self.count**2 * DENSE_MATRICES, f"plate.outline: {self.count} functions")
         shared = like is not None and like.outline is self.outline and like.along == self.along
         shared = shared and like is not None and like.scene.supports == scene.supports and like.added is self.added
-        self.basis: np.ndarray = like.basis if like is not None and shared else self._make_basis()
+        self.basis = like.basis if like is not None and shared else self._make_basis()
 
     @property
     def unknowns(self) -> int:
@@ -180,21 +196,16 @@ class TrimmedSplines(SplineProducts):
 
     def region_matrix(self, region: Area | Target, within: Area | None = None) -> Matrix:
         target = region if isinstance(region, Target) else Target.model_construct(area=region)
-        if target.mask is not None:
-            return self._over_mask(target, within)
-        chords = self._chords(curves_of(target, within))
-        values = self._form_on(chords, self._fields_on(chords)[-1], DISPLACEMENT)
+        chords, share = self.region_rule(target, within)
+        values = self._form_on(chords, self._fields_on(chords)[-1] * share, DISPLACEMENT)
         return self.scatter(sum(self._layer_masses(target, within), start=values))
 
-    def region_mass(self, region: Area | Target) -> float:
-        """Return the mass [kg] of the part of a rectangle or target, no mask, on the plate."""
-        target = region if isinstance(region, Target) else Target.model_construct(area=region)
-        chords = self._chords(curves_of(target))
-        mass = float((chords.weights * self._fields_on(chords)[-1]).sum())
-        for layer in self.laminate.shaped_layers:
-            *_, added = self._added(layer, self._chords([*curves_of(target), *curves_of(layer)]))
-            mass += float((added.chords.weights * added.values).sum())
-        return mass
+    def region_rule(self, target: Target, within: Area | None = None) -> tuple[Chords, np.ndarray | float]:
+        if target.mask is None:
+            return self._chords(curves_of(target, within)), 1.0
+        cuts, mask = mask_of(self.laminate, target)
+        chords = self._chords(curves_of(PlateRegion.model_construct(area=self.scene.plate.box), within), cuts)
+        return chords, chords.sampled(mask)[0]
 
     def parity_bases(self) -> list[Matrix]:
         return [scipy.sparse.eye_array(self.unknowns, format="csr")]
@@ -213,6 +224,11 @@ class TrimmedSplines(SplineProducts):
         section = along_x, np.clip(along_y, low, high).tolist()
         folds = [piece for piece in self._pieces if piece.edge.startswith("supports")] if self.added else []
         return make_chords(self.outline, self._local, (count, count + 1), section, curves, folds, near)
+
+    @property
+    def _lines(self) -> tuple[bool, list[float], list[float]]:
+        """What the rule of the plate depends on besides the functions and the outline."""
+        return self.laminate.varied, self._section(0), self._section(1)
 
     def _fields_on(self, chords: Chords) -> tuple[np.ndarray | float, ...]:
         """Return Dx, D1, Dy, Dxy [N·m] and the mass per area [kg/m²] at the points of a rule, or as numbers."""
@@ -347,15 +363,6 @@ class TrimmedSplines(SplineProducts):
                 total += weights @ self._rows(points)
         return total
 
-    def _over_mask(self, target: Target, within: Area | None) -> Matrix:
-        """Return the mass matrix of a mask, which is bilinear between its numbers."""
-        (cuts, mask), size = mask_of(self.laminate, target), self.scene.plate.size
-        whole = PlateRegion.model_construct(area=(0.0, size[0], 0.0, size[1]))
-        chords = self._chords(curves_of(whole, within), cuts)
-        (share,) = chords.sampled(mask)
-        values = self._form_on(chords, self._fields_on(chords)[-1] * share, DISPLACEMENT)
-        return self.scatter(sum(self._layer_masses(target, within), start=values))
-
     def _make_basis(self) -> np.ndarray:
         """Return (products, unknowns) independent functions that keep the conditions of the edges."""
         stiffness = sum(self.form(term.coefficient, term.factors) for term in self.bending_terms())
@@ -387,11 +394,6 @@ class TrimmedSplines(SplineProducts):
             yield functions.T @ self._rows(piece.points(at))
             if piece.condition == "clamped":
                 yield max(self.interval_sizes) * functions.T @ self._rows(piece.points(at), piece.normals(at))
-
-
-def _widths(knots: np.ndarray, degree: int) -> np.ndarray:
-    """Return the widths of splines' supports [m]."""
-    return np.asarray(knots[degree + 1 :] - knots[: -degree - 1])
 
 
 def _products(along_y: np.ndarray, along_x: np.ndarray) -> np.ndarray:
