@@ -65,7 +65,6 @@ class TrimmedSplines(SplineProducts):
     chords: Chords  # rule of the plate
     basis: np.ndarray  # (products and added functions, unknowns)
     _used: np.ndarray  # products that take part
-    products: int  # their number
     count: int  # number of products and added functions
 
     def __init__(
@@ -90,12 +89,11 @@ class TrimmedSplines(SplineProducts):
         self._forms: dict[Factors, np.ndarray] = alike._forms if alike else {}
         self.rule = self.chords = alike.chords if alike else self._chords()
         if fixed:
-            self._used, self.products, self.count, self.basis = fixed._used, fixed.products, fixed.count, fixed.basis
+            self._used, self.count, self.basis = fixed._used, fixed.count, fixed.basis
             return
         sizes = np.outer(*(one.knots[one.degree + 1 :] - one.knots[: -one.degree - 1] for one in reversed(self.along)))
         self._used = np.flatnonzero(self.chords.squares() > UNTOUCHED * sizes)
-        self.products = self._used.size
-        self.count = self.products + sum(function.functions for function in self.added)
+        self.count = self._used.size + sum(function.functions for function in self.added)
         refuse_beyond_memory(8.0 * self.count**2 * DENSE_MATRICES, f"plate.outline: {self.count} functions")
         shared = like is not None and like.outline is self.outline and like.along == self.along
         shared = shared and like is not None and like.scene.supports == scene.supports and like.added is self.added
@@ -157,7 +155,7 @@ class TrimmedSplines(SplineProducts):
         return np.asarray(coefficients @ self.at_points(points).T)
 
     def on_grid(self, coefficients: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        products, added = np.split(coefficients @ self.basis.T, [self.products], axis=-1)
+        products, added = np.split(coefficients @ self.basis.T, [self._used.size], axis=-1)
         tables = self._tables(products)
         values = self._local[1].dense(y) @ tables @ self._local[0].dense(x).T
         covered = self._covered(x, y)
@@ -246,18 +244,21 @@ class TrimmedSplines(SplineProducts):
         forms = {}
         (row_x, column_x), (row_y, column_y) = (overlapping_pairs(splines) for splines in self.along)
         places = np.full(self.shape, -1)
-        places.ravel()[self._used] = np.arange(self.products)
+        places.ravel()[self._used] = np.arange(self._used.size)
         rows, columns = places[row_y[:, None], row_x], places[column_y[:, None], column_x]
         both = (rows >= 0) & (columns >= 0)
         for factors in wanted:
             along_x, along_y = zip(*(ORDERS[factor] for factor in factors), strict=True)
             values = chords.form(coefficient, (along_x[0], along_x[1]), (along_y[0], along_y[1]))
-            forms[factors] = np.zeros((self.products, self.products))
+            forms[factors] = np.zeros((self._used.size, self._used.size))
             forms[factors][rows[both], columns[both]] = values[both]
         if not self.added:
             return forms
         names = sorted({factor for factors in wanted for factor in factors})
-        count, weights = self.count - self.products, np.broadcast_to(coefficient, chords.weights.shape) * chords.weights
+        count, weights = (
+            self.count - self._used.size,
+            np.broadcast_to(coefficient, chords.weights.shape) * chords.weights,
+        )
         squares = {factors: np.zeros((count, count)) for factors in wanted}
         pairs = sorted({pair for one, two in wanted for pair in ((one, two), (two, one))})
         crossed = {pair: np.zeros((*self.shape, count)) for pair in pairs}
@@ -296,7 +297,7 @@ class TrimmedSplines(SplineProducts):
     def _sums(
         self, chords: Chords, vectors: np.ndarray, orders: Sequence[tuple[int, int]]
     ) -> Iterator[tuple[slice, list[np.ndarray]]]:
-        products, added = np.split((self.basis @ vectors).T, [self.products], axis=1)
+        products, added = np.split((self.basis @ vectors).T, [self._used.size], axis=1)
         for some, values in chords.sums(self._tables(products), orders):
             points = chords.x.shape[1]
             for part in chords.blocks() if self.added else ():
