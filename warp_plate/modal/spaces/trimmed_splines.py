@@ -63,9 +63,6 @@ class TrimmedSplines(SplineProducts):
     sparse = False
     added: tuple[Singular, ...]  # functions beside the products
     chords: Chords  # rule of the plate
-    basis: np.ndarray  # (products and added functions, unknowns)
-    _used: np.ndarray  # products that take part
-    count: int  # number of products and added functions
 
     def __init__(
         self,
@@ -88,16 +85,17 @@ class TrimmedSplines(SplineProducts):
         alike = fixed if fixed and fixed._lines == self._lines else None
         self._forms: dict[Factors, np.ndarray] = alike._forms if alike else {}
         self.rule = self.chords = alike.chords if alike else self._chords()
-        if fixed:
+        if not fixed:
+            knots = [(one.knots, one.degree) for one in reversed(self.along)]
+            sizes = np.outer(*(places[degree + 1 :] - places[: -degree - 1] for places, degree in knots))
+            self._used = np.flatnonzero(self.chords.squares() > UNTOUCHED * sizes)
+            self.count = self._used.size + sum(function.functions for function in self.added)
+            refuse_beyond_memory(8.0 * self.count**2 * DENSE_MATRICES, f"plate.outline: {self.count} functions")
+            shared = like is not None and like.outline is self.outline and like.along == self.along
+            shared = shared and like is not None and like.scene.supports == scene.supports and like.added is self.added
+            self.basis: np.ndarray = like.basis if like is not None and shared else self._make_basis()
+        else:
             self._used, self.count, self.basis = fixed._used, fixed.count, fixed.basis
-            return
-        sizes = np.outer(*(one.knots[one.degree + 1 :] - one.knots[: -one.degree - 1] for one in reversed(self.along)))
-        self._used = np.flatnonzero(self.chords.squares() > UNTOUCHED * sizes)
-        self.count = self._used.size + sum(function.functions for function in self.added)
-        refuse_beyond_memory(8.0 * self.count**2 * DENSE_MATRICES, f"plate.outline: {self.count} functions")
-        shared = like is not None and like.outline is self.outline and like.along == self.along
-        shared = shared and like is not None and like.scene.supports == scene.supports and like.added is self.added
-        self.basis = like.basis if like is not None and shared else self._make_basis()
 
     @property
     def unknowns(self) -> int:
