@@ -241,8 +241,8 @@ class AirWithoutBaffle:
 
     def _respond(self, omega: np.ndarray, forces: np.ndarray) -> np.ndarray:
         pressed = self._pressed(omega)
-        inverse, load = self._low_loads(omega, pressed)
-        amplitudes = self._nearly(omega, forces, inverse @ load)
+        held = self._held(omega, pressed)
+        amplitudes = self._nearly(omega, forces, held)
         left, limit = np.arange(len(omega)), RESIDUAL * np.linalg.norm(forces, axis=1)
         for _ in range(REFINEMENTS):
             rest = forces[left] - self._balanced(omega[left], amplitudes[left], pressed[left])
@@ -250,7 +250,7 @@ class AirWithoutBaffle:
             left, rest = left[more], rest[more]
             if not left.size:
                 return amplitudes
-            amplitudes[left] += self._nearly(omega[left], rest, inverse[left] @ load[left])
+            amplitudes[left] += self._nearly(omega[left], rest, held[left])
         for row in left:
             ones = np.eye(forces.shape[1])[None]
             amplitudes[row] = np.linalg.solve(self._balanced(omega[[row]], ones, pressed[[row]])[0], forces[row])
@@ -264,16 +264,22 @@ class AirWithoutBaffle:
             rows.append(2j * self._radiation.air.density * one**2 * scipy.linalg.block_diag(*inverses))
         return np.array(rows)
 
-    def _low_loads(self, omega: np.ndarray, pressed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the (n, low, low) load Z of the air on the lowest modes, and (1 + Z Y)⁻¹ with their compliance Y."""
-        projection, one = self._projection[:, : self._low], np.eye(self._low)
+    def _held(self, omega: np.ndarray, pressed: np.ndarray) -> np.ndarray:
+        """Return (n, low, low) (1 + Z Y)⁻¹ Z of the load Z of the air on the lowest modes and their compliance Y: what
+        the air takes of forces that move them alone."""
+        low = self._low
+        projection = self._projection[:, :low]
         load = projection.T @ (pressed @ projection)
-        units = np.broadcast_to(
-            np.eye(len(self._projection.T))[:, : self._low], (len(omega), self._projection.shape[1], self._low)
-        )
-        compliance = self._alone(omega, units)[:, : self._low]
-        finite = np.isfinite(compliance).all(axis=(1, 2), keepdims=True)
-        return np.linalg.inv(one + load @ np.where(finite, compliance, 0)), load
+        if self._plate.coupled is None:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                compliance = 1 / self._plate.dynamic_stiffness(omega)[:, None, :low]
+            yielded = load * np.where(np.isfinite(compliance), compliance, 0)
+        else:
+            units = np.broadcast_to(
+                np.eye(self._projection.shape[1], low), (len(omega), self._projection.shape[1], low)
+            )
+            yielded = load @ self._alone(omega, units)[:, :low]
+        return np.linalg.solve(np.eye(low) + yielded, load)
 
     def _nearly(self, omega: np.ndarray, forces: np.ndarray, held: np.ndarray) -> np.ndarray:
         """Return the amplitudes of :meth:`respond` without the air on higher modes and without their coupling."""
