@@ -221,6 +221,13 @@ def test_contradictions_are_refused(content, message, tmp_path):
     assert message in refused(read_responses, written(tmp_path, content), 1, None, ROWS[:1])
 
 
+def test_datasets_without_end(tmp_path, monkeypatch):
+    """Empty ones take 0.8 s for a megabyte."""
+    monkeypatch.setattr("warp_plate.fitting.measured_universal.MOST_SETS", 3)
+    path = written(tmp_path, dataset(15, "") * 4 + nodes() + BOTH)
+    assert "has 7 datasets; at most 3 are read" in refused(read_responses, path, 2, None, ROWS)
+
+
 def normal_mode(frequency, shape, damping=0.0, loss=0.0):
     head = f"{1:10d}{2:10d}{2:10d}{8:10d}{2:10d}{3:10d}\n{2:10d}{4:10d}{0:10d}{1:10d}\n"
     head += f"{frequency:13.5e}{1:13.5e}{damping:13.5e}{loss:13.5e}\n"

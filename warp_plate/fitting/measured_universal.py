@@ -27,6 +27,7 @@ RESPONSE, COHERENCE, NORMAL, COMPLEX = 4, 6, 2, (3, 7)
 # Codes of ordinates by their order in time, those of a force and those that say nothing; direction across the plate.
 ORDERS, FORCES, UNKNOWN, ACROSS = {8: 0, 11: 1, 12: 2}, (9, 13), (0, 1), 3
 # Columns of nodes: numbers, systems of their coordinates and displacements, coordinates.
+MOST_SETS = 2**18  # responses and coherences of 2000 points to 64 actuators, and more; some 3 s
 NODES = ("node_nums", "def_cs", "disp_cs", "x", "y", "z")
 MOTIONS = ("displacement", "velocity", "acceleration")
 # Largest distance of a node from a point of the scene, relative to the largest distance of nodes and points.
@@ -67,11 +68,14 @@ def read_universal(path: Path) -> UniversalFile:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # pyuff leaves files for Python to close
             file = pyuff.UFF(str(path))
-            for number, kind in enumerate(file.get_set_types()):
+            kinds = file.get_set_types()
+            for number, kind in enumerate(kinds[:MOST_SETS]):
                 if kind in READ:
                     sets.append(file.read_sets(number))
     except Exception as error:  # of many kinds, for files of any content
         raise ValueError(f"cannot be read as a universal file: dataset {number + 1}: {error}") from None
+    if len(kinds) > MOST_SETS:
+        raise ValueError(f"has {len(kinds)} datasets; at most {MOST_SETS} are read")
     functions = [item for item in sets if item.get("type") == 58]
     for number, item in enumerate(functions, 1):
         if item.get("func_type") in (RESPONSE, COHERENCE) and item["num_pts"] != len(item["data"]):
