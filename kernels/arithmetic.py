@@ -59,6 +59,9 @@ def restore_denormals(before: int):
 
 
 def portable_kernel(**options):
-    """Return the decorator of kernels that compile for the CPU and for CUDA, with these options of Warp's modules."""
+    """Return the decorator of kernels that compile for the CPU and for CUDA, with these options of Warp's modules.
+
+    ``block_dim=1``, as all launches on a CPU have, spares kernels for CPUs that Warp hashes their source twice.
+    """
     flags = {"cpu_compiler_flags": CPU_FLAGS}
     return wp.kernel(module="unique", enable_backward=False, module_options=flags | options)

@@ -245,7 +245,7 @@ def make_run_steps(effects, real, ny, stride):
             u[i] = u[i] + new
             squares[i] = fused(summed * new, new, squares[i])
 
-    @portable_kernel(max_unroll=1)
+    @portable_kernel(max_unroll=1, block_dim=1)
     def run_steps(
         # parameters
         m: Material,  # its along_x padded to ``stride``

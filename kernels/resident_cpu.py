@@ -38,7 +38,7 @@ def taps_along_y(order):
 
 @cache
 def make_passes(effects, real, row, node, curvature_count, update_count, masked, tap_line=0):
-    """Make the passes compute_curvature, update_loaded and update_unloaded, functions of addresses.
+    """Make the passes, functions of addresses: compute_curvature, and update_range by ``make_update_range(loaded)``.
 
     Args:
         row, node: Numbers from a node to its neighbour along y and along x.
@@ -74,38 +74,42 @@ def make_passes(effects, real, row, node, curvature_count, update_count, masked,
             field[i + wp.static(3 * node)], field[i + wp.static(4 * node)],
         )
 
-    @wp.func
-    def compute_curvature_second(
-        u_low: wp.uint64, u_here: wp.uint64, columns: wp.uint64, rows: RowTaps, curvature_at: wp.uint64
-    ):
-        """``u_low``: a row below the range; ``columns``: factors on the curvature."""
-        # One array with neighbours at fixed distances: the fewer pointers, the fewer overlaps LLVM checks.
-        u = array_at(u_low)
-        factor = array_at(columns)
-        curvature = array_at(curvature_at)
-        for i in range(wp.static(curvature_count)):
-            curvature[i] = factor[i] * laplacian(
-                u[i + wp.static(row)], u[i + wp.static(row - node)], u[i + wp.static(row + node)], u[i],
-                u[i + wp.static(2 * row)], rows[0],
-            )
+    if order == 2:
+        @wp.func
+        def compute_curvature(
+            u_low: wp.uint64, u_here: wp.uint64, columns: wp.uint64, rows: RowTaps, curvature_at: wp.uint64
+        ):
+            """``u_low``: a row below the range; ``columns``: factors on the curvature."""
+            # One array with neighbours at fixed distances: the fewer pointers, the fewer overlaps LLVM checks.
+            u = array_at(u_low)
+            factor = array_at(columns)
+            curvature = array_at(curvature_at)
+            for i in range(wp.static(curvature_count)):
+                curvature[i] = factor[i] * laplacian(
+                    u[i + wp.static(row)], u[i + wp.static(row - node)], u[i + wp.static(row + node)], u[i],
+                    u[i + wp.static(2 * row)], rows[0],
+                )
 
-    @wp.func
-    def compute_curvature_fourth(
-        u_low: wp.uint64, u_here: wp.uint64, columns: wp.uint64, rows: RowTaps, curvature_at: wp.uint64
-    ):
-        """``u_low``: the lowest of the five rows that ``rows`` weighs; ``u_here``: the range itself."""
-        u = array_at(u_low)
-        u_along_x = array_at(u_here - wp.uint64(wp.static(2 * node * size)))
-        column = array_at(columns)
-        curvature = array_at(curvature_at)
-        for i in range(wp.static(curvature_count)):
-            along_y = weighted_sum(
-                real(0.0), rows, u[i], u[i + wp.static(row)], u[i + wp.static(2 * row)], u[i + wp.static(3 * row)],
-                u[i + wp.static(4 * row)],
-            )
-            curvature[i] = add_along_x(along_y, column, u_along_x, i)
+    else:
+        @wp.func
+        def compute_curvature(
+            u_low: wp.uint64, u_here: wp.uint64, columns: wp.uint64, rows: RowTaps, curvature_at: wp.uint64
+        ):
+            """``u_low``: the lowest of the five rows that ``rows`` weighs; ``u_here``: the range itself."""
+            u = array_at(u_low)
+            u_along_x = array_at(u_here - wp.uint64(wp.static(2 * node * size)))
+            column = array_at(columns)
+            curvature = array_at(curvature_at)
+            for i in range(wp.static(curvature_count)):
+                along_y = weighted_sum(
+                    real(0.0), rows, u[i], u[i + wp.static(row)], u[i + wp.static(2 * row)], u[i + wp.static(3 * row)],
+                    u[i + wp.static(4 * row)],
+                )
+                curvature[i] = add_along_x(along_y, column, u_along_x, i)
 
     def make_update_range(loaded):
+        """Make update_range for rows with loads or without."""
+
         @wp.func
         def rate_after(
             p: Parameters, stiffness: wp.array[real], columns: wp.array[real], rows: RowTaps, low: wp.array[real],
@@ -167,8 +171,7 @@ def make_passes(effects, real, row, node, curvature_count, update_count, masked,
 
         return update_range
 
-    compute_curvature = compute_curvature_second if order == 2 else compute_curvature_fourth
-    return compute_curvature, make_update_range(True), make_update_range(False)
+    return compute_curvature, make_update_range
 
 
 @wp.func_native(_MEET)
@@ -226,8 +229,10 @@ def make_run_steps(effects, real, ny, stride):
     line = tap_line(ny, stride, order)
     flat, ends = walked_flat(ny, stride), end_rows(order)
     inner = (ny - 2 * ends) * stride if flat else stride
-    bend_row, move_row, _ = make_passes(effects, real, stride, 1, stride, stride, True, line)
-    bend_flat, move_flat, _ = make_passes(effects, real, stride, 1, inner, max(inner - 2 * stride, stride), True, line)
+    updated = max(inner - 2 * stride, stride)
+    bend_row, make_move_row = make_passes(effects, real, stride, 1, stride, stride, True, line)
+    bend_flat, make_move_flat = make_passes(effects, real, stride, 1, inner, updated, True, line)
+    move_row, move_flat = make_move_row(True), make_move_flat(True)
     Wave = wp.types.vector(length=2, dtype=real)
     RowTaps = wp.types.vector(length=taps_along_y(order), dtype=real)
     Rows = wp.types.vector(length=order + 1, dtype=wp.uint64)
@@ -269,7 +274,7 @@ def make_run_steps(effects, real, ny, stride):
             rows[place] = row_at(curvature_plane, j + 1 - wp.static(reach) + place)
         return rows
 
-    @portable_kernel(max_unroll=5)
+    @portable_kernel(max_unroll=5, block_dim=1)
     def run_steps(
         # parameters
         p: Parameters,

@@ -30,7 +30,8 @@ def make_run_steps(effects, real, nx, ny, stride, lanes):
     Parameters, Factors, (Forcing, Fields) = make_parameters(real), make_factors(real), make_state(real)
     reach, places = effects.order // 2, effects.order + 1
     row = nx * lanes
-    bend, move, move_unloaded = make_passes(effects, real, row, lanes, row, row - 2 * lanes, False, row)
+    bend, make_move = make_passes(effects, real, row, lanes, row, row - 2 * lanes, False, row)
+    move, move_unloaded = make_move(True), make_move(False)
     Wave = wp.types.vector(length=2, dtype=real)
     RowTaps = wp.types.vector(length=taps_along_y(effects.order), dtype=real)
     Rows = wp.types.vector(length=places, dtype=wp.uint64)
@@ -83,7 +84,7 @@ def make_run_steps(effects, real, nx, ny, stride, lanes):
             factor = columns + wp.uint64(pattern * wp.static(row_bytes))
             bend(u_plane + wp.uint64(j * wp.static(row_bytes)), here, factor, taps_of_row(taps_y, 0), out)
 
-    @portable_kernel(max_unroll=5)
+    @portable_kernel(max_unroll=5, block_dim=1)
     def run_steps(
         # parameters
         p: Parameters,

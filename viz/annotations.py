@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_plate.outline.pieces import ellipse
-from warp_plate.result.case import target_cases
-from warp_plate.result.motion import Motion
 from warp_plate.scene.errors import printable
 from warp_plate.scene.model import Scene
 from warp_plate.viz.fields import TALLEST, DrawingScale, colour_map
@@ -23,6 +21,7 @@ if TYPE_CHECKING:
 
     from warp_plate.result.case import Case
     from warp_plate.result.model import Result
+    from warp_plate.result.motion import Motion
 
 INK, TARGET, GRID = "#1a1a1a", "#1b7837", "#8a8a8a"
 LONGEST_NAME = 22  # characters of a name in a caption or legend
@@ -129,6 +128,8 @@ def only_points(scene: Scene) -> bool:
 
 def case_label(name: str, scene: Scene, actuator: str = "") -> str:
     """Return the label of a case of a result of this scene; of a single actuator with its name, if it is given."""
+    from warp_plate.result.case import target_cases  # with h5py
+
     targets = {case: target for target, case in target_cases(scene.targets).items()}
     label = f"best drive for {targets[name]}" if name in targets else CASE_LABELS.get(name, name)
     return f"{label}, {shortened(actuator)}" if name == "single" and actuator else label
@@ -142,6 +143,8 @@ def shortened(name: str) -> str:
 
 def ordered_cases(result: Result) -> dict[str, Case]:
     """Return the cases in the order of the source paper, then those of further targets, then any others."""
+    from warp_plate.result.case import target_cases
+
     names = dict.fromkeys([*CASE_LABELS, *target_cases(result.scene.targets).values(), *result.cases])
     return {name: result.cases[name] for name in names if name in result.cases}
 

@@ -14,8 +14,6 @@ import numpy as np
 from warp_plate.effects.effect import attachments
 from warp_plate.plate.designs import patch_ends
 from warp_plate.plate.shapes import outlines
-from warp_plate.result.case import relative_to_own, target_cases
-from warp_plate.result.model import crosstalk
 from warp_plate.result.motion import Motion
 from warp_plate.scene.errors import printable
 from warp_plate.scene.model import Scene
@@ -231,6 +229,9 @@ def outline_handles(scene: Scene) -> list[Artist]:
 
 def draw_crosstalk(result: Result, path: str | Path) -> None:
     """Draw the shares of the plate's kinetic energy in each target under the drive for each."""
+    from warp_plate.result.case import relative_to_own, target_cases
+    from warp_plate.result.model import crosstalk
+
     names = [textwrap.fill(printable(name), NAME_WIDTH) for name in target_cases(result.scene.targets)]
     shares = crosstalk(result)
     levels = relative_to_own(shares)

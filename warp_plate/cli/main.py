@@ -15,7 +15,7 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 from warp_plate._version import __version__
-from warp_plate.cli import log, postpone_garbage
+from warp_plate.cli import log, postpone_garbage, postpone_unused
 from warp_plate.interrupts import end_signals, ignore_interrupts, interrupt_on_termination, remember_lost_interrupts
 from warp_plate.scene.errors import SceneError
 
@@ -99,6 +99,7 @@ def main(arguments: list[str] | None = None) -> None:
     # Threads of linear algebra sleep soon while they wait for a task: commands have small ones, far apart.
     os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")
     os.environ.pop("MPLBACKEND", None)  # commands draw to files
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # which it looks for among all that is installed
     postpone_garbage()
     _prepare_streams()
     interrupt_on_termination()
@@ -135,6 +136,8 @@ def _run(words: list[str]) -> None:
     try:
         if words and words[0] in COMMANDS:
             load(words[0])
+            if not {"--help", "-h"}.intersection(words):
+                postpone_unused()
         application()(words, exit_on_error=False, print_error=False, result_action="return_value")
         sys.stdout.flush()
     except (SceneError, CycloptsError) as error:

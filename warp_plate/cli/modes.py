@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from warp_plate.cli import options, output
+from warp_plate.cli import options, output, postpone_garbage
 
 if TYPE_CHECKING:
     import numpy as np
@@ -53,6 +53,7 @@ def modes(
     errors = errors_of_frequencies(linear_part(loaded), natural.frequencies)
     written: output.Drawn = [], None
     if files.pictures:
+        postpone_garbage()
         from warp_plate.viz.plots.frame import save_plots
         from warp_plate.viz.plots.modes import draw_modes
 

@@ -90,13 +90,13 @@ class CompiledScene:
             raise SceneError(f"path = {path!r}: no such path for this scene; there are: auto, {', '.join(paths)}")
         self._write_loads, self._sum_over_rows = make_write_loads(real), make_sum_over_rows(real)
         specialized.load(self._write_loads, self._sum_over_rows, sum_over_columns)
-        self._write_tones = make_write_tones(real, scene.drive.burst is not None)
-        self._accumulate_waves = make_accumulate_waves(real)
-        self._weigh_spans = make_weigh_spans(scene.grid.load == "moments")
-        self._write_placed_loads = make_write_placed_loads(real)
         if specialized.discretization.carriers:
+            self._write_tones = make_write_tones(real, scene.drive.burst is not None)
+            self._accumulate_waves = make_accumulate_waves(real)
             specialized.load(self._write_tones, self._accumulate_waves)
         if specialized.discretization.per_plate.centre:
+            self._weigh_spans = make_weigh_spans(scene.grid.load == "moments")
+            self._write_placed_loads = make_write_placed_loads(real)
             specialized.load(self._weigh_spans, self._write_placed_loads)
         self._positions = [self._doubles(axis) for axis in node_positions(scene)]
         self._share = self._doubles(specialized.share)
