@@ -47,8 +47,8 @@ from warp_plate.solve.response import count_unit_drives, measure_response
 from warp_plate.solve.solver import PlateSolver
 
 # Functions of modes along each side that are tried, relative to the default, and the nominal time of a solution after
-# which no higher density is [s].
-MODAL_DENSITIES, DENSER_SECONDS = (1.0, 1.5, 2.2), 4.0
+# which no higher density is [s]. Nor is one if the error would have to fall by more than this power of its last fall.
+MODAL_DENSITIES, DENSER_SECONDS, STEEPEST_FALL = (1.0, 1.5, 2.2), 4.0, 3
 # Uncertainty of the reference relative to the accuracy asked for, and the time that it may take [s].
 REFERENCE_SHARE, REFERENCE_SECONDS = 0.15, 30.0
 # Error of a grid relative to the accuracy asked for; the rest allows for rounding in float32.
@@ -116,6 +116,7 @@ def _choose_modes(scene: Scene, accuracy: float, phasors: np.ndarray | None, alo
     Return None if there are no modes, which is a SceneError if nothing else may be chosen (``alone``).
     """
     best: Choice | None = None
+    last = math.inf
     for density in MODAL_DENSITIES:
         gridded = scene.model_copy(update={"grid": Grid(modal_density=density)})
         try:
@@ -131,8 +132,10 @@ def _choose_modes(scene: Scene, accuracy: float, phasors: np.ndarray | None, alo
             reason = f"modes, for errors of at most {percent(error)}, asked {percent(accuracy)}"
             more = "" if density == 1 else f", with {density:g} times as many functions along each side"
             best = Choice(gridded, error, reason + more, MoreFunctions(taken, finer, expected))
-        if error <= accuracy or seconds_of_modes(finer) > DENSER_SECONDS:
+        hopeless = error * (error / last) ** STEEPEST_FALL > accuracy
+        if error <= accuracy or hopeless or seconds_of_modes(finer) > DENSER_SECONDS:
             break
+        last = error
     return best
 
 
