@@ -89,7 +89,7 @@ def gram_matrices(
         return np.stack([real_form(np.zeros_like(product), product) for product in mixed], axis=1)
     if plate.scene.drive.burst is None and has_exponential_loads(plate.scene.drive):
         shared = ToneMatrices(means, trials=(forces, frequency))
-        forms = free_forms(shared.poles.part(shared.lasting), regions, window)
+        forms = free_forms(shared._lasting_poles, regions, window)
         return shared.motion(frequency, forces).matrices(shared.regions, window, forms)
     delay = actuator_delays(plate.scene)[None] if delay is None else delay
     designs = max(len(forces), len(frequency), len(delay))
@@ -153,16 +153,19 @@ class ToneMatrices:
     def motion(self, frequency: np.ndarray, forces: np.ndarray) -> ExponentialMotion:
         """Return the motion under unit phasors, of one design if all are the same."""
         rates, states = self._states(frequency)
-        gains, lasting = self.poles.gains(forces), self.lasting
-        forced, free = self.poles.forced(states, forces, gains), -(gains * states)[:, lasting]
-        poles = self.poles.part(lasting)
+        gains, poles = self.poles.gains(forces), self._lasting_poles
+        forced, free = self.poles.forced(states, forces, gains), -(gains * states)[:, self.lasting]
         if self._velocity:
             forced, free = forced * rates[:, None, :], free * poles.values[:, None]
         return ExponentialMotion(forced, rates, poles, free)
 
     @cached_property
     def _stored_forms(self) -> list[tuple[np.ndarray, list[list[Matrix]]]]:
-        return list(free_forms(self.poles.part(self.lasting), self._dense, self.window))
+        return list(free_forms(self._lasting_poles, self._dense, self.window))
+
+    @cached_property
+    def _lasting_poles(self) -> Poles:
+        return self.poles.part(self.lasting)
 
     @cached_property
     def lasting(self) -> np.ndarray:
@@ -240,7 +243,7 @@ def free_forms(
     motions' products, for at most ROWS rows at a time."""
     motions, count = [poles.observe(region) for region in regions], poles.values.size
     for rows in np.split(np.arange(count), range(ROWS, count, ROWS)):
-        part = poles.part(rows)
+        part = poles if rows.size == count else poles.part(rows)
         sides = part.values[:, None], part.values[:, None].conj()
         means = [mean_exponential(side, poles.values, window) for side in sides]
         products = [[part.project(motion, conjugate) for conjugate in (False, True)] for motion in motions]

@@ -208,11 +208,7 @@ class TensorSplines(SplineProducts):
         The modes of a plate whose opposite edges are alike, and that is the same everywhere, are one or the other.
         """
         edges = self.scene.edges
-        alike = edges.bottom == edges.top, edges.left == edges.right
-        along_y, along_x = (
-            _parities(count) if same else [np.eye(count)] for count, same in zip(self.shape, alike, strict=True)
-        )
-        return [Matrix(scipy.sparse.kron(Matrix(y), Matrix(x))) for y in along_y for x in along_x]
+        return _parity_bases(self.shape, (edges.bottom == edges.top, edges.left == edges.right))
 
     def of_scene(self, scene: Scene) -> TensorSplines:
         return TensorSplines(scene, self.intervals)
@@ -243,6 +239,13 @@ def _values(along_y: Matrix, along_x: Matrix, coefficients: np.ndarray) -> np.nd
 def _used(splines: Splines) -> slice:
     """Return which of all splines on the knots the conditions of the ends do not leave out."""
     return slice(splines.left_out[0], splines.left_out[0] + splines.functions)
+
+
+@lru_cache(PLACES_KEPT)
+def _parity_bases(shape: tuple[int, int], alike: tuple[bool, bool]) -> list[Matrix]:
+    """Return the bases of sequences along y and x, whose ends are ``alike`` or not."""
+    along_y, along_x = (_parities(count) if same else [np.eye(count)] for count, same in zip(shape, alike, strict=True))
+    return [Matrix(scipy.sparse.kron(Matrix(y), Matrix(x))) for y in along_y for x in along_x]
 
 
 def _parities(count: int) -> list[np.ndarray]:
