@@ -303,6 +303,7 @@ def make_run_steps(effects, real, ny, stride):
         low = team.member * wp.static(ny - 2) // team.size
         high = (team.member + 1) * wp.static(ny - 2) // team.size
         goal = int(0)
+        end_count = int(wp.static(2 * ends))  # a variable, so that no loop over the ends is unrolled
         bend_x = factors.bend_x.ptr
         move_x = factors.move_x.ptr
         stiffness = factors.stiffness.ptr
@@ -311,31 +312,27 @@ def make_run_steps(effects, real, ny, stride):
             summed = n >= window[0] and n < window[1]
             waves = Wave(drive.wave[k, n, 0], drive.wave[k, n, 1])
             if wp.static(flat):
-                for j in range(wp.static(ends)):
-                    bend_node_row(u_plane, bend_x, factors.bend_y, curvature_plane, j)
+                if wp.static(ends > 0):
+                    for end in range(end_count):
+                        j = wp.where(end < wp.static(ends), end, wp.static(ny - 2 * ends) + end)
+                        bend_node_row(u_plane, bend_x, factors.bend_y, curvature_plane, j)
                 bend_flat(
                     row_at(u_plane, lowest_row(wp.static(ends))), row_at(u_plane, wp.static(ends + 1)), bend_x,
                     taps_of_row(factors.bend_y, wp.static(ends)), row_at(curvature_plane, wp.static(ends + 1)),
                 )
-                for j in range(wp.static(ny - ends), wp.static(ny)):
-                    bend_node_row(u_plane, bend_x, factors.bend_y, curvature_plane, j)
-                for j in range(1, wp.static(ends + 1)):
-                    move_row(
-                        p, stiffness, move_x, taps_of_row(factors.move_y, j), waves, summed,
-                        rows_around(curvature_plane, j), row_at(cosine, j + 1), row_at(sine, j + 1),
-                        row_at(u_plane, j + 1), row_at(rates, j + 1), row_at(sums, j + 1),
-                    )
+                if wp.static(ends > 0):
+                    for end in range(end_count):
+                        j = wp.where(end < wp.static(ends), end + 1, wp.static(ny - 1 - 2 * ends) + end)
+                        move_row(
+                            p, stiffness, move_x, taps_of_row(factors.move_y, j), waves, summed,
+                            rows_around(curvature_plane, j), row_at(cosine, j + 1), row_at(sine, j + 1),
+                            row_at(u_plane, j + 1), row_at(rates, j + 1), row_at(sums, j + 1),
+                        )
                 move_flat(
                     p, stiffness, move_x, taps_of_row(factors.move_y, wp.static(ends + 1)), waves, summed,
                     rows_around(curvature_plane, wp.static(ends + 1)), cosine + offset, sine + offset,
                     u_plane + offset, rates + offset, sums + offset,
                 )
-                for j in range(wp.static(ny - 1 - ends), wp.static(ny - 1)):
-                    move_row(
-                        p, stiffness, move_x, taps_of_row(factors.move_y, j), waves, summed,
-                        rows_around(curvature_plane, j), row_at(cosine, j + 1), row_at(sine, j + 1),
-                        row_at(u_plane, j + 1), row_at(rates, j + 1), row_at(sums, j + 1),
-                    )
             else:
                 # The curvatures of the band's outermost rows, before a neighbour moves the rows that they depend on.
                 if low == 0:

@@ -35,6 +35,7 @@ def make_run_steps(effects, real, nx, ny, stride, lanes):
     Wave = wp.types.vector(length=2, dtype=real)
     RowTaps = wp.types.vector(length=taps_along_y(effects.order), dtype=real)
     Rows = wp.types.vector(length=places, dtype=wp.uint64)
+    Values = wp.types.vector(length=PLANES, dtype=real)
     size = wp.types.type_size_in_bytes(real)
     row_bytes, node_bytes = row * size, lanes * size
     plane_bytes = (ny + 2) * row_bytes
@@ -44,23 +45,34 @@ def make_run_steps(effects, real, nx, ny, stride, lanes):
         return wp.array(ptr=plane, shape=(wp.static((ny + 2) * row),), dtype=real)
 
     @wp.func
-    def copy_in(field: wp.array3d[real], plane: wp.uint64, first: int, last: int):
-        inside = plane_array(plane)
+    def copy_in(f: Fields, drive: Forcing, workspace: wp.uint64, first: int, last: int):
+        """Copy all fields of the group into its workspace, plate by plate; lanes without a plate get zeros."""
+        inside = wp.array(ptr=workspace, shape=(wp.static(PLANES * (ny + 2) * row),), dtype=real)
         for lane in range(wp.static(lanes)):
             for j in range(1, wp.static(ny + 1)):
                 for i in range(wp.static(nx)):
-                    value = real(0.0)
+                    at = (j * wp.static(nx) + i) * wp.static(lanes) + lane
+                    values = Values()
                     if first + lane < last:
-                        value = field[first + lane, j, i]
-                    inside[(j * wp.static(nx) + i) * wp.static(lanes) + lane] = value
+                        k = first + lane
+                        values = Values(
+                            f.u[k, j, i], f.rate[k, j, i], f.squares[k, j, i], drive.in_phase[k, j, i],
+                            drive.quadrature[k, j, i],
+                        )
+                    for plane in range(wp.static(PLANES)):
+                        inside[plane * wp.static((ny + 2) * row) + at] = values[plane]
 
     @wp.func
-    def copy_out(plane: wp.uint64, field: wp.array3d[real], first: int, last: int):
-        inside = plane_array(plane)
+    def copy_out(workspace: wp.uint64, f: Fields, first: int, last: int):
+        """Copy the fields that a run changes out of the workspace of the group."""
+        inside = wp.array(ptr=workspace, shape=(wp.static(PLANES * (ny + 2) * row),), dtype=real)
         for lane in range(wp.min(wp.static(lanes), last - first)):
             for j in range(1, wp.static(ny + 1)):
                 for i in range(wp.static(nx)):
-                    field[first + lane, j, i] = inside[(j * wp.static(nx) + i) * wp.static(lanes) + lane]
+                    at = (j * wp.static(nx) + i) * wp.static(lanes) + lane
+                    f.u[first + lane, j, i] = inside[at]
+                    f.rate[first + lane, j, i] = inside[wp.static((ny + 2) * row) + at]
+                    f.squares[first + lane, j, i] = inside[wp.static(2 * (ny + 2) * row) + at]
 
     @wp.func
     def taps_of_row(taps: wp.array2d[real], j: int):
@@ -114,47 +126,41 @@ def make_run_steps(effects, real, nx, ny, stride, lanes):
         curvature = wp.array(ptr=curvature_rows, shape=(wp.static(places * row + reach * lanes),), dtype=real)
         for i in range(wp.static(places * row + reach * lanes)):
             curvature[i] = real(0.0)
-        copy_in(f.u, u_plane, low, last)
-        copy_in(f.rate, rates, low, last)
-        copy_in(f.squares, sums, low, last)
-        copy_in(drive.in_phase, cosine, low, last)
-        copy_in(drive.quadrature, sine, low, last)
+        copy_in(f, drive, u_plane, low, last)
         bend_x = factors.bend_x.ptr
         move_x = factors.move_x.ptr
         for n in range(start, stop):
             summed = n >= window[0] and n < window[1]
             waves = Wave(drive.wave[0, n, 0], drive.wave[0, n, 1])
-            for j in range(wp.static(reach + 1)):
-                bend_node_row(u_plane, bend_x, factors.bend_y, curvature_rows, j)
-            for j in range(1, wp.static(ny - 1)):
+            # One loop, in which each pass is compiled once: its first rounds only fill the rows of curvature.
+            for j in range(wp.static(-reach), wp.static(ny - 1)):
                 # Row j moves once the curvatures of the rows above it are known.
                 if j + wp.static(reach) < wp.static(ny):
                     bend_node_row(u_plane, bend_x, factors.bend_y, curvature_rows, j + wp.static(reach))
-                rows = taps_of_row(factors.move_y, 0)
-                if wp.static(effects.order == 4):
-                    rows = taps_of_row(factors.move_y, j)
-                around = Rows()
-                for place in range(wp.static(places)):
-                    turn = (j + place + wp.static(places - reach)) % wp.static(places)
-                    around[place] = curvature_rows + wp.uint64(turn * wp.static(row_bytes)) + node
-                at = wp.uint64((j + 1) * wp.static(row_bytes)) + node
-                if factors.loaded[j + 1] != 0:
-                    move(
-                        p, move_x, move_x + node, rows, waves, summed, around, cosine + at, sine + at, u_plane + at,
-                        rates + at, sums + at,
-                    )
-                else:
-                    move_unloaded(
-                        p, move_x, move_x + node, rows, waves, summed, around, cosine + at, sine + at, u_plane + at,
-                        rates + at, sums + at,
-                    )
+                if j >= 1:
+                    rows = taps_of_row(factors.move_y, 0)
+                    if wp.static(effects.order == 4):
+                        rows = taps_of_row(factors.move_y, j)
+                    around = Rows()
+                    for place in range(wp.static(places)):
+                        turn = (j + place + wp.static(places - reach)) % wp.static(places)
+                        around[place] = curvature_rows + wp.uint64(turn * wp.static(row_bytes)) + node
+                    at = wp.uint64((j + 1) * wp.static(row_bytes)) + node
+                    if factors.loaded[j + 1] != 0:
+                        move(
+                            p, move_x, move_x + node, rows, waves, summed, around, cosine + at, sine + at, u_plane + at,
+                            rates + at, sums + at,
+                        )
+                    else:
+                        move_unloaded(
+                            p, move_x, move_x + node, rows, waves, summed, around, cosine + at, sine + at, u_plane + at,
+                            rates + at, sums + at,
+                        )
             for m in range(f.nodes.shape[0]):
                 node_at = (f.nodes[m, 0] * wp.static(nx) + f.nodes[m, 1]) * wp.static(lanes)
                 for lane in range(wp.min(wp.static(lanes), last - low)):
                     f.trace[low + lane, m, n] = plane_array(u_plane)[node_at + lane]
-        copy_out(u_plane, f.u, low, last)
-        copy_out(rates, f.rate, low, last)
-        copy_out(sums, f.squares, low, last)
+        copy_out(u_plane, f, low, last)
         restore_denormals(before)
 
     return run_steps
