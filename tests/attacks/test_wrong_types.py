@@ -93,9 +93,9 @@ def test_arguments_of_searches_and_pictures_of_wrong_types(wrong, result):
 def test_ranges_that_are_iterators(result):
     """A range is read once."""
     assert warp_plate.motion(result, frames=2, span=iter((0.001, 0.004)), device="cpu").span == (0.001, 0.004)
-    of_tuple = warp_plate.frf(SCENE, frequency_range=(100, 400)).frequencies
-    assert np.array_equal(warp_plate.frf(SCENE, frequency_range=iter((100, 400))).frequencies, of_tuple)
-    assert warp_plate.sound(SCENE, frequency_range=map(float, (100, 400))).frequencies[-1] == 400
+    of_tuple = warp_plate.frf(SCENE, frequency_range=(280, 300)).frequencies
+    assert np.array_equal(warp_plate.frf(SCENE, frequency_range=iter((280, 300))).frequencies, of_tuple)
+    assert warp_plate.sound(SCENE, frequency_range=map(float, (280, 300))).frequencies[-1] == 300
 
 
 @pytest.mark.parametrize("wrong", [*WRONG, (1, "a"), (1, 2, 3), 10**400, "ab"], ids=lambda value: type(value).__name__)

@@ -2,13 +2,14 @@
 
 import io
 import json
-from dataclasses import replace
+from types import SimpleNamespace
 
 from rich.console import Console
 
 from support.commands import error_of, output_of
-from warp_plate import Scene, specify
+from warp_plate import Scene
 from warp_plate.cli.specify import MOST_CASES, _print_tolerances
+from warp_plate.result.specified import Scatter
 
 
 def test_the_answer_is_printed_drawn_and_written(command, tmp_path):
@@ -45,9 +46,9 @@ def test_scenes_without_a_specification_and_files_of_others_are_refused(command,
 
 
 def test_the_worst_of_many_cases_are_printed():
-    answer = specify(Scene.load("console", ["specification.tolerance={gasket=0.1}", "specification.frequency=215.0"]))
-    many = [replace(answer.scatter[0], robust_db=-float(number)) for number in range(40)]
+    level = {"nominal_level": 1.0, "nominal_db": -9.0, "robust_level": 1.0, "best_db": -50.0, "met": True}
+    many = [Scatter(changes={"gasket": 1.1}, robust_db=-float(number), **level) for number in range(40)]
     text = io.StringIO()
-    _print_tolerances(replace(answer, scatter=many), Console(file=text, width=160))
+    _print_tolerances(SimpleNamespace(scatter=many, robust_frequency=215.0), Console(file=text, width=160))
     assert [f"-{number}.00" in text.getvalue() for number in (0, MOST_CASES - 1, MOST_CASES)] == [True, True, False]
     assert "28 better cases are left out" in text.getvalue()
