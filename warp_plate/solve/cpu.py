@@ -27,6 +27,9 @@ RELEASE = 2**30
 # group is used, by order. (Measured: a group of 16 takes as long as 13 single plates of 27 × 27, of fourth order as 8.)
 GROUP_BYTES = 2**20
 GROUP_FILL = {2: 0.85, 4: 0.5}
+# Node-steps of plates that could have run in groups before the kernel of groups is compiled, which takes half a second:
+# so many take 0.1 s one plate at a time, and two fifths less in groups.
+GROUP_WORK = 5e8
 # Lock for the one team that may run: its members wait for each other, so all must run at once.
 _TEAM = threading.Lock()
 # Address of the C function with which a thread yields its core.
@@ -85,7 +88,8 @@ def resident_path(specialized: Specialized) -> Advance:
     ny, stride, threads = specialized.scheme.nodes[1], specialized.stride, specialized.threads
     launch_single = _single_plates(specialized)
     lanes, fill = _lanes_of_groups(specialized), GROUP_FILL[specialized.scheme.order]
-    make_groups = cache(partial(_plate_groups, specialized, lanes))  # compiled when a run first fills a group
+    make_groups = cache(partial(_plate_groups, specialized, lanes))
+    work = 0.0  # node-steps of plates that could run in groups
 
     def in_groups(plates: int) -> int:
         """Return how many of a thread's plates run in groups, which are full enough; the rest run singly."""
@@ -103,8 +107,10 @@ def resident_path(specialized: Specialized) -> Advance:
                     run_concurrently(calls, partial(arrived.fill_, RELEASE))
             return
 
-        largest_share = -(-plates // threads)
-        launch_groups = make_groups() if in_groups(largest_share) and not state.has_plate_waves else None
+        nonlocal work
+        grouped_share = 0 if state.has_plate_waves else in_groups(-(-plates // threads))
+        work += threads * grouped_share * ny * stride * (stop - start)
+        launch_groups = make_groups() if grouped_share and work >= GROUP_WORK else None
 
         def run_share(thread: int, first: int, last: int) -> None:
             grouped = first
