@@ -252,6 +252,14 @@ def test_progress_says_what_is_done(monkeypatch, accuracy, first):
     assert "running the drives found" in seen[2]
 
 
+def test_check_says_what_it_does(monkeypatch, command):
+    stream = Terminal()
+    monkeypatch.setattr(sys, "stderr", stream)
+    monkeypatch.setenv("TERM", "xterm")
+    command("check", "paper", "--device", "cpu")
+    assert "choosing the engine and checking" in stream.getvalue()
+
+
 # --set ---------------------------------------------------------------------------------------------
 
 

@@ -31,7 +31,7 @@ def check(
     from warp_plate.resolve import resolve
 
     loaded, scene = changes.load(scene)
-    with output.scene_errors(scene):
+    with output.scene_errors(scene), output.progress_bar("choosing the engine and checking", shown=not json):
         resolved = resolve(loaded, device, purpose="check", allow_unstable=allow_unstable)
         report = check_scene(resolved.scene, device, allow_unstable, resolved.by_modes)
         costs = costs_of(loaded, resolved)
