@@ -27,8 +27,11 @@ from warp_plate.kernels.update import (
     make_update,
 )
 
-# As in the plain plate of second order, but for the warps that share a multiprocessor, which need fewer registers.
-REACH, ROUND, WARPS = temporal_blocking.REACH[2], temporal_blocking.ROUND[2], {wp.float32: 12, wp.float64: 8}
+# As in the plain plate of second order.
+REACH, ROUND = temporal_blocking.REACH[2], temporal_blocking.ROUND[2]
+# Warps that share a multiprocessor: fewer, with more registers, where several steps' rows and the coefficients of inner
+# rows are held, and in float64.
+WARPS, FEWER_WARPS = 12, 8
 # Threads of a block, whose warps are independent.
 BLOCK = 128
 
@@ -44,11 +47,18 @@ def plane_width(effects, nx, levels):
     return strips(nx, margin) * (LANES * COLUMNS - 2 * margin) + 2 * margin
 
 
+def rows_alike(planes):
+    """Return whether the rows (planes, ny, nx) that count as inner ones are the same in each material plane."""
+    inner = planes[:, 1:-3]
+    return inner.shape[1] > 0 and bool((inner == inner[:, :1]).all())
+
+
 @cache
-def make_advance_tiles(effects, real, nx, ny, stride, planes, levels, summed):
+def make_advance_tiles(effects, real, nx, ny, stride, planes, alike, levels, summed):
     """Make the kernel of ``levels`` steps, in the window if ``summed``; launch over (plates · strips · tiles · 32,).
 
-    ``planes`` are the names of the material planes, see ``plans``.
+    ``planes`` are the names of the material planes, see ``plans``; ``alike`` is true if they vary along y only near the
+    edges, see ``rows_alike``. Lanes then hold the coefficients of inner rows in registers.
     """
     update, add_local_forces = make_update(effects, real), make_add_local_forces(effects, real)
     membrane_tension = make_membrane_tension(real)
@@ -58,18 +68,35 @@ def make_advance_tiles(effects, real, nx, ny, stride, planes, levels, summed):
     columns, margin, strip_count = COLUMNS, margin_of(effects, levels), strips(nx, margin_of(effects, levels))
     useful, width = LANES * columns - 2 * margin, plane_width(effects, nx, levels) // columns
     at_plane = {name: index * (ny + 2 + 4 * margin) * width for index, name in enumerate(planes)}
+    middle_row = (ny // 2 + 2 * margin) * width  # index of a row in the middle of a plane
     read_row, write_row, row_at = make_row_access(real, ny, stride)
     read_pair = make_pairs(real)[0]
     Row = wp.types.vector(length=columns, dtype=real)
     Rows = wp.types.matrix(shape=(levels * ROUND, columns), dtype=real)
     Round = wp.types.matrix(shape=(ROUND, columns), dtype=real)
     Levels = wp.types.vector(length=levels, dtype=real)
+    Inner = wp.types.matrix(shape=(len(planes) if alike else 1, columns), dtype=real)
     strained = effects.retarded
+    warps = FEWER_WARPS if real is wp.float64 or (alike and levels > 1) else WARPS
 
     @wp.func
     def read_material(lane: wp.uint64, at: int):
         """Read the lane's columns of a material plane, of which ``at`` counts pairs of columns."""
         return read_pair(lane + wp.uint64(at * wp.static(columns * size)))
+
+    @cache
+    def reader(name, plain):
+        """Make a function that returns the lane's columns of a plane, at index ``at`` of its rows."""
+
+        @wp.func
+        def inner_coefficient(inner: Inner, lane: wp.uint64, at: int):
+            return inner[wp.static(planes.index(name))]
+
+        @wp.func
+        def coefficient(inner: Inner, lane: wp.uint64, at: int):
+            return read_material(lane, at + wp.static(at_plane[name]))
+
+        return inner_coefficient if alike and plain else coefficient
 
     @wp.func
     def sum_of_neighbours(row: Row, from_west: real, from_east: real, west: Row, east: Row):
@@ -86,7 +113,7 @@ def make_advance_tiles(effects, real, nx, ny, stride, planes, levels, summed):
             total += from_lane(total, lane ^ (1 << power))
         return total
 
-    @cuda_kernel(most_registers(WARPS[real]), max_unroll=32)
+    @cuda_kernel(most_registers(warps), max_unroll=32)
     def advance_tiles(
         # parameters
         p: Material,
@@ -128,6 +155,11 @@ def make_advance_tiles(effects, real, nx, ny, stride, planes, levels, summed):
                 twice[c] = p.root_aspect * wp.where(x0 + c == 0 or x0 + c == wp.static(nx - 1), real(2.0), real(1.0))
         lane_at = (x0 + wp.static(margin)) // wp.static(columns)
         lane_material = material.ptr + wp.uint64(lane_at * wp.static(columns * size))
+        inner = Inner()
+        if wp.static(alike):
+            for plane in range(wp.static(len(planes))):
+                at_middle = wp.static(middle_row + plane * (ny + 2 + 4 * margin) * width)
+                inner[plane] = read_material(lane_material, at_middle)
         column = wp.min(wp.max(x0, 0), wp.static((nx - 1) // columns * columns))
         field = wp.int64(k) * wp.int64(wp.static((ny + 2) * stride)) + wp.int64(column)
         part = wp.uint64(field) * wp.uint64(wp.static(size))
@@ -240,10 +272,10 @@ def make_advance_tiles(effects, real, nx, ny, stride, planes, levels, summed):
                             below = window_strained[third]
                             from_east = from_lane(centre[0], lane + 1)
                             along_x = sum_of_neighbours(centre, from_lane(centre[1], lane - 1), from_east, west, east)
-                            bend_xx = read_material(lane_material, next_at + wp.static(at_plane["bend_xx"]))
-                            bend_xy = read_material(lane_material, next_at + wp.static(at_plane["bend_xy"]))
-                            bend_yy = read_material(lane_material, next_at + wp.static(at_plane["bend_yy"]))
-                            rigidity = read_material(lane_material, here_at + wp.static(at_plane["twist"]))
+                            bend_xx = wp.static(reader("bend_xx", body == 0))(inner, lane_material, next_at)
+                            bend_xy = wp.static(reader("bend_xy", body == 0))(inner, lane_material, next_at)
+                            bend_yy = wp.static(reader("bend_yy", body == 0))(inner, lane_material, next_at)
+                            rigidity = wp.static(reader("twist", body == 0))(inner, lane_material, here_at)
                             mx = Row()
                             my = Row()
                             twist = Row()
@@ -288,13 +320,13 @@ def make_advance_tiles(effects, real, nx, ny, stride, planes, levels, summed):
                                     membrane[c] = fused(
                                         p.aspect * p.stretch_ratio, u_yy, along[c] - real(2.0) * middle[c]
                                     )
-                            inverse_mass = read_material(lane_material, here_at + wp.static(at_plane["inverse_mass"]))
+                            inverse_mass = wp.static(reader("inverse_mass", body == 0))(inner, lane_material, here_at)
                             decay = Row()
                             if wp.static(effects.damping):
-                                decay = read_material(lane_material, here_at + wp.static(at_plane["decay"]))
+                                decay = wp.static(reader("decay", body == 0))(inner, lane_material, here_at)
                             spring = Row()
                             if wp.static(effects.springs):
-                                spring = read_material(lane_material, here_at + wp.static(at_plane["spring"]))
+                                spring = wp.static(reader("spring", body == 0))(inner, lane_material, here_at)
                             stepped = Row()
                             stepped_rate = Row()
                             for c in range(wp.static(columns)):
@@ -327,8 +359,8 @@ def make_advance_tiles(effects, real, nx, ny, stride, planes, levels, summed):
                             from_west = from_lane(u_row[1], lane - 1)
                             along = sum_of_neighbours(u_row, from_west, from_lane(u_row[0], lane + 1), west, east)
                             south = wp.where(row == 1, real(0.0), wp.where(row == wp.static(ny), real(2.0), real(1.0)))
-                            weight_at = wp.static(at_plane["weight"] + (margin + phase - REACH - 1) * width)
-                            weight = read_material(lane_material, material_at + weight_at)
+                            weight_at = material_at + wp.static((margin + phase - REACH - 1) * width)
+                            weight = wp.static(reader("weight", body == 0))(inner, lane_material, weight_at)
                             for c in range(wp.static(columns)):
                                 neighbours = fused(
                                     south, new_rows[wp.static((phase + 1) % ROUND), c], (real(2.0) - south) * above[c]

@@ -71,8 +71,10 @@ def cuda_factories(effects, real):
             assert plan.on_chip == bool(plan.in_registers) == (nx < HUGE[0])
             yield moment_form_cuda.make_run_steps, effects, real, nx, ny, stride, oscillators, plan, coils
         planes = plans.material_planes(effects)
-        for levels, summed in ((1, True), (1, False)) if effects.membrane else ((2, True), (3, True), (1, False)):
-            yield moment_form_blocking.make_advance_tiles, effects, real, *LARGE, planes, levels, summed
+        all_levels = ((1, True), (1, False)) if effects.membrane else ((2, True), (3, True), (1, False))
+        for index, (levels, summed) in enumerate(all_levels):
+            alike = index % 2 == 1
+            yield moment_form_blocking.make_advance_tiles, effects, real, *LARGE, planes, alike, levels, summed
         return
     yield streaming.make_compute_curvature, effects, real
     yield streaming.make_update_nodes, effects, real

@@ -46,13 +46,14 @@ def random_drive(random, end, frequency):
 def test_random_mixes(device, path, number, scene, random, phasors):
     """Every grid in both precisions, near the limit, with other effects each time; every third mix stretches.
 
-    The last four are large plates without the effects that act on patches at every step.
+    The last four are large plates without the effects that act on patches at every step; the last two are uniform.
     """
     nodes, size = GRIDS[number % len(GRIDS)] if number < 20 else LARGE
     precision, stretching = ("float64", "float32")[number % 2], number % 3 == 2
     asked = {"effects": random_effects(random, size, stretching), "edges": [random_edge(random) for _ in range(4)]}
-    if number >= 20:
-        asked["effects"] = {k: v for k, v in asked["effects"].items() if k not in ("oscillators", "moving_load")}
+    left_out = {"oscillators", "moving_load"} if number >= 20 else set()
+    left_out |= {"layers", "variation"} if number >= 22 else set()
+    asked["effects"] = {name: table for name, table in asked["effects"].items() if name not in left_out}
     asked["actuators"] = [random_area(random, size) for _ in range(3)]
     asked["load"] = ("overlap", "moments")[random.integers(2)]
     step = random.uniform(0.5, 0.9) * make_scheme(scene(nodes, size, **asked)).limit

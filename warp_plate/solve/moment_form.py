@@ -90,17 +90,17 @@ def streaming_path(specialized: Specialized) -> Advance:
     effects, real, (nx, ny) = specialized.effects, specialized.real, specialized.scheme.nodes
     # More steps per launch than this cost registers that there are not; a membrane needs a sum before each step.
     most_levels = 1 if effects.membrane or real is wp.float64 else 2 if effects.retarded else 3
-    names = plans.material_planes(effects)
+    names, material = plans.material_planes(effects), make_material(specialized)
+    planes = np.stack([_material_plane(material, name) for name in names])
+    alike = moment_form_blocking.rows_alike(planes)
     kernels = {
         (levels, summed): moment_form_blocking.make_advance_tiles(
-            effects, real, nx, ny, specialized.stride, names, levels, summed
+            effects, real, nx, ny, specialized.stride, names, alike, levels, summed
         )
         for levels in (1, most_levels)
         for summed in (False, True)
     }
     specialized.load(*kernels.values(), block_dim=moment_form_blocking.BLOCK)
-    material = make_material(specialized)
-    planes = np.stack([_material_plane(material, name) for name in names])
     constants = {levels: [material, *_planes_of_lanes(specialized, planes, levels)] for levels in (1, most_levels)}
 
     # Sums must not depend on the number of plates.
