@@ -23,9 +23,13 @@ MATERIAL_PLANES = (
     "inverse_mass", "bend_xx", "bend_xy", "bend_yy", "twist", "decay", "spring", "weight", "pressure_gain", "centre_x",
     "centre_y",
 )  # fmt: skip
-# Planes that save most when held in registers, best first. centre_force: the share of the force on a node by its own
-# moments and the cell to its upper right.
-REGISTERS_FIRST = ("rate", "squares", "centre_force", "u")
+# Planes that save most when held in registers, best first; membrane_curvature has no other place on the chip where
+# plates are large. Of threads with many nodes only these: more is spilled to memory.
+REGISTERS_FIRST = ("rate", "squares", "membrane_curvature")
+MANY_NODES = 8
+# Planes that shared memory holds as well. centre_force: the share of the force on a node by its own moments and the
+# cell to its upper right.
+REGISTERS_NEXT = ("centre_force", "u")
 # Registers for addresses, neighbours and the like.
 OVERHEAD_REGISTERS = 30
 # Most nodes of a thread that are unrolled.
@@ -210,11 +214,13 @@ def plan_block(nx, ny, real, effects, attached, few, shared_bytes):
     if few and not (effects.membrane or effects.attached or effects.coils):
         threads, blocks = LANES * min(32, warps), 1
     else:
-        threads = LANES * min(32, -(-warps // (3 if warps <= 3 * 12 else 6)))
+        threads = LANES * min(32, -(-warps // 6))
         blocks = max(1, 1024 // (words * threads))
     nodes = -(-nx * ny // threads)
     registers = most_registers(-(-threads // LANES) * blocks)
-    wanted = [*REGISTERS_FIRST, *(["membrane_curvature"] if effects.membrane else []), *material_planes(effects)]
+    wanted = [name for name in REGISTERS_FIRST if name != "membrane_curvature" or effects.membrane]
+    if nodes <= MANY_NODES:
+        wanted += [*REGISTERS_NEXT, *material_planes(effects)]
     most = max(0, registers - OVERHEAD_REGISTERS) // (words * nodes) if nodes <= MOST_UNROLLED else 0
     in_registers = tuple(wanted[:most])
     block = BlockPlan(threads, nodes, in_registers, workspace_planes(effects, in_registers), True, registers)
