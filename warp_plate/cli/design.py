@@ -114,7 +114,7 @@ def _as_json(name: str, panel: DesignedPanel) -> dict[str, object]:
         "after": vars(panel.after),
         "history": panel.history,
         "numbers": dict(zip(panel.keys, panel.values, strict=True)),
-        **output.attributes(panel, "evaluations", "interrupted"),
+        **output.attributes(panel, "evaluations", "interrupted", "left_out", "relaxed", "ceiling"),
     }
     if panel.check is not None:
         record["check"] = {**vars(panel.check), "agrees": panel.check.agrees}
@@ -141,6 +141,12 @@ def _print(name: str, panel: DesignedPanel, console: Console) -> None:
     if panel.thickness is not None:
         low, high = 1e3 * panel.thickness.min(), 1e3 * panel.thickness.max()
         console.print(f"thickness from {low:.4g} to {high:.4g} mm")
+    if panel.left_out:
+        console.print(f"left out: {', '.join(panel.left_out)}")
+    if panel.relaxed is not None:
+        console.print(f"largest value with all candidates, no bound: {panel.relaxed:.4g}")
+    if panel.ceiling is not None:
+        console.print(f"no panel of these places exceeds a localization factor of {panel.ceiling:.4f}")
     if panel.after.excess:
         both = panel.before.excess, panel.after.excess
         parts = [[name, *(f"{max(100 * excess[name], 0):.3g}" for excess in both)] for name in panel.after.excess]

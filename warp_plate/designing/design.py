@@ -22,6 +22,7 @@ import numpy as np
 import scipy
 
 from warp_plate._version import __version__
+from warp_plate.designing.candidates import Candidates, ceiling, without
 from warp_plate.designing.confirm import check_by_steps
 from warp_plate.designing.panel import MARGIN, FreePanel, Value
 from warp_plate.interrupts import check_interrupt, deferred_interrupts
@@ -45,6 +46,8 @@ class Climb:
     least: float | None = None  # value there; None if no panel has kept the limits
     history: list[float] = field(default_factory=list)  # value of the best after each iteration, once there is one
     evaluations: int = 0
+    left_out: list[str] = field(default_factory=list)  # tables that ``[design.count]`` leaves out of the numbers
+    relaxed: float | None = None  # value with all of them
 
 
 def design(
@@ -68,17 +71,21 @@ def design(
     """
     loaded = Scene.load(scene)
     panel = FreePanel(loaded)
-    before = panel.exact(loaded.model_copy(update={"design": None}))
+    candidates = Candidates(panel)
+    before = candidates.counted(panel.exact(loaded.model_copy(update={"design": None})), ())
     file = None if unfinished is None else Path(unfinished)
     digest = _digest(loaded)
-    climbs = [] if file is None else _read(file, digest, panel.count)
+    climbs = [] if file is None else _read(file, digest, panel, candidates)
     interrupted, settings = False, panel.design
     try:
         with deferred_interrupts():
             for index in range(len(climbs), settings.starts):
                 climb = Climb(_start(panel, index).tolist())
                 climbs.append(climb)
-                _climb(panel, climb, partial(_report, on_progress, panel, climbs))
+                report = partial(_report, on_progress, panel, climbs)
+                if settings.count:
+                    _choose(panel, candidates, climb, report)
+                _climb(_panel_of(panel, climb), climb, report)
                 if file is not None:
                     _write(file, digest, climbs)
     except KeyboardInterrupt:
@@ -93,17 +100,20 @@ def design(
         keys=panel.keys,
         values=panel.values(panel.start()),
         evaluations=sum(climb.evaluations for climb in climbs),
+        relaxed=panel.shown(max(relaxed)) if (relaxed := [one.relaxed for one in climbs if one.relaxed]) else None,
+        ceiling=ceiling(loaded),
         interrupted=interrupted,
     )
     for climb in sorted(climbs, key=lambda climb: -_value(climb)):
-        best = np.array(climb.numbers)
-        designed = panel.scene_at(best)
-        after = panel.exact(designed)
+        best, own = np.array(climb.numbers), _panel_of(panel, climb)
+        designed = own.scene_at(best)
+        after = candidates.counted(own.exact(designed), climb.left_out)
         better = after.value < before.value if settings.lowers else after.value > before.value
         if after.kept and (better or not before.kept):
-            result = replace(result, scene=designed, after=after, values=panel.values(best))
+            result = replace(result, scene=designed, after=after, keys=own.keys, values=own.values(best))
+            result = replace(result, left_out=tuple(climb.left_out))
             break
-        if not settings.limits.given:  # the others have lower values
+        if not (settings.limits.given or settings.count):  # the others have lower values
             break
     if check and result.improved and not interrupted:
         result = replace(result, check=check_by_steps(result.scene, settings))
@@ -117,6 +127,26 @@ def _start(panel: FreePanel, index: int) -> np.ndarray:
 
 def _value(climb: Climb) -> float:
     return -math.inf if climb.least is None else climb.least
+
+
+def _panel_of(panel: FreePanel, climb: Climb) -> FreePanel:
+    """Return the panel whose numbers a climb has."""
+    return FreePanel(without(panel.scene, climb.left_out)) if climb.left_out else panel
+
+
+def _choose(panel: FreePanel, candidates: Candidates, climb: Climb, report: Callable[[int], None]) -> None:
+    """Search with all candidates, and leave those out that pass the count; ``climb`` then begins with the others."""
+
+    def value(numbers: np.ndarray) -> float:
+        check_interrupt()
+        climb.evaluations += 1
+        return panel.evaluate(numbers).least
+
+    _climb(panel, climb, report)
+    numbers = np.array(climb.numbers)
+    climb.left_out, climb.relaxed = candidates.left_out(numbers, value), climb.least
+    climb.numbers = candidates.kept(numbers, climb.left_out).tolist()
+    climb.least, climb.history = None, []
 
 
 def _climb(panel: FreePanel, climb: Climb, report: Callable[[int], None]) -> None:
@@ -155,7 +185,9 @@ def _climb(panel: FreePanel, climb: Climb, report: Callable[[int], None]) -> Non
         limits = {"type": "ineq", "fun": lambda x: -at(x).excess, "jac": lambda x: -at(x).excess_slopes}
         keys = {"method": "SLSQP", "constraints": [limits]}
     bounds = [(0.0, 1.0)] * panel.count
-    scipy.optimize.minimize(loss, start, jac=True, bounds=bounds, callback=iterated, options=options, **keys)
+    found = scipy.optimize.minimize(loss, start, jac=True, bounds=bounds, callback=iterated, options=options, **keys)
+    if climb.least is None:
+        climb.numbers = np.clip(found.x, 0, 1).tolist()
     note()
 
 
@@ -180,7 +212,7 @@ def _write(file: Path, digest: str, climbs: Sequence[Climb]) -> None:
         logging.getLogger("warp_plate").warning("%s; continuing without", error)
 
 
-def _read(file: Path, digest: str, count: int) -> list[Climb]:
+def _read(file: Path, digest: str, panel: FreePanel, candidates: Candidates) -> list[Climb]:
     """Return the finished starts of a file; none if there is no file, or one of another search."""
     if not file.exists():
         return []
@@ -191,7 +223,11 @@ def _read(file: Path, digest: str, count: int) -> list[Climb]:
         climbs = [Climb(**row) for row in record["starts"]]
         for climb in climbs:
             least = [] if climb.least is None and not climb.history else [climb.least]  # limits that no panel kept
-            every = np.array([*climb.numbers, *climb.history, *least, climb.evaluations])
+            if not candidates.allow(climb.left_out):
+                raise ValueError("left out")
+            count = _panel_of(panel, climb).count
+            relaxed = [] if climb.relaxed is None else [climb.relaxed]
+            every = np.array([*climb.numbers, *climb.history, *least, *relaxed, climb.evaluations])
             free = every[: len(climb.numbers)]
             within = len(free) == count and every.dtype.kind == "f" and ((free >= 0) & (free <= 1)).all()
             if not (within and np.isfinite(every).all()):

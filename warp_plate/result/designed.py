@@ -59,6 +59,9 @@ class DesignedPanel:
     keys: tuple[str, ...]  # (n,) keys of the free numbers and places
     values: tuple[float, ...]  # (n,) their values in the designed scene; of places the middle
     evaluations: int  # number of panels that were solved for, cases of tolerances and frequencies not counted
+    left_out: tuple[str, ...] = ()  # keys in the original of the tables that ``[design.count]`` leaves out
+    relaxed: float | None = None  # largest value of panels with all candidates of it, no bound; None without
+    ceiling: float | None = None  # proved bound on the localization factor of all panels; None where none is known
     interrupted: bool = False  # True if the search ended before its last start
     check: StepCheck | None = None  # the designed panel in time steps; None if that was not asked for
 

@@ -219,6 +219,13 @@ class Design(Table):
         Field(default_factory=dict, examples=[{"actuators[0]": [0.0, 0.1, 0.0, 0.2]}]),
     ]
     """Rectangles x0, x1, y0, y1 within which actuators, layers and oscillators move, by their keys."""
+    count: Annotated[
+        dict[str, Annotated[int, Field(ge=1)]],
+        BeforeValidator(flat_keys),
+        Field(default_factory=dict, examples=[{"effects.oscillators": 4}]),
+    ]
+    """Largest number of tables of a list that stay, of those whose mass, or of layers thickness, is free; the others
+    are left out."""
     frequencies: Annotated[
         tuple[Positive, ...] | None, Unit("Hz"), Field(min_length=1, max_length=16, examples=[[280.0, 300.0]])
     ] = None
