@@ -36,6 +36,10 @@ class Candidates:
         self.panel, self.most = panel, panel.design.count
         places = {key: index for index, key in enumerate(panel.keys)}
         self._places: dict[str, dict[str, int]] = {}
+        if self.most and panel.design.limits.modes:
+            raise SceneError(
+                "design.count: not with design.limits.modes, whose modes are those of all tables; delete one"
+            )
         regions = panel.scene.effects.regions
         for name in self.most:
             tables = [key for key in regions if key.startswith(f"{name}[")]

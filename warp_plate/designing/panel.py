@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from warp_plate.designing.functions import PanelFunctions
+from warp_plate.designing.mode_names import NamedModes
 from warp_plate.designing.numbers import NumberSlopes, PanelSlopes, panel_mass
 from warp_plate.designing.objectives import check_steady, judge, largest, limits, shown, uses_sound
 from warp_plate.designing.thickness import ThicknessMap
@@ -267,6 +268,17 @@ class FreePanel:
                     excess = passed.max() + math.log(weights.sum()) / STEEPNESS
                     yield excess, adjoint.frequency_slopes(near, sign * ratios * weights / weights.sum()), 0.0
 
+        places = self._named.among(adjoint.plate.space, adjoint.shapes)
+        for (low, high), at in zip(limits.modes.values(), places, strict=True):
+            for sign, end in ((-1, low * (1 + MARGIN)), (1, high * (1 - MARGIN))):
+                ratio = float(adjoint.natural[at] / end)
+                yield sign * (ratio - 1), adjoint.frequency_slopes(np.array([at]), np.array([sign * ratio])), 0.0
+
+    @cached_property
+    def _named(self) -> NamedModes:
+        """Modes of the scene whose frequencies are limited."""
+        return NamedModes(self.scene, map(int, self.design.limits.modes))
+
     def _by_numbers(self, of: NumberSlopes, numbers: np.ndarray, case: Mapping[str, float]) -> np.ndarray:
         """Return the slopes (n, count) by free numbers (count,) in a case of n numbers with slopes by the panel."""
         slopes, rows = np.zeros((len(of.of_fields), self.count)), dict(of.scene.effects.rows)
@@ -333,6 +345,10 @@ class FreePanel:
             (low, high), natural = given.gap, nominal.plate.frequencies
             inside = np.minimum(natural / low - 1, 1 - natural / high)
             excess["gap"] = float(inside.max())
+        plate = nominal.plate
+        places = self._named.among(plate.space, plate.vectors)
+        for (number, (low, high)), at in zip(given.modes.items(), places, strict=True):
+            excess[f"mode {number}"] = float(max(1 - plate.frequencies[at] / low, plate.frequencies[at] / high - 1))
         return PanelValues(bound, self.shown(min(values)), excess)
 
     def _forms(self, scene: Scene) -> PlateForms:

@@ -173,6 +173,11 @@ class DesignLimits(Table):
     """Largest mean power that the scene's drive feeds, of coils the electrical one, in a steady state."""
     gap: Annotated[tuple[Positive, Positive] | None, Unit("Hz"), Field(examples=[[250.0, 330.0]])] = None
     """Lowest and highest frequency of a band without natural frequencies."""
+    modes: Annotated[dict[Annotated[str, Field(pattern=r"^[1-9]\d{0,2}$")], tuple[Positive, Positive]], Unit("Hz")] = (
+        Field(default_factory=dict, examples=[{"3": [240.0, 260.0]}])
+    )
+    """Lowest and highest natural frequency of modes by their numbers in the scene, from 1 on; in other panels a mode is
+    the one with the most similar shape."""
 
     @property
     def given(self) -> bool:
@@ -183,6 +188,9 @@ class DesignLimits(Table):
     def _ordered(self) -> Self:
         if self.gap is not None and self.gap[0] >= self.gap[1]:
             raise ValueError(f"gap: {list(self.gap)}: the lowest frequency comes first, and they differ")
+        for number, (low, high) in self.modes.items():
+            if low >= high:
+                raise ValueError(f"modes: {number} = {[low, high]}: the lowest frequency comes first, and they differ")
         return self
 
 

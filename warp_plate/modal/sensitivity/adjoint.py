@@ -165,6 +165,11 @@ class EnergyAdjoint(PlateForms):
         return np.asarray(np.sqrt(np.maximum(self._squares, 0)) / (2 * math.pi))
 
     @property
+    def shapes(self) -> np.ndarray:
+        """(unknowns, modes) shapes of the undamped plate at its ``natural`` frequencies."""
+        return self._vectors
+
+    @property
     def without_slopes(self) -> PlateMatrices:
         """Slopes of 0 by all entries."""
         all_of = self._all
