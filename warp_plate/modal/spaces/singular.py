@@ -65,7 +65,7 @@ class Singular:
         for start in range(0, x.size, BLOCK):
             some = slice(start, start + BLOCK)
             place = (x[some] - self.origin[0] + 1j * (y[some] - self.origin[1])) * np.exp(-1j * self.turn)
-            near = np.flatnonzero(np.abs(place) < self.reach)
+            near = slice(None) if math.isinf(self.reach) else np.flatnonzero(np.abs(place) < self.reach)
             axis, *derivatives = self.local(place[near])
             axis = axis * np.exp(1j * self.turn)
             c, s = axis.real, axis.imag
