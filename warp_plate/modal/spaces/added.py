@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from warp_plate.modal.spaces.singular import (
+    NOTCH,
     Singular,
     along_line,
     along_ring,
@@ -26,10 +27,10 @@ from warp_plate.scene.model import Scene
 from warp_plate.scene.outline import Support
 
 # Functions along a line besides one for each interval, and waves for each interval of a ring.
-LINE_FUNCTIONS, RING_WAVES = 4, 0.35
-# About so many functions a corner and a round hole take; if more are needed than the third, knots nearer to each other
-# cost less. At most as many as the last with those about slots.
-CORNER_FUNCTIONS, HOLE_FUNCTIONS, MOST_FUNCTIONS, MOST_WITH_SLOTS = 6, 24, 250, 300
+LINE_FUNCTIONS, RING_WAVES = 8, 0.35
+# About so many functions a corner, a notch and a round hole take; if more are needed than the fourth, knots nearer to
+# each other cost less. At most as many as the last with those about slots.
+CORNER_FUNCTIONS, NOTCH_FUNCTIONS, HOLE_FUNCTIONS, MOST_FUNCTIONS, MOST_WITH_SLOTS = 6, 36, 24, 250, 300
 
 
 def added_functions(scene: Scene, interval: float) -> tuple[Singular, ...]:
@@ -60,8 +61,9 @@ def slots_of(outline: Outline) -> tuple[tuple[Piece, ...], ...]:
 def _functions(outline: Outline, slots: tuple[tuple[Piece, ...], ...]) -> int:
     """Return about the number of functions that are added at corners and round holes but for some holes."""
     rest = Outline(tuple(loop for loop in outline.loops if loop not in slots))
-    corners, holes = sum(is_singular(*corner) for corner in rest.corners()), sum(map(is_round, rest.loops[1:]))
-    return CORNER_FUNCTIONS * corners + HOLE_FUNCTIONS * holes
+    corners = (angle for before, after, angle in rest.corners() if is_singular(before, after, angle))
+    at_corners = sum(NOTCH_FUNCTIONS if angle > NOTCH else CORNER_FUNCTIONS for angle in corners)
+    return at_corners + HOLE_FUNCTIONS * sum(map(is_round, rest.loops[1:]))
 
 
 @lru_cache
@@ -81,7 +83,7 @@ def _added(outline: Outline, supports: tuple[Support, ...], ratio: float, interv
             functions.append(along_ring(ring, math.ceil(RING_WAVES * ring.length / interval) + 1))
         elif support.line is not None:
             ends = np.array(support.line)
-            count = math.ceil(math.dist(*ends) / interval) + LINE_FUNCTIONS
+            count = line_functions(math.dist(*ends), interval)
             functions.append(along_line(ends, [not on_edge(outline, end) for end in ends], count, outline, interval))
         elif not on_edge(outline, point := np.array(support.point)):
             functions.append(at_point(point, interval))
@@ -91,6 +93,11 @@ def _added(outline: Outline, supports: tuple[Support, ...], ratio: float, interv
         elif loop in slots:
             functions += around_slot(outline, loop, interval)
     return tuple(function for function in functions if function is not None)
+
+
+def line_functions(length: float, interval: float) -> int:
+    """Return the number of functions about a line support of a length [m]."""
+    return math.ceil(length / interval) + LINE_FUNCTIONS
 
 
 def ties_banks(scene: Scene) -> bool:

@@ -1,24 +1,27 @@
 """Polynomials and waves along edges, with which moments of the displacement and slope vanish there.
 
 An edge is divided into parts of a few intervals. Each has Legendre polynomials, one for each interval and a few more;
-round holes about which functions are added have waves.
+round holes about which functions are added have waves. Line supports that end on the plate have their own forces, those
+of the functions that are added about them: more conditions would hold what splines cannot follow, and polynomials miss
+forces that grow without bound at an end.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
 import scipy
 from numpy.polynomial import legendre
 
+from warp_plate.modal.spaces.added import line_functions
 from warp_plate.modal.spaces.chords import LocalSplines
-from warp_plate.modal.spaces.singular import STRAIGHT
+from warp_plate.modal.spaces.singular import STRAIGHT, is_round, laurent_orders, on_edge
 from warp_plate.modal.spaces.splines import gauss
 from warp_plate.outline.outline import Outline
-from warp_plate.outline.pieces import Arc, Piece
+from warp_plate.outline.pieces import Arc, Piece, Straight
 
 # An edge is divided into parts of about so many intervals; polynomials of a part beyond one for each interval. Where
 # the curvature of an edge jumps, and at wide supported corners [rad], motions are not smooth along it, and so many
@@ -28,33 +31,94 @@ PART_INTERVALS, FURTHER, WIDE = 6, 2, 0.6 * np.pi
 EIGHTHS = np.linspace(0, 1, 9)
 # Singular values of the moments below this part of the largest are those of moments that depend on the others.
 MOMENTS = 1e-4
+# Points of Gauss's rule between crossings of knots along lines that end on the plate, beyond the splines' degree.
+TIP_POINTS = 6
 # Points in which the intervals along a piece are counted.
 SAMPLES = 2001
+# Points (points, 2) [m], or their parameters (points,) along a piece; functions (points, n) times weights; and vectors
+# (points, 2) along which the slope is taken, None for the displacement.
+Moments = tuple[np.ndarray, np.ndarray, np.ndarray | None]
 
 
-def moments(
+def conditions(
+    outline: Outline, pieces: Sequence[Piece], local: tuple[LocalSplines, LocalSplines], interval: float, added: bool
+) -> Iterator[Moments]:
+    """Yield what vanishes along the pieces of an outline and its supports, for splines of an interval [m] with or
+    without ``added`` functions."""
+    further = dict(further_polynomials(outline))
+    for piece in pieces:
+        inner = [added and not on_edge(outline, end) for end in (piece.start, piece.end)] if _is_line(piece) else []
+        if any(inner):
+            moments = tip_moments(piece, local, inner, line_functions(piece.length, interval))
+        else:
+            hole, orders = (piece,), None
+            if added and hole in outline.loops[1:] and is_round(hole):
+                orders = laurent_orders(hole[0].least_radius, interval)
+            moments = edge_moments(piece, local, further.get(piece, FURTHER), orders)
+        for at, functions, along in moments:
+            yield piece.points(at), functions, along
+
+
+def _is_line(piece: Piece) -> bool:
+    """Return whether a piece is a rigid line support."""
+    return isinstance(piece, Straight) and piece.edge.startswith("supports") and piece.condition == "supported"
+
+
+def edge_moments(
     piece: Piece, local: tuple[LocalSplines, LocalSplines], further: int, orders: int | None = None
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield the parameters (points,) of Gauss's rule along each part of a piece, and functions (points, n) times its
-    weights: polynomials, ``further`` ones than intervals, or waves of at least so many ``orders``."""
+) -> Iterator[Moments]:
+    """Yield what vanishes along a clamped or supported piece: moments with polynomials on each part of it, ``further``
+    ones than intervals, or with waves of at least so many ``orders``, and the displacement of its ends."""
+    if piece.condition not in ("clamped", "supported"):
+        return
+    if not piece.closed:
+        yield np.array([0.0, 1.0]), np.eye(2), None
     t = np.linspace(0, 1, SAMPLES)
     points = piece.points(t)
     middle, steps = (points[1:] + points[:-1]) / 2, np.abs(np.diff(points, axis=0))
     sizes = [np.diff(side.breaks)[side.interval(middle[:, axis])] for axis, side in enumerate(local)]
     passed = np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0] / sizes[0], steps[:, 1] / sizes[1]))])
-    if orders is not None:
-        at, weights = edge_rule(piece, local, 0.0, 1.0)
-        waves = 2 * np.pi * np.outer(at, np.arange(1, max(orders, math.ceil(passed[-1] / 2)) + 1))
-        functions = np.hstack([np.ones((at.size, 1)), np.sqrt(2) * np.cos(waves), np.sqrt(2) * np.sin(waves)])
-        yield at, functions * (weights / weights.sum())[:, None]
-        return
-    parts = max(1, int(np.ceil(passed[-1] / PART_INTERVALS)))
-    count = max(1, int(np.ceil(passed[-1] / parts)) + further)
+    parts = 1 if orders is not None else max(1, math.ceil(passed[-1] / PART_INTERVALS))
+    count = max(1, math.ceil(passed[-1] / parts) + further)
     ends = np.interp(np.linspace(0, passed[-1], parts + 1), passed, t)
     for low, high in pairwise(ends.tolist()):
         at, weights = edge_rule(piece, local, low, high)
-        functions = legendre.legvander(2 * (at - low) / (high - low) - 1, count - 1)
-        yield at, functions * np.sqrt(2 * np.arange(count) + 1) * (weights / weights.sum())[:, None]
+        if orders is not None:
+            waves = 2 * np.pi * np.outer(at, np.arange(1, max(orders, math.ceil(passed[-1] / 2)) + 1))
+            functions = np.hstack([np.ones((at.size, 1)), np.sqrt(2) * np.cos(waves), np.sqrt(2) * np.sin(waves)])
+        else:
+            functions = legendre.legvander(2 * (at - low) / (high - low) - 1, count - 1)
+            functions = functions * np.sqrt(2 * np.arange(count) + 1)
+        functions = functions * (weights / weights.sum())[:, None]
+        yield at, functions, None
+        if piece.condition == "clamped":
+            size = max(float(np.diff(side.breaks).mean()) for side in local)
+            yield at, size * functions, piece.normals(at)
+
+
+def tip_moments(
+    line: Piece, local: tuple[LocalSplines, LocalSplines], inner: Sequence[bool], count: int
+) -> Iterator[Moments]:
+    """Yield what vanishes along a line support, of whose ends some are ``inner`` ones, on the plate: the work of about
+    ``count`` forces per length p″, where p vanishes as the root of the distance from these ends, by ∫ p″u = −∫ p′u′.
+
+    Between two inner ends p = sin nθ with the place cos θ, and p″ is 1/sin θ and cos θ/sin θ besides; from one, p is an
+    odd polynomial of the root.
+    """
+    crossed = [line.crossings(axis, side.breaks) for axis, side in enumerate(local)]
+    cuts, points = np.unique(np.concatenate([[0.0, 1.0], *crossed])), local[0].splines.degree + TIP_POINTS
+    if all(inner):
+        angle, weights = gauss(np.arccos(1 - 2 * cuts), points)
+        at, waves = (1 - np.cos(angle)) / 2, np.cos(np.outer(angle, np.arange(count + 1))) * weights[:, None]
+        yield at, waves[:, :2], None
+        functions = waves[:, 1:]
+    else:
+        root, weights = gauss(np.sqrt(1 - cuts)[::-1] if inner[1] else np.sqrt(cuts), points)
+        at = 1 - root**2 if inner[1] else root**2
+        yield np.array([0.0 if inner[1] else 1.0]), np.ones((1, 1)), None
+        sizes = np.sqrt(4 * np.arange(count + 1) + 1)
+        functions = legendre.legvander(root, 2 * count)[:, ::2] * np.outer(weights, sizes)
+    yield at, functions, np.broadcast_to(line.tangents(0.0), (at.size, 2))
 
 
 def null_space(rows: np.ndarray) -> np.ndarray:

@@ -49,8 +49,8 @@ SHAPED_INTERVALS = 3
 # side, so that more functions show the error; their growth with the distance, and samples of that along a side.
 HOLE_INTERVAL, CORNER_INTERVAL, HOLE_GROWTH, CORNER_GROWTH, SAMPLES = 0.1, 0.06, 0.6, 0.7, 2000
 # Interval at places where functions are added as a part of the distance to the next edge or support.
-APART = 1.0
-# Interval at the end of a line support as a part of the others.
+APART, APART_OF_LINES = 1.0, 0.5
+# Interval at the end of a line support on a free edge as a part of the others.
 END_INTERVAL = 0.15
 # Interval at an arc of a corner that is narrower than the others, as a part of its width.
 ARC_INTERVAL = 0.5
@@ -125,10 +125,11 @@ def _graded(scene: Scene, axis: int, interval: float) -> np.ndarray:
     places = [(place, APART * _apart(scene, place) if added else plain) for place in corners]
     for support in scene.supports:
         for end in (np.array(end) for end in support.ends if not _on_edge(support, end, outline)):
-            if added and support.point is not None and not on_edge(outline, end):
-                places.append((end, APART * _apart(scene, end)))
-            else:
-                places.append((end, END_INTERVAL * interval if added and support.line else plain))
+            part = APART_OF_LINES if support.line else APART
+            places.append((end, part * _apart(scene, end) if added and not on_edge(outline, end) else plain))
+        free = (piece for piece in outline.pieces if added and support.line and piece.condition == "free")
+        places += [(np.array(end), END_INTERVAL * interval) for piece in free for end in support.ends
+                   if piece.nearest(end)[1] < ON_EDGE]  # fmt: skip
     spans += [(place[axis], place[axis], least, CORNER_GROWTH) for place, least in places]
     for least in np.geomspace(LEAST_INTERVAL, 1, 40) * interval:
         knots = _spread(side, interval, [(*span[:2], max(span[2], least), span[3]) for span in spans])

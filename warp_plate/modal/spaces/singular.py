@@ -20,10 +20,11 @@ from numpy.polynomial import legendre
 from warp_plate.outline.outline import Outline
 from warp_plate.outline.pieces import Arc, Piece
 
-# Exponents between these are taken at corners: smaller ones are those of rigid motions, and splines follow larger ones.
-LEAST_EXPONENT, LARGEST_EXPONENT = 1.01, 3.6
-# Polynomials of the angle for the exponents, and part of a function by which they may miss it.
-POLYNOMIALS, MISSED = 18, 1e-5
+# Exponents between these are taken at corners: smaller ones are those of rigid motions, and splines follow larger ones,
+# but for those at notches, both sides of which they tie to each other: corners with at least an angle [rad].
+LEAST_EXPONENT, LARGEST_EXPONENT, LARGEST_AT_NOTCH, NOTCH = 1.01, 3.6, 10.6, 1.53 * math.pi
+# Polynomials of the angle for the exponents, also at notches, and part of a function by which they may miss it.
+POLYNOMIALS, POLYNOMIALS_AT_NOTCH, MISSED = 18, 48, 1e-5
 # Exponents nearer to a whole number than this are those of polynomials.
 WHOLE = 1e-6
 # Part of the distance within which a function is cut off over which it is whole.
@@ -179,13 +180,16 @@ def _exponents(angle: float, kinds: tuple[str, str], ratio: float) -> Iterator[t
 
     The energy of r^α F and r^(2-α) G vanishes for all G: α solves an eigenvalue problem of fourth order.
     """
-    s, weights = legendre.leggauss(POLYNOMIALS + 2)
-    tables = [np.eye(POLYNOMIALS), *(legendre.legder(np.eye(POLYNOMIALS), order) for order in (1, 2))]
+    polynomials, largest = (
+        (POLYNOMIALS, LARGEST_EXPONENT) if angle < NOTCH else (POLYNOMIALS_AT_NOTCH, LARGEST_AT_NOTCH)
+    )
+    s, weights = legendre.leggauss(polynomials + 2)
+    tables = [np.eye(polynomials), *(legendre.legder(np.eye(polynomials), order) for order in (1, 2))]
     values = [legendre.legval(s, table).T * (2 / angle) ** order for order, table in enumerate(tables)]
     held = {"free": (), "supported": (0,), "clamped": (0, 1)}
     rows = [legendre.legval(side, tables[order]) for side, kind in zip((-1, 1), kinds, strict=True)
             for order in held[kind]]  # fmt: skip
-    space = scipy.linalg.null_space(np.array(rows)) if rows else np.eye(POLYNOMIALS)
+    space = scipy.linalg.null_space(np.array(rows)) if rows else np.eye(polynomials)
     value, slope, bend = (table @ space for table in values)
     none = np.zeros_like(value)
     # Curvatures along r, along θ and the twist, as polynomials in α; those of the other function in 2 - α.
@@ -207,7 +211,7 @@ def _exponents(angle: float, kinds: tuple[str, str], ratio: float) -> Iterator[t
         if abs(exponent.imag) < WHOLE:
             exponent = complex(exponent.real)
         whole = abs(exponent - round(exponent.real)) < WHOLE
-        if not LEAST_EXPONENT < exponent.real < LARGEST_EXPONENT or exponent.imag < 0 or whole:
+        if not LEAST_EXPONENT < exponent.real < largest or exponent.imag < 0 or whole:
             continue
         shape = value @ vectors[:count, index]
         frequency = np.array([exponent, -exponent, exponent - 2, 2 - exponent])
@@ -221,7 +225,8 @@ def along_line(ends: np.ndarray, inner: Sequence[bool], count: int, outline: Out
     """Return biharmonic functions whose third derivative jumps across a line of ends (2, 2) [m] alone, and which bend
     without bound at its ``inner`` ends; others are moved off the plate.
 
-    With z from -1 to 1 along the line and z = (ζ + 1/ζ)/2, |ζ| ≥ 1, they are Re ∫ F dz + Im z Im F with F = ζ^-n.
+    With z from -1 to 1 along the line and z = (ζ + 1/ζ)/2, |ζ| ≥ 1, they are Re ∫ F dz + Im z Im F: with F = ζ^-n for
+    forces F″ that have no sum and no moment, n from 1 to a ``count``, and with F″ = 1/√(z² - 1) and z/√(z² - 1).
     """
     start, end = (complex(*point) for point in ends)
     length = abs(end - start)
@@ -237,11 +242,13 @@ def along_line(ends: np.ndarray, inner: Sequence[bool], count: int, outline: Out
         z = place / half
         root = np.sqrt(z - 1) * np.sqrt(z + 1)
         root = np.where(np.abs(root) < TINY, TINY, root)
-        zeta = z + root
-        f = zeta**-n
-        slope = -n * f / root
-        bend = (n**2 * f + n * f * z / root) / root**2
-        integral = ((n == 1) * np.log(zeta) - zeta ** (1 - n) / below + zeta ** -(n + 1) / (n + 1)) / 2
+        zeta, power = z + root, (z + root) ** -n
+        log = np.log(zeta)
+        f = np.vstack([power, z * log - root, (z * root - log) / 2])
+        slope = np.vstack([-n * power / root, log, root])
+        bend = np.vstack([(n**2 * power + n * power * z / root) / root**2, 1 / root, z / root])
+        powers = ((n == 1) * log - zeta ** (1 - n) / below + zeta ** -(n + 1) / (n + 1)) / 2
+        integral = np.vstack([powers, ((2 * z**2 + 1) * log - 3 * z * root) / 4, (root**3 / 3 - z * log + root) / 2])
         y = z.imag
         value = integral.real + y * f.imag
         slopes = (f.real + y * slope.imag) / half, y * slope.real / half
@@ -249,10 +256,8 @@ def along_line(ends: np.ndarray, inner: Sequence[bool], count: int, outline: Out
         return np.ones(1), (value,), slopes, bends
 
     places = tuple((point.real, point.imag) for point, inside in zip((start, end), inner, strict=True) if inside)
-    cuts = tuple(part * interval for part in NEAR)
-    return Singular(
-        np.array([middle.real, middle.imag]), float(np.angle(direction)), count, local, places=places, cuts=cuts
-    )
+    cuts, turn = tuple(part * interval for part in NEAR), float(np.angle(direction))
+    return Singular(np.array([middle.real, middle.imag]), turn, count + 2, local, places=places, cuts=cuts)
 
 
 def along_ring(ring: Arc, orders: int) -> Singular:

@@ -19,7 +19,7 @@ from numpy.polynomial import legendre
 from warp_plate.effects.effect import DISPLACEMENT, SLOPE, Factors
 from warp_plate.modal.spaces.added import added_functions
 from warp_plate.modal.spaces.chords import Chords, Curve, LocalSplines, curves_of, make_chords
-from warp_plate.modal.spaces.edge_moments import FURTHER, edge_rule, further_polynomials, moments, null_space
+from warp_plate.modal.spaces.edge_moments import conditions, edge_rule, null_space
 from warp_plate.modal.spaces.integrals import (
     Cuts,
     Field,
@@ -30,11 +30,10 @@ from warp_plate.modal.spaces.integrals import (
     mean_wave_frequency,
 )
 from warp_plate.modal.spaces.knots import outline_splines
-from warp_plate.modal.spaces.singular import Singular, is_round, laurent_orders, sample
+from warp_plate.modal.spaces.singular import Singular, sample
 from warp_plate.modal.spaces.space import Matrix
 from warp_plate.modal.spaces.splines import gauss, overlapping_pairs
 from warp_plate.modal.spaces.tensor_splines import ORDERS
-from warp_plate.outline.pieces import Piece
 from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.plate.section import laminate_of
 from warp_plate.scene.fields import Area
@@ -374,25 +373,11 @@ class TrimmedSplines(SplineProducts):
         some = values > RANK * values[-1]
         basis = np.zeros((len(energy), int(some.sum())))
         basis[used] = unit[:, None] * vectors[:, some] / np.sqrt(values[some])
-        further = dict(further_polynomials(self.outline))
-        moments = [row for piece in self._pieces for row in self._moments(piece, further.get(piece, FURTHER))]
+        held = conditions(self.outline, self._pieces, self._local, self._interval, bool(self.added))
+        moments = [functions.T @ self._rows(points, along) for points, functions, along in held]
         rigid = (support for support in self.scene.supports if support.stiffness is None)
         moments += [self._rows(np.array([support.point])) for support in rigid if support.point is not None]
         return np.asarray(basis @ null_space(np.concatenate(moments) @ basis)) if moments else basis
-
-    def _moments(self, piece: Piece, further: int) -> Iterator[np.ndarray]:
-        """Yield rows (n, functions) of what vanishes along a clamped or supported piece."""
-        if piece.condition not in ("clamped", "supported"):
-            return
-        if not piece.closed:
-            yield self._rows(piece.points(np.array([0.0, 1.0])))
-        orders = None
-        if self.added and (piece,) in self.outline.loops[1:] and is_round(hole := (piece,)):
-            orders = laurent_orders(hole[0].least_radius, self._interval)
-        for at, functions in moments(piece, self._local, further, orders):
-            yield functions.T @ self._rows(piece.points(at))
-            if piece.condition == "clamped":
-                yield max(self.interval_sizes) * functions.T @ self._rows(piece.points(at), piece.normals(at))
 
 
 def _products(along_y: np.ndarray, along_x: np.ndarray) -> np.ndarray:
