@@ -156,6 +156,7 @@ def test_points_in_millimetres_about_the_centre(tmp_path):
         ("", {"rate": 1000.0}, 1.0),
         ("Force (kN),Acc\n", {"rate": 1000.0}, 1.0),
         ("Force (mN),Acc (mm/s^2)\n", {"rate": 1000.0}, 1.0),
+        ("t [s],F [N],real a [m/s2]\n", {}, 1.0),
     ],
 )
 def test_time_signals(heading, signals, factor, random, tmp_path):
@@ -174,6 +175,15 @@ def test_a_rate_besides_times_is_refused(tmp_path):
     (tmp_path / "a.csv").write_text("time,force,motion\n" + table("", [HERTZ, HERTZ, HERTZ]))
     fit = Fit(free=FREE, signals={"rate": 100.0})
     assert "has a column of times; delete fit.signals.rate" in refused(read_responses, tmp_path / "a.csv", 1, fit)
+
+
+@pytest.mark.parametrize("signals", [{"rate": 8000.0}, {}])
+@pytest.mark.parametrize("heading", ["frequency [Hz],real,imag", "f,Re,Im", "x,y,Coherence", "Freq,Mag,Phase (deg)"])
+def test_responses_are_not_taken_for_time_signals(heading, signals, tmp_path):
+    (tmp_path / "a.csv").write_text(table(heading, [HERTZ, HERTZ, HERTZ]))
+    message = refused(read_responses, tmp_path / "a.csv", 1, Fit(free=FREE, signals=signals))
+    column = heading.split(",")[2 if heading.startswith("x") else 0]
+    assert message.startswith(f"{tmp_path / 'a.csv'}: column '{column}': has a column of responses; delete [fit.sig")
 
 
 @pytest.mark.parametrize("version", ["4", "5", "struct", "nested 7.3", "7.3"])

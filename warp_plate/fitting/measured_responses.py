@@ -38,6 +38,7 @@ RESPONSES_BYTES, MOST_FREQUENCIES = 2**27, 4000
 MOST_COHERENCE = 1 + 1e-6  # of numbers that were rounded
 # Names in MAT and HDF5 files.
 ARRAYS = "frequency", "response", "real", "imaginary", "coherence"
+OF_RESPONSES = "frequency", "imaginary", "phase", "coherence"  # kinds of columns that time signals do not have
 # (1 + responses, n) frequencies and responses, (responses, n) coherences, and units that the file names.
 Columns = tuple[np.ndarray, np.ndarray | None, Units]
 
@@ -202,6 +203,10 @@ def read_signals(path: Path, signals: TimeSignals | None = None) -> tuple[np.nda
         of, names = table.values, table.headings
         if len(of) < 2 or of.shape[1] < (3 if stated is None else 2):
             raise ValueError("needs the columns time, and a signal in each of at least two others")
+        for name in names:
+            if name.kind in OF_RESPONSES and (name.unit.lower() not in FORCE_UNITS or name.kind != "frequency"):
+                rule = "has a column of responses; delete [fit.signals], which is for signals in time"
+                raise ValueError(f"column {name.text[:60]!r}: {rule}")
         if stated is not None and names and names[0].kind == "time":
             raise ValueError("has a column of times; delete fit.signals.rate")
         first = 1 if stated is None else 0
