@@ -2,17 +2,18 @@
 
 import json
 import re
+from dataclasses import replace
 from unittest.mock import Mock
 
 import h5py
 import numpy as np
 import pytest
-from scipy.io import wavfile
+from scipy.io import savemat, wavfile
 
 from support.commands import error_of, output_of
 from support.measured import TruePanel, drawn_panel
 from warp_plate import SceneError
-from warp_plate.fitting.measured_matrix import MeasuredMatrix, read_matrix
+from warp_plate.fitting.measured_matrix import MeasuredMatrix, blend, read_matrix
 from warp_plate.plate import memory
 from warp_plate.problem.measured_plate import MeasuredPlate
 from warp_plate.scene.measured import MeasuredScene
@@ -310,6 +311,35 @@ def test_universal_file(tmp_path, random):
     (tmp_path / "scan.uff").write_text(content.replace(f"         6{stated}", "         6 999999999"))
     with pytest.raises(SceneError, match=r"number 1 of .*: record 7 states 999999999 points and 100 follow"):
         read_matrix(MeasuredScene.load(path))
+
+
+@pytest.mark.parametrize(("name", "what"), [("scan.h5", "numbers"), ("scan.mat", "numbers"), ("scan.uff", "bytes")])
+def test_scans_beyond_the_memory_are_refused_before_they_are_read(name, what, tmp_path, random, monkeypatch):
+    _, path = bench(tmp_path, random)
+    matrix = read_matrix(MeasuredScene.load(path))
+    if name == "scan.mat":
+        savemat(tmp_path / name, {"frequency": matrix.frequencies, "response": matrix.responses.T})
+    elif name == "scan.uff":
+        (tmp_path / name).write_text("    -1\n" * 1000)
+    path.write_text(path.read_text().replace("scan.h5", name))
+    monkeypatch.setattr(memory, "machine_memory", lambda: 2.0**12)
+    with pytest.raises(SceneError, match=rf"^measured.file = '{name}': holds \d+ {what}: takes about .* of memory"):
+        read_matrix(MeasuredScene.load(path))
+
+
+def test_blends_beyond_the_memory_are_refused(tmp_path, random, monkeypatch):
+    panel = TruePanel(drawn_panel(random))
+    (tmp_path / "fitted.toml").write_text(panel.scene.to_toml())
+    scene = panel.measured_scene(measured={"fitted": "fitted.toml"}).in_folder(tmp_path)
+    matrix, lines = panel.scan(random), 2**16
+    many = {
+        field: np.broadcast_to(getattr(matrix, field)[:1], (lines, *matrix.responses.shape[1:]))
+        for field in ("responses", "variance")
+    }
+    matrix = replace(matrix, frequencies=np.linspace(1, matrix.frequencies[-1], lines), **many)
+    monkeypatch.setattr(memory, "machine_memory", lambda: 2.0**29)
+    with pytest.raises(SceneError, match=r"^measured.fitted = 'fitted.toml': responses of \d+ modes at 65536 freq"):
+        blend(matrix, scene)
 
 
 @pytest.mark.parametrize(

@@ -26,6 +26,7 @@ import numpy as np
 from warp_plate.fitting.measured_modes import check_file
 from warp_plate.fitting.measured_universal import ACROSS, COHERENCE, RESPONSE, read_universal
 from warp_plate.modal.modes import solve_modes
+from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.result.frequency_response import DERIVATIVES
 from warp_plate.result.hdf5 import HDF5, MAT, read_arrays
 from warp_plate.scene.errors import SceneError
@@ -241,6 +242,9 @@ def blend(matrix: MeasuredMatrix, scene: MeasuredScene) -> MeasuredMatrix:
     if ((matrix.points < 0) | (matrix.points > fitted.plate.size)).any():
         raise SceneError(f"{head}: a scanned point is off its plate of {list(fitted.plate.size)} m")
     plate = solve_modes(fitted, float(matrix.frequencies[-1]), key=head)
+    lines, modes = len(matrix.frequencies), len(plate.frequencies)
+    needed = 36.0 * lines * modes * len(matrix.names) + 64.0 * matrix.responses.size
+    refuse_beyond_memory(needed, f"{head}: responses of {modes} modes at {lines} frequencies")
     forces, shapes = plate.actuator_forces()[None], plate.at_points(matrix.points).T
     moved = np.stack([plate.respond_to_drives(np.array([[at]]), forces)[0] for at in matrix.frequencies])
     power = DERIVATIVES[scene.measured.quantity]

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from warp_plate.fitting.measured_tables import FREQUENCY_UNITS, LENGTHS, motion_unit, response_unit
+from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.scene.fit import Fit, Measurement
 
 UNIVERSAL = (".uff", ".unv", ".ufb")
@@ -28,6 +29,7 @@ RESPONSE, COHERENCE, NORMAL, COMPLEX = 4, 6, 2, (3, 7)
 ORDERS, FORCES, UNKNOWN, ACROSS = {8: 0, 11: 1, 12: 2}, (9, 13), (0, 1), 3
 # Columns of nodes: numbers, systems of their coordinates and displacements, coordinates.
 MOST_SETS = 2**18  # responses and coherences of 2000 points to 64 actuators, and more; some 3 s
+BYTES_A_BYTE = 3.0, 9.0  # of memory that reading a byte of a text, or of a binary file, takes
 NODES = ("node_nums", "def_cs", "disp_cs", "x", "y", "z")
 MOTIONS = ("displacement", "velocity", "acceleration")
 # Largest distance of a node from a point of the scene, relative to the largest distance of nodes and points.
@@ -63,6 +65,10 @@ def read_universal(path: Path) -> UniversalFile:
         import pyuff
     except ModuleNotFoundError:
         raise ValueError("universal files need pyuff: pip install 'warp-plate[uff]'") from None
+    with path.open("rb") as opened:
+        binary = b"    58b" in opened.read(2**20)
+    size = path.stat().st_size
+    refuse_beyond_memory(BYTES_A_BYTE[binary] * size, f"holds {size} bytes")
     number, sets = 0, []
     try:
         with warnings.catch_warnings():

@@ -15,12 +15,14 @@ from typing import Any, Literal
 import h5py
 import numpy as np
 
+from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.result.atomic_io import check_seal, make_seal, write_atomically
 from warp_plate.scene.errors import SceneError, check_type
 
 # Endings of files of other programs: MAT files of MATLAB, and HDF5 files such as those of xarray.
 MAT, HDF5 = (".mat",), (".h5", ".hdf5", ".nc")
 UNPACKED_BYTES = 2**28  # of the arrays of such a file, which may be compressed
+BYTES_A_NUMBER = 48.0  # of memory that reading and checking a number of such a file takes, of whatever type it is
 COMPRESSED = 15  # type of a compressed variable in a MAT file
 NUMBERS_OF_MAT = "double", "single", "int", "uint", "logical"  # first letters of classes
 
@@ -202,6 +204,7 @@ def _mat(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     structs = [] if stated else [name for name, _, kind in listed if kind == "struct"]
     if sum(16 * math.prod(shape) for _, shape, _ in stated) + (16 * _unpacked(path) if structs else 0) > UNPACKED_BYTES:
         raise SceneError(f"holds more than {UNPACKED_BYTES // 16} numbers when unpacked")
+    _refuse_beyond_memory(sum(math.prod(shape) for _, shape, _ in stated))
     if structs:
         found = loadmat(path, variable_names=structs, simplify_cells=True)
         tables = {name: found[name] for name in structs if isinstance(found[name], dict)}
@@ -260,7 +263,12 @@ def _hdf5(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
                 raise SceneError(f"{name} is not an array of numbers")
         if sum(dataset.nbytes for dataset in datasets.values()) > UNPACKED_BYTES:
             raise SceneError(f"holds more than {UNPACKED_BYTES} bytes when unpacked")
+        _refuse_beyond_memory(sum(dataset.size for dataset in datasets.values()))
         return {name: _complex(dataset[()]) for name, dataset in datasets.items()}
+
+
+def _refuse_beyond_memory(numbers: int) -> None:
+    refuse_beyond_memory(BYTES_A_NUMBER * numbers, f"holds {numbers} numbers")
 
 
 def _complex(values: np.ndarray) -> np.ndarray:
