@@ -80,25 +80,9 @@ def prepare() -> None:
         with suppress(Exception):  # drawing raises it again
             if missing_renderer() is None:
                 importlib.import_module("pyvista")
-            import_matplotlib()
+            importlib.import_module("matplotlib.figure")
 
     threading.Thread(target=import_libraries, name="trial drawing", daemon=True).start()
-
-
-def import_matplotlib() -> None:
-    """Import Matplotlib's figures without the texts of ``help`` on each kind of artist, a fifth of the import."""
-    with _LOCK:
-        from matplotlib.artist import Artist
-
-        name = "_update_set_signature_and_docstring"
-        write_help = vars(Artist).get(name)
-        if write_help is None or "matplotlib.figure" in sys.modules:
-            return
-        setattr(Artist, name, lambda: None)
-        try:
-            importlib.import_module("matplotlib.figure")
-        finally:
-            setattr(Artist, name, write_help)
 
 
 def set_up_renderer() -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from warp_plate.result.atomic_io import atomic_paths
 from warp_plate.scene.errors import printable
-from warp_plate.viz.availability import DrawingUnavailable, import_matplotlib, missing_plots
+from warp_plate.viz.availability import DrawingUnavailable, missing_plots
 from warp_plate.viz.fields import SUPERSCRIPTS, unit_with_prefix
 
 if TYPE_CHECKING:
@@ -34,7 +34,6 @@ def figure(
 
     The size is in inches; ``box`` draws all four sides of every axes instead of the left and lower one.
     """
-    import_matplotlib()
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
