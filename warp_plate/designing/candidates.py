@@ -44,10 +44,10 @@ class Candidates:
         for name in self.most:
             tables = [key for key in regions if key.startswith(f"{name}[")]
             measure = next((key for key in MEASURES if tables and hasattr(regions[tables[0]], key)), "mass")
-            found = {key: places[f"{key}.{measure}"] for key in tables if f"{key}.{measure}" in places}
-            if not found:
+            named = {key: places[f"{key}.{measure}"] for key in tables if f"{key}.{measure}" in places}
+            if not named:
                 raise SceneError(f"design.count: {name}: no mass or thickness there is free; write some in design.free")
-            self._places[name] = found
+            self._places[name] = named
 
     def left_out(self, numbers: np.ndarray, value: Callable[[np.ndarray], float]) -> list[str]:
         """Return the keys of the candidates that do not stay, by the value of free numbers (count,)."""
