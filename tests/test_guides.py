@@ -50,6 +50,10 @@ BESIDES = {
     "fit": {"free": {"plate.density": [900.0, 1100.0]}},
     "focus": {"points": [[0.06, 0.05]], "highest": 1000.0},
 }
+FOR_DESIGNS = {
+    "design": {"thickness": {"range": [4e-4, 6e-4], "length_scale": 0.02}},
+    "supports": [{"point": [0.05, 0.05], "stiffness": 1e4}],
+}
 # The drawing that an example names.
 PANEL = """<svg xmlns="http://www.w3.org/2000/svg" width="200mm" height="200mm" viewBox="0 0 200 200">
 <g id="cut"><rect width="200" height="200" rx="20"/><circle cx="120" cy="90" r="5"/></g></svg>"""
@@ -114,6 +118,7 @@ def test_tables_are_those_of_a_scene(block, tmp_path):
     tables = tomllib.loads(preset_text("paper"))
     del tables["grid"]
     besides = {"drive": {"burst": {"duration": 0.01}}} if "[search.delay]" in block else BESIDES
+    besides = {**besides, **FOR_DESIGNS} if block.startswith("[design") else besides
     for others in (besides, tomllib.loads(block)):
         for name, table in others.items():
             tables[name] = {**tables.get(name, {}), **table} if isinstance(table, dict) else table

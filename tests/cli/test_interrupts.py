@@ -21,6 +21,7 @@ from warp_plate.cli import output
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot send SIGINT to one process")
 QUICK = ["--device", "cpu", "--no-pictures", "--no-estimate"]
+LONG = {"particles": 6, "iterations": 100_000}  # a search that takes minutes
 
 
 @pytest.fixture(autouse=True)
@@ -65,7 +66,8 @@ def test_programs_of_tests_that_are_killed_end():
 
 
 @pytest.mark.parametrize("number", ["SIGTERM", pytest.param("SIGINT", marks=pytest.mark.slow)])
-def test_a_search_ends_with_its_best_and_a_checkpoint(number, endless):
+def test_a_search_ends_with_its_best_and_a_checkpoint(number, endless, write_scene):
+    write_scene(endless.with_tables(search=LONG))
     file = Path("panel-localize.checkpoint.h5")
     process = start("-m", "warp_plate", "localize", "panel.toml", *QUICK, "--json", "--checkpoint-every", 0)
     while not file.exists() and process.poll() is None:
@@ -79,7 +81,7 @@ def test_a_search_ends_with_its_best_and_a_checkpoint(number, endless):
     assert "resume with: warp-plate localize --resume panel-localize.checkpoint.h5" in err
     found, checkpoint, result = json.loads(out), load_checkpoint(file), load_result("panel-localize.h5")
     assert (found["interrupted"], found["checkpoint"]) == (True, str(file))
-    assert 0 < checkpoint.iterations == len(found["history"]) < 2500
+    assert 0 < checkpoint.iterations == len(found["history"]) < LONG["iterations"]
     assert found["evaluations"] == 6 * len(found["history"])
     assert result.interrupted
     assert result.cases["best"].localization_factor == found["localization_factor"]["best"]
@@ -126,7 +128,8 @@ def test_a_long_iteration_ends_within_a_launch(endless, write_scene):
 
 
 @pytest.mark.slow
-def test_a_closed_terminal_leaves_result_and_checkpoint(endless):
+def test_a_closed_terminal_leaves_result_and_checkpoint(endless, write_scene):
+    write_scene(endless.with_tables(search=LONG))
     """The terminal is gone when SIGHUP comes, so that nothing can be printed."""
     pty = pytest.importorskip("pty")
     child, terminal = pty.fork()
@@ -143,7 +146,7 @@ def test_a_closed_terminal_leaves_result_and_checkpoint(endless):
     _, status = os.waitpid(child, 0)
     assert os.WIFEXITED(status)
     assert load_result("panel-localize.h5").interrupted
-    assert 0 < load_checkpoint("panel-localize.checkpoint.h5").iterations < 2500
+    assert 0 < load_checkpoint("panel-localize.checkpoint.h5").iterations < LONG["iterations"]
 
 
 # Sends Ctrl-C when a module begins to be imported.

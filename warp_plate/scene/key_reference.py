@@ -110,7 +110,8 @@ def _type(field: dict[str, Any]) -> str:
     if field.get("type") == "array":
         return f"list of {_type(field['items'])}s".replace("ss", "s")
     if field.get("type") == "object":
-        return f"table of {_type(field['additionalProperties'])} by key"
+        inner = field.get("additionalProperties") or next(iter(field["patternProperties"].values()))
+        return f"table of {_type(inner)} by key"
     words: dict[str, str] = {"boolean": "true or false", "string": "text"}
     return words.get(field["type"], field["type"])
 
