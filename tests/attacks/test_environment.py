@@ -40,6 +40,7 @@ def test_a_kernel_cut_short(write_scene, tmp_path):
     damages = [
         *((tables, damage) for damage in (lambda data: b"", lambda data: data[: len(data) // 2], lambda data: b"\xff")),
         (objects, lambda data: data[:-1000]),
+        (objects, lambda data: data[:200].ljust(len(data), b"\0")),  # blocks that a power cut did not write
     ]
     for files, damage in damages:
         assert files

@@ -194,6 +194,10 @@ def load_kernel(kernel: wp.Kernel, device: wp.Device, block_dim: int | None = No
     with cache_errors():
         try:
             wp.load_module(module=kernel.module, device=device, block_dim=block_dim)
+            # An object whose end is lost but not its length may load without its functions.
+            loaded = [made for (context, _), made in kernel.module.execs.items() if context == device.context]
+            if device.is_cpu and any(made.get_kernel_hooks(kernel).forward is None for made in loaded):
+                raise RuntimeError(f"Failed to load {kernel.key}")
         except Exception as error:
             # Of objects, for which Warp has no class, and of the JSON beside them.
             damaged = isinstance(error, json.JSONDecodeError | UnicodeDecodeError)
