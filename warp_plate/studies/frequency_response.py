@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_plate.modal.coarser_modes import coarser_modes
 from warp_plate.modal.modes import ModalPlate, solve_modes
 from warp_plate.modal.poles import adaptive_frequencies, as_sparse, multiply_modes
 from warp_plate.modal.spaces.space import Matrix
@@ -114,7 +115,7 @@ def frf(
     responses, factor, bound, velocity = curves = _responses(
         plate, frequencies, forces, observer(plate, high), terminals
     )
-    shifts, of_responses, *of_others = _errors(plate, high, frequencies, inputs, observer, curves, terminals)
+    shifts, of_responses, *of_others = _errors(plate, frequencies, inputs, observer, curves, terminals)
     derivative = (2j * np.pi * frequencies) ** DERIVATIVES.get(quantity, 0)
     shown = (natural >= low) & (natural <= high)
     return FrequencyResponse(
@@ -163,15 +164,14 @@ def _coil_response(plate: ModalPlate, frequencies: np.ndarray) -> CoilResponse |
 
 def _errors(
     plate: ModalPlate,
-    high: float,
     frequencies: np.ndarray,
     inputs: Sequence[str | Point],
     observer: Callable[[ModalPlate, float], Observer],
     curves: Sequence[np.ndarray],
     terminals: Sequence[str | Point],
 ) -> list[np.ndarray]:
-    """Return the attributes of :class:`ResponseErrors`, those of receptances first, for curves up to ``high`` [Hz]."""
-    coarser = solve_modes(plate.scene, high, density=COARSER)
+    """Return the attributes of :class:`ResponseErrors`, those of receptances first."""
+    coarser = coarser_modes(plate, COARSER)
     count = min(plate.frequencies.size, coarser.frequencies.size)
     natural, mapped = plate.frequencies[:count], coarser.frequencies[:count]
     elastic = (natural > 0) & (mapped > 0)

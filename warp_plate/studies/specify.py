@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from warp_plate.interrupts import check_interrupt
+from warp_plate.modal.coarser_modes import coarser_modes
 from warp_plate.modal.modes import ModalPlate, solve_modes
 from warp_plate.optimize.cones import LeastScale
 from warp_plate.optimize.optimizer import minimum_near
@@ -27,8 +28,7 @@ TRIED, FREQUENCY_ACCURACY = 24, 1e-5
 # Multiples of the wanted levels on the curve of level against contrast.
 PARETO = np.geomspace(1 / 8, 8, 13)
 SAME = 1e-4  # relative difference of two scales that counts as none
-# Relative violation that counts as none, in programs and of levels; part of a certificate above which a requirement is
-# named.
+# Relative violation that counts as none, in programs and of levels; part of a certificate from which on it is named.
 NOTHING, VIOLATION, NAMED = 1e-7, 1e-6, 0.02
 # Density of the splines that errors are estimated with, and the error of the answer over the difference.
 COARSER, CAUTION = 1 / 1.3, 3.0
@@ -274,7 +274,7 @@ def _interval(tone: Tone, drive: np.ndarray, levels: Ratios, in_phase: float) ->
 
     Levels that are wanted at a phase count by their part at this phase, which is ``in_phase`` times the wanted one.
     """
-    other = solve_modes(tone.plate.scene, tone.plate.highest / tone.plate.scene.grid.modal_density, density=COARSER)
+    other = coarser_modes(tone.plate, COARSER)
     coarser = replace(tone, plate=other, requirements=make_requirements(other), points={})
     least = np.where([tone.is_fixed(aim) for aim in tone.requirements.aims], in_phase, levels[0])
     ends = tone.errors(coarser, drive, CAUTION)
