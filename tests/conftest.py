@@ -7,6 +7,7 @@ import atexit
 import gc
 import os
 import shutil
+import signal
 import subprocess
 import zlib
 from functools import lru_cache
@@ -29,6 +30,7 @@ import warp as wp
 from support.scenes import EDGE_MIXES, edges_id, scene_of
 from warp_plate import PlateSolver, SceneError, localize, save_result
 from warp_plate.cli.main import main
+from warp_plate.interrupts import END_SIGNALS
 from warp_plate.solve.devices import find_device
 
 # Warp's warnings, as of what its next version drops, are errors of the tests like all others.
@@ -115,6 +117,15 @@ def display():
     yield f":{number}"
     server.terminate()
     server.wait()
+
+
+@pytest.fixture(autouse=True)
+def signal_handlers():
+    """Restore the handlers of signals, which commands that are done ignore, as would programs of later tests."""
+    handlers = {number: signal.getsignal(number) for number in END_SIGNALS}
+    yield
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
 
 
 @pytest.fixture
