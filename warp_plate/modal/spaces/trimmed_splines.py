@@ -285,7 +285,8 @@ class TrimmedSplines(SplineProducts):
         products = products.reshape(*products.shape[:-2], -1)[..., self._used]
         if not self.added:
             return products
-        added, weighted = 0.0, values * chords.weights
+        weighted = values * chords.weights
+        added = np.zeros((*products.shape[:-1], self.count - self._used.size))
         for some in chords.blocks():
             sampled = self._added_on(chords, some, [order])[0]
             added = added + np.einsum("esp,...sp->...e", sampled, weighted[..., some, :])
@@ -335,8 +336,7 @@ class TrimmedSplines(SplineProducts):
         rows = []
         for area in np.asarray(areas, dtype=float).reshape(-1, 4):
             chords = self._chords(curves_of(PlateRegion.model_construct(area=tuple(area.tolist()))))
-            parts = [self._integrals(chords, 1.0, order) for order in orders if chords.x.size]
-            rows.append(sum(parts) if parts else np.zeros(self.basis.shape[0]))
+            rows.append(sum(self._integrals(chords, 1.0, order) for order in orders))
         return np.array(rows).reshape(-1, self.basis.shape[0]) @ self.basis
 
     def _tables(self, products: np.ndarray) -> np.ndarray:
