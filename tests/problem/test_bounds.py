@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+import scipy
 
 from warp_plate.optimize.quadratic import best_position
 from warp_plate.plate.designs import Designs
@@ -117,6 +118,21 @@ def test_units_do_not_matter(random):
     energies = bound_energy(response.matrices[TARGET], limits).value, bound_energy(other.matrices[TARGET], scaled).value
     assert ratios[1] == pytest.approx(ratios[0], rel=1e-6)
     assert energies[1] == pytest.approx(1e-20 * energies[0], rel=1e-6)
+
+
+@pytest.mark.parametrize("largest", [1e2, 1e3, 1e5, 1e9])
+def test_wide_ranges_leave_bounds_under_limits_of_energies_tight(random, largest):
+    """With two limits of forms that do not depend on a common phase, the relaxation is exact."""
+    for _ in range(3):
+        factors = random.normal(size=(3, 8, 4)) + 1j * random.normal(size=(3, 8, 4))
+        target, rest, sound = (np.block([[a.real, a.imag], [-a.imag, a.real]]) for a in factors.conj().mT @ factors)
+        response = Response(np.array([form for _, form in sorted([(PLATE, target + rest), (TARGET, target)])]))
+        some = scipy.linalg.eigh(sound, target)[1][:, 0]  # the quietest drive
+        others = EnergyLimits([(sound, 1.1 * some @ sound @ some)], [(target, some @ target @ some)])
+        phase = [0.0, SEARCHED, SEARCHED, SEARCHED]
+        bound = bound_localization(response, allowed(4, 0.0, largest, phase), others=others)
+        reached = localization_factor(response.energy(bound.drive[None]))[0]
+        assert bound.value * (1 - 5e-6) <= reached <= bound.value
 
 
 def test_where_no_bound_is_proved_none_is_claimed(random):

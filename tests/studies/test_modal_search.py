@@ -119,6 +119,7 @@ def test_a_search_without_a_method_is_exact_and_by_modes_where_it_can_be():
         ({"search": {}, "drive": chirp}, "exact"),
         ({"search": FREE_DRIVES}, "exact"),
         ({"search": {"limits": {"magnitude": 2.0, "power": 3.0}}}, "exact"),
+        ({"search": {**FREE_DRIVES, "limits": {"least_velocity": 1e-3, "sound": 60.0}}}, "gradient"),
     ):
         assert with_method(paper(**tables)).search.method == method
 

@@ -43,6 +43,8 @@ MOST_FIXED = 8
 # Drives under limits are sought from so many points, times the numbers of a drive. They stay below a limited energy by
 # this part, so that the rounding of a run does not carry them over the limit.
 STARTS, INSIDE = 80, 5e-7
+# Ratio of the widest limit to the narrowest beyond which the relaxation is also solved in a unit of the narrowest.
+FAR = 1e4
 
 
 @dataclass(frozen=True)
@@ -307,24 +309,30 @@ def _majorant(
     """
     scaled = basis / _norms(basis, sizes)
     matrices, entries, constants, equations = map(np.array, zip(*limits, strict=True))
-    lifted = int(entries.any())
-    wide, padded = np.pad(scaled, (0, lifted)), np.array([np.pad(form, (0, lifted)) for form in (objective, *matrices)])
-    if lifted:  # τ in a unit in which it is about as large as the rest
-        norms = np.abs(scaled.T @ matrices @ scaled).max(axis=(1, 2))
-        nonzero = (entries != 0) & (norms != 0)
-        wide[-1, -1] = 1 / math.sqrt(np.max(np.abs(entries[nonzero]) / norms[nonzero])) if nonzero.any() else 1.0
-        padded[1:, -1, -1] = entries
-    reduced = wide.T @ padded @ wide
-    least, slack = least_majorant(reduced[0], reduced[1:], constants, equations)
+    forms = np.pad(scaled.T @ np.array([objective, *matrices]) @ scaled, ((0, 0), *2 * ((0, int(entries.any())),)))
+    units = [1.0]
+    if entries.any():  # τ in units in which it is about as large as a drive at the widest, or at the narrowest limit
+        largest = np.abs(forms[1:]).max(axis=(1, 2))
+        ratios = np.divide(np.abs(entries), largest, out=np.zeros_like(largest), where=largest > 0)
+        narrowest = ratios[(entries < 0) & (ratios > 0)].min(initial=ratios.max())
+        units = [float(value or 1.0) for value in (ratios.max(), narrowest)]
+        units = units[: 1 + (units[0] > FAR * units[1])]
+    majorants = []
+    for unit in units:
+        if entries.any():
+            forms[1:, -1, -1] = entries / unit
+        majorants.append(least_majorant(forms[0], forms[1:], constants, equations))
+    least, slack = min(majorants, key=lambda pair: pair[0])
     if not math.isfinite(least) or not slack.any():
         return least, np.empty((0, len(basis)))
-    # The smallest eigenvector, and points that vary as the relaxation's z zᵀ, the inverse of the slack, does.
-    values, vectors = np.linalg.eigh(slack)
+    # The smallest eigenvector, and points that vary as the relaxation's z zᵀ, the inverse of the slack, does; τ enters
+    # squared, so that the slack has no entries between z and τ.
+    values, vectors = np.linalg.eigh(slack[: basis.shape[1], : basis.shape[1]])
     count = max(1, STARTS // basis.shape[1])
     drawn = np.random.default_rng(0).normal(size=(len(values), count))
     drawn /= np.sqrt(np.maximum(values, EIGEN_ERROR))[:, None]
     drawn[:, 0] = np.eye(len(values))[0]
-    return least, (scaled @ (vectors @ drawn)[: basis.shape[1]]).T
+    return least, (scaled @ vectors @ drawn).T
 
 
 def _norms(basis: np.ndarray, sizes: np.ndarray) -> np.ndarray:

@@ -112,7 +112,7 @@ def with_method(scene: Scene) -> Scene:
     if _is_plain(search) and bounded_by is not None and scene.linear and len(scene.actuators) > 1:
         parametrization = parametrization_of(scene)
         if parametrization.only_drives:
-            free = bounded_by == "localization" and allowed_drives(parametrization).free
+            free = bounded_by == "localization" and allowed_drives(parametrization).free and not scene.limited_levels
             method = "exact" if free else "gradient"
     return scene.with_keys("search", method=method)
 
