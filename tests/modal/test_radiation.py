@@ -12,6 +12,7 @@ from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.radiation import Air, FarField, Radiation, pressures
 
 AIR = Air()
+POINTS = np.array([(0.3, -0.1, 0.8), (0.1, 0.12, 0.05)])
 
 
 def piston(plate, points):
@@ -82,10 +83,16 @@ def test_supported_plates_have_wallace_s_efficiencies(frequency):
 def test_many_frequencies_are_interpolated(random):
     plate = solve_modes(scene_of(edges=("free", "clamped", "supported", "free")), highest=0.0, count=12)
     frequencies = np.sort(random.uniform(10, 6000, 60))
-    resistances = Radiation(plate, 6000.0).resistances(frequencies)
+    radiation, shape = Radiation(plate, 6000.0), (60, len(plate.frequencies), 2)
+    resistances, moved = radiation.resistances(frequencies), random.normal(size=shape) + 1j * random.normal(size=shape)
+    heard, powers = radiation.pressures(frequencies, moved, POINTS), radiation.powers(frequencies, moved)
     for index in (0, 20, 59):
         alone = Radiation(plate, frequencies[index]).resistances(frequencies[[index]])[0]
         np.testing.assert_allclose(resistances[index], alone, rtol=0, atol=1e-9 * np.abs(alone).max())
+        rate = 2j * math.pi * frequencies[index] * moved[index]
+        np.testing.assert_allclose(powers[index], (rate.conj() * (alone @ rate)).real.sum(axis=0) / 2, rtol=1e-9)
+        exact = pressures(plate, frequencies[[index]], moved[[index]], POINTS)[0]
+        np.testing.assert_allclose(heard[index], exact, rtol=0, atol=1e-12 * np.abs(exact).max())
 
 
 def test_power_is_that_of_the_pressure_far_away(random):

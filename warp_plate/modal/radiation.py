@@ -33,8 +33,8 @@ from warp_plate.scene.model import Scene
 
 # Terms beyond one for each radian of phase over half the plate: all errors are below 1e-12.
 FURTHER = 12
-# Frequencies whose resistances are in memory at a time.
-BLOCK_FREQUENCIES = 16
+# Frequencies whose pressures and powers are computed at a time.
+BLOCK_FREQUENCIES = 64
 # A point nearer to the plate than so many of its spacings of integration is refused.
 NEAREST = 3.0
 
@@ -179,13 +179,16 @@ class Radiation:
     def powers(self, frequencies: np.ndarray, amplitudes: np.ndarray) -> np.ndarray:
         """Return (n, loads) mean radiated powers [W] of modal amplitudes (n, modes, loads) at frequencies (n,) [Hz]."""
         powers = np.zeros((len(frequencies), amplitudes.shape[2]))
+        modes, k = amplitudes.shape[1], self.air.wavenumber(frequencies)
+        values = chebyshev.chebvander(2 * (k / self._highest) ** 2 - 1, len(self._polynomials) - 1)
         for start in range(0, len(frequencies), BLOCK_FREQUENCIES):
             some = slice(start, start + BLOCK_FREQUENCIES)
-            rates = 2j * math.pi * frequencies[some, None, None] * amplitudes[some]
-            resistances = self.resistances(frequencies[some])
-            for part in (rates.real, rates.imag):
-                powers[some] += 0.5 * (part * (resistances @ part)).sum(axis=1)
-        return powers
+            rates = np.moveaxis(2j * math.pi * frequencies[some, None, None] * amplitudes[some], 1, 0)
+            for part in (rates.real.reshape(modes, -1), rates.imag.reshape(modes, -1)):
+                for value, shares in zip(values[some].T, self._polynomials, strict=True):
+                    products = (part * (shares.reshape(modes, modes) @ part)).sum(axis=0)
+                    powers[some] += value[:, None] * products.reshape(powers[some].shape)
+        return np.asarray(self.air.density * self.air.sound_speed / 2 * k[:, None] ** 2 * powers)
 
     def pressures(self, frequencies: np.ndarray, amplitudes: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Return (n, points, loads) pressures [Pa], see :func:`pressures`."""
@@ -235,18 +238,33 @@ def pressures(
     """Return (n, points, loads) pressures [Pa] at points (points, 3) x, y, z [m] in front of the plate, z above it, of
     modal amplitudes (n, modes, loads) at frequencies (n,) [Hz]. SceneError: a point is too near to the plate."""
     places, weights = plate.space.quadrature()
-    distances = distances_to(plate, points, places)
-    shapes = _shapes(plate, places)
+    distances, shapes = distances_to(plate, points, places), _shapes(plate, places)
+    middle = (distances.min(axis=1) + distances.max(axis=1)) / 2
+    k = air.wavenumber(frequencies)
+
+    def rows(wavenumbers: np.ndarray) -> np.ndarray:
+        """Return (n, points, modes) ∫ φ exp(−ik(r − middle))/r dA, which vary slowly with k."""
+        kernels = (np.exp(-1j * one * (distances - middle[:, None])) * (weights / distances) for one in wavenumbers)
+        return np.array([kernel.real @ shapes.T + 1j * (kernel.imag @ shapes.T) for kernel in kernels])
+
+    centre, half = (k.max() + k.min()) / 2, (k.max() - k.min()) / 2
+    count = math.ceil(1.2 * half * np.ptp(distances, axis=1).max(initial=0) / 2) + 2 * FURTHER
+    interpolated = half > 0 and count < len(k)
+    if interpolated:
+        nodes = chebyshev.chebpts1(count)
+        at_nodes = rows(centre + half * nodes).reshape(count, -1)
+        polynomials = np.linalg.solve(chebyshev.chebvander(nodes, count - 1), at_nodes)
     pressures = np.empty((len(frequencies), len(points), amplitudes.shape[2]), dtype=complex)
     for start in range(0, len(frequencies), BLOCK_FREQUENCIES):
         some = slice(start, start + BLOCK_FREQUENCIES)
-        modes = np.moveaxis(amplitudes[some], 0, 1)
-        motion = np.tensordot(shapes, modes.real, (0, 0)) + 1j * np.tensordot(shapes, modes.imag, (0, 0))
-        for index, k in enumerate(air.wavenumber(frequencies[some])):
-            kernel = np.exp(-1j * k * distances) * (weights / distances)
-            acceleration = -((k * air.sound_speed) ** 2) * motion[:, index]
-            pressures[start + index] = air.density / (2 * math.pi) * (kernel @ acceleration)
-    return pressures
+        if interpolated:
+            values = chebyshev.chebvander((k[some] - centre) / half, count - 1)
+            sums = (values @ polynomials).reshape(len(values), len(points), -1)
+        else:
+            sums = rows(k[some])
+        accelerations = -((k[some, None, None] * air.sound_speed) ** 2) * amplitudes[some]
+        pressures[some] = np.exp(-1j * np.outer(k[some], middle))[:, :, None] * (sums @ accelerations)
+    return np.asarray(air.density / (2 * math.pi) * pressures)
 
 
 def distances_to(plate: PlateInBaffle, points: np.ndarray, places: np.ndarray) -> np.ndarray:

@@ -63,6 +63,7 @@ def sound(
     frequencies = np.union1d(adaptive_frequencies(*plate.resonances, low, high), [drive])
     amplitudes = plate.respond_to_drive(frequencies, scene_phasors(scene))
     radiation = radiation_of(plate, high, air, baffle)
+    pressures = radiation.pressures(frequencies, amplitudes, places)[:, :, 0].T
     power = radiation.powers(frequencies, amplitudes)
     energies = [_squares(amplitudes[:, :, 0], plate.kinetic_matrix(region)) for region in (scene.target, "plate")]
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -77,7 +78,7 @@ def sound(
         efficiency=efficiencies(plate, air, frequencies, amplitudes, power)[:, 0] / (1 if baffle else 2),
         localization_factor=factor,
         points=places,
-        pressures=radiation.pressures(frequencies, amplitudes, places)[:, :, 0].T,
+        pressures=pressures,
         natural_frequencies=natural[shown],
         loss_factors=lost[shown],
         drive_frequency=drive,
