@@ -5,6 +5,7 @@ import gc
 import importlib.util
 import sys
 from contextlib import suppress
+from functools import cache
 
 from warp_plate.scene.errors import printable
 
@@ -13,6 +14,10 @@ from warp_plate.scene.errors import printable
 STARTING, WORKING = 1_000_000, (2000, 10, 50)
 # Parts of NumPy that no command uses. SciPy touches every part when it is imported, and these take half that time.
 UNUSED = "f2py", "testing"
+
+
+# Once: later objects of a program that runs several commands may be garbage.
+_freeze_start = cache(gc.freeze)
 
 
 def postpone_garbage() -> None:
@@ -28,8 +33,7 @@ def postpone_garbage() -> None:
 def collect_garbage() -> None:
     """Let Python look for garbage from now on, but not among the objects of the start."""
     if gc.get_threshold() != WORKING:
-        if not gc.get_freeze_count():  # later objects of another program's command may be garbage
-            gc.freeze()
+        _freeze_start()
         gc.set_threshold(*WORKING)
 
 
