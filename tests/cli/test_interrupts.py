@@ -186,6 +186,25 @@ def test_the_status_is_that_of_an_interrupt_wherever_it_comes(endless):
     assert (status, out, err) == (130, "", "warp-plate: interrupted\n")
 
 
+# The same while pictures are drawn, which are left out.
+LEFT_OUT = """
+import os, signal, sys
+from warp_plate.cli import main, output
+
+def report(*given):
+    draw = lambda: exec("os.kill(os.getpid(), signal.SIGINT)")
+    print(output.write_files({"file": str}, draw)[1])
+
+output.report = report
+main.main(sys.argv[1:])
+"""
+
+
+def test_the_status_is_0_where_pictures_are_left_out_wherever_the_interrupt_comes():
+    status, out, err, _ = end(start("-c", LEFT_OUT, "keys"))
+    assert (status, out, err) == (0, "no pictures: interrupted by Ctrl-C\n", "")
+
+
 # Sends Ctrl-C while VTK is imported, and prints whether that went on.
 DRAWING = STARTING.replace(
     "main(sys.argv", "import atexit; atexit.register(lambda: print('pyvista.plotting' in sys.modules))\nmain(sys.argv"
@@ -288,6 +307,16 @@ def test_pictures_are_left_out_on_interrupts(line, file, command, write_scene, m
     out = output_of(command(*line.split()))
     assert out.replace("\n", " ").endswith(f"wrote {file} no pictures: interrupted by Ctrl-C ")
     assert sorted(path.name for path in Path().iterdir()) == sorted({"measured.csv", "panel.toml", file})
+
+
+@pytest.mark.parametrize("line", ["frf paper --to csv --range 20:60", "sound paper --to csv --range 200:300"])
+def test_the_picture_that_out_names_is_not_left_out(line, command, monkeypatch, tmp_path):
+    pytest.importorskip("matplotlib")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda *_, **__: os.kill(os.getpid(), signal.SIGINT))
+    status, out, err = command(*line.split(), "--out", "a.png")
+    assert (status, out, err) == (130, "", "warp-plate: interrupted; wrote only a.csv\n")
+    assert [path.name for path in Path().iterdir()] == ["a.csv"]
 
 
 def test_a_solver_can_be_used_after_an_interrupted_run(device, path, phasors):

@@ -111,8 +111,6 @@ def main(arguments: list[str] | None = None) -> None:
             _run(sys.argv[1:] if arguments is None else arguments)
     except KeyboardInterrupt as interrupt:
         print(f"warp-plate: interrupted{interrupt}", file=sys.stderr)
-        # Python ends by SIGINT if Ctrl-C came in an exec() of a text, until another text is executed, as here.
-        namedtuple("Handled", "")
         sys.exit(130)
     except (ImportError, SystemError) as error:  # the latter where memory runs out inside an import
         log(f"a library cannot be loaded: {error.__cause__ or error}; is it damaged, or memory limited?")
@@ -127,6 +125,8 @@ def main(arguments: list[str] | None = None) -> None:
     finally:  # the status stands when the process ends, not before: main may be called by another program
         atexit.unregister(ignore_interrupts)
         atexit.register(ignore_interrupts)
+        # Python ends by SIGINT if Ctrl-C came in an exec() of a text, until another text is executed, as here.
+        namedtuple("Handled", "")
 
 
 def _run(words: list[str]) -> None:

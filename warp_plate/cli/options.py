@@ -159,8 +159,11 @@ class FileOptions:
         return path
 
     def check_drawn(self, path: Path, drawn: output.Drawn) -> output.Drawn:
-        """Return what was drawn, or raise a SceneError if that lacks the picture ``path`` that ``--out`` names."""
+        """Return what was drawn, or raise a SceneError if that lacks the picture ``path`` that ``--out`` names; a
+        KeyboardInterrupt if Ctrl-C left it out."""
         if self.out is not None and self.pictures and path not in drawn[0]:
+            if drawn[1] == output.INTERRUPTED:
+                raise KeyboardInterrupt(f"; wrote only {', '.join(map(str, drawn[0]))}")
             raise SceneError(f"--out {path}: {str(drawn[1]).removeprefix(f'no plot: {path}: ')}")
         return drawn
 

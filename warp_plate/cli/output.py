@@ -27,6 +27,8 @@ from warp_plate.scene.errors import number_text as number_text
 
 # The longest ending of the files that are written beside a result.
 LONGEST_ENDING = "-inverse_filter-64.wav.123456789abc.part.wav"
+# Why pictures are missing after Ctrl-C.
+INTERRUPTED = "no pictures: interrupted by Ctrl-C"
 if TYPE_CHECKING:
     from warp_plate.result.model import Result
     from warp_plate.scene.model import Scene
@@ -310,7 +312,7 @@ def write_files(saves: Mapping[Path, Callable[[Path], object]], draw: Callable[[
     except KeyboardInterrupt:
         if not files or len(files) < len(saves):
             raise
-        drawn, missing = [], "no pictures: interrupted by Ctrl-C"
+        drawn, missing = [], INTERRUPTED
     return files + drawn, missing
 
 
