@@ -286,31 +286,83 @@ def test_impulse_responses_have_the_drives_of_their_spectra(tmp_path, random):
     np.testing.assert_allclose(again.localized.drive, measured_drives(scene, matrix).localized.drive, rtol=1e-4)
 
 
+def universal_sets(places, frequencies, responses, **stated):
+    """Return the datasets of nodes and of responses (n, points, actuators), with other entries of all of these."""
+    pyuff, number = pytest.importorskip("pyuff"), np.arange(1, len(places) + 1)
+    sets = [{"type": 15, "node_nums": number, "x": places[:, 0], "y": places[:, 1]}]
+    sets[0] |= dict.fromkeys(("def_cs", "disp_cs", "color", "z"), 0 * number)
+    spacing = {"abscissa_spacing": 0, "abscissa_spec_data_type": 18, "ordinate_spec_data_type": 11}
+    spacing |= {"orddenom_spec_data_type": 13, "func_type": 4, "x": frequencies, "ref_dir": 3, "rsp_dir": 3, **stated}
+    for actuator in range(responses.shape[2]):
+        for node in number.tolist():
+            ends = {"rsp_node": node, "ref_node": 1000 + actuator}
+            sets.append(pyuff.prepare_58(**spacing, **ends, data=responses[:, node - 1, actuator]))
+    return sets
+
+
 def test_universal_file(tmp_path, random):
     pyuff = pytest.importorskip("pyuff")
     _, path = bench(tmp_path, random)
     matrix = read_matrix(MeasuredScene.load(path))
-    number, places = np.arange(1, len(matrix.points) + 1), matrix.points
-    sets = [{"type": 15, "node_nums": number, "x": places[:, 0], "y": places[:, 1]}]
-    sets[0] |= dict.fromkeys(("def_cs", "disp_cs", "color", "z"), 0 * number)
-    spacing = {"abscissa_spacing": 0, "abscissa_spec_data_type": 18, "ordinate_spec_data_type": 11}
-    spacing |= {"orddenom_spec_data_type": 13, "func_type": 4, "x": matrix.frequencies, "ref_dir": 3}
-    for actuator in range(3):
-        for node in number.tolist():
-            sign = -1 if node == 7 else 1
-            data = sign * matrix.responses[:, node - 1, actuator]
-            ends = {"rsp_node": node, "rsp_dir": 3 * sign, "ref_node": 1000 + actuator}
-            sets.append(pyuff.prepare_58(**spacing, **ends, data=data))
-    pyuff.UFF(str(tmp_path / "scan.uff")).write_sets(sets, mode="overwrite")
+    places, file = matrix.points, tmp_path / "scan.uff"
+    sets = universal_sets(places, matrix.frequencies, matrix.responses)
+    sets[7] = {**sets[7], "rsp_dir": -3, "data": -sets[7]["data"]}
+    pyuff.UFF(str(file)).write_sets(sets, mode="overwrite")
     path.write_text(path.read_text().replace("scan.h5", "scan.uff").replace("averages = 16", "noise = 1e-3"))
     read = read_matrix(MeasuredScene.load(path))
     assert read.names == ("node 1000 Z", "node 1001 Z", "node 1002 Z")
     np.testing.assert_allclose(read.points, places, rtol=1e-4)
     np.testing.assert_allclose(read.responses, matrix.responses, rtol=1e-3, atol=1e-4 * np.abs(matrix.responses).max())
-    content, stated = (tmp_path / "scan.uff").read_text(), f"{len(matrix.frequencies):10d}"
-    (tmp_path / "scan.uff").write_text(content.replace(f"         6{stated}", "         6 999999999"))
+    content, stated = file.read_text(), f"{len(matrix.frequencies):10d}"
+    file.write_text(content.replace(f"         6{stated}", "         6 999999999"))
     with pytest.raises(SceneError, match=r"number 1 of .*: record 7 states 999999999 points and 100 follow"):
         read_matrix(MeasuredScene.load(path))
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ([{"rsp_dir": 3}], "has two functions of type 4 of node 1 to node 1000 Z"),
+        ([{"rsp_dir": 0}], "has two functions of type 4 of node 1 to node 1000 Z"),
+        ([{"rsp_dir": 1, "ref_node": 2}, {"rsp_dir": 1}], None),
+    ],
+)
+def test_directions_of_universal_files(more, words, tmp_path, random):
+    """Of several directions of a response Z is taken; no response is left out or replaced by another in silence."""
+    pyuff = pytest.importorskip("pyuff")
+    places, frequencies, responses = random.random((6, 2)), np.array([20.0, 30.0]), np.ones((2, 6, 2), complex)
+    sets = universal_sets(places, frequencies, responses)
+    sets += [{**sets[1], "data": 2 * sets[1]["data"], **other} for other in more]
+    pyuff.UFF(str(tmp_path / "a.uff")).write_sets(sets, mode="overwrite")
+    scene = MeasuredScene(measured={"file": "a.uff"}, target={"area": (0.0, 1.0, 0.0, 1.0)}).in_folder(tmp_path)
+    if words is None:
+        np.testing.assert_array_equal(read_matrix(scene).responses, responses)
+    else:
+        with pytest.raises(SceneError, match=words):
+            read_matrix(scene)
+
+
+@pytest.mark.parametrize(
+    ("stated", "words"),
+    [
+        ({"ordinate_spec_data_type": 12}, "node 1 states accelerance, but measured.quantity is mobility"),
+        ({"ordinate_spec_data_type": 3}, "node 1 states ordinates of type 3, but measured.quantity is mobility"),
+        ({"ord_data_type": 4}, "the response of node 1 is real"),
+        ({"rsp_dir": 0}, None),
+        ({"rsp_dir": 1, "ordinate_spec_data_type": 0}, None),
+    ],
+)
+def test_kinds_of_responses_of_universal_files(stated, words, tmp_path, random):
+    pyuff = pytest.importorskip("pyuff")
+    places, frequencies, responses = random.random((6, 2)), np.array([20.0, 30.0]), np.ones((2, 6, 2), complex)
+    responses = responses.real if "ord_data_type" in stated else responses
+    pyuff.UFF(str(tmp_path / "a.uff")).write_sets(universal_sets(places, frequencies, responses, **stated))
+    scene = MeasuredScene(measured={"file": "a.uff"}, target={"area": (0.0, 1.0, 0.0, 1.0)}).in_folder(tmp_path)
+    if words is None:
+        assert read_matrix(scene).responses.shape == (2, 6, 2)
+    else:
+        with pytest.raises(SceneError, match=words):
+            read_matrix(scene)
 
 
 @pytest.mark.parametrize(("name", "what"), [("scan.h5", "numbers"), ("scan.mat", "numbers"), ("scan.uff", "bytes")])
@@ -381,8 +433,9 @@ def test_matrices_that_say_nothing_are_refused(random):
         ({"points": 1.0}, "needs the array points"),
         ({"points": np.full((9, 2), 1e31)}, "points must be numbers in metres"),
         ({"frequency": [1e200, 2e200]}, "frequencies are at most 1e+30 Hz"),
-        ({"response": np.full((1, 9, 2), 1e200)}, "the response of actuator 1, point 1, 20 Hz is 1e+200"),
-        ({"response": np.full((1, 9, 2), 1e-200)}, "the responses to actuator 1 are 0, or below 1e-30"),
+        ({"response": np.full((1, 9, 2), 1e200 + 0j)}, "the response of actuator 1, point 1, 20 Hz is 1e+200"),
+        ({"response": np.full((1, 9, 2), 1e-200 + 0j)}, "the responses to actuator 1 are 0, or below 1e-30"),
+        ({"response": np.ones((1, 9, 2))}, "response is real; write complex numbers"),
         ({"response": None, "real": np.ones((1, 9, 2)), "imaginary": [1.0]}, "imaginary has shape (1,); real has"),
         ({"impulse": np.ones((1, 9, 8)), "rate": []}, "with rate in samples a second"),
         ({"impulse": np.ones((1, 9, 8)), "rate": 1e-320}, "with rate in samples a second"),
@@ -393,7 +446,7 @@ def test_matrices_that_say_nothing_are_refused(random):
 def test_odd_arrays_are_refused(change, words, tmp_path):
     grid = np.stack(np.meshgrid([0.0, 0.1, 0.3], [0.0, 0.1, 0.3]), -1).reshape(-1, 2)
     with h5py.File(tmp_path / "scan.h5", "w") as file:
-        usual = {"points": grid, "frequency": [20.0, 30.0], "response": np.ones((1, 9, 2))}
+        usual = {"points": grid, "frequency": [20.0, 30.0], "response": np.ones((1, 9, 2), complex)}
         for name, values in (usual | change).items():
             if values is not None:
                 file[name] = values

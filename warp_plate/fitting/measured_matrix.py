@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from warp_plate.fitting.measured_modes import check_file
-from warp_plate.fitting.measured_universal import ACROSS, COHERENCE, RESPONSE, read_universal
+from warp_plate.fitting.measured_universal import ACROSS, COHERENCE, ORDERS, RESPONSE, UNKNOWN, read_universal
 from warp_plate.modal.modes import solve_modes
 from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.result.frequency_response import DERIVATIVES
@@ -127,6 +127,8 @@ def _arrays(path: Path, table: Measured) -> MeasuredMatrix:
             given = arrays["real"] + 1j * arrays["imaginary"]
         if given is None or "frequency" not in arrays:
             raise ValueError(f"needs frequency and response, or impulse and rate; has {', '.join(arrays)}")
+        if given.dtype.kind != "c":
+            raise ValueError("response is real; write complex numbers, which have the phase too")
         frequency = arrays["frequency"].real.ravel()
         responses = _ordered("response", given, len(places), len(frequency))
         coherence = arrays.get("coherence")
@@ -184,9 +186,8 @@ def _matrix(
 def _universal(path: Path, table: Measured) -> MeasuredMatrix:
     """Return the responses of a universal file: references are actuators, responses points."""
     file = read_universal(path)
-    across = [item for item in file.of(58) if abs(item["rsp_dir"]) == ACROSS] or file.of(58)
     functions = {
-        kind: {_ends(item): item for item in across if item["func_type"] == kind} for kind in (RESPONSE, COHERENCE)
+        kind: _by_ends([item for item in file.of(58) if item["func_type"] == kind]) for kind in (RESPONSE, COHERENCE)
     }
     found = functions[RESPONSE]
     if not found:
@@ -196,6 +197,8 @@ def _universal(path: Path, table: Measured) -> MeasuredMatrix:
         for node in nodes:
             if (reference, node) not in found:
                 raise ValueError(f"has no response of node {node} to {_name(reference)}")
+    for item in found.values():
+        _check_kind(item, table.quantity)
     places = file.places()
     if missing := [node for node in nodes if node not in places]:
         raise ValueError(f"node {missing[0]} has no place (dataset 15 or 2411)")
@@ -213,6 +216,30 @@ def _universal(path: Path, table: Measured) -> MeasuredMatrix:
     coherence = values(COHERENCE).real if set(functions[COHERENCE]) >= set(found) else None
     spectra = frequency, values(RESPONSE), coherence
     return _matrix(path, table, spectra, np.array([places[node] for node in nodes]), tuple(map(_name, references)))
+
+
+def _by_ends(items: list[dict[str, Any]]) -> dict[tuple[tuple[int, int], int], dict[str, Any]]:
+    """Return functions by their ends: of several directions of the responses those along Z, or of none."""
+    directions = {abs(item["rsp_dir"]) for item in items}
+    across = [item for item in items if len(directions) == 1 or abs(item["rsp_dir"]) in (0, ACROSS)]
+    if items and not across:
+        raise ValueError("has responses along several directions, but none along Z")
+    found: dict[tuple[tuple[int, int], int], dict[str, Any]] = {}
+    for item in across:
+        if (ends := _ends(item)) in found:
+            raise ValueError(f"has two functions of type {item['func_type']} of node {ends[1]} to {_name(ends[0])}")
+        found[ends] = item
+    return found
+
+
+def _check_kind(item: dict[str, Any], quantity: str) -> None:
+    """Raise a ValueError unless a response is complex, and of the quantity that it is taken for."""
+    code, what = item["ordinate_spec_data_type"], f"the response of node {item['rsp_node']}"
+    if item["ord_data_type"] not in (5, 6):
+        raise ValueError(f"{what} is real; a response has real and imaginary parts")
+    if code not in UNKNOWN and ORDERS.get(code) != DERIVATIVES[quantity]:
+        stated = list(DERIVATIVES)[ORDERS[code]] if code in ORDERS else f"ordinates of type {code}"
+        raise ValueError(f"{what} states {stated}, but measured.quantity is {quantity}")
 
 
 def _ends(item: dict[str, Any]) -> tuple[tuple[int, int], int]:
