@@ -110,6 +110,9 @@ def test_starts_are_kept_until_the_panel_is_written(command, tmp_path, monkeypat
     with monkeypatch.context() as full:
         full.setattr("warp_plate.cli.output.write_files", Mock(side_effect=SceneError("a.toml: cannot be written")))
         assert "cannot be written" in error_of(command(*line))
+    with monkeypatch.context() as late:
+        late.setattr("warp_plate.design", Mock(side_effect=KeyboardInterrupt))
+        assert command(*line) == (130, "", "warp-plate: interrupted; the same command continues\n")
     monkeypatch.setattr("warp_plate.designing.design._climb", None)
     output_of(command(*line))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.thickness.csv", "a.toml"]

@@ -239,11 +239,16 @@ def test_huge_files_are_not_read(tmp_path):
         Scene.load(tmp_path / "video.toml")
 
 
+# Each has a best drive, whose records are kept.
+TARGETS = [{"name": str(number), "area": (0.0, 0.1, 0.0, 0.1)} for number in range(32)]
+
+
 @pytest.mark.parametrize(
     ("tables", "what"),
     [
         ({"nodes": (1025, 1025)}, "grid.nodes = [1025, 1025] with 3 actuators: takes about"),
         ({"nodes": (257, 257), "record": {"times": (0.01,) * 5000}}, "and 5000 record.times"),
+        ({"nodes": (65, 65), "record": {"times": (0.01,) * 100}, "targets": TARGETS}, "and 100 record.times"),
         ({"window": (0.0, 30.0), "record": {"points": ((0.1, 0.1),) * 50}}, "window.end = 30"),
         ({"nodes": (129, 129), "effects": {"tension": {"x": -1e-3}}}, "grid.nodes = [129, 129]"),
     ],

@@ -10,6 +10,7 @@ from numpy.polynomial import legendre
 
 from support.series import patch_pressures, supported_plate
 from warp_plate.modal.modes import solve_modes
+from warp_plate.plate import memory
 from warp_plate.plate.designs import scene_phasors
 from warp_plate.result.frequency_response import write_csv, write_hdf5
 from warp_plate.scene.errors import SceneError
@@ -52,6 +53,13 @@ def at(scene, amplitudes, point):
 def unit_pressures(scene, actuator, terms):
     """Return the modal pressures of 1 N/m² on an actuator."""
     return patch_pressures(scene, np.eye(len(scene.actuators))[actuator], terms)
+
+
+def test_responses_beyond_the_memory_are_refused(scene, monkeypatch):
+    monkeypatch.setattr(memory, "machine_memory", lambda: 2.0**28)
+    assert frf(scene(damping=20.0), points=[(0.1, 0.1)]).responses.shape[0] == 3
+    with pytest.raises(SceneError, match=r"^points: 60000 responses at \d+ frequencies: takes about .* GiB of memory"):
+        frf(scene(damping=20.0), points=[(0.1, 0.1)] * 20_000)
 
 
 def test_receptance_is_that_of_the_sine_series(driven_panel):

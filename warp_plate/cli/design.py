@@ -72,7 +72,10 @@ def design(
 
         check_drawing()
     with output.scene_errors(scene), output.progress_bar("designs", shown=not files.json) as show:
-        panel = warp_plate.design(loaded, show, beside[UNFINISHED], check)
+        try:
+            panel = warp_plate.design(loaded, show, beside[UNFINISHED], check)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt("; the same command continues" * beside[UNFINISHED].exists()) from None
     saves = {}
     designed = panel.scene
     if panel.improved and panel.thickness is not None and loaded.design is not None and loaded.design.thickness:

@@ -44,8 +44,8 @@ MOST_STEPS = 10**8
 PLAIN, MOMENT_FORM, MATRICES, FACTORISED = 160, 450, 400, 5500
 # Bytes per step: of a term of the drive's wave, and of a recorded point.
 TERM, POINT = 64, 96
-# Cases of a search with records.
-CASES = 3
+# Cases of a search with records, and bytes of a number of a record of each further target, in memory and when written.
+CASES, KEPT = 3, 12.0
 # Largest cΔt/ρH. Above it float32 loses the square of the remaining motion of a step.
 MOST_LOSS = 1e9
 
@@ -175,7 +175,7 @@ def check_grid(scene: Scene, moment_form: bool = False) -> None:
 def grid_bytes(scene: Scene, moment_form: bool) -> float:
     """Return the bytes of a scene's fields."""
     terms, nodes = scene.terms, math.prod(scene.grid.nodes)
-    bytes_a_node = PLAIN + 16.0 * (len(scene.actuators) + CASES * len(scene.record.times))
+    bytes_a_node = PLAIN + 16.0 * len(scene.actuators) + _record_bytes(scene, 16.0) * len(scene.record.times)
     if moment_form:
         springs = (len(support_points(support, scene.spacing)[0]) for support in scene.supports)
         attached = len(attachments(terms)) + len(scene.coil_indices) + sum(springs)
@@ -189,10 +189,16 @@ def steps_bytes(scene: Scene, steps: int) -> float:
     """Return the bytes of a run's drives and traces."""
     frequencies = len({actuator.frequency for actuator in scene.actuators})
     terms = 2 * frequencies if scene.drive.electrostatic is None else 4 * frequencies + 2
-    bytes_a_step = TERM * terms + POINT * CASES * len(scene.record.points)
+    bytes_a_step = TERM * terms + _record_bytes(scene, POINT) * len(scene.record.points)
     if scene.effects.travelling is not None:
         bytes_a_step += 24 * sum(scene.grid.nodes)
     return float(steps) * bytes_a_step
+
+
+def _record_bytes(scene: Scene, of_case: float) -> float:
+    """Return the bytes of a number of a record: of the cases of the first target, which are kept, and of another's."""
+    others = max(0, len(scene.targets) - 1)
+    return CASES * of_case * (1 + (others > 0)) + KEPT * others
 
 
 def sampling_step(scene: Scene, limit: float) -> float:

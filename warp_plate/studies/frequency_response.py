@@ -21,6 +21,7 @@ from warp_plate.modal.modes import ModalPlate, solve_modes
 from warp_plate.modal.poles import adaptive_frequencies, as_sparse, multiply_modes
 from warp_plate.modal.spaces.space import Matrix
 from warp_plate.plate.designs import scene_phasors
+from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.quantities.region_quantities import mean_square
 from warp_plate.result.frequency_response import (
     DERIVATIVES,
@@ -41,6 +42,8 @@ from warp_plate.studies.listening import Observer, Point, in_baffle, listening_p
 MODES_SHOWN = 6
 # Number of amplitudes in memory: frequencies · modes · loads.
 AMPLITUDES_AT_ONCE = 2**22
+# Bytes of a response at a frequency, with its error.
+RESPONSE_BYTES = 60.0
 # Combinations of actuators with a smaller part of the largest amplitude cancel out.
 RANK_TOLERANCE = 1e-12
 # Functions along each side of the second solution, relative to the first. An error is FACTOR times the change between
@@ -108,6 +111,10 @@ def frf(
         natural, widths = plate.coils.resonances(opened=True)
         lost = 2 * widths / natural
     terminals = inputs if quantity == IMPEDANCE else ()
+
+    count = len(inputs) * len(points)
+    what = f"points: {count} responses at {frequencies.size} frequencies"
+    refuse_beyond_memory(RESPONSE_BYTES * count * frequencies.size, what)
 
     def observer(plate: ModalPlate, highest: float) -> Observer:
         return observe_sound(plate, highest, quantity, points, baffle) if quantity in SOUND else _motion(plate, points)

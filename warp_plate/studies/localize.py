@@ -321,7 +321,9 @@ def evaluate_targets(problem: Problem, searches: tuple[TargetSearch, ...]) -> Ev
     for index, (name, search) in enumerate(zip(names, others, strict=False), 1):  # fewer after Ctrl-C
         other = with_target(problem, index)
         more = evaluate_cases(other, search.single_actuator, search.position)
-        cases[name] = more.cases["best"]
+        best = more.cases["best"]
+        # Copies, because those of a run are parts of one array.
+        cases[name] = replace(best, displacement=best.displacement.copy(), trace=best.trace.copy())
         node_steps += other.drive_solver.node_steps + more.node_steps
     return replace(evaluated, cases=cases, node_steps=node_steps)
 
