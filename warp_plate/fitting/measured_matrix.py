@@ -13,10 +13,22 @@ Where there is a fitted plate with responses M, responses of each actuator at ea
 with the gain g of least squares: the posterior means if the plate's errors have the variance τ², estimated by that of
 the differences (C. N. Morris, J. Am. Stat. Assoc. 78, 1983, pp. 47-55). Their variance is w σ², and that of the gain;
 noise adds w² σ² to their squares on average.
+
+A plate with few modes in a range has responses whose dependences on the frequency are combinations of few. With known
+variances, the matrix X (lines, points · actuators) of neighbouring lines is scaled by rows and columns until they are
+1 on average in each (B. Landa, T. T. C. K. Zhang, Y. Kluger, SIAM J. Math. Data Sci. 4, 2022, pp. 1388-1413). Singular
+values of noise alone are then at most √lines + √(points · actuators) (M. Gavish, D. L. Donoho, IEEE Trans. Inf. Theory
+63, 2017, pp. 2137-2152), and the projection P on the left singular vectors of larger ones leaves the variances
+
+    Σ_m |P_lm|² σ²_mc,
+
+r of L in the mean for r vectors of L lines. Smoothness in space cannot do the same: to first order, the drive depends
+on the noise along the fields of the actuators alone, which are smooth.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -37,6 +49,9 @@ from warp_plate.scene.model import Scene
 MATRIX_BYTES, MOST_POINTS, MOST_ACTUATORS, MOST_LINES = 2**30, 2000, 64, 2**16
 ARRAYS = "frequency", "points", "response", "real", "imaginary", "coherence", "impulse", "rate"
 LEAST_COHERENCE = 1e-6
+# Lines that are taken together to reduce noise, fewest of them, rounds that scale rows and columns, and the least
+# variance over the mean.
+TOGETHER, FEWEST, SCALINGS, NEGLIGIBLE = 256, 8, 8, 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,14 +270,52 @@ def _name(reference: tuple[int, int]) -> str:
     return f"node {reference[0]}" + f" {' XYZ'[reference[1]]}" * (reference[1] in (1, 2, 3))
 
 
+def reduce_noise(matrix: MeasuredMatrix) -> MeasuredMatrix:
+    """Return responses with less noise where its variance is known, by what neighbouring frequencies have in common.
+
+    Their ``variance`` stays that of the measured responses: what lines have in common may be a disturbance too.
+    """
+    lines, variance = len(matrix.frequencies), matrix.variance
+    if variance is None or lines < FEWEST or not variance.any():
+        return matrix
+    refuse_beyond_memory(64.0 * matrix.responses.size, f"{matrix.source}: noise of responses at {lines} frequencies")
+    reduced = matrix.responses.copy(), variance.copy()
+    for start in range(0, max(lines - TOGETHER // 2, 1), TOGETHER // 2):
+        together = slice(start, start + TOGETHER)
+        parts = _common(matrix.responses[together], variance[together])
+        better = np.mean(parts[1] - variance[together], axis=1, keepdims=True) < 0
+        inner = slice(TOGETHER // 4 if start else 0, None)  # its end is overwritten by the lines that come next
+        for whole, part in zip(reduced, parts, strict=True):
+            np.copyto(whole[together][inner], part[inner], where=better[inner])
+    return replace(matrix, responses=reduced[0], noise=reduced[1])
+
+
+def _common(responses: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return what responses (lines, points, actuators) of neighbouring lines share, and the variances of its noise."""
+    lines, count = len(responses), responses[0].size
+    sigma2 = np.maximum(variance, NEGLIGIBLE * variance.mean()).reshape(lines, count)
+    columns = np.ones((1, count))
+    for _ in range(SCALINGS):
+        rows = np.mean(sigma2 / columns, axis=1, keepdims=True)
+        columns = np.mean(sigma2 / rows, axis=0, keepdims=True)
+    scale = rows * columns
+    scaled = responses.reshape(lines, count) / np.sqrt(scale)
+    squares, vectors = np.linalg.eigh(scaled @ scaled.conj().T)
+    vectors = vectors[:, squares > (math.sqrt(lines) + math.sqrt(count)) ** 2]
+    vectors = vectors if vectors.size else np.eye(lines)  # all is noise: what is left must not be nothing
+    projection = vectors @ vectors.conj().T
+    noise = np.abs(projection) ** 2 @ (sigma2 / scale) * scale
+    return (projection @ scaled * np.sqrt(scale)).reshape(responses.shape), noise.reshape(responses.shape)
+
+
 def blend(matrix: MeasuredMatrix, scene: MeasuredScene) -> MeasuredMatrix:
     """Return responses between the measured ones and those of the plate ``measured.fitted``; SceneError: it does not
     fit them."""
-    name, sigma2 = scene.measured.fitted, matrix.variance
+    name, sigma2 = scene.measured.fitted, matrix.noise
     assert name is not None
     fitted = Scene.load((scene.folder or Path()) / name)
     head = f"measured.fitted = {name!r}"
-    if sigma2 is None:
+    if matrix.variance is None or sigma2 is None:
         raise SceneError(f"{head}: its part follows from the noise; write measured.noise or averages")
     if len(fitted.actuators) != len(matrix.names):
         raise SceneError(f"{head}: has {len(fitted.actuators)} actuators; the responses have {len(matrix.names)}")
@@ -282,6 +335,6 @@ def blend(matrix: MeasuredMatrix, scene: MeasuredScene) -> MeasuredMatrix:
     rest = matrix.responses - model
     tau2 = np.mean(np.abs(rest) ** 2 - sigma2, axis=1, keepdims=True).clip(min=0)
     weight = tau2 / np.maximum(tau2 + sigma2, 1e-300)
-    variance = sigma2 * (weight + 1 / len(matrix.points))
+    variance = matrix.variance * (weight + 1 / len(matrix.points))
     noise = sigma2 * weight**2
     return replace(matrix, responses=model + weight * rest, variance=variance, noise=noise)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from warp_plate.fitting.measured_matrix import MeasuredMatrix, blend, read_matrix
+from warp_plate.fitting.measured_matrix import MeasuredMatrix, blend, read_matrix, reduce_noise
 from warp_plate.focusing.measured_focus import MeasuredFocus, focus_measured
 from warp_plate.interrupts import check_interrupt
 from warp_plate.problem.measured_levels import MeasuredLevels, meet_levels
@@ -113,7 +113,7 @@ def measured_drives(
     """
     scene = MeasuredScene.load(scene)
     check_function("on_progress", on_progress)
-    matrix = read_matrix(scene) if matrix is None else matrix
+    matrix = reduce_noise(read_matrix(scene) if matrix is None else matrix)
     plate = MeasuredPlate(scene, matrix if scene.measured.fitted is None else blend(matrix, scene))
     name, target = next(iter(plate.targets.items()))
     rest = plate.shape.difference(target)
