@@ -101,15 +101,19 @@ def lowest_by_lanczos(
     """
     identity = scipy.sparse.eye_array(stiffness.shape[0])
     shifted = scipy.sparse.csc_array(stiffness + scale * (identity if mass is None else mass))
-    solve = scipy.sparse.linalg.splu(
-        shifted, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-    ).solve
+    solve = factorised(shifted).solve
     inverse = scipy.sparse.linalg.LinearOperator(shifted.shape, matvec=solve, dtype=float)
     # Started from a vector without symmetry, which finds modes of every symmetry.
     start = np.random.default_rng(0).normal(size=shifted.shape[0])
     values, vectors = scipy.sparse.linalg.eigsh(stiffness, count, mass, sigma=-scale, OPinv=inverse, v0=start)
     order = np.argsort(values, kind="stable")
     return values[order], vectors[:, order]
+
+
+def factorised(matrix: scipy.sparse.csc_array) -> scipy.sparse.linalg.SuperLU:
+    """Return the triangular factors of a symmetric matrix."""
+    options = {"SymmetricMode": True}
+    return scipy.sparse.linalg.splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
 
 
 def _improve_lowest(galerkin: Galerkin, squares: np.ndarray, vectors: np.ndarray, parity: np.ndarray) -> None:

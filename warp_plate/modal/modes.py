@@ -318,7 +318,16 @@ def solve_modes(
         wanted, least = max(math.pi / 4 * area * highest / wave, 2 * count), (2 * math.pi * highest) ** 2
     lowest = wave / max(scene.plate.size) ** 2
     squares, vectors = solve_eigenproblem(galerkin, math.ceil(wanted), (2 * math.pi * lowest) ** 2, least, improve)
+    return damped_modes(galerkin, squares, vectors, highest, improve)
+
+
+def damped_modes(
+    galerkin: Galerkin, squares: np.ndarray, vectors: np.ndarray, highest: float, improve: bool = True
+) -> ModalPlate:
+    """Return a plate with mass-normalised modes (unknowns, modes), by rising ω² [1/s²], and the damping of its scene;
+    ``highest`` [Hz] and ``improve`` as for :func:`solve_modes`."""
     frequencies = np.sqrt(np.maximum(squares, 0.0)) / (2 * math.pi)
+    lowest = mean_wave_frequency(laminate_of(galerkin.scene)) / max(galerkin.scene.plate.size) ** 2
     frequencies[frequencies < STILL * lowest] = 0.0
     damping, hysteretic = _viscous(galerkin, vectors), np.zeros((squares.size, squares.size))
     lost = galerkin.losses

@@ -40,8 +40,8 @@ ESSENTIAL = 1e-6
 # Samples of a region that programs begin with, at least, and for each actuator, as about two points for each hold it.
 FIRST, FIRST_EACH = 16, 2
 AT = " at ({:.4g}, {:.4g}) m"
-# Part of the largest change of a region by which all of it may be off besides.
-ELSEWHERE = 0.2
+# Parts of the largest change and of the largest level of a region by which all of it may be off besides.
+ELSEWHERE, ROUNDING = 0.2, 1e-7
 # Levels over those wanted (aims,), and over those allowed (rests,).
 Ratios: TypeAlias = "tuple[np.ndarray, np.ndarray]"
 
@@ -302,7 +302,7 @@ class Tone:
         def ends(measure: str, region: Region) -> list[float]:
             values = self._sampled(region, drive)
             changes = np.abs(other.rows(region.samples) @ drive - values)
-            changes = caution * (changes + ELSEWHERE * changes.max())  # they may cross zero
+            changes = caution * (changes + ELSEWHERE * changes.max()) + ROUNDING * np.abs(values).max()
             sizes = [np.abs(values) + sign * changes for sign in (0, -1, 1)]
             if measure == "mean":
                 middle, change = (float(np.sqrt(np.mean(part**2))) for part in (sizes[0], changes))

@@ -1,8 +1,8 @@
 """Points of a region of the plate at which a field is largest, between the points of any grid.
 
-A region is sampled inside and along its outlines. From each sample that exceeds its neighbours the search steps to the
-best of 24 points around it or the summit of the quadratic function through the nearest of them, or of four points along
-an outline, and reduces its steps.
+A region is sampled inside and along its outlines. Around each sample that exceeds its neighbours a finer grid shows
+whether there are several maxima. From each the search steps to the best of 24 points around it or the summit of the
+quadratic function through the nearest of them, or of four points along an outline, and reduces its steps.
 """
 
 from __future__ import annotations
@@ -38,6 +38,8 @@ ALONG = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
 AROUND = np.array([(i, j) for i in ALONG for j in ALONG])
 NEAREST = [7 + 5 * i + j - 1 for i in range(3) for j in range(3)]  # rows of AROUND
 MIDDLE = len(AROUND) // 2
+# Steps of the finer grid around a sample, three to a spacing of samples.
+FINE = np.stack(np.meshgrid(np.arange(-6, 7) / 3, np.arange(-6, 7) / 3), axis=-1)
 # Largest distance of a summit from the middle of its nine points [steps].
 REACH = 8.0
 
@@ -103,16 +105,24 @@ class Region:
         grid, on_lines = self._grid[self.inside][chosen[0]], list(zip(self.lines, chosen[1:], strict=True))
         if values is None:
             return np.concatenate([grid, *(line[at] for line, at in on_lines)])
-        return self._climb(grid, on_lines, values)
+        return self._climb(self._maxima_around(grid, values), on_lines, values)
 
     def _grid_maxima(self, levels: np.ndarray) -> np.ndarray:
         """Return the indices of grid points inside that no neighbour exceeds."""
         field = np.full(self.inside.shape, -np.inf)
         field[self.inside] = levels
-        around = np.pad(field, 1, constant_values=-np.inf)
-        rows, columns = len(self.y), len(self.x)
-        neighbours = [around[1 + i : 1 + i + rows, 1 + j : 1 + j + columns] for i, j in NEIGHBOURS]
-        return np.flatnonzero((field >= np.max(neighbours, axis=0))[self.inside])
+        return np.flatnonzero(_exceeds_neighbours(field)[self.inside])
+
+    def _maxima_around(self, points: np.ndarray, values: Values) -> np.ndarray:
+        """Return the maxima (n, 2) of a field on fine grids around points (points, 2) of the grid, or these themselves."""
+        around = points[:, None, None] + FINE * (_spacing(self.x), _spacing(self.y))
+        around = np.clip(around, (0.0, 0.0), self.plate.scene.plate.size).reshape(-1, FINE.size // 2, 2)
+        levels = self._within(around, values(around.reshape(-1, 2))).reshape(-1, *FINE.shape[:2])
+        maxima = _exceeds_neighbours(levels) & np.isfinite(levels)
+        maxima[:, [0, -1]] = maxima[:, :, [0, -1]] = False  # there the next points are not known
+        maxima = maxima.reshape(len(points), -1)
+        found = np.concatenate([points[~maxima.any(axis=1)], around[maxima]])
+        return found[np.unique(np.round(found / max(self.plate.scene.plate.size), 9), axis=0, return_index=True)[1]]
 
     def _climb(
         self, points: np.ndarray, on_lines: Sequence[tuple[np.ndarray, np.ndarray]], values: Values
@@ -144,6 +154,14 @@ class Region:
         """Return levels (n, m) at points (n, m, 2), -∞ outside the region."""
         within = shapely.contains_xy(self.shape, *points.reshape(-1, 2).T).reshape(points.shape[:2])
         return np.where(within, levels.reshape(within.shape), -np.inf)
+
+
+def _exceeds_neighbours(levels: np.ndarray) -> np.ndarray:
+    """Return where no neighbour exceeds levels on grids (..., ny, nx)."""
+    around = np.pad(levels, [(0, 0)] * (levels.ndim - 2) + [(1, 1)] * 2, constant_values=-np.inf)
+    rows, columns = levels.shape[-2:]
+    neighbours = [around[..., 1 + i : 1 + i + rows, 1 + j : 1 + j + columns] for i, j in NEIGHBOURS]
+    return np.asarray(levels >= np.max(neighbours, axis=0))
 
 
 def _quadratic_summits(levels: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.modal.coarser_modes import coarser_modes
+from warp_plate.modal.other_solutions import coarser_modes
 from warp_plate.modal.modes import ModalPlate, solve_modes
 from warp_plate.modal.poles import adaptive_frequencies, as_sparse, multiply_modes
 from warp_plate.modal.spaces.space import Matrix

@@ -1,6 +1,5 @@
 """The drive that meets a scene's specification, or the proof that none does."""
 
-import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -8,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 
 from warp_plate.interrupts import check_interrupt
-from warp_plate.modal.coarser_modes import coarser_modes
+from warp_plate.modal.other_solutions import coarser_modes
 from warp_plate.modal.modes import ModalPlate, solve_modes
 from warp_plate.optimize.cones import LeastScale
 from warp_plate.optimize.optimizer import minimum_near
 from warp_plate.problem.requirements import make_requirements
-from warp_plate.problem.specified_drives import Ratios, Scaled, Tone, solve_together
-from warp_plate.result.specified import Margin, Scatter, SpecifiedDrive
+from warp_plate.problem.specified_drives import Ratios, Scaled, Tone
+from warp_plate.result.specified import Margin, SpecifiedDrive
 from warp_plate.scene.errors import SceneError, check_function, check_type
-from warp_plate.scene.keys import resolved_key, value_of
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.scene.specification import Specification
+from warp_plate.studies.drive_for_cases import contrast_of, decibels, drive_for_cases, refined
 from warp_plate.studies.frequency_response import check_linear
 
 # Lowest frequency [Hz]: levels are accelerations, which vanish below all measure under a slower drive.
@@ -30,12 +29,14 @@ PARETO = np.geomspace(1 / 8, 8, 13)
 SAME = 1e-4  # relative difference of two scales that counts as none
 # Relative violation that counts as none, in programs and of levels; part of a certificate from which on it is named.
 NOTHING, VIOLATION, NAMED = 1e-7, 1e-6, 0.02
-# Density of the splines that errors are estimated with, and the error of the answer over the difference.
-COARSER, CAUTION = 1 / 1.3, 3.0
+# Density of the splines of the answer, and, relative to it, of those that errors are estimated with; and the error of
+# the answer over the difference.
+FINER, COARSER, CAUTION = 2.0, 1 / 1.3, 3.0
+LARGEST_ERROR = 0.2  # relative error of levels from which on nothing is proved
 # Points of the map along the longer side of the plate.
 MAP_POINTS = 161
-# Rounds of a drive for all cases of the tolerances, and those of one of several frequencies that are tried for it.
-ROTATIONS, FEW_ROTATIONS, ROBUST_TRIED = 12, 2, 5
+# Frequencies that are tried for one drive in all cases of the tolerances.
+ROBUST_TRIED = 5
 
 
 def specify(
@@ -81,13 +82,13 @@ def specify(
     tone = tones[chosen]
     if 0 < chosen < len(tones) - 1 and math.isfinite(scales[chosen].scale):
         tone = _between(tone, scaled, scales, frequencies, chosen)
-    answer = _answer(tone, scaled, scales, frequencies, scales[chosen].drive)
+    answer, tone = _answer(tone, scaled, tones, scales, scales[chosen].drive)
     if specification.tolerance and tolerances:
         spread = np.unique(np.linspace(0, len(tones) - 1, 1 if specification.band else ROBUST_TRIED).astype(int))
         starts = [(tone.frequency, answer.drive / answer.limits)]
         reached = [k for k in spread if len(spread) > 1 and np.isfinite(scales[k].drive).all()]
         starts += [(tones[k].frequency, scales[k].drive) for k in reached]
-        frequency, robust, scatter = _scatter(tone, scaled, starts)
+        frequency, robust, scatter = drive_for_cases(tone, scaled, starts)
         met, notes = sum(case.met for case in scatter), list(answer.notes)
         if met < len(scatter):
             notes.append(f"the one drive for all cases meets the specification in {met} of {len(scatter)} cases")
@@ -162,9 +163,11 @@ def _between(tone: Tone, scaled: Scaled, scales: Sequence[LeastScale], frequenci
 
 
 def _answer(
-    tone: Tone, scaled: Scaled, scales: Sequence[LeastScale], frequencies: np.ndarray, start: np.ndarray
-) -> SpecifiedDrive:
-    """Return the answer at the frequency of a tone, from a drive to start from, without cases of tolerances."""
+    rough: Tone, scaled: Scaled, tones: Sequence[Tone], scales: Sequence[LeastScale], start: np.ndarray
+) -> tuple[SpecifiedDrive, Tone]:
+    """Return the answer at the frequency of a tone, from a drive to start from, without cases of tolerances; and this
+    tone by more functions. ``tones`` and ``scales`` are those of all frequencies that were tried."""
+    tone = refined(rough, {rough.frequency}, FINER)
     scene, rests = tone.plate.scene, tone.requirements.rests
     whole = tone.solve("actuators alone")
     if not np.isfinite(whole.drive).all():
@@ -175,20 +178,26 @@ def _answer(
     result = tone.solve(scaled, start=start if np.isfinite(start).all() else None)
     if not math.isfinite(result.scale) and whole.scale <= 1:
         result = tone.solve(scaled, start=whole.drive)
-    binding, reached, band = tone.binding(result), math.isfinite(result.scale), tone.requirements.specification.band
+    binding, reached = tone.binding(result), math.isfinite(result.scale)
     limits = tone.largest * scene.unit_drives
     feasible = reached and result.scale <= 1 + NOTHING and tone.is_met(result.drive, VIOLATION)
     essential = replace(tone, points=tone.essential_points(result))
     effort = essential.solve("actuators") if rests else result
     drive = result.drive if reached else whole.drive / whole.scale
     levels = tone.reached(drive)
-    contrast, bound = (_contrast(tone, scale) for scale in (result.scale, result.bound))
+    contrast, bound = (contrast_of(tone, scale) for scale in (result.scale, result.bound))
     pareto = _pareto(essential, scaled, drive) if rests else []
-    obstacles = [] if feasible else _obstacles(tone, binding, result, effort, whole)
-    return SpecifiedDrive(
+    ends = tone.errors(_other(tone, rough), drive, CAUTION)
+    excluded = not feasible and _excludes(tone, scaled, _largest_error(ends))
+    error = _largest_error(tone.errors(rough, drive, CAUTION) if tone is not rough else ends)
+    others = [(one, scale) for one, scale in zip(tones, scales, strict=True) if one.frequency != tone.frequency]
+    proofs = (scale.bound > 1 and _excludes(one, scaled, error) for one, scale in others)
+    in_band = tone.requirements.specification.band
+    obstacles = [] if feasible else _obstacles(tone, binding, excluded, result, effort, whole)
+    answer = SpecifiedDrive(
         scene=scene,
         feasible=feasible,
-        proved=feasible or (max if band else min)(result.bound, *(one.bound for one in scales)) > 1,
+        proved=feasible or ((excluded or any(proofs)) if in_band else (excluded and all(proofs))),
         frequency=tone.frequency,
         drive=drive * limits,
         limits=limits,
@@ -197,16 +206,16 @@ def _answer(
         margins=_margins(tone, drive, levels, limits),
         contrast_db=contrast,
         bound_db=bound if reached else math.nan,
-        interval=_interval(tone, drive, levels, 1.0 if reached else 1 / whole.scale),
+        interval=_interval(tone, ends, levels, 1.0 if reached else 1 / whole.scale),
         effort=effort.scale,
         largest_level=1 / whole.scale,
         obstacles=obstacles,
         gains=_gains(result, limits) if rests and reached else np.full(len(limits), np.nan),
-        frequencies=frequencies,
-        contrasts=np.array([_contrast(tone, one.scale) for one in scales]),
+        frequencies=np.array([one.frequency for one in tones]),
+        contrasts=np.array([contrast_of(tone, one.scale) for one in scales]),
         efforts=np.array([math.nan if rests else one.scale for one in scales]),
         pareto_levels=np.array([level for level, _ in pareto]),
-        pareto_contrasts=np.array([_contrast(tone, one.scale) for _, one in pareto]),
+        pareto_contrasts=np.array([contrast_of(tone, one.scale) for _, one in pareto]),
         field_db=_field(tone, drive),
         guard=[line for rest in rests for line in rest.region.lines],
         scatter=(),
@@ -214,6 +223,31 @@ def _answer(
         robust_drive=np.full(len(limits), np.nan),
         notes=_notes(scene, tone.requirements.specification, tone.frequency),
     )
+    return answer, tone
+
+
+def _other(tone: Tone, rough: Tone) -> Tone:
+    """Return a tone by fewer functions than another, which is a refined one or the ``rough`` one itself."""
+    if tone is not rough:
+        return refined(rough, {rough.frequency}, FINER * COARSER)
+    plate = coarser_modes(rough.plate, COARSER)
+    return replace(rough, plate=plate, requirements=make_requirements(plate), points={})
+
+
+def _largest_error(ends: tuple[Ratios, Ratios]) -> float:
+    """Return the largest relative error of levels from their least and largest values over those reached."""
+    return float(np.abs(np.concatenate([part for end in ends for part in end]) - 1).max())
+
+
+def _excludes(tone: Tone, scaled: Scaled, error: float) -> bool:
+    """Return whether it is proved that no drive meets the specification, if levels have a relative error.
+
+    A drive for the plate would reach levels less by up to the error, in limits that its power or sound exceeds by it;
+    with all forces less by it, it keeps them.
+    """
+    if error > LARGEST_ERROR:
+        return False
+    return tone.solve(scaled, 1 - 2 * error, between=False, searches=1).bound > 1 + 2 * error
 
 
 def _pareto(tone: Tone, scaled: Scaled, drive: np.ndarray) -> list[tuple[float, LeastScale]]:
@@ -239,50 +273,36 @@ def _pareto(tone: Tone, scaled: Scaled, drive: np.ndarray) -> list[tuple[float, 
     return [(level, results[k]) for k, level in enumerate(PARETO.tolist())]
 
 
-def _contrast(tone: Tone, scale: float) -> float:
-    """Return the contrast [dB] of a scale of the levels elsewhere: that of the loosest of them."""
-    if not tone.requirements.rests or not math.isfinite(scale):
-        return math.nan
-    return _decibels(scale * tone.allowed.max() / tone.wanted.min())
-
-
-def _decibels(ratio: float) -> float:
-    return 20 * math.log10(ratio) if ratio > 0 else -math.inf
-
-
 def _margins(tone: Tone, drive: np.ndarray, levels: Ratios, limits: np.ndarray) -> list[Margin]:
     in_aims, in_rests = (part.tolist() for part in levels)
     margins = []
     for aim, wanted, ratio in zip(tone.requirements.aims, tone.wanted.tolist(), in_aims, strict=True):
         name = f"{aim.name}, {aim.level.measure} point".replace("mean point", "mean")
-        margins.append(Margin(name, wanted, wanted * ratio, "m/s²", _decibels(ratio)))
+        margins.append(Margin(name, wanted, wanted * ratio, "m/s²", decibels(ratio)))
     for rest, allowed, ratio in zip(tone.requirements.rests, tone.allowed.tolist(), in_rests, strict=True):
         name = f"{rest.name}, {rest.allowance.measure} point".replace("mean point", "mean")
-        margins.append(Margin(name, allowed, allowed * ratio, "m/s²", -_decibels(ratio)))
+        margins.append(Margin(name, allowed, allowed * ratio, "m/s²", -decibels(ratio)))
     scene, parts = tone.plate.scene, np.abs(drive).tolist()
     for actuator, limit, part, unit in zip(scene.actuators, limits.tolist(), parts, scene.limit_units, strict=True):
-        margins.append(Margin(actuator.name, limit, limit * part, unit, -_decibels(part)))
+        margins.append(Margin(actuator.name, limit, limit * part, unit, -decibels(part)))
     for one in tone.limited:
         square = one.of(drive)
         limit, value = one.shown(one.limit), one.shown(square)
-        margins.append(Margin(one.name, limit, value, one.unit, -_decibels(square / one.limit) / 2))
+        margins.append(Margin(one.name, limit, value, one.unit, -decibels(square / one.limit) / 2))
     return margins
 
 
-def _interval(tone: Tone, drive: np.ndarray, levels: Ratios, in_phase: float) -> tuple[float, float]:
+def _interval(tone: Tone, ends: tuple[Ratios, Ratios], levels: Ratios, in_phase: float) -> tuple[float, float]:
     """Return the contrast [dB] of a drive, or its least level over the wanted one, with its numerical error.
 
     Levels that are wanted at a phase count by their part at this phase, which is ``in_phase`` times the wanted one.
     """
-    other = coarser_modes(tone.plate, COARSER)
-    coarser = replace(tone, plate=other, requirements=make_requirements(other), points={})
     least = np.where([tone.is_fixed(aim) for aim in tone.requirements.aims], in_phase, levels[0])
-    ends = tone.errors(coarser, drive, CAUTION)
     low, high = ((least + levels[0] * (in_aims - 1), levels[1] * in_rests) for in_aims, in_rests in ends)
     lowest = max(low[0].min(), 0.0)
     if not tone.requirements.rests:
         return float(lowest), float(high[0].min())
-    return _contrast(tone, low[1].max() / high[0].min()), _contrast(tone, high[1].max() / max(lowest, 1e-300))
+    return contrast_of(tone, low[1].max() / high[0].min()), contrast_of(tone, high[1].max() / max(lowest, 1e-300))
 
 
 def _gains(result: LeastScale, limits: np.ndarray) -> np.ndarray:
@@ -293,9 +313,14 @@ def _gains(result: LeastScale, limits: np.ndarray) -> np.ndarray:
 
 
 def _obstacles(
-    tone: Tone, binding: Sequence[tuple[str, float]], result: LeastScale, effort: LeastScale, whole: LeastScale
+    tone: Tone,
+    binding: Sequence[tuple[str, float]],
+    excluded: bool,
+    result: LeastScale,
+    effort: LeastScale,
+    whole: LeastScale,
 ) -> list[str]:
-    """Return sentences on what excludes each other, and what would do."""
+    """Return sentences on what excludes each other, if it is ``excluded`` that a drive exists, and what would do."""
     total = sum(part for _, part in binding) or 1.0
     scene, limits = tone.plate.scene, tone.largest * tone.plate.scene.unit_drives
     shown = zip(scene.actuators, limits, scene.limit_units, strict=True)
@@ -305,14 +330,14 @@ def _obstacles(
         named.append("the limits of all actuators")
     sentences = []
     if named:
-        proved = "exclude each other" if result.bound > 1 else "were not met together"
+        proved = "exclude each other" if excluded else "were not met together"
         sentences.append(f"{', '.join(named[:-1])} and {named[-1]} {proved}")
     if math.isfinite(effort.scale):
         alike = len(set(scene.limit_units)) == 1
         largest = f", {effort.scale * limits.max():.3g} {scene.limit_units[0]}" if alike else ""
         sentences.append(f"{effort.scale:.3g} times the limits would do{largest}")
     elif tone.requirements.rests and math.isfinite(result.scale):
-        sentences.append(f"larger limits alone do not help; the contrast is {_contrast(tone, result.scale):.2f} dB")
+        sentences.append(f"larger limits alone do not help; the contrast is {contrast_of(tone, result.scale):.2f} dB")
     if not math.isfinite(result.scale):
         sentences.append(f"the limits allow {1 / whole.scale:.3g} of the wanted level")
     return sentences
@@ -324,77 +349,3 @@ def _field(tone: Tone, drive: np.ndarray) -> np.ndarray:
     x, y = (np.linspace(0, side, max(9, round(MAP_POINTS * side / max(size)))) for side in size)
     with np.errstate(divide="ignore"):
         return np.asarray(20 * np.log10(np.abs(tone.field(drive, x, y)) / tone.wanted.min()))
-
-
-def _scatter(
-    tone: Tone, scaled: Scaled, starts: Sequence[tuple[float, np.ndarray]]
-) -> tuple[float, np.ndarray, list[Scatter]]:
-    """Return the frequency [Hz] and the one drive (actuators,) for all cases of the tolerances; and the cases.
-
-    The drive is sought at several frequencies, from a drive for each; first comes the drive of the nominal scene.
-    """
-    scene, specification = tone.plate.scene, tone.requirements.specification
-    keys = {resolved_key(scene, key): part for key, part in specification.tolerance.items()}
-    cases = [dict(zip(keys, signs, strict=True)) for signs in itertools.product((-1, 0, 1), repeat=len(keys))]
-    factors = [{key: 1 + sign * keys[key] for key, sign in case.items()} for case in cases]
-    tones = []
-    for case in factors:
-        check_interrupt()
-        varied = scene.with_values({key: float(value_of(scene, key)) * factor for key, factor in case.items()})
-        plate = solve_modes(varied, max(frequency for frequency, _ in starts))
-        tones.append(replace(tone, plate=plate, requirements=make_requirements(plate), points={}))
-
-    def at(frequency: float) -> list[Tone]:
-        return [replace(one, frequency=frequency, points={}) for one in tones]
-
-    def rough(frequency: float, drive: np.ndarray) -> tuple[float, np.ndarray]:
-        return _drive_for_all(at(frequency), scaled, drive, FEW_ROTATIONS)
-
-    nominal_frequency, nominal = starts[0]
-    tried, places = [rough(*start) for start in starts], np.array([frequency for frequency, _ in starts])
-    chosen = min(range(len(tried)), key=lambda k: tried[k][0])
-    frequency, (least, robust) = float(places[chosen]), tried[chosen]
-    if chosen:
-        place, value, _ = minimum_near(lambda x: rough(x, robust)[0], places[1:], chosen - 1, 1e-3, ROBUST_TRIED)
-        frequency = place if value < least else frequency
-    robust = _drive_for_all(at(frequency), scaled, robust)[1]
-    last = solve_together(_rotated(at(frequency), robust), scaled, start=robust, searches=0)
-    robust = last.drive if math.isfinite(last.scale) else robust
-    rows = []
-    for before, one, case in zip(at(nominal_frequency), at(frequency), factors, strict=True):
-        nominal_level, nominal_db = _level_and_contrast(before, before.reached(nominal))
-        robust_level, robust_db = _level_and_contrast(one, one.reached(robust))
-        retuned = _contrast(one, one.solve(scaled).scale)
-        met = one.is_met(robust, NOTHING)
-        rows.append(Scatter(case, nominal_level, nominal_db, robust_level, robust_db, retuned, met))
-    return frequency, robust, rows
-
-
-def _drive_for_all(
-    tones: Sequence[Tone], scaled: Scaled, drive: np.ndarray, rounds: int = ROTATIONS
-) -> tuple[float, np.ndarray]:
-    """Return the scale of the best drive for all tones, and this drive (actuators,), in rounds from a given one, which
-    is returned if none reaches the levels of all; roughly, at samples."""
-    least = math.inf
-    for _ in range(rounds):
-        check_interrupt()
-        result = solve_together(_rotated(tones, drive), scaled, between=False, start=drive, searches=0)
-        if not result.scale < least * (1 - 1e-4):
-            break
-        least, drive = result.scale, result.drive
-    return least, drive
-
-
-def _rotated(tones: Sequence[Tone], drive: np.ndarray) -> list[Tone]:
-    """Return tones that ask for the phases and levels that a drive reaches, scaled to the wanted ones in the worst."""
-    rotated = [tone.rotated(drive) for tone in tones]
-    least = min(tone.reach for tone in rotated)
-    for tone in rotated:
-        tone.reach /= least
-    return rotated
-
-
-def _level_and_contrast(tone: Tone, levels: Ratios) -> tuple[float, float]:
-    """Return the least level of a drive over the wanted one, and the contrast [dB] or NaN."""
-    in_aims, in_rests = levels
-    return float(in_aims.min()), _contrast(tone, in_rests.max() / in_aims.min()) if in_rests.size else math.nan

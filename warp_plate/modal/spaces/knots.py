@@ -7,6 +7,7 @@ map of thickness, the curvature; and where the load jumps, at the edges of a pat
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 from itertools import pairwise
 
@@ -63,11 +64,14 @@ NARROW = 0.3
 SAME, CLOSE = 1e-6, 1e-4
 
 
-def plate_splines(laminate: Laminate, edges: Edges, axis: int, intervals: int) -> Splines:
-    """Return the functions along x (0) or y (1) of a plate, with about a number of intervals between knots."""
+def plate_splines(
+    laminate: Laminate, edges: Edges, axis: int, intervals: int, further: Sequence[tuple[float, int]] = ()
+) -> Splines:
+    """Return the functions along x (0) or y (1) of a plate, with about a number of intervals between knots; ``further``
+    places [m] where derivatives above a number of them jump."""
     length, degree = laminate.size[axis], _degree(laminate)
     ends, sides = ((edges.left, edges.right), (edges.bottom, edges.top))[:: 1 if axis == 0 else -1]
-    knots = [line for line in lines(laminate, axis, degree) if line[1] < degree]
+    knots = [line for line in (*lines(laminate, axis, degree), *further) if line[1] < degree]
     for end, place in zip(ends, (0.0, length), strict=True):
         if any(_singular(end, side) for side in sides):
             sign = 1 if place == 0 else -1

@@ -47,6 +47,11 @@ class Splines:
         """(intervals + 1,) positions of the knots without repetitions [m]."""
         return read_only(np.unique(self.knots))[0]
 
+    @property
+    def symmetric(self) -> bool:
+        """True if the knots are symmetric about the middle of the side."""
+        return bool(np.abs(self.knots + self.knots[::-1] - self.knots[-1]).max() < MERGED * self.knots[-1])
+
     def values(self, x: np.ndarray, derivative: int = 0) -> np.ndarray:
         """Return (functions, points) values of a derivative at x [m], of discontinuous ones those to the right."""
         return self._kept(_bsplines(self.knots, self.degree, np.asarray(x, dtype=float), derivative))

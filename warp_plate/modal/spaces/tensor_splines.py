@@ -207,8 +207,9 @@ class TensorSplines(SplineProducts):
 
         The modes of a plate whose opposite edges are alike, and that is the same everywhere, are one or the other.
         """
-        edges = self.scene.edges
-        return _parity_bases(self.shape, (edges.bottom == edges.top, edges.left == edges.right))
+        edges, (x, y) = self.scene.edges, self.along
+        alike = edges.bottom == edges.top and y.symmetric, edges.left == edges.right and x.symmetric
+        return _parity_bases(self.shape, alike)
 
     def of_scene(self, scene: Scene) -> TensorSplines:
         return TensorSplines(scene, self.intervals)

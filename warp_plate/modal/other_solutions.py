@@ -1,0 +1,99 @@
+"""Other solutions than the modes of a plate: with fewer functions, which shows errors, and with more at one frequency."""
+
+import math
+from collections.abc import Collection
+from dataclasses import replace
+
+import numpy as np
+import scipy
+
+from warp_plate.modal.assemble import Galerkin, load_integrals, make_galerkin
+from warp_plate.modal.eigenproblem import factorised, solve_eigenproblem
+from warp_plate.modal.modes import ModalPlate, damped_modes, solve_modes
+from warp_plate.modal.spaces.integrals import mean_wave_frequency
+from warp_plate.modal.spaces.knots import intervals_for, plate_splines
+from warp_plate.modal.spaces.tensor_splines import TensorSplines
+from warp_plate.plate.section import laminate_of
+
+# Derivatives that are continuous where the load of a force, or the moment of a piezo patch, jumps; and the most
+# actuators whose edges are followed, as each adds functions along both sides.
+SMOOTH, SMOOTH_OF_PIEZO, MOST_FOLLOWED = 3, 1, 8
+# Modes up to REACH times the highest frequency, and FURTHER ones, besides the responses; most functions.
+REACH, FURTHER, MOST_FUNCTIONS = 4.0, 12, 12000
+# Times that the response to the inertia of the responses before is added, for damping that is known by modes alone.
+TIMES = 2
+DEPENDENT = 1e-15  # part of the largest energy from which on a response adds nothing to others
+
+
+def coarser_modes(plate: ModalPlate, density: float) -> ModalPlate:
+    """Return the modes of a plate by fewer functions along each side, by a factor ``density`` below 1.
+
+    Where the highest modes of many functions are left out, it has fewer modes too: else its responses would lack the
+    same part, and not show how large it is.
+    """
+    scene, modes = plate.scene, len(plate.frequencies)
+    coarser = solve_modes(scene, plate.highest / scene.grid.modal_density, density=density)
+    if 2 * modes >= plate.space.unknowns:
+        return coarser
+    some = slice(math.ceil(density**2 * modes))
+    return replace(
+        coarser,
+        frequencies=coarser.frequencies[some],
+        vectors=coarser.vectors[:, some],
+        damping=coarser.damping[some, some],
+        hysteretic=coarser.hysteretic[some, some],
+    )
+
+
+def modes_with_responses(plate: ModalPlate, frequencies: Collection[float], density: float) -> ModalPlate | None:
+    """Return the lowest modes of a plate and, in place of higher ones, its responses to the actuators at frequencies
+    [Hz], by more functions along each side by a factor ``density``, which follow the edges of actuators; None for a
+    plate with an outline or in air, or where the functions would be too many.
+
+    At these frequencies its responses lack no mode, so that only the functions limit how right they are.
+    """
+    scene = plate.scene
+    if scene.outline is not None or scene.effects.air is not None:
+        return None
+    laminate, followed = laminate_of(scene), [actuator.area for actuator in scene.actuators if actuator.area]
+    smooth, wave = SMOOTH_OF_PIEZO if scene.piezo else SMOOTH, mean_wave_frequency(laminate)
+    intervals = intervals_for(scene.plate.size, None, plate.highest, wave, density * scene.grid.modal_density)
+    edges = followed if len(followed) <= MOST_FOLLOWED else []
+    places = [[(place, smooth) for area in edges for place in area[2 * axis : 2 * axis + 2]] for axis in (0, 1)]
+    x, y = (plate_splines(laminate, scene.edges, axis, intervals[axis], places[axis]) for axis in (0, 1))
+    if x.functions * y.functions > MOST_FUNCTIONS:
+        return None
+    galerkin = make_galerkin(scene, TensorSplines(scene, intervals, (x, y)))
+    squares, vectors = np.empty(0), np.empty((galerkin.mass.shape[0], 0))
+    if galerkin.losses.by_modes:
+        wanted = math.ceil(math.pi / 4 * scene.plate.area * REACH * plate.highest / wave) + FURTHER
+        squares, vectors = solve_eigenproblem(galerkin, wanted, (2 * math.pi * wave / max(scene.plate.size) ** 2) ** 2)
+    loads = np.zeros((len(vectors), len(scene.actuators)))
+    loads[: galerkin.space.unknowns] = load_integrals(galerkin, [actuator.box for actuator in scene.actuators]).T
+    columns = []
+    for omega in 2 * math.pi * np.array(sorted(frequencies)):
+        solve, column = factorised(_dynamic_stiffness(galerkin, omega)).solve, loads
+        for _ in range(TIMES):
+            response = solve(column.astype(complex))
+            columns += [response.real, response.imag]
+            column = galerkin.mass @ response
+    responses = np.concatenate(columns, axis=1)
+    responses /= np.sqrt((responses * (galerkin.mass @ responses)).sum(axis=0))
+    for _ in range(2):  # once more, for the rounding of the first
+        responses -= vectors @ (vectors.T @ (galerkin.mass @ responses))
+        energies, turn = scipy.linalg.eigh(responses.T @ (galerkin.mass @ responses))
+        kept = energies > DEPENDENT * energies[-1]
+        responses = responses @ (turn[:, kept] / np.sqrt(energies[kept]))
+    more, turn = scipy.linalg.eigh(responses.T @ (galerkin.stiffness @ responses))
+    return damped_modes(
+        galerkin, np.append(squares, more), np.concatenate([vectors, responses @ turn], axis=1), plate.highest
+    )
+
+
+def _dynamic_stiffness(galerkin: Galerkin, omega: float) -> scipy.sparse.csc_array:
+    """Return the matrix K − ω²M + iωC [N/m] with the damping of the material, but for ratios of modes."""
+    lost = galerkin.losses
+    bending = 1j * (lost.hysteretic + omega * lost.retardation)
+    whole = 1j * (lost.loss_factors[-1] if lost.loss_factors is not None else 0.0)
+    matrix = (1 + whole) * galerkin.stiffness + bending * galerkin.bending - omega**2 * galerkin.mass
+    return scipy.sparse.csc_array(matrix + 1j * omega * galerkin.damping)
