@@ -106,13 +106,23 @@ def _draw_spectrum(answer: SpecifiedDrive, axes: Axes) -> None:
 
 
 def _draw_pareto(answer: SpecifiedDrive, axes: Axes) -> None:
-    axes.plot(answer.pareto_levels, answer.pareto_contrasts, color="#d94801", linewidth=1.4, marker=".", markersize=4)
+    """Draw the least contrast for other levels, and at the right the least part of the limits for them."""
+    contrast, effort = "#d94801", DRIVE
+    x, curve = answer.pareto_levels, {"linewidth": 1.4, "marker": ".", "markersize": 4}
+    axes.plot(x, answer.pareto_contrasts, color=contrast, **curve)
     _draw_allowed(answer, axes)
     axes.axvline(1.0, color=INK, linewidth=0.8, linestyle=":")
-    label = f"least contrast [dB]\nat {answer.frequency:.5g} Hz"
-    axes.set(xscale="log", xlabel="level in the target over that wanted", ylabel=label)
+    axes.set(xscale="log", xlabel="level in the target over that wanted")
+    axes.set_ylabel(f"least contrast [dB]\nat {answer.frequency:.5g} Hz", color=contrast)
     axes.set_xticks([1 / 8, 1 / 4, 1 / 2, 1, 2, 4, 8], ["1/8", "1/4", "1/2", "1", "2", "4", "8"])
     axes.minorticks_off()
+    if np.isfinite(answer.pareto_efforts).any():
+        right = axes.twinx()
+        right.plot(x, 100 * answer.pareto_efforts, color=effort, **curve)
+        right.set_yscale("log", subs=[2, 5])
+        right.set_ylabel("limits needed [%]", color=effort)
+        for set_formatter in (right.yaxis.set_major_formatter, right.yaxis.set_minor_formatter):
+            set_formatter("{x:g}")
 
 
 def _draw_cases(answer: SpecifiedDrive, axes: Axes) -> None:

@@ -72,7 +72,7 @@ def _as_json(source: str, answer: SpecifiedDrive) -> dict[str, object]:
         "obstacles": answer.obstacles,
         "gains_db": dict(zip(answer.peaks, answer.gains.tolist(), strict=True)),
         "spectrum": output.attributes(answer, "frequencies", "contrasts", "efforts"),
-        "pareto": {"levels": answer.pareto_levels, "contrasts": answer.pareto_contrasts},
+        "pareto": {part: getattr(answer, f"pareto_{part}") for part in ("levels", "contrasts", "efforts")},
         "tolerances": [vars(row) for row in answer.scatter],
         "robust": answer.robust if answer.scatter else None,
         "robust_frequency": answer.robust_frequency if answer.scatter else None,
@@ -112,6 +112,8 @@ def _print(source: str, answer: SpecifiedDrive, console: Console) -> None:
         )
     if answer.feasible:
         console.print(f"A drive within {100 * answer.effort:.3g} % of the limits meets the specification, too.")
+    if answer.pareto_levels.size:
+        _print_pareto(answer, console)
     if answer.scatter:
         _print_tolerances(answer, console)
     output.print_warnings(console, answer.warnings)
@@ -131,6 +133,16 @@ def _print_levels(answer: SpecifiedDrive, console: Console) -> None:
     output.print_rows(console, headings, rows, "")
     if (beyond := answer.where_elsewhere) is not None:
         console.print(f"{beyond}\n")
+
+
+def _print_pareto(answer: SpecifiedDrive, console: Console) -> None:
+    """Print the least contrast and the least effort for every other level of the curve."""
+    rows = []
+    curve = (answer.pareto_levels, answer.pareto_contrasts, answer.pareto_efforts)
+    for level, contrast, effort in list(zip(*(part.tolist() for part in curve), strict=True))[::2]:
+        rows.append([f"{level:.4g}", output.number_text(contrast, ".2f"), output.number_text(100 * effort, ".3g")])
+    headings = ["level over that wanted", "least contrast (dB)", "least limits as specified (%)"]
+    output.print_rows(console, headings, rows, "", title="Other levels in the target")
 
 
 def _print_tolerances(answer: SpecifiedDrive, console: Console) -> None:

@@ -1,4 +1,4 @@
-"""Other solutions than the modes of a plate: with fewer functions, which shows errors, and with more at one frequency."""
+"""Solutions beside the modes of a plate: by fewer functions, to show errors, and by more for some frequencies."""
 
 import math
 from collections.abc import Collection
@@ -69,7 +69,9 @@ def modes_with_responses(plate: ModalPlate, frequencies: Collection[float], dens
         wanted = math.ceil(math.pi / 4 * scene.plate.area * REACH * plate.highest / wave) + FURTHER
         squares, vectors = solve_eigenproblem(galerkin, wanted, (2 * math.pi * wave / max(scene.plate.size) ** 2) ** 2)
     loads = np.zeros((len(vectors), len(scene.actuators)))
-    loads[: galerkin.space.unknowns] = load_integrals(galerkin, [actuator.box for actuator in scene.actuators]).T
+    loads[: galerkin.space.unknowns] = load_integrals(
+        galerkin, np.array([actuator.box for actuator in scene.actuators])
+    ).T
     columns = []
     for omega in 2 * math.pi * np.array(sorted(frequencies)):
         solve, column = factorised(_dynamic_stiffness(galerkin, omega)).solve, loads
@@ -78,7 +80,8 @@ def modes_with_responses(plate: ModalPlate, frequencies: Collection[float], dens
             columns += [response.real, response.imag]
             column = galerkin.mass @ response
     responses = np.concatenate(columns, axis=1)
-    responses /= np.sqrt((responses * (galerkin.mass @ responses)).sum(axis=0))
+    energies = (responses * (galerkin.mass @ responses)).sum(axis=0)
+    responses = responses[:, energies > 0] / np.sqrt(energies[energies > 0])
     for _ in range(2):  # once more, for the rounding of the first
         responses -= vectors @ (vectors.T @ (galerkin.mass @ responses))
         energies, turn = scipy.linalg.eigh(responses.T @ (galerkin.mass @ responses))
@@ -91,9 +94,9 @@ def modes_with_responses(plate: ModalPlate, frequencies: Collection[float], dens
 
 
 def _dynamic_stiffness(galerkin: Galerkin, omega: float) -> scipy.sparse.csc_array:
-    """Return the matrix K − ω²M + iωC [N/m] with the damping of the material, but for ratios of modes."""
+    """Return the matrix K − ω²M + iωC [N/m] with the damping of the material; that of modes is roughly the last one's."""
     lost = galerkin.losses
+    ratio, loss = (0.0 if of is None else float(np.atleast_1d(of)[-1]) for of in (lost.ratios, lost.loss_factors))
     bending = 1j * (lost.hysteretic + omega * lost.retardation)
-    whole = 1j * (lost.loss_factors[-1] if lost.loss_factors is not None else 0.0)
-    matrix = (1 + whole) * galerkin.stiffness + bending * galerkin.bending - omega**2 * galerkin.mass
-    return scipy.sparse.csc_array(matrix + 1j * omega * galerkin.damping)
+    matrix = (1 + 1j * (2 * ratio + loss)) * galerkin.stiffness + bending * galerkin.bending
+    return scipy.sparse.csc_array(matrix - omega**2 * galerkin.mass + 1j * omega * galerkin.damping)

@@ -54,6 +54,11 @@ class Requirements:
         """The sound of the plate's modes."""
         return Radiation(self.plate, self.plate.highest)
 
+    @property
+    def relative(self) -> np.ndarray:
+        """(rests,) true where the level elsewhere is relative to that of the targets."""
+        return np.array([rest.allowance.relative_db is not None for rest in self.rests], dtype=bool)
+
     def wanted(self, frequency: float) -> np.ndarray:
         """Return the (aims,) wanted peak accelerations [m/s²] at a frequency [Hz]."""
         return np.array([aim.level.peak_acceleration(frequency) for aim in self.aims])

@@ -41,7 +41,7 @@ ESSENTIAL = 1e-6
 FIRST, FIRST_EACH = 16, 2
 AT = " at ({:.4g}, {:.4g}) m"
 # Parts of the largest change and of the largest level of a region by which all of it may be off besides.
-ELSEWHERE, ROUNDING = 0.2, 1e-7
+ELSEWHERE, ROUNDING = 0.2, 1e-6
 # Levels over those wanted (aims,), and over those allowed (rests,).
 Ratios: TypeAlias = "tuple[np.ndarray, np.ndarray]"
 
@@ -140,7 +140,8 @@ class Tone:
             else:
                 wanted.append(np.exp(1j * phase) * rows)
         rests = [] if scaled == "actuators alone" else self._rests()
-        blocks = [Block(rows / self._unit(index, level), scaled == "elsewhere") for index, rows in rests]
+        units = self.allowed_for(level)
+        blocks = [Block(rows / (units[index] * (1 - MARGIN)), scaled == "elsewhere") for index, rows in rests]
         blocks += [Block(one.factor[None] / math.sqrt(one.limit), scaled != "elsewhere") for one in self.limited]
         return np.concatenate(wanted), squares, blocks
 
@@ -154,10 +155,9 @@ class Tone:
                 blocks.append((index, self._rows_of(("rest", index), rest.region)[:, None]))
         return blocks
 
-    def _unit(self, index: int, level: float) -> float:
-        """Return what is allowed of a rest; relative levels follow the targets'."""
-        relative = self.requirements.rests[index].allowance.relative_db is not None
-        return float(self.allowed[index] * (level if relative else 1.0) * (1 - MARGIN))
+    def allowed_for(self, level: float) -> np.ndarray:
+        """Return what is allowed of the (rests,) for a multiple of the wanted levels, which relative levels follow."""
+        return self.allowed * np.where(self.requirements.relative, level, 1.0)
 
     def _phase(self, aim: Aim) -> float | Literal["free"]:
         return "free" if aim.level.phase == "free" else aim.level.phase + self.rotation
@@ -203,7 +203,7 @@ class Tone:
                 added |= self._add(("aim", index), aim.region, result.drive, measure, 0.0, slack)
         for index, rest in enumerate(self.requirements.rests if scaled != "actuators alone" else ()):
             if rest.allowance.measure == "worst":
-                measure = partial(_size, self._unit(index, level))
+                measure = partial(_size, float(self.allowed_for(level)[index] * (1 - MARGIN)))
                 added |= self._add(("rest", index), rest.region, result.drive, measure, scale, slack)
         return added
 
@@ -240,7 +240,7 @@ class Tone:
                 motion = (self._rows_of(("aim", index), aim.region) @ drive).mean()
                 tone.rotation = float(-np.angle(motion) - aim.level.phase)
                 break
-        if self.requirements.rests and all(rest.allowance.relative_db is not None for rest in self.requirements.rests):
+        if self.requirements.rests and self.requirements.relative.all():
             tone.reach = max(1.0, min(map(partial(tone._reached, drive), range(len(self.wanted)))))
         return tone
 
@@ -320,7 +320,7 @@ class Tone:
         targets' are so to the lowest of those that the drive reaches."""
         in_aims, in_rests = self.reached(drive)
         lowest = float(in_aims.min())
-        parts = [in_rests / [1.0 if rest.allowance.relative_db is None else lowest for rest in self.requirements.rests]]
+        parts = [in_rests / np.where(self.requirements.relative, lowest, 1.0)]
         parts += [np.abs(drive), 1 / in_aims, np.sqrt([one.of(drive) / one.limit for one in self.limited])]
         return bool((np.concatenate(parts) <= 1 + tolerance).all())
 

@@ -73,7 +73,9 @@ class SpecifiedDrive:
     contrasts: np.ndarray  # (n,) least contrast at each [dB]; NaN where the levels are not reached
     efforts: np.ndarray  # (n,) least multiple of the limits that reaches the levels at each
     pareto_levels: np.ndarray  # (m,) multiples of the wanted levels
-    pareto_contrasts: np.ndarray  # (m,) least contrast at each [dB]
+    pareto_contrasts: np.ndarray  # (m,) least contrast at each [dB]; NaN where the limits do not allow the level
+    # (m,) least multiple of the limits that meets the specification at each; infinite if none does
+    pareto_efforts: np.ndarray
     # (ny, nx) acceleration of the nominal plate over the least wanted level [dB]; with tolerances, under the one drive
     field_db: np.ndarray
     guard: Sequence[np.ndarray]  # closed outlines (points, 2) [m] of where levels elsewhere hold

@@ -23,11 +23,12 @@ NOTHING = 1e-7  # relative violation that counts as none
 FINER = 1.0
 
 
-def contrast_of(tone: Tone, scale: float) -> float:
-    """Return the contrast [dB] of a scale of the levels elsewhere: that of the loosest of them."""
+def contrast_of(tone: Tone, scale: float, level: float = 1.0) -> float:
+    """Return the contrast [dB] of a scale of the levels elsewhere, for a multiple of the wanted levels: that of the
+    loosest of them."""
     if not tone.requirements.rests or not math.isfinite(scale):
         return math.nan
-    return decibels(scale * tone.allowed.max() / tone.wanted.min())
+    return decibels(scale * tone.allowed_for(level).max() / (level * tone.wanted.min()))
 
 
 def decibels(ratio: float) -> float:

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.modal.other_solutions import coarser_modes
 from warp_plate.modal.modes import ModalPlate, solve_modes
+from warp_plate.modal.other_solutions import coarser_modes
 from warp_plate.modal.poles import adaptive_frequencies, as_sparse, multiply_modes
 from warp_plate.modal.spaces.space import Matrix
 from warp_plate.plate.designs import scene_phasors

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from warp_plate.interrupts import check_interrupt
-from warp_plate.modal.other_solutions import coarser_modes
 from warp_plate.modal.modes import ModalPlate, solve_modes
+from warp_plate.modal.other_solutions import coarser_modes
 from warp_plate.optimize.cones import LeastScale
 from warp_plate.optimize.optimizer import minimum_near
 from warp_plate.problem.requirements import make_requirements
@@ -187,6 +187,7 @@ def _answer(
     levels = tone.reached(drive)
     contrast, bound = (contrast_of(tone, scale) for scale in (result.scale, result.bound))
     pareto = _pareto(essential, scaled, drive) if rests else []
+    efforts = [_effort(essential, level, effort.scale) for level, _ in pareto]
     ends = tone.errors(_other(tone, rough), drive, CAUTION)
     excluded = not feasible and _excludes(tone, scaled, _largest_error(ends))
     error = _largest_error(tone.errors(rough, drive, CAUTION) if tone is not rough else ends)
@@ -215,7 +216,8 @@ def _answer(
         contrasts=np.array([contrast_of(tone, one.scale) for one in scales]),
         efforts=np.array([math.nan if rests else one.scale for one in scales]),
         pareto_levels=np.array([level for level, _ in pareto]),
-        pareto_contrasts=np.array([contrast_of(tone, one.scale) for _, one in pareto]),
+        pareto_contrasts=np.array([contrast_of(tone, one.scale, level) for level, one in pareto]),
+        pareto_efforts=np.array(efforts),
         field_db=_field(tone, drive),
         guard=[line for rest in rests for line in rest.region.lines],
         scatter=(),
@@ -256,7 +258,7 @@ def _pareto(tone: Tone, scaled: Scaled, drive: np.ndarray) -> list[tuple[float, 
     Where all levels elsewhere are relative, a drive for a level serves lower ones, so that scales never fall with the
     level: between two levels of one scale all have it.
     """
-    relative = all(row.relative_db is not None for row in tone.requirements.specification.allowances)
+    relative = tone.requirements.relative.all()
     results: dict[int, LeastScale] = {}
 
     def fill(low: int, high: int) -> None:
@@ -271,6 +273,14 @@ def _pareto(tone: Tone, scaled: Scaled, drive: np.ndarray) -> list[tuple[float, 
 
     fill(0, len(PARETO) - 1)
     return [(level, results[k]) for k, level in enumerate(PARETO.tolist())]
+
+
+def _effort(tone: Tone, level: float, effort: float) -> float:
+    """Return the least multiple of the limits that meets the specification for a multiple of the wanted levels, from
+    that for these levels, to which it is proportional where all levels elsewhere are relative."""
+    if tone.requirements.relative.all():
+        return level * effort
+    return tone.solve("actuators", level, between=False, searches=0).scale
 
 
 def _margins(tone: Tone, drive: np.ndarray, levels: Ratios, limits: np.ndarray) -> list[Margin]:
