@@ -2,8 +2,10 @@
 
 import io
 import json
+import math
 from types import SimpleNamespace
 
+import pytest
 from rich.console import Console
 
 from support.commands import error_of, output_of
@@ -18,9 +20,16 @@ def test_the_answer_is_printed_drawn_and_written(command, tmp_path):
     printed = output_of(command("specify", "console", *changes, "--out", str(out)))
     assert "at 250 Hz a drive meets the specification" in printed
     assert "elsewhere, worst point" in printed
+    assert "target, rms" in printed
+    assert "least limits as specified (%)" in printed
     assert out.with_suffix(".png").stat().st_size > 50_000
     record = json.loads(out.read_text())
     assert record["feasible"] is True
+    level = record["levels"]["target"]
+    assert level["weakest_rms"] == pytest.approx(9.80665 / math.sqrt(2), rel=1e-6)
+    assert level["weakest_db"] == pytest.approx(0, abs=1e-5)
+    assert level["worst_db"] == pytest.approx(20 * math.log10(level["worst"] / 9.80665))
+    assert record["pareto"]["efforts"][6] == pytest.approx(record["effort"])
     assert list(record["forces"]) == ["A1", "A2", "A3", "A4", "A5", "A6"]
     best = Scene.load(out.with_suffix(".best.toml"))
     assert best.drive.frequency == 250

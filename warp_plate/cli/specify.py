@@ -13,12 +13,12 @@ from warp_plate.cli import options, output
 from warp_plate.cli.measured import answers_measured
 
 if TYPE_CHECKING:
-    from warp_plate.result.specified import SpecifiedDrive
+    from warp_plate.result.specified import RegionLevels, SpecifiedDrive
 
 BEST = ".best.toml"
 # Most cases of the tolerances that are printed.
 MOST_CASES = 12
-LEVELS = ("worst", "mean", "weakest", "worst_at", "weakest_at")
+MEASURES = ("weakest", "mean", "worst")
 
 
 def specify(
@@ -67,7 +67,7 @@ def _as_json(source: str, answer: SpecifiedDrive) -> dict[str, object]:
         **output.attributes(answer, *names),
         driven: answer.peaks,
         "phases": answer.phases,
-        "levels": {row.name: output.attributes(row, *LEVELS) for row in answer.levels},
+        "levels": {row.name: _level_as_json(answer, row) for row in answer.levels},
         "margins": [vars(row) for row in answer.margins],
         "obstacles": answer.obstacles,
         "gains_db": dict(zip(answer.peaks, answer.gains.tolist(), strict=True)),
@@ -81,6 +81,17 @@ def _as_json(source: str, answer: SpecifiedDrive) -> dict[str, object]:
         "notes": answer.notes,
     }
     return output.json_value(record)
+
+
+def _level_as_json(answer: SpecifiedDrive, row: RegionLevels) -> dict[str, object]:
+    rms = {f"{measure}_rms": getattr(row, measure) / math.sqrt(2) for measure in MEASURES}
+    return {**output.attributes(row, *MEASURES, "worst_at", "weakest_at"), **rms, **_decibels(answer, row)}
+
+
+def _decibels(answer: SpecifiedDrive, row: RegionLevels) -> dict[str, float]:
+    """Return the levels of a region over the least level that is wanted."""
+    levels = {measure: getattr(row, measure) / answer.least_wanted for measure in MEASURES}
+    return {f"{measure}_db": 20 * math.log10(level) if level > 0 else -math.inf for measure, level in levels.items()}
 
 
 def _print(source: str, answer: SpecifiedDrive, console: Console) -> None:
@@ -120,16 +131,17 @@ def _print(source: str, answer: SpecifiedDrive, console: Console) -> None:
 
 
 def _print_levels(answer: SpecifiedDrive, console: Console) -> None:
-    """Print the levels of all regions as peaks in g and µm."""
+    """Print the levels of all regions, peak and rms, in g and µm, and in dB over the least level wanted."""
     from warp_plate.scene.specification import STANDARD_GRAVITY
 
     micrometres, rows = 1e6 / (2 * math.pi * answer.frequency) ** 2, []
     for row in answer.levels:
-        levels = (row.weakest, row.mean, row.worst)
-        cells = [f"{value * unit:.4g}" for unit in (1 / STANDARD_GRAVITY, micrometres) for value in levels]
-        rows.append([row.name, *cells])
-    measures = ("weakest", "mean", "worst")
-    headings = ["peaks", *(f"{measure} ({unit})" for unit in ("g", "µm") for measure in measures)]
+        decibels = [output.number_text(level, ".2f") for level in _decibels(answer, row).values()]
+        for kind, part in (("peak", 1.0), ("rms", 1 / math.sqrt(2))):
+            levels = [getattr(row, measure) * part for measure in MEASURES]
+            cells = [f"{value * unit:.4g}" for unit in (1 / STANDARD_GRAVITY, micrometres) for value in levels]
+            rows.append([f"{row.name}, {kind}", *cells, *(decibels if kind == "peak" else [""] * len(decibels))])
+    headings = ["levels", *(f"{measure} ({unit})" for unit in ("g", "µm", "dB") for measure in MEASURES)]
     output.print_rows(console, headings, rows, "")
     if (beyond := answer.where_elsewhere) is not None:
         console.print(f"{beyond}\n")

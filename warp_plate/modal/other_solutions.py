@@ -94,7 +94,7 @@ def modes_with_responses(plate: ModalPlate, frequencies: Collection[float], dens
 
 
 def _dynamic_stiffness(galerkin: Galerkin, omega: float) -> scipy.sparse.csc_array:
-    """Return the matrix K − ω²M + iωC [N/m] with the damping of the material; that of modes is roughly the last one's."""
+    """Return the matrix K − ω²M + iωC [N/m] with the damping of the material; that of modes is roughly the last's."""
     lost = galerkin.losses
     ratio, loss = (0.0 if of is None else float(np.atleast_1d(of)[-1]) for of in (lost.ratios, lost.loss_factors))
     bending = 1j * (lost.hysteretic + omega * lost.retardation)

@@ -114,7 +114,7 @@ class Region:
         return np.flatnonzero(_exceeds_neighbours(field)[self.inside])
 
     def _maxima_around(self, points: np.ndarray, values: Values) -> np.ndarray:
-        """Return the maxima (n, 2) of a field on fine grids around points (points, 2), or these where there are none."""
+        """Return the maxima (n, 2) of a field on fine grids around points (points, 2), or these if there are none."""
         around = points[:, None, None] + FINE * (_spacing(self.x), _spacing(self.y))
         around = np.clip(around, (0.0, 0.0), self.plate.scene.plate.size).reshape(-1, FINE.size // 2, 2)
         levels = self._within(around, values(around.reshape(-1, 2))).reshape(-1, *FINE.shape[:2])

@@ -90,6 +90,13 @@ class SpecifiedDrive:
         return " or ".join(dict.fromkeys(self.units))
 
     @property
+    def least_wanted(self) -> float:
+        """Lowest level that is wanted in a target, peak [m/s²]."""
+        specification = self.scene.specification
+        assert specification is not None
+        return min(level.peak_acceleration(self.frequency) for level in specification.levels)
+
+    @property
     def peaks(self) -> dict[str, float]:
         """Peak forces [N], voltages [V] or currents [A] by the names of the actuators."""
         return self._named(np.abs(self.drive))
