@@ -70,9 +70,11 @@ def test_within_the_error_nothing_is_proved(answer):
 
 
 def test_the_curve_of_levels_has_contrast_and_effort():
-    """With a level elsewhere in m/s² the contrast is that of the level reached, and the effort grows faster than it."""
-    elsewhere = {"acceleration": 5.0}
+    """With levels elsewhere in m/s² the contrast is that of the nearest to its limit and of the level reached, and the
+    effort grows faster than the level."""
+    elsewhere = [{"acceleration": 5.0}, {"acceleration": 50.0, "measure": "mean"}]
     answer = warp_plate.specify(supported(elsewhere=elsewhere))
+    assert answer.contrast_db == pytest.approx(20 * math.log10(answer.levels[1].worst / answer.least_wanted), abs=1e-4)
     levels, contrasts, efforts = answer.pareto_levels, answer.pareto_contrasts, answer.pareto_efforts
     half = np.argmin(np.abs(levels - 0.5))
     lower = warp_plate.specify(supported(elsewhere=elsewhere, level={"acceleration_g": 0.25}))

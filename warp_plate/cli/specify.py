@@ -117,9 +117,10 @@ def _print(source: str, answer: SpecifiedDrive, console: Console) -> None:
     output.print_rows(console, ["requirement", "limit", "reached", "unit", "margin (dB)"], rows, "")
     if math.isfinite(answer.contrast_db):
         low, high = answer.interval
+        digits = 3 if high - low > 0.01 else 5
         console.print(
-            f"Contrast, elsewhere over target: {answer.contrast_db:.2f} dB, with the numerical error {low:.3f} to "
-            f"{high:.3f} dB; no drive within the limits has less than {answer.bound_db:.2f} dB."
+            f"Contrast, elsewhere over target: {answer.contrast_db:.2f} dB, with the numerical error {low:.{digits}f} to "
+            f"{high:.{digits}f} dB; no drive within the limits has less than {answer.bound_db:.2f} dB."
         )
     if answer.feasible:
         console.print(f"A drive within {100 * answer.effort:.3g} % of the limits meets the specification, too.")

@@ -23,12 +23,17 @@ NOTHING = 1e-7  # relative violation that counts as none
 FINER = 1.0
 
 
-def contrast_of(tone: Tone, scale: float, level: float = 1.0) -> float:
-    """Return the contrast [dB] of a scale of the levels elsewhere, for a multiple of the wanted levels: that of the
-    loosest of them."""
+def contrast_of(tone: Tone, scale: float, rest: int, level: float = 1.0) -> float:
+    """Return the contrast [dB] of a scale of the levels elsewhere, for a multiple of the wanted levels: that of one of
+    them, by its index."""
     if not tone.requirements.rests or not math.isfinite(scale):
         return math.nan
-    return decibels(scale * tone.allowed_for(level).max() / (level * tone.wanted.min()))
+    return decibels(scale * tone.allowed_for(level)[rest] / (level * tone.wanted.min()))
+
+
+def nearest_rest(levels: Ratios) -> int:
+    """Return the index of the level elsewhere that is nearest to what is allowed, of levels over those; 0 for none."""
+    return int(levels[1].argmax()) if levels[1].size else 0
 
 
 def decibels(ratio: float) -> float:
@@ -74,8 +79,9 @@ def drive_for_cases(
     rows = []
     for before, one, case in zip(at(nominal_frequency, finer), at(frequency, finer), factors, strict=True):
         nominal_level, nominal_db = _level_and_contrast(before, before.reached(nominal))
-        robust_level, robust_db = _level_and_contrast(one, one.reached(robust))
-        retuned = contrast_of(one, one.solve(scaled).scale)
+        robust_levels = one.reached(robust)
+        robust_level, robust_db = _level_and_contrast(one, robust_levels)
+        retuned = contrast_of(one, one.solve(scaled).scale, nearest_rest(robust_levels))
         met = one.is_met(robust, NOTHING)
         rows.append(Scatter(case, nominal_level, nominal_db, robust_level, robust_db, retuned, met))
     return frequency, robust, rows
@@ -115,4 +121,5 @@ def _rotated(tones: Sequence[Tone], drive: np.ndarray) -> list[Tone]:
 def _level_and_contrast(tone: Tone, levels: Ratios) -> tuple[float, float]:
     """Return the least level of a drive over the wanted one, and the contrast [dB] or NaN."""
     in_aims, in_rests = levels
-    return float(in_aims.min()), contrast_of(tone, in_rests.max() / in_aims.min()) if in_rests.size else math.nan
+    scale = in_rests.max() / in_aims.min() if in_rests.size else math.nan
+    return float(in_aims.min()), contrast_of(tone, scale, nearest_rest(levels))

@@ -17,7 +17,7 @@ from warp_plate.result.specified import Margin, SpecifiedDrive
 from warp_plate.scene.errors import SceneError, check_function, check_type
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.scene.specification import Specification
-from warp_plate.studies.drive_for_cases import contrast_of, decibels, drive_for_cases, refined
+from warp_plate.studies.drive_for_cases import contrast_of, decibels, drive_for_cases, nearest_rest, refined
 from warp_plate.studies.frequency_response import check_linear
 
 # Lowest frequency [Hz]: levels are accelerations, which vanish below all measure under a slower drive.
@@ -185,7 +185,8 @@ def _answer(
     effort = essential.solve("actuators") if rests else result
     drive = result.drive if reached else whole.drive / whole.scale
     levels = tone.reached(drive)
-    contrast, bound = (contrast_of(tone, scale) for scale in (result.scale, result.bound))
+    nearest = nearest_rest(levels)
+    contrast, bound = (contrast_of(tone, scale, nearest) for scale in (result.scale, result.bound))
     pareto = _pareto(essential, scaled, drive) if rests else []
     efforts = [_effort(essential, level, effort.scale) for level, _ in pareto]
     ends = tone.errors(_other(tone, rough), drive, CAUTION)
@@ -194,7 +195,7 @@ def _answer(
     others = [(one, scale) for one, scale in zip(tones, scales, strict=True) if one.frequency != tone.frequency]
     proofs = (scale.bound > 1 and _excludes(one, scaled, error) for one, scale in others)
     in_band = tone.requirements.specification.band
-    obstacles = [] if feasible else _obstacles(tone, binding, excluded, result, effort, whole)
+    obstacles = [] if feasible else _obstacles(tone, binding, excluded, contrast, effort, whole)
     answer = SpecifiedDrive(
         scene=scene,
         feasible=feasible,
@@ -213,10 +214,10 @@ def _answer(
         obstacles=obstacles,
         gains=_gains(result, limits) if rests and reached else np.full(len(limits), np.nan),
         frequencies=np.array([one.frequency for one in tones]),
-        contrasts=np.array([contrast_of(tone, one.scale) for one in scales]),
+        contrasts=np.array([contrast_of(tone, one.scale, nearest) for one in scales]),
         efforts=np.array([math.nan if rests else one.scale for one in scales]),
         pareto_levels=np.array([level for level, _ in pareto]),
-        pareto_contrasts=np.array([contrast_of(tone, one.scale, level) for level, one in pareto]),
+        pareto_contrasts=np.array([contrast_of(tone, one.scale, nearest, level) for level, one in pareto]),
         pareto_efforts=np.array(efforts),
         field_db=_field(tone, drive),
         guard=[line for rest in rests for line in rest.region.lines],
@@ -312,7 +313,8 @@ def _interval(tone: Tone, ends: tuple[Ratios, Ratios], levels: Ratios, in_phase:
     lowest = max(low[0].min(), 0.0)
     if not tone.requirements.rests:
         return float(lowest), float(high[0].min())
-    return contrast_of(tone, low[1].max() / high[0].min()), contrast_of(tone, high[1].max() / max(lowest, 1e-300))
+    least, most = low[1].max() / high[0].min(), high[1].max() / max(lowest, 1e-300)
+    return contrast_of(tone, least, nearest_rest(levels)), contrast_of(tone, most, nearest_rest(levels))
 
 
 def _gains(result: LeastScale, limits: np.ndarray) -> np.ndarray:
@@ -326,7 +328,7 @@ def _obstacles(
     tone: Tone,
     binding: Sequence[tuple[str, float]],
     excluded: bool,
-    result: LeastScale,
+    contrast: float,
     effort: LeastScale,
     whole: LeastScale,
 ) -> list[str]:
@@ -346,9 +348,9 @@ def _obstacles(
         alike = len(set(scene.limit_units)) == 1
         largest = f", {effort.scale * limits.max():.3g} {scene.limit_units[0]}" if alike else ""
         sentences.append(f"{effort.scale:.3g} times the limits would do{largest}")
-    elif tone.requirements.rests and math.isfinite(result.scale):
-        sentences.append(f"larger limits alone do not help; the contrast is {contrast_of(tone, result.scale):.2f} dB")
-    if not math.isfinite(result.scale):
+    elif math.isfinite(contrast):
+        sentences.append(f"larger limits alone do not help; the contrast is {contrast:.2f} dB")
+    if tone.requirements.rests and math.isnan(contrast):
         sentences.append(f"the limits allow {1 / whole.scale:.3g} of the wanted level")
     return sentences
 
