@@ -119,8 +119,8 @@ def _print(source: str, answer: SpecifiedDrive, console: Console) -> None:
         low, high = answer.interval
         digits = 3 if high - low > 0.01 else 5
         console.print(
-            f"Contrast, elsewhere over target: {answer.contrast_db:.2f} dB, with the numerical error {low:.{digits}f} to "
-            f"{high:.{digits}f} dB; no drive within the limits has less than {answer.bound_db:.2f} dB."
+            f"Contrast, elsewhere over target: {answer.contrast_db:.2f} dB, with the numerical error {low:.{digits}f} "
+            f"to {high:.{digits}f} dB; no drive within the limits has less than {answer.bound_db:.2f} dB."
         )
     if answer.feasible:
         console.print(f"A drive within {100 * answer.effort:.3g} % of the limits meets the specification, too.")
@@ -141,9 +141,9 @@ def _print_levels(answer: SpecifiedDrive, console: Console) -> None:
         for kind, part in (("peak", 1.0), ("rms", 1 / math.sqrt(2))):
             levels = [getattr(row, measure) * part for measure in MEASURES]
             cells = [f"{value * unit:.4g}" for unit in (1 / STANDARD_GRAVITY, micrometres) for value in levels]
-            rows.append([f"{row.name}, {kind}", *cells, *(decibels if kind == "peak" else [""] * len(decibels))])
-    headings = ["levels", *(f"{measure} ({unit})" for unit in ("g", "µm", "dB") for measure in MEASURES)]
-    output.print_rows(console, headings, rows, "")
+            rows.append([row.name, kind, *cells, *(decibels if kind == "peak" else [""] * len(decibels))])
+    headings = ["levels", "", *(f"{measure} ({unit})" for unit in ("g", "µm", "dB") for measure in MEASURES)]
+    output.print_rows(console, headings, rows, "", texts=2)
     if (beyond := answer.where_elsewhere) is not None:
         console.print(f"{beyond}\n")
 
