@@ -11,7 +11,8 @@ from support.scenes import scene_of
 from warp_plate import PlateSolver, SceneError, export, focus
 from warp_plate.focusing.figures import focus_motions, measure_focus
 from warp_plate.focusing.responses import HeldResponses
-from warp_plate.modal.modes import modes_below, solve_modes
+from warp_plate.modal.modes import solve_modes
+from warp_plate.modal.other_solutions import modes_below
 from warp_plate.result.focus import load_focus, save_focus
 from warp_plate.scene.target import Target
 

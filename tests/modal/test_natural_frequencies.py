@@ -14,7 +14,8 @@ from support.levy import isotropic, levy_frequencies
 from support.ritz_polynomials import extrapolated_frequencies, ritz_frequencies
 from support.scenes import MATERIAL, SIDES, edges_id, scene_of
 from warp_plate import SceneError
-from warp_plate.modal.modes import modes_below, solve_modes
+from warp_plate.modal.modes import solve_modes
+from warp_plate.modal.other_solutions import modes_below
 from warp_plate.plate.bending import make_bending
 
 SIZE = (0.23, 0.17)

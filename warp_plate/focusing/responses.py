@@ -30,7 +30,8 @@ import numpy as np
 import scipy
 
 from warp_plate.modal.coils_in_time import in_time
-from warp_plate.modal.modes import ModalPlate, modes_below, solve_modes
+from warp_plate.modal.modes import ModalPlate, solve_modes
+from warp_plate.modal.other_solutions import modes_below
 from warp_plate.modal.poles import Poles
 from warp_plate.scene.focus import Focus
 from warp_plate.scene.model import Scene

@@ -371,16 +371,6 @@ def expected_size(scene: Scene, highest: float, density: float = 1.0) -> tuple[f
     return functions, wanted if wanted * SPARSE < functions else functions
 
 
-def modes_below(scene: SceneSource, highest: float, key: str = "highest frequency") -> ModalPlate:
-    """Return the modes of a linear scene up to a natural frequency [Hz], without those above, which cost most;
-    SceneError: there is none, which the error says of ``key``, or see :func:`solve_modes`."""
-    plate = solve_modes(scene, highest, alone=True, most=MOST_ALONE, key=f"{key} {highest:g}")
-    plate = plate.part(np.flatnonzero(plate.frequencies <= highest))
-    if not plate.frequencies.size:
-        raise SceneError(f"{key} {highest:g}: the plate has no mode up to it; take a higher one")
-    return plate
-
-
 def _viscous(galerkin: Galerkin, vectors: np.ndarray) -> np.ndarray:
     """Return Φᵀ C Φ [1/s] without the damping of the material, diagonal for a multiple of the mass."""
     factor = galerkin.damping.trace() / galerkin.mass.trace()

@@ -1,4 +1,4 @@
-"""Solutions beside the modes of a plate: by fewer functions, to show errors, and by more for some frequencies."""
+"""Solutions beside the modes of a plate: the lowest alone, with fewer functions to show errors, or with responses."""
 
 import math
 from collections.abc import Collection
@@ -9,11 +9,13 @@ import scipy
 
 from warp_plate.modal.assemble import Galerkin, load_integrals, make_galerkin
 from warp_plate.modal.eigenproblem import factorised, solve_eigenproblem
-from warp_plate.modal.modes import ModalPlate, damped_modes, solve_modes
+from warp_plate.modal.modes import MOST_ALONE, ModalPlate, damped_modes, solve_modes
 from warp_plate.modal.spaces.integrals import mean_wave_frequency
 from warp_plate.modal.spaces.knots import intervals_for, plate_splines
 from warp_plate.modal.spaces.tensor_splines import TensorSplines
 from warp_plate.plate.section import laminate_of
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import SceneSource
 
 # Derivatives that are continuous where the load of a force, or the moment of a piezo patch, jumps; and the most
 # actuators whose edges are followed, as each adds functions along both sides.
@@ -23,6 +25,16 @@ REACH, FURTHER, MOST_FUNCTIONS = 4.0, 12, 12000
 # Times that the response to the inertia of the responses before is added, for damping that is known by modes alone.
 TIMES = 2
 DEPENDENT = 1e-15  # part of the largest energy from which on a response adds nothing to others
+
+
+def modes_below(scene: SceneSource, highest: float, key: str = "highest frequency") -> ModalPlate:
+    """Return the modes of a linear scene up to a natural frequency [Hz], without those above, which cost most;
+    SceneError: there is none, which the error says of ``key``, or see :func:`solve_modes`."""
+    plate = solve_modes(scene, highest, alone=True, most=MOST_ALONE, key=f"{key} {highest:g}")
+    plate = plate.part(np.flatnonzero(plate.frequencies <= highest))
+    if not plate.frequencies.size:
+        raise SceneError(f"{key} {highest:g}: the plate has no mode up to it; take a higher one")
+    return plate
 
 
 def coarser_modes(plate: ModalPlate, density: float) -> ModalPlate:
