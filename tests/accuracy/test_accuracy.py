@@ -108,7 +108,7 @@ def test_configurations_vary_load_precision_grid_and_time_step(panel):
 
 def test_richardson_agrees_with_modes_within_its_uncertainty(panel, exact):
     change = partial(largest_change, np.empty((0, 3)))
-    grids = refine_until(by_richardson(panel, "cpu", change), lambda last: 3e-2, 1e-3)
+    grids = refine_until(by_richardson(panel, "cpu", change), lambda last: 4.5e-2, 1e-3)
     assert grids.kind == "richardson"
     assert 0 < grids.uncertainty < 0.05
     for name, factor in grids.localization_factors.items():
@@ -143,7 +143,7 @@ def test_an_undamped_resonance_has_no_modal_reference(panel, exact):
     """The modes nearest to the drive would cancel, to negative energies."""
     tables = {"effects": {}, "drive": {"frequency": float(exact.plate.frequencies[0])}}
     tuned = panel.with_tables(**tables)
-    found = find_reference_solution(tuned, "cpu", 3e-2, 1e-3)
+    found = find_reference_solution(tuned, "cpu", 0.2, 1e-3)
     assert found.kind == "richardson"
     assert 0 < found.localization_factors["single"] < found.bound <= 1
     with pytest.raises(SceneError, match=r"drive\.frequency"):
@@ -249,6 +249,7 @@ def test_a_grid_by_waves_is_chosen_where_no_error_is_known(panel):
     assert min(choice.scene.grid.nodes) > 12
 
 
+@pytest.mark.slow
 def test_only_a_written_accuracy_is_refused(scene):
     """A tiny patch starts abruptly, and the window opens at once.
 
@@ -277,7 +278,7 @@ def test_grids_are_confirmed_by_finer_ones(panel, lucky):
         side = grid.nodes[0]
         return 0.001 if side == lucky else 0.3 * (12 / (side - 1)) ** 4
 
-    grid, error = find_grid(panel, 0.01, error_on)
+    grid, error = find_grid(panel.with_values({"drive.frequency": 200.0}), 0.01, error_on)
     least = 1 + 12 * (0.3 / 0.01) ** 0.25
     assert error == error_on(grid) <= 0.01
     assert least <= grid.nodes[0] <= 1.1 * least

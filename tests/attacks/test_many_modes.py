@@ -22,12 +22,12 @@ WAVEFORMS = {"points": [(0.05, 0.04)], "rate": 500_000, "highest": 1e5}
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("frf panel.toml --range 100:1e5", "about 1.31e+04 modes are needed; at most 1000"),
+        ("frf panel.toml --range 100:1e5", "about 6.54e+03 modes are needed; at most 1000"),
         ("modes panel.toml --count 501", "count = 501: must be from 1 to 500 modes"),
         ("sweep panel.toml --vary plate.density=1:2:2 --what modes --count 501", "--count 501: must be from 1 to 500"),
-        ("fit panel.toml --data high.csv", "fit.range can lower: about 1.31e+04 modes are needed; at most 200 are"),
+        ("fit panel.toml --data high.csv", "fit.range can lower: about 6.54e+03 modes are needed; at most 200 are"),
         ("fit modes.toml --data many.csv", "many.csv: line 3, mode = '500': must be a whole number from 1 to 200"),
-        ("focus focus.toml", "focus.highest 100000: about 1.31e+04 modes are needed; at most"),
+        ("focus focus.toml", "focus.highest 100000: about 6.54e+03 modes are needed; at most"),
     ],
 )
 def test_commands(line, message, write_scene, command):

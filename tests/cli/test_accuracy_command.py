@@ -21,7 +21,7 @@ ROW_KEYS = {
 def accuracy(command, write_scene, panel):
     """Run ``accuracy`` on the first grids of the panel, in an empty folder."""
     write_scene(panel)
-    return partial(command, "accuracy", "panel.toml", "--device", "cpu", "--budget", "1")
+    return partial(command, "accuracy", "panel.toml", "--device", "cpu", "--budget", "0.3")
 
 
 def test_table_file_and_picture(accuracy):

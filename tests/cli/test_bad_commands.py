@@ -132,8 +132,12 @@ def test_the_longest_file_names(folder_of_files, command):
     [
         (2.0**29, {"search": {"iterations": 10**9}}, "search.iterations = 1000000000 in this search: takes"),
         (2.0**29, {"search": {"robust": {"scenarios": 99_999, "gain": 0.1}}}, "search.robust.scenarios = 99999 in"),
-        (2.0**28, {"actuators": 400 * [(0.1, 0.15, 0.1, 0.15)]}, "actuators = 400 in this search: takes about"),
-        (2.0**30, {"size": (0.8, 0.8), "search": {"position": {}}}, "plate.size = [0.8, 0.8] in this search: takes"),
+        (2.0**26, {"actuators": 200 * [(0.1, 0.15, 0.1, 0.15)]}, "actuators = 200 in this search: takes about"),
+        (
+            2.0**30,
+            {"size": (0.8, 0.8), "modal_density": 1.0, "search": {"position": {}}},
+            "plate.size = [0.8, 0.8] in this search: takes",
+        ),
     ],
 )
 def test_searches_beyond_the_memory_name_the_key_to_lower(write_scene, command, monkeypatch, room, tables, line):

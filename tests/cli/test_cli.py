@@ -101,7 +101,7 @@ def test_errors_are_one_line_and_status_2(command, recorded, write_scene):
     Path("wrong.toml").write_text(recorded.to_toml().replace("density", "densty"), encoding="utf-8")
     write_scene(recorded.with_tables(grid={"nodes": (13, 13), "time_step": 1.0}), "fast")
     write_scene(name="two", actuators=[actuator.area for actuator in recorded.actuators[:2]])
-    command("simulate", "two.toml", "--out", "two.h5", *QUICK)
+    command("simulate", "two.toml", "--out", "two.h5", "--path", "modal", *QUICK)
     write_scene(recorded.with_tables(drive={"frequency": 290.0, "electrostatic": {"bias": 1.0, "gain": 1.0}}), "volts")
     command("simulate", "volts.toml", "--out", "volts.h5", *QUICK)
     before = files()

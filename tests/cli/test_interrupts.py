@@ -234,7 +234,9 @@ main(sys.argv[1:])
 """
 
 
-@pytest.mark.parametrize("number", ["SIGTERM", "SIGINT", "SIGHUP"])
+@pytest.mark.parametrize(
+    "number", ["SIGTERM", *(pytest.param(n, marks=pytest.mark.slow) for n in ("SIGINT", "SIGHUP"))]
+)
 def test_a_command_that_is_done_keeps_its_status(number):
     status, out, err, _ = end(start("-c", ENDING.format(number=number), "--version"))
     assert (status, out, err) == (0, f"{__version__}\n", "")
@@ -283,8 +285,8 @@ def test_files_are_written_whole_or_not_at_all(target, endless, write_scene, com
 @pytest.mark.parametrize(
     ("line", "file"),
     [
-        ("frf paper --to csv --range 20:60", "paper-frf.csv"),
-        ("sound paper --to hdf5 --range 200:300", "paper-sound.h5"),
+        ("frf panel.toml --to csv --range 20:60", "panel-frf.csv"),
+        ("sound panel.toml --to hdf5 --range 280:300", "panel-sound.h5"),
         ("focus panel.toml", "panel-focus.h5"),
         ("simulate panel.toml --device cpu --no-estimate", "panel-simulate.h5"),
         ("fit panel.toml --data measured.csv", "panel.fitted.toml"),

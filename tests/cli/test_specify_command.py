@@ -17,7 +17,7 @@ from warp_plate.result.specified import Scatter
 
 def test_the_answer_is_printed_drawn_and_written(command, tmp_path):
     out = tmp_path / "button.json"
-    changes = ("--set=specification.frequency=250.0", "--set=title=two\nlines = 2")
+    changes = ("--set=specification.frequency=250.0", "--set=title=two\nlines = 2", "--set=grid.modal_density=0.6")
     printed = output_of(command("specify", "console", *changes, "--out", str(out)))
     assert "at 250 Hz a drive meets the specification" in printed
     assert "elsewhere, worst point" in printed

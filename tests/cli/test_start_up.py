@@ -22,9 +22,9 @@ print(len(sys.modules), *sys.modules)
     ("arguments", "allowed", "most"),
     [
         (["localize", "--help"], set(), 600),
-        (["export", "--help"], set(), 600),
+        pytest.param(["export", "--help"], set(), 600, marks=pytest.mark.slow),
         (["check", "paper"], STEPS, 950),
-        (["modes", "paper", "--no-pictures"], STEPS - {"warp"}, 850),
+        pytest.param(["modes", "paper", "--no-pictures"], STEPS - {"warp"}, 850, marks=pytest.mark.slow),
         (["frf", "paper", "--no-pictures"], STEPS - {"warp"} | {"h5py"}, 880),
         pytest.param(
             ["localize", "paper", "--device", "cpu", "--no-pictures"],

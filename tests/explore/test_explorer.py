@@ -202,7 +202,7 @@ def test_slider_ranges_are_within_what_the_run_can_carry(explored_panel, scene):
 def test_levels_and_sliders_of_the_console_are_those_of_its_specification(live):
     """Its forces are newtons; its loss factor and its gasket, one number of four edges, have sliders."""
     made = Scene.load("console").replace("edges", {side: {"translation": 2e6} for side in SIDES})
-    made = made.replace("specification.frequency", 250.0).replace("grid", {"nodes": (17, 9)})
+    made = made.replace("specification.frequency", 250.0).replace("grid", {"nodes": (17, 9), "modal_density": 0.6})
     answer = specify(made, tolerances=False)
     model = live(answer.driven_scene())
     eta = "effects.loss_factor.eta"

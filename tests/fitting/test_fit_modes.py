@@ -42,12 +42,13 @@ def measured(random, noise=1e-3, count=12, damping_noise=None):
 
 def test_rigidity(random):
     """Five standard deviations of the estimate are 0.3 %; the interval is as wide as the noise makes it."""
-    found = fit_modes(stiff_panel(free=MODULI), measured(random))
+    panel = stiff_panel(free=MODULI).replace("grid.modal_density", 1.0)
+    found = fit_modes(panel, measured(random))
     assert found.scene.plate.rigidity == pytest.approx(RIGIDITY, rel=5e-3)
     assert found.values == pytest.approx([found.scene.plate.young_modulus], rel=1e-12)
     # 2.2 · 2 · 0.1 % / √12 to either side, and what χ² of 11 numbers leaves open.
     assert 0.3 * 1.27e-3 < (found.high - found.low)[0] / 2 / MODULUS < 2 * 1.27e-3
-    exact = fit_modes(stiff_panel(free=MODULI), measured(random, noise=0))
+    exact = fit_modes(panel, measured(random, noise=0))
     assert exact.values == pytest.approx([MODULUS], rel=2e-5)
 
 
@@ -65,7 +66,8 @@ def test_damping_separates_modulus_and_density(random):
     """c/2ρHω falls with the density; damping is measured a hundred times worse, and the intervals know it."""
     free = {**MODULI, "plate.density": (500.0, 2000.0)}
     data = measured(random, noise=1e-4, damping_noise=1e-2, count=16)
-    found = fit_modes(stiff_panel(free=free).replace("effects.damping.viscous", VISCOUS), data)
+    panel = stiff_panel(free=free).replace("effects.damping.viscous", VISCOUS)
+    found = fit_modes(panel.replace("grid.modal_density", 1.0), data)
     assert found.inseparable == ()
     assert found.values == pytest.approx([MODULUS, MATERIAL["density"]], rel=0.02)
     assert (found.high - found.low) / found.values == pytest.approx(2 * 2.13 * 0.01 / 4, rel=0.7)
@@ -248,7 +250,7 @@ def test_mirror_images_are_found_wherever_the_optimum_lies(unknowns):
 
 @pytest.mark.parametrize(
     ("rigid", "numbers"),
-    [([1.3e-5, 2.1e-4, 3.4e-3], None), ([1e-5, 3e-3], None), ([], None), ([1.3e-5, 2.1e-4, 3.4e-3], range(1, 10))],
+    [([1e-5, 3e-3], None), ([], None), ([1.3e-5, 2.1e-4, 3.4e-3], range(1, 10))],
 )
 def test_rigid_motions_are_skipped(rigid, numbers):
     """NAFEMS FV12, a free square plate of steel; modes are numbered from the lowest bending mode on."""
@@ -280,7 +282,10 @@ def changed_modes(fault, random):
     return MeasuredModes("data.csv", frequencies, np.full(len(frequencies), math.nan))
 
 
-@pytest.mark.parametrize("fault", ["none", "missing mode", "further mode", "unit", "range"])
+@pytest.mark.parametrize(
+    "fault",
+    ["none", "missing mode", "unit", *(pytest.param(f, marks=pytest.mark.slow) for f in ("further mode", "range"))],
+)
 def test_verdict(fault, random):
     found = fit_modes(stiff_panel(free=MODULI), changed_modes(fault, random))
     assert found.verdict.describes == np.isfinite(found.low).all() == (fault == "none")
@@ -308,7 +313,11 @@ def test_a_thick_plate_is_named():
 
 @pytest.mark.parametrize(
     ("cause", "move"),
-    [("mirrored in x", lambda x, y: (SIZE[0] - x, y)), ("mirrored in y", lambda x, y: (x, SIZE[1] - y)), (None, None)],
+    [
+        pytest.param("mirrored in x", lambda x, y: (SIZE[0] - x, y), marks=pytest.mark.slow),
+        ("mirrored in y", lambda x, y: (x, SIZE[1] - y)),
+        (None, None),
+    ],
 )
 def test_shapes_at_mirrored_points_are_named(cause, move, random):
     edges, points = ("clamped", "free", "free", "supported"), random.uniform(0.01, 0.16, (12, 2))

@@ -88,7 +88,7 @@ FAULTS = {
     "order": lambda values, omega: values[[1, 0, 2]],
     "sign of a sensor": lambda values, omega: values * np.array([[1], [-1], [1]]),
 }
-QUICK = "none", "sign", "order"
+QUICK = "none", "order"
 
 
 @pytest.mark.parametrize(
@@ -96,7 +96,7 @@ QUICK = "none", "sign", "order"
 )
 def test_verdict(fault, random):
     """The likely cause is named, and there are no intervals; white noise is no reason, even if it is large."""
-    data = noisy(random, 0.3 if fault == "none" else 0.01, np.linspace(6, 80, 100))
+    data = noisy(random, 0.3 if fault == "none" else 0.01, np.linspace(6, 80, 70))
     changed = FAULTS[fault](data.responses, 2j * np.pi * data.frequencies)
     found = fit_responses(wrong_panel(), replace(data, responses=changed))
     assert found.verdict.describes == np.isfinite(found.low).all() == (fault == "none")
@@ -107,8 +107,8 @@ def test_verdict(fault, random):
 
 def test_an_exponential_window_is_named_and_its_damping_taken_out(tmp_path, random):
     """The damping of the window is 3 to 0.3 times that of the panel."""
-    frequencies = np.linspace(6, 80, 150)
-    data = navier(frequencies, decay=2.5) * (1 + 0.01 * random.normal(size=(3, 150)))
+    frequencies = np.linspace(6, 80, 80)
+    data = navier(frequencies, decay=2.5) * (1 + 0.01 * random.normal(size=(3, 80)))
     found = fit_responses(wrong_panel(), MeasuredResponses("data.csv", frequencies, data))
     assert (found.verdict.describes, found.verdict.cause) == (False, "exponential window")
     assert "write fit.exponential = 0.4, or if there is none, free effects.damping.viscous" in found.verdict.text

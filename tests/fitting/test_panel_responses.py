@@ -77,7 +77,7 @@ def test_functions_that_change_between_neighbours(width):
     patch = {**MASS, "area": [1 / 9, 0.4 - 1 / 9, 0.05, 0.07]}
     effects = {"loss_factor": {"eta": 0.03}, "oscillators": [patch]}
     rows = [{"force_at": (0.05, 0.06), "point": (0.1, 0.1)}]
-    scene = scene_of(size=(width, 0.3), effects=effects, measurement=rows)
+    scene = scene_of(size=(width, 0.3), effects=effects, measurement=rows, modal_density=1.0)
     free = FreeNumbers(scene, ("plate.size[0]",), np.array([0.38]), np.array([0.42]))
     unknown = np.log(np.array([width]) / 0.38) / np.log(0.42 / 0.38)
     data = MeasuredResponses("data.csv", DATA.frequencies, np.ones((1, 9)))

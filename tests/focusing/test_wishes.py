@@ -21,7 +21,9 @@ def wishes(rate=2000, duration=0.06):
 
 
 def focus_panel(**tables):
-    return scene_of(damping=20.0, edges=("supported",) * 4, actuators=PATCHES, focus=TABLE).with_tables(**tables)
+    return scene_of(
+        damping=20.0, edges=("supported",) * 4, actuators=PATCHES, focus=TABLE, modal_density=1.0
+    ).with_tables(**tables)
 
 
 def test_foci_follow_wished_waveforms_of_their_own(tmp_path):

@@ -56,7 +56,9 @@ def test_a_coil_on_a_rigid_mass(magnet):
 
 def test_a_coil_on_a_supported_plate_has_the_impedance_of_the_sine_series():
     coil = {"name": "0", **EXCITER, "area": (0.05, 0.09, 0.06, 0.09)}
-    made = scene_of(size=(0.2, 0.16), edges=("supported",) * 4, damping=30.0).with_tables(actuators=[coil])
+    made = scene_of(size=(0.2, 0.16), edges=("supported",) * 4, damping=30.0, modal_density=1.0).with_tables(
+        actuators=[coil]
+    )
     frequency = np.array([30.0, 61.0, 140.0, 333.0])
     omega, series, orders = 2 * math.pi * frequency[:, None, None], supported_plate(made), np.arange(1, 161) * math.pi
     pressed = patch_pressures(made, [1.0], 160)  # 4/ab ∫ sin sin dA over the patch
@@ -70,11 +72,12 @@ def test_a_coil_on_a_supported_plate_has_the_impedance_of_the_sine_series():
     np.testing.assert_allclose(impedance, expected, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_coil_on_a_large_damped_plate_meets_that_of_an_infinite_one():
     """The mean receptance of a disc of radius a is 1/2πD ∫ (2 J₁(ka)/ka)² k/(k⁴ − q⁴) dk, a sum of Bessel functions;
     for a small disc that of a point, whose mobility is 1/8√(DρH) (Cremer and Heckl)."""
     tables = {"thickness": 2e-3, "young_modulus": 4e9, "poisson_ratio": 0.3, "density": 1200.0, "size": (1.5, 1.3)}
-    made = scene_of(size=tables["size"], edges=("supported",) * 4, plate=tables, effects={"loss_factor": {"eta": 0.9}})
+    made = scene_of(plate=tables, edges=("supported",) * 4, effects={"loss_factor": {"eta": 0.9}}, modal_density=1.0)
     made = made.with_tables(actuators=[{"name": "0", **EXCITER, "disc": (0.76, 0.66, 0.04)}])
     omega = 2 * math.pi * np.array([300.0, 400.0, 500.0])
     rigidity = made.plate.rigidity * (1 + 0.9j)
@@ -182,8 +185,8 @@ def test_resonances_of_many_modes(monkeypatch):
     plate = solve_modes(panel(), 200.0)
     monkeypatch.setattr("warp_plate.modal.coils.MOST_MODES", 20)
     centres, widths = plate.coils.resonances(opened=True)
-    np.testing.assert_allclose(centres[-400:], plate.frequencies[-400:])
-    np.testing.assert_allclose(widths[-400:], (plate.damping_ratios * plate.frequencies)[-400:])
+    np.testing.assert_allclose(centres[-100:], plate.frequencies[-100:])
+    np.testing.assert_allclose(widths[-100:], (plate.damping_ratios * plate.frequencies)[-100:])
 
 
 def test_keys_override_the_model():

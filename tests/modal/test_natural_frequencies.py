@@ -5,6 +5,7 @@ Those are exact equations of Lévy and Navier, secular equations of attached mas
 
 import itertools
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from warp_plate.modal.other_solutions import modes_below
 from warp_plate.plate.bending import make_bending
 
 SIZE = (0.23, 0.17)
+dense_scene = partial(scene_of, modal_density=1.0)
 RIGIDITY, COUPLING, _, TWIST, MASS = isotropic(**MATERIAL)
 COUNT = 20
 # ν = 0.33 does not tell D1 from the rigidities of twist; these have (D1 + 2Dxy)² above and below Dx Dy.
@@ -90,7 +92,7 @@ def test_edges(mix):
     method = extrapolated_frequencies if singular else ritz_frequencies
     expected = method(*plate, functions=28 if singular else 20, count=COUNT)
     rigid = {(): 3, ("supported",): 1}.get(tuple(edge for edge in mix if edge != "free"), 0)
-    frequencies = lowest(scene_of(size=SIZE, edges=mix))
+    frequencies = lowest(dense_scene(size=SIZE, edges=mix))
     assert np.all(frequencies[:rigid] == 0)
     assert frequencies[rigid:] == pytest.approx(expected[rigid:], rel=1e-5)
 
@@ -99,7 +101,7 @@ def test_edges(mix):
 @pytest.mark.parametrize("second", ["clamped", "supported", "free"])
 def test_opposite_supported_edges(first, second):
     """Lévy's equation, far below the tolerance."""
-    frequencies = lowest(scene_of(size=SIZE, edges=(first, "supported", second, "supported")))
+    frequencies = lowest(dense_scene(size=SIZE, edges=(first, "supported", second, "supported")))
     exact = levy_frequencies(lambda x: isotropic(**MATERIAL), SIZE, (first, second), 1.001 * frequencies[-1])
     assert frequencies == pytest.approx(exact[:COUNT], rel=1e-8)
 
@@ -112,10 +114,10 @@ def test_orthotropic_plate_under_tension_on_a_bed(values):
         "tension": dict(zip("xy", tension, strict=True)),
         "foundation": {"stiffness": bed},
     }
-    supported = scene_of(size=SIZE, edges=("supported",) * 4, effects=effects)
+    supported = dense_scene(size=SIZE, edges=("supported",) * 4, effects=effects)
     expected = np.sort(navier(30, SIZE, tension, bed, values).ravel())[:COUNT]
     assert lowest(supported) == pytest.approx(expected, rel=1e-8)
-    mixed = scene_of(size=SIZE, edges=("free", "supported", SPRINGS[0], "supported"), effects=effects)
+    mixed = dense_scene(size=SIZE, edges=("free", "supported", SPRINGS[0], "supported"), effects=effects)
     section = (values["Dx"], values["D1"], values["Dy"], values["Dxy"], MASS)
     ends = "free", tuple(SPRINGS[0].values())
     agrees_with_levy(mixed, lambda x: section, ends, tension=tension, bed=bed)
@@ -123,7 +125,7 @@ def test_orthotropic_plate_under_tension_on_a_bed(values):
 
 def test_a_shear_layer_acts_as_tension_of_its_stiffness():
     tables = {"shear_layer": {"stiffness": 40.0}}, {"tension": {"x": 40.0, "y": 40.0}}
-    sheared, pulled = (scene_of(size=SIZE, effects=table) for table in tables)
+    sheared, pulled = (dense_scene(size=SIZE, effects=table) for table in tables)
     assert lowest(sheared) == pytest.approx(lowest(pulled), rel=1e-12)
     assert make_bending(sheared).membrane == make_bending(pulled).membrane == (40.0, 40.0)
 
@@ -132,10 +134,10 @@ def test_elastic_edges():
     """Springs of two stiffnesses; hard ones approach a clamped edge, and soft ones a free one."""
     edges = (SPRINGS[0], "supported", SPRINGS[1], "supported")
     section = isotropic(**MATERIAL)
-    agrees_with_levy(scene_of(size=SIZE, edges=edges), lambda x: section, [tuple(s.values()) for s in SPRINGS])
+    agrees_with_levy(dense_scene(size=SIZE, edges=edges), lambda x: section, [tuple(s.values()) for s in SPRINGS])
     for size, kind in ((1e10, "clamped"), (1e-9, "free")):
         spring = {"translation": size * 100, "rotation": size}
-        sprung, limit = (lowest(scene_of(size=SIZE, edges=(edge,) * 4)) for edge in (spring, kind))
+        sprung, limit = (lowest(dense_scene(size=SIZE, edges=(edge,) * 4)) for edge in (spring, kind))
         moving = limit > 0
         assert sprung[moving] == pytest.approx(limit[moving], rel=1e-5)
 
@@ -147,7 +149,7 @@ def test_layers(both):
         {"area": (0.031, 0.113, 0.0, SIZE[1]), "thickness": 4e-4, "young_modulus": 2e9, "density": 1500.0},
         {"area": (0.09, 0.171, 0.0, SIZE[1]), "thickness": 2e-4, "young_modulus": 5e9, "density": 900.0, "both": both},
     ]
-    scene = scene_of(size=SIZE, edges=("clamped", "supported", "free", "supported"), effects={"layers": layers})
+    scene = dense_scene(size=SIZE, edges=("clamped", "supported", "free", "supported"), effects={"layers": layers})
 
     def section(x):
         """Bend the stack of sheets about its neutral plane; sheets as (E, ρ, z of the lower face, z of the upper)."""
@@ -172,7 +174,7 @@ def test_layers(both):
 def test_layer_that_ends_inside_the_plate():
     """Moments are singular at its corners. Finite elements of degree 7 with continuous slopes, finer at its edges."""
     layer = {"area": (0.06, 0.13, 0.05, 0.14), "thickness": 4e-4, "young_modulus": 2e9, "density": 1500.0}
-    scene = scene_of(size=SIZE, edges=("clamped", "supported", "free", "clamped"), effects={"layers": [layer]})
+    scene = dense_scene(size=SIZE, edges=("clamped", "supported", "free", "clamped"), effects={"layers": [layer]})
     expected = [14.50530, 56.75801, 114.65933, 199.33861]
     assert lowest(scene)[[0, 4, 9, 19]] == pytest.approx(expected, rel=1e-5)
 
@@ -188,7 +190,9 @@ def test_layer_that_ends_inside_the_plate():
 def test_variation(columns):
     lines, densities = np.linspace(0, SIZE[0], len(columns)), np.linspace(0.7, 1.4, len(columns))
     variation = {"thickness": [columns], "density": [tuple(densities)]}
-    scene = scene_of(size=SIZE, edges=("clamped", "supported", "free", "supported"), effects={"variation": variation})
+    scene = dense_scene(
+        size=SIZE, edges=("clamped", "supported", "free", "supported"), effects={"variation": variation}
+    )
 
     def section(x):
         thickness = MATERIAL["thickness"] * np.interp(x, lines, columns)
@@ -206,7 +210,7 @@ def test_oscillator(mass):
     """
     area, stiffness, numbers = (0.051, 0.083, 0.043, 0.062), 300.0, 400
     oscillator = {"area": area, "mass": mass, "stiffness": stiffness}
-    frequencies = lowest(scene_of(size=SIZE, edges=("supported",) * 4, effects={"oscillators": [oscillator]}))
+    frequencies = lowest(dense_scene(size=SIZE, edges=("supported",) * 4, effects={"oscillators": [oscillator]}))
     waves = [np.arange(1, numbers + 1) * math.pi / side for side in SIZE]
     along = [
         (np.cos(k * low) - np.cos(k * high)) / (k * (high - low))
@@ -235,7 +239,7 @@ def test_buckling(direction):
 
     def scene(part):
         tension = {axis: -part * critical * share for axis, share in zip("xy", direction, strict=True)}
-        return scene_of(size=SIZE, edges=("supported",) * 4, effects={"tension": tension})
+        return dense_scene(size=SIZE, edges=("supported",) * 4, effects={"tension": tension})
 
     tension = [-0.999 * critical * share for share in direction]
     assert lowest(scene(0.999), 3) == pytest.approx(np.sort(navier(20, tension=tension).ravel())[:3], rel=1e-5)
@@ -252,7 +256,7 @@ def test_springs_that_hide_the_plate(mass):
 
     def scene(stiffness):
         oscillator = {"area": (0.05, 0.1, 0.05, 0.1), "mass": mass, "stiffness": stiffness}
-        return scene_of(effects={"oscillators": [oscillator]})
+        return dense_scene(effects={"oscillators": [oscillator]})
 
     rigid = lowest(scene(1e8), 6)
     for stiffness in (1e10, 1e12):
@@ -270,13 +274,13 @@ def layers_between(gap):
 
 def test_layers_whose_edges_nearly_coincide():
     with pytest.raises(SceneError, match=r"effects\.layers.*0\.100005"):
-        solve_modes(scene_of(effects={"layers": layers_between(5e-6)}))
-    touching, apart = (lowest(scene_of(effects={"layers": layers_between(gap)}), 6) for gap in (0.0, 1e-8))
+        solve_modes(dense_scene(effects={"layers": layers_between(5e-6)}))
+    touching, apart = (lowest(dense_scene(effects={"layers": layers_between(gap)}), 6) for gap in (0.0, 1e-8))
     assert apart == pytest.approx(touching, rel=1e-5)
 
 
 def test_rigid_motions_of_a_plate_with_layers_have_no_frequency():
-    scene = scene_of(size=SIZE, edges=("free",) * 4, effects={"layers": layers_between(0.03)})
+    scene = dense_scene(size=SIZE, edges=("free",) * 4, effects={"layers": layers_between(0.03)})
     assert (lowest(scene, 4) > 0).tolist() == [False] * 3 + [True]
 
 
@@ -284,7 +288,7 @@ def test_rigid_motions_of_a_plate_with_layers_have_no_frequency():
 def test_a_cantilever_strip_without_poisson_s_effect_is_a_beam(slenderness):
     size, rigidity = (0.6, 0.6 / slenderness), 2.0
     orthotropic = {"Dx": rigidity, "Dy": rigidity, "D1": 0.0, "Dxy": rigidity / 2}
-    scene = scene_of(size=size, edges=("clamped", "free", "free", "free"), effects={"orthotropic": orthotropic})
+    scene = dense_scene(size=size, edges=("clamped", "free", "free", "free"), effects={"orthotropic": orthotropic})
     first = 1.8751040687119611**2 / (2 * math.pi * size[0] ** 2) * math.sqrt(rigidity / MASS)
     for density in (1, 2):
         frequency = solve_modes(scene, highest=0.0, count=4, density=density).frequencies[0]
@@ -294,7 +298,7 @@ def test_a_cantilever_strip_without_poisson_s_effect_is_a_beam(slenderness):
 @pytest.mark.parametrize(("size", "edge", "highest"), [(SIZE, "supported", 250.0), ((0.3, 0.02), "free", 700.0)])
 def test_modes_below_a_frequency_are_all_there(size, edge, highest):
     """Against twice as many modes, which reach beyond; a slender free plate has many more than Weyl's law counts."""
-    scene = scene_of(size=size, edges=(edge,) * 4)
+    scene = dense_scene(size=size, edges=(edge,) * 4)
     found = modes_below(scene, highest).frequencies
     expected = solve_modes(scene, 0.0, 2 * found.size + 50).frequencies
     assert expected[-1] > highest

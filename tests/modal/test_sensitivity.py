@@ -87,7 +87,9 @@ def test_slopes_by_matrices(name, random):
     [
         {"damping": 40.0},
         {"damping": 40.0, "target": {"disc": (0.13, 0.11, 0.03)}},
-        {"damping": 40.0, "effects": {"layers": [LAYER], "oscillators": [OSCILLATOR]}},
+        pytest.param(
+            {"damping": 40.0, "effects": {"layers": [LAYER], "oscillators": [OSCILLATOR]}}, marks=pytest.mark.slow
+        ),
         {"damping": 40.0, "effects": {"layers": [DISC]}, "target": {"disc": (0.13, 0.11, 0.03)}},
         {"effects": {"loss_factor": {"eta": 0.02}}},
     ],

@@ -50,14 +50,25 @@ def test_derivatives_are_differences(index):
 @pytest.mark.parametrize(
     ("hole", "edge", "exact"),
     [
-        (slot(0.4, 0.04, (0.5, 0.5), math.pi / 4), "clamped", [33.69605, 63.04592, 72.35321, 103.22277, 125.41598]),
+        pytest.param(
+            slot(0.4, 0.04, (0.5, 0.5), math.pi / 4),
+            "clamped",
+            [33.69605, 63.04592, 72.35321, 103.22277, 125.41598],
+            marks=pytest.mark.slow,
+        ),
         (slot(0.3, 0.005, (0.4, 0.6), 1.2), "free", [0.0, 0.0, 0.0, 13.36412, 19.3027, 23.15538]),
-        (
+        pytest.param(
             {**slot(0.4, 0.04, (0.45, 0.55), 0.6), "corner_radius": 0.00399},
             "clamped",
             [34.02447, 64.36539, 72.52814, 100.80614, 119.05216],
+            marks=pytest.mark.slow,
         ),
-        (slot(0.1, 0.1, (0.45, 0.55), 0.3), "clamped", [35.75729, 72.96849, 73.02988, 107.27588, 130.18938]),
+        pytest.param(
+            slot(0.1, 0.1, (0.45, 0.55), 0.3),
+            "clamped",
+            [35.75729, 72.96849, 73.02988, 107.27588, 130.18938],
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_plates_with_holes(hole, edge, exact):

@@ -212,7 +212,7 @@ def test_stepping_converges_to_the_motion(name, nodes, tmp_path):
     is allowed."""
     tables, order, bound = STEPPED[name]
     phasors, points = np.array([[1, 0.5 - 0.5j, -0.8j]]), [(0.05, 0.1), (0.15, 0.06)]
-    scene = scene_of(damping=88.0, window=(0.004, 0.014))
+    scene = scene_of(damping=88.0, window=(0.004, 0.014), modal_density=1.0)
     scene = tables(scene, tmp_path) if callable(tables) else scene.with_tables(**tables)
     plate, errors = solve_modes(scene, density=0.7 if nodes[0] == 21 else 1.4), []
     regions = [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)]

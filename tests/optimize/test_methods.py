@@ -86,7 +86,7 @@ def test_keys_that_a_method_does_not_read_are_named(method):
     assert all(f"method = '{method}' does not read it" in line for line in lines)
 
 
-@pytest.mark.parametrize("tables", [{}, {"method": "gradient"}, {"magnitude": {"range": [0.0, 2.0]}, "phase": {}}])
+@pytest.mark.parametrize("tables", [{}, {"method": "gradient"}])
 @pytest.mark.parametrize(("method", "tolerance"), [("exact", 1e-10), ("gradient", 1e-10), ("cma", 1e-6), ("pso", 1e-2)])
 def test_the_bound_is_reached(method, tolerance, tables):
     """1 − the largest λ of A z = λ B z; for the gradient and CMA-ES to 1e-6, as is promised."""
@@ -145,7 +145,7 @@ def test_descents_stop_at_limits_that_bind():
     ends = list(zip(space.lower, space.upper, strict=True))
     best = min(
         scipy.optimize.minimize(lambda x: problem.losses(x[None])[0], start, method="L-BFGS-B", bounds=ends).fun
-        for start in draw(space, 12)
+        for start in draw(space, 6)
     )
     result = minimize(make_optimizer(Search(method="gradient"), space, 0, problem), problem.losses)
     assert result.fbest == pytest.approx(best, abs=1e-8)

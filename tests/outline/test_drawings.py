@@ -61,10 +61,10 @@ def assert_same(loops, read, scale, rel):
     assert max(distances) < 1e-6 * scale
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(2))
 def test_random_outlines_are_read_as_written(seed):
     generator = np.random.default_rng(seed)
-    for _ in range(7):
+    for _ in range(5):
         loops = random_loops(generator)
         assert_same(loops, read_drawing(dxf_of(loops).encode(), ".dxf"), 1e-3, 1e-12)
         shift = "translate(3,4) rotate(90) scale(2)"
@@ -82,17 +82,17 @@ CURVES = {
 }
 
 
-@pytest.mark.parametrize("name", CURVES)
-@pytest.mark.parametrize("tolerance", [1e-3, 1e-5, 1e-7])
+@pytest.mark.parametrize(
+    ("name", "tolerance"), [("circle", 1e-3), *((name, 1e-5) for name in CURVES), ("control points twice", 1e-7)]
+)
 def test_curves_become_smooth_arcs_within_the_tolerance(name, tolerance):
-
     text = f'<svg xmlns="http://www.w3.org/2000/svg"><path d="{CURVES[name]}"/></svg>'
     outline = outline_of_rows(read_drawing(text.encode(), ".svg", "mm", tolerance))
     segments = [segment for segment in svgelements.Path(CURVES[name]) if not isinstance(segment, svgelements.Move)]
     points = np.array([complex(*segment.point(t)) for segment in segments for t in np.linspace(0, 1, 301)]) * 1e-3
     points = np.stack([points.real - points.real.min(), points.imag.max() - points.imag], axis=-1)
     shift = points.min(axis=0)
-    distances = [min(piece.nearest(point)[1] for piece in outline.pieces) for point in points[::67] - shift]
+    distances = [min(piece.nearest(point)[1] for piece in outline.pieces) for point in points[::151] - shift]
     assert max(distances) < 2 * tolerance  # the corner of the bounding box is known to the tolerance too
     corners = sum(abs(angle - math.pi) > 1e-5 for *_, angle in outline.corners())
     assert corners <= len(segments)
@@ -230,7 +230,7 @@ def test_dxf_entities_are_refused_by_their_handles(entities, message):
 
 def test_many_contours_that_touch_are_a_line_that_can_be_read():
     with pytest.raises(ValueError, match=r"where it meets .*\[\.\.\.\]") as refused:
-        read_drawing(svg("<path d='M0 0H9V9H0Z'/>" * 500), ".svg")
+        read_drawing(svg("<path d='M0 0H9V9H0Z'/>" * 100), ".svg")
     assert len(str(refused.value)) < 400
 
 

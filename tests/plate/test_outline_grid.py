@@ -104,8 +104,10 @@ def made_of(edge, tables, **grid):
     return made.with_tables(edges={"outline": edge, "parts": parts}) if parts else made
 
 
-@pytest.mark.parametrize("block", [False, True])
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    ("case", "block"),
+    [*((case, False) for case in CASES), ("supported", True), pytest.param("free", True, marks=pytest.mark.slow)],
+)
 def test_steps_are_those_of_the_numpy_plate(case, block, monkeypatch):
     """On a CPU, and by the kernel of CUDA with a block of one thread."""
     made = made_of(*CASES[case], precision="float64")

@@ -108,8 +108,11 @@ def test_values_of_other_kinds_and_extreme_numbers():
     paths = {path[:length] for path in leaf_paths(ALL_KEYS) for length in range(1, len(path) + 1)}
     for index, path in enumerate(sorted(paths, key=str)):
         without = [table for table in OPTIONAL if table != path[: len(table)]]
-        read(changed(path, KINDS[index % len(KINDS)], without))  # all kinds, not all pairs of path and kind
-        check_arrays(read(changed(path, NUMBERS[index % len(NUMBERS)], without)))
+        # All kinds, not all pairs of path and kind; arrays for every other path.
+        read(changed(path, KINDS[index % len(KINDS)], without))
+        scene = read(changed(path, NUMBERS[index % len(NUMBERS)], without))
+        if index % 2:
+            check_arrays(scene)
         tables = changed(path, 0.0, without)
         del item(tables, path[:-1])[path[-1]]
         read(tables)

@@ -46,7 +46,8 @@ def test_scenarios_and_switched_effects_need_not_keep_links():
     layer = "effects.layers=[{area=[0.1,0.15,0.02,0.06],thickness=1e-4,young_modulus=70e9,density=2500}]"
     named = "specification.tolerance={mass=0.1}"
     robust = "search.robust={young_modulus=0.1,without_oscillators=1.0,tolerance={gasket=0.1}}"
-    scene = Scene.load("console", ["plate.young_modulus=70e9", layer, attached, masses, moduli, named, robust])
+    keys = ["plate.young_modulus=70e9", layer, attached, masses, moduli, named, robust, "grid={nodes=[13,13]}"]
+    scene = Scene.load("console", keys)
     (scenario,) = draw_scenarios(scene, 1, seed=0, stepped=False)
     assert scenario.scene.plate.young_modulus != 70e9
     other, text = _alternative(resolve(scene, "cpu", path="modal"), "edges")

@@ -18,8 +18,8 @@ PAPER = Scene.load("paper")
 def test_every_key_of_a_preset_is_found(name):
     scene = Scene.load(name)
     assert scene.with_values({}) == scene
-    for key in scalar_keys(scene):
-        assert resolved_key(scene, key) == key
+    for key in (kinds := scalar_keys(scene)):
+        assert resolved_key(scene, key, kinds) == key
         assert label_of(scene, key)
     assert unit_of(scene, "actuators[0].magnitude") == ("V" if name == "focusing-glass" else "N/m²")
     assert unit_of(scene, "plate.thickness") == "m"

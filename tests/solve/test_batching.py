@@ -25,7 +25,9 @@ def make(name):
     return with_all_effects(made) if name == "moment form" else made
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(
+    "name", [name if name != "large" else pytest.param(name, marks=pytest.mark.slow) for name in SCENES]
+)
 def test_single_steps_are_the_run(name, device, path, phasors, fitting_solver):
     """Displacements and energies to the last bit, with another run in between; velocities by differences."""
     solver, drives = fitting_solver(make(name), device, path), phasors(3, 3)

@@ -41,8 +41,7 @@ EFFECTS = {
 }
 
 
-@pytest.mark.parametrize("precision", ["float64", "float32"])
-@pytest.mark.parametrize("effects", EFFECTS)
+@pytest.mark.parametrize(("effects", "precision"), [("alone", "float32"), ("all", "float64")])
 def test_coils_step_as_in_the_plain_plate(device, path, effects, precision):
     made = stepped(precision=precision, effects=EFFECTS[effects], edges=edges("free", "clamped", "supported", "free"))
     exact, times, points = reference(made, DRIVES), [0.5 * made.window.end, made.window.end], [(0.05, 0.06)]
@@ -55,7 +54,7 @@ def test_coils_step_as_in_the_plain_plate(device, path, effects, precision):
 @pytest.mark.parametrize("planes", [(), pytest.param(("rate", "squares", "u"), marks=pytest.mark.slow)])
 def test_the_block_path_steps_coils(monkeypatch, planes):
     run_on_a_block(monkeypatch, planes)
-    made = stepped((9, 8), effects=EFFECTS["all"])
+    made = stepped((9, 8), 40, effects=EFFECTS["all"])
     check_run(PlateSolver(made, "cpu").run(DRIVES, [made.window.end]), made, reference(made, DRIVES))
 
 
@@ -82,7 +81,7 @@ def random_coil(random, name, place):
     }
 
 
-@pytest.mark.parametrize("seed", [n if n < 4 else pytest.param(n, marks=pytest.mark.slow) for n in range(30)])
+@pytest.mark.parametrize("seed", [n if n < 2 else pytest.param(n, marks=pytest.mark.slow) for n in range(30)])
 def test_random_coils_step_as_in_the_plain_plate(device, path, seed):
     random = np.random.default_rng(seed)
     places = [(0.04, 0.05), (0.1, 0.11), (0.16, 0.05)]
@@ -129,34 +128,18 @@ def test_the_limit_is_exact(limited, inductance):
 
 
 def test_steps_meet_the_modes_at_second_order():
-    """With halved spacings and quartered steps, traces differ from those by modes by a quarter."""
+    """With halved spacings and quartered steps, traces differ from those by modes by a quarter; two of the coils have
+    shunted inductors, one of them a further inductance."""
     tables = {"edges": edges("clamped", "supported", "clamped", "supported")}
     tables |= {"drive": {"frequency": 60.0, "ramp": 0.01}, "window": {"start": 0.0, "end": 0.03}}
+    coils = [{**row, "eddy_branches": [(0.4, 2e-4), (2.0, 1e-4)]} if "model" in row else row for row in COILS]
     points, drive = [(0.1, 0.08), (0.05, 0.04)], np.array([[2.0, 2.0, 0.3, 300.0]])
     errors = []
     for nodes in ((21, 17), (41, 33)):
-        made = panel(LOSSLESS_COILS).with_tables(grid={"nodes": nodes, "precision": "float64"}, **tables)
+        made = panel(coils).with_tables(grid={"nodes": nodes, "precision": "float64", "modal_density": 0.5}, **tables)
         run = PlateSolver(made, "cpu").run(drive, [], points)
         exact = ModalSolver(made, "cpu").run(drive, [], points)
         np.testing.assert_allclose(run.trace_times, exact.trace_times)
-        errors.append(np.abs(run.trace - exact.trace).max() / np.abs(exact.trace).max())
-    assert errors[1] < 0.03
-    assert 3 < errors[0] / errors[1] < 6
-
-
-EDDY = [(0.4, 2e-4), (2.0, 1e-4)]
-
-
-def test_shunted_inductors_meet_the_modes_at_second_order():
-    """Of two coils, one of them with a further inductance."""
-    tables = {"edges": edges("clamped", "supported", "clamped", "supported")}
-    tables |= {"drive": {"frequency": 60.0, "ramp": 0.01}, "window": {"start": 0.0, "end": 0.03}}
-    coils = [{**COILS[index], "eddy_branches": EDDY, "phase": 0.0} for index in (0, 1)]
-    drive, errors = np.array([[2.0, 2.0]]), []
-    for nodes in ((21, 17), (41, 33)):
-        made = panel(coils).with_tables(grid={"nodes": nodes, "precision": "float64"}, **tables)
-        run = PlateSolver(made, "cpu").run(drive, [], [(0.1, 0.08), (0.05, 0.04)])
-        exact = ModalSolver(made, "cpu").run(drive, [], [(0.1, 0.08), (0.05, 0.04)])
         errors.append(np.abs(run.trace - exact.trace).max() / np.abs(exact.trace).max())
     assert errors[1] < 0.03
     assert 3 < errors[0] / errors[1] < 6

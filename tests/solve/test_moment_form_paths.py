@@ -42,7 +42,7 @@ def random_drive(random, end, frequency):
     return drive, random.choice([frequency, 0.7 * frequency, 2 * frequency], 3) if apart else [None] * 3
 
 
-@pytest.mark.parametrize("number", [n if n < 5 else pytest.param(n, marks=pytest.mark.slow) for n in range(24)])
+@pytest.mark.parametrize("number", [n if n < 3 else pytest.param(n, marks=pytest.mark.slow) for n in range(24)])
 def test_random_mixes(device, path, number, scene, random, phasors):
     """Every grid in both precisions, near the limit, with other effects each time; every third mix stretches.
 

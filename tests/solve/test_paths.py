@@ -10,7 +10,8 @@ from warp_plate.plate.scheme import make_scheme
 
 DAMPING = ((None, "centred"), (88.5, "centred"), (88.5, "backward"))
 LOAD = {2: "overlap", 4: "moments"}
-# Order, nodes and precision of small plates, each run with every mix of edges; SIZES has the other precisions.
+# Order, nodes and precision of small plates, of which two are run with every mix of edges; SIZES has the other
+# precisions.
 SMALL = {
     "square": (2, (13, 13), "float64"),
     "fourth order": (4, (16, 13), "float64"),
@@ -20,6 +21,7 @@ CASES = [
     pytest.param(*plate, edges, *DAMPING[(mix + index) % 3], id=f"{name}-{edges_id(edges)}")
     for mix, edges in enumerate(EDGE_MIXES)
     for index, (name, plate) in enumerate(SMALL.items())
+    if (mix + 2 * index) % 3 != 2
 ]
 # The smallest plates of either order, a warp's full width, one column more, higher than a warp, and walked row by row,
 # by a team of CPU threads or by one.

@@ -13,7 +13,7 @@ from warp_plate.kernels.plans import cut, make_place
 from warp_plate.plate.operator import biharmonic, make_taps
 from warp_plate.solve.cuda import plan_tiles
 
-CUTS = [(33, 2, 4), (33, 5, 4), (257, 7, 16), (97, 40, 16), (40, 2, 16), (17, 3, 12), (9, 30, 8)]
+CUTS = [(33, 5, 4), (97, 40, 16), (40, 2, 16), (9, 30, 8)]
 SIDES = [(sides[0], sides[1]) for sides in EDGE_MIXES[:4]]
 
 

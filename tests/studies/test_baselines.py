@@ -74,7 +74,8 @@ def test_other_scenes_are_refused_by_name(tables, reason):
 
 
 def test_modes_have_the_baselines_of_time_steps():
-    made = scene_of((27, 27), damping=130.0, window=(0.06, 0.1), order=4, load="moments", search={"iterations": 2})
+    tables = {"damping": 130.0, "window": (0.06, 0.1), "search": {"iterations": 2}, "modal_density": 1.0}
+    made = scene_of((27, 27), order=4, load="moments", **tables)
     settings = {"device": "cpu", "baselines": True, "estimate": False, "spectrum": False}
     stepped, by_modes = (localize(made, evaluator=name, **settings).cases for name in ("direct", "modal"))
     for name in ("time_reversal", "inverse_filter"):

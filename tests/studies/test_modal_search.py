@@ -183,6 +183,7 @@ def test_the_accuracy_asked_for_holds_at_the_places_found():
     scene = paper(
         search={"position": {"actuators": ["upper left"]}, "particles": 4, "iterations": 2},
         effects={"loss_factor": {"eta": 0.02}},
+        drive={"frequency": 150.0},
     )
     few = localize(scene.with_accuracy(0.4), device="cpu")
     before, after = few.accuracy["expected"], few.accuracy["estimate"]["error"]

@@ -78,8 +78,14 @@ def test_the_scene_found_simulates_to_the_result(name, tmp_path):
 LIMITED = [{"kind": "velocity", "rest_limit": 2e-5}]
 
 
-@pytest.mark.parametrize("method", ["pso", "ring", "cma", "gradient"])
-@pytest.mark.parametrize("objectives", [LIMITED, [{"kind": "localization"}]], ids=["limited", "ratio"])
+@pytest.mark.parametrize(
+    ("method", "objectives"),
+    [
+        *((method, [{"kind": "localization"}]) for method in ("pso", "cma")),
+        ("gradient", LIMITED),
+        *(pytest.param(method, LIMITED, marks=pytest.mark.slow) for method in ("pso", "ring", "cma")),
+    ],
+)
 def test_more_freedom_gives_no_worse_drive(method, objectives):
     """A search of places and frequencies has at least the best drive for those that the scene has."""
     free = {"magnitude": {"range": [0.0, 2.0]}, "phase": {}, "objectives": objectives, "method": method}

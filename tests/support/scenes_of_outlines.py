@@ -7,7 +7,7 @@ from support.scenes import MATERIAL, scene_of
 
 def outlined(outline, edge="clamped", holes=(), parts=(), material=MATERIAL, **tables):
     """Return a scene of a plate with an outline, in place of the rectangle of :func:`support.scenes.scene_of`."""
-    tables = {"actuators": [(0.08, 0.11, 0.06, 0.09)], **tables}
+    tables = {"actuators": [(0.08, 0.11, 0.06, 0.09)], "modal_density": 1.0, **tables}
     plate = {**material, "outline": outline, "holes": [*holes]}
     edges = {"outline": edge, "parts": [*parts]}
     return scene_of(**{"plate": plate, **tables, "edges": ("clamped",) * 4}).with_tables(edges=edges)
