@@ -227,6 +227,7 @@ def test_accuracies_out_of_reach_are_refused(panel):
         choose(panel, 1e-4, "cpu")
 
 
+@pytest.mark.slow
 def test_a_refusal_names_the_least_error_of_grids_and_modes(panel):
     """Modes have 2e-4; a grid needs a reference that is better than the accuracy by a factor of two."""
     with pytest.raises(SceneError) as refusal:

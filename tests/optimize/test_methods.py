@@ -145,7 +145,7 @@ def test_descents_stop_at_limits_that_bind():
     ends = list(zip(space.lower, space.upper, strict=True))
     best = min(
         scipy.optimize.minimize(lambda x: problem.losses(x[None])[0], start, method="L-BFGS-B", bounds=ends).fun
-        for start in draw(space, 6)
+        for start in draw(space, 4)
     )
     result = minimize(make_optimizer(Search(method="gradient"), space, 0, problem), problem.losses)
     assert result.fbest == pytest.approx(best, abs=1e-8)

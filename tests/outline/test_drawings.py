@@ -64,7 +64,7 @@ def assert_same(loops, read, scale, rel):
 @pytest.mark.parametrize("seed", range(2))
 def test_random_outlines_are_read_as_written(seed):
     generator = np.random.default_rng(seed)
-    for _ in range(5):
+    for _ in range(3):
         loops = random_loops(generator)
         assert_same(loops, read_drawing(dxf_of(loops).encode(), ".dxf"), 1e-3, 1e-12)
         shift = "translate(3,4) rotate(90) scale(2)"

@@ -106,7 +106,7 @@ def made_of(edge, tables, **grid):
 
 @pytest.mark.parametrize(
     ("case", "block"),
-    [*((case, False) for case in CASES), ("supported", True), pytest.param("free", True, marks=pytest.mark.slow)],
+    [*((case, False) for case in CASES), ("clamped", True), pytest.param("free", True, marks=pytest.mark.slow)],
 )
 def test_steps_are_those_of_the_numpy_plate(case, block, monkeypatch):
     """On a CPU, and by the kernel of CUDA with a block of one thread."""
