@@ -92,7 +92,8 @@ def test_intervals_hold_and_a_spring_is_found(random):
     spring, sides = 3e3, ("free", "supported", {"translation": 1e3, "rotation": 0.0}, "supported")
     exact = levy_frequencies(lambda x: isotropic(**MATERIAL), SIZE, ("free", (spring, 0.0)), 400.0)[:14]
     free = {**MODULI, "edges.right.translation": (1e2, 1e5)}
-    scene, truth = scene_of(size=SIZE, edges=sides, fit={"free": free, "starts": 4}), (MODULUS, spring)
+    scene = scene_of(size=SIZE, edges=sides, fit={"free": free, "starts": 4}, modal_density=1.0)
+    truth = (MODULUS, spring)
     held = []
     for _ in range(20):
         noisy = np.sort(exact * (1 + 2e-3 * random.normal(size=14)))
@@ -232,7 +233,7 @@ def test_springs_of_opposite_edges_are_named(ranges):
     """Frequencies do not tell left from right, unless their ranges do."""
     springs = [{"translation": 1e6, "rotation": value} for value in (3.0, 20.0)]
     rotations = {f"edges.{side}.rotation": pair for side, pair in zip(("left", "right"), ranges, strict=True)}
-    scene = scene_of(size=SIZE, edges=(springs[0], "supported", springs[1], "supported"))
+    scene = scene_of(size=SIZE, edges=(springs[0], "supported", springs[1], "supported"), modal_density=1.0)
     exact = modes(scene, count=10).frequencies
     data = MeasuredModes("data.csv", exact, np.full(10, math.nan))
     found = fit_modes(scene.with_tables(fit={"starts": 6, "free": {**MODULI, **rotations}}), data)

@@ -161,7 +161,7 @@ def test_time_stepping_agrees_and_converges(tmp_path, quantity):
     With modes up to 2000 Hz, what higher ones would add to frequencies up to 600 Hz is less than that.
     """
     table = {**TABLE, "highest": 2000.0, "quantity": quantity, "energy": 0.02}
-    scene = scene_of(damping=20.0, window=(0.0, 0.024), focus=table)
+    scene = scene_of(damping=20.0, window=(0.0, 0.024), focus=table, modal_density=1.0)
     found = focus(scene)
     method, errors = found.methods["optimum"], []
     rate = TABLE["rate"] * OVERSAMPLED

@@ -41,7 +41,7 @@ def areas_around(centre):
 @pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in CASES])
 def test_slopes_are_those_of_differences(name, quantity, alike, random):
     scene = scene_of(window=(0.003, 0.008), target={"disc": (0.13, 0.11, 0.03)}, **CASES[name])
-    plate = replace(solve_modes(scene, density=0.4), negligible=0.0)
+    plate = replace(solve_modes(scene, density=0.8), negligible=0.0)
     regions = [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)]
     means = Means(plate, regions, None if scene.steady else scene.window, quantity == "velocity")
     shape = (2, 3)
