@@ -16,6 +16,8 @@ from warp_plate.problem.specified_drives import Tone
 from warp_plate.studies.specify import FINER
 
 GRAVITY = 9.80665
+# Few functions, where answers are compared with themselves.
+COARSE = "grid={modal_density=0.6}"
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +69,7 @@ def test_no_point_between_others_violates_the_specification(console):
 def test_no_point_along_the_rim_of_a_disc_violates_the_specification():
     """The polygon of a disc contains it, and that of its guard lies within."""
     scene = Scene.load("console", ["specification.frequency=250.0"]).with_tables(target={"disc": (0.24, 0.065, 0.012)})
-    answer = warp_plate.specify(scene)
+    answer = warp_plate.specify(scene, tolerances=False)
     plate = modes_with_responses(solve_modes(scene, 250), {250}, FINER)
     tone = Tone(plate, make_requirements(plate), 250, answer.limits / np.array(scene.unit_drives))
     drive, angles = answer.drive / answer.limits, np.linspace(0, 2 * math.pi, 20001)
@@ -121,7 +123,7 @@ def test_the_error_bar_holds_for_a_plate_with_free_and_elastic_edges():
 
 def test_the_driven_scene_moves_as_promised(console):
     """A separate run by modes: the largest displacement of the plate is the target's."""
-    run = warp_plate.simulate(console.driven_scene(), path="modal")
+    run = warp_plate.simulate(console.driven_scene(), path="modal", estimate=False)
     largest = console.levels[0].worst / (2 * math.pi * console.frequency) ** 2
     assert run.peak_displacement == pytest.approx(largest, rel=1e-3)
 
@@ -138,8 +140,8 @@ def test_mean_levels_take_the_drive_of_the_largest_contrast():
 
 def test_what_cannot_be_is_proved_and_explained():
     """Without a guard the weakest point inside and the worst outside are neighbours."""
-    scene = Scene.load("console", ["specification.guard=0.0", "specification.frequency=250.0"])
-    answer = warp_plate.specify(scene)
+    scene = Scene.load("console", ["specification.guard=0.0", "specification.frequency=250.0", COARSE])
+    answer = warp_plate.specify(scene, tolerances=False)
     assert not answer.feasible
     assert answer.proved
     assert abs(answer.contrast_db) < 0.3
@@ -150,17 +152,17 @@ def test_what_cannot_be_is_proved_and_explained():
 
 
 def test_small_limits_name_what_would_do():
-    keys = ["specification.limits.force=0.05", "specification.frequency=250.0"]
-    answer = warp_plate.specify(Scene.load("console", keys))
+    keys = ["specification.limits.force=0.05", "specification.frequency=250.0", COARSE]
+    answer = warp_plate.specify(Scene.load("console", keys), tolerances=False)
     assert not answer.feasible
-    larger = ["specification.frequency=250.0", f"specification.limits.force={0.05 * answer.effort * 1.001}"]
-    assert warp_plate.specify(Scene.load("console", larger)).feasible
+    larger = ["specification.frequency=250.0", COARSE, f"specification.limits.force={0.05 * answer.effort * 1.001}"]
+    assert warp_plate.specify(Scene.load("console", larger), tolerances=False).feasible
     assert f"{answer.effort:.3g} times the limits would do" in answer.obstacles[-1]
 
 
 def test_levels_beyond_all_limits_name_the_largest():
-    keys = ["specification.limits.force=1e-3", "specification.frequency=215.0"]
-    answer = warp_plate.specify(Scene.load("console", keys))
+    keys = ["specification.limits.force=1e-3", "specification.frequency=215.0", COARSE]
+    answer = warp_plate.specify(Scene.load("console", keys), tolerances=False)
     assert math.isnan(answer.contrast_db)
     assert answer.proved
     assert answer.largest_level < 1
@@ -223,6 +225,7 @@ def test_one_drive_is_sought_for_all_tolerances():
     assert 20 * math.log10(worst / weakest) == pytest.approx(answer.scatter[0].nominal_db, abs=0.1)
 
 
+@pytest.mark.slow
 def test_the_one_drive_for_a_gasket_within_30_percent_has_its_own_frequency():
     """The nominal drive, at 250 Hz, has only -0.6 dB on the softest gasket."""
     answer = warp_plate.specify(Scene.load("console", ["specification.tolerance={gasket=0.3}"]))
@@ -239,10 +242,16 @@ def test_the_one_drive_for_a_gasket_within_30_percent_has_its_own_frequency():
     assert 20 * math.log10(worst / weakest) < -12
 
 
-@pytest.mark.parametrize("key", ["specification.elsewhere.relative_db=-14", "specification.limits.force=1e-3"])
+@pytest.mark.parametrize(
+    "key",
+    [
+        pytest.param("specification.elsewhere.relative_db=-14", marks=pytest.mark.slow),
+        "specification.limits.force=1e-3",
+    ],
+)
 def test_tolerances_that_no_drive_allows_are_said(key):
     """The best drives of the cases have -12.5 dB and more; or no drive of 1 mN reaches the level."""
-    keys = ["specification.tolerance={gasket=0.1}", "specification.frequency=215.0", key]
+    keys = ["specification.tolerance={gasket=0.1}", "specification.frequency=215.0", key, COARSE]
     answer = warp_plate.specify(Scene.load("console", keys))
     assert not answer.robust
     met = sum(case.met for case in answer.scatter)
@@ -261,21 +270,21 @@ def test_a_band_is_answered_at_its_worst_frequency():
 
 def test_one_frequency_without_a_drive_is_a_proof_for_a_band():
     """At 250 Hz -13.99 dB are reached, at 215 Hz -12.6 dB."""
-    keys = ["specification.elsewhere={relative_db=-13.0}", "specification.frequency=[215.0,250.0]"]
+    keys = ["specification.elsewhere={relative_db=-13.0}", "specification.frequency=[215.0,250.0]", COARSE]
     in_range = warp_plate.specify(Scene.load("console", keys), tolerances=False)
     assert in_range.feasible
     in_band = warp_plate.specify(Scene.load("console", [*keys, "specification.band=true"]), tolerances=False)
     assert in_band.proved
     assert not in_band.feasible
     assert in_band.verdict == "no drive meets the specification in the whole band: at 215 Hz there is none"
-    tone = warp_plate.specify(Scene.load("console", [*keys[:1], "specification.frequency=215.0"]), tolerances=False)
+    tone = warp_plate.specify(Scene.load("console", [*keys[::2], "specification.frequency=215.0"]), tolerances=False)
     assert tone.proved
     assert not tone.feasible
     assert tone.contrast_db == pytest.approx(in_band.contrast_db, abs=1e-3)
 
 
 def test_a_range_without_a_drive_is_proved_at_the_frequencies_tried():
-    keys = ["specification.elsewhere={relative_db=-30.0}", "specification.frequency=[240.0,250.0]"]
+    keys = ["specification.elsewhere={relative_db=-30.0}", "specification.frequency=[240.0,250.0]", COARSE]
     answer = warp_plate.specify(Scene.load("console", keys), tolerances=False)
     assert answer.proved
     tried = len(answer.frequencies)
@@ -283,7 +292,12 @@ def test_a_range_without_a_drive_is_proved_at_the_frequencies_tried():
 
 
 def test_waveforms_that_are_not_used_are_said():
-    keys = ["specification.frequency=250.0", "effects={modal_damping={ratio=0.01}}", "drive.burst={duration=0.05}"]
+    keys = [
+        "specification.frequency=250.0",
+        "effects={modal_damping={ratio=0.01}}",
+        "drive.burst={duration=0.05}",
+        COARSE,
+    ]
     assert "drive.burst is not used" in warp_plate.specify(Scene.load("console", keys)).notes[0]
 
 
@@ -319,7 +333,9 @@ def test_scenes_without_a_specification_are_refused():
 def test_layers_and_oscillators_move_with_the_plate():
     layer = "effects.layers=[{area=[0.1,0.2,0.02,0.1],thickness=0.5e-3,young_modulus=3e9,density=1200}]"
     oscillator = "effects.oscillators=[{area=[0.1,0.11,0.05,0.06],mass=2e-3,stiffness=1e3,damping=0.1}]"
-    answer = warp_plate.specify(Scene.load("console", ["specification.frequency=230.0", layer, oscillator]))
+    answer = warp_plate.specify(
+        Scene.load("console", ["specification.frequency=230.0", layer, oscillator]), tolerances=False
+    )
     assert answer.feasible
     x, y, field = fields(answer)
     away = distance(answer.scene.target.area, x, y)
