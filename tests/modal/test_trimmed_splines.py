@@ -157,6 +157,28 @@ def test_what_lies_outside_the_outline_does_not_press():
     assert (np.linalg.eigvalsh(mass) > 0).all()
 
 
+def test_localization_factors_with_loads_and_target_across_the_edge():
+    """A drive that starts suddenly moves many modes, which take more functions than natural frequencies do."""
+    scene = outlined(
+        {"ellipse": (0.1, 0.1, 0.1, 0.06, 0.5)},
+        "supported",
+        actuators=[(0.06, 0.08, 0.02, 0.06), (0.1, 0.12, 0.09, 0.11)],
+        target={"disc": (0.17, 0.14, 0.05)},
+    )
+    factors = []
+    for density in (1.0, 1.5):
+        energy = ModalSolver(scene.with_tables(grid={"modal_density": density}), "cpu").run([[1.0, 1.0]]).energy[0]
+        factors.append(energy[1] / energy[0])
+    assert factors[0] == pytest.approx(factors[1], rel=2e-5)
+
+
+def test_too_narrow_plates_name_the_piece():
+    shape, target = {"rectangle": (0.2, 4e-4), "angle": 0.3}, {"disc": (0.1, 0.03, 0.02)}
+    scene = outlined(shape, target=target, actuators=[(0.09, 0.11, 0.02, 0.04)])
+    message = refused(solve_modes, scene, 0.0, 6)
+    assert "the mean width between edges is 0.399 mm; widen it beside the longest piece, outline, side 0" in message
+
+
 def test_slopes_of_loads_are_differences():
     space = make_space(outlined(DISC, "free"), (12, 12))
     area, step = np.array([[0.13, 0.19, 0.12, 0.17]]), 1e-6

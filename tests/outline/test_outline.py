@@ -106,3 +106,10 @@ def test_invalid_outlines_are_refused_by_the_names_of_their_pieces(loops, text):
 def test_a_part_that_ends_off_the_outline_is_refused():
     with pytest.raises(ValueError, match=r"edges\.parts\[0\]\.to_point: .*nearest point is \[1, 2\]"):
         make_outline({"outline": disc(1, 1, 1)}, {"parts[0]": ((2.0, 1.0), (1.0, 2.1), "clamped")})
+
+
+def test_rectangles_on_a_plate():
+    ring = make_outline(PLATES["ring"])
+    assert ring.holds(0.3, 0.6, 0.8, 1.2)
+    for other in ((0.0, 0.5, 0.0, 0.5), (0.6, 1.0, 0.8, 1.0), (0.5, 1.5, 0.5, 1.5), (1.8, 2.1, 0.0, 2.0)):
+        assert not ring.holds(*other)

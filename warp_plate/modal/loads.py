@@ -19,6 +19,7 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
+from numpy.polynomial import legendre
 
 from warp_plate.effects.moving_load import MovingLoad
 from warp_plate.modal.modes import ModalPlate
@@ -39,8 +40,8 @@ POINT = 1e-6
 # Points of the polynomials in a block from 0 to 1, and the matrix that makes coefficients of powers of their values.
 NODES = (1 - np.cos(np.pi * (2 * np.arange(DEGREE + 1) + 1) / (2 * DEGREE + 2))) / 2
 TO_POWERS = np.linalg.inv(np.vander(NODES, increasing=True))
-# Places along each side at which forces are tried to see which motions count.
-PLACES = 8
+# Places along each side at which forces are tried to see which motions count, and points along a side of such a patch.
+PLACES, TRIAL_POINTS = 8, 3
 
 
 @dataclass(frozen=True)
@@ -251,7 +252,15 @@ def trial_forces(plate: ModalPlate) -> np.ndarray:
     parts = (np.arange(PLACES) + 0.5) / PLACES
     centre = low + np.stack(np.meshgrid(parts, parts), axis=-1).reshape(-1, 1, 2) * (high - low)
     placed = np.stack([centre - half, centre + half], axis=-1).reshape(-1, 4)
-    return plate.patch_forces(np.unique(np.concatenate([ends.reshape(-1, 4), placed]).round(9), axis=0))
+    areas = np.unique(np.concatenate([ends.reshape(-1, 4), placed]).round(9), axis=0)
+    if scene.outline is None:
+        return plate.patch_forces(areas)
+    # Gauss's rule alone, which needs no chords: only sizes count.
+    s, weights = legendre.leggauss(TRIAL_POINTS)
+    x, y = (low[:, None] + (high - low)[:, None] * (s + 1) / 2 for low, high in (areas.T[:2], areas.T[2:]))
+    places = np.stack(np.broadcast_arrays(x[:, :, None], y[:, None]), axis=-1)
+    values = plate.at_points(places.reshape(-1, 2)).reshape(-1, *places.shape[:3])
+    return np.einsum("mpxy,x,y,p->mp", values, weights, weights, np.ptp(areas[:, :2], 1) * np.ptp(areas[:, 2:], 1) / 4)
 
 
 def trial_frequencies(scene: Scene) -> np.ndarray:

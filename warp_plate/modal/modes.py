@@ -307,7 +307,8 @@ def solve_modes(
     highest, density = finer * (highest_frequency(scene) if highest is None else highest), finer * density
     wave, area = mean_wave_frequency(laminate_of(scene)), scene.plate.area
     counted = wave * (math.sqrt(4 / math.pi * count) + 2) ** 2 / area if count else 0.0
-    intervals = intervals_for(scene.plate.size, scene.outline, max(highest, counted), wave, density)
+    from_rest = highest > 0 and not alone and not scene.steady
+    intervals = intervals_for(scene.plate.size, scene.outline, max(highest, counted), wave, density, from_rest)
     below = max(math.pi / 4 * area * highest / wave, count)
     _check_size(scene, key or ("drive.frequency" if highest >= counted else "count"), below, most, intervals)
     galerkin = make_galerkin(scene, make_space(scene, intervals))
@@ -365,7 +366,7 @@ def errors_of_frequencies(scene: Scene, frequencies: np.ndarray) -> np.ndarray:
 def expected_size(scene: Scene, highest: float, density: float = 1.0) -> tuple[float, float]:
     """Return about how many functions and modes :func:`solve_modes` takes for responses up to a frequency [Hz]."""
     finer, wave = scene.grid.modal_density, mean_wave_frequency(laminate_of(scene))
-    sides = intervals_for(scene.plate.size, scene.outline, finer * highest, wave, finer * density)
+    sides = intervals_for(scene.plate.size, scene.outline, finer * highest, wave, finer * density, not scene.steady)
     functions, area = math.prod(side + DEGREE for side in sides), scene.plate.area
     wanted = 1.1 * math.pi / 4 * area * REACH * finer * highest / wave + FURTHER
     return functions, wanted if wanted * SPARSE < functions else functions
@@ -382,13 +383,12 @@ def _viscous(galerkin: Galerkin, vectors: np.ndarray) -> np.ndarray:
 def _check_size(scene: Scene, key: str, below: float, most: int, intervals: tuple[int, int]) -> None:
     """Raise a SceneError, beginning with ``key``, if there are too many modes or too many intervals along a side."""
     if below > most:
-        width, height = scene.plate.size
-        size = f"the plate is {width:g} × {height:g} m"
+        size = "the plate is {:g} × {:g} m".format(*scene.plate.size)
         raise SceneError(f"{key}: about {below:.3g} modes are needed; at most {most} are computed ({size})")
     if max(intervals) > MOST_INTERVALS:
         raise SceneError(
             f"{key}: {max(intervals)} intervals between the knots of splines are needed along a side of the plate; at "
-            f"most {MOST_INTERVALS} are possible"
+            f"most {MOST_INTERVALS} are possible" + (f" ({scene.outline.widening})" if scene.outline else "")
         )
 
 

@@ -50,6 +50,13 @@ class Outline:
         """Length of all edges [m]."""
         return sum(piece.length for piece in self.pieces)
 
+    @property
+    def widening(self) -> str:
+        """What to widen of a plate that is too narrow, for messages."""
+        longest, width = max(self.pieces, key=lambda piece: piece.length), 2e3 * self.area / self.length
+        where = f"the longest piece, {longest.edge}, {longest.name}"
+        return f"the mean width between edges is {width:.3g} mm; widen it beside {where}"
+
     @cached_property
     def monotone(self) -> tuple[tuple[Monotone, ...], tuple[Monotone, ...]]:
         """The parts of the edges on which x is monotone, and those on which y is."""
@@ -87,6 +94,14 @@ class Outline:
         """Return the intervals [m] of a line along x (0) or y (1) that are on the plate; see :meth:`crossings`."""
         places = [place for place, _ in self.crossings(axis, at)]
         return list(zip(places[::2], places[1::2], strict=False))
+
+    def holds(self, x0: float, x1: float, y0: float, y1: float) -> bool:
+        """Return whether a rectangle [m] is on the plate: its sides are, and no hole is inside it."""
+        sides = ((0, y0, x0, x1), (0, y1, x0, x1), (1, x0, y0, y1), (1, x1, y0, y1))
+        if not all(any(first <= low and high <= last for first, last in self.chords(axis, at))
+                   for axis, at, low, high in sides):  # fmt: skip
+            return False
+        return not any(x0 < x < x1 and y0 < y < y1 for x, y in (hole[0].start for hole in self.loops[1:]))
 
     def polygons(self, turn: float = TURN) -> list[np.ndarray]:
         """Return the corners (n, 2) [m] of a polygon for each loop, the outer edge first, arcs in steps of ``turn``.

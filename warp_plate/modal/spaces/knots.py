@@ -28,8 +28,8 @@ from warp_plate.scene.outline import Support
 # Intervals between knots along the longer side: at least so many, and so many for each half-wave at the highest
 # frequency; along the shorter side fewer, but of less size.
 FEWEST, PER_HALF_WAVE = 18, 2.6
-# The same for plates with an outline, as a part of these.
-FEWER = 0.7
+# The same for plates with an outline, as a part of these; the fewest for responses from rest, to which many modes add.
+FEWER, FEWEST_FROM_REST = 0.7, 36
 # Intervals for each mean width, twice the area over the length of all edges: edges near each other must not share them.
 PER_WIDTH = 2.0
 # Degree of the splines, of those of a section with jumps or up to FEW_KINKS kinks along a side, and with more: each
@@ -258,15 +258,16 @@ def _singular(first: object, second: object) -> bool:
 
 
 def intervals_for(
-    size: tuple[float, float], outline: Outline | None, highest: float, wave: float, density: float
+    size: tuple[float, float], outline: Outline | None, highest: float, wave: float, density: float, from_rest: bool
 ) -> tuple[int, int]:
-    """Return the number of intervals between knots along x and along y of a plate for responses up to a frequency [Hz];
-    ``wave`` as :func:`mean_wave_frequency`."""
-    waves, longer = math.sqrt(highest / wave), max(size)
+    """Return the number of intervals between knots along x and along y of a plate for natural frequencies and steady
+    responses up to a frequency [Hz], or for responses ``from_rest``; ``wave`` as :func:`mean_wave_frequency`."""
+    waves, longer, fewest = math.sqrt(highest / wave), max(size), FEWEST
     per_length = PER_HALF_WAVE * waves
     if outline is not None:  # whose splines have more continuous derivatives at the edges
         density *= FEWER
+        fewest = FEWEST_FROM_REST if from_rest else FEWEST
         per_length = max(per_length, PER_WIDTH * outline.length / (2 * outline.area))
-    counts = [math.ceil(max(FEWEST * math.sqrt(side / longer), per_length * side)) for side in size]
+    counts = [math.ceil(max(fewest * math.sqrt(side / longer), per_length * side)) for side in size]
     x, y = (math.ceil(density * count) for count in counts)
     return x, y

@@ -56,8 +56,10 @@ class Splines:
         """Return (functions, points) values of a derivative at x [m], of discontinuous ones those to the right."""
         return self._kept(_bsplines(self.knots, self.degree, np.asarray(x, dtype=float), derivative))
 
-    def integrals(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        """Return (functions, intervals) integrals from ``low`` to ``high`` [m]."""
+    def integrals(self, low: np.ndarray, high: np.ndarray, derivative: int = 0) -> np.ndarray:
+        """Return (functions, intervals) integrals of a derivative from ``low`` to ``high`` [m]."""
+        if derivative:
+            return self.values(high, derivative - 1) - self.values(low, derivative - 1)
         return self._from_start(high) - self._from_start(low)
 
     @cached_property

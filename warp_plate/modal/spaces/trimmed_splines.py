@@ -333,11 +333,17 @@ class TrimmedSplines(SplineProducts):
 
     def _over_patches(self, areas: np.ndarray, orders: Sequence[tuple[int, int]]) -> np.ndarray:
         """Return (areas, unknowns) integrals of a sum of derivatives over the parts of rectangles on the plate."""
-        rows = []
-        for area in np.asarray(areas, dtype=float).reshape(-1, 4):
-            chords = self._chords(curves_of(PlateRegion.model_construct(area=tuple(area.tolist()))))
-            rows.append(sum(self._integrals(chords, 1.0, order) for order in orders))
-        return np.array(rows).reshape(-1, self.basis.shape[0]) @ self.basis
+        areas = np.asarray(areas, dtype=float).reshape(-1, 4)
+        rows = np.zeros((len(areas), self.basis.shape[0]))
+        whole = np.array([not self.added and self.outline.holds(*area) for area in areas.tolist()], dtype=bool)
+        for row, area in zip(np.flatnonzero(~whole), areas[~whole].tolist(), strict=True):
+            chords = self._chords(curves_of(PlateRegion.model_construct(area=tuple(area))))
+            rows[row] = sum(self._integrals(chords, 1.0, order) for order in orders)
+        for order in orders if whole.any() else ():
+            x0, x1, y0, y1 = areas[whole].T
+            along_x, along_y = self.along[0].integrals(x0, x1, order[0]), self.along[1].integrals(y0, y1, order[1])
+            rows[whole] += _products(along_y.T, along_x.T)[:, self._used]
+        return rows @ self.basis
 
     def _tables(self, products: np.ndarray) -> np.ndarray:
         """Return (..., functions of y, functions of x) coefficients of all products from those of the used ones."""
