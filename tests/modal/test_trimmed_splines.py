@@ -218,6 +218,14 @@ def test_a_line_support_in_the_middle_makes_two_plates_of_one():
     assert lowest(scene, 6) == pytest.approx(exact, rel=1e-7)
 
 
+def test_two_line_supports_that_cross_in_a_disc():
+    """Diameters at a right angle: each quarter is a sector whose straight edges are supported or clamped."""
+    ends = [(0.1 + 0.1 * math.cos(turn), 0.1 + 0.1 * math.sin(turn)) for turn in np.arange(4) * math.pi / 2 + 0.3]
+    crossing = [{"line": (ends[index], ends[index + 2])} for index in (0, 1)]
+    exact = [84.87423122, 101.54143926, 101.54143926, 118.72103454, 169.53372761, 190.72724173]
+    assert lowest(outlined(DISC, "clamped", supports=crossing), 6) == pytest.approx(exact, rel=2e-6)
+
+
 def test_point_supports():
     """The middle of a clamped disc: the modes with a node there stay, the first is the limit of rings with ever smaller
     holes that hold the displacement alone; corners of a free square, as Leissa's 7.11 and 15.77."""

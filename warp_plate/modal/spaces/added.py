@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 
 from warp_plate.modal.spaces.singular import (
     NOTCH,
+    ON_EDGE,
     Singular,
     along_line,
     along_ring,
@@ -23,6 +25,7 @@ from warp_plate.modal.spaces.singular import (
 from warp_plate.modal.spaces.slots import around_slot, functions_of, middle_line
 from warp_plate.outline.outline import Outline
 from warp_plate.outline.pieces import Arc, Piece
+from warp_plate.scene.fields import Point
 from warp_plate.scene.model import Scene
 from warp_plate.scene.outline import Support
 
@@ -32,13 +35,46 @@ LINE_FUNCTIONS, RING_WAVES = 8, 0.35
 # each other cost less. At most as many as the last with those about slots.
 CORNER_FUNCTIONS, NOTCH_FUNCTIONS, HOLE_FUNCTIONS, MOST_FUNCTIONS, MOST_WITH_SLOTS = 6, 36, 24, 250, 300
 
+# Lines whose angle has a smaller sine do not cross.
+PARALLEL = 1e-6
+
 
 def added_functions(scene: Scene, interval: float) -> tuple[Singular, ...]:
     """Return the functions that a plate's splines of an interval [m] need besides, the same object for the same."""
     assert scene.outline is not None
     if not adds_functions(scene):
         return ()
-    return _added(scene.outline, tuple(scene.supports), scene.plate.poisson_ratio, interval)
+    supports = tuple(support for _, support in parted(tuple(scene.supports)))
+    return _added(scene.outline, supports, scene.plate.poisson_ratio, interval)
+
+
+@lru_cache
+def parted(supports: tuple[Support, ...]) -> tuple[tuple[int, Support], ...]:
+    """Return supports with their indices, lines parted where others meet them: their forces are singular there."""
+    parts = []
+    for index, support in enumerate(supports):
+        if support.line is None:
+            parts.append((index, support))
+            continue
+        start, end = np.array(support.line)
+        slack, places = ON_EDGE / math.dist(start, end), [0.0]
+        meetings = (_meeting(support.line, other.line) for other in supports if other.line and other is not support)
+        places += [at for at in sorted(filter(None, meetings)) if slack < at < 1 - slack]
+        apart = [low for low, high in pairwise([*places, 1.0]) if high - low > slack]
+        points = [tuple((start + at * (end - start)).tolist()) for at in (*apart, 1.0)]
+        parts += [(index, support.model_copy(update={"line": ends})) for ends in pairwise(points)]
+    return tuple(parts)
+
+
+def _meeting(line: tuple[Point, Point], other: tuple[Point, Point]) -> float | None:
+    """Return the place from 0 to 1 where another line meets a line; None if it does not."""
+    (start, end), (first, last) = np.array(line), np.array(other)
+    sides = np.stack([end - start, first - last], axis=1)
+    length, across = np.linalg.norm(sides, axis=0)
+    if abs(np.linalg.det(sides)) < PARALLEL * length * across:
+        return None
+    at, passed = np.linalg.solve(sides, first - start).tolist()
+    return at if -ON_EDGE <= passed * across <= across + ON_EDGE else None
 
 
 def adds_functions(scene: Scene) -> bool:

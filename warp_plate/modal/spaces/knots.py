@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from warp_plate.effects.edges import Edges, ElasticEdge
-from warp_plate.modal.spaces.added import adds_functions, slots_of
+from warp_plate.modal.spaces.added import adds_functions, parted, slots_of
 from warp_plate.modal.spaces.singular import ON_EDGE, STRAIGHT, is_round, is_singular, on_edge
 from warp_plate.modal.spaces.splines import Splines, make_splines
 from warp_plate.outline.outline import Outline, bounds
@@ -127,7 +127,7 @@ def _graded(scene: Scene, axis: int, interval: float) -> np.ndarray:
     corners = [after.start for before, after, angle in outline.corners()
                if is_singular(before, after, angle) and after not in of_slots]  # fmt: skip
     places = [(place, APART * _apart(scene, place) if added else plain) for place in corners]
-    for support in scene.supports:
+    for _, support in parted(tuple(scene.supports)):
         for end in (np.array(end) for end in support.ends if not _on_edge(support, end, outline)):
             part = APART_OF_LINES if support.line else APART
             places.append((end, part * _apart(scene, end) if added and not on_edge(outline, end) else plain))
@@ -168,7 +168,9 @@ def _apart(scene: Scene, place: np.ndarray, radius: float = 0.0) -> float:
     """Return the distance [m] of a place, or of a hole of a radius about it, from edges and supports, and from the far
     ends of those that meet it."""
     assert scene.outline is not None
-    starts, along, first, ends = _segments(scene.outline, tuple(scene.supports))
+    starts, along, first, ends = _segments(
+        scene.outline, tuple(support for _, support in parted(tuple(scene.supports)))
+    )
     passed = np.clip(((place - starts) * along).sum(axis=1) / np.maximum((along**2).sum(axis=1), ON_EDGE**2), 0, 1)
     away = np.linalg.norm(starts + passed[:, None] * along - place, axis=1)
     away = np.minimum.reduceat(away, first) - radius
@@ -181,7 +183,7 @@ def _apart(scene: Scene, place: np.ndarray, radius: float = 0.0) -> float:
 def _segments(outline: Outline, supports: tuple[Support, ...]) -> tuple[np.ndarray, ...]:
     """Return starts and vectors (segments, 2) [m] of polylines of edges and supports, the index of the first segment of
     each, and their ends (curves, 2, 2) [m]."""
-    curves = [support.piece("") for support in supports]
+    curves = [support.piece("") for _, support in parted(supports)]
     lines = [curve.polyline() for curve in (*outline.pieces, *curves) if curve is not None]
     lines += [np.array([support.point] * 2) for support in supports if support.point is not None]
     first = np.cumsum([0, *(len(line) - 1 for line in lines[:-1])])

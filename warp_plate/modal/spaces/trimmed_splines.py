@@ -17,7 +17,7 @@ import scipy
 from numpy.polynomial import legendre
 
 from warp_plate.effects.effect import DISPLACEMENT, SLOPE, Factors
-from warp_plate.modal.spaces.added import added_functions
+from warp_plate.modal.spaces.added import added_functions, parted
 from warp_plate.modal.spaces.chords import Chords, Curve, LocalSplines, curves_of, make_chords
 from warp_plate.modal.spaces.edge_moments import conditions, edge_rule, null_space
 from warp_plate.modal.spaces.integrals import (
@@ -73,7 +73,7 @@ class TrimmedSplines(SplineProducts):
         """Make the space, with the functions of ``like`` where they would be the same, or with those of ``fixed``."""
         assert scene.outline is not None
         self.scene, self.laminate, self.intervals, self.outline = scene, laminate_of(scene), intervals, scene.outline
-        curves = (support.piece(f"supports[{index}]") for index, support in enumerate(scene.supports))
+        curves = (support.piece(f"supports[{index}]") for index, support in parted(tuple(scene.supports)))
         self._pieces = (*self.outline.pieces, *(curve for curve in curves if curve is not None))
         along = fixed.along if fixed else [outline_splines(scene, self.laminate, i, intervals[i]) for i in (0, 1)]
         self.along = along[0], along[1]
@@ -214,7 +214,7 @@ class TrimmedSplines(SplineProducts):
     def _chords(self, curves: Sequence[Curve] = (), cuts: Cuts = ((), ())) -> Chords:
         count = self.degree + (3 if self.laminate.varied else 1)
         along_x, along_y = ([*self._section(axis), *cuts[axis]] for axis in (0, 1))
-        near = [place for function in self.added for place in function.near()]
+        near = list(dict.fromkeys(place for function in self.added for place in function.near()))
         low, high = self.outline.bounds[2:]
         section = along_x, np.clip(along_y, low, high).tolist()
         folds = [piece for piece in self._pieces if piece.edge.startswith("supports")] if self.added else []
