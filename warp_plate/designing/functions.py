@@ -40,7 +40,7 @@ class PanelFunctions:
         """The space of these functions on the scene's own plate."""
         scene, finer = self._scene, self._scene.grid.modal_density
         wave = mean_wave_frequency(laminate_of(scene))
-        sides = intervals_for(scene.plate.size, scene.outline, finer * self._highest, wave, finer * DENSITY, False)
+        sides = intervals_for(scene.plate.size, scene.outline, finer * self._highest, wave, finer * DENSITY)
         space = make_space(scene, sides)
         assert isinstance(space, TensorSplines | TrimmedSplines)
         return space

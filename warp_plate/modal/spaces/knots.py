@@ -260,7 +260,12 @@ def _singular(first: object, second: object) -> bool:
 
 
 def intervals_for(
-    size: tuple[float, float], outline: Outline | None, highest: float, wave: float, density: float, from_rest: bool
+    size: tuple[float, float],
+    outline: Outline | None,
+    highest: float,
+    wave: float,
+    density: float,
+    from_rest: bool = False,
 ) -> tuple[int, int]:
     """Return the number of intervals between knots along x and along y of a plate for natural frequencies and steady
     responses up to a frequency [Hz], or for responses ``from_rest``; ``wave`` as :func:`mean_wave_frequency`."""
