@@ -115,7 +115,7 @@ def test_small_factors_are_stepped_in_float64():
     """In a corner between clamped edges energies are lost in the rounding of float32."""
     scene = scene_of(
         size=(0.1, 0.1), frequency=400.0, window=(0.02, 0.025), actuators=[(0.05, 0.08, 0.03, 0.06)],
-        target={"area": (0.0005, 0.003, 0.0005, 0.003)},
+        target={"area": (0.0005, 0.003, 0.0005, 0.003)}, modal_density=1.0,
     )  # fmt: skip
     choice = choose(scene, 0.1, "cpu")
     assert choice.error <= 0.1

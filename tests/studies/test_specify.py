@@ -192,7 +192,7 @@ def test_two_targets_move_at_their_own_levels_and_phases():
 
 
 def test_one_drive_is_sought_for_all_tolerances():
-    keys = ["specification.tolerance={gasket=0.1}", "specification.frequency=215.0"]
+    keys = ["specification.tolerance={gasket=0.1}", "specification.frequency=215.0", COARSE]
     answer = warp_plate.specify(Scene.load("console", keys))
     assert [case.changes["gasket"] for case in answer.scatter] == [0.9, 1.0, 1.1]
     assert min(case.robust_level for case in answer.scatter) > 1 - 1e-6
@@ -334,7 +334,7 @@ def test_layers_and_oscillators_move_with_the_plate():
     layer = "effects.layers=[{area=[0.1,0.2,0.02,0.1],thickness=0.5e-3,young_modulus=3e9,density=1200}]"
     oscillator = "effects.oscillators=[{area=[0.1,0.11,0.05,0.06],mass=2e-3,stiffness=1e3,damping=0.1}]"
     answer = warp_plate.specify(
-        Scene.load("console", ["specification.frequency=230.0", layer, oscillator]), tolerances=False
+        Scene.load("console", ["specification.frequency=230.0", layer, oscillator, COARSE]), tolerances=False
     )
     assert answer.feasible
     x, y, field = fields(answer)
