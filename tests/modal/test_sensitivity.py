@@ -110,7 +110,7 @@ def test_slopes_of_the_bound_by_thickness(case, random):
     phasors = z[: len(z) // 2] - 1j * z[len(z) // 2 :]
     plate = quadratic_forms(adjoint["plate"][None], phasors[None])[0, 0]
     weights = {"plate": -bound / plate, "target": 1 / plate}
-    slopes = FieldSlopes(space, adjoint.slopes(phasors, weights)).by_thickness()
+    (slopes,) = FieldSlopes(space, [adjoint.slopes(phasors, weights)], np.zeros(1), np.zeros(1)).by_thickness()
     expected = difference(lambda factor: solved(factor)[2], 2e-4)
     assert np.sum(slopes * direction) == pytest.approx(expected, rel=1e-6)
 

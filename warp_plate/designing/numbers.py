@@ -43,8 +43,13 @@ class NumberSlopes:
         assert isinstance(galerkin.space, SplineProducts)
         self._galerkin, self._space, self._make, self._slopes = galerkin, galerkin.space, make, slopes
         space = galerkin.space
-        self.of_fields = [FieldSlopes(space, one.matrices, one.by_mass, one.by_target) for one in slopes]
-        self._by_mass = np.array([one.by_mass for one in slopes])
+        self._by_mass, by_target = (np.array([getattr(one, name) for one in slopes]) for name in ("by_mass", "by_target"))
+        self.of_fields = FieldSlopes(space, [one.matrices for one in slopes], self._by_mass, by_target)
+
+    @property
+    def count(self) -> int:
+        """Number of numbers with slopes."""
+        return len(self._slopes)
 
     @property
     def scene(self) -> Scene:
@@ -149,8 +154,7 @@ class NumberSlopes:
 
     def _of_section(self, after: Scene, before: Scene) -> np.ndarray:
         one, other = laminate_of(after), laminate_of(before)
-        changes = [0.0 if _alike(one, other) else by.change(one, other) for by in self.of_fields]
-        return np.array(changes)
+        return np.zeros(len(self._slopes)) if _alike(one, other) else self.of_fields.change(one, other)
 
     def _of_coils(self, after: Scene, before: Scene) -> np.ndarray:
         omega = self.scene.drive.angular_frequency

@@ -281,11 +281,11 @@ class FreePanel:
 
     def _by_numbers(self, of: NumberSlopes, numbers: np.ndarray, case: Mapping[str, float]) -> np.ndarray:
         """Return the slopes (n, count) by free numbers (count,) in a case of n numbers with slopes by the panel."""
-        slopes, rows = np.zeros((len(of.of_fields), self.count)), dict(of.scene.effects.rows)
+        slopes, rows = np.zeros((of.count, self.count)), dict(of.scene.effects.rows)
         width = self._high - self._low
         if self.thickness is not None:
-            for by_number, by in zip(slopes, of.of_fields, strict=True):
-                by_number[: self._mapped] = self.thickness.slopes(numbers[: self._mapped], by.by_thickness())
+            for by_number, by_map in zip(slopes, of.of_fields.by_thickness(), strict=True):
+                by_number[: self._mapped] = self.thickness.slopes(numbers[: self._mapped], by_map)
         shares = numbers[self._mapped :]
         moving = [None] * len(self._keys) + list(self._travel)
         for index, (share, place) in enumerate(zip(shares.tolist(), moving, strict=True)):

@@ -37,6 +37,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy
 
 from warp_plate.effects.effect import per_mode
 from warp_plate.modal.assemble import Galerkin
@@ -137,7 +138,12 @@ class EnergyAdjoint(PlateForms):
 
     @cached_property
     def _amplitudes(self) -> np.ndarray:
-        return np.linalg.solve(self._dynamic, self._forces * self._gains)
+        return np.asarray(scipy.linalg.lu_solve(self._factors, self._forces * self._gains))
+
+    @cached_property
+    def _factors(self) -> tuple[np.ndarray, np.ndarray]:
+        """Factors of the dynamic stiffness, which all adjoint solutions share."""
+        return scipy.linalg.lu_factor(self._dynamic)
 
     @cached_property
     def _gains(self) -> np.ndarray:
@@ -188,27 +194,35 @@ class EnergyAdjoint(PlateForms):
 
     def slopes(self, phasors: np.ndarray, weights: Mapping[str, float]) -> PlateMatrices:
         """Return the slopes of Σ weight times form of phasors (M,), by the names of forms."""
-        by = self._steady(phasors, weights) if self.window is None else self._from_rest(phasors, weights, self.window)
         phi, omega = self.plate.vectors, self.plate.angular_frequencies
+        # In a steady state two motions say all: they are taken over the unknowns before matrices are formed.
+        formed = self.window is None and self._lost.ratios is None
+        if self.window is None:
+            by = self._steady(phasors, weights, phi if formed else np.eye(omega.size))
+        else:
+            by = self._from_rest(phasors, weights, self.window)
+
+        def over(matrices: np.ndarray) -> np.ndarray:
+            return matrices if formed else phi @ matrices @ phi.T
+
         of_stiffness, of_mass, of_damping, of_loss = ((part + part.T) / 2 for part in by.dynamic)
         bending = self._lost.retardation * of_damping + self._lost.hysteretic * of_loss
         turned = self._turned(of_damping, bending, by)
         if self._lost.ratios is not None:  # C = 2ζ M (M⁻¹K)^½
             both = 2 * self._lost.ratios * of_damping / np.maximum(omega[:, None] + omega, np.finfo(float).tiny)
             of_stiffness, of_mass = of_stiffness + both, of_mass + np.outer(omega, omega) * both
-        stiffness = phi @ of_stiffness @ phi.T
-        mass = phi @ of_mass @ phi.T
+        stiffness, mass = over(of_stiffness), over(of_mass)
         if turned is not None:
             rest, shares = turned
             stiffness += _symmetric(rest @ shares @ phi.T)
             mass -= _symmetric(rest @ (shares * omega**2) @ phi.T)
         return PlateMatrices(
             mass=mass,
-            bending=stiffness + phi @ bending @ phi.T,
+            bending=stiffness + over(bending),
             support=stiffness,
-            damping=phi @ of_damping @ phi.T,
-            regions=phi @ by.regions @ phi.T,
-            forces=phi @ by.forces,
+            damping=over(of_damping),
+            regions=over(by.regions),
+            forces=by.forces if formed else phi @ by.forces,
             coils=by.coils,
         )
 
@@ -226,41 +240,43 @@ class EnergyAdjoint(PlateForms):
         shares = rest.T @ (2 * towards + all_of.forces @ by.forces.T)
         return rest, shares / (self._squares[:count] - self._squares[count:, None])
 
-    def _steady(self, phasors: np.ndarray, weights: Mapping[str, float]) -> ModalSlopes:
-        rate, motion = 1j * self._omega, self._amplitudes @ phasors
-        load, regions = np.zeros(motion.shape, dtype=complex), np.zeros_like(self._regions)
+    def _steady(self, phasors: np.ndarray, weights: Mapping[str, float], basis: np.ndarray) -> ModalSlopes:
+        """Return the slopes by matrices over the functions of a basis (functions, modes)."""
+        motion = self._amplitudes @ phasors
+        load, sizes = np.zeros(motion.shape, dtype=complex), np.zeros(len(self._regions))
         for name, weight in weights.items():
             if name in REGIONAL:
                 order, region = REGIONAL[name]
                 size = weight * self._omega ** (2 * order)
                 load += size / 2 * (self._regions[region] @ motion.conj())
-                regions[region] += size / 4 * np.outer(motion.conj(), motion).real
+                sizes[region] += size / 4
             elif name == "sound":
                 load += weight * self._omega**2 * (self._radiating.T @ (self._radiating @ motion.conj()))
         power, coils = weights.get("power", 0.0), self.scene.coil_indices
         fed = power / 2 * feeding(self.scene, self._omega)[1] * phasors.conj()
-        adjoint = np.linalg.solve(self._dynamic, load + self._forces @ fed)
+        adjoint = scipy.linalg.lu_solve(self._factors, load + self._forces @ fed)
+        patches = self._forces[:, coils]
+        moved, pulled = patches.T @ motion, patches.T @ adjoint
+        motion, adjoint = basis @ motion, basis @ adjoint
         by = -np.outer(adjoint, motion)
         forces = np.outer(adjoint, self._gains * phasors) + np.outer(motion, fed)
         numbers = np.zeros((3, len(coils)), dtype=complex)
         if coils:
-            patches, (stiffness, *_) = self._forces[:, coils], self._all.coils
-            moved, pulled = patches.T @ motion, patches.T @ adjoint
+            stiffness = self._all.coils[0]
             forces[:, coils] -= stiffness * (np.outer(adjoint, moved) + np.outer(motion, pulled))
             of_gain = pulled * phasors[coils] + fed[coils] / self._all.coils[1] * moved
             numbers = np.stack([-pulled * moved, of_gain, power / 2 * np.abs(phasors[coils]) ** 2]).conj()
-        dynamic = (by.real, (rate**2 * by).real, (rate * by).real, (1j * by).real)
+        dynamic = (by.real, -(self._omega**2) * by.real, -self._omega * by.imag, -by.imag)
+        regions = sizes[:, None, None] * np.outer(motion.conj(), motion).real
         return ModalSlopes(dynamic, forces.real, regions, numbers)
 
     def _from_rest(self, phasors: np.ndarray, weights: Mapping[str, float], window: Window) -> ModalSlopes:
         """Return the slopes over a window; those by H are zero."""
         poles, force = self.plate.poles(window.end), self._forces @ phasors
-        (rate,) = poles.shift_rates(np.array([1j * self._omega]), window.end)
+        exponents, plain, with_time = self._means
         gains = poles.gains(force[:, None])[:, 0]
-        gap, vectors, values = 1 / (rate - poles.values), poles.vectors, poles.values
-        exponents = np.concatenate([[rate], values])
-        both = np.concatenate([exponents, exponents.conj()])
-        means = [mean_exponential(side[:, None], exponents, window) for side in (exponents, exponents.conj())]
+        rate, vectors, values = exponents[0], poles.vectors, poles.values
+        gap = 1 / (rate - values)
         dynamic, regions = np.zeros((4, *self._regions.shape[1:])), np.zeros_like(self._regions)
         by_force = np.zeros(force.shape, dtype=complex)
         for order in {REGIONAL[name][0] for name in weights}:
@@ -269,9 +285,9 @@ class EnergyAdjoint(PlateForms):
             free = -vectors * (gains * gap * values**order)
             motion = np.column_stack([vectors @ (gains * gap) * rate**order, free])
             momenta = vectors.T @ region @ np.hstack([motion, motion.conj()]) / 2
-            loaded, resting = _mean_products(momenta, both, values, window)
-            forced = _mean_products(momenta, both, np.array([rate]), window)[0][:, 0]
-            mean = ((motion @ means[0] + motion.conj() @ means[1]) @ motion.T).real / 4
+            forced, loaded = np.split(momenta @ plain, [1], axis=1)
+            forced, resting = forced[:, 0], momenta @ with_time
+            mean = (np.hstack([motion, motion.conj()]) @ plain @ motion.T).real / 4
             for name, weight in some.items():
                 regions[REGIONAL[name][1]] += weight * mean
             for part, power in zip(dynamic, (order, order + 2, order + 1), strict=False):
@@ -280,6 +296,19 @@ class EnergyAdjoint(PlateForms):
             by_force += poles.inputs.T @ ((forced * rate**order - np.diag(loaded) * values**order) * gap)
         forces = np.outer(by_force, phasors).real
         return ModalSlopes(dynamic, forces, regions, np.zeros_like(self._all.coils))
+
+    @cached_property
+    def _means(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Exponents σ and s_p, and the means over the window of exp(ξt) for sums ξ of one of them or its conjugate with
+        one of them, and of t exp(ξt) with one of the s_p."""
+        assert self.window is not None
+        poles = self.plate.poles(self.window.end)
+        rate = poles.shift_rates(np.array([1j * self._omega]), self.window.end)
+        exponents = np.concatenate([rate, poles.values])
+        both = np.concatenate([exponents, exponents.conj()])[:, None]
+        forced = mean_exponential(both, rate, self.window)
+        plain, with_time = mean_exponential_with_time(both, poles.values, self.window)
+        return exponents, np.hstack([forced, plain]), with_time
 
     @staticmethod
     def _kernel(
@@ -305,15 +334,6 @@ class ModalSlopes:
     forces: np.ndarray  # (modes, M) by the loads
     regions: np.ndarray  # (2, modes, modes) by those of plate and target: weight times ½⟨v vᵀ⟩
     coils: np.ndarray  # (3, coils) as of :class:`PlateMatrices`
-
-
-def _mean_products(
-    amplitudes: np.ndarray, exponents: np.ndarray, values: np.ndarray, window: Window
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the (rows, values) means over the window of motions Σ amplitudes exp(exponents t), of amplitudes (rows,
-    exponents), times exp(values t), and times t exp(values t)."""
-    plain, with_time = mean_exponential_with_time(exponents[:, None], values, window)
-    return amplitudes @ plain, amplitudes @ with_time
 
 
 def _symmetric(matrix: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Slopes of a number by the fields of a plate at points, from those by its matrices, which are linear in them.
+"""Slopes of numbers by the fields of a plate at points, from those by its matrices, which are linear in them.
 
 The fields are those of the plate, what each layer of another shape than a rectangle adds to them, and the mass per area
 of the target.
@@ -16,6 +16,7 @@ from warp_plate.effects.effect import DISPLACEMENT, Factors
 from warp_plate.modal.sensitivity.matrices import PlateMatrices
 from warp_plate.modal.spaces.chords import Chords
 from warp_plate.modal.spaces.integrals import Integrals, SplineProducts, bending_terms
+from warp_plate.modal.spaces.splines import Pairs
 from warp_plate.modal.spaces.tensor_splines import ORDERS
 from warp_plate.plate.section import Laminate, bilinear
 
@@ -30,7 +31,7 @@ class _Part:
     """Fields at the points of a rule."""
 
     rule: Integrals | Chords
-    slopes: dict[int, np.ndarray]  # slopes by fields at each point, by the fields' indices
+    slopes: dict[int, np.ndarray]  # slopes (numbers, ...) by fields at each point, by the fields' indices
     layer: int | None = None  # index among the layers of other shapes of the one whose addition the fields are
 
     def fields(self, laminate: Laminate, step: float = 0.0) -> np.ndarray:
@@ -54,21 +55,24 @@ class _Part:
 
 
 class FieldSlopes:
-    """Slopes of a number by the fields of a plate, from those by its matrices, and by masses [1/kg] beside them."""
+    """Slopes of numbers by the fields of a plate, from those by its matrices, and by masses [1/kg] beside them."""
 
     def __init__(
-        self, space: SplineProducts, slopes: PlateMatrices, by_mass: float = 0.0, by_target: float = 0.0
+        self, space: SplineProducts, slopes: Sequence[PlateMatrices], by_mass: np.ndarray, by_target: np.ndarray
     ) -> None:
-        """Prepare the slopes; ``by_mass`` is that by the mass of the plate, ``by_target`` by the mass of the target."""
-        self.space, self._slopes, self._by_mass, self._by_target = space, slopes, by_mass, by_target
+        """Prepare the slopes; ``by_mass`` (numbers,) are those by the mass of the plate, ``by_target`` by the mass of
+        the target."""
+        self.space, self._slopes = space, slopes
+        self._by_mass, self._by_target = by_mass[:, None, None], by_target[:, None, None]
 
     @cached_property
     def _parts(self) -> list[_Part]:
         return [*self._of_plate(), *self._of_target()]
 
     def _of_plate(self) -> Iterator[_Part]:
-        count, slopes = self.space.unknowns, self._slopes
-        by_density, bending = (slopes.mass + slopes.regions[0])[:count, :count], slopes.bending[:count, :count]
+        count = self.space.unknowns
+        by_density = [(one.mass + one.regions[0])[:count, :count] for one in self._slopes]
+        bending = [one.bending[:count, :count] for one in self._slopes]
         terms = [
             (index, term)
             for index in range(MASS)
@@ -86,8 +90,8 @@ class FieldSlopes:
 
     def _of_target(self) -> Iterator[_Part]:
         count = self.space.unknowns
-        by_density = self._slopes.regions[1][:count, :count]
-        if not (by_density.any() or self._by_target):
+        by_density = [one.regions[1][:count, :count] for one in self._slopes]
+        if not (np.any(by_density) or self._by_target.any()):
             return
         target = self.space.scene.target
         rules = [self.space.region_rule(target), *self.space.layer_rules(target)]
@@ -96,50 +100,66 @@ class FieldSlopes:
             slopes = {MASS: share * (of_mass + self._by_target) * rule.weights}
             yield _Part(rule, slopes, index - 1 if index else None)
 
-    def change(self, after: Laminate, before: Laminate) -> float:
-        """Return the change of the number between two plates with layers of the same shapes."""
-        total = 0.0
+    def change(self, after: Laminate, before: Laminate) -> np.ndarray:
+        """Return the changes (numbers,) between two plates with layers of the same shapes."""
+        total = np.zeros(len(self._slopes))
         for part in self._parts:
             fields = part.fields(after) - part.fields(before)
-            total += sum(float((fields[index] * slopes).sum()) for index, slopes in part.slopes.items())
+            total += sum((fields[index] * slopes).sum(axis=(1, 2)) for index, slopes in part.slopes.items())
         return total
 
     def by_thickness(self) -> np.ndarray:
-        """Return the slopes (rows, columns) by the map of thickness; those of fields are exact by a complex step."""
+        """Return the slopes (numbers, rows, columns) by the map of thickness; those of fields are exact by a complex
+        step."""
         laminate = self.space.laminate
-        total = np.zeros(laminate.maps["thickness"].shape)
+        total = np.zeros((len(self._slopes), *laminate.maps["thickness"].shape))
         for part in self._parts:
             fields = part.fields(laminate, STEP)
             values = sum(fields[index] * slopes for index, slopes in part.slopes.items())
-            total += _onto_map(part.rule, values, total.shape, laminate.size)
+            total += _onto_map(part.rule, values, total.shape[1:], laminate.size)
         return total
 
 
 def _at_points(
-    space: SplineProducts, rule: Integrals | Chords, matrix: np.ndarray, factors: Sequence[Factors]
+    space: SplineProducts, rule: Integrals | Chords, matrices: Sequence[np.ndarray], factors: Sequence[Factors]
 ) -> list[np.ndarray]:
-    """Return Σ_ij matrix_ij ∂ψ_i ∂'ψ_j of a symmetric matrix at the points of a rule, for pairs of derivatives."""
+    """Return Σ_ij matrix_ij ∂ψ_i ∂'ψ_j (matrices, ...) of symmetric matrices at the points of a rule, for pairs of
+    derivatives."""
     if isinstance(rule, Chords):
-        return space.diagonals(rule, matrix, [(ORDERS[one], ORDERS[two]) for one, two in factors])
-    (row_x, column_x), (row_y, column_y) = rule.pairs
-    sides = [splines.functions for splines in reversed(rule.along)]
-    tables = matrix.reshape(*sides, *sides)
-    gathered = tables[row_y[:, None], row_x, column_y[:, None], column_x]
-    values = []
+        orders = [(ORDERS[one], ORDERS[two]) for one, two in factors]
+        rows = [space.diagonals(rule, matrix, orders) for matrix in matrices]
+        return [np.stack(values) for values in zip(*rows, strict=True)]
+    functions, unknowns = rule.along[0].functions, space.unknowns
+    sides = [[side.values(at, order) for order in range(3)] for side, at in zip(rule.along, rule.points, strict=True)]
+
+    def entries(x: Pairs, y: Pairs) -> np.ndarray:
+        places = (y[0][:, None] * functions + x[0]) * unknowns + y[1][:, None] * functions + x[1]
+        return np.stack([np.take(matrix, places) for matrix in matrices])
+
+    # With equal derivatives the pairs i, k and k, i of functions of x count together, and those of functions of y.
+    x, y = ((rows[rows <= columns], columns[rows <= columns]) for rows, columns in rule.pairs)
+    together = (entries(x, y) + entries(x[::-1], y)) * np.where(x[0] == x[1], 0.5, 1.0)
+    tables = {True: (x, y, together * np.where(y[0] == y[1], 1, 2)[:, None])}
+    if any(one != two for one, two in factors):
+        tables[False] = (*rule.pairs, entries(*rule.pairs))
+    found = dict[frozenset[str], np.ndarray]()
     for pair in factors:
-        products = []
-        for axis, splines in enumerate(rule.along):
-            first, second = (splines.values(rule.points[axis], ORDERS[factor][axis]) for factor in pair)
-            rows, columns = rule.pairs[axis]
-            products.append(first[rows] * second[columns])
-        values.append(products[1].T @ gathered @ products[0])
-    return values
+        if (key := frozenset(pair)) not in found:  # symmetric matrices have the same sums for pairs in either order
+            *pairs, table = tables[len(key) == 1]
+            orders = [[ORDERS[factor][axis] for factor in pair] for axis in (0, 1)]
+            along_x, along_y = (
+                values[one][rows] * values[two][columns]
+                for values, (one, two), (rows, columns) in zip(sides, orders, pairs, strict=True)
+            )
+            found[key] = along_y.T @ table @ along_x
+    return [found[frozenset(pair)] for pair in factors]
 
 
 def _onto_map(
     rule: Integrals | Chords, values: np.ndarray, shape: tuple[int, ...], size: tuple[float, float]
 ) -> np.ndarray:
-    """Return the sums (rows, columns) of values at the points of a rule times the hats of a map's numbers."""
+    """Return the sums (n, rows, columns) of values (n, ...) at the points of a rule times the hats of a map's
+    numbers."""
     rows, columns = shape
 
     def hats(axis: int, count: int, places: np.ndarray) -> np.ndarray:
@@ -149,4 +169,4 @@ def _onto_map(
         x, y = rule.points
         return np.asarray(hats(1, rows, y).T @ values @ hats(0, columns, x))
     along_y, along_x = hats(1, rows, rule.y.ravel()), hats(0, columns, rule.x.ravel())
-    return np.asarray((along_y * values.reshape(-1, 1)).T @ along_x)
+    return np.asarray((along_y.T * values.reshape(len(values), 1, -1)) @ along_x)
