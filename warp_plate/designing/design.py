@@ -22,16 +22,19 @@ import numpy as np
 import scipy
 
 from warp_plate._version import __version__
+from warp_plate.accuracy.reference_solution import FINER
 from warp_plate.designing.candidates import Candidates, ceiling, without
 from warp_plate.designing.confirm import check_by_steps
 from warp_plate.designing.panel import MARGIN, FreePanel, Value
 from warp_plate.interrupts import check_interrupt, deferred_interrupts
 from warp_plate.plate.files import digests
 from warp_plate.result.atomic_io import write_atomically
-from warp_plate.result.designed import DesignedPanel
+from warp_plate.result.designed import DesignedPanel, PanelValues
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene, SceneSource
 
+# Functions along each side, relative to those of other commands, of the solutions by which a panel must be better.
+DENSITIES = (1.0, FINER)
 # Numbers of earlier steps from which L-BFGS-B takes curvatures.
 MEMORY = 20
 # Function of the iterations done, all of them and a note.
@@ -72,7 +75,8 @@ def design(
     loaded = Scene.load(scene)
     panel = FreePanel(loaded)
     candidates = Candidates(panel)
-    before = candidates.counted(panel.exact(loaded.model_copy(update={"design": None})), ())
+    begin = loaded.model_copy(update={"design": None})
+    before, *more = (candidates.counted(panel.exact(begin, density), ()) for density in DENSITIES)
     file = None if unfinished is None else Path(unfinished)
     digest = _digest(loaded)
     climbs = [] if file is None else _read(file, digest, panel, candidates)
@@ -93,7 +97,7 @@ def design(
     climbs = [climb for climb in climbs if climb.history]
     result = DesignedPanel(
         original=loaded,
-        scene=loaded.model_copy(update={"design": None}),
+        scene=begin,
         before=before,
         after=before,
         history=tuple(tuple(map(panel.shown, climb.history)) for climb in climbs),
@@ -106,14 +110,16 @@ def design(
     )
     for climb in sorted(climbs, key=lambda climb: -_value(climb)):
         best, own = np.array(climb.numbers), _panel_of(panel, climb)
-        designed = own.scene_at(best)
-        after = candidates.counted(own.exact(designed), climb.left_out)
-        better = after.value < before.value if settings.lowers else after.value > before.value
-        if after.kept and (better or not before.kept):
-            result = replace(result, scene=designed, after=after, keys=own.keys, values=own.values(best))
+        designed, solved = own.scene_at(best), list[PanelValues]()
+        for density, present in zip(DENSITIES, [before, *more], strict=True):
+            after = candidates.counted(own.exact(designed, density), climb.left_out)
+            better = after.value < present.value if settings.lowers else after.value > present.value
+            if not (after.kept and (better or not present.kept)):
+                break
+            solved.append(after)
+        else:
+            result = replace(result, scene=designed, after=solved[0], keys=own.keys, values=own.values(best))
             result = replace(result, left_out=tuple(climb.left_out))
-            break
-        if not (settings.limits.given or settings.count):  # the others have lower values
             break
     if check and result.improved and not interrupted:
         result = replace(result, check=check_by_steps(result.scene, settings))

@@ -26,6 +26,7 @@ from warp_plate.modal.sensitivity.adjoint import EnergyAdjoint, check_differenti
 from warp_plate.modal.sensitivity.forms import PlateForms
 from warp_plate.modal.sensitivity.matrices import PlateMatrices
 from warp_plate.modal.spaces.chords import Chords
+from warp_plate.plate.signals import highest_frequency
 from warp_plate.result.designed import PanelValues
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.grid import Grid
@@ -329,13 +330,14 @@ class FreePanel:
         """Return the values at free numbers (count,) of ``keys``."""
         return tuple((self._low + numbers[self._mapped :] * (self._high - self._low)).tolist())
 
-    def exact(self, scene: Scene) -> PanelValues:
-        """Return what a scene can do, and by what it passes its limits, by all functions of other commands."""
-        nominal, given, excess = self._forms(scene), self.design.limits, dict[str, float]()
+    def exact(self, scene: Scene, density: float = 1.0) -> PanelValues:
+        """Return what a scene can do, and by what it passes its limits, by all functions of other commands, or
+        ``density`` times as many along each side."""
+        nominal, given, excess = self._forms(scene, density), self.design.limits, dict[str, float]()
         bound, values = largest(np.stack([nominal["plate"], nominal["target"]]))[0], []
         for case in self.cases:
             other = _in_case(scene, {}, case)
-            forms = nominal if other is scene else self._forms(other)
+            forms = nominal if other is scene else self._forms(other, density)
             values.append(judge(self.design, forms).value)
             for key, one in limits(self.design, forms):
                 excess[key] = max(one.value, excess.get(key, -math.inf))
@@ -351,8 +353,9 @@ class FreePanel:
             excess[f"mode {number}"] = float(max(1 - plate.frequencies[at] / low, plate.frequencies[at] / high - 1))
         return PanelValues(bound, self.shown(min(values)), excess)
 
-    def _forms(self, scene: Scene) -> PlateForms:
-        return PlateForms(solve_modes(scene), self.design.steady)
+    def _forms(self, scene: Scene, density: float) -> PlateForms:
+        plate = solve_modes(scene, highest=density * highest_frequency(scene), density=density)
+        return PlateForms(plate, self.design.steady)
 
     def shown(self, value: float) -> float:
         """Return the quantity that is maximised, or lowered, in its unit."""
