@@ -1,20 +1,19 @@
 """Random panels: slopes of what is designed against differences, and designs judged by finite elements.
 
-    python benchmarks/design_campaign.py slopes [--first 0] [--count 200] [--processes 2]
-    python benchmarks/design_campaign.py designs [--first 0] [--count 60] [--processes 2]
-    python benchmarks/design_campaign.py many [--side 40]
+    python benchmarks/design_campaign.py slopes [--first 0] [--count 200] [--processes 2] [--json]
+    python benchmarks/design_campaign.py designs [--first 0] [--count 60] [--processes 2] [--json]
 
-A number is a scene of ``error_bars/scenes.py`` with a table ``[design]``. "slopes" compares slopes by each free number
-with central differences of the values; every fifth scene is a square panel with all its symmetries, where two drives
-reach the bound and the slope has to lie between the slopes of both sides. "designs" searches, and lets ``judge.py``,
-which shares no code with the program, compute what the best drive does before and after, and what limits are passed.
-"many" compares the processor time of a value with that of its slopes by the places and masses of a lattice.
+A number is a scene of ``random_panels.py``. "slopes" compares slopes by each free number with central differences of
+the values; every fifth scene is a square panel with all its symmetries, where two drives reach the bound and the slope
+has to lie between the slopes of both sides, and every fifth one has a free outline. "designs" searches, and lets
+``judge.py``, which shares no code with the program, compute what the best drive does before and after, and what limits
+are passed. ``--json`` prints a line for each scene as it is done.
 """
 
 from __future__ import annotations
 
 import argparse
-import math
+import json
 import os
 import sys
 import time
@@ -27,135 +26,20 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
-import scipy
-from error_bars.elements import Side, density_at, element_frequencies
+from error_bars.elements import element_frequencies
 from error_bars.judge import true_factors
-from error_bars.scenes import random_scene
+from random_panels import designed_scene, shaped_scene, symmetric_scene, true_mass, varied_scene
 
 from warp_plate import Scene, SceneError
 from warp_plate.designing.design import design
 from warp_plate.designing.panel import FreePanel, gridded
-from warp_plate.modal.sensitivity.adjoint import EnergyAdjoint
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.plate.designs import scene_phasors
-from warp_plate.solve.response import largest_ratio
 
 # Steps of the differences, as parts of the range of a number.
 STEPS = (8e-2, 4e-2, 2e-2, 1e-2, 5e-3, 2e-3, 1e-3)
 # Where these do not tell, polynomials of a degree through so many values within distances average rounding.
 DEGREE, POINTS, DISTANCES = 11, 36, (2e-2, 6e-3, 2e-3, 6e-4)
-RIB = {"thickness": 1e-4, "young_modulus": 3e9, "density": 1500.0}
-
-
-def designed_scene(number: int, limited: bool, accurate: bool = False) -> Scene:
-    """Return a random scene with a random table ``[design]``."""
-    rng = np.random.default_rng([number, 47])
-    scene, _ = random_scene(number)
-    effects, plate = scene.model_dump()["effects"], scene.plate
-    if rng.random() < 0.3:
-        effects |= {"loss_factor": {"eta": 10 ** rng.uniform(-2, -1)}, "material_damping": None}
-    design: dict = {"starts": 2, "iterations": 8, "seed": number, "free": {}, "places": {}}
-    design["objective"] = str(rng.choice(["bound", "drive", "energy_target"], p=(0.6, 0.2, 0.2)))
-    mapped = effects["orthotropic"] is None and rng.random() < 0.5
-    if mapped:
-        effects["variation"] = None
-        length = max(plate.size) / rng.uniform(2, 4)
-        design["thickness"] = {
-            "range": [0.7 * plate.thickness, 1.4 * plate.thickness], "length_scale": length,
-            "mass": rng.choice([None, 1.0]),
-            "symmetry": str(rng.choice(["none", "x", "y", "both"], p=(0.7, 0.1, 0.1, 0.1))),
-        }  # fmt: skip
-    free, whole = design["free"], (0.0, plate.size[0], 0.0, plate.size[1])
-    if effects["oscillators"]:
-        for name in ("mass", "stiffness"):
-            value = effects["oscillators"][0][name]
-            free[f"effects.oscillators[0].{name}"] = [0.3 * value, 3 * value]
-        if rng.random() < 0.5:
-            design["places"]["effects.oscillators[0]"] = whole
-    if effects["layers"]:
-        value = effects["layers"][0]["thickness"]
-        free["effects.layers[0].thickness"] = [0.3 * value, 2 * value]
-    if isinstance(edge := scene.model_dump()["edges"]["top"], dict):
-        free["edges.top.translation"] = [0.3 * edge["translation"], 3 * edge["translation"]]
-    if effects["foundation"]:
-        free["effects.foundation.stiffness"] = [
-            0.3 * effects["foundation"]["stiffness"],
-            2 * effects["foundation"]["stiffness"],
-        ]
-    if rng.random() < 0.3 or not (mapped or free):
-        design["places"]["actuators[0]"] = whole
-    if rng.random() < 0.2:
-        design["tolerance"] = {"plate.young_modulus": 0.05}
-    if rng.random() < 0.2:
-        design["frequencies"] = [scene.drive.frequency, 1.1 * scene.drive.frequency]
-    scene = scene.with_tables(
-        effects=effects, design=design, grid={"nodes": [21, 21], **({} if accurate else {"modal_density": 0.7})}
-    )
-    return scene if not limited or rng.random() < 0.4 else with_limits(scene, rng)
-
-
-def with_limits(scene: Scene, rng: np.random.Generator) -> Scene:
-    """Return a scene with random limits about what its panel has."""
-    panel, limits = FreePanel(scene), {}
-    bare = scene.model_copy(update={"design": None})
-    solver = ModalSolver(gridded(bare), "cpu")
-    if rng.random() < 0.5 and (panel.thickness is None or panel.thickness.mass is None):
-        limits["mass"] = true_mass(bare) * rng.uniform(0.97, 1.1)
-    if rng.random() < 0.5:
-        natural = solver.plate.frequencies[:6]
-        index = int(rng.integers(0, 5))
-        low, high = natural[index : index + 2]
-        if high - low > 0.03 * high and low > 1e-2 * high:
-            part = rng.uniform(0.02, 0.3) * (high - low)
-            limits["gap"] = [low + part * rng.choice([-0.2, 1]), high - part]
-    if rng.random() < 0.3:
-        energy = energy_of(panel, bare)
-        limits["energy_target"] = energy * rng.uniform(0.5, 1.2)
-    return scene if not limits else scene.replace("design.limits", limits)
-
-
-def energy_of(panel: FreePanel, scene: Scene) -> float:
-    adjoint = EnergyAdjoint(panel._functions.galerkin(scene))
-    phasors = scene_phasors(scene)
-    z = np.concatenate([phasors.real, -phasors.imag])
-    return float(z @ adjoint["target"] @ z)
-
-
-def both_forms(panel: FreePanel, numbers: np.ndarray) -> np.ndarray:
-    """Return the (2, 2M, 2M) energies of unit drives in plate and target."""
-    adjoint = panel._adjoint(numbers, panel.cases[0])
-    return np.stack([adjoint["plate"], adjoint["target"]])
-
-
-def symmetric_scene(number: int) -> Scene:
-    """Return a square panel on equal springs with all its symmetries, of which one spring or the thickness is free, if
-    possible at a frequency at which two drives reach the bound."""
-    rng = np.random.default_rng([number, 48])
-    side, thickness = 0.2, 5e-4
-    low, width = rng.uniform(0.02, 0.07), rng.uniform(0.01, 0.02)
-    places = low, side - low - width
-    actuators = [{"name": f"{x:g} {y:g}", "area": (x, x + width, y, y + width)} for x in places for y in places]
-    inner = rng.uniform(0.03, 0.07)
-    edge = {"translation": 10 ** rng.uniform(4, 6)}
-    design = {"free": {"edges.left.translation": [0.5 * edge["translation"], 1.5 * edge["translation"]]}}
-    if rng.random() < 0.5:
-        design = {"thickness": {"range": [4e-4, 6e-4], "length_scale": 0.1}}
-    scene = Scene.from_tables({
-        "plate": {"size": (side, side), "thickness": thickness, "young_modulus": 1e9, "poisson_ratio": 0.33,
-                  "density": 1000.0},
-        "edges": dict.fromkeys(("left", "right", "bottom", "top"), edge), "actuators": actuators,
-        "effects": {"damping": {"viscous": rng.uniform(20, 100)}}, "grid": {"nodes": [21, 21], "modal_density": 0.5},
-        "target": {"area": (inner, side - inner, inner, side - inner)},
-        "drive": {"frequency": 300.0}, "window": {"start": 0.01, "end": 0.03}, "design": design,
-    })  # fmt: skip
-    for frequency in rng.uniform(60, 600, 30):
-        scene = scene.replace("drive.frequency", frequency)
-        panel = FreePanel(scene)
-        matrices = both_forms(panel, panel.start())
-        ratios = np.sort(scipy.linalg.eigh(matrices[1], matrices[0], eigvals_only=True))[::-1]
-        if ratios[2] > ratios[0] - 1e-9:  # each drive counts twice, with a lag of a quarter of a period
-            break
-    return scene
 
 
 def slopes_of(number: int) -> tuple[int, str, list[tuple[str, float]]]:
@@ -163,7 +47,7 @@ def slopes_of(number: int) -> tuple[int, str, list[tuple[str, float]]]:
     try:
         if number % 5 == 4:
             return number, "symmetric", _one_sided(symmetric_scene(number), number)
-        scene = designed_scene(number, limited=True)
+        scene = (partial(designed_scene, limited=True), varied_scene, varied_scene, shaped_scene)[number % 5](number)
         panel = FreePanel(scene)
         rng = np.random.default_rng([number, 49])
         numbers = 0.2 + 0.6 * rng.random(panel.count)
@@ -228,13 +112,6 @@ def _one_sided(scene: Scene, number: int) -> list[tuple[str, float]]:
     return [(kind, max(low - slope, slope - high, 0.0) / float(np.linalg.norm(slopes)))]
 
 
-def true_mass(scene: Scene) -> float:
-    sides = [Side(scene, axis, 7) for axis in (0, 1)]
-    weights = np.outer(sides[1].weights, sides[0].weights)
-    plate = (weights * density_at(scene, sides[0].points, sides[1].points)).sum()
-    return float(plate + sum(oscillator.mass for oscillator in scene.effects.oscillators))
-
-
 def judged(scene: Scene, objective: str) -> tuple[float, float]:
     """Return the localization factor of the scene's best drive by modes, or of its own, by the judge, and by how much
     it changes with the degree of the elements."""
@@ -280,65 +157,23 @@ def design_of(number: int) -> tuple[int, str, dict[str, float]]:
     return number, "improved" if panel.improved else "stays", row
 
 
-def lattice(side: int) -> Scene:
-    """Return a pane with a lattice of resonators whose places and masses are free: three numbers each."""
-    pitch, table = 0.2 / side, {}
-    rows = [
-        {"area": [(i + 0.4) * pitch, (i + 0.6) * pitch, (j + 0.4) * pitch, (j + 0.6) * pitch],
-         "mass": 2e-2 / side**2, "stiffness": 2e-2 / side**2 * (2 * math.pi * 400) ** 2, "damping": 1e-5}
-        for j in range(side) for i in range(side)
-    ]  # fmt: skip
-    for index, row in enumerate(rows):
-        x0, x1, y0, y1 = row["area"]
-        half = 0.2 * pitch
-        table[f"effects.oscillators[{index}]"] = [x0 - half, x1 + half, y0 - half, y1 + half]
-    free = {f"{key}.mass": [0.5 * rows[0]["mass"], 2 * rows[0]["mass"]] for key in table}
-    effects = {"damping": {"viscous": 88.3}, "oscillators": rows}
-    return Scene.load("paper").with_tables(effects=effects, design={"free": free, "places": table})
-
-
-def many(side: int) -> None:
-    """Print the cost of a value and of its slopes, and their errors along random directions."""
-    began = time.process_time()
-    panel = FreePanel(lattice(side))
-    print(f"{panel.count} free numbers; prepared in {time.process_time() - began:.1f} s of processor time", flush=True)
-    numbers = 0.3 + 0.4 * np.random.default_rng(0).random(panel.count)
-    panel.evaluate(panel.start())
-    began = time.process_time()
-    largest_ratio(both_forms(panel, numbers))
-    alone = time.process_time() - began
-    began = time.process_time()
-    value = panel.evaluate(numbers)
-    whole = time.process_time() - began
-    print(f"a value {alone:.2f} s, with all slopes {whole:.2f} s: {whole / alone:.2f} times", flush=True)
-    direction = np.random.default_rng(1).normal(size=panel.count)
-    direction /= np.linalg.norm(direction)
-    ends = [_difference(panel, numbers, direction, step)[0] for step in (2e-2, 1e-2)]
-    error = abs((4 * ends[1] - ends[0]) / 3 - value.slopes @ direction) / np.linalg.norm(value.slopes)
-    print(f"a random direction: error {error:.1e} of the norm of the slopes", flush=True)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser()
-    parser.add_argument("what", choices=["slopes", "designs", "many"])
+    parser.add_argument("what", choices=["slopes", "designs"])
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--count", type=int, default=None)
     parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--side", type=int, default=42)
+    parser.add_argument("--json", action="store_true")
     asked = parser.parse_args()
-    if asked.what == "many":
-        return many(asked.side)
     task, count = {"slopes": (slopes_of, 200), "designs": (design_of, 60)}[asked.what]
-    numbers = range(asked.first, asked.first + (asked.count or count))
+    numbers, rows = range(asked.first, asked.first + (asked.count or count)), []
     with get_context("spawn").Pool(asked.processes) as pool:
-        rows = []
         for row in pool.imap_unordered(partial(_timed, task), numbers):
             rows.append(row)
-            if os.environ.get("WORDY"):
-                print(*row, flush=True)
+            if asked.json:
+                print(json.dumps(row), flush=True)
     (summarise_slopes if asked.what == "slopes" else summarise_designs)(rows)
     print(f"slowest {max(row[-1] for row in rows):.0f} s of processor time, all {sum(row[-1] for row in rows):.0f} s")
-    return None
 
 
 def _timed(task, number):

@@ -37,6 +37,8 @@ from warp_plate.scene.model import Scene, SceneSource
 DENSITIES = (1.0, FINER)
 # Numbers of earlier steps from which L-BFGS-B takes curvatures.
 MEMORY = 20
+# Most free numbers under limits: a step takes their cube.
+MOST_LIMITED = 1000
 # Function of the iterations done, all of them and a note.
 Progress = Callable[[int, int, str], object]
 
@@ -74,6 +76,9 @@ def design(
     """
     loaded = Scene.load(scene)
     panel = FreePanel(loaded)
+    if panel.design.limits.given and panel.count > MOST_LIMITED:
+        least = f"at most {MOST_LIMITED}; write a larger design.thickness.length_scale"
+        raise SceneError(f"design.limits: {panel.count} free numbers; with limits {least}")
     candidates = Candidates(panel)
     begin = loaded.model_copy(update={"design": None})
     before, *more = (candidates.counted(panel.exact(begin, density), ()) for density in DENSITIES)

@@ -21,6 +21,9 @@ from warp_plate.scene.model import Scene
 
 # Functions along each side, relative to those of other commands.
 DENSITY = 0.7
+# Energy of functions of a free outline that depend on the others: more than for one outline, so that what is left out
+# turns slowly with it.
+RANK = 1e-10
 
 
 class PanelFunctions:
@@ -29,10 +32,11 @@ class PanelFunctions:
     Args:
         scene: Scene, with an even map of thickness where that is free.
         highest: Highest frequency of its drives [Hz].
+        shaped: Make functions anew for each outline, of products of as many splines, stretched to its bounding box.
     """
 
-    def __init__(self, scene: Scene, highest: float) -> None:
-        self._scene, self._highest = scene, highest
+    def __init__(self, scene: Scene, highest: float, shaped: bool = False) -> None:
+        self._scene, self._highest, self._shaped = scene, highest, shaped
         self._air: dict[float, AirBeside] = {}
 
     @cached_property
@@ -41,15 +45,25 @@ class PanelFunctions:
         scene, finer = self._scene, self._scene.grid.modal_density
         wave = mean_wave_frequency(laminate_of(scene))
         sides = intervals_for(scene.plate.size, scene.outline, finer * self._highest, wave, finer * DENSITY)
+        if self._shaped and scene.outline is not None:
+            return TrimmedSplines(scene, sides, rank=RANK)
         space = make_space(scene, sides)
         assert isinstance(space, TensorSplines | TrimmedSplines)
         return space
 
-    def galerkin(self, scene: Scene) -> Galerkin:
-        """Return the matrices of a panel."""
-        if isinstance(self.space, TrimmedSplines):
-            return make_galerkin(scene, TrimmedSplines(scene, self.space.intervals, fixed=self.space))
-        return make_galerkin(scene, TensorSplines(scene, self.space.intervals, self.space.along))
+    def galerkin(self, scene: Scene, near: TensorSplines | TrimmedSplines | None = None) -> Galerkin:
+        """Return the matrices of a panel, over functions that turn least from those of ``near``, of almost the same
+        shape."""
+        own, like = self.space, self.space if near is None else near
+        x, y = (splines.scaled(length) for splines, length in zip(own.along, scene.plate.size, strict=True))
+        if not isinstance(like, TrimmedSplines):
+            return make_galerkin(scene, TensorSplines(scene, own.intervals, (x, y)))
+        if not self._shaped or shape_of(like.scene) == shape_of(scene):
+            return make_galerkin(scene, TrimmedSplines(scene, own.intervals, fixed=like))
+        space = TrimmedSplines(scene, own.intervals, along=(x, y), rank=RANK)
+        if near is not None:
+            space.turn_to(like)
+        return make_galerkin(scene, space)
 
     def air(self, frequency: float) -> AirBeside:
         """Return the air beside the functions at a frequency [Hz]; see :mod:`warp_plate.modal.air`."""
@@ -66,3 +80,12 @@ class PanelFunctions:
                 impedance = sides * (rows.T @ rows + 2j * math.pi * frequency * masses)
             self._air[frequency] = AirBeside(a_weight(frequency) * rows, impedance)
         return self._air[frequency]
+
+
+def shape_of(scene: Scene) -> tuple[object, ...]:
+    """Return what the functions of a panel depend on: its outline, and where it is held."""
+    plate = scene.plate
+    holes = [hole.model_copy(update={"edge": "free"}) for hole in plate.holes]
+    parts = [(part.from_point, part.to_point) for part in scene.edges.parts]
+    supports = [(support.point, support.line, support.ring) for support in scene.supports]
+    return plate.size, plate.outline, holes, parts, supports

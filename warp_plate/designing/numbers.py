@@ -2,7 +2,7 @@
 
 The matrices are linear in the coefficients of the plate's terms and in its fields. What two scenes differ in is
 therefore multiplied by slopes by these, which are computed once, and no matrix is assembled for a number. Only where
-layers move are the matrices themselves differenced.
+layers move or the outline changes are the matrices themselves differenced.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 import scipy
 
+from warp_plate.designing.functions import shape_of
 from warp_plate.effects.effect import Attachment, Edge, Effect, Patch, Term, attachments
 from warp_plate.modal.assemble import DIFFERENCE, Galerkin
 from warp_plate.modal.coils import coil_numbers
@@ -43,7 +44,9 @@ class NumberSlopes:
         assert isinstance(galerkin.space, SplineProducts)
         self._galerkin, self._space, self._make, self._slopes = galerkin, galerkin.space, make, slopes
         space = galerkin.space
-        self._by_mass, by_target = (np.array([getattr(one, name) for one in slopes]) for name in ("by_mass", "by_target"))
+        self._by_mass, by_target = (
+            np.array([getattr(one, name) for one in slopes]) for name in ("by_mass", "by_target")
+        )
         self.of_fields = FieldSlopes(space, [one.matrices for one in slopes], self._by_mass, by_target)
 
     @property
@@ -119,7 +122,7 @@ class NumberSlopes:
 
     def between(self, after: Scene, before: Scene) -> np.ndarray:
         """Return the changes (numbers,) between two scenes."""
-        if _shapes(after.layers) != _shapes(before.layers):
+        if _shapes(after.layers) != _shapes(before.layers) or shape_of(after) != shape_of(before):
             one, other = (self._make(scene) for scene in (after, before))
             matrices, target = plate_matrices(one) - plate_matrices(other), self.scene.target
             mass = panel_mass(one) - panel_mass(other)

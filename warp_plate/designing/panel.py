@@ -11,7 +11,7 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from warp_plate.designing.mode_names import NamedModes
 from warp_plate.designing.numbers import NumberSlopes, PanelSlopes, panel_mass
 from warp_plate.designing.objectives import check_steady, judge, largest, limits, shown, uses_sound
 from warp_plate.designing.thickness import ThicknessMap
+from warp_plate.modal.assemble import DIFFERENCE
 from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.sensitivity.adjoint import EnergyAdjoint, check_differentiable
 from warp_plate.modal.sensitivity.forms import PlateForms
@@ -47,8 +48,6 @@ NEAR, STEEPNESS, STILL = 6, 500.0, 1e-3
 STEP = 1e-4
 # Numbers of attachments with slopes of their own.
 ATTACHED_NUMBERS = ("mass", "stiffness", "damping")
-# Most free numbers under limits: a step takes their cube.
-MOST_LIMITED = 1000
 # Numbers of actuators that are no part of the panel.
 NO_PANEL = (*ALTERNATIVES, "phase", "frequency", "delay")
 # Tables that say what shape a panel has and where it is held, and the numbers there that do not.
@@ -92,9 +91,6 @@ class FreePanel:
         self._check_keys()
         ends = [*self.design.free.values(), *self._travel.values()]
         self._low, self._high = np.array(ends, dtype=float).reshape(-1, 2).T
-        if self.design.limits.given and self.count > MOST_LIMITED:
-            least = f"at most {MOST_LIMITED}; write a larger design.thickness.length_scale"
-            raise SceneError(f"design.limits: {self.count} free numbers; with limits {least}")
         if self.thickness is not None and self.thickness.mass is not None:
             self.thickness.factors(np.full(self.thickness.count, 0.5))
 
@@ -110,9 +106,11 @@ class FreePanel:
                     raise SceneError(
                         f"design.free: {name}: slopes by the losses of all bending are not known; delete it"
                     )
-                if inner.startswith(SHAPE) and last not in SPRINGS:
-                    shape = "slopes are known for a panel of one size and outline, held where it is"
-                    raise SceneError(f"design.free: {name}: {shape}; delete it")
+                if _is_shape(inner) and (self.thickness is not None or self._loaded):
+                    other = "a map of thickness" if self.thickness is not None else "air or a sound"
+                    raise SceneError(f"design.free: {name}: a shape is not free beside {other}; delete one")
+                if not isinstance(value_of(self.scene, inner), int | float | None):
+                    raise SceneError(f"design.free: {name}: is a text; write a key of a number")
                 if inner.startswith("supports[") and value_of(self.scene, inner) is None:
                     raise SceneError(f"design.free: {name}: the support is rigid; write a stiffness for it")
                 if inner.startswith("actuators[") and last in NO_PANEL:
@@ -204,7 +202,14 @@ class FreePanel:
         if self.thickness is not None:
             flat = np.ones(self.thickness.shape).tolist()
             scene = scene.model_copy(update={"effects": scene.effects.with_thickness(flat)})
-        return PanelFunctions(scene, max(case[TONE] for case in self.cases))
+        keys = [*self._keys, *(resolved_key(scene, name) for name in self.design.tolerance)]
+        shaped = any(_is_shape(inner) for key in keys for inner in linked_keys(scene, key))
+        return PanelFunctions(scene, max(case[TONE] for case in self.cases), shaped)
+
+    @property
+    def _loaded(self) -> bool:
+        """Whether air beside the plate counts."""
+        return uses_sound(self.design) or self.scene.effects.air is not None
 
     def _rule(self) -> tuple[np.ndarray, np.ndarray]:
         """Return points (n, 2) [m] and weights (n,) [m²] on a plate with an outline, cut at the lines of the map."""
@@ -215,8 +220,7 @@ class FreePanel:
     def _adjoint(self, numbers: np.ndarray, case: Mapping[str, float]) -> EnergyAdjoint:
         """Return the motion of a panel, with its matrices."""
         galerkin = self._functions.galerkin(self.scene_at(numbers, case))
-        loaded = uses_sound(self.design) or self.scene.effects.air is not None
-        air = self._functions.air(case[TONE]) if loaded else None
+        air = self._functions.air(case[TONE]) if self._loaded else None
         return EnergyAdjoint(galerkin, steady=self.design.steady, air=air)
 
     def evaluate(self, numbers: np.ndarray) -> Value:
@@ -231,7 +235,8 @@ class FreePanel:
             of_panel = list(self._panel_limits(adjoint)) if index == 0 else []
             by = [PanelSlopes(adjoint.slopes(one.phasors, one.weights), by_target=one.by_target) for one in judged]
             by += [PanelSlopes(by_matrices, by_mass) for _, by_matrices, by_mass in of_panel]
-            of = NumberSlopes(adjoint.plate.galerkin, self._functions.galerkin, by)
+            galerkin = adjoint.plate.galerkin
+            of = NumberSlopes(galerkin, partial(self._functions.galerkin, near=galerkin.space), by)
             first, *others = self._by_numbers(of, numbers, case)
             solved.append(judged[0].value)
             slopes.append(first)
@@ -293,7 +298,9 @@ class FreePanel:
             if place is not None and place[0] in self._tables:
                 slopes[:, self._mapped + index] = width[index] * of.by_places[place[0]][:, place[1]]
                 continue
-            ends = np.clip(share + np.array([STEP, -STEP]), 0, 1)
+            shape = place is None and any(map(_is_shape, linked_keys(self.scene, self._keys[index])))
+            step = DIFFERENCE * max(self.scene.plate.size) / width[index] if shape else STEP
+            ends = np.clip(share + np.array([step, -step]), 0, 1)
             if (places := self._attached[index]) and not case.keys() & {".".join(place) for place in places}:
                 values = (self._low[index] + ends * width[index]).tolist()
                 changes = [
@@ -360,6 +367,11 @@ class FreePanel:
     def shown(self, value: float) -> float:
         """Return the quantity that is maximised, or lowered, in its unit."""
         return shown(self.design, value)
+
+
+def _is_shape(key: str) -> bool:
+    """Return whether a number at a key says what shape a panel has, or where it is held."""
+    return key.startswith(SHAPE) and key.rpartition(".")[2] not in SPRINGS
 
 
 def _in_case(scene: Scene, values: Mapping[str, float], case: Mapping[str, float]) -> Scene:

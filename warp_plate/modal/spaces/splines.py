@@ -8,7 +8,7 @@ leave degree − m continuous derivatives. Gauss's rule between knots is exact f
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import TypeAlias
@@ -51,6 +51,10 @@ class Splines:
     def symmetric(self) -> bool:
         """True if the knots are symmetric about the middle of the side."""
         return bool(np.abs(self.knots + self.knots[::-1] - self.knots[-1]).max() < MERGED * self.knots[-1])
+
+    def scaled(self, length: float) -> Splines:
+        """Return the splines stretched to a side of another length [m]."""
+        return self if length == self.knots[-1] else replace(self, knots=self.knots * (length / self.knots[-1]))
 
     def values(self, x: np.ndarray, derivative: int = 0) -> np.ndarray:
         """Return (functions, points) values of a derivative at x [m], of discontinuous ones those to the right."""

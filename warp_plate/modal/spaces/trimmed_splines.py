@@ -32,7 +32,7 @@ from warp_plate.modal.spaces.integrals import (
 from warp_plate.modal.spaces.knots import outline_splines
 from warp_plate.modal.spaces.singular import Singular, sample
 from warp_plate.modal.spaces.space import Matrix
-from warp_plate.modal.spaces.splines import gauss, overlapping_pairs
+from warp_plate.modal.spaces.splines import Splines, gauss, overlapping_pairs
 from warp_plate.modal.spaces.tensor_splines import ORDERS
 from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.plate.section import laminate_of
@@ -69,14 +69,19 @@ class TrimmedSplines(SplineProducts):
         intervals: tuple[int, int],
         like: TrimmedSplines | None = None,
         fixed: TrimmedSplines | None = None,
+        along: tuple[Splines, Splines] | None = None,
+        rank: float = RANK,
     ) -> None:
-        """Make the space, with the functions of ``like`` where they would be the same, or with those of ``fixed``."""
+        """Make the space, with the functions of ``like`` where they would be the same, with those of ``fixed``, or with
+        products of the splines ``along`` both sides; functions of less energy than ``rank`` depend on the others."""
         assert scene.outline is not None
         self.scene, self.laminate, self.intervals, self.outline = scene, laminate_of(scene), intervals, scene.outline
         curves = (support.piece(f"supports[{index}]") for index, support in parted(tuple(scene.supports)))
         self._pieces = (*self.outline.pieces, *(curve for curve in curves if curve is not None))
-        along = fixed.along if fixed else [outline_splines(scene, self.laminate, i, intervals[i]) for i in (0, 1)]
-        self.along = along[0], along[1]
+        if along is None and fixed is None:
+            x, y = (outline_splines(scene, self.laminate, axis, intervals[axis]) for axis in (0, 1))
+            along = x, y
+        self.along = along or fixed.along
         self._local = LocalSplines(self.along[0]), LocalSplines(self.along[1])
         self.integrals = Integrals(self.laminate, *self.along)
         self._interval = max(side / count for side, count in zip(scene.plate.size, intervals, strict=True))
@@ -92,7 +97,7 @@ class TrimmedSplines(SplineProducts):
             refuse_beyond_memory(8.0 * self.count**2 * DENSE_MATRICES, f"plate.outline: {self.count} functions")
             shared = like is not None and like.outline is self.outline and like.along == self.along
             shared = shared and like is not None and like.scene.supports == scene.supports and like.added is self.added
-            self.basis: np.ndarray = like.basis if like is not None and shared else self._make_basis()
+            self.basis: np.ndarray = like.basis if like is not None and shared else self._make_basis(rank)
         else:
             self._used, self.count, self.basis = fixed._used, fixed.count, fixed.basis
 
@@ -367,16 +372,30 @@ class TrimmedSplines(SplineProducts):
                 total += weights @ self._rows(points)
         return total
 
-    def _make_basis(self) -> np.ndarray:
-        """Return (products, unknowns) independent functions that keep the conditions of the edges."""
+    def turn_to(self, other: TrimmedSplines) -> None:
+        """Take that basis of the same motions which is nearest to the basis of another space in the energy, where both
+        have as many products and added functions: the matrices are then smooth functions of the outline."""
+        added = self.count - self._used.size
+        products, beside = np.split(other.basis, [other._used.size])
+        all_products = np.zeros((math.prod(self.shape), other.unknowns))
+        all_products[other._used] = products
+        nearest = np.vstack([all_products[self._used], beside[:added]])
+        self.basis = self.basis @ (self.basis.T @ (self._energy() @ nearest))
+
+    def _energy(self) -> np.ndarray:
+        """Return the matrix of the energy in which functions are independent."""
         stiffness = sum(self.form(term.coefficient, term.factors) for term in self.bending_terms())
         mass = self.form(self._fields()[-1])
         lowest = LOWEST * (2 / np.pi * mean_wave_frequency(self.laminate) / self.outline.area) ** 2
-        energy = stiffness + lowest * mass
+        return np.asarray(stiffness + lowest * mass)
+
+    def _make_basis(self, rank: float) -> np.ndarray:
+        """Return (products, unknowns) independent functions that keep the conditions of the edges."""
+        energy = self._energy()
         used = np.flatnonzero(np.diag(energy) > 0)
         unit = 1 / np.sqrt(np.diag(energy)[used])
         values, vectors = scipy.linalg.eigh(energy[np.ix_(used, used)] * np.outer(unit, unit), driver="evd")
-        some = values > RANK * values[-1]
+        some = values > rank * values[-1]
         basis = np.zeros((len(energy), int(some.sum())))
         basis[used] = unit[:, None] * vectors[:, some] / np.sqrt(values[some])
         held = conditions(self.outline, self._pieces, self._local, self._interval, bool(self.added))

@@ -1,0 +1,71 @@
+"""The processor time of a panel's value with all its slopes, over that of the value alone.
+
+    OMP_NUM_THREADS=1 python benchmarks/design_cost.py [--repeats 9]
+
+Panels are the paper's plate with a map of about 10 and 5,000 numbers, with no, one and two limits on its motion, and an
+exciter's panel in air with limits on sound and power.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from warp_plate import Scene
+from warp_plate.designing.objectives import judge, limits
+from warp_plate.designing.panel import ENERGY_MARGIN, FreePanel
+
+EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
+LIMITS = ({}, {"energy_target": 1e-9}, {"energy_target": 1e-9, "least_velocity": 1e-3})
+# Length scales of maps of 16 and of 5184 numbers [m].
+LENGTHS = (0.133, 0.00567)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--repeats", type=int, default=9)
+    repeats = parser.parse_args().repeats
+    for length in LENGTHS:
+        for limited in LIMITS:
+            table = {"thickness": {"range": [3.5e-4, 7.5e-4], "length_scale": length}, "limits": limited}
+            report("a map", Scene.load("paper").replace("design", table), repeats)
+    for name in ("design-exciter", "design-ribs"):
+        report(name, Scene.load(EXAMPLES / f"{name}.toml"), repeats)
+
+
+def report(name: str, scene: Scene, repeats: int) -> None:
+    """Print the cost of a value and of its slopes."""
+    panel = FreePanel(scene)
+    numbers = 0.3 + 0.4 * np.random.default_rng(0).random(panel.count)
+    found = panel.evaluate(numbers)
+    alone, whole = median(lambda: value(panel, numbers), repeats), median(lambda: panel.evaluate(numbers), repeats)
+    shown = f"{name}: {panel.count} numbers, {found.excess.size} limits"
+    print(f"{shown}: a value {alone:.3f} s, with all slopes {whole:.3f} s: {whole / alone:.2f} times", flush=True)
+
+
+def value(panel: FreePanel, numbers: np.ndarray) -> None:
+    """Compute a value and its limits alone."""
+    for index, case in enumerate(panel.cases):
+        adjoint = panel._adjoint(numbers, case)
+        judge(panel.design, adjoint)
+        list(limits(panel.design, adjoint, ENERGY_MARGIN))
+        if index == 0:
+            list(panel._panel_limits(adjoint))
+
+
+def median(task: Callable[[], object], repeats: int) -> float:
+    """Return the median of the processor times of a task [s]."""
+    seconds = []
+    for _ in range(repeats):
+        began = time.process_time()
+        task()
+        seconds.append(time.process_time() - began)
+    return float(np.median(seconds))
+
+
+if __name__ == "__main__":
+    main()
