@@ -226,6 +226,27 @@ def test_slopes_of_other_panels_are_those_of_differences(name, random):
     assert (errors <= 2e-6 * sizes).all()
 
 
+RADIUS = {"radius": {"keys": [f"plate.outline.disc[{index}]" for index in range(3)]}}
+HELD_DISC = {"plate": ROUND["plate"], "edges": {"outline": "clamped"}, "links": RADIUS, "actuators": DISCS}
+SHAPES = {
+    "size": {"design": {"free": {"plate.size[0]": [0.19, 0.22]}, "limits": {"mass": 0.03}}},
+    "disc": {**HELD_DISC, "design": {"free": {"radius": [0.095, 0.11], "plate.thickness": [4e-4, 6e-4]}}},
+    "support": {
+        "supports": [{"point": (0.13, 0.12)}],
+        "design": {"free": {"supports[0].point[0]": [0.11, 0.15]}, "objective": "velocity"},
+    },
+}
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_slopes_by_pieces_of_the_outline_are_those_of_differences(name):
+    base = scene_of(modal_density=0.3, damping=60.0).model_dump(mode="json", exclude_none=True)
+    panel = FreePanel(wpl.Scene.model_validate({**base, **SHAPES[name]}))
+    numbers, direction = np.full(panel.count, 0.4), np.eye(panel.count)[0]
+    errors, sizes = errors_of_slopes(panel, numbers, direction, 2e-3, "smooth")
+    assert (errors <= 2e-6 * sizes).all()
+
+
 LIMITS = {"mass": 0.03, "energy_target": 1e-9, "gap": [200.0, 330.0]}
 
 
@@ -350,10 +371,8 @@ def test_a_scene_without_better_panels_stays(monkeypatch):
         ({"places": {"actuators[7]": [0.0, 0.1, 0.0, 0.1]}}, r"design.places: actuators\[7\]: is no patch"),
         ({"free": {"plate.thickness": [5e-4, 4e-4]}}, "free: plate.thickness = .*: the lowest value comes first"),
         ({"free": {"plate.thicknes": [4e-4, 5e-4]}}, "design.free: plate.thicknes: is not a key"),
-        (
-            {"free": {"plate.size[0]": [0.1, 0.3]}},
-            "slopes are known for a panel of one size",
-        ),
+        ({"free": {"plate.size[0]": [0.1, 0.3]}, "thickness": THICKNESS}, "not free beside a map of thickness"),
+        ({"free": {"edges.left": [0.1, 0.3]}}, "edges.left: is a text; write a key of a number"),
         ({"free": {"effects.oscillators[0].mass": [0.0, 0.3]}}, "a mass of 0 is fixed to the ground"),
         ({"free": {"effects.material_damping.time": [0.0, 0.3]}}, "losses of all bending are not known"),
         ({"free": {"actuators[0].magnitude": [0.0, 0.3]}}, "is a number of the drive, not of the panel"),

@@ -13,6 +13,7 @@ from warp_plate.modal.radiation import FarField, air_of
 from warp_plate.modal.sensitivity.adjoint import AirBeside
 from warp_plate.modal.spaces.integrals import mean_wave_frequency
 from warp_plate.modal.spaces.knots import intervals_for
+from warp_plate.modal.spaces.space import FunctionSpace
 from warp_plate.modal.spaces.tensor_splines import TensorSplines
 from warp_plate.modal.spaces.trimmed_splines import TrimmedSplines
 from warp_plate.plate.section import laminate_of
@@ -51,7 +52,7 @@ class PanelFunctions:
         assert isinstance(space, TensorSplines | TrimmedSplines)
         return space
 
-    def galerkin(self, scene: Scene, near: TensorSplines | TrimmedSplines | None = None) -> Galerkin:
+    def galerkin(self, scene: Scene, near: FunctionSpace | None = None) -> Galerkin:
         """Return the matrices of a panel, over functions that turn least from those of ``near``, of almost the same
         shape."""
         own, like = self.space, self.space if near is None else near

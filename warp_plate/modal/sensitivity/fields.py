@@ -126,8 +126,8 @@ def _at_points(
     """Return Σ_ij matrix_ij ∂ψ_i ∂'ψ_j (matrices, ...) of symmetric matrices at the points of a rule, for pairs of
     derivatives."""
     if isinstance(rule, Chords):
-        orders = [(ORDERS[one], ORDERS[two]) for one, two in factors]
-        rows = [space.diagonals(rule, matrix, orders) for matrix in matrices]
+        derivatives = [(ORDERS[one], ORDERS[two]) for one, two in factors]
+        rows = [space.diagonals(rule, matrix, derivatives) for matrix in matrices]
         return [np.stack(values) for values in zip(*rows, strict=True)]
     functions, unknowns = rule.along[0].functions, space.unknowns
     sides = [[side.values(at, order) for order in range(3)] for side, at in zip(rule.along, rule.points, strict=True)]
@@ -145,11 +145,11 @@ def _at_points(
     found = dict[frozenset[str], np.ndarray]()
     for pair in factors:
         if (key := frozenset(pair)) not in found:  # symmetric matrices have the same sums for pairs in either order
-            *pairs, table = tables[len(key) == 1]
+            of_x, of_y, table = tables[len(key) == 1]
             orders = [[ORDERS[factor][axis] for factor in pair] for axis in (0, 1)]
             along_x, along_y = (
                 values[one][rows] * values[two][columns]
-                for values, (one, two), (rows, columns) in zip(sides, orders, pairs, strict=True)
+                for values, (one, two), (rows, columns) in zip(sides, orders, (of_x, of_y), strict=True)
             )
             found[key] = along_y.T @ table @ along_x
     return [found[frozenset(pair)] for pair in factors]

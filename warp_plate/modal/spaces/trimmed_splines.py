@@ -78,10 +78,10 @@ class TrimmedSplines(SplineProducts):
         self.scene, self.laminate, self.intervals, self.outline = scene, laminate_of(scene), intervals, scene.outline
         curves = (support.piece(f"supports[{index}]") for index, support in parted(tuple(scene.supports)))
         self._pieces = (*self.outline.pieces, *(curve for curve in curves if curve is not None))
-        if along is None and fixed is None:
-            x, y = (outline_splines(scene, self.laminate, axis, intervals[axis]) for axis in (0, 1))
+        if along is None:
+            x, y = fixed.along if fixed else (outline_splines(scene, self.laminate, i, intervals[i]) for i in (0, 1))
             along = x, y
-        self.along = along or fixed.along
+        self.along = along
         self._local = LocalSplines(self.along[0]), LocalSplines(self.along[1])
         self.integrals = Integrals(self.laminate, *self.along)
         self._interval = max(side / count for side, count in zip(scene.plate.size, intervals, strict=True))
@@ -257,10 +257,8 @@ class TrimmedSplines(SplineProducts):
         if not self.added:
             return forms
         names = sorted({factor for factors in wanted for factor in factors})
-        count, weights = (
-            self.count - self._used.size,
-            np.broadcast_to(coefficient, chords.weights.shape) * chords.weights,
-        )
+        count = self.count - self._used.size
+        weights = np.broadcast_to(coefficient, chords.weights.shape) * chords.weights
         squares = {factors: np.zeros((count, count)) for factors in wanted}
         pairs = sorted({pair for one, two in wanted for pair in ((one, two), (two, one))})
         crossed = {pair: np.zeros((*self.shape, count)) for pair in pairs}
@@ -373,13 +371,11 @@ class TrimmedSplines(SplineProducts):
         return total
 
     def turn_to(self, other: TrimmedSplines) -> None:
-        """Take that basis of the same motions which is nearest to the basis of another space in the energy, where both
-        have as many products and added functions: the matrices are then smooth functions of the outline."""
-        added = self.count - self._used.size
-        products, beside = np.split(other.basis, [other._used.size])
-        all_products = np.zeros((math.prod(self.shape), other.unknowns))
-        all_products[other._used] = products
-        nearest = np.vstack([all_products[self._used], beside[:added]])
+        """Take the motions nearest in the energy to the basis of another space, of as many splines and added functions,
+        as a basis: matrices are then smooth functions of the outline."""
+        products, added = np.split(other.basis, [other._used.size])
+        every = other._tables(products.T).reshape(other.unknowns, -1).T
+        nearest = np.vstack([every[self._used], added])
         self.basis = self.basis @ (self.basis.T @ (self._energy() @ nearest))
 
     def _energy(self) -> np.ndarray:
