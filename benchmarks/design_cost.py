@@ -2,7 +2,7 @@
 
     OMP_NUM_THREADS=1 python benchmarks/design_cost.py [--repeats 9]
 
-Panels are the paper's plate with a map of about 10 and 5,000 numbers, with no, one and two limits on its motion, and an
+Panels are the paper's plate with a map of 25 and of 5184 numbers, with no, one and two limits on its motion, and an
 exciter's panel in air with limits on sound and power.
 """
 
@@ -21,7 +21,7 @@ from warp_plate.designing.panel import ENERGY_MARGIN, FreePanel
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 LIMITS = ({}, {"energy_target": 1e-9}, {"energy_target": 1e-9, "least_velocity": 1e-3})
-# Length scales of maps of 16 and of 5184 numbers [m].
+# Length scales of maps of 25 and of 5184 numbers [m].
 LENGTHS = (0.133, 0.00567)
 
 
