@@ -72,17 +72,15 @@ class TrimmedSplines(SplineProducts):
         along: tuple[Splines, Splines] | None = None,
         rank: float = RANK,
     ) -> None:
-        """Make the space, with the functions of ``like`` where they would be the same, with those of ``fixed``, or with
-        products of the splines ``along`` both sides; functions of less energy than ``rank`` depend on the others."""
+        """Make the space, with the functions of ``like`` where they would be the same, those of ``fixed``, or splines
+        ``along`` x and y; functions with less of the largest energy than ``rank`` depend on the others."""
         assert scene.outline is not None
         self.scene, self.laminate, self.intervals, self.outline = scene, laminate_of(scene), intervals, scene.outline
         curves = (support.piece(f"supports[{index}]") for index, support in parted(tuple(scene.supports)))
         self._pieces = (*self.outline.pieces, *(curve for curve in curves if curve is not None))
-        if along is None:
-            x, y = fixed.along if fixed else (outline_splines(scene, self.laminate, i, intervals[i]) for i in (0, 1))
-            along = x, y
-        self.along = along
-        self._local = LocalSplines(self.along[0]), LocalSplines(self.along[1])
+        own = (outline_splines(scene, self.laminate, axis, intervals[axis]) for axis in (0, 1))
+        x, y = along or (fixed.along if fixed else own)
+        self.along, self._local = (x, y), (LocalSplines(x), LocalSplines(y))
         self.integrals = Integrals(self.laminate, *self.along)
         self._interval = max(side / count for side, count in zip(scene.plate.size, intervals, strict=True))
         self.added = fixed.added if fixed else added_functions(scene, self._interval)
@@ -158,8 +156,7 @@ class TrimmedSplines(SplineProducts):
 
     def on_grid(self, coefficients: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         products, added = np.split(coefficients @ self.basis.T, [self._used.size], axis=-1)
-        tables = self._tables(products)
-        values = self._local[1].dense(y) @ tables @ self._local[0].dense(x).T
+        values = self._local[1].dense(y) @ self._tables(products) @ self._local[0].dense(x).T
         covered = self._covered(x, y)
         if self.added:
             rows, columns = np.nonzero(covered)
@@ -371,19 +368,16 @@ class TrimmedSplines(SplineProducts):
         return total
 
     def turn_to(self, other: TrimmedSplines) -> None:
-        """Take the motions nearest in the energy to the basis of another space, of as many splines and added functions,
-        as a basis: matrices are then smooth functions of the outline."""
+        """Take as a basis the motions nearest to that of another space, which makes matrices smooth in the outline."""
         products, added = np.split(other.basis, [other._used.size])
         every = other._tables(products.T).reshape(other.unknowns, -1).T
-        nearest = np.vstack([every[self._used], added])
-        self.basis = self.basis @ (self.basis.T @ (self._energy() @ nearest))
+        self.basis = self.basis @ (self.basis.T @ (self._energy() @ np.vstack([every[self._used], added])))
 
     def _energy(self) -> np.ndarray:
         """Return the matrix of the energy in which functions are independent."""
         stiffness = sum(self.form(term.coefficient, term.factors) for term in self.bending_terms())
-        mass = self.form(self._fields()[-1])
         lowest = LOWEST * (2 / np.pi * mean_wave_frequency(self.laminate) / self.outline.area) ** 2
-        return np.asarray(stiffness + lowest * mass)
+        return np.asarray(stiffness + lowest * self.form(self._fields()[-1]))
 
     def _make_basis(self, rank: float) -> np.ndarray:
         """Return (products, unknowns) independent functions that keep the conditions of the edges."""
