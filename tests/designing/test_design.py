@@ -372,7 +372,6 @@ def test_a_scene_without_better_panels_stays(monkeypatch):
         ({"free": {"plate.thickness": [5e-4, 4e-4]}}, "free: plate.thickness = .*: the lowest value comes first"),
         ({"free": {"plate.thicknes": [4e-4, 5e-4]}}, "design.free: plate.thicknes: is not a key"),
         ({"free": {"plate.size[0]": [0.1, 0.3]}, "thickness": THICKNESS}, "not free beside a map of thickness"),
-        ({"free": {"edges.left": [0.1, 0.3]}}, "edges.left: is a text; write a key of a number"),
         ({"free": {"effects.oscillators[0].mass": [0.0, 0.3]}}, "a mass of 0 is fixed to the ground"),
         ({"free": {"effects.material_damping.time": [0.0, 0.3]}}, "losses of all bending are not known"),
         ({"free": {"actuators[0].magnitude": [0.0, 0.3]}}, "is a number of the drive, not of the panel"),

@@ -109,8 +109,6 @@ class FreePanel:
                 if _is_shape(inner) and (self.thickness is not None or self._loaded):
                     other = "a map of thickness" if self.thickness is not None else "air or a sound"
                     raise SceneError(f"design.free: {name}: a shape is not free beside {other}; delete one")
-                if not isinstance(value_of(self.scene, inner), int | float | None):
-                    raise SceneError(f"design.free: {name}: is a text; write a key of a number")
                 if inner.startswith("supports[") and value_of(self.scene, inner) is None:
                     raise SceneError(f"design.free: {name}: the support is rigid; write a stiffness for it")
                 if inner.startswith("actuators[") and last in NO_PANEL:
