@@ -135,6 +135,17 @@ def test_wide_ranges_leave_bounds_under_limits_of_energies_tight(random, largest
         assert bound.value * (1 - 5e-6) <= reached <= bound.value
 
 
+@pytest.mark.parametrize("ends", [(0.0, 1e3), (1e-4, 1e3), (1e-2, 1e5)])
+def test_wide_ranges_leave_bounds_above_a_least_energy_tight(random, ends):
+    """Equal magnitudes within them reach the least energy, so that neither limits the ratio."""
+    response, phase = gram(random, 3), [0.0, SEARCHED, SEARCHED]
+    target = response.matrices[TARGET]
+    others = EnergyLimits([], [(target, 1e-6 * np.linalg.eigvalsh(target)[-1])])
+    limited = bound_localization(response, allowed(3, *ends, phase, equal=True), others=others)
+    free = bound_localization(response, allowed(3, 0.0, phase=phase, equal=True))
+    assert limited.value == pytest.approx(free.value, rel=1e-6)
+
+
 def test_where_no_bound_is_proved_none_is_claimed(random):
     """Without motion or a limit: −z² ≤ 1 does not limit z². Many actuators keep the eigenvalue."""
     still = Response(np.zeros((2, 4, 4)))

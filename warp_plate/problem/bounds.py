@@ -314,7 +314,7 @@ def _majorant(
     if entries.any():  # τ in units in which it is about as large as a drive at the widest, or at the narrowest limit
         largest = np.abs(forms[1:]).max(axis=(1, 2))
         ratios = np.divide(np.abs(entries), largest, out=np.zeros_like(largest), where=largest > 0)
-        narrowest = ratios[(entries < 0) & (ratios > 0)].min(initial=ratios.max())
+        narrowest = ratios[ratios > 0].min(initial=ratios.max())
         units = [float(value or 1.0) for value in (ratios.max(), narrowest)]
         units = units[: 1 + (units[0] > FAR * units[1])]
     majorants = []
