@@ -159,6 +159,7 @@ def test_standard_output_that_is_closed_or_full(recorded):
     read, write = os.pipe()
     os.close(read)
     assert process("simulate", "panel.toml", "--json", *QUICK, stdout=write)[2] == ""
+    assert process("--help", stdout=write) == (0, None, "")
     os.close(write)
     assert Path("panel-simulate.h5").exists()
     if Path("/dev/full").exists():  # on Linux

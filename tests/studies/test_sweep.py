@@ -10,6 +10,7 @@ from support.scenes import scene_of
 from warp_plate import SceneError, load_sweep, sweep
 from warp_plate.cluster.tasks import run_task
 from warp_plate.modal.continuous_modes import continuous_modes
+from warp_plate.plate import memory
 from warp_plate.result.sweep import REFUSED, RUN, save_sweep
 from warp_plate.scene.vary import make_plan, parse_vary
 from warp_plate.studies.frequency_response import frf, respond_to_drive
@@ -196,6 +197,12 @@ def test_a_point_without_memory_is_given_up_and_others_run(swept_plate, error):
     error = RuntimeError("a fault of the program")
     with pytest.raises(RuntimeError, match="a fault of the program"):
         list(run_here(start, [1], run))
+
+
+def test_numbers_beyond_the_memory_are_refused_before_any_point(swept_plate, monkeypatch):
+    monkeypatch.setattr(memory, "machine_memory", lambda: 2.0**24)
+    with pytest.raises(SceneError, match=r"^--vary: 300000 numbers at 100 points: takes about 0\.0156 GiB of memory"):
+        sweep(swept_plate, ["plate.thickness=4e-4:5e-4:100"], "frf", frequencies="100:200:1000")
 
 
 def test_points_that_no_file_holds_are_not_said_to_be_saved(swept_plate, tmp_path):

@@ -146,6 +146,10 @@ def _run(words: list[str]) -> None:
     except MemoryError as error:
         log(f"out of memory: {error}; use fewer nodes, actuators, particles, record.times or record.points")
         sys.exit(2)
+    except SystemExit as ended:
+        if isinstance(ended.__context__, BrokenPipeError):  # while rich printed the help, which it ends with status 1
+            raise ended.__context__ from None
+        raise
 
 
 def _prepare_streams() -> None:

@@ -17,6 +17,7 @@ from warp_plate.interrupts import SecondInterrupt, check_interrupt, deferred_int
 from warp_plate.modal.continuous_modes import MOST_MODES
 from warp_plate.modal.solver import MODAL
 from warp_plate.plate.files import digests
+from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.resolve import Purpose, choose_engine, refuse_nonlinear_modes, resolve_for_sweep
 from warp_plate.result.checkpoint import ENDING
 from warp_plate.result.sweep import REFUSED, RUN, Sweep, load_sweep, save_sweep
@@ -31,8 +32,8 @@ from warp_plate.studies.unfinished import CheckpointFile, changes, device_like, 
 
 # Called after each point with the points done, their total, and the values of the point.
 OnPointProgress = Callable[[int, int, str], object]
-# Numbers of a quantity at all points, 8 bytes each.
-MOST_NUMBERS = 100_000_000
+# Numbers of a quantity at all points, and bytes for each number while a sweep runs and its file is composed.
+MOST_NUMBERS, BYTES_A_NUMBER = 100_000_000, 56.0
 # Options that a sweep keeps, and their values in a new sweep where they are left out.
 DEFAULTS = {"what": "localize", "count": 6, "path": "auto", "evaluator": None, "frequencies": ""}
 
@@ -139,6 +140,8 @@ def start_sweep(request: SweepRequest, device: str = "auto") -> Sweep:
     shapes = {name: (len(plan), *([len(start.along(o.axis))] if o.axis else [])) for name, o in outputs.items()}
     if (largest := max(map(math.prod, shapes.values()))) > MOST_NUMBERS:
         raise SceneError(f"--vary: {largest} numbers of each quantity; at most {MOST_NUMBERS} are kept")
+    numbers = sum(map(math.prod, shapes.values()))
+    refuse_beyond_memory(BYTES_A_NUMBER * numbers, f"--vary: {numbers} numbers at {counted(len(plan), 'point')}")
     return replace(start, values={name: np.full(shape, np.nan) for name, shape in shapes.items()})
 
 
