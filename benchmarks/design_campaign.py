@@ -81,7 +81,7 @@ def slopes_of(number: int) -> tuple[int, str, list[tuple[str, float]]]:
 
 
 def _difference(panel: FreePanel, numbers: np.ndarray, direction: np.ndarray, step: float) -> np.ndarray:
-    one, other = (panel.evaluate(numbers + sign * step * direction) for sign in (1, -1))
+    one, other = (panel.evaluate(numbers + sign * step * direction, sloped=False) for sign in (1, -1))
     return np.append(one.smooth - other.smooth, one.excess - other.excess) / (2 * step)
 
 
@@ -102,7 +102,10 @@ def _one_sided(scene: Scene, number: int) -> list[tuple[str, float]]:
     panel, rng = FreePanel(scene), np.random.default_rng([number, 50])
     middle, direction, step = panel.start(), rng.normal(size=panel.count), 1e-3
     direction /= np.linalg.norm(direction)
-    sides = ([panel.evaluate(middle + sign * step * index * direction).least for index in range(4)] for sign in (-1, 1))
+    sides = (
+        [panel.evaluate(middle + sign * step * index * direction, sloped=False).least for index in range(4)]
+        for sign in (-1, 1)
+    )
     left, right = (
         sign * np.array([-11, 18, -9, 2]) @ values / (6 * step) for sign, values in zip((-1, 1), sides, strict=True)
     )

@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from warp_plate import Scene
-from warp_plate.designing.objectives import judge, limits
-from warp_plate.designing.panel import ENERGY_MARGIN, FreePanel
+from warp_plate.designing.panel import FreePanel
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 LIMITS = ({}, {"energy_target": 1e-9}, {"energy_target": 1e-9, "least_velocity": 1e-3})
@@ -42,19 +41,12 @@ def report(name: str, scene: Scene, repeats: int) -> None:
     panel = FreePanel(scene)
     numbers = 0.3 + 0.4 * np.random.default_rng(0).random(panel.count)
     found = panel.evaluate(numbers)
-    alone, whole = median(lambda: value(panel, numbers), repeats), median(lambda: panel.evaluate(numbers), repeats)
+    alone, whole = (
+        median(lambda: panel.evaluate(numbers, sloped=False), repeats),
+        median(lambda: panel.evaluate(numbers), repeats),
+    )
     shown = f"{name}: {panel.count} numbers, {found.excess.size} limits"
     print(f"{shown}: a value {alone:.3f} s, with all slopes {whole:.3f} s: {whole / alone:.2f} times", flush=True)
-
-
-def value(panel: FreePanel, numbers: np.ndarray) -> None:
-    """Compute a value and its limits alone."""
-    for index, case in enumerate(panel.cases):
-        adjoint = panel._adjoint(numbers, case)
-        judge(panel.design, adjoint)
-        list(limits(panel.design, adjoint, ENERGY_MARGIN))
-        if index == 0:
-            list(panel._panel_limits(adjoint))
 
 
 def median(task: Callable[[], object], repeats: int) -> float:

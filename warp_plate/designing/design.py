@@ -151,7 +151,7 @@ def _choose(panel: FreePanel, candidates: Candidates, climb: Climb, report: Call
     def value(numbers: np.ndarray) -> float:
         check_interrupt()
         climb.evaluations += 1
-        return panel.evaluate(numbers).least
+        return panel.evaluate(numbers, sloped=False).least
 
     _climb(panel, climb, report)
     numbers = np.array(climb.numbers)

@@ -221,8 +221,8 @@ class FreePanel:
         air = self._functions.air(case[TONE]) if self._loaded else None
         return EnergyAdjoint(galerkin, steady=self.design.steady, air=air)
 
-    def evaluate(self, numbers: np.ndarray) -> Value:
-        """Return what the panel at free numbers (count,) can do, and by what it passes its limits, with slopes.
+    def evaluate(self, numbers: np.ndarray, sloped: bool = True) -> Value:
+        """Return what the panel at free numbers (count,) can do, and by what it passes its limits, with slopes or not.
 
         As many natural frequencies are to stay below the gap as ``below``, see :meth:`follow`.
         """
@@ -231,20 +231,22 @@ class FreePanel:
             adjoint = self._adjoint(numbers, case)
             judged = [judge(self.design, adjoint), *(one for _, one in limits(self.design, adjoint, ENERGY_MARGIN))]
             of_panel = list(self._panel_limits(adjoint)) if index == 0 else []
+            solved.append(judged[0].value)
+            passed += [*(one.value for one in judged[1:]), *(excess for excess, *_ in of_panel)]
+            if not sloped:
+                continue
             by = [PanelSlopes(adjoint.slopes(one.phasors, one.weights), by_target=one.by_target) for one in judged]
             by += [PanelSlopes(by_matrices, by_mass) for _, by_matrices, by_mass in of_panel]
             galerkin = adjoint.plate.galerkin
             of = NumberSlopes(galerkin, partial(self._functions.galerkin, near=galerkin.space), by)
             first, *others = self._by_numbers(of, numbers, case)
-            solved.append(judged[0].value)
             slopes.append(first)
-            passed += [*(one.value for one in judged[1:]), *(excess for excess, *_ in of_panel)]
             by_limit += others
         values = np.array(solved)
         weights = np.exp(-SHARPNESS * (values - values.min()))
         smooth = values.min() - np.log(weights.mean()) / SHARPNESS
         by_limits = np.array(by_limit).reshape(-1, self.count)
-        mean = (weights / weights.sum()) @ np.stack(slopes)
+        mean = (weights / weights.sum()) @ np.stack(slopes) if sloped else np.empty(0)
         return Value(float(values.min()), float(smooth), mean, np.array(passed), by_limits)
 
     def follow(self, numbers: np.ndarray) -> None:
