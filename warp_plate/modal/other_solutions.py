@@ -81,9 +81,10 @@ def modes_with_responses(plate: ModalPlate, frequencies: Collection[float], dens
         wanted = math.ceil(math.pi / 4 * scene.plate.area * REACH * plate.highest / wave) + FURTHER
         squares, vectors = solve_eigenproblem(galerkin, wanted, (2 * math.pi * wave / max(scene.plate.size) ** 2) ** 2)
     loads = np.zeros((len(vectors), len(scene.actuators)))
-    loads[: galerkin.space.unknowns] = load_integrals(
-        galerkin, np.array([actuator.box for actuator in scene.actuators])
-    ).T
+    forces = loads[: galerkin.space.unknowns]
+    forces[:] = load_integrals(galerkin, np.array([actuator.box for actuator in scene.actuators])).T
+    coils = [scene.actuators[index].region for index in scene.coil_indices]
+    forces[:, scene.coil_indices] = galerkin.space.region_integrals(coils).T
     columns = []
     for omega in 2 * math.pi * np.array(sorted(frequencies)):
         solve, column = factorised(_dynamic_stiffness(galerkin, omega)).solve, loads
