@@ -174,10 +174,11 @@ def varied_scene(number: int) -> Scene:
         if "effort" in design and (design["objective"] == "bound" or design["effort"] == "sound"):
             del design["effort"]
     scene = Scene.from_tables(tables)
-    if not design.get("limits"):
+    if not scene.design.limits.given:
         return scene
     panel = FreePanel(scene)
-    passed = 1 + panel.evaluate(panel.start(), sloped=False).excess  # limits near what the panel has
+    # Limits near what the panel has.
+    passed = np.maximum(1 + panel.evaluate(panel.start(), sloped=False).excess, 1e-15)
     sound, power = 60 + 10 * math.log10(passed[0]), float(passed[1])
     return scene.replace("design.limits", {"sound": sound, "power": power})
 
