@@ -72,6 +72,18 @@ def test_another_panel_does_not(lossy_run):
     assert found.correlation < 0.95
 
 
+@pytest.mark.parametrize("part", [0, 1])
+def test_intervals_hold_factors_alone(part, lossy_run):
+    """Of a scan that moves in the target alone, or elsewhere alone."""
+    field = field_of(lossy_run)
+    x0, x1, y0, y1 = lossy_run.scene.target.area
+    x, y = field.points.T
+    inside = (x0 < x) & (x < x1) & (y0 < y) & (y < y1)
+    velocity = np.where(inside == part, 1.0, 1e-3)
+    low, high = verify(lossy_run, MeasuredField("data.csv", field.points, velocity, 0.5 * velocity)).interval
+    assert 0 <= low <= part <= high + 0.1 <= 1.1
+
+
 @pytest.mark.parametrize("name", ["mirrored in x", "mirrored in y", "turned"])
 def test_mirrored_scans_are_named(name, lossy_run, random):
     """The field has no symmetry; 2 % noise and missing points do not matter."""

@@ -66,7 +66,7 @@ class Verification:
     def interval(self) -> tuple[float, float]:
         """Lowest and highest localization factor: 95 % for the noise, and twice the error of sampling."""
         width = NORMAL * float(np.nan_to_num(self.deviation)) + 2 * abs(self.sampling)
-        return self.localization_factor - width, self.localization_factor + width
+        return max(self.localization_factor - width, 0.0), min(self.localization_factor + width, 1.0)
 
     @property
     def kept(self) -> bool:
