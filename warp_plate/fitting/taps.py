@@ -34,9 +34,9 @@ from warp_plate.scene.errors import SceneError
 CONTACT, LOWEST = 3e-3, 20.0
 # Samples of a band at most, rate of a band over its width, and taps of its filter over the decimation.
 MOST, OVERSAMPLING, TAPS = 700, 2.0, 8
-# Shape of that filter, −70 dB from where frequencies fold into the band, and amplitude of the faintest mode over the
+# Shape of that filter, −90 dB from where frequencies fold into the band, and amplitude of the faintest mode over the
 # largest sample.
-ATTENUATION, FAINT = 7.0, 1e-3
+ATTENUATION, FAINT = 9.0, 1e-3
 # Widths of bands [Hz] from the duration: a band has so many samples.
 NARROWEST = 25.0
 # Orders of the model, and of how many a pole must be a part, to these relative differences of frequency and decay.
