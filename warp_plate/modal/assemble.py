@@ -129,6 +129,16 @@ def load_integrals(galerkin: Galerkin, areas: np.ndarray) -> np.ndarray:
     return -moments[:, None] * galerkin.space.curvature_integrals(rectangles)
 
 
+def unit_loads(galerkin: Galerkin) -> np.ndarray:
+    """Return (unknowns of the plate, actuators) loads of unit drives, and of 1 N on the patches of coils."""
+    scene, space = galerkin.scene, galerkin.space
+    loads = load_integrals(galerkin, np.array([actuator.box for actuator in scene.actuators])).T
+    if scene.coil_indices:
+        patches = [scene.actuators[index] for index in scene.coil_indices]
+        loads[:, scene.coil_indices] = (space.region_integrals(patches) / space.region_areas(patches)[:, None]).T
+    return loads
+
+
 def load_slopes(galerkin: Galerkin, areas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return derivatives (rectangles, unknowns of the plate) of :func:`load_integrals` by x and by y of the places."""
     if rectangular(galerkin.scene):

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
-from warp_plate.modal.assemble import Galerkin, load_integrals, make_galerkin
+from warp_plate.modal.assemble import Galerkin, make_galerkin, unit_loads
 from warp_plate.modal.eigenproblem import factorised, solve_eigenproblem
 from warp_plate.modal.modes import MOST_ALONE, ModalPlate, damped_modes, solve_modes
 from warp_plate.modal.spaces.integrals import mean_wave_frequency
@@ -80,11 +80,7 @@ def modes_with_responses(plate: ModalPlate, frequencies: Collection[float], dens
     if galerkin.losses.by_modes:
         wanted = math.ceil(math.pi / 4 * scene.plate.area * REACH * plate.highest / wave) + FURTHER
         squares, vectors = solve_eigenproblem(galerkin, wanted, (2 * math.pi * wave / max(scene.plate.size) ** 2) ** 2)
-    loads = np.zeros((len(vectors), len(scene.actuators)))
-    forces = loads[: galerkin.space.unknowns]
-    forces[:] = load_integrals(galerkin, np.array([actuator.box for actuator in scene.actuators])).T
-    coils = [scene.actuators[index].region for index in scene.coil_indices]
-    forces[:, scene.coil_indices] = galerkin.space.region_integrals(coils).T
+    loads = np.pad(unit_loads(galerkin), ((0, len(vectors) - galerkin.space.unknowns), (0, 0)))
     columns = []
     for omega in 2 * math.pi * np.array(sorted(frequencies)):
         solve, column = factorised(_dynamic_stiffness(galerkin, omega)).solve, loads

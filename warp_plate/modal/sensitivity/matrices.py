@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from warp_plate.modal.assemble import Galerkin, load_integrals
+from warp_plate.modal.assemble import Galerkin, unit_loads
 from warp_plate.modal.coils import coil_numbers
 
 
@@ -51,13 +51,3 @@ def plate_matrices(galerkin: Galerkin) -> PlateMatrices:
         forces=np.pad(unit_loads(galerkin), ((0, len(masses)), (0, 0))),
         coils=coil_numbers(scene, scene.drive.angular_frequency),
     )
-
-
-def unit_loads(galerkin: Galerkin) -> np.ndarray:
-    """Return (unknowns of the plate, actuators) loads of unit drives, and of 1 N on the patches of coils."""
-    scene, space = galerkin.scene, galerkin.space
-    loads = load_integrals(galerkin, np.array([actuator.box for actuator in scene.actuators])).T
-    if scene.coil_indices:
-        patches = [scene.actuators[index] for index in scene.coil_indices]
-        loads[:, scene.coil_indices] = (space.region_integrals(patches) / space.region_areas(patches)[:, None]).T
-    return loads
