@@ -16,9 +16,10 @@ from warp_plate.problem.specified_drives import Ratios, Scaled, Tone, solve_toge
 from warp_plate.result.specified import Scatter
 from warp_plate.scene.keys import resolved_key, value_of
 
-# Rounds of a drive for all cases of the tolerances, and those of one of several frequencies that are tried for it.
+# Rounds of a drive for all cases of the tolerances, those of one of several frequencies that are tried for it, and how
+# many frequencies.
 ROTATIONS, FEW_ROTATIONS, ROBUST_TRIED = 12, 2, 5
-NOTHING = 1e-7  # relative violation that counts as none
+NOTHING = 1e-7  # relative violation that counts as none, in programs
 # Density of the splines of the responses in the cases.
 FINER = 1.0
 

@@ -17,7 +17,15 @@ from warp_plate.result.specified import Margin, SpecifiedDrive
 from warp_plate.scene.errors import SceneError, check_function, check_type
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.scene.specification import Specification
-from warp_plate.studies.drive_for_cases import contrast_of, decibels, drive_for_cases, nearest_rest, refined
+from warp_plate.studies.drive_for_cases import (
+    NOTHING,
+    ROBUST_TRIED,
+    contrast_of,
+    decibels,
+    drive_for_cases,
+    nearest_rest,
+    refined,
+)
 from warp_plate.studies.frequency_response import check_linear
 
 # Lowest frequency [Hz]: levels are accelerations, which vanish below all measure under a slower drive.
@@ -27,16 +35,14 @@ TRIED, FREQUENCY_ACCURACY = 24, 1e-5
 # Multiples of the wanted levels on the curve of level against contrast.
 PARETO = np.geomspace(1 / 8, 8, 13)
 SAME = 1e-4  # relative difference of two scales that counts as none
-# Relative violation that counts as none, in programs and of levels; part of a certificate from which on it is named.
-NOTHING, VIOLATION, NAMED = 1e-7, 1e-6, 0.02
+# Relative violation of levels that counts as none; part of a certificate from which on it is named.
+VIOLATION, NAMED = 1e-6, 0.02
 # Density of the splines of the answer, and, relative to it, of those that errors are estimated with; and the error of
 # the answer over the difference.
 FINER, COARSER, CAUTION = 2.0, 1 / 1.3, 3.0
 LARGEST_ERROR = 0.2  # relative error of levels from which on nothing is proved
 # Points of the map along the longer side of the plate.
 MAP_POINTS = 161
-# Frequencies that are tried for one drive in all cases of the tolerances.
-ROBUST_TRIED = 5
 
 
 def specify(
