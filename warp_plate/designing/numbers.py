@@ -17,7 +17,7 @@ import scipy
 
 from warp_plate.designing.functions import shape_of
 from warp_plate.effects.effect import Attachment, Edge, Effect, Patch, Term, attachments
-from warp_plate.modal.assemble import DIFFERENCE, Galerkin, unit_loads
+from warp_plate.modal.assemble import DIFFERENCE, Galerkin, patch_means, unit_loads
 from warp_plate.modal.coils import coil_numbers
 from warp_plate.modal.sensitivity.fields import FieldSlopes
 from warp_plate.modal.sensitivity.matrices import PlateMatrices, plate_matrices
@@ -65,15 +65,11 @@ class NumberSlopes:
         slopes by stiffness and damping."""
         attached, plate = self._galerkin.attachments, self._space.unknowns
         rows = np.zeros((len(attached), self._galerkin.mass.shape[0]))
-        rows[:, :plate] = self._means([attachment.region for attachment in attached])
+        rows[:, :plate] = patch_means(self._space, [attachment.region for attachment in attached])
         rows[self._swinging, plate + np.arange(self._swinging.size)] = -1
         sparse = scipy.sparse.csr_array(rows)
         both = [(one.matrices.support, one.matrices.damping) for one in self._slopes]
         return rows, [[sparse @ by for by in one] for one in both]
-
-    def _means(self, regions: Sequence[PlateRegion]) -> np.ndarray:
-        """Return (regions, unknowns of the plate) mean values of the functions."""
-        return self._space.region_integrals(regions) / self._space.region_areas(regions)[:, None]
 
     @cached_property
     def _swinging(self) -> np.ndarray:
@@ -97,10 +93,11 @@ class NumberSlopes:
         plate, step = self._space.unknowns, DIFFERENCE * max(self.scene.plate.size)
         pulls = [sum(numbers[:, [i]] * both[i] for i in range(2))[:, :plate] for both in self._relative[1]]
         totals = {key: np.zeros((len(pulls), 2)) for key in self._first}
-        for axis, shift in enumerate(((step, 0.0), (0.0, step))):
+        middles = np.array([attachment.region.middle for attachment in attached]).reshape(-1, 2)
+        for axis, shift in enumerate(step * np.eye(2)):
             ahead, behind = (
-                self._means([_moved(attachment.region, sign * shift[0], sign * shift[1]) for attachment in attached])
-                for sign in (1, -1)
+                patch_means(self._space, [one.region.moved_to(*at) for one, at in zip(attached, places, strict=True)])
+                for places in ((middles + shift).tolist(), (middles - shift).tolist())
             )
             slopes = np.array([((ahead - behind) * pull).sum(axis=1) / step for pull in pulls])
             for index, key in enumerate(self.scene.effects.attachment_keys(self.scene.plate)):
@@ -171,12 +168,6 @@ class NumberSlopes:
         one, other = (unit_loads(replace(self._galerkin, scene=scene)) for scene in (after, before))
         plate = self._space.unknowns
         return np.array([np.vdot(by.matrices.forces[:plate], one - other) for by in self._slopes])
-
-
-def _moved(region: PlateRegion, x: float, y: float) -> PlateRegion:
-    """Return a region moved by x, y [m]."""
-    middle = region.middle
-    return PlateRegion.model_construct(**{**dict(region), **region.placed(middle[0] + x, middle[1] + y)})
 
 
 def panel_mass(galerkin: Galerkin) -> float:

@@ -51,8 +51,7 @@ class Oscillator(Effect, PlateRegion):
         if (column, row) == (0, 0):
             return self.region
         assert self.pitch is not None
-        moved = self.placed(self.middle[0] + column * self.pitch[0], self.middle[1] + row * self.pitch[1])
-        return PlateRegion.model_construct(**{**dict(self.region), **moved})
+        return self.moved_to(self.middle[0] + column * self.pitch[0], self.middle[1] + row * self.pitch[1])
 
     def check(self, key: str, size: tuple[float, float], over: bool = False, note: str = "") -> None:
         """Check the first and the last oscillator, see :meth:`PlateRegion.check`."""

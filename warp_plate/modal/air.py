@@ -20,15 +20,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import scipy
 from numpy.polynomial import chebyshev
 
 from warp_plate.effects.air import AirLoad
-from warp_plate.modal.poles import DampedModes, multiply_modes
-from warp_plate.modal.radiation import FURTHER, Air, PlateInBaffle, Radiation
+from warp_plate.modal.poles import multiply_modes
+from warp_plate.modal.radiation import FURTHER, Air, BarePlate, PlateInBaffle, Radiation
 from warp_plate.modal.spaces.integrals import mean_wave_frequency
 from warp_plate.modal.spaces.space import FunctionSpace
 from warp_plate.scene.model import Scene
@@ -43,16 +42,6 @@ PER_HALF_WAVE, FEWEST_WAVES = 2.0, 24
 MORE_TERMS = 6
 # Frequencies whose impedances are in memory at a time; relative residual of the forces, and most refinements.
 BLOCK_FREQUENCIES, RESIDUAL, REFINEMENTS = 16, 1e-11, 30
-
-
-class DryPlate(PlateInBaffle, DampedModes, Protocol):
-    """A plate without its air; see :class:`warp_plate.modal.modes.ModalPlate`."""
-
-    @property
-    def highest(self) -> float: ...
-
-    def dynamic_stiffness(self, omega: np.ndarray) -> np.ndarray:
-        """Return (..., modes) the stiffness of the modes without their coupling, at ω (...) [rad/s]."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +61,7 @@ class AirOnPlate:
         resonances: Frequencies, rising, and half-widths (modes,) [Hz] of the resonances in air.
     """
 
-    def __init__(self, plate: DryPlate, table: AirLoad) -> None:
+    def __init__(self, plate: BarePlate, table: AirLoad) -> None:
         """SceneError: the plate has too many modes for this machine's memory."""
         self._plate, self._air = plate, Air(table.density, table.sound_speed)
         self._sides, dry = {"both": 2, "front": 1}[table.sides], plate.frequencies

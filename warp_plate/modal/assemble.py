@@ -83,7 +83,8 @@ def make_galerkin(scene: Scene, space: FunctionSpace) -> Galerkin:
     support, damping, inertia = (_forms(scene, space, role) for role in ("stiffness", "damping", "mass"))
     attached = attachments(scene.terms)
     masses = [attachment.mass for attachment in attached if attachment.mass > 0]
-    _check_springs(scene, space, attached, float(bending.max()))
+    means = patch_means(space, [attachment.region for attachment in attached])
+    _check_springs(scene, attached, means, float(bending.max()))
     mass = space.mass_matrix()
     if inertia.any():
         mass = Matrix(mass + space.scatter(inertia))
@@ -92,8 +93,8 @@ def make_galerkin(scene: Scene, space: FunctionSpace) -> Galerkin:
         space=space,
         mass=_with_masses(mass, masses),
         bending=_with_masses(space.scatter(bending), np.zeros(len(masses))),
-        support=_with_links(space, attached, support, "stiffness"),
-        damping=_with_links(space, attached, damping, "damping"),
+        support=_with_links(space, attached, means, support, "stiffness"),
+        damping=_with_links(space, attached, means, damping, "damping"),
         attachments=attached,
     )
 
@@ -134,8 +135,7 @@ def unit_loads(galerkin: Galerkin) -> np.ndarray:
     scene, space = galerkin.scene, galerkin.space
     loads = load_integrals(galerkin, np.array([actuator.box for actuator in scene.actuators])).T
     if scene.coil_indices:
-        patches = [scene.actuators[index] for index in scene.coil_indices]
-        loads[:, scene.coil_indices] = (space.region_integrals(patches) / space.region_areas(patches)[:, None]).T
+        loads[:, scene.coil_indices] = patch_means(space, [scene.actuators[index] for index in scene.coil_indices]).T
     return loads
 
 
@@ -160,26 +160,25 @@ def _placed(scene: Scene, areas: np.ndarray) -> list[PlateRegion]:
     boxes = np.asarray(areas, dtype=float).reshape(-1, 4).tolist()
     patches = itertools.cycle(scene.actuators)
     return [
-        PlateRegion.model_construct(**{**dict(patch.region), **patch.placed((x0 + x1) / 2, (y0 + y1) / 2)})
-        for patch, (x0, x1, y0, y1) in zip(patches, boxes, strict=False)
+        patch.moved_to((x0 + x1) / 2, (y0 + y1) / 2) for patch, (x0, x1, y0, y1) in zip(patches, boxes, strict=False)
     ]
 
 
-def _patch_means(space: FunctionSpace, attached: Sequence[Attachment]) -> np.ndarray:
-    """Return (attachments, unknowns of the plate) mean values of the functions over the patches."""
-    regions = [attachment.region for attachment in attached]
+def patch_means(space: FunctionSpace, regions: Sequence[PlateRegion]) -> np.ndarray:
+    """Return (regions, unknowns of the plate) mean values of the functions over the parts of regions on the plate."""
     return space.region_integrals(regions) / space.region_areas(regions)[:, None]
 
 
-def _with_links(space: FunctionSpace, attached: Sequence[Attachment], values: np.ndarray, key: str) -> Matrix:
-    """Return the matrix of a form of the plate with the attached springs or dampers."""
-    factors = [getattr(attachment, key) for attachment in attached]
-    return join_masses(space.scatter(values), _patch_means(space, attached), attached, factors)
+def _with_links(
+    space: FunctionSpace, attached: Sequence[Attachment], means: np.ndarray, values: np.ndarray, key: str
+) -> Matrix:
+    """Return the matrix of a form of the plate with the attached springs or dampers, by the ``means`` over patches."""
+    return join_masses(space.scatter(values), means, attached, [getattr(attachment, key) for attachment in attached])
 
 
-def _check_springs(scene: Scene, space: FunctionSpace, attached: Sequence[Attachment], largest: float) -> None:
+def _check_springs(scene: Scene, attached: Sequence[Attachment], means: np.ndarray, largest: float) -> None:
     """Raise a SceneError if an attached spring is too stiff beside the ``largest`` stiffness of two functions."""
-    for index, (attachment, row) in enumerate(zip(attached, _patch_means(space, attached), strict=True)):
+    for index, (attachment, row) in enumerate(zip(attached, means, strict=True)):
         limit = STIFFEST * largest / (1.0 if attachment.mass > 0 else float(np.max(row**2)))
         if attachment.stiffness > limit:
             key = f"{scene.effects.attachment_keys(scene.plate)[index]}.stiffness = {attachment.stiffness:g}"

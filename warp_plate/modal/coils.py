@@ -15,13 +15,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import scipy
 
 from warp_plate.effects.coil import Coil
-from warp_plate.modal.poles import DampedModes
+from warp_plate.modal.radiation import BarePlate
 from warp_plate.plate.weights import CoilRegion
 from warp_plate.scene.model import Scene
 
@@ -30,16 +29,6 @@ from warp_plate.scene.model import Scene
 MOST_MODES, WIDEST, ROUNDING = 300, 0.9, 1e-10
 # Relative distance of the frequency that is taken for a natural one of an undamped plate.
 BESIDE = 1e-8
-
-
-class BarePlate(DampedModes, Protocol):
-    """A plate without its coils; see :class:`warp_plate.modal.modes.ModalPlate`."""
-
-    @property
-    def scene(self) -> Scene: ...
-
-    def respond_alone(self, omega: np.ndarray, forces: np.ndarray) -> np.ndarray:
-        """Return the (n, modes, loads) response to modal forces (n, modes, loads) at ω (n,) [rad/s]."""
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Collection
-from dataclasses import replace
 
 import numpy as np
 import scipy
@@ -47,14 +46,7 @@ def coarser_modes(plate: ModalPlate, density: float) -> ModalPlate:
     coarser = solve_modes(scene, plate.highest / scene.grid.modal_density, density=density)
     if 2 * modes >= plate.space.unknowns:
         return coarser
-    some = slice(math.ceil(density**2 * modes))
-    return replace(
-        coarser,
-        frequencies=coarser.frequencies[some],
-        vectors=coarser.vectors[:, some],
-        damping=coarser.damping[some, some],
-        hysteretic=coarser.hysteretic[some, some],
-    )
+    return coarser.part(np.arange(len(coarser.frequencies))[: math.ceil(density**2 * modes)])
 
 
 def modes_with_responses(plate: ModalPlate, frequencies: Collection[float], density: float) -> ModalPlate | None:

@@ -25,7 +25,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 import scipy
@@ -56,17 +55,6 @@ CLOSE = 0.05
 # Half-widths relative to the frequency: below SHARPEST a resonance counts as undamped, and is sampled as one of the
 # half-width UNDAMPED, on either side of its peak.
 SHARPEST, UNDAMPED = 1e-12, 5e-6
-
-
-class DampedModes(Protocol):
-    """Modes with their damping, before anything couples them."""
-
-    @property
-    def angular_frequencies(self) -> np.ndarray: ...
-    @property
-    def damping(self) -> np.ndarray: ...
-    @property
-    def hysteretic(self) -> np.ndarray: ...
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ import scipy
 from numpy.polynomial import chebyshev
 
 from warp_plate.effects.air import AIR_DENSITY, SOUND_SPEED
+from warp_plate.modal.poles import CoupledModes
 from warp_plate.modal.spaces.space import FunctionSpace
 from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.quantities.sound_levels import a_weight
@@ -73,6 +74,25 @@ class PlateInBaffle(Protocol):
     def frequencies(self) -> np.ndarray: ...
     @property
     def vectors(self) -> np.ndarray: ...
+
+
+class BarePlate(PlateInBaffle, Protocol):
+    """A plate without its air and coils; see :class:`warp_plate.modal.modes.ModalPlate`."""
+
+    @property
+    def highest(self) -> float: ...
+    @property
+    def angular_frequencies(self) -> np.ndarray: ...
+    @property
+    def damping(self) -> np.ndarray: ...
+    @property
+    def hysteretic(self) -> np.ndarray: ...
+    @property
+    def coupled(self) -> CoupledModes | None: ...
+
+    def shapes(self, x: np.ndarray, y: np.ndarray) -> np.ndarray: ...
+    def dynamic_stiffness(self, omega: np.ndarray) -> np.ndarray: ...
+    def respond_alone(self, omega: np.ndarray, forces: np.ndarray) -> np.ndarray: ...
 
 
 class FarField:

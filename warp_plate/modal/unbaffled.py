@@ -18,16 +18,16 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import scipy
 from numpy.polynomial import chebyshev
 
 from warp_plate.effects.air import AirLoad
-from warp_plate.modal.air import AirOnPlate, DryPlate
-from warp_plate.modal.poles import CoupledModes, multiply_modes
-from warp_plate.modal.radiation import AIR, FURTHER, Air, Radiation, distances_to
+from warp_plate.modal.air import AirOnPlate
+from warp_plate.modal.poles import multiply_modes
+from warp_plate.modal.radiation import AIR, FURTHER, Air, BarePlate, Radiation, distances_to
 from warp_plate.modal.spaces.integrals import mean_wave_frequency
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -48,23 +48,13 @@ BESIDE = 1e-8
 BLOCK_FREQUENCIES, RESIDUAL, REFINEMENTS = 16, 1e-11, 30
 
 
-class OpenPlate(DryPlate, Protocol):
-    """A plate without its air; see :class:`warp_plate.modal.modes.ModalPlate`."""
-
-    @property
-    def coupled(self) -> CoupledModes | None: ...
-
-    def shapes(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return (modes, ny, nx) shapes φ [1/√kg] on the grid of x and y [m]."""
-
-
 class Unbaffled:
     """Power, pressure and far field of a plate without a baffle, for frequencies up to a highest one.
 
     SceneError: the plate is no rectangle, or has too many half-waves at the highest frequency [Hz].
     """
 
-    def __init__(self, plate: OpenPlate, highest: float, air: Air = AIR, key: str = "frequency_range") -> None:
+    def __init__(self, plate: BarePlate, highest: float, air: Air = AIR, key: str = "frequency_range") -> None:
         refuse_outline(plate.scene)
         self.plate, self.air, self._highest = plate, air, float(air.wavenumber(highest))
         self.sides = plate.scene.plate.size
@@ -212,7 +202,7 @@ class AirWithoutBaffle:
         resonances: Frequencies, rising, and half-widths (modes,) [Hz] of the resonances in air.
     """
 
-    def __init__(self, plate: OpenPlate, table: AirLoad) -> None:
+    def __init__(self, plate: BarePlate, table: AirLoad) -> None:
         """SceneError: as of :class:`Unbaffled`."""
         dry = plate.frequencies
         self._plate, self._highest = plate, max(plate.highest, float(dry[dry > 0].min(initial=1.0)))
@@ -331,12 +321,12 @@ class AirWithoutBaffle:
 AirLoads: TypeAlias = AirOnPlate | AirWithoutBaffle
 
 
-def radiation_of(plate: OpenPlate, highest: float, air: Air, baffle: bool) -> Radiation | Unbaffled:
+def radiation_of(plate: BarePlate, highest: float, air: Air, baffle: bool) -> Radiation | Unbaffled:
     """Return the radiation of a plate in a baffle or without one, for frequencies up to a highest one [Hz]."""
     return Radiation(plate, highest, air) if baffle else Unbaffled(plate, highest, air)
 
 
-def air_on(plate: OpenPlate, table: AirLoad) -> AirLoads:
+def air_on(plate: BarePlate, table: AirLoad) -> AirLoads:
     """Return the load of the air on a plate."""
     return AirOnPlate(plate, table) if table.baffle else AirWithoutBaffle(plate, table)
 

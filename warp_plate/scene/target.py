@@ -180,6 +180,10 @@ class PlateRegion(Shape):
         at_x, at_y, *rest = getattr(self, key)
         return {key: (at_x + shift[0], at_y + shift[1], *rest)}
 
+    def moved_to(self, x: float, y: float) -> "PlateRegion":
+        """Return the shape alone with the middle of its ``box`` at x, y [m]."""
+        return PlateRegion.model_construct(**{**dict(self.region), **self.placed(x, y)})
+
     def flattened(self, of_disc: int = OUTLINE_CORNERS) -> np.ndarray:
         """Return the (corners, 2) x, y [m] of the outline, a disc as a polygon of ``of_disc`` corners.
 
