@@ -14,15 +14,14 @@ import numpy as np
 import shapely
 
 from warp_plate.optimize.cones import Block, LeastScale, least_scale_of_squares
-from warp_plate.problem.limited_quantities import hermitian_factor
 from warp_plate.problem.measured_plate import Forms, MeasuredPlate
+from warp_plate.problem.requirements import guarded_shape, hermitian_factor
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.specification import Level
 
 # Programs ask for this much more than the levels, so that their rounding does not violate them.
 MARGIN = 2e-8
 NOTHING = 1e-7  # relative violation that counts as none
-CORNERS = 64  # corners of a quarter of the rounded corners of a guard
 
 
 @dataclass(frozen=True)
@@ -92,21 +91,13 @@ def meet_levels(plate: MeasuredPlate, line: int) -> MeasuredLevels:
     names = [level.target or next(iter(plate.targets)) for level in specification.levels]
     aims = [_zone(plate, line, name, plate.targets[name]) for name in names]
     wanted = [level.peak_acceleration(frequency) for level in specification.levels]
-    guarded = shapely.union_all(
-        [shapely.buffer(plate.targets[name], specification.guard, quad_segs=CORNERS) for name in names]
-    )
-    rests: list[_Zone] = []
-    allowed: list[float] = []
-    measures: list[str] = []
+    guarded, rests = guarded_shape([plate.targets[name] for name in names], specification.guard), []
     for allowance in specification.allowances:
         x0, x1, y0, y1 = allowance.area or (*plate.shape.bounds[::2], *plate.shape.bounds[1::2])
         shape = shapely.difference(shapely.intersection(shapely.box(x0, y0, x1, y1), plate.shape), guarded)
-        name = "elsewhere" if allowance.area is None else f"x {x0:g} to {x1:g}, y {y0:g} to {y1:g} m"
-        rests.append(_zone(plate, line, name, shape))
-        relative = allowance.relative_db
-        level = allowance.peak_acceleration(frequency) if relative is None else min(wanted) * 10 ** (relative / 20)
-        allowed.append(level)
-        measures.append(allowance.measure)
+        rests.append(_zone(plate, line, allowance.place, shape))
+    allowed = [allowance.largest(frequency, min(wanted)) for allowance in specification.allowances]
+    measures = [allowance.measure for allowance in specification.allowances]
     rows: list[np.ndarray] = [np.empty((0, len(plate.largest)), dtype=complex)]
     squares: list[np.ndarray] = []
     for asked, aim, value in zip(specification.levels, aims, wanted, strict=True):
@@ -123,8 +114,8 @@ def meet_levels(plate: MeasuredPlate, line: int) -> MeasuredLevels:
     loosest = max(allowed, default=math.nan) / min(wanted)
     levels = []
     if np.isfinite(least.drive).all():
-        measures = [*(level.measure for level in specification.levels), *measures]
-        asked_of = zip([*aims, *rests], measures, [*wanted, *allowed], strict=True)
+        of_aims = [level.measure for level in specification.levels]
+        asked_of = zip([*aims, *rests], [*of_aims, *measures], [*wanted, *allowed], strict=True)
         levels = [_reached(zone, how, value, least.drive) for zone, how, value in asked_of]
     return MeasuredLevels(
         frequency=frequency,

@@ -19,8 +19,7 @@ import numpy as np
 
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.optimize.cones import STEPS, Block, LeastScale, least_scale_of_squares
-from warp_plate.problem.limited_quantities import Limited, hermitian_factor, limited_quantities
-from warp_plate.problem.requirements import Aim, Requirements
+from warp_plate.problem.requirements import Aim, Limited, Requirements, hermitian_factor, limited_quantities
 from warp_plate.problem.worst_points import FEWEST, Region, Values
 from warp_plate.result.specified import RegionLevels
 from warp_plate.scene.errors import SceneError

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
 from pydantic import (
     AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Discriminator,
     Field,
@@ -303,6 +304,14 @@ def flat_keys(table: Any) -> Any:
     return dict(items(table, "")) if isinstance(table, dict) else table
 
 
+# Lowest and highest values, and relative tolerances, of numbers of the scene by their keys.
+Ranges = Annotated[dict[str, tuple[Moderate, Moderate]], BeforeValidator(flat_keys), Unit("unit of the key")]
+Tolerances = Annotated[
+    dict[str, Annotated[float, Field(gt=0, lt=1)]],
+    BeforeValidator(flat_keys),
+    Unit("1"),
+    Field(default_factory=dict, examples=[{"plate.thickness": 0.05}]),
+]
 _FILE_NAME = re.compile(r"[^/\\:\x00-\x1f\x7f]+")
 
 

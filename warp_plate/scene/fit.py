@@ -1,7 +1,7 @@
 """Free numbers of a panel: the tables ``[fit]``, numbers that ``warp-plate fit`` takes from measurements, with
 ``[[measurement]]``; and ``[design]``, what ``warp-plate design`` chooses."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -10,11 +10,12 @@ from warp_plate.scene.fields import (
     Area,
     Flag,
     Gain,
-    Moderate,
     Name,
     Point,
     Positive,
+    Ranges,
     Table,
+    Tolerances,
     Unit,
     check_area,
     flat_keys,
@@ -36,6 +37,17 @@ OBJECTIVES = {
 }
 # Objectives of a design that may be those of any drive of a unit effort.
 PER_EFFORT = ("energy_target", "velocity", "displacement", "acceleration")
+
+
+def _check_rising(ends: tuple[float, float] | None, shown: str, first: str) -> None:
+    """Raise a ValueError, which begins with ``shown``, unless the ``first`` of two ends is the smaller one."""
+    if ends is not None and ends[0] >= ends[1]:
+        raise ValueError(f"{shown} {list(ends)}: the {first} comes first, and they differ")
+
+
+def _check_ranges(ranges: Mapping[str, tuple[float, float]], key: str, what: str) -> None:
+    for name, ends in ranges.items():
+        _check_rising(ends, f"{key}: {name} =", f"lowest {what}")
 
 
 class Measurement(Table):
@@ -94,9 +106,7 @@ class Fit(Table):
     """The design variables of a fit, and how it is done."""
 
     free: Annotated[
-        dict[str, tuple[Moderate, Moderate]],
-        BeforeValidator(flat_keys),
-        Unit("unit of the key"),
+        Ranges,
         Field(examples=[{"plate.young_modulus": [6e10, 8e10], "effects.damping.viscous": [10.0, 200.0]}]),
     ]
     """Lowest and highest value of each free key."""
@@ -122,11 +132,8 @@ class Fit(Table):
     def _ranges(self) -> Self:
         if not self.free:
             raise ValueError('free: is empty; write a range for a key, such as "plate.young_modulus" = [6e10, 8e10]')
-        for key, (low, high) in self.free.items():
-            if low >= high:
-                raise ValueError(f"free: {key} = {[low, high]}: the lowest value comes first, and they differ")
-        if self.range is not None and self.range[0] >= self.range[1]:
-            raise ValueError(f"range: {list(self.range)}: the lowest frequency comes first, and they differ")
+        _check_ranges(self.free, "free", "value")
+        _check_rising(self.range, "range:", "lowest frequency")
         if self.exponential is not None and self.signals is not None:
             raise ValueError("exponential: is of responses; that of time signals is signals.exponential")
         return self
@@ -149,8 +156,7 @@ class FreeThickness(Table):
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
-        if self.range[0] >= self.range[1]:
-            raise ValueError(f"range: {list(self.range)}: the least thickness comes first, and they differ")
+        _check_rising(self.range, "range:", "least thickness")
         return self
 
 
@@ -186,11 +192,8 @@ class DesignLimits(Table):
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
-        if self.gap is not None and self.gap[0] >= self.gap[1]:
-            raise ValueError(f"gap: {list(self.gap)}: the lowest frequency comes first, and they differ")
-        for number, (low, high) in self.modes.items():
-            if low >= high:
-                raise ValueError(f"modes: {number} = {[low, high]}: the lowest frequency comes first, and they differ")
+        _check_rising(self.gap, "gap:", "lowest frequency")
+        _check_ranges(self.modes, "modes", "frequency")
         return self
 
 
@@ -213,12 +216,7 @@ class Design(Table):
     coils need it, or an effect that is steady."""
     limits: DesignLimits = DesignLimits()
     thickness: FreeThickness | None = None
-    free: Annotated[
-        dict[str, tuple[Moderate, Moderate]],
-        BeforeValidator(flat_keys),
-        Unit("unit of the key"),
-        Field(default_factory=dict, examples=[{"effects.layers[0].thickness": [1e-4, 1e-3]}]),
-    ]
+    free: Annotated[Ranges, Field(default_factory=dict, examples=[{"effects.layers[0].thickness": [1e-4, 1e-3]}])]
     """Lowest and highest value of each free number, by its key."""
     places: Annotated[
         dict[str, Area],
@@ -238,12 +236,7 @@ class Design(Table):
         tuple[Positive, ...] | None, Unit("Hz"), Field(min_length=1, max_length=16, examples=[[280.0, 300.0]])
     ] = None
     """Frequencies at which the least value counts (default: that of the drive)."""
-    tolerance: Annotated[
-        dict[str, Annotated[float, Field(gt=0, lt=1)]],
-        BeforeValidator(flat_keys),
-        Unit("1"),
-        Field(default_factory=dict, examples=[{"plate.thickness": 0.05}]),
-    ]
+    tolerance: Tolerances
     """Relative tolerances of numbers of the scene, by their keys: the least value counts, of the panel and of those
     with one number at an end of its tolerance."""
     starts: Annotated[int, Field(ge=1, le=1000, examples=[10])] = 8
@@ -278,9 +271,7 @@ class Design(Table):
     def _free(self) -> Self:
         if self.thickness is None and not self.free and not self.places:
             raise ValueError("thickness: nothing is free; write [design.thickness], [design.free] or [design.places]")
-        for key, (low, high) in self.free.items():
-            if low >= high:
-                raise ValueError(f"free: {key} = {[low, high]}: the lowest value comes first, and they differ")
+        _check_ranges(self.free, "free", "value")
         if self.effort is not None and self.objective not in PER_EFFORT:
             raise ValueError(f"effort: is of {', '.join(PER_EFFORT)}, and not of {self.objective}; delete it")
         if len(self.tolerance) > MOST_TOLERANCES:

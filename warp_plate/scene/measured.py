@@ -39,11 +39,7 @@ class Measured(Table):
     """Name of an HDF5, MAT or universal file beside the scene file."""
     quantity: Annotated[Literal["receptance", "mobility", "accelerance"], Field(examples=["accelerance"])] = "mobility"
     """Displacement, velocity or acceleration per unit of an actuator's drive."""
-    frequency: Annotated[
-        OneOrRange | None,
-        Unit("Hz"),
-        Field(examples=[[200.0, 400.0]]),
-    ] = None
+    frequency: Annotated[OneOrRange | None, Unit("Hz"), Field(examples=[[200.0, 400.0]])] = None
     """Frequency, or a range of which the best is chosen (default: all frequencies of the file)."""
     panel: Annotated[Area | None, Field(examples=[[0.0, 0.4, 0.0, 0.3]])] = None
     """Rectangle x0, x1, y0, y1 of the panel (default: the convex hull of the points)."""

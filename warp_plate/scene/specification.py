@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence, Set
 from typing import Annotated, Literal, Self
 
-from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from warp_plate.scene.fields import (
     IS_LIST,
@@ -16,9 +16,9 @@ from warp_plate.scene.fields import (
     OneOrRange,
     Positive,
     Table,
+    Tolerances,
     Unit,
     check_area,
-    flat_keys,
 )
 from warp_plate.scene.sound import PressureLimit, SoundLevel
 
@@ -97,6 +97,16 @@ class Allowance(_Motion):
     def text(self) -> str:
         return super().text if self.relative_db is None else f"{self.relative_db:g} dB"
 
+    @property
+    def place(self) -> str:
+        """Where the level holds, for people."""
+        return "elsewhere" if self.area is None else "x {:g} to {:g}, y {:g} to {:g} m".format(*self.area)
+
+    def largest(self, frequency: float, lowest: float) -> float:
+        """Return the level as the peak of an acceleration [m/s²] at a frequency [Hz], where the ``lowest`` level of the
+        targets is such a peak."""
+        return self.peak_acceleration(frequency) if self.relative_db is None else lowest * 10 ** (self.relative_db / 20)
+
     @model_validator(mode="after")
     def _one_quantity(self) -> Self:
         given = [*self._given(), *(["relative_db"] if self.relative_db is not None else [])]
@@ -129,11 +139,7 @@ class DriveLimits(Table):
 class Specification(Table):
     """Requirements of a drive: levels in the targets and elsewhere, and limits of the actuators, for steady tones."""
 
-    frequency: Annotated[
-        OneOrRange | None,
-        Unit("Hz"),
-        Field(examples=[[180.0, 250.0]]),
-    ] = None
+    frequency: Annotated[OneOrRange | None, Unit("Hz"), Field(examples=[[180.0, 250.0]])] = None
     """Frequency, or lowest and highest frequency (default: that of the drive)."""
     band: Annotated[Flag, Field(examples=[True])] = False
     """True if every frequency of the range must have a drive; false if the best one is sought."""
@@ -148,12 +154,7 @@ class Specification(Table):
         IS_LIST,
     ] = ()
     limits: DriveLimits = DriveLimits()
-    tolerance: Annotated[
-        dict[str, Annotated[float, Field(gt=0, lt=1)]],
-        BeforeValidator(flat_keys),
-        Unit("1"),
-        Field(default_factory=dict, examples=[{"plate.thickness": 0.05}]),
-    ]
+    tolerance: Tolerances
     """Relative tolerances of numbers of the scene, by their keys."""
 
     @property
