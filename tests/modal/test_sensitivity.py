@@ -10,7 +10,7 @@ from warp_plate.designing.functions import PanelFunctions
 from warp_plate.modal.assemble import make_galerkin
 from warp_plate.modal.sensitivity.adjoint import EnergyAdjoint
 from warp_plate.modal.sensitivity.fields import FieldSlopes
-from warp_plate.modal.sensitivity.matrices import PlateMatrices, plate_matrices
+from warp_plate.modal.sensitivity.forms import PlateMatrices, plate_matrices
 from warp_plate.modal.spaces.space import Matrix
 from warp_plate.modal.spaces.tensor_splines import TensorSplines
 from warp_plate.optimize.quadratic import quadratic_forms

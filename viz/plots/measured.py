@@ -1,4 +1,5 @@
-"""Plot of drives from measured responses: the moving panel, the spectrum, contrast against misfit, the drive."""
+"""Plots of drives from measured responses (the moving panel, the spectrum, contrast against misfit, the drive), and of
+measured velocities beside the predicted ones."""
 
 from __future__ import annotations
 
@@ -8,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import shapely
 
+from warp_plate.scene.model import Scene
 from warp_plate.viz.annotations import GRID, INK, shortened
 from warp_plate.viz.fields import colour_map
 from warp_plate.viz.plots.frame import figure, label_axis
@@ -16,8 +18,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from warp_plate.studies.measured_drives import MeasuredDrives
+    from warp_plate.studies.verify import Verification
 
-LEVEL, LEAST = 3.0, -40.0
+LEAST = -40.0
 BEST, ROBUST, TARGET = "#08519c", "#d94801", "#b2182b"
 
 
@@ -38,10 +41,8 @@ def draw_measured(found: MeasuredDrives, path: str | Path) -> None:
 
 def _draw_field(found: MeasuredDrives, axes: Axes) -> None:
     x0, y0, x1, y1 = found.plate.shape.bounds
-    with np.errstate(divide="ignore"):
-        levels = np.maximum(20 * np.log10(found.field), LEAST)
     image = axes.imshow(
-        levels, cmap=colour_map("cividis"), vmin=LEAST, vmax=0, origin="lower", extent=(x0, x1, y0, y1),
+        _levels(found.field), cmap=colour_map("cividis"), vmin=LEAST, vmax=0, origin="lower", extent=(x0, x1, y0, y1),
         interpolation="bilinear",
     )  # fmt: skip
     axes.plot(*found.plate.matrix.points.T, ".", color="white", markersize=2, alpha=0.7)
@@ -53,6 +54,12 @@ def _draw_field(found: MeasuredDrives, axes: Axes) -> None:
     label_axis(axes.xaxis, "x", "m")
     label_axis(axes.yaxis, "y", "m")
     axes.set_title("largest localization; dots: scanned points", fontsize=8)
+
+
+def _levels(shares: np.ndarray) -> np.ndarray:
+    """Return levels [dB] of shares of the largest magnitude, not below LEAST."""
+    with np.errstate(divide="ignore"):
+        return np.maximum(20 * np.log10(shares), LEAST)
 
 
 def _draw_drive(found: MeasuredDrives, axes: Axes) -> None:
@@ -100,3 +107,35 @@ def _draw_spectrum(found: MeasuredDrives, axes: Axes) -> None:
     axes.set(xlabel="frequency [Hz]", ylabel="largest factor [%]", ylim=(0, 105))
     axes.grid(True, color=GRID, linewidth=0.4, alpha=0.4)
     axes.legend(fontsize=8, loc="best")
+
+
+def draw_verified(verified: Verification, scene: Scene, path: str | Path) -> None:
+    """Draw measured and predicted velocities of a scene's panel."""
+    measured, promised = verified.measured.velocity, verified.promised * verified.scale
+    largest = max(float(measured.max()), float(promised.max()))
+    with figure(path, (11.0, 4.2)) as fig:
+        left, middle, right = fig.subplots(1, 3, width_ratios=[1, 1, 0.95])
+        for axes, values, name in ((left, measured, "measured"), (middle, promised, "predicted")):
+            look = {"cmap": colour_map("cividis"), "vmin": LEAST, "vmax": 0, "s": 22}
+            dots = axes.scatter(*verified.measured.points.T, c=_levels(values / largest), **look)
+            axes.set(xlim=(0, scene.plate.size[0]), ylim=(0, scene.plate.size[1]), aspect="equal", title=name)
+            label_axis(axes.xaxis, "x", "m")
+            label_axis(axes.yaxis, "y", "m")
+            if scene.target.mask is None:
+                axes.plot(*scene.target.closed_path().T, color=TARGET, linewidth=1.4)
+        fig.colorbar(
+            dots, ax=[left, middle], label="level over the largest [dB]", shrink=0.6, aspect=40, location="bottom"
+        )
+        right.plot([0, largest], [0, largest], color=INK, linewidth=0.8, linestyle=":")
+        right.errorbar(
+            promised, measured, yerr=verified.measured.uncertainty, fmt=".", color=BEST, markersize=4, elinewidth=0.7
+        )
+        right.set(
+            xlim=(0, None), ylim=(0, None), xlabel="predicted, scaled as the measured", ylabel="measured velocity"
+        )
+        right.grid(True, color=GRID, linewidth=0.4, alpha=0.4)
+        right.set_title(f"cosine {verified.correlation:.4f}", fontsize=9)
+        low, high = (100 * end for end in verified.interval)
+        factor, promise = 100 * verified.localization_factor, 100 * verified.promised_factor
+        words = f"{factor:.1f} % measured ({low:.1f} to {high:.1f} %), {promise:.1f} % predicted"
+        fig.suptitle(f"{scene.title or verified.case}\nlocalization factor {words}", fontsize=11)

@@ -188,7 +188,7 @@ def verify(
 
 def _draw_verified(verified: Verification, scene: Scene, path: Path) -> output.Drawn:
     from warp_plate.viz.plots.frame import save_plots
-    from warp_plate.viz.plots.verified import draw_verified
+    from warp_plate.viz.plots.measured import draw_verified
 
     return save_plots(partial(draw_verified, verified, scene), path, [".png"])
 

@@ -22,15 +22,19 @@ import numpy as np
 import scipy
 
 from warp_plate._version import __version__
-from warp_plate.accuracy.reference_solution import FINER
+from warp_plate.accuracy.reference_solution import FINER, refine_until
+from warp_plate.accuracy.richardson import extrapolate_drives
 from warp_plate.designing.candidates import Candidates, ceiling, without
-from warp_plate.designing.confirm import check_by_steps
-from warp_plate.designing.panel import MARGIN, FreePanel, Value
+from warp_plate.designing.panel import MARGIN, FreePanel, Value, gridded
+from warp_plate.effects.effect import attachments
 from warp_plate.interrupts import check_interrupt, deferred_interrupts
+from warp_plate.modal.solver import ModalSolver
+from warp_plate.plate.designs import scene_phasors
 from warp_plate.plate.files import digests
 from warp_plate.result.atomic_io import write_atomically
-from warp_plate.result.designed import DesignedPanel, PanelValues
+from warp_plate.result.designed import DesignedPanel, PanelValues, StepCheck
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.fit import Design
 from warp_plate.scene.model import Scene, SceneSource
 
 # Functions along each side, relative to those of other commands, of the solutions by which a panel must be better.
@@ -39,6 +43,9 @@ DENSITIES = (1.0, FINER)
 MEMORY = 20
 # Most free numbers under limits: a step takes their cube.
 MOST_LIMITED = 1000
+# Of the check by time steps: relative error at which grids are fine enough, nominal time of all of them [s], and the
+# number of attachments that take as long as the rest of a step.
+WANTED, SECONDS, ATTACHED = 2e-3, 10.0, 10
 # Function of the iterations done, all of them and a note.
 Progress = Callable[[int, int, str], object]
 
@@ -127,7 +134,7 @@ def design(
             result = replace(result, left_out=tuple(climb.left_out))
             break
     if check and result.improved and not interrupted:
-        result = replace(result, check=check_by_steps(result.scene, settings))
+        result = replace(result, check=_check_by_steps(result.scene, settings))
     return result
 
 
@@ -246,3 +253,25 @@ def _read(file: Path, digest: str, panel: FreePanel, candidates: Candidates) -> 
     except (OSError, ValueError, TypeError, KeyError, RecursionError):
         raise SceneError(f"{file}: is no unfinished design of this version; delete it") from None
     return climbs
+
+
+def _check_by_steps(scene: Scene, design: Design) -> StepCheck:
+    """Return the localization factor, by modes and by time steps, of a scene's best drive, or of its own.
+
+    The grids of the steps are ever finer, and share nothing with the modes of the search.
+
+    With a design's objective "bound" the best drive is taken, which no drive exceeds.
+    """
+    response = ModalSolver(gridded(scene), "cpu").response
+    phasors = response.best_drive() if design.objective == "bound" else scene_phasors(scene)
+    drives = np.asarray(phasors)[None]
+    by_modes = float(response.localization_factors(drives)[0])
+    try:
+        if scene.steady or design.steady:
+            raise SceneError("time steps end at window.end, and this motion is steady")
+        seconds = SECONDS / (1 + len(attachments(scene.terms)) / ATTACHED)
+        found = refine_until(extrapolate_drives(scene, drives, "cpu"), lambda _: WANTED, seconds)
+    except SceneError as error:
+        return StepCheck(by_modes, reason=str(error))
+    steps = float(found.values[0])
+    return StepCheck(by_modes, steps, abs(steps) * found.uncertainty)

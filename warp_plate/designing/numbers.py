@@ -20,7 +20,7 @@ from warp_plate.effects.effect import Attachment, Edge, Effect, Patch, Term, att
 from warp_plate.modal.assemble import DIFFERENCE, Galerkin, patch_means, unit_loads
 from warp_plate.modal.coils import coil_numbers
 from warp_plate.modal.sensitivity.fields import FieldSlopes
-from warp_plate.modal.sensitivity.matrices import PlateMatrices, plate_matrices
+from warp_plate.modal.sensitivity.forms import PlateMatrices, plate_matrices
 from warp_plate.modal.spaces.integrals import SplineProducts
 from warp_plate.plate.section import Laminate, laminate_of
 from warp_plate.scene.model import Scene

@@ -24,8 +24,7 @@ from warp_plate.designing.thickness import ThicknessMap
 from warp_plate.modal.assemble import DIFFERENCE
 from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.sensitivity.adjoint import EnergyAdjoint, check_differentiable
-from warp_plate.modal.sensitivity.forms import PlateForms
-from warp_plate.modal.sensitivity.matrices import PlateMatrices
+from warp_plate.modal.sensitivity.forms import PlateForms, PlateMatrices
 from warp_plate.modal.spaces.chords import Chords
 from warp_plate.plate.signals import highest_frequency
 from warp_plate.result.designed import PanelValues

@@ -10,9 +10,8 @@ from warp_plate.kernels import update as structs
 from warp_plate.kernels.cuda import LANES
 from warp_plate.plate.weights import cell_shares
 from warp_plate.solve import cuda
-from warp_plate.solve.coils import coil_numbers
 from warp_plate.solve.cpu import distribute
-from warp_plate.solve.specialize import Specialized
+from warp_plate.solve.specialize import Specialized, coil_numbers
 from warp_plate.solve.state import Advance, State, attached_masses
 from warp_plate.solve.streaming import Launcher, loaded_ahead, several_steps_a_launch
 

@@ -10,16 +10,16 @@ import numpy as np
 import warp as wp
 
 from warp_plate.effects.effect import DISPLACEMENT, IN_PLANE
+from warp_plate.kernels.coils import BRANCH, NUMBERS
 from warp_plate.kernels.cuda import RESERVED_BYTES
 from warp_plate.kernels.update import KernelEffects, make_parameters
 from warp_plate.plate.coils import MountedCoil
 from warp_plate.plate.designs import actuator_spaces, patch_ends
-from warp_plate.plate.scheme import Discretization
+from warp_plate.plate.scheme import Discretization, Scheme
 from warp_plate.plate.signals import running_sums, waves_apart
 from warp_plate.plate.stability_limit import needs_moment_form
 from warp_plate.plate.weights import EDGE_LINES, NO_AREAS, REGIONS, RegionLike, reachable_nodes, weigh_region
 from warp_plate.scene.errors import SceneError
-from warp_plate.solve.coils import largest_rates
 from warp_plate.solve.devices import cpu_threads, load_kernel
 
 # Rows are padded to whole cache lines, which are also whole vector registers.
@@ -212,3 +212,51 @@ def kernel_effects(discretization: Discretization) -> KernelEffects:
         travelling=scene.effects.travelling is not None,
         outline=grid is not None,
     )
+
+
+def coil_numbers(scheme: Scheme, coils: Sequence[MountedCoil], pressure_gain: np.ndarray) -> np.ndarray:
+    """Return (coils, numbers) of coils for their kernels, in the scaled units of these, where a pressure of one adds
+    ``pressure_gain`` (ny, nx) to the rates."""
+    step, cell = scheme.time_step, scheme.spacing[0] * scheme.spacing[1]
+    mass = 1 / (scheme.surface_density * cell)  # per kilogram
+    damping, stiffness = step * mass, step**2 * mass  # per N·s/m and N/m
+    rows, most = [], max((len(mounted.branches) for mounted in coils), default=0)
+    for mounted in coils:
+        coil, inductive = mounted.coil, mounted.by_voltage and mounted.coil.inductance > 0
+        memory = 2 * coil.inductance / step if inductive else 0.0
+        halves = [shunt * step / (2 * inductance) for shunt, inductance in mounted.branches]
+        weights = [shunt / (1 + half) for (shunt, _), half in zip(mounted.branches, halves, strict=True)]
+        conductance = 1 / (coil.resistance + memory + sum(weights)) if mounted.by_voltage else 0.0
+        induced = coil.force_factor**2 * conductance
+        half = (coil.suspension_damping + induced) * damping / 2
+        magnet, own = coil.magnet_mass * mass, coil.magnet_damping * damping / 2
+        inverse = 1 / (magnet + own + half) if magnet else 0.0
+        resistance = coil.moving_mass * mass + half - inverse * half**2
+        response = float((mounted.share**2 * pressure_gain).sum())
+        numbers = {
+            "stiffness": coil.suspension_stiffness * stiffness,
+            "half_damping": half,
+            "moving_mass": coil.moving_mass * mass,
+            "force": coil.force_factor * (conductance if mounted.by_voltage else 1.0) / cell,
+            "memory": memory,
+            "magnet": inverse,
+            "magnet_decay": magnet - own - half,
+            "magnet_stiffness": coil.magnet_stiffness * stiffness,
+            "response": response,
+            "implicit": 1 / (1 + response * resistance),
+            "resistance": resistance,
+            "current": conductance,
+            "induced": coil.force_factor * scheme.load_scale / step,
+            "follow": 2.0 if inductive else 1.0,
+        }
+        branches = np.zeros((most, BRANCH))
+        branches[: len(weights)] = [(weight, 2 * a / (1 + a)) for weight, a in zip(weights, halves, strict=True)] or 0
+        rows.append([*(numbers[name] for name in NUMBERS), *branches.ravel()])
+    return np.array(rows).reshape(-1, len(NUMBERS) + BRANCH * most)
+
+
+def largest_rates(scheme: Scheme, coils: Sequence[MountedCoil], pressure_gain: np.ndarray) -> np.ndarray:
+    """Return (coils,) norms of the rates that a volt or ampere at each coil adds in a step."""
+    numbers = coil_numbers(scheme, coils, pressure_gain)
+    forces = np.abs(numbers[:, NUMBERS.index("force")] * numbers[:, NUMBERS.index("implicit")])
+    return np.array([force * np.linalg.norm(c.share * pressure_gain) for c, force in zip(coils, forces, strict=True)])

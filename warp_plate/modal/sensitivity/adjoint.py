@@ -46,8 +46,7 @@ from warp_plate.modal.eigenproblem import solve_eigenproblem
 from warp_plate.modal.gram import mean_exponential, mean_exponential_with_time
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.poles import Poles
-from warp_plate.modal.sensitivity.forms import REGIONAL, PlateForms
-from warp_plate.modal.sensitivity.matrices import PlateMatrices, plate_matrices
+from warp_plate.modal.sensitivity.forms import REGIONAL, PlateForms, PlateMatrices, plate_matrices
 from warp_plate.modal.spaces.integrals import mean_wave_frequency
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.grid import Window

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from warp_plate.effects.effect import DISPLACEMENT, Factors
-from warp_plate.modal.sensitivity.matrices import PlateMatrices
+from warp_plate.modal.sensitivity.forms import PlateMatrices
 from warp_plate.modal.spaces.chords import Chords
 from warp_plate.modal.spaces.integrals import Integrals, SplineProducts, bending_terms
 from warp_plate.modal.spaces.splines import Pairs

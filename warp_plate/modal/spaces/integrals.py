@@ -23,7 +23,7 @@ from warp_plate.effects.effect import DISPLACEMENT, Factors, Term
 from warp_plate.effects.layers import Layer
 from warp_plate.modal.spaces.chords import Chords, Curve, curves_of
 from warp_plate.modal.spaces.knots import lines
-from warp_plate.modal.spaces.space import Matrix
+from warp_plate.modal.spaces.space import FunctionSpace, Matrix
 from warp_plate.modal.spaces.splines import (
     Pairs,
     Splines,
@@ -62,11 +62,10 @@ class OnChords:
 Cuts: TypeAlias = "tuple[Sequence[float], Sequence[float]]"
 
 
-class SplineProducts(ABC):
+class SplineProducts(FunctionSpace, ABC):
     """Base of the function spaces of products of splines X_i(x) Y_j(y); x is fastest."""
 
     scene: Scene
-    laminate: Laminate
     integrals: Integrals  # the plate with its rectangular layers
     along: tuple[Splines, Splines]  # splines of x and of y
     rule: Integrals | Chords  # points of the plate at which fields count
@@ -86,19 +85,6 @@ class SplineProducts(ABC):
         x, y = (float(np.diff(splines.breaks).mean()) for splines in self.along)
         return x, y
 
-    @property
-    @abstractmethod
-    def unknowns(self) -> int:
-        """Number of functions."""
-
-    @abstractmethod
-    def form(self, coefficient: Field, factors: Factors = DISPLACEMENT) -> np.ndarray:
-        """Return the integral of a term over the plate, for pairs of products of splines."""
-
-    @abstractmethod
-    def scatter(self, values: np.ndarray) -> Matrix:
-        """Return the (unknowns, unknowns) matrix of a form."""
-
     @abstractmethod
     def _fields(self) -> tuple[np.ndarray | float, ...]:
         """Return Dx, D1, Dy, Dxy [N·m] and the mass per area [kg/m²] at the points of the plate's rule, or as numbers,
@@ -112,10 +98,6 @@ class SplineProducts(ABC):
     @abstractmethod
     def region_rule(self, target: Target) -> tuple[Integrals | Chords, np.ndarray | float]:
         """Return the rule on a target, and what counts of its points, from 0 to 1."""
-
-    @abstractmethod
-    def patch_integrals(self, areas: np.ndarray) -> np.ndarray:
-        """Return (areas, unknowns) integrals over rectangles (areas, 4) x0, x1, y0, y1 [m]."""
 
     @abstractmethod
     def _chords(self, curves: Sequence[Curve] = (), cuts: Cuts = ((), ())) -> Chords:

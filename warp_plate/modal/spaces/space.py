@@ -24,6 +24,8 @@ Matrix: TypeAlias = scipy.sparse.csr_array
 class FunctionSpace(Protocol):
     """A finite number of functions on a plate, and integrals of their products."""
 
+    laminate: Laminate  # The plate with its layers and maps
+
     @property
     def degree(self) -> int:
         """Degree of the polynomials."""
@@ -47,10 +49,6 @@ class FunctionSpace(Protocol):
     @property
     def shape(self) -> tuple[int, int]:
         """Numbers of points along y and along x that resolve the functions."""
-
-    @property
-    def laminate(self) -> Laminate:
-        """The plate with its layers and maps."""
 
     def of_scene(self, scene: Scene) -> Self:
         """Return the space of another scene, with as many functions where its lines are the same."""
