@@ -188,7 +188,9 @@ def test_two_targets_move_at_their_own_levels_and_phases():
     assert left.real.min() > 2 * (1 - 1e-6)
     assert (1j * right).real.min() > 5 * (1 - 1e-6)
     assert answer.effort < 1
-    assert answer.interval[0] < 1 < answer.interval[1]  # of the parts at these phases
+    # The least of the parts at these phases, whatever the numerical error.
+    assert answer.interval[0] == pytest.approx(1, abs=1e-9)
+    assert answer.interval[1] > 1
 
 
 def test_one_drive_is_sought_for_all_tolerances():

@@ -190,12 +190,15 @@ def _answer(
     essential = replace(tone, points=tone.essential_points(result))
     effort = essential.solve("actuators") if rests else result
     drive = result.drive if reached else whole.drive / whole.scale
-    levels = tone.reached(drive)
+    levels, in_phase = tone.reached(drive), 1.0 if reached else 1 / whole.scale
+    ends = tone.errors(_other(tone, rough), drive, CAUTION)
+    if feasible:
+        in_phase = _spare(tone, drive, ends, levels)
+        drive, levels = in_phase * drive, (in_phase * levels[0], in_phase * levels[1])
     nearest = nearest_rest(levels)
     contrast, bound = (contrast_of(tone, scale, nearest) for scale in (result.scale, result.bound))
     pareto = _pareto(essential, scaled, drive) if rests else []
     efforts = [_effort(essential, level, effort.scale) for level, _ in pareto]
-    ends = tone.errors(_other(tone, rough), drive, CAUTION)
     excluded = not feasible and _excludes(tone, scaled, _largest_error(ends))
     error = _largest_error(tone.errors(rough, drive, CAUTION) if tone is not rough else ends)
     others = [(one, scale) for one, scale in zip(tones, scales, strict=True) if one.frequency != tone.frequency]
@@ -214,7 +217,7 @@ def _answer(
         margins=_margins(tone, drive, levels, limits),
         contrast_db=contrast,
         bound_db=bound if reached else math.nan,
-        interval=_interval(tone, ends, levels, 1.0 if reached else 1 / whole.scale),
+        interval=_interval(tone, ends, levels, in_phase),
         effort=effort.scale,
         largest_level=1 / whole.scale,
         obstacles=obstacles,
@@ -309,18 +312,32 @@ def _margins(tone: Tone, drive: np.ndarray, levels: Ratios, limits: np.ndarray) 
     return margins
 
 
-def _interval(tone: Tone, ends: tuple[Ratios, Ratios], levels: Ratios, in_phase: float) -> tuple[float, float]:
-    """Return the contrast [dB] of a drive, or its least level over the wanted one, with its numerical error.
+def _spare(tone: Tone, drive: np.ndarray, ends: tuple[Ratios, Ratios], levels: Ratios) -> float:
+    """Return the factor of a drive by which it reaches the wanted levels whatever the numerical error, or the largest
+    one that its limits and, with their error, the levels allowed elsewhere leave."""
+    limited = [math.sqrt(one.of(drive) / one.limit) for one in tone.limited]
+    most = np.concatenate([np.abs(drive), levels[1] * ends[1][1], limited]).max()
+    least = max(_least_level(tone, ends[0][0], levels, 1.0), 1 - LARGEST_ERROR)
+    return float(max(1.0, min(1 / least, 1 / most)))
+
+
+def _least_level(tone: Tone, in_aims: np.ndarray, levels: Ratios, in_phase: float) -> float:
+    """Return the least level of a drive over the wanted one, at an end (aims,) of the numerical error.
 
     Levels that are wanted at a phase count by their part at this phase, which is ``in_phase`` times the wanted one.
     """
     least = np.where([tone.is_fixed(aim) for aim in tone.requirements.aims], in_phase, levels[0])
-    low, high = ((least + levels[0] * (in_aims - 1), levels[1] * in_rests) for in_aims, in_rests in ends)
-    lowest = max(low[0].min(), 0.0)
+    return max(float((least + levels[0] * (in_aims - 1)).min()), 0.0)
+
+
+def _interval(tone: Tone, ends: tuple[Ratios, Ratios], levels: Ratios, in_phase: float) -> tuple[float, float]:
+    """Return the contrast [dB] of a drive, or its least level over the wanted one, with its numerical error."""
+    lowest, highest = (_least_level(tone, in_aims, levels, in_phase) for in_aims, _ in ends)
     if not tone.requirements.rests:
-        return float(lowest), float(high[0].min())
-    least, most = low[1].max() / high[0].min(), high[1].max() / max(lowest, 1e-300)
-    return contrast_of(tone, least, nearest_rest(levels)), contrast_of(tone, most, nearest_rest(levels))
+        return lowest, highest
+    least, most = ((levels[1] * in_rests).max() for _, in_rests in ends)
+    nearest = nearest_rest(levels)
+    return contrast_of(tone, least / highest, nearest), contrast_of(tone, most / max(lowest, 1e-300), nearest)
 
 
 def _gains(result: LeastScale, limits: np.ndarray) -> np.ndarray:
