@@ -16,6 +16,7 @@ from warp_plate.fitting.measured_modes import read_modes
 from warp_plate.fitting.measured_responses import read_responses
 from warp_plate.plate.files import read_table
 from warp_plate.plate.waveforms import wav_channels
+from warp_plate.result.hdf5 import read_arrays
 from warp_plate.scene.load import read_beside
 from warp_plate.scene.measured import MeasuredScene
 
@@ -104,6 +105,17 @@ def test_arrays_of_mat_files_are_unpacked_to_a_limit(tmp_path, monkeypatch):
     for content in (np.array([np.ones(9), "x"], dtype=object), {"a": np.ones(9)}, scipy.sparse.eye_array(3)):
         scipy.io.savemat(tmp_path / "a.mat", {"frequency": [1.0, 2.0], "response": content})
         assert "response is not an array of numbers" in refusal_of_responses(tmp_path / "a.mat")
+
+
+def test_signalling_nan_is_read_without_warnings(tmp_path):
+    values = np.ones(4, np.float32)
+    values.view(np.uint32)[1] = 0x7F800001
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["response"] = values
+    content = io.BytesIO()
+    scipy.io.wavfile.write(content, 1000, values)
+    for read in (read_arrays(tmp_path / "a.h5", ["response"])["response"], *wav_channels(content.getvalue())[0]):
+        assert np.isnan(read).tolist() == [False, True, False, False]
 
 
 def test_samples_that_a_wav_file_states_but_does_not_hold():

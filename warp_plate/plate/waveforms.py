@@ -195,6 +195,7 @@ def sample_at(samples: Samples, times: np.ndarray, band: float = 1.0) -> np.ndar
     return carrier
 
 
+@np.errstate(invalid="ignore")  # of signalling NaN, which are NaN once converted
 def wav_channels(data: bytes) -> tuple[np.ndarray, float]:
     """Return values (channels, samples) and rate of a RIFF WAVE file; ValueError: it is none, or is damaged."""
     if data[:4] != b"RIFF" or data[8:12] != b"WAVE":

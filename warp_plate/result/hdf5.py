@@ -165,6 +165,7 @@ def read_array(
     return np.asarray(dataset.asstr()[()] if text else dataset[()])
 
 
+@np.errstate(invalid="ignore")  # of signalling NaN, which are NaN once converted
 def read_arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     """Return the float64 or complex128 arrays with these names that a MAT or HDF5 file has.
 
