@@ -3,12 +3,15 @@
 What is quadratic takes hours for these lengths, which the time limit of all tests ends.
 """
 
+from contextlib import nullcontext
+
+import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
 from support.attacks import examples
-from support.scenes import PAPER
+from support.scenes import MATERIAL, PAPER
 from warp_plate import Scene, SceneError
 from warp_plate.scene.load import parse_toml
 
@@ -47,6 +50,19 @@ def test_deep_keys_hide_behind_no_text(before):
     with pytest.raises(SceneError, match="ten parts") as caught:
         parse_toml(before + '"""\n' * before.endswith('"""') + "a." * 10 + "a=1", "x.toml")
     assert str(caught.value).startswith("x.toml: ")
+
+
+@pytest.mark.parametrize(("side", "refusal"), [(50, None), (0, r"plate\.holes\[0\]: the ellipse crosses or touches")])
+def test_thousands_of_holes(side, refusal):
+    """Apart from each other, or all in one place."""
+    places = (0.2 / max(side, 1)) * (np.indices((50, 50)).reshape(2, -1).T % max(side, 1) + 0.5)
+    holes = [{"disc": (x, y, 0.001), "edge": "free"} for x, y in places.tolist()]
+    plate = {**MATERIAL, "outline": {"rectangle": (0.2, 0.2)}, "holes": holes}
+    actuators = [{"name": "a", "area": (0.0005, 0.0007, 0.0005, 0.0007)}]
+    target = {"area": (0.0, 0.1, 0.0, 0.1)}
+    tables = {"plate": plate, "actuators": actuators, "target": target, "drive": {"frequency": 290.0}}
+    with pytest.raises(SceneError, match=refusal) if refusal else nullcontext():
+        Scene.from_tables({**tables, "edges": {"outline": "clamped"}, "window": {"start": 0.01, "end": 0.02}})
 
 
 def test_dots_in_texts_are_no_keys():

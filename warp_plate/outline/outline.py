@@ -171,18 +171,17 @@ def make_outline(loops: Mapping[str, Sequence[Piece]], parts: Mapping[str, Any] 
     for key, hole in zip(list(loops)[1:], holes, strict=True):
         if not outer.contains(hole.pieces[0].start):
             raise ValueError(f"{key}: is off the plate; move it inside the outline")
-    for (key, first), (_, second) in ((one, two) for one in _named(loops, holes) for two in _named(loops, holes)):
-        if first is not second and second.contains(first.pieces[0].start):
+    boxes = np.array([hole.bounds for hole in holes]).reshape(-1, 4)
+    for index, (key, hole) in enumerate(zip(list(loops)[1:], holes, strict=True)):
+        x, y = start = hole.pieces[0].start
+        around = (boxes[:, 0] <= x) & (x <= boxes[:, 1]) & (boxes[:, 2] <= y) & (y <= boxes[:, 3])
+        if any(other != index and holes[other].contains(start) for other in np.flatnonzero(around)):
             raise ValueError(f"{key}: is inside another hole; delete it")
     outline = Outline(tuple(tuple(loop) for loop in oriented))
     x0, x1, y0, y1 = outline.bounds
     if not outline.area > LEAST_AREA * (x1 - x0) * (y1 - y0):
         raise ValueError(f"{next(iter(loops))}: encloses less than {LEAST_AREA:g} of its bounding box; widen it")
     return _with_parts(outline, parts or {})
-
-
-def _named(loops: Mapping[str, Sequence[Piece]], holes: list[Outline]) -> list[tuple[str, Outline]]:
-    return list(zip(list(loops)[1:], holes, strict=True))
 
 
 def _joined(parts: list[Monotone]) -> tuple[Monotone, ...]:
@@ -226,9 +225,11 @@ def _check_crossings(loops: Mapping[str, Sequence[Piece]]) -> None:
     listed = [(key, piece) for key, loop in loops.items() for piece in loop]
     lines = np.array([shapely.LineString(piece.polyline()) for _, piece in listed])
     size = np.ptp(shapely.get_coordinates(lines), axis=0).max()
-    for first, second in shapely.STRtree(lines).query(lines, predicate="dwithin", distance=TOUCH * size).T.tolist():
-        if first > second:
-            continue
+    tree = shapely.STRtree(lines)
+    # Line by line: the first pair that crosses is refused before all of them, maybe the square of the lines, are known.
+    pairs = ((first, second) for first, line in enumerate(lines)
+             for second in tree.query(line, "dwithin", TOUCH * size) if first <= second)  # fmt: skip
+    for first, second in pairs:
         (key, one), (other, two) = listed[first], listed[second]
         if first == second:
             if one.length < TOUCH * size:

@@ -326,10 +326,12 @@ def _check_areas(scene: SceneTables) -> None:
 
 
 def _check_names(table: str, rows: Sequence[Actuator | NamedTarget]) -> None:
-    names = [row.name for row in rows]
-    for index, name in enumerate(names):
-        if name in names[:index]:
-            raise ValueError(f"{table}[{index}].name: {name!r} is taken; give each {table.removesuffix('s')} its own")
+    names: set[str] = set()
+    for index, row in enumerate(rows):
+        if row.name in names:
+            key, kind = f"{table}[{index}].name", table.removesuffix("s")
+            raise ValueError(f"{key}: {row.name!r} is taken; give each {kind} its own")
+        names.add(row.name)
 
 
 def _check_piezo(scene: SceneTables) -> None:
