@@ -1,6 +1,7 @@
 """Drives for a specification on a supported plate, judged by Navier's series: levels, error bars, and proofs."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -79,6 +80,25 @@ def test_within_the_error_nothing_is_proved(answer):
         assert not beyond.feasible
         assert beyond.proved == proved
         assert ("exclude each other" in beyond.obstacles[0]) == proved
+
+
+@pytest.mark.parametrize("frequency", [583.0, 628.0, 640.0])
+def test_drives_at_free_phases_have_no_zero_between_samples(frequency):
+    """At the samples of the target, drives of a fifth of the force have the level, about a point that never moves."""
+    area, target = (0.203332, 0.224585, 0.156844, 0.180207), (0.064693, 0.089114, 0.113095, 0.146419)
+    level = {"acceleration_g": 1.671, "rms": True, "phase": "free"}
+    scene = supported(frequency=frequency, level=level, guard=0.0).with_tables(
+        plate={"size": (0.289889, 0.259481), "thickness": 1.396e-3, "young_modulus": 1.1e10, "poisson_ratio": 0.3,
+               "density": 600.0}, target={"area": target}, effects={"loss_factor": {"eta": 0.0969}},
+        actuators=[{"name": "A1", "area": area, "force": 1.03},
+                   {"name": "A2", "area": (0.1689, 0.1763, 0.1697, 0.1771), "force": 5.37}],
+    )  # fmt: skip
+    answer = warp_plate.specify(scene)
+    assert answer.feasible
+    x, y = (np.linspace(*target[k : k + 2], 41) for k in (0, 2))
+    assert np.abs(series(answer, x, y, eta=0.0969)).min() >= answer.least_wanted * (1 - 1e-6)
+    alone = np.abs(series(replace(answer, drive=np.array([1.03, 0.0])), x, y, eta=0.0969)).min()
+    assert answer.effort <= answer.least_wanted / alone
 
 
 def test_the_curve_of_levels_has_contrast_and_effort():

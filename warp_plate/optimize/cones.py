@@ -14,7 +14,8 @@ Those of the solver are made exact by the rows of the single actuators, which ab
 
 A wanted mean square, ‖R z‖ ≥ 1, is not convex. Its relaxation, Z ⪰ 0 in place of z zᴴ, has a bound, proved by
 Σ ν GᴴG − Σ λ RᴴR ⪰ 0; drives come from Re(dᴴR z) ≥ 1 with d = R z₀/‖R z₀‖, which implies ‖R z‖ ≥ 1 and is true
-of z₀ (T. Lipp and S. Boyd, Optim. Eng. 17, 2016, pp. 263-287).
+of z₀ (T. Lipp and S. Boyd, Optim. Eng. 17, 2016, pp. 263-287). The best of drives drawn with the covariance Z are
+starts, too (Z.-Q. Luo et al., IEEE Signal Process. Mag. 27(3), 2010, pp. 20-34).
 """
 
 import math
@@ -37,6 +38,7 @@ EXCESS = 1e-3  # violation of a normalised program from which on what the solver
 # Steps of the drive's phases in a problem that is not convex, and the relative gain below which they end.
 STEPS, GAIN = 60, 1e-7
 PROMISING = 2  # searches that go on after their first step
+DRAWN, BEST = 512, 3  # drives that are drawn from the relaxation, and those of the least scales, which start searches
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,11 @@ class LeastScale:
     drive: np.ndarray  # (inputs,) complex amplitudes; NaN where there is none
     wanted: np.ndarray  # (wanted,) multipliers λ
     allowed: tuple[np.ndarray, ...]  # (blocks,) multipliers ‖m‖ of each entry of the blocks, those of actuators first
+
+    @property
+    def start(self) -> np.ndarray | None:
+        """The drive for another search to start from, if there is one."""
+        return self.drive if np.isfinite(self.drive).all() else None
 
 
 def least_scale(wanted: np.ndarray, blocks: Sequence[Block], actuators_scaled: bool = False) -> LeastScale:
@@ -181,6 +188,9 @@ def least_scale_of_squares(
     if start is not None:
         return replace(_ascend(wanted, squares, blocks, actuators_scaled, start, steps), bound=0.0)
     bound, starts = _relaxed(wanted, squares, blocks, actuators_scaled)
+    if all(len(factor) == 1 for factor in squares):
+        in_phase = least_scale(np.vstack([wanted, *squares]), blocks, actuators_scaled)
+        starts += [] if in_phase.start is None else [in_phase.start]
     ascend = partial(_ascend, wanted, squares, blocks, actuators_scaled)
     ends = sorted((ascend(start, 1) for start in starts), key=lambda end: end.scale)[:PROMISING]
     if not actuators_scaled and not (ends and math.isfinite(ends[0].scale)):
@@ -245,4 +255,24 @@ def _relaxed(
     values, vectors = np.linalg.eigh(products[:-1, :-1])
     scaled_vectors = (vectors * np.sqrt(np.maximum(values, 0))).T[::-1]
     parts = [products[:-1, -1], *scaled_vectors[:2], scaled_vectors.sum(axis=0)]
+    mixed = np.random.default_rng(0).normal(size=(2, DRAWN, len(values)))
+    drawn = (mixed[0] + 1j * mixed[1]) @ scaled_vectors
+    parts += _best_of(drawn, rows[:count], [unit * factor for factor in squares], every)
     return scale_unit * math.sqrt(bound), [unit * part for part in parts if np.abs(part).any()]
+
+
+def _best_of(
+    drives: np.ndarray, wanted: np.ndarray, squares: Sequence[np.ndarray], blocks: Sequence[Block]
+) -> list[np.ndarray]:
+    """Return the ``BEST`` of drives (drives, inputs) by the scale of a normalised program at their own phases."""
+    rotated = drives * np.exp(-1j * np.angle((drives @ wanted.T).sum(axis=1)))[:, None]
+    levels = [(rotated @ wanted.T).real.min(axis=1, initial=math.inf)]
+    levels += [np.linalg.norm(drives @ factor.T, axis=1) for factor in squares]
+    level = np.maximum(np.min(levels, axis=0), 1e-300)
+
+    def sizes(scaled: bool) -> np.ndarray:
+        images = (np.einsum("bri,di->dbr", block.rows, drives) for block in blocks if block.scaled == scaled)
+        norms = [np.linalg.norm(image, axis=2).max(axis=1, initial=0.0) for image in images]
+        return np.max([np.zeros(len(drives)), *norms], axis=0) / level
+
+    return list(rotated[np.lexsort((sizes(True), np.maximum(sizes(False), 1.0)))[:BEST]])

@@ -59,6 +59,11 @@ class Requirements:
         return Radiation(self.plate, self.plate.highest)
 
     @property
+    def phases_free(self) -> bool:
+        """True if some points have levels at any phase, so that the motion may be zero between samples."""
+        return any(aim.level.measure == "weakest" and aim.level.phase == "free" for aim in self.aims)
+
+    @property
     def relative(self) -> np.ndarray:
         """(rests,) true where the level elsewhere is relative to that of the targets."""
         return np.array([rest.allowance.relative_db is not None for rest in self.rests], dtype=bool)

@@ -32,6 +32,9 @@ Scaled = Literal["elsewhere", "actuators", "actuators alone"]
 TOLERANCE, OF_EFFORT, COARSE, ROUNDS = 1e-8, 1e-6, 1e-4, 60
 # Relative gain of a scale by a new search that is worth more rounds, most of such searches, and their steps at first.
 GAIN, SEARCHES, FEW_STEPS, FEW_ROUNDS = 1e-5, 3, 1, 8
+# Growth of the scale by added points from which on a search begins anew, with these points: a zero of a target's motion
+# that such points chase through it makes drives ever stronger.
+CHASED = 1.3
 # Programs ask for this much more than the specification, so that their rounding does not violate it.
 MARGIN = 2e-8
 # Multiplier of a point, relative to the largest, from which on a result depends on it.
@@ -358,7 +361,8 @@ def solve_together(
         searches: Largest number of searches from the relaxation if the problem is not convex; 0 for none, without a
             bound.
     """
-    refined, settled, done, drive = False, False, 0, start
+    refined, settled, done, drive, first = False, False, 0, start, math.inf
+    best: LeastScale | None = None
     for number in range(ROUNDS):
         parts = [tone.program(scaled, level) for tone in tones]
         wanted = np.concatenate([part[0] for part in parts])
@@ -369,8 +373,13 @@ def solve_together(
         result = program(drive, STEPS if settled or number >= FEW_ROUNDS else FEW_STEPS)
         if not np.isfinite(result.drive).all():
             if drive is None or done >= searches:
-                return result
+                return best or result
             drive, done = None, done + 1  # this one leads nowhere with the added points
+            continue
+        if drive is None or not number:
+            first = result.scale
+        elif searches and result.scale > CHASED * first:
+            drive = None  # others may lose less by the added points
             continue
         added = [tone.add_points(result, scaled, level, refined) for tone in tones]
         if between and not refined and not any(added):
@@ -378,12 +387,15 @@ def solve_together(
         if not any(added) and (settled or drive is None):
             if drive is None or not searches:
                 return result
+            if best is None or result.scale < best.scale:
+                best = result
             relaxed = program()
-            if relaxed.scale >= result.scale * (1 - GAIN) or done >= searches:
-                return replace(result, bound=min(relaxed.bound, result.scale))
+            if relaxed.scale >= best.scale * (1 - GAIN) or done >= searches:
+                return replace(best, bound=min(relaxed.bound, best.scale))
             drive, done = None, done + 1
             continue
         settled, drive = not any(added), result.drive
+    result = best or result
     return replace(result, bound=min(program().bound, result.scale)) if squares and searches else result
 
 

@@ -80,19 +80,19 @@ def specify(
         check_interrupt()
         points = tones[-1].essential_points(scales[-1]) if tones and requirements.rests else {}
         tones.append(Tone(plate, requirements, float(frequency), largest, points=points))
-        start = scales[-1].drive if scales and np.isfinite(scales[-1].drive).all() else None
+        start = scales[-1].start if scales else None
         scales.append(tones[-1].solve(scaled, between=False, start=start, searches=1))
         if on_progress is not None:
             on_progress(done + 1, len(frequencies))
-    chosen = (max if specification.band else min)(range(len(tones)), key=lambda k: _order(tones[k], scales[k]))
+    chosen = _choose(tones, scales, scaled)
     tone = tones[chosen]
     if 0 < chosen < len(tones) - 1 and math.isfinite(scales[chosen].scale):
         tone = _between(tone, scaled, scales, frequencies, chosen)
-    answer, tone = _answer(tone, scaled, tones, scales, scales[chosen].drive)
+    answer, tone = _answer(tone, scaled, tones, scales, scales[chosen].start)
     if specification.tolerance and tolerances:
         spread = np.unique(np.linspace(0, len(tones) - 1, 1 if specification.band else ROBUST_TRIED).astype(int))
         starts = [(tone.frequency, answer.drive / answer.limits)]
-        reached = [k for k in spread if len(spread) > 1 and np.isfinite(scales[k].drive).all()]
+        reached = [k for k in spread if len(spread) > 1 and scales[k].start is not None]
         starts += [(tones[k].frequency, scales[k].drive) for k in reached]
         frequency, robust, scatter = drive_for_cases(tone, scaled, starts)
         met, notes = sum(case.met for case in scatter), list(answer.notes)
@@ -155,33 +155,54 @@ def _order(tone: Tone, result: LeastScale) -> tuple[bool, float]:
     return True, tone.solve("actuators alone", between=False).scale
 
 
+def _choose(tones: Sequence[Tone], scales: list[LeastScale], scaled: Scaled) -> int:
+    """Return the index of the best of the tones, or of the worst one of a band.
+
+    Where phases are free, scales are those at the samples, which may be far too small. They are replaced by those that
+    hold between samples, the least first, until one is less than all others.
+    """
+    orders = [_order(tone, result) for tone, result in zip(tones, scales, strict=True)]
+    indices = sorted(range(len(tones)), key=orders.__getitem__)
+    if tones[0].requirements.specification.band:
+        return indices[-1]
+    best = indices[0]
+    for k in indices if tones[0].requirements.phases_free and len(tones) > 1 else ():
+        if k != best and orders[k] >= orders[best]:
+            break
+        check_interrupt()
+        scales[k] = tones[k].solve(scaled, start=scales[k].start, searches=1)
+        orders[k] = _order(tones[k], scales[k])
+        best = min(best, k, key=orders.__getitem__)
+    return best
+
+
 def _between(tone: Tone, scaled: Scaled, scales: Sequence[LeastScale], frequencies: np.ndarray, chosen: int) -> Tone:
     """Return the tone of the best frequency near that of a tone, or of the worst one of a band."""
     sign = -1.0 if tone.requirements.specification.band else 1.0
 
     def scale(frequency: float) -> float:
         check_interrupt()
-        start = scales[chosen].drive
-        return sign * replace(tone, frequency=frequency).solve(scaled, between=False, start=start, searches=0).scale
+        start, between = scales[chosen].drive, tone.requirements.phases_free
+        return sign * replace(tone, frequency=frequency).solve(scaled, between=between, start=start, searches=0).scale
 
     best, least, _ = minimum_near(scale, frequencies, chosen, FREQUENCY_ACCURACY, 30)
     return replace(tone, frequency=best) if least < sign * scales[chosen].scale else tone
 
 
 def _answer(
-    rough: Tone, scaled: Scaled, tones: Sequence[Tone], scales: Sequence[LeastScale], start: np.ndarray
+    rough: Tone, scaled: Scaled, tones: Sequence[Tone], scales: Sequence[LeastScale], start: np.ndarray | None
 ) -> tuple[SpecifiedDrive, Tone]:
     """Return the answer at the frequency of a tone, from a drive to start from, without cases of tolerances; and this
     tone by more functions. ``tones`` and ``scales`` are those of all frequencies that were tried."""
     tone = refined(rough, {rough.frequency}, FINER)
     scene, rests = tone.plate.scene, tone.requirements.rests
-    whole = tone.solve("actuators alone")
-    if not np.isfinite(whole.drive).all():
+    whole = tone.solve("actuators alone", start=None if rests else start)
+    if whole.start is None:
         raise SceneError(
             "specification.level: no drive reaches it at all points in phase: a held edge or a line that never moves "
             'is in the target; add actuators, write measure = "mean", or make the target smaller'
         )
-    result = tone.solve(scaled, start=start if np.isfinite(start).all() else None)
+    result = tone.solve(scaled, start=start) if rests else whole
     if not math.isfinite(result.scale) and whole.scale <= 1:
         result = tone.solve(scaled, start=whole.drive)
     binding, reached = tone.binding(result), math.isfinite(result.scale)
