@@ -20,7 +20,7 @@ import numpy as np
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.optimize.cones import STEPS, Block, LeastScale, least_scale_of_squares
 from warp_plate.problem.requirements import Aim, Limited, Requirements, hermitian_factor, limited_quantities
-from warp_plate.problem.worst_points import FEWEST, Region, Values
+from warp_plate.problem.worst_points import FEWEST, Region, Values, in_units, shortfall
 from warp_plate.result.specified import RegionLevels
 from warp_plate.scene.errors import SceneError
 
@@ -201,11 +201,11 @@ class Tone:
         slack = fine if between else COARSE
         for index, aim in enumerate(self.requirements.aims):
             if aim.level.measure == "weakest":
-                measure = partial(_shortfall, level * self.wanted[index], self._phase(aim))
+                measure = partial(shortfall, level * self.wanted[index], self._phase(aim))
                 added |= self._add(("aim", index), aim.region, result.drive, measure, 0.0, slack)
         for index, rest in enumerate(self.requirements.rests if scaled != "actuators alone" else ()):
             if rest.allowance.measure == "worst":
-                measure = partial(_size, float(self.allowed_for(level)[index] * (1 - MARGIN)))
+                measure = partial(in_units, float(self.allowed_for(level)[index] * (1 - MARGIN)))
                 added |= self._add(("rest", index), rest.region, result.drive, measure, scale, slack)
         return added
 
@@ -251,7 +251,7 @@ class Tone:
         aim = self.requirements.aims[index]
         if aim.level.measure == "mean":
             return self._mean(aim.region, drive) / float(self.wanted[index])
-        return 1 - float(_shortfall(self.wanted[index], self._phase(aim), self._sampled(aim.region, drive)).max())
+        return 1 - float(shortfall(self.wanted[index], self._phase(aim), self._sampled(aim.region, drive)).max())
 
     def binding(self, result: LeastScale) -> list[tuple[str, float]]:
         """Return what the proof of a program of this tone alone rests on, in words, with its part of the proof."""
@@ -336,7 +336,7 @@ class Tone:
 
     def _end(self, region: Region, drive: np.ndarray, sign: float) -> tuple[float, tuple[float, ...]]:
         """Return the largest or, with a negative sign, the smallest acceleration of a region, and its point."""
-        peaks = self._peaks(region, drive, partial(_size, sign))
+        peaks = self._peaks(region, drive, partial(in_units, sign))
         sizes = np.abs(self.rows(peaks) @ drive)
         at = int(np.argmax(sign * sizes))
         return float(sizes[at]), tuple(peaks[at].tolist())
@@ -397,15 +397,3 @@ def solve_together(
         settled, drive = not any(added), result.drive
     result = best or result
     return replace(result, bound=min(program().bound, result.scale)) if squares and searches else result
-
-
-def _size(unit: float, acceleration: np.ndarray) -> np.ndarray:
-    """Return the sizes of complex accelerations in a unit [m/s²]."""
-    return np.asarray(np.abs(acceleration) / unit)
-
-
-def _shortfall(unit: float, phase: float | Literal["free"], acceleration: np.ndarray) -> np.ndarray:
-    """Return by how much complex accelerations at a phase lag [rad] fall short of a unit [m/s²]."""
-    if phase == "free":
-        return np.asarray(1 - np.abs(acceleration) / unit)
-    return np.asarray(1 - (np.exp(1j * phase) * acceleration).real / unit)

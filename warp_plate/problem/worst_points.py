@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 import shapely
@@ -238,3 +239,15 @@ def make_region(plate: ModalPlate, shape: shapely.Geometry, spacing: float, fewe
     shapely.prepare(seamed)
     inside = shapely.contains_xy(seamed, *np.meshgrid(x, y))
     return Region(seamed, uncut, plate, x, y, inside, tuple(lines))
+
+
+def in_units(unit: float, acceleration: np.ndarray) -> np.ndarray:
+    """Return the sizes of complex accelerations in a unit [m/s²]."""
+    return np.asarray(np.abs(acceleration) / unit)
+
+
+def shortfall(unit: float, phase: float | Literal["free"], acceleration: np.ndarray) -> np.ndarray:
+    """Return by how much complex accelerations at a phase lag [rad] fall short of a unit [m/s²]."""
+    if phase == "free":
+        return np.asarray(1 - np.abs(acceleration) / unit)
+    return np.asarray(1 - (np.exp(1j * phase) * acceleration).real / unit)

@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 
 from warp_plate.interrupts import check_interrupt
-from warp_plate.modal.modes import ModalPlate, solve_modes
+from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.other_solutions import coarser_modes
 from warp_plate.optimize.cones import LeastScale
-from warp_plate.optimize.optimizer import minimum_near
 from warp_plate.problem.requirements import make_requirements
 from warp_plate.problem.specified_drives import Ratios, Scaled, Tone
 from warp_plate.result.specified import Margin, SpecifiedDrive
 from warp_plate.scene.errors import SceneError, check_function, check_type
 from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.scene.specification import Specification
+from warp_plate.studies.best_frequency import best_tone, frequencies_to_try
 from warp_plate.studies.drive_for_cases import (
     NOTHING,
     ROBUST_TRIED,
@@ -30,8 +30,6 @@ from warp_plate.studies.frequency_response import check_linear
 
 # Lowest frequency [Hz]: levels are accelerations, which vanish below all measure under a slower drive.
 LOWEST = 0.01
-# Frequencies of a range that are tried, besides resonances, and the relative accuracy of the best one.
-TRIED, FREQUENCY_ACCURACY = 24, 1e-5
 # Multiples of the wanted levels on the curve of level against contrast.
 PARETO = np.geomspace(1 / 8, 8, 13)
 SAME = 1e-4  # relative difference of two scales that counts as none
@@ -73,7 +71,7 @@ def specify(
     largest = _largest_drives(scene, specification)
     requirements = make_requirements(plate)
     scaled: Scaled = "elsewhere" if requirements.rests else "actuators"
-    frequencies = _frequencies(plate, low, high)
+    frequencies = frequencies_to_try(plate, low, high)
     tones: list[Tone] = []
     scales: list[LeastScale] = []
     for done, frequency in enumerate(frequencies):
@@ -84,11 +82,8 @@ def specify(
         scales.append(tones[-1].solve(scaled, between=False, start=start, searches=1))
         if on_progress is not None:
             on_progress(done + 1, len(frequencies))
-    chosen = _choose(tones, scales, scaled)
-    tone = tones[chosen]
-    if 0 < chosen < len(tones) - 1 and math.isfinite(scales[chosen].scale):
-        tone = _between(tone, scaled, scales, frequencies, chosen)
-    answer, tone = _answer(tone, scaled, tones, scales, scales[chosen].start)
+    tone, start = best_tone(tones, scales, scaled)
+    answer, tone = _answer(tone, scaled, tones, scales, start)
     if specification.tolerance and tolerances:
         spread = np.unique(np.linspace(0, len(tones) - 1, 1 if specification.band else ROBUST_TRIED).astype(int))
         starts = [(tone.frequency, answer.drive / answer.limits)]
@@ -136,57 +131,6 @@ def _largest_drives(scene: Scene, specification: Specification) -> np.ndarray:
             raise SceneError(f"{key}: allows no drive; raise it, or write specification.limits")
         largest.append(limit)
     return np.array(largest)
-
-
-def _frequencies(plate: ModalPlate, low: float, high: float) -> np.ndarray:
-    """Return the frequencies [Hz] to try: evenly spaced ones, the resonances and places beside these."""
-    if low == high:
-        return np.array([low])
-    centres, widths = (values[plate.resonances[1] > 0] for values in plate.resonances)
-    beside = np.concatenate([centres + shift * widths for shift in (-2, -1, 0, 1, 2)])
-    beside = beside[(beside > low) & (beside < high)]
-    return np.unique(np.concatenate([np.geomspace(low, high, TRIED), beside]))
-
-
-def _order(tone: Tone, result: LeastScale) -> tuple[bool, float]:
-    """Return a key that sorts frequencies, the best first: by scale, or by effort where the levels are not reached."""
-    if math.isfinite(result.scale):
-        return False, result.scale
-    return True, tone.solve("actuators alone", between=False).scale
-
-
-def _choose(tones: Sequence[Tone], scales: list[LeastScale], scaled: Scaled) -> int:
-    """Return the index of the best of the tones, or of the worst one of a band.
-
-    Where phases are free, scales are those at the samples, which may be far too small. They are replaced by those that
-    hold between samples, the least first, until one is less than all others.
-    """
-    orders = [_order(tone, result) for tone, result in zip(tones, scales, strict=True)]
-    indices = sorted(range(len(tones)), key=orders.__getitem__)
-    if tones[0].requirements.specification.band:
-        return indices[-1]
-    best = indices[0]
-    for k in indices if tones[0].requirements.phases_free and len(tones) > 1 else ():
-        if k != best and orders[k] >= orders[best]:
-            break
-        check_interrupt()
-        scales[k] = tones[k].solve(scaled, start=scales[k].start, searches=1)
-        orders[k] = _order(tones[k], scales[k])
-        best = min(best, k, key=orders.__getitem__)
-    return best
-
-
-def _between(tone: Tone, scaled: Scaled, scales: Sequence[LeastScale], frequencies: np.ndarray, chosen: int) -> Tone:
-    """Return the tone of the best frequency near that of a tone, or of the worst one of a band."""
-    sign = -1.0 if tone.requirements.specification.band else 1.0
-
-    def scale(frequency: float) -> float:
-        check_interrupt()
-        start, between = scales[chosen].drive, tone.requirements.phases_free
-        return sign * replace(tone, frequency=frequency).solve(scaled, between=between, start=start, searches=0).scale
-
-    best, least, _ = minimum_near(scale, frequencies, chosen, FREQUENCY_ACCURACY, 30)
-    return replace(tone, frequency=best) if least < sign * scales[chosen].scale else tone
 
 
 def _answer(
