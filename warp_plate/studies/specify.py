@@ -158,8 +158,8 @@ def _answer(
     levels, in_phase = tone.reached(drive), 1.0 if reached else 1 / whole.scale
     ends = tone.errors(_other(tone, rough), drive, CAUTION)
     if feasible:
-        in_phase = _spare(tone, drive, ends, levels)
-        drive, levels = in_phase * drive, (in_phase * levels[0], in_phase * levels[1])
+        drive, in_phase = _stronger(tone, scaled, drive, ends, levels)
+        levels = tone.reached(drive)
     nearest = nearest_rest(levels)
     contrast, bound = (contrast_of(tone, scale, nearest) for scale in (result.scale, result.bound))
     pareto = _pareto(essential, scaled, drive) if rests else []
@@ -277,13 +277,23 @@ def _margins(tone: Tone, drive: np.ndarray, levels: Ratios, limits: np.ndarray) 
     return margins
 
 
-def _spare(tone: Tone, drive: np.ndarray, ends: tuple[Ratios, Ratios], levels: Ratios) -> float:
-    """Return the factor of a drive by which it reaches the wanted levels whatever the numerical error, or the largest
-    one that its limits and, with their error, the levels allowed elsewhere leave."""
+def _stronger(
+    tone: Tone, scaled: Scaled, drive: np.ndarray, ends: tuple[Ratios, Ratios], levels: Ratios
+) -> tuple[np.ndarray, float]:
+    """Return a drive that reaches the wanted levels whatever the numerical error, if there is one, and its levels over
+    those.
+
+    It is the drive times a factor, where its limits and, with their error, the levels allowed elsewhere leave room.
+    """
     limited = [math.sqrt(one.of(drive) / one.limit) for one in tone.limited]
-    most = np.concatenate([np.abs(drive), levels[1] * ends[1][1], limited]).max()
-    least = max(_least_level(tone, ends[0][0], levels, 1.0), 1 - LARGEST_ERROR)
-    return float(max(1.0, min(1 / least, 1 / most)))
+    room = 1 / np.concatenate([np.abs(drive), levels[1] * ends[1][1], limited]).max()
+    wanted = 1 / max(_least_level(tone, ends[0][0], levels, 1.0), 1 - LARGEST_ERROR)
+    if room < wanted:
+        other = tone.solve(scaled, wanted, start=drive, searches=0)
+        if other.start is not None and other.scale <= 1:
+            return other.drive, wanted
+    factor = float(max(1.0, min(wanted, room)))
+    return factor * drive, factor
 
 
 def _least_level(tone: Tone, in_aims: np.ndarray, levels: Ratios, in_phase: float) -> float:
