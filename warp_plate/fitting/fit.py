@@ -67,7 +67,7 @@ def fit(scene: SceneSource, data: str | Path | Sequence[str | Path]) -> ModeFit 
         named = f"data {paths[1]}" if paths else "data"
         raise SceneError(f"{named}: must be one file, for the scene has no tables [[measurement]]")
     if paths[0].suffix.lower() == ".wav":
-        return fit_modes(loaded, read_tap(paths[0], loaded.fit.range if loaded.fit else None))
+        return _fit_tap(loaded, read_tap(paths[0], loaded.fit.range if loaded.fit else None))
     return fit_modes(loaded, read_modes(paths[0], loaded.fit))
 
 
@@ -131,6 +131,26 @@ def fit_modes(scene: Scene, measured: MeasuredModes) -> ModeFit:
         return {"measured": measured, "remarks": measured.remarks, **modes}
 
     return fit_panel(ModeFit, problem, describe)
+
+
+def _fit_tap(scene: Scene, measured: MeasuredModes) -> ModeFit:
+    """Fit to modes of a tap, but not to damping ratios of those that may be two modes of the panel as one."""
+    fitted = fit_modes(scene, measured)
+    count, measured = int(fitted.numbers.max()) + SPARE[1], fitted.measured
+    plate = solve_modes(linear_part(fitted.scene), highest=0.0, count=count + RIGID, density=DENSITY)
+    others = np.delete(plate.frequencies[plate.frequencies > 0], fitted.numbers - 1)
+    nearest = others[np.abs(others - fitted.frequencies[:, None]).argmin(axis=1)]
+    two = np.flatnonzero(np.abs(nearest - fitted.frequencies) < 2 * measured.damping * fitted.frequencies)
+    if not two.size or not fitted.verdict.describes:
+        return fitted
+    said = [
+        f"The mode at {measured.frequencies[at]:.6g} Hz may be two: the panel has one at {nearest[at]:.5g} Hz besides "
+        f"{fitted.frequencies[at]:.5g} Hz; its damping ratio, {measured.damping[at]:.3g}, is not fitted"
+        for at in two.tolist()
+    ]
+    damping = measured.damping.copy()
+    damping[two] = math.nan
+    return fit_modes(scene, replace(measured, damping=damping, remarks=(*measured.remarks, *said)))
 
 
 def assurance(scene: Scene, measured: MeasuredModes, numbers: np.ndarray) -> np.ndarray | None:

@@ -34,18 +34,18 @@ from warp_plate.scene.errors import SceneError
 CONTACT, LOWEST = 3e-3, 20.0
 # Samples of a band at most, rate of a band over its width, and taps of its filter over the decimation.
 MOST, OVERSAMPLING, TAPS = 700, 2.0, 8
-# Shape of that filter, −90 dB from where frequencies fold into the band, and amplitude of the faintest mode over the
-# largest sample.
-ATTENUATION, FAINT = 9.0, 1e-3
+# Shape and cutoff of that filter over the rate of the band, −90 dB from 0.75, where frequencies fold into the band; and
+# amplitude of the faintest mode that is told, over the largest sample.
+ATTENUATION, CUTOFF, FAINT = 9.0, 0.39, 1e-3
 # Widths of bands [Hz] from the duration: a band has so many samples.
 NARROWEST = 25.0
 # Orders of the model, and of how many a pole must be a part, to these relative differences of frequency and decay.
 ORDERS, AGREE, ALIKE = range(6, 37, 3), 4, (2e-3, 0.1)
 # Largest standard deviations, relative to frequency and damping ratio, of modes that are told.
 DEVIATIONS = 2e-4, 0.0125
-# Bar over the standard deviation, which is up to 15 % too small because filters color the noise; ratio of v to its own
-# above which a pole may be two, if the distance is so large a part of the decay rate.
-BAR, TWO, APART = 3.5, 2.4, 0.05
+# Bar over the standard deviation; probability that noise causes so large a v, below which the bar is the distance of
+# two modes; relative bars of frequency and damping ratio from which on a mode is said to be two.
+BAR, CHANCE, WIDE = 3.5, 0.1, (1e-3, 0.05)
 # Relative deviation of a decay rate from which on its pole is dropped at first, gain of the sum of squares, in those of
 # single samples, for which a pole is split, most splits, steps of the least squares, and the relative gain at which
 # they end.
@@ -140,11 +140,12 @@ def _in_band(free: np.ndarray, rate: float, centre: float, width: float) -> np.n
     """Return (3, n) poles of a band around a centre [Hz] that the decay determines, their bars [1/s], 1 for pairs."""
     step = max(1, int(rate / (OVERSAMPLING * width)))
     taps = (
-        scipy.signal.firwin(TAPS * step | 1, 0.5 * rate / step, fs=rate, window=("kaiser", ATTENUATION))
+        scipy.signal.firwin(TAPS * step | 1, CUTOFF * rate / step, fs=rate, window=("kaiser", ATTENUATION))
         if step > 1
         else [1.0]
     )
     shifted = free * np.exp(-2j * math.pi * centre / rate * np.arange(free.shape[1]))
+    share = step * float(np.sum(np.square(taps)))
     samples = scipy.signal.oaconvolve(shifted, np.atleast_2d(taps), mode="valid", axes=1)[:, ::step][:, :MOST]
     interval = step / rate
     if samples.shape[1] < 3 * ORDERS[0]:
@@ -156,14 +157,15 @@ def _in_band(free: np.ndarray, rate: float, centre: float, width: float) -> np.n
         return np.empty((3, 0))
     orders = [order for order in ORDERS if order < rows // 2]
     stable = _stable([_esprit(vectors[:, :order]) / interval for order in orders], 2 * math.pi * centre)
-    fit = _refine(stable, samples, interval, FAINT * float(np.abs(free).max()))
+    fit = _refine(_Sum(stable, samples, interval, share))
     poles, deviations, (apart, spread) = fit.poles, fit.deviations, fit.pairs
     absolute = poles + 2j * math.pi * centre
     decay, size = -poles.real, np.abs(absolute)
     told = (np.abs(poles.imag) <= math.pi * width) & (decay > 0) & (decay < MOST_DAMPING * size)
     told &= (deviations < DEVIATIONS[0] * size) & (deviations < DEVIATIONS[1] * decay)
+    told &= _Sum(poles, samples, interval, share).strengths > FAINT * np.abs(free).max()
     bars = np.maximum(np.where(spread, apart, 0.0), BAR * deviations)
-    return np.stack([absolute, bars, spread & (apart > APART * decay)])[:, told]
+    return np.stack([absolute, bars, (bars > WIDE[0] * size) | (bars > WIDE[1] * decay)])[:, told]
 
 
 def _esprit(vectors: np.ndarray) -> np.ndarray:
@@ -191,19 +193,18 @@ def _stable(poles: list[np.ndarray], shift: float) -> np.ndarray:
     return np.array([complex(np.median(np.real(group)), np.median(np.imag(group))) for group in shared], dtype=complex)
 
 
-def _refine(poles: np.ndarray, samples: np.ndarray, interval: float, least: float) -> _Sum:
-    """Return the waves of least squares for samples (channels, n).
+def _refine(fit: _Sum) -> _Sum:
+    """Return the waves of least squares near others, with channels weighted by their noise.
 
-    Poles of amplitudes up to ``least``, and those that the samples do not determine, are dropped; those are split in
-    two that describe the samples clearly better so.
+    Poles that the samples do not determine are dropped; those are split in two that describe the samples clearly better
+    so.
     """
-    fit = _Sum(poles, samples, interval)
-    fit = _Sum(poles[fit.strengths > least], samples, interval)
+    fit = fit.refined().weighted()
     while fit.poles.size:
         deviations = fit.deviations / np.abs(fit.poles.real)
         if deviations.max() < UNDETERMINED:
             break
-        fit = _Sum(np.delete(fit.poles, deviations.argmax()), samples, interval)
+        fit = fit.with_poles(np.delete(fit.poles, deviations.argmax()))
     fit = fit.refined()
     for _ in range(MOST_SPLITS):
         told = np.flatnonzero(fit.deviations < 2 * DEVIATIONS[1] * np.abs(fit.poles.real))
@@ -216,16 +217,19 @@ def _refine(poles: np.ndarray, samples: np.ndarray, interval: float, least: floa
 
 
 class _Sum:
-    """Decaying waves with poles [1/s], with the amplitudes of the least squares for samples (channels, n)."""
+    """Decaying waves with poles [1/s], with the amplitudes of the least squares for samples (channels, n).
 
-    def __init__(self, poles: np.ndarray, samples: np.ndarray, interval: float) -> None:
-        self.poles, self._samples, self._interval = poles, samples, interval
+    Only a share of the samples is independent in the band, because its filter is narrower than their rate.
+    """
+
+    def __init__(self, poles: np.ndarray, samples: np.ndarray, interval: float, share: float) -> None:
+        self.poles, self._samples, self._interval, self._share = poles, samples, interval, share
         self._times = interval * np.arange(samples.shape[1])
         self._waves = np.exp(np.outer(self._times, poles))
         self._amplitudes = np.linalg.lstsq(self._waves, samples.T, rcond=None)[0]
         self._rest = (samples.T - self._waves @ self._amplitudes).T.ravel()
         self.residual = float(np.linalg.norm(self._rest) ** 2)
-        self.freedom = max(1, samples.size - poles.size * (1 + len(samples)))
+        self.freedom = max(1, share * samples.size - poles.size * (1 + len(samples)))
 
     @property
     def strengths(self) -> np.ndarray:
@@ -249,23 +253,23 @@ class _Sum:
 
     @property
     def pairs(self) -> tuple[np.ndarray, np.ndarray]:
-        """(poles,) distances √|v| [1/s] of the modes in a pole, of the worst channel; whether v exceeds the noise."""
+        """(poles,) distances √|v| [1/s] of the modes in a pole, of all channels; whether noise hardly causes them."""
         basis, count = np.linalg.qr(self._slopes)[0], len(self._times)
-        apart, ratios = np.zeros(self.poles.size), np.zeros(self.poles.size)
+        squares, gains = np.zeros(self.poles.size), np.zeros(self.poles.size)
         for channel, amplitudes in enumerate(self._amplitudes.T):
             rows = slice(channel * count, (channel + 1) * count)
             waves = self._times[:, None] ** 2 / 2 * self._waves * amplitudes
             square = np.linalg.norm(waves, axis=0) ** 2 - np.linalg.norm(basis[rows].conj().T @ waves, axis=0) ** 2
             square = np.maximum(square, RANK * np.linalg.norm(waves, axis=0) ** 2 + 1e-300)
-            spread = np.abs(waves.conj().T @ self._rest[rows]) / square
-            apart = np.maximum(apart, np.sqrt(spread))
-            ratios = np.maximum(ratios, spread * np.sqrt(square * self.freedom / max(self.residual, 1e-300)))
-        return apart, ratios > TWO
+            squares += square
+            gains += np.abs(waves.conj().T @ self._rest[rows]) ** 2 / square
+        noise = max(self.residual / self.freedom, 1e-300)
+        return (gains / squares) ** 0.25, scipy.special.gammaincc(len(self._samples), gains / noise) < CHANCE
 
     def split(self, index: int) -> _Sum:
         """Return the waves with two poles, half a decay rate apart, in place of one."""
         apart = np.array([-0.25, 0.25]) * 1j * self.poles[index].real
-        return self._with(np.append(np.delete(self.poles, index), self.poles[index] + apart))
+        return self.with_poles(np.append(np.delete(self.poles, index), self.poles[index] + apart))
 
     def refined(self) -> _Sum:
         """Return the waves of the least squares nearby, by Gauss and Newton's method."""
@@ -275,7 +279,7 @@ class _Sum:
             for part in (1.0, 0.5, 0.25, 0.1):
                 tried = best.poles + part * change
                 if (tried.real < 0).all() and (np.abs(part * change) < np.abs(best.poles.real)).all():
-                    following = self._with(tried)
+                    following = self.with_poles(tried)
                     if following.residual < best.residual:
                         break
             else:
@@ -285,5 +289,12 @@ class _Sum:
                 return best
         return best
 
-    def _with(self, poles: np.ndarray) -> _Sum:
-        return _Sum(poles, self._samples, self._interval)
+    def weighted(self) -> _Sum:
+        """Return the waves for samples in units of each channel's noise, times the least noise."""
+        noise = np.linalg.norm(self._rest.reshape(self._samples.shape), axis=1, keepdims=True)
+        weights = noise.min() / noise if noise.min() > 0 else 1.0
+        return _Sum(self.poles, self._samples * weights, self._interval, self._share)
+
+    def with_poles(self, poles: np.ndarray) -> _Sum:
+        """Return the waves with other poles."""
+        return _Sum(poles, self._samples, self._interval, self._share)
