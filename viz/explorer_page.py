@@ -44,6 +44,7 @@ FRAMES_PER_SECOND, AHEAD, REPEAT = 30.0, 2, 1.0
 ANSWER_TIMEOUT, JPEG_QUALITY = 1.0, 85
 # Loggers that print what browsers send.
 SILENT = ("aiohttp.server", "wslink", "trame_server")
+AMPLITUDES = {"N": "force", "V": "voltage", "A": "current"}  # names of the magnitudes w by their units
 BESIDE = "display: grid; grid-template-columns: 1fr 1fr; column-gap: 18px"
 NUMBERS = """
 <div style="font-weight: 600; margin-bottom: 6px">{{ title }}</div>
@@ -241,7 +242,7 @@ class ExplorerPage:
         for index, (_, end, unit) in enumerate(largest):
             html.Div(f"{{{{ names[{index}] }}}}", style="font-weight: 600; margin-top: 8px; overflow-wrap: anywhere")
             sliders = (
-                ("magnitude", f"force [{unit}]" if unit == "N" else f"w [{unit}]", end),
+                ("magnitude", f"{AMPLITUDES.get(unit, 'w')} [{unit}]", end),
                 ("phase", "φ [rad]", 2 * math.pi),
             )
             with html.Div(style=BESIDE):
