@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from warp_plate.result.frequency_response import FrequencyResponse
     from warp_plate.result.model import Result
     from warp_plate.result.sound import Sound
+    from warp_plate.result.specified import SpecifiedDrive
     from warp_plate.result.sweep import Sweep
     from warp_plate.scene.model import Scene
 
@@ -108,7 +109,7 @@ class NotebookPlayer:
 
 
 def plot(
-    shown: Result | Sweep | FrequencyResponse | Sound | FocusResult,
+    shown: Result | Sweep | FrequencyResponse | Sound | FocusResult | SpecifiedDrive,
     stem: str | Path,
     *,
     colormap: str | None = None,
@@ -117,7 +118,7 @@ def plot(
     """Draw a result as its command does, and return the files.
 
     Args:
-        shown: result of ``localize`` or ``simulate``, of ``sweep``, of ``frf``, ``sound`` or ``focus``.
+        shown: result of ``localize`` or ``simulate``, of ``sweep``, of ``frf``, ``sound``, ``focus`` or ``specify``.
         stem: path of the pictures without an ending: a result makes STEM-history.png, STEM-surfaces.png and so on, all
             others STEM.png.
         colormap: colour map of Matplotlib for fields over the plate and maps (default: depends on the field).
@@ -132,6 +133,7 @@ def plot(
     from warp_plate.result.frequency_response import FrequencyResponse
     from warp_plate.result.model import Result
     from warp_plate.result.sound import Sound
+    from warp_plate.result.specified import SpecifiedDrive
     from warp_plate.result.sweep import Sweep
     from warp_plate.scene.errors import check_type
     from warp_plate.viz.availability import DrawingUnavailable, missing_plots
@@ -139,6 +141,7 @@ def plot(
     from warp_plate.viz.pictures import draw_all
     from warp_plate.viz.plots.responses import draw_focus, draw_frequency_response
     from warp_plate.viz.plots.sound import draw_sound
+    from warp_plate.viz.plots.specified import draw_specified
     from warp_plate.viz.plots.sweep import draw_sweep
 
     check_type("stem", stem, str, Path)
@@ -153,6 +156,7 @@ def plot(
         FrequencyResponse: draw_frequency_response,
         Sound: draw_sound,
         FocusResult: partial(draw_focus, colours=colours),
+        SpecifiedDrive: draw_specified,
     }
     if type(shown) not in drawings:
         names = ", ".join(kind.__name__ for kind in (Result, *drawings))

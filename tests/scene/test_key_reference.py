@@ -7,12 +7,19 @@ import pytest
 
 from support.commands import error_of, output_of
 from warp_plate.cli.localize import localize
+from warp_plate.scene.key_reference import table_references
 from warp_plate.scene.search import Limits, Objective
 
 
 def test_help_of_localize_lists_limits_and_objectives():
     keys = (*Limits.model_fields, *Objective.model_fields, *get_args(Objective.model_fields["kind"].annotation))
     assert not [key for key in keys if key not in localize.__doc__]
+
+
+def test_types_in_words():
+    types = {(table.headings[0], key.name): key.type for table in table_references() for key in table.keys}
+    assert types["[[supports]]", "line"] == "2 lists of 2 numbers"
+    assert types["[links.NAME]", "keys"] == "list of texts"
 
 
 def test_command(command):

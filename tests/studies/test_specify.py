@@ -58,6 +58,11 @@ def test_the_console_moves_its_button_alone(console):
     assert np.diff(console.interval) < 0.15
 
 
+def test_the_answer_is_drawn_from_python(console, tmp_path):
+    (picture,) = warp_plate.plot(console, tmp_path / "answer")
+    assert picture.stat().st_size > 50_000
+
+
 def test_no_point_between_others_violates_the_specification(console):
     x, y, field = fields(console)
     away = distance(console.scene.target.area, x, y)

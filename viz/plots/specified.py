@@ -65,10 +65,16 @@ def _draw_map(answer: SpecifiedDrive, axes: Axes) -> None:
     draw_parts(axes, answer.scene)
     label_sides(axes, answer.scene)
     bar = axes.figure.colorbar(image, ax=axes, orientation="horizontal", aspect=30, shrink=0.8)
-    bar.set_label("peak acceleration over the level wanted [dB]")
+    specification = answer.scene.specification
+    assert specification is not None
+    least = min(specification.levels, key=lambda level: level.peak_acceleration(answer.frequency))
+    wanted = "the level wanted" if len(specification.levels) == 1 else "the least level wanted"
+    bar.set_label(f"peak acceleration over {wanted}, {least.text} [dB]")
     frequency = answer.robust_frequency if answer.scatter else answer.frequency
-    guard = answer.scene.specification.guard if answer.scene.specification and answer.guard else 0.0
+    guard = specification.guard if answer.guard else 0.0
+    areas = any(row.area for row in specification.allowances)
     dashed = f"; dashed: guard of {1e3 * guard:g} mm, levels elsewhere hold beyond" if guard else ""
+    dashed = f"; dashed: where levels elsewhere hold, {1e3 * guard:g} mm from targets" if areas else dashed
     axes.set_title(f"{frequency:.5g} Hz{dashed}", fontsize=8)
 
 
@@ -160,4 +166,4 @@ def _draw_allowed(answer: SpecifiedDrive, axes: Axes, upright: bool = False) -> 
     if relative:
         draw = axes.axvline if upright else axes.axhline
         draw(max(relative), color=LIMIT, linewidth=1.0, linestyle="--", label="allowed")
-        axes.legend(fontsize=8)
+        axes.legend(fontsize=8, frameon=True, framealpha=1, edgecolor="none")

@@ -289,5 +289,6 @@ def minimum_near(
     """
     bounds = (float(tried[max(at - 1, 0)]), float(tried[min(at + 1, len(tried) - 1)]))
     options = {"xatol": accuracy * float(tried[at]), "maxiter": most}
-    result = scipy.optimize.minimize_scalar(function, bounds=bounds, method="bounded", options=options)
+    with np.errstate(invalid="ignore"):  # values may be infinite
+        result = scipy.optimize.minimize_scalar(function, bounds=bounds, method="bounded", options=options)
     return float(result.x), float(result.fun), int(result.nfev)

@@ -63,6 +63,9 @@ def _collect(schema: dict[str, Any], path: str, name: str, repeated: bool, headi
         inner = [field, field.get("items", {}), *field.get("anyOf", []), *field.get("oneOf", [])]
         for table in (entry["$ref"].rpartition("/")[2] for entry in inner if "$ref" in entry):
             _collect(schema, f"{path}.{key}".strip("."), table, "items" in field, headings)
+        by_name = field.get("additionalProperties")
+        if isinstance(by_name, dict) and "$ref" in by_name:
+            _collect(schema, f"{path}.{key}.NAME".strip("."), by_name["$ref"].rpartition("/")[2], False, headings)
 
 
 def _subclasses(model: type[Table]) -> dict[str, type[Table]]:
@@ -106,14 +109,20 @@ def _type(field: dict[str, Any]) -> str:
     if "$ref" in field:
         return "table"
     if "prefixItems" in field:
-        return f"{len(field['prefixItems'])} {_type(field['prefixItems'][0])}s"
+        return f"{len(field['prefixItems'])} {_plural(_type(field['prefixItems'][0]))}"
     if field.get("type") == "array":
-        return f"list of {_type(field['items'])}s".replace("ss", "s")
+        return f"list of {_plural(_type(field['items']))}"
     if field.get("type") == "object":
         inner = field.get("additionalProperties") or next(iter(field["patternProperties"].values()))
         return f"table of {_type(inner)} by key"
     words: dict[str, str] = {"boolean": "true or false", "string": "text"}
     return words.get(field["type"], field["type"])
+
+
+def _plural(words: str) -> str:
+    if words.startswith("list of"):
+        return words.replace("list", "lists", 1)
+    return f"lists of {words}" if words[0].isdigit() else f"{words}s"
 
 
 def _range(annotation: Any, metadata: Sequence[Any] = ()) -> str:

@@ -345,7 +345,7 @@ def _obstacles(
     if math.isfinite(effort.scale):
         alike = len(set(scene.limit_units)) == 1
         largest = f", {effort.scale * limits.max():.3g} {scene.limit_units[0]}" if alike else ""
-        sentences.append(f"{effort.scale:.3g} times the limits would do{largest}")
+        sentences.append(f"{effort.scale:.3g} times the limits would do at {tone.frequency:.5g} Hz{largest}")
     elif math.isfinite(contrast):
         sentences.append(f"larger limits alone do not help; the contrast is {contrast:.2f} dB")
     if tone.requirements.rests and math.isnan(contrast):
