@@ -63,6 +63,14 @@ def test_the_answer_is_drawn_from_python(console, tmp_path):
     assert picture.stat().st_size > 50_000
 
 
+def test_the_answer_is_printed_from_python(console):
+    lines = str(console).splitlines()
+    assert lines[0] == "at 250 Hz a drive meets the specification"
+    assert any(line.startswith("A2: 0.09953 of 0.5 N, phase lag ") for line in lines)
+    assert any(line.startswith("elsewhere, worst point: ") and line.endswith(" dB") for line in lines)
+    assert lines[-1].startswith("! The best frequency, 250 Hz, is an end of the range")
+
+
 def test_no_point_between_others_violates_the_specification(console):
     x, y, field = fields(console)
     away = distance(console.scene.target.area, x, y)

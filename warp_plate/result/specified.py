@@ -1,11 +1,13 @@
 """The answer to a specification: a drive that meets it, or what is in its way."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from warp_plate.plate.designs import scene_with
+from warp_plate.scene.errors import printable
 from warp_plate.scene.model import Scene
 
 
@@ -172,6 +174,19 @@ class SpecifiedDrive:
     def warnings(self) -> tuple[str, ...]:
         """Lines that the command prints after "!"."""
         return tuple(f"{line[:1].upper()}{line[1:]}." for line in (*self.obstacles, *self.notes))
+
+    def __str__(self) -> str:
+        drives = zip(self.peaks.items(), self.phases.values(), self.limits, self.units, strict=True)
+        lines = [
+            f"{name}: {peak:.4g} of {limit:.4g} {unit}, phase lag {math.degrees(phase):.1f}°"
+            for (name, peak), phase, limit, unit in drives
+        ]
+        lines += [
+            f"{row.requirement}: {row.reached:.4g}, limit {row.wanted:.4g} {row.unit}, margin {row.margin_db:+.2f} dB"
+            for row in self.margins
+            if row.requirement not in self.peaks
+        ]
+        return printable("\n".join([self.verdict, *lines, *(f"! {line}" for line in self.warnings)]))
 
     def __repr__(self) -> str:
         word = "feasible" if self.feasible else "infeasible" if self.proved else "not met"
