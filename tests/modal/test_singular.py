@@ -46,6 +46,17 @@ def test_exponents_of_corners():
     assert exponents(2 * math.pi / 3, ("supported", "supported"))[0] == pytest.approx(1.5, abs=1e-6)
 
 
+@pytest.mark.parametrize("kinds", [("clamped", "clamped"), ("clamped", "free"), ("free", "free")])
+def test_functions_of_a_corner_follow_its_angle(kinds):
+    def values(angle):
+        function = singular.at_corner(np.zeros(2), 0.0, angle, kinds, 0.3, 0.01, 1.0)
+        return function.values(0.02 * np.cos(turns), 0.02 * np.sin(turns), [(0, 0)])[0]
+
+    turns = np.linspace(0.1, 4.0, 20)
+    for angle in np.random.default_rng(0).uniform(4.2, 4.5, 30):
+        assert values(angle + 1e-7) == pytest.approx(values(angle), abs=1e-4)
+
+
 @pytest.mark.parametrize("index", range(5))
 def test_derivatives_are_differences(index):
     centre, line = np.array([0.1, 0.1]), np.array([(0.05, 0.07), (0.12, 0.1)])

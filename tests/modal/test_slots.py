@@ -116,3 +116,13 @@ def test_middle_lines_lie_in_the_hole():
         assert turned.contains(shapely.LineString(slots.middle_line(hole)))
         places = [place for function in slots.around_slot(outline, hole, 0.015) for place in function.places]
         assert len(places) == 2 + len(hole)
+
+
+def test_middle_lines_have_one_direction():
+    """Whatever the size and place of a hole, or functions about it would be others."""
+    rng = np.random.default_rng(0)
+    for turn in (0.0, 0.3, math.pi / 2):
+        along = np.array([math.cos(turn), math.sin(turn)])
+        for size, x in rng.uniform([0.3, 0.45], [0.4, 0.55], (20, 2)):
+            (hole,) = with_hole(slot(size, 0.04, (x, 0.5), turn)).outline.loops[1:]
+            assert np.diff(slots.middle_line(hole), axis=0) @ along > 0

@@ -25,6 +25,8 @@ from warp_plate.outline.pieces import Arc, Piece
 LEAST_EXPONENT, LARGEST_EXPONENT, LARGEST_AT_NOTCH, NOTCH = 1.01, 3.6, 10.6, 1.53 * math.pi
 # Polynomials of the angle for the exponents, also at notches, and part of a function by which they may miss it.
 POLYNOMIALS, POLYNOMIALS_AT_NOTCH, MISSED = 18, 48, 1e-5
+# By so much more the values at one side of a corner count where a function has its sign, for both sides may be equal.
+LOPSIDED = 0.1
 # Exponents nearer to a whole number than this are those of polynomials.
 WHOLE = 1e-6
 # Part of the distance within which a function is cut off over which it is whole.
@@ -218,7 +220,9 @@ def _exponents(angle: float, kinds: tuple[str, str], ratio: float) -> Iterator[t
         waves = np.exp(1j * np.outer(at, frequency))
         factors = np.linalg.lstsq(waves, shape, rcond=None)[0]
         if np.abs(waves @ factors - shape).max() < MISSED * np.abs(shape).max():
-            yield exponent, factors / np.abs(shape).max()
+            # Of the same sign or phase at a corner a little changed.
+            largest_part = shape[np.argmax(np.abs(shape) * (1 + LOPSIDED * s))]
+            yield exponent, factors * (largest_part.conj() / np.abs(largest_part) / np.abs(shape).max())
 
 
 def along_line(ends: np.ndarray, inner: Sequence[bool], count: int, outline: Outline, interval: float) -> Singular:

@@ -32,13 +32,16 @@ FEWER_POLES = 2
 FIRST_CUT, CUT_RATIO = 0.9, 2.0
 # Convex holes turn to one side by at least this angle [rad] at corners.
 TURN = 1e-6
+# Direction along which the ends of a middle line are in order: across few lines.
+ASLANT = np.array([1.0, 0.3])
 # About so many functions a slot and each of its corners take.
 SLOT_FUNCTIONS, POLE_FUNCTIONS = 48, 24
 
 
 @lru_cache
 def middle_line(hole: tuple[Piece, ...]) -> np.ndarray | None:
-    """Return the ends (2, 2) [m] of the middle line of a free convex hole that is no circle; None of other holes."""
+    """Return the ends (2, 2) [m] of the middle line of a free convex hole that is no circle, in the same order for a
+    hole a little changed; None of other holes."""
     if is_round(hole) or any(piece.condition != "free" for piece in hole):
         return None
     if any(isinstance(piece, Arc) and not piece.hollow for piece in hole):
@@ -48,11 +51,12 @@ def middle_line(hole: tuple[Piece, ...]) -> np.ndarray | None:
     if len(hole) == 1 and isinstance(hole[0], Arc):
         vectors, (longer, shorter), _ = np.linalg.svd(hole[0].axes)
         along = vectors[:, 0] * math.sqrt(longer**2 - shorter**2)
-        return np.array([hole[0].centre - along, hole[0].centre + along])
-    ends, width = inner_line(hole)
-    length = math.dist(*ends)
-    inward = min(TIP * width / 2 / length, SHORT) * (ends[1] - ends[0])
-    return np.array([ends[0] + inward, ends[1] - inward])
+        ends = np.array([hole[0].centre - along, hole[0].centre + along])
+    else:
+        ends, width = inner_line(hole)
+        inward = min(TIP * width / 2 / math.dist(*ends), SHORT) * (ends[1] - ends[0])
+        ends = np.array([ends[0] + inward, ends[1] - inward])
+    return ends[np.argsort(ends @ ASLANT)]
 
 
 def functions_of(hole: tuple[Piece, ...]) -> int:
