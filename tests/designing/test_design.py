@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import warp_plate as wpl
+from support.designs import errors_of_slopes
 from support.scenes import MATERIAL, scene_of
 from warp_plate.designing.design import _digest
 from warp_plate.designing.panel import FreePanel
@@ -202,20 +203,6 @@ OTHERS = {
 }
 
 
-def errors_of_slopes(panel, numbers, direction, step, name):
-    """Return the errors of a panel's slopes along a direction, of limits and of a value by its name, by differences of
-    fourth order, and the largest slope of each."""
-    value = panel.evaluate(numbers)
-
-    def differences(step):
-        one, other = (panel.evaluate(numbers + sign * step * direction) for sign in (1, -1))
-        return np.append(one.excess - other.excess, getattr(one, name) - getattr(other, name)) / (2 * step)
-
-    slopes = np.vstack([value.excess_slopes, value.slopes])
-    expected = (4 * differences(step) - differences(2 * step)) / 3
-    return np.abs(slopes @ direction - expected), np.abs(slopes).max(axis=1)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", OTHERS)
 def test_slopes_of_other_panels_are_those_of_differences(name, random):
@@ -223,27 +210,6 @@ def test_slopes_of_other_panels_are_those_of_differences(name, random):
     panel = FreePanel(wpl.Scene.model_validate({**base, **OTHERS[name]}))
     numbers, direction = 0.3 + 0.4 * random.random(panel.count), random.normal(size=panel.count)
     errors, sizes = errors_of_slopes(panel, numbers, direction, 5e-4, "smooth")
-    assert (errors <= 2e-6 * sizes).all()
-
-
-RADIUS = {"radius": {"keys": [f"plate.outline.disc[{index}]" for index in range(3)]}}
-HELD_DISC = {"plate": ROUND["plate"], "edges": {"outline": "clamped"}, "links": RADIUS, "actuators": DISCS}
-SHAPES = {
-    "size": {"design": {"free": {"plate.size[0]": [0.19, 0.22]}, "limits": {"mass": 0.03}}},
-    "disc": {**HELD_DISC, "design": {"free": {"radius": [0.095, 0.11], "plate.thickness": [4e-4, 6e-4]}}},
-    "support": {
-        "supports": [{"point": (0.13, 0.12)}],
-        "design": {"free": {"supports[0].point[0]": [0.11, 0.15]}, "objective": "velocity"},
-    },
-}
-
-
-@pytest.mark.parametrize("name", SHAPES)
-def test_slopes_by_pieces_of_the_outline_are_those_of_differences(name):
-    base = scene_of(modal_density=0.3, damping=60.0).model_dump(mode="json", exclude_none=True)
-    panel = FreePanel(wpl.Scene.model_validate({**base, **SHAPES[name]}))
-    numbers, direction = np.full(panel.count, 0.4), np.eye(panel.count)[0]
-    errors, sizes = errors_of_slopes(panel, numbers, direction, 2e-3, "smooth")
     assert (errors <= 2e-6 * sizes).all()
 
 

@@ -52,19 +52,22 @@ class PanelFunctions:
         assert isinstance(space, TensorSplines | TrimmedSplines)
         return space
 
+    @property
+    def least_interval(self) -> float:
+        """Least interval between knots [m]."""
+        return min(float(np.diff(along.breaks).min()) for along in self.space.along)
+
     def galerkin(self, scene: Scene, near: FunctionSpace | None = None) -> Galerkin:
         """Return the matrices of a panel, over functions that turn least from those of ``near``, of almost the same
-        shape."""
+        shape; Unlike: these are of other kinds."""
         own, like = self.space, self.space if near is None else near
         x, y = (splines.scaled(length) for splines, length in zip(own.along, scene.plate.size, strict=True))
         if not isinstance(like, TrimmedSplines):
             return make_galerkin(scene, TensorSplines(scene, own.intervals, (x, y)))
         if not self._shaped or shape_of(like.scene) == shape_of(scene):
             return make_galerkin(scene, TrimmedSplines(scene, own.intervals, fixed=like))
-        space = TrimmedSplines(scene, own.intervals, along=(x, y), rank=RANK)
-        if near is not None:
-            space.turn_to(like)
-        return make_galerkin(scene, space)
+        followed = None if near is None else like
+        return make_galerkin(scene, TrimmedSplines(scene, own.intervals, along=(x, y), rank=RANK, near=followed))
 
     def air(self, frequency: float) -> AirBeside:
         """Return the air beside the functions at a frequency [Hz]; see :mod:`warp_plate.modal.air`."""

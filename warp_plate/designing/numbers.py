@@ -7,7 +7,7 @@ layers move or the outline changes are the matrices themselves differenced.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -21,6 +21,7 @@ from warp_plate.modal.assemble import DIFFERENCE, Galerkin, patch_means, unit_lo
 from warp_plate.modal.coils import coil_numbers
 from warp_plate.modal.sensitivity.fields import FieldSlopes
 from warp_plate.modal.sensitivity.forms import PlateMatrices, plate_matrices
+from warp_plate.modal.spaces.edge_moments import Unlike
 from warp_plate.modal.spaces.integrals import SplineProducts
 from warp_plate.plate.section import Laminate, laminate_of
 from warp_plate.scene.model import Scene
@@ -89,20 +90,31 @@ class NumberSlopes:
     @cached_property
     def by_places(self) -> dict[str, np.ndarray]:
         """Slopes (numbers, 2) [1/m] by x and by y of the place of each table of attachments, by its key."""
-        attached, numbers = self._galerkin.attachments, _numbers(self._galerkin.attachments)
-        plate, step = self._space.unknowns, DIFFERENCE * max(self.scene.plate.size)
+        numbers, plate = _numbers(self._galerkin.attachments), self._space.unknowns
         pulls = [sum(numbers[:, [i]] * both[i] for i in range(2))[:, :plate] for both in self._relative[1]]
         totals = {key: np.zeros((len(pulls), 2)) for key in self._first}
-        middles = np.array([attachment.region.middle for attachment in attached]).reshape(-1, 2)
-        for axis, shift in enumerate(step * np.eye(2)):
-            ahead, behind = (
-                patch_means(self._space, [one.region.moved_to(*at) for one, at in zip(attached, places, strict=True)])
-                for places in ((middles + shift).tolist(), (middles - shift).tolist())
-            )
-            slopes = np.array([((ahead - behind) * pull).sum(axis=1) / step for pull in pulls])
+        for axis in (0, 1):
+            means = self._slopes_of_means(axis)
+            slopes = np.array([2 * (means * pull).sum(axis=1) for pull in pulls])
             for index, key in enumerate(self.scene.effects.attachment_keys(self.scene.plate)):
                 totals[key][:, axis] += slopes[:, index]
         return totals
+
+    def _slopes_of_means(self, axis: int) -> np.ndarray:
+        """Return (attachments, unknowns of the plate) slopes [1/m] of mean values by the patches' x (0) or y (1); where
+        a patch is at the edge of the plate, by two places further inside."""
+        regions = [attachment.region for attachment in self._galerkin.attachments]
+        side, step = self.scene.plate.size[axis], DIFFERENCE * max(self.scene.plate.size)
+        ends = np.array([region.box[2 * axis : 2 * axis + 2] for region in regions])
+        inward = (ends[:, 0] < step).astype(int) - (ends[:, 1] > side - step)
+        middles = np.array([region.middle for region in regions])
+        one, two = (
+            patch_means(self._space, [region.moved_to(*at) for region, at in zip(regions, places, strict=True)])
+            for steps in (np.where(inward, inward, 1), np.where(inward, 2 * inward, -1))
+            for places in [(middles + step * np.outer(steps, np.eye(2)[axis])).tolist()]
+        )
+        here, inward = self._relative[0][:, : self._space.unknowns], inward[:, None]
+        return np.where(inward, inward * (4 * one - two - 3 * here), one - two) / (2 * step)
 
     @cached_property
     def _first(self) -> dict[str, int]:
@@ -117,10 +129,26 @@ class NumberSlopes:
         changes = _numbers(attachments(after.terms(plate))) - _numbers(attachments(before.terms(plate)))
         return np.asarray((self._attached[:, first : first + len(changes)] * changes).sum(axis=(1, 2)))
 
+    def along(self, scene_at: Callable[[float], Scene], share: float, step: float, degree: int) -> np.ndarray:
+        """Return the slopes (numbers,) at a share from 0 to 1 of scenes by their share, of polynomials of a degree
+        through points a step apart; Unlike: on either side functions of the outline are of other kinds."""
+        unlike = None
+        for points, weights in stencils(share, step, degree):
+            scenes = [self.scene if point == share else scene_at(point) for point in points.tolist()]
+            pairs = [(scene, weight) for scene, weight in zip(scenes, weights.tolist(), strict=True) if weight]
+            middle = next((scene for scene, _ in pairs if scene is self.scene), pairs[0][0])
+            try:
+                changes = [weight * self.between(scene, middle) for scene, weight in pairs if scene is not middle]
+                return np.sum(changes, axis=0)
+            except Unlike as error:
+                unlike = error
+        assert unlike is not None
+        raise unlike
+
     def between(self, after: Scene, before: Scene) -> np.ndarray:
-        """Return the changes (numbers,) between two scenes."""
+        """Return the changes (numbers,) between two scenes; Unlike: functions of the outline are of other kinds."""
         if _shapes(after.layers) != _shapes(before.layers) or shape_of(after) != shape_of(before):
-            one, other = (self._make(scene) for scene in (after, before))
+            one, other = (self._galerkin if scene is self.scene else self._make(scene) for scene in (after, before))
             matrices, target = plate_matrices(one) - plate_matrices(other), self.scene.target
             mass = panel_mass(one) - panel_mass(other)
             of_target = one.space.region_mass(target) - other.space.region_mass(target)
@@ -168,6 +196,19 @@ class NumberSlopes:
         one, other = (unit_loads(replace(self._galerkin, scene=scene)) for scene in (after, before))
         plate = self._space.unknowns
         return np.array([np.vdot(by.matrices.forces[:plate], one - other) for by in self._slopes])
+
+
+def stencils(share: float, step: float, degree: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield points (degree + 1,) from 0 to 1, a step apart, of which a share is one, and the weights with which values
+    there sum up to the slope at the share of a polynomial of an even degree; first those with the share in the middle.
+    """
+    step = min(step, 1 / (degree + 1))
+    for below in sorted(range(degree + 1), key=lambda below: abs(2 * below - degree)):
+        offsets = np.arange(degree + 1) - below
+        points = share + step * offsets
+        if points[0] >= 0 and points[-1] <= 1:
+            weights = np.linalg.solve(offsets ** np.arange(degree + 1)[:, None], np.eye(degree + 1)[1])
+            yield points, np.where(offsets if 2 * below == degree else 1, weights, 0) / step
 
 
 def panel_mass(galerkin: Galerkin) -> float:

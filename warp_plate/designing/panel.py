@@ -21,7 +21,6 @@ from warp_plate.designing.mode_names import NamedModes
 from warp_plate.designing.numbers import NumberSlopes, PanelSlopes, panel_mass
 from warp_plate.designing.objectives import check_steady, judge, largest, limits, shown, uses_sound
 from warp_plate.designing.thickness import ThicknessMap
-from warp_plate.modal.assemble import DIFFERENCE
 from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.sensitivity.adjoint import EnergyAdjoint, check_differentiable
 from warp_plate.modal.sensitivity.forms import PlateForms, PlateMatrices
@@ -43,8 +42,9 @@ MARGIN, ENERGY_MARGIN = 2e-3, 1e-2
 # Natural frequencies on either side of the gap that count, steepness of their aggregate, and the part of the gap's ends
 # up to which a motion is rigid.
 NEAR, STEEPNESS, STILL = 6, 500.0, 1e-3
-# Step of differences of terms and fields, as a part of the range of a number.
-STEP = 1e-4
+# Steps of differences of terms and fields, as a part of the range of a number, and of matrices by the shape of a panel,
+# as a part of the least interval between knots: wide, for rounding turns the functions of an outline.
+STEP, SHAPE_STEP = 1e-4, 7e-4
 # Numbers of attachments with slopes of their own.
 ATTACHED_NUMBERS = ("mass", "stiffness", "damping")
 # Numbers of actuators that are no part of the panel.
@@ -297,19 +297,23 @@ class FreePanel:
             if place is not None and place[0] in self._tables:
                 slopes[:, self._mapped + index] = width[index] * of.by_places[place[0]][:, place[1]]
                 continue
-            shape = place is None and any(map(_is_shape, linked_keys(self.scene, self._keys[index])))
-            step = DIFFERENCE * max(self.scene.plate.size) / width[index] if shape else STEP
-            ends = np.clip(share + np.array([step, -step]), 0, 1)
             if (places := self._attached[index]) and not case.keys() & {".".join(place) for place in places}:
+                ends = np.clip(share + np.array([STEP, -STEP]), 0, 1)
                 values = (self._low[index] + ends * width[index]).tolist()
                 changes = [
                     of.of_row(row, *(rows[row].model_copy(update={name: value}) for value in values))
                     for row, name in places
                 ]
-            else:
-                scenes = (np.where(np.arange(shares.size) == index, end, shares) for end in ends)
-                changes = [of.between(*(self._with_map(self._with_numbers(one, case), numbers) for one in scenes))]
-            slopes[:, self._mapped + index] = sum(changes) / np.ptp(ends)
+                slopes[:, self._mapped + index] = sum(changes) / np.ptp(ends)
+                continue
+
+            def scene_at(point: float, index: int = index) -> Scene:
+                one = np.where(np.arange(shares.size) == index, point, shares)
+                return self._with_map(self._with_numbers(one, case), numbers)
+
+            shape = place is None and any(map(_is_shape, linked_keys(self.scene, self._keys[index])))
+            step, degree = (SHAPE_STEP * self._functions.least_interval / width[index], 4) if shape else (STEP, 2)
+            slopes[:, self._mapped + index] = of.along(scene_at, share, step, degree)
         return slopes
 
     @cached_property

@@ -1,4 +1,5 @@
-"""Polynomials and waves along edges, with which moments of the displacement and slope vanish there.
+"""Polynomials and waves along edges, with which moments of the displacement and slope vanish there, and the independent
+functions that have such moments or none.
 
 An edge is divided into parts of a few intervals. Each has Legendre polynomials, one for each interval and a few more;
 round holes about which functions are added have waves. Line supports that end on the plate have their own forces, those
@@ -22,6 +23,8 @@ from warp_plate.modal.spaces.singular import STRAIGHT, is_round, laurent_orders,
 from warp_plate.modal.spaces.splines import gauss
 from warp_plate.outline.outline import Outline
 from warp_plate.outline.pieces import Arc, Piece, Straight
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
 
 # An edge is divided into parts of about so many intervals; polynomials of a part beyond one for each interval. Where
 # the curvature of an edge jumps, and at wide supported corners [rad], motions are not smooth along it, and so many
@@ -29,22 +32,32 @@ from warp_plate.outline.pieces import Arc, Piece, Straight
 PART_INTERVALS, FURTHER, WIDE = 6, 2, 0.6 * np.pi
 # Parts of a closed curve along which Gauss's rule resolves waves.
 EIGHTHS = np.linspace(0, 1, 9)
-# Singular values of the moments below this part of the largest are those of moments that depend on the others.
-MOMENTS = 1e-4
+# Eigenvalues of the energy below the first part of the largest are those of functions that depend on the others, and
+# singular values of the moments below the second part those of moments that do.
+RANK, MOMENTS = 1e-13, 1e-4
 # Points of Gauss's rule between crossings of knots along lines that end on the plate, beyond the splines' degree.
 TIP_POINTS = 6
-# Points in which the intervals along a piece are counted.
-SAMPLES = 2001
+# Points in which the intervals along a piece are counted, and part of an interval that rounding may add to them.
+SAMPLES, SLACK = 2001, 1e-6
 # Points (points, 2) [m], or their parameters (points,) along a piece; functions (points, n) times weights; and vectors
 # (points, 2) along which the slope is taken, None for the displacement.
 Moments = tuple[np.ndarray, np.ndarray, np.ndarray | None]
 
 
+class Unlike(SceneError):
+    """A space has functions or conditions of other kinds than the space that it is to follow."""
+
+    def __init__(self) -> None:
+        super().__init__("plate.outline: on either side of a panel functions change; write other ranges in design.free")
+
+
 def conditions(
-    outline: Outline, pieces: Sequence[Piece], local: tuple[LocalSplines, LocalSplines], interval: float, added: bool
+    scene: Scene, pieces: Sequence[Piece], local: tuple[LocalSplines, LocalSplines], interval: float, added: bool
 ) -> Iterator[Moments]:
-    """Yield what vanishes along the pieces of an outline and its supports, for splines of an interval [m] with or
-    without ``added`` functions."""
+    """Yield what vanishes along the pieces of a scene's outline and its supports, for splines of an interval [m] with
+    or without ``added`` functions."""
+    outline = scene.outline
+    assert outline is not None
     further = dict(further_polynomials(outline))
     for piece in pieces:
         inner = [added and not on_edge(outline, end) for end in (piece.start, piece.end)] if _is_line(piece) else []
@@ -57,6 +70,9 @@ def conditions(
             moments = edge_moments(piece, local, further.get(piece, FURTHER), orders)
         for at, functions, along in moments:
             yield piece.points(at), functions, along
+    for support in scene.supports:
+        if support.point is not None and support.stiffness is None:
+            yield np.array([support.point]), np.ones((1, 1)), None
 
 
 def _is_line(piece: Piece) -> bool:
@@ -73,13 +89,15 @@ def edge_moments(
         return
     if not piece.closed:
         yield np.array([0.0, 1.0]), np.eye(2), None
-    t = np.linspace(0, 1, SAMPLES)
+    crossed = [piece.crossings(axis, side.breaks) for axis, side in enumerate(local)]
+    t = np.unique(np.concatenate([np.linspace(0, 1, SAMPLES), *crossed]))
     points = piece.points(t)
     middle, steps = (points[1:] + points[:-1]) / 2, np.abs(np.diff(points, axis=0))
     sizes = [np.diff(side.breaks)[side.interval(middle[:, axis])] for axis, side in enumerate(local)]
     passed = np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0] / sizes[0], steps[:, 1] / sizes[1]))])
-    parts = 1 if orders is not None else max(1, math.ceil(passed[-1] / PART_INTERVALS))
-    count = max(1, math.ceil(passed[-1] / parts) + further)
+    whole = passed[-1] - SLACK
+    parts = 1 if orders is not None else max(1, math.ceil(whole / PART_INTERVALS))
+    count = max(1, math.ceil(whole / parts) + further)
     ends = np.interp(np.linspace(0, passed[-1], parts + 1), passed, t)
     for low, high in pairwise(ends.tolist()):
         at, weights = edge_rule(piece, local, low, high)
@@ -121,10 +139,24 @@ def tip_moments(
     yield at, functions, np.broadcast_to(line.tangents(0.0), (at.size, 2))
 
 
-def null_space(rows: np.ndarray) -> np.ndarray:
-    """Return an orthonormal basis (functions, n) of what moments (moments, functions) do not see."""
+def independent_functions(energy: np.ndarray, rank: float, count: int | None) -> np.ndarray:
+    """Return functions (all, n) of unit energy: those whose scaled energies are above a part ``rank`` of the largest,
+    or a ``count`` with the largest, less those that have none."""
+    used = np.flatnonzero(np.diag(energy) > 0)
+    unit = 1 / np.sqrt(np.diag(energy)[used])
+    values, vectors = scipy.linalg.eigh(energy[np.ix_(used, used)] * np.outer(unit, unit), driver="evd")
+    least = values.size - (count or 0) + len(energy) - used.size
+    some = values > rank * values[-1] if count is None else np.arange(values.size) >= least
+    basis = np.zeros((len(energy), int(some.sum())))
+    basis[used] = unit[:, None] * vectors[:, some] / np.sqrt(values[some])
+    return basis
+
+
+def null_space(rows: np.ndarray, count: int | None) -> np.ndarray:
+    """Return an orthonormal basis (functions, n) of what moments (moments, functions), of which a ``count`` are
+    independent, do not see."""
     _, sizes, vectors = scipy.linalg.svd(rows, full_matrices=False)
-    seen = vectors[sizes > MOMENTS * sizes[0]]
+    seen = vectors[sizes > MOMENTS * sizes[0]] if count is None else vectors[:count]
     return np.asarray(scipy.linalg.qr(seen.T)[0][:, len(seen) :])
 
 

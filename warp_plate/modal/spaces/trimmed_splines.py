@@ -19,7 +19,7 @@ from numpy.polynomial import legendre
 from warp_plate.effects.effect import DISPLACEMENT, SLOPE, Factors
 from warp_plate.modal.spaces.added import added_functions, parted
 from warp_plate.modal.spaces.chords import Chords, Curve, LocalSplines, curves_of, make_chords
-from warp_plate.modal.spaces.edge_moments import conditions, edge_rule, null_space
+from warp_plate.modal.spaces.edge_moments import RANK, Unlike, conditions, edge_rule, independent_functions, null_space
 from warp_plate.modal.spaces.integrals import (
     Cuts,
     Field,
@@ -40,8 +40,6 @@ from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
 from warp_plate.scene.target import PlateRegion, Target
 
-# Eigenvalues of the energy below this part of the largest are those of functions that depend on the others.
-RANK = 1e-13
 # Squared frequency by which the mass counts in the energy, over that of about the first mode: smooth motions, whose
 # energy is small beside that of what bends between dense knots, must stay far above RANK.
 LOWEST = 1e3
@@ -62,6 +60,9 @@ class TrimmedSplines(SplineProducts):
     sparse = False
     added: tuple[Singular, ...]  # functions beside the products
     chords: Chords  # rule of the plate
+    basis: np.ndarray  # (functions, unknowns)
+    independent: int  # number of independent functions, whether the edges allow them or not
+    kinds: list[int]  # numbers of added functions, and of conditions, of each kind
 
     def __init__(
         self,
@@ -71,9 +72,11 @@ class TrimmedSplines(SplineProducts):
         fixed: TrimmedSplines | None = None,
         along: tuple[Splines, Splines] | None = None,
         rank: float = RANK,
+        near: TrimmedSplines | None = None,
     ) -> None:
         """Make the space, with the functions of ``like`` where they would be the same, those of ``fixed``, or splines
-        ``along`` x and y; functions with less of the largest energy than ``rank`` depend on the others."""
+        ``along`` x and y; functions with less of the largest energy than ``rank`` depend on the others. ``near`` is a
+        space of almost the same outline whose basis is followed; Unlike: it has functions of other kinds."""
         assert scene.outline is not None
         self.scene, self.laminate, self.intervals, self.outline = scene, laminate_of(scene), intervals, scene.outline
         curves = (support.piece(f"supports[{index}]") for index, support in parted(tuple(scene.supports)))
@@ -90,14 +93,16 @@ class TrimmedSplines(SplineProducts):
         if not fixed:
             knots = [(one.knots, one.degree) for one in reversed(self.along)]
             sizes = np.outer(*(places[degree + 1 :] - places[: -degree - 1] for places, degree in knots))
-            self._used = np.flatnonzero(self.chords.squares() > UNTOUCHED * sizes)
+            touched = self.chords.squares() > UNTOUCHED * sizes
+            self._used: np.ndarray = near._used if near else np.flatnonzero(touched)
             self.count = self._used.size + sum(function.functions for function in self.added)
             refuse_beyond_memory(8.0 * self.count**2 * DENSE_MATRICES, f"plate.outline: {self.count} functions")
-            shared = like is not None and like.outline is self.outline and like.along == self.along
-            shared = shared and like is not None and like.scene.supports == scene.supports and like.added is self.added
-            self.basis: np.ndarray = like.basis if like is not None and shared else self._make_basis(rank)
+            if like and like.outline is self.outline and like.along == self.along and like.added is self.added:
+                fixed = like if like.scene.supports == scene.supports else None
         else:
-            self._used, self.count, self.basis = fixed._used, fixed.count, fixed.basis
+            self._used, self.count = fixed._used, fixed.count
+        of_basis = (fixed.basis, fixed.independent, fixed.kinds) if fixed else self._make_basis(rank, near)
+        self.basis, self.independent, self.kinds = of_basis
 
     @property
     def unknowns(self) -> int:
@@ -188,8 +193,7 @@ class TrimmedSplines(SplineProducts):
         return np.reshape(rows, (*counts[::-1], -1)) @ self.basis
 
     def quadrature(self) -> tuple[np.ndarray, np.ndarray]:
-        chords = self.chords
-        return np.stack([chords.x, chords.y], axis=-1).reshape(-1, 2), chords.weights.ravel()
+        return np.stack([self.chords.x, self.chords.y], axis=-1).reshape(-1, 2), self.chords.weights.ravel()
 
     def region_matrix(self, region: Area | Target, within: Area | None = None) -> Matrix:
         target = region if isinstance(region, Target) else Target.model_construct(area=region)
@@ -285,8 +289,7 @@ class TrimmedSplines(SplineProducts):
         products = products.reshape(*products.shape[:-2], -1)[..., self._used]
         if not self.added:
             return products
-        weighted = values * chords.weights
-        added = np.zeros((*products.shape[:-1], self.count - self._used.size))
+        weighted, added = values * chords.weights, np.zeros((*products.shape[:-1], self.count - self._used.size))
         for some in chords.blocks():
             sampled = self._added_on(chords, some, [order])[0]
             added = added + np.einsum("esp,...sp->...e", sampled, weighted[..., some, :])
@@ -367,32 +370,26 @@ class TrimmedSplines(SplineProducts):
                 total += weights @ self._rows(points)
         return total
 
-    def turn_to(self, other: TrimmedSplines) -> None:
-        """Take as a basis the motions nearest to that of another space, which makes matrices smooth in the outline."""
-        products, added = np.split(other.basis, [other._used.size])
-        every = other._tables(products.T).reshape(other.unknowns, -1).T
-        self.basis = self.basis @ (self.basis.T @ (self._energy() @ np.vstack([every[self._used], added])))
-
     def _energy(self) -> np.ndarray:
         """Return the matrix of the energy in which functions are independent."""
         stiffness = sum(self.form(term.coefficient, term.factors) for term in self.bending_terms())
         lowest = LOWEST * (2 / np.pi * mean_wave_frequency(self.laminate) / self.outline.area) ** 2
         return np.asarray(stiffness + lowest * self.form(self._fields()[-1]))
 
-    def _make_basis(self, rank: float) -> np.ndarray:
-        """Return (products, unknowns) independent functions that keep the conditions of the edges."""
-        energy = self._energy()
-        used = np.flatnonzero(np.diag(energy) > 0)
-        unit = 1 / np.sqrt(np.diag(energy)[used])
-        values, vectors = scipy.linalg.eigh(energy[np.ix_(used, used)] * np.outer(unit, unit), driver="evd")
-        some = values > rank * values[-1]
-        basis = np.zeros((len(energy), int(some.sum())))
-        basis[used] = unit[:, None] * vectors[:, some] / np.sqrt(values[some])
-        held = conditions(self.outline, self._pieces, self._local, self._interval, bool(self.added))
+    def _make_basis(self, rank: float, near: TrimmedSplines | None) -> tuple[np.ndarray, int, list[int]]:
+        """Return independent functions that keep the conditions of the edges, their number without, and the kinds."""
+        held = conditions(self.scene, self._pieces, self._local, self._interval, bool(self.added))
         moments = [functions.T @ self._rows(points, along) for points, functions, along in held]
-        rigid = (support for support in self.scene.supports if support.stiffness is None)
-        moments += [self._rows(np.array([support.point])) for support in rigid if support.point is not None]
-        return np.asarray(basis @ null_space(np.concatenate(moments) @ basis)) if moments else basis
+        kinds = [*(one.functions for one in self.added), *map(len, moments)]
+        count, seen = (near.independent, near.independent - near.unknowns) if near else (None, None)
+        if near and near.kinds != kinds:
+            raise Unlike
+        energy = self._energy()
+        some = independent_functions(energy, rank, count)
+        basis = some @ null_space(np.concatenate(moments) @ some, seen) if moments else some
+        if near:  # the motions nearest to its basis
+            basis = basis @ (basis.T @ (energy @ near.basis))
+        return basis, some.shape[1], kinds
 
 
 def _products(along_y: np.ndarray, along_x: np.ndarray) -> np.ndarray:

@@ -1,0 +1,86 @@
+"""Slopes of designs by pieces of the outline, by ends of parts of its edge and by supports, against differences of
+values, within ranges and at their ends."""
+
+import numpy as np
+import pytest
+
+import warp_plate as wpl
+from support.designs import error_at_end, errors_of_slopes
+from support.scenes import MATERIAL, scene_of
+from warp_plate.designing.numbers import stencils
+from warp_plate.designing.panel import FreePanel
+
+RADIUS = {"radius": {"keys": [f"plate.outline.disc[{index}]" for index in range(3)]}}
+ROUND = {**MATERIAL, "outline": {"disc": (0.1, 0.1, 0.1)}}
+DISCS = [{"name": str(index), "disc": (0.07 + 0.05 * index, 0.1, 0.012)} for index in range(2)]
+OSCILLATOR = {"area": (0.12, 0.14, 0.1, 0.12), "mass": 2e-3, "stiffness": 3e3, "damping": 0.5}
+HELD_DISC = {"plate": ROUND, "edges": {"outline": "clamped"}, "links": RADIUS, "actuators": DISCS}
+CLAMPED = {"edges": {"outline": "clamped"}, "actuators": DISCS, "drive": {"frequency": 60.0}}
+STEADY = {"objective": "velocity", "steady": True}
+ROUND_HOLE = {"disc": (0.14, 0.07, 0.015), "edge": "clamped"}
+SLOT = {"rectangle": (0.05, 0.02), "centre": (0.14, 0.06)}
+PART = {"from_point": (0.05, 0.0), "to_point": (0.13, 0.0), "edge": "clamped"}
+
+
+def outlined(holes=()):
+    return {**CLAMPED, "plate": {**MATERIAL, "outline": {"rectangle": (0.2, 0.18)}, "holes": holes}}
+
+
+SHAPES = {
+    "size": {"design": {"free": {"plate.size[0]": [0.19, 0.22]}, "limits": {"mass": 0.03}}},
+    "disc": {**HELD_DISC, "design": {"free": {"radius": [0.095, 0.11], "plate.thickness": [4e-4, 6e-4]}}},
+    "support": {
+        "supports": [{"point": (0.13, 0.12)}],
+        "design": {"free": {"supports[0].point[0]": [0.11, 0.145]}, "objective": "velocity"},
+    },
+    "side": {**outlined(), "design": {"free": {"plate.outline.rectangle[0]": [0.19, 0.21]}, **STEADY}},
+    "hole": {**outlined([ROUND_HOLE]), "design": {"free": {"plate.holes[0].disc[2]": [0.0135, 0.018]}, **STEADY}},
+    "slot": {**outlined([SLOT]), "design": {"free": {"plate.holes[0].rectangle[0]": [0.04, 0.06]}, **STEADY}},
+    "part": {
+        **outlined(),
+        "edges": {"outline": "free", "parts": [PART]},
+        "design": {"free": {"edges.parts[0].to_point[0]": [0.125, 0.138]}, **STEADY},
+    },
+}
+# Parts of slopes by which they may differ where rounding turns functions, those about the ends of a part.
+ROUNDED = {"part": 5e-5}
+
+
+def panel_of(**tables):
+    base = scene_of(modal_density=0.3, damping=60.0).model_dump(mode="json", exclude_none=True)
+    return FreePanel(wpl.Scene.model_validate({**base, **tables}))
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_slopes_by_pieces_of_the_outline_are_those_of_differences(name):
+    panel = panel_of(**SHAPES[name])
+    numbers, direction = np.full(panel.count, 0.4), np.eye(panel.count)[0]
+    errors, sizes = errors_of_slopes(panel, numbers, direction, 2e-3, "smooth")
+    assert (errors <= ROUNDED.get(name, 2e-6) * sizes).all()
+
+
+@pytest.mark.parametrize("end", [0.0, 1.0])
+@pytest.mark.parametrize("name", ["size", "support", "side", "part", pytest.param("hole", marks=pytest.mark.slow)])
+def test_slopes_at_ends_of_ranges_are_those_of_differences(name, end):
+    panel = panel_of(**SHAPES[name])
+    assert error_at_end(panel, np.append(end, np.full(panel.count - 1, 0.4))) <= ROUNDED.get(name, 1e-5)
+
+
+@pytest.mark.parametrize("end", [0.0, 1.0])
+def test_slopes_of_patches_at_the_edge_of_the_plate_are_those_of_differences(end):
+    effects = {"oscillators": [OSCILLATOR], "damping": {"viscous": 60.0}}
+    places = {"effects.oscillators[0]": [0.0, 0.2, 0.08, 0.13]}
+    edges = {"left": "free", "right": "free", "bottom": "clamped", "top": "clamped"}
+    panel = panel_of(effects=effects, edges=edges, design={"places": places})
+    assert error_at_end(panel, np.array([end, 0.4]), 5e-4) <= 1e-5
+
+
+@pytest.mark.parametrize("share", [0.0, 5e-5, 0.3, 1.0])
+def test_stencils_stay_in_the_range_and_are_exact_for_polynomials(share):
+    for degree in (2, 4):
+        coefficients = np.arange(1.0, degree + 2)
+        for points, weights in stencils(share, 1e-3, degree):
+            assert points.min() >= 0
+            assert points.max() <= 1
+            slope = np.polyval(np.polyder(coefficients), share)
+            assert weights @ np.polyval(coefficients, points) == pytest.approx(slope, rel=1e-9)
