@@ -48,7 +48,10 @@ class Unlike(SceneError):
     """A space has functions or conditions of other kinds than the space that it is to follow."""
 
     def __init__(self) -> None:
-        super().__init__("plate.outline: on either side of a panel functions change; write other ranges in design.free")
+        super().__init__(
+            "plate.outline: its functions are of other kinds on either side of a panel, which has no slopes therefore; "
+            "change the ranges of design.free"
+        )
 
 
 def conditions(
