@@ -73,8 +73,10 @@ def _draw_map(answer: SpecifiedDrive, axes: Axes) -> None:
     frequency = answer.robust_frequency if answer.scatter else answer.frequency
     guard = specification.guard if answer.guard else 0.0
     areas = any(row.area for row in specification.allowances)
-    dashed = f"; dashed: guard of {1e3 * guard:g} mm, levels elsewhere hold beyond" if guard else ""
-    dashed = f"; dashed: where levels elsewhere hold, {1e3 * guard:g} mm from targets" if areas else dashed
+    if areas:
+        dashed = f"; dashed: where levels elsewhere hold, {1e3 * guard:g} mm from targets"
+    else:
+        dashed = f"; dashed: guard of {1e3 * guard:g} mm, levels elsewhere hold beyond" if guard else ""
     axes.set_title(f"{frequency:.5g} Hz{dashed}", fontsize=8)
 
 

@@ -120,7 +120,7 @@ def fit_modes(scene: Scene, measured: MeasuredModes) -> ModeFit:
     def describe(fitted: Scene, at_limit: Sequence[str]) -> dict[str, Any]:
         numbers, frequencies, damping = _paired_modes(fitted, measured, pairing)
         modes: dict[str, Any] = {"numbers": numbers.astype(int), "frequencies": frequencies, "damping": damping}
-        plate = solve_modes(linear_part(fitted), highest=0.0, count=int(numbers.max()) + SPARE[1], density=DENSITY)
+        plate = _lowest_modes(fitted, int(numbers.max()) + SPARE[1])
         elastic = np.flatnonzero(plate.frequencies > 0)
         judged = ModesToJudge(measured, modes["numbers"], frequencies, plate.frequencies[elastic])
         if pairing == "mac":
@@ -133,11 +133,16 @@ def fit_modes(scene: Scene, measured: MeasuredModes) -> ModeFit:
     return fit_panel(ModeFit, problem, describe)
 
 
+def _lowest_modes(scene: Scene, count: int) -> ModalPlate:
+    """Return so many modes of a panel, rigid ones counted, as fits compute them."""
+    return solve_modes(linear_part(scene), highest=0.0, count=count, density=DENSITY)
+
+
 def _fit_tap(scene: Scene, measured: MeasuredModes) -> ModeFit:
     """Fit to modes of a tap, but not to damping ratios of those that may be two modes of the panel as one."""
     fitted = fit_modes(scene, measured)
     count, measured = int(fitted.numbers.max()) + SPARE[1], fitted.measured
-    plate = solve_modes(linear_part(fitted.scene), highest=0.0, count=count + RIGID, density=DENSITY)
+    plate = _lowest_modes(fitted.scene, count + RIGID)
     others = np.delete(plate.frequencies[plate.frequencies > 0], fitted.numbers - 1)
     nearest = others[np.abs(others - fitted.frequencies[:, None]).argmin(axis=1)]
     two = np.flatnonzero(np.abs(nearest - fitted.frequencies) < 2 * measured.damping * fitted.frequencies)
@@ -199,7 +204,7 @@ def without_rigid_motions(scene: Scene, measured: MeasuredModes) -> MeasuredMode
 
     Numbers of modes that count them are lowered.
     """
-    plate = solve_modes(linear_part(scene), highest=0.0, count=RIGID, density=DENSITY)
+    plate = _lowest_modes(scene, RIGID)
     rising, rigid = np.sort(measured.frequencies), int((plate.frequencies == 0).sum())
     gaps = [count for count in range(1, min(rigid, len(rising) - 1) + 1) if rising[count - 1] < GAP * rising[count]]
     if not gaps:
@@ -248,7 +253,7 @@ def _paired_modes(scene: Scene, measured: MeasuredModes, pairing: str) -> np.nda
     count = len(measured.frequencies)
     numbers = np.arange(1, count + 1) if measured.numbers is None else measured.numbers
     wanted = int(numbers.max()) if pairing == "order" else SPARE[0] * max(count, int(numbers.max())) + SPARE[1]
-    plate = solve_modes(linear_part(scene), highest=0.0, count=wanted + RIGID, density=DENSITY)
+    plate = _lowest_modes(scene, wanted + RIGID)
     elastic = np.flatnonzero(plate.frequencies > 0)[:wanted]
     frequencies = plate.frequencies[elastic]
     if pairing != "order":

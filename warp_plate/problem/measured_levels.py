@@ -113,7 +113,7 @@ def meet_levels(plate: MeasuredPlate, line: int) -> MeasuredLevels:
     quiet = least_scale_of_squares(stacked, squares, blocks(True)) if rests else None
     loosest = max(allowed, default=math.nan) / min(wanted)
     levels = []
-    if np.isfinite(least.drive).all():
+    if least.start is not None:
         of_aims = [level.measure for level in specification.levels]
         asked_of = zip([*aims, *rests], [*of_aims, *measures], [*wanted, *allowed], strict=True)
         levels = [_reached(zone, how, value, least.drive) for zone, how, value in asked_of]

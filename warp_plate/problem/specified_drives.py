@@ -371,7 +371,7 @@ def solve_together(
         if not squares:
             drive = None  # programs that are convex need no start
         result = program(drive, STEPS if settled or number >= FEW_ROUNDS else FEW_STEPS)
-        if not np.isfinite(result.drive).all():
+        if result.start is None:
             if drive is None or done >= searches:
                 return best or result
             drive, done = None, done + 1  # this one leads nowhere with the added points

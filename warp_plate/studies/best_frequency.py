@@ -75,8 +75,8 @@ def _between(tones: Sequence[Tone], scales: Sequence[LeastScale], scaled: Scaled
 
     def scale(frequency: float) -> float:
         check_interrupt()
-        between = requirements.phases_free
-        return sign * replace(tone, frequency=frequency).solve(scaled, between=between, start=start, searches=0).scale
+        one = replace(tone, frequency=frequency)
+        return sign * one.solve(scaled, between=requirements.phases_free, start=start, searches=0).scale
 
     frequencies = np.array([one.frequency for one in tones])
     best, least, _ = minimum_near(scale, frequencies, chosen, FREQUENCY_ACCURACY, 30)

@@ -158,8 +158,7 @@ def _answer(
     levels, in_phase = tone.reached(drive), 1.0 if reached else 1 / whole.scale
     ends = tone.errors(_other(tone, rough), drive, CAUTION)
     if feasible:
-        drive, in_phase = _stronger(tone, scaled, drive, ends, levels)
-        levels = tone.reached(drive)
+        drive, in_phase, levels = _stronger(tone, scaled, drive, ends, levels)
     nearest = nearest_rest(levels)
     contrast, bound = (contrast_of(tone, scale, nearest) for scale in (result.scale, result.bound))
     pareto = _pareto(essential, scaled, drive) if rests else []
@@ -279,9 +278,9 @@ def _margins(tone: Tone, drive: np.ndarray, levels: Ratios, limits: np.ndarray) 
 
 def _stronger(
     tone: Tone, scaled: Scaled, drive: np.ndarray, ends: tuple[Ratios, Ratios], levels: Ratios
-) -> tuple[np.ndarray, float]:
-    """Return a drive that reaches the wanted levels whatever the numerical error, if there is one, and its levels over
-    those.
+) -> tuple[np.ndarray, float, Ratios]:
+    """Return a drive that reaches the wanted levels whatever the numerical error, if there is one, by how much it is
+    above those at a phase, and all its levels.
 
     It is the drive times a factor, where its limits and, with their error, the levels allowed elsewhere leave room.
     """
@@ -291,9 +290,9 @@ def _stronger(
     if room < wanted:
         other = tone.solve(scaled, wanted, start=drive, searches=0)
         if other.start is not None and other.scale <= 1:
-            return other.drive, wanted
+            return other.drive, wanted, tone.reached(other.drive)
     factor = float(max(1.0, min(wanted, room)))
-    return factor * drive, factor
+    return factor * drive, factor, (factor * levels[0], factor * levels[1])
 
 
 def _least_level(tone: Tone, in_aims: np.ndarray, levels: Ratios, in_phase: float) -> float:
