@@ -38,6 +38,16 @@ def test_the_answer_is_printed_drawn_and_written(command, tmp_path):
     assert best.actuators[1].force == pytest.approx(record["forces"]["A2"])
 
 
+def test_the_worth_of_larger_limits_is_printed(command):
+    changes = ["specification.frequency=250.0", "specification.limits.force=0.09", "grid.modal_density=0.6"]
+    changes = [f"--set={change}" for change in changes]
+    printed = " ".join(output_of(command("specify", "console", *changes, "--no-pictures")).split())
+    (worth,) = re.findall(r"Larger limits lower the contrast, at first by ([^;]*?)\. ", printed)
+    gains = re.findall(r"([0-9.]+) dB/N at (A\d)", worth)
+    assert [name for _, name in gains] == ["A2", "A5"]
+    assert float(gains[0][0]) == pytest.approx(float(gains[1][0]), rel=0.02)
+
+
 def test_json_has_what_is_in_the_way(command):
     changes = ["--set", "specification.frequency=250.0", "--set", "specification.guard=0.0"]
     record = json.loads(output_of(command("specify", "console", *changes, "--no-pictures", "--json")))

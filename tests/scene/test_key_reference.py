@@ -33,6 +33,7 @@ def test_command(command):
     assert json.loads(output_of(command("keys", "measured", "--json")))["measured"][0]["name"] == "file"
     assert "Poisson's ratio" in output_of(command("keys", "plate"))
     assert "plates: no such table; there are: plate, plate.outline, plate.holes" in error_of(command("keys", "plates"))
+    assert "drive.ramp: no such table; the keys of drive are" in error_of(command("keys", "drive.ramp"))
 
 
 @pytest.mark.parametrize(

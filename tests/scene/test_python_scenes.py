@@ -94,6 +94,11 @@ def test_replace_takes_whole_tables_as_assignments_do(key, value):
     assert scene.replace("effects.damping", {"viscous": 9.0}).replace("effects.damping", None) == scene
 
 
+def test_assignments_of_unknown_names_suggest_known_ones():
+    with pytest.raises(SceneError, match=r"drive\.frequncy: unknown key; did you mean 'frequency'\?"):
+        glass_panel().drive.frequncy = 300.0
+
+
 @pytest.mark.parametrize("table", [Plate, Search, Target, Scene, type(glass_panel().effects)])
 def test_help_is_about_the_keys_of_a_table(table):
     text = pydoc.plain(pydoc.render_doc(table))

@@ -171,6 +171,9 @@ def test_small_limits_name_what_would_do():
     larger = ["specification.frequency=250.0", COARSE, f"specification.limits.force={0.05 * answer.effort * 1.001}"]
     assert warp_plate.specify(Scene.load("console", larger), tolerances=False).feasible
     assert f"{answer.effort:.3g} times the limits would do" in answer.obstacles[-1]
+    wider = ["specification.frequency=250.0", COARSE, "specification.limits.force=0.0501"]
+    gain = answer.contrast_db - warp_plate.specify(Scene.load("console", wider), tolerances=False).contrast_db
+    assert 1e-4 * answer.gains.sum() == pytest.approx(gain, rel=0.02)
 
 
 def test_levels_beyond_all_limits_name_the_largest():

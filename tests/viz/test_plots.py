@@ -18,11 +18,13 @@ from warp_plate.result.case import Case
 from warp_plate.result.sweep import REFUSED
 from warp_plate.scene.vary import make_plan, parse_vary
 from warp_plate.studies.frequency_response import frf
+from warp_plate.studies.specify import specify
 from warp_plate.studies.sweep import SweepRequest, start_sweep
 from warp_plate.viz.annotations import GRID
 from warp_plate.viz.plots.plan import draw_crosstalk
 from warp_plate.viz.plots.responses import MOST_RESPONSES, draw_frequency_response, draw_mode_fit, draw_response_fit
 from warp_plate.viz.plots.search import draw_history, draw_spectrum
+from warp_plate.viz.plots.specified import draw_specified
 from warp_plate.viz.plots.sweep import LINE_COLOURS, REFUSED_GREY, REFUSED_TICK, cell_edges, draw_sweep
 
 figures = pytest.importorskip("matplotlib.figure", reason="Matplotlib is not installed: pip install 'warp-plate[viz]'")
@@ -64,6 +66,27 @@ def drawn(monkeypatch, tmp_path):
     monkeypatch.setattr(figures.Figure, "savefig", saves)
     monkeypatch.setattr(Text, "draw", writes)
     return draw
+
+
+def test_answers_to_specifications_name_targets_and_forces(drawn):
+    left, right = (
+        {"name": f"{side} button", "area": (x, x + 0.02, 0.055, 0.075)} for side, x in (("left", 0.05), ("right", 0.23))
+    )
+    levels = [{"target": "left button", "acceleration": 2.0}, {"target": "right button", "displacement": 1e-6}]
+    allowed = [{"relative_db": -3.0}, {"area": [0.14, 0.17, 0.05, 0.08], "relative_db": -12.0, "measure": "mean"}]
+    tables = {"level": levels, "elsewhere": allowed, "frequency": 380.0, "guard": 0.05}
+    scene = Scene.load("console", ["grid.modal_density=0.6"])
+    scene = scene.with_tables(targets=[left, right], target={"area": left["area"]}, specification=tables)
+    answer = specify(scene)
+    figure, texts = drawn(draw_specified, answer)
+    assert {"left button", "right button", "A1", "allowed"} <= set(texts)
+    assert f"{answer.peaks['A1']:.3g} N, " in " ".join(texts)
+    assert "peak acceleration over the least level wanted, 2 m/s² peak [dB]" in texts
+    limits = {margin.requirement: margin.margin_db for margin in answer.margins}
+    nearest = -3.0 if limits["elsewhere, worst point"] < limits["x 0.14 to 0.17, y 0.05 to 0.08 m, mean"] else -12.0
+    assert answer.allowed_db == pytest.approx(nearest)
+    lines = [line.get_ydata()[0] for axes in figure.axes for line in axes.lines if line.get_label() == "allowed"]
+    assert lines == [answer.allowed_db]
 
 
 def test_the_largest_responses_are_coloured_and_natural_frequencies_explained(drawn):

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_plate.effects.effect import attachments
-from warp_plate.plate.designs import patch_ends
 from warp_plate.plate.shapes import outlines
 from warp_plate.result.motion import Motion
 from warp_plate.scene.errors import printable
@@ -188,16 +187,22 @@ def draw_parts(axes: Axes, scene: Scene) -> None:
 
 
 def draw_actuators(axes: Axes, scene: Scene, length: float = LENGTH) -> None:
-    """Draw the outlines of actuators, with their names if these fit on a plate of this longer side [inch]."""
+    """Draw the outlines of actuators; and their names and those of several targets, as many as fit on a plate of this
+    longer side [inch]: all, those of actuators, or none."""
     for actuator in scene.actuators:
         draw_outline(axes, scene, actuator, INK)
-    names = [shortened(actuator.name) for actuator in scene.actuators]
-    patches = patch_ends(scene.actuators)
+    parts = (*scene.actuators, *scene.targets)
+    names, boxes = [shortened(part.name) for part in parts], np.array([part.box for part in parts]).reshape(-1, 2, 2)
+    plate = np.array([(0.0, side) for side in scene.plate.size])
     letter = 0.6 * NAME_SIZE / 72 / length * max(scene.plate.size)
-    middles = place_names(names, patches, np.array([(0.0, side) for side in scene.plate.size]), letter)
+    middles = place_names(names, boxes, plate, letter)
+    if not middles.size:
+        count = len(scene.actuators)
+        middles = place_names(names[:count], boxes[:count], plate, letter)
     centred = {"ha": "center", "va": "center", "zorder": 5}
-    for name, (x, y) in zip(names, middles, strict=False):
-        axes.text(x, y, name, fontsize=NAME_SIZE, color=INK, path_effects=light_rim(0), **centred)
+    for part, name, (x, y) in zip(parts, names, middles, strict=False):
+        colour = INK if part in scene.actuators else TARGET
+        axes.text(x, y, name, fontsize=NAME_SIZE, color=colour, path_effects=light_rim(0), **centred)
 
 
 def label_sides(axes: Axes, scene: Scene, bottom: bool = True, left: bool = True) -> None:

@@ -92,10 +92,11 @@ def _draw_drive(answer: SpecifiedDrive, axes: Axes) -> None:
     axes.barh(places, np.abs(drive) / sizes, color=DRIVE, height=0.55, label=label)
     if answer.scatter:
         axes.plot(np.abs(answer.drive) / sizes, places, **NOMINAL, label="nominal")
-    for place, phase in zip(places, -np.angle(drive, deg=True), strict=True):
-        text = f"{round(phase) or 0}°".replace("-", "−")
+    rows = zip(places, np.abs(drive), -np.angle(drive, deg=True), answer.units, strict=True)
+    for place, peak, phase, its_unit in rows:
+        text = f"{peak:.3g} {its_unit}, {round(phase) or 0}°".replace("-", "−")
         axes.annotate(text, (1.02, place), xycoords=("axes fraction", "data"), va="center", fontsize=8, color=INK)
-    axes.set(yticks=places, yticklabels=names, xlabel=f"{unit}, phase lag at the right")
+    axes.set(yticks=places, yticklabels=names, xlabel=f"{unit}; right: with phase lag")
     axes.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, columnspacing=1, handlelength=1.2)
 
 
@@ -162,10 +163,7 @@ def _draw_cases(answer: SpecifiedDrive, axes: Axes) -> None:
 
 
 def _draw_allowed(answer: SpecifiedDrive, axes: Axes, upright: bool = False) -> None:
-    specification = answer.scene.specification
-    assert specification is not None
-    relative = [row.relative_db for row in specification.allowances if row.relative_db is not None]
-    if relative:
+    if np.isfinite(answer.allowed_db):
         draw = axes.axvline if upright else axes.axhline
-        draw(max(relative), color=LIMIT, linewidth=1.0, linestyle="--", label="allowed")
+        draw(answer.allowed_db, color=LIMIT, linewidth=1.0, linestyle="--", label="allowed")
         axes.legend(fontsize=8, frameon=True, framealpha=1, edgecolor="none")

@@ -53,6 +53,9 @@ def keys(*tables: str, json: options.Json = False) -> None:
 
     references = {heading.strip("[]"): table for table in table_references() for heading in table.headings}
     for name in tables:
+        if name.rpartition(".")[0] in references and name not in references:
+            table = name.rpartition(".")[0]
+            raise SceneError(f"{name}: no such table; the keys of {table} are shown by: warp-plate keys {table}")
         if name not in references and name != "all":
             raise SceneError(f"{name}: no such table; there are: {', '.join(list(references)[1:])}")
     selected = {name: references[name] for name in (references if "all" in tables else tables)}

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 BEST = ".best.toml"
 # Most cases of the tolerances that are printed.
 MOST_CASES = 12
+# Least gain [dB] of a limit twice as large, at first, that is printed.
+LEAST_GAIN = 0.01
 MEASURES = ("weakest", "mean", "worst")
 
 
@@ -122,6 +124,10 @@ def _print(source: str, answer: SpecifiedDrive, console: Console) -> None:
             f"Contrast, elsewhere over target: {answer.contrast_db:.2f} dB, with the numerical error {low:.{digits}f} "
             f"to {high:.{digits}f} dB; no drive within the limits has less than {answer.bound_db:.2f} dB."
         )
+    gains = zip(answer.peaks, answer.gains.tolist(), answer.limits.tolist(), answer.units, strict=True)
+    worth = [f"{gain:.3g} dB/{unit} at {name}" for name, gain, limit, unit in gains if gain * limit > LEAST_GAIN]
+    if worth:
+        console.print(f"Larger limits lower the contrast, at first by {', '.join(worth)}.")
     if answer.feasible:
         console.print(f"A drive within {100 * answer.effort:.3g} % of the limits meets the specification, too.")
     if answer.pareto_levels.size:
@@ -153,7 +159,7 @@ def _print_pareto(answer: SpecifiedDrive, console: Console) -> None:
     rows = []
     curve = (answer.pareto_levels, answer.pareto_contrasts, answer.pareto_efforts)
     for level, contrast, effort in list(zip(*(part.tolist() for part in curve), strict=True))[::2]:
-        rows.append([f"{level:.4g}", output.number_text(contrast, ".2f"), output.number_text(100 * effort, ".3g")])
+        rows.append([f"{level:.4g}", output.number_text(contrast, ".1f"), output.number_text(100 * effort, ".3g")])
     headings = ["level over that wanted", "least contrast (dB)", "least limits as specified (%)"]
     output.print_rows(console, headings, rows, "", title="Other levels in the target")
 

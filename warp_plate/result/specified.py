@@ -66,6 +66,7 @@ class SpecifiedDrive:
     margins: Sequence[Margin]
     contrast_db: float  # least contrast that the levels and limits allow [dB]; NaN without levels elsewhere
     bound_db: float  # proved lower bound of it [dB]
+    allowed_db: float  # largest contrast allowed [dB]; NaN where the level elsewhere is not relative to the targets'
     interval: tuple[float, float]  # contrast of the drive with its numerical error [dB]; level / wanted without a rest
     effort: float  # least multiple of the limits that meets the specification; infinite if none does
     largest_level: float  # largest multiple of the wanted levels that the limits allow

@@ -65,7 +65,7 @@ def _line(location: Location, error: Mapping[str, Any], model: type[BaseModel]) 
     key, annotation = _key_and_annotation(location, model)
     table = _key_and_annotation(location[:-1], model)[1]
     if error["type"] == "extra_forbidden":
-        return f"{key}: unknown key{_suggestion(str(location[-1]), table)}"
+        return f"{key}: unknown key{suggestion(str(location[-1]), table)}"
     if error["type"] == "missing":
         examples = table.model_fields[str(location[-1])].examples if is_table(table) else None
         shown = f", write for example {toml_text(examples[0])}" if examples else ""
@@ -137,7 +137,7 @@ def _required_shape(annotation: Any, key: str, context: Mapping[str, str]) -> st
     return f"a list of {count}{'points [x, y]' if get_origin(item) is tuple else _NOUNS.get(item, 'values')}"
 
 
-def _suggestion(name: str, table: Any) -> str:
+def suggestion(name: str, table: Any) -> str:
     if is_table(table) and table.__name__ == "Plate" and _OUTLINE.search(name):
         return "; write size = [length along x, length along y] (metres), or another shape in [plate.outline]"
     if close := _closest(name, table):

@@ -30,7 +30,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, PydanticCustomError
 
 from warp_plate.scene.errors import SceneError, toml_text
-from warp_plate.scene.explain_errors import explain_error, is_table
+from warp_plate.scene.explain_errors import explain_error, is_table, suggestion
 
 # Far beyond any panel, yet fourth powers and products of such numbers are still finite.
 SMALLEST, LARGEST = 1e-30, 1e30
@@ -130,6 +130,10 @@ class Table(BaseModel, metaclass=_Documented):
                 super().__setattr__(name, value)
             except ValidationError:
                 key = f"{_place(type(self))}{name}"
+                if name not in type(self).model_fields:
+                    raise SceneError(f"{key}: unknown key{suggestion(name, type(self))}") from None
+                if name not in type(self).model_fields:
+                    raise SceneError(f"{key}: unknown key{suggestion(name, type(self))}") from None
                 shown = toml_text(value) if isinstance(value, float | int | str) else "..."
                 use = f'scene.replace("{key}", {shown}) returns a changed scene'
                 raise SceneError(f"{key}: a scene is not changed by assignment; {use}") from None

@@ -57,8 +57,9 @@ class _Motion(Table):
     def text(self) -> str:
         """The level with its unit, for people."""
         (key,) = self._given()
-        unit = {"acceleration_g": "g", "acceleration": "m/s²", "velocity": "m/s", "displacement": "m"}[key]
-        return f"{getattr(self, key):g} {unit} {'rms' if self.rms else 'peak'}"
+        units = {"acceleration_g": (1, "g"), "acceleration": (1, "m/s²"), "velocity": (1e3, "mm/s")}
+        factor, unit = units.get(key, (1e6, "µm"))
+        return f"{factor * getattr(self, key):g} {unit} {'rms' if self.rms else 'peak'}"
 
 
 class Level(_Motion):

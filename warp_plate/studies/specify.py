@@ -181,6 +181,7 @@ def _answer(
         margins=_margins(tone, drive, levels, limits),
         contrast_db=contrast,
         bound_db=bound if reached else math.nan,
+        allowed_db=contrast_of(tone, 1.0, nearest) if rests and tone.requirements.relative[nearest] else math.nan,
         interval=_interval(tone, ends, levels, in_phase),
         effort=effort.scale,
         largest_level=1 / whole.scale,
