@@ -51,6 +51,16 @@ def test_rounded_corners_holes_and_regions():
     assert apart.weights.size == 0
 
 
+@pytest.mark.parametrize("place", [0.3, 1.7])
+def test_areas_of_discs_that_touch_the_edge_but_for_rounding(place):
+    """As of a disc that lies within: the chords end there as a square root does."""
+    plate, areas = make_outline({"outline": straight([(0, 0), (2, 0), (2, 2), (0, 2)], "free", "outline")}), []
+    for over in (-1e-16, 0.0, 1e-16):
+        touching = disc(1.0, place + math.copysign(over, place - 1), 0.3)
+        areas.append(make_chords(plate, LOCAL, (8, 9), curves=[touching]).weights.sum())
+    assert areas == pytest.approx([math.pi * 0.3**2] * 3, rel=1e-8)
+
+
 @pytest.mark.parametrize("block", [2**14, 7])
 def test_forms_are_sums_over_the_points(block):
     """Also where not all segments are in one block."""

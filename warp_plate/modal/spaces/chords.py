@@ -313,6 +313,8 @@ def _cuts(
     arcs = [(piece, end) for piece in pieces for end in (0.0, 1.0) if isinstance(piece, Arc)]
     level = [piece.points(end)[1] for piece, end in arcs if abs(piece.tangents(end)[1]) < LEVEL * piece.length]
     extremes = np.concatenate([extremes, level])
+    inside = np.clip(extremes, low, high)  # where rounding puts a place of contact beyond an end, it is there
+    extremes = np.where(np.abs(inside - extremes) <= SAME * size, inside, extremes)
     graded = [extremes + sign * part * interval for part in GRADED for sign in (-1, 1)]
     met = [place for first, parts in enumerate(groups) for others in groups[first + 1 :]
            for one in parts for two in others for place in _meetings(one, two)]  # fmt: skip
