@@ -17,7 +17,7 @@ import scipy
 
 from warp_plate.designing.functions import shape_of
 from warp_plate.effects.effect import Attachment, Edge, Effect, Patch, Term, attachments
-from warp_plate.modal.assemble import DIFFERENCE, Galerkin, patch_means, unit_loads
+from warp_plate.modal.assemble import Galerkin, patch_means, unit_loads
 from warp_plate.modal.coils import coil_numbers
 from warp_plate.modal.sensitivity.fields import FieldSlopes
 from warp_plate.modal.sensitivity.forms import PlateMatrices, plate_matrices
@@ -26,6 +26,9 @@ from warp_plate.modal.spaces.integrals import SplineProducts
 from warp_plate.plate.section import Laminate, laminate_of
 from warp_plate.scene.model import Scene
 from warp_plate.scene.target import PlateRegion
+
+# Step of differences, as a part of the range of a number.
+STEP = 1e-4
 
 
 @dataclass(frozen=True)
@@ -101,20 +104,17 @@ class NumberSlopes:
         return totals
 
     def _slopes_of_means(self, axis: int) -> np.ndarray:
-        """Return (attachments, unknowns of the plate) slopes [1/m] of mean values by the patches' x (0) or y (1); where
-        a patch is at the edge of the plate, by two places further inside."""
-        regions = [attachment.region for attachment in self._galerkin.attachments]
-        side, step = self.scene.plate.size[axis], DIFFERENCE * max(self.scene.plate.size)
-        ends = np.array([region.box[2 * axis : 2 * axis + 2] for region in regions])
-        inward = (ends[:, 0] < step).astype(int) - (ends[:, 1] > side - step)
-        middles = np.array([region.middle for region in regions])
-        one, two = (
-            patch_means(self._space, [region.moved_to(*at) for region, at in zip(regions, places, strict=True)])
-            for steps in (np.where(inward, inward, 1), np.where(inward, 2 * inward, -1))
-            for places in [(middles + step * np.outer(steps, np.eye(2)[axis])).tolist()]
-        )
-        here, inward = self._relative[0][:, : self._space.unknowns], inward[:, None]
-        return np.where(inward, inward * (4 * one - two - 3 * here), one - two) / (2 * step)
+        """Return (attachments, unknowns of the plate) slopes [1/m] of mean values by the patches' x (0) or y (1)."""
+        side, slopes, moved = self.scene.plate.size[axis], list[np.ndarray](), list[PlateRegion]()
+        for region in (attachment.region for attachment in self._galerkin.attachments):
+            low, high = region.box[2 * axis : 2 * axis + 2]
+            travel = max(side - (high - low), STEP * side)
+            points, weights = next(stencils(min(max(low / travel, 0.0), 1.0), STEP))
+            for place in travel * points + (high - low) / 2:
+                moved.append(region.moved_to(*np.where(np.arange(2) == axis, place, region.middle).tolist()))
+            slopes.append(weights / travel)
+        means = patch_means(self._space, moved).reshape(*np.shape(slopes), -1)
+        return np.einsum("ap,apu->au", slopes, means)
 
     @cached_property
     def _first(self) -> dict[str, int]:
@@ -129,11 +129,11 @@ class NumberSlopes:
         changes = _numbers(attachments(after.terms(plate))) - _numbers(attachments(before.terms(plate)))
         return np.asarray((self._attached[:, first : first + len(changes)] * changes).sum(axis=(1, 2)))
 
-    def along(self, scene_at: Callable[[float], Scene], share: float, step: float, degree: int) -> np.ndarray:
-        """Return the slopes (numbers,) at a share from 0 to 1 of scenes by their share, of polynomials of a degree
-        through points a step apart; Unlike: on either side functions of the outline are of other kinds."""
+    def along(self, scene_at: Callable[[float], Scene], share: float, step: float = STEP) -> np.ndarray:
+        """Return the slopes (numbers,) at a share from 0 to 1 of scenes by their share, from :func:`stencils`; Unlike:
+        on either side functions of the outline are of other kinds."""
         unlike = None
-        for points, weights in stencils(share, step, degree):
+        for points, weights in stencils(share, step):
             scenes = [self.scene if point == share else scene_at(point) for point in points.tolist()]
             pairs = [(scene, weight) for scene, weight in zip(scenes, weights.tolist(), strict=True) if weight]
             middle = next((scene for scene, _ in pairs if scene is self.scene), pairs[0][0])
@@ -198,17 +198,16 @@ class NumberSlopes:
         return np.array([np.vdot(by.matrices.forces[:plate], one - other) for by in self._slopes])
 
 
-def stencils(share: float, step: float, degree: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield points (degree + 1,) from 0 to 1, a step apart, of which a share is one, and the weights with which values
-    there sum up to the slope at the share of a polynomial of an even degree; first those with the share in the middle.
-    """
-    step = min(step, 1 / (degree + 1))
-    for below in sorted(range(degree + 1), key=lambda below: abs(2 * below - degree)):
-        offsets = np.arange(degree + 1) - below
+def stencils(share: float, step: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield five points from 0 to 1, a step apart, of which a share is one, and the weights with which values there sum
+    up to the slope at the share of a polynomial of the fourth degree; first those with the share in the middle."""
+    step = min(step, 1 / 5)
+    for below in (2, 1, 3, 0, 4):
+        offsets = np.arange(5) - below
         points = share + step * offsets
         if points[0] >= 0 and points[-1] <= 1:
-            weights = np.linalg.solve(offsets ** np.arange(degree + 1)[:, None], np.eye(degree + 1)[1])
-            yield points, np.where(offsets if 2 * below == degree else 1, weights, 0) / step
+            weights = np.linalg.solve(offsets ** np.arange(5)[:, None], np.eye(5)[1])
+            yield points, np.where(offsets if below == 2 else 1, weights, 0) / step
 
 
 def panel_mass(galerkin: Galerkin) -> float:

@@ -18,7 +18,7 @@ import numpy as np
 
 from warp_plate.designing.functions import PanelFunctions
 from warp_plate.designing.mode_names import NamedModes
-from warp_plate.designing.numbers import NumberSlopes, PanelSlopes, panel_mass
+from warp_plate.designing.numbers import STEP, NumberSlopes, PanelSlopes, panel_mass
 from warp_plate.designing.objectives import check_steady, judge, largest, limits, shown, uses_sound
 from warp_plate.designing.thickness import ThicknessMap
 from warp_plate.modal.modes import solve_modes
@@ -42,9 +42,9 @@ MARGIN, ENERGY_MARGIN = 2e-3, 1e-2
 # Natural frequencies on either side of the gap that count, steepness of their aggregate, and the part of the gap's ends
 # up to which a motion is rigid.
 NEAR, STEEPNESS, STILL = 6, 500.0, 1e-3
-# Steps of differences of terms and fields, as a part of the range of a number, and of matrices by the shape of a panel,
-# as a part of the least interval between knots: wide, for rounding turns the functions of an outline.
-STEP, SHAPE_STEP = 1e-4, 7e-4
+# Step of differences by the shape of a panel, as a part of the least interval between knots: wide, for rounding turns
+# the functions of an outline.
+SHAPE_STEP = 7e-4
 # Numbers of attachments with slopes of their own.
 ATTACHED_NUMBERS = ("mass", "stiffness", "damping")
 # Numbers of actuators that are no part of the panel.
@@ -312,8 +312,8 @@ class FreePanel:
                 return self._with_map(self._with_numbers(one, case), numbers)
 
             shape = place is None and any(map(_is_shape, linked_keys(self.scene, self._keys[index])))
-            step, degree = (SHAPE_STEP * self._functions.least_interval / width[index], 4) if shape else (STEP, 2)
-            slopes[:, self._mapped + index] = of.along(scene_at, share, step, degree)
+            step = SHAPE_STEP * self._functions.least_interval / width[index] if shape else STEP
+            slopes[:, self._mapped + index] = of.along(scene_at, share, step)
         return slopes
 
     @cached_property
