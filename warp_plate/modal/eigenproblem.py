@@ -23,6 +23,8 @@ from warp_plate.scene.model import Scene
 LOWEST = 12
 # All modes are computed unless fewer than one in SPARSE is wanted: then Lanczos' method takes less time.
 SPARSE = 5
+# Modes with less than this part of the largest flexibility 1/(ω² + scale) are left out: rounding couples their damping.
+FLEXIBLE = 1e-9
 # Matrices of all unknowns, and vectors of a wanted mode, that the two ways hold.
 DENSE_MATRICES, LANCZOS_VECTORS = 7, 4
 # Matrices with more entries than this part are multiplied as dense ones.
@@ -34,12 +36,18 @@ INTERVALS = 18
 
 
 def solve_eigenproblem(
-    galerkin: Galerkin, wanted: int, scale: float, least: float = 0.0, improve: bool = True
+    galerkin: Galerkin,
+    wanted: int,
+    scale: float,
+    least: float = 0.0,
+    improve: bool = True,
+    flexible: float = FLEXIBLE,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return ω² [1/s²], rising, and mass-normalised vectors (unknowns, modes) of at least the ``wanted`` lowest modes.
 
     ``scale`` is the size of the lowest ω²; all modes up to ``least`` [1/s²] are found, by Weyl's law ``wanted``.
-    SceneError: the plate buckles, or the matrices do not fit into memory.
+    Of dense matrices those with less than a part ``flexible`` of the largest flexibility are left out. SceneError: the
+    plate buckles, or the matrices do not fit into memory.
     """
     bases = _bases(galerkin)
     # Up to a frequency, nearly equal numbers of modes have each parity; the difference grows as the plate's perimeter.
@@ -49,7 +57,7 @@ def solve_eigenproblem(
         edges = [not isinstance(edge, str) or edge == "free" for _, edge in galerkin.scene.edge_conditions]
         loose = sum(edges) / len(edges)
         share = math.ceil(wanted / len(bases) + (2 / len(bases) + 0.25) * math.sqrt(wanted) * loose + 5)
-    parts = [_solve(galerkin, basis, share, scale, least) for basis in bases]
+    parts = [_solve(galerkin, basis, share, scale, least, flexible) for basis in bases]
     sizes = [squares.size for squares, _ in parts]
     highest = min((squares[-1] for squares, _ in parts if squares.size == share), default=math.inf)
     squares, parity = np.concatenate([squares for squares, _ in parts]), np.repeat(range(len(parts)), sizes)
@@ -72,7 +80,9 @@ def _bases(galerkin: Galerkin) -> list[Matrix]:
     return galerkin.space.parity_bases()
 
 
-def _solve(galerkin: Galerkin, basis: Matrix, wanted: int, scale: float, least: float) -> tuple[np.ndarray, np.ndarray]:
+def _solve(
+    galerkin: Galerkin, basis: Matrix, wanted: int, scale: float, least: float, flexible: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Return ω², rising, and vectors (unknowns, modes) of the motions that a basis (unknowns, n) spans: of ``wanted``
     modes, or of more if they do not reach ``least``."""
     unknowns = basis.shape[1]
@@ -84,11 +94,11 @@ def _solve(galerkin: Galerkin, basis: Matrix, wanted: int, scale: float, least: 
         if few:
             squares, vectors = lowest_by_lanczos(stiffness, mass, wanted, scale)
         else:
-            squares, vectors = all_modes(stiffness, mass, scale)
+            squares, vectors = all_modes(stiffness, mass, scale, flexible)
     except np.linalg.LinAlgError:
         raise _buckled(galerkin.scene) from None
     if squares.size == wanted and squares[-1] < least:
-        return _solve(galerkin, basis, wanted + math.ceil(wanted / 4), scale, least)
+        return _solve(galerkin, basis, wanted + math.ceil(wanted / 4), scale, least, flexible)
     return squares, basis @ vectors
 
 
@@ -126,8 +136,11 @@ def _improve_lowest(galerkin: Galerkin, squares: np.ndarray, vectors: np.ndarray
         vectors[:, alike] = vectors[:, alike] @ rotation
 
 
-def all_modes(stiffness: Matrix, mass: Matrix, scale: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return ω² [1/s²], rising, and vectors (unknowns, modes) of all modes but the very highest, by dense matrices."""
+def all_modes(
+    stiffness: Matrix, mass: Matrix, scale: float, flexible: float = FLEXIBLE
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return ω² [1/s²], rising, and vectors (unknowns, modes) of all modes with more than a part ``flexible`` of the
+    largest flexibility, by dense matrices."""
     dense = mass.toarray()
     shifted = stiffness.toarray() + scale * dense
     # Eigenvalues of the inverse problem: the largest have small relative errors, and they belong to the lowest modes.
@@ -136,7 +149,7 @@ def all_modes(stiffness: Matrix, mass: Matrix, scale: float) -> tuple[np.ndarray
     units = 1 / np.sqrt(np.diag(shifted))
     inverse, vectors = scipy.linalg.eigh(dense * np.outer(units, units), shifted * np.outer(units, units), driver="gvd")
     inverse, vectors = inverse[::-1], (units[:, None] * vectors)[:, ::-1]
-    kept = inverse > 1e-9 * inverse[0]  # of still higher ones rounding couples the damping
+    kept = inverse > flexible * inverse[0]
     inverse, vectors = inverse[kept], vectors[:, kept]
     return 1 / inverse - scale, vectors / np.sqrt(inverse)
 

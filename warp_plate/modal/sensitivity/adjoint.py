@@ -42,7 +42,7 @@ import scipy
 from warp_plate.effects.effect import per_mode
 from warp_plate.modal.assemble import Galerkin
 from warp_plate.modal.coils import feeding
-from warp_plate.modal.eigenproblem import solve_eigenproblem
+from warp_plate.modal.eigenproblem import FLEXIBLE, solve_eigenproblem
 from warp_plate.modal.gram import mean_exponential, mean_exponential_with_time
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.poles import Poles
@@ -109,8 +109,10 @@ class EnergyAdjoint(PlateForms):
         omega, steady = scene.drive.angular_frequency, steady or scene.steady
         lowest = mean_wave_frequency(galerkin.space.laminate) / max(scene.plate.size) ** 2
         unknowns = galerkin.mass.shape[0]
-        squares, vectors = solve_eigenproblem(galerkin, unknowns, (2 * math.pi * lowest) ** 2, improve=False)
-        count = squares.size if steady else _count_modes(squares, REACH * omega)
+        scale = (2 * math.pi * lowest) ** 2
+        squares, vectors = solve_eigenproblem(galerkin, unknowns, scale, improve=False, flexible=0.0)
+        few = squares[: np.searchsorted(squares, (squares[0] + scale) / FLEXIBLE)]
+        count = squares.size if steady else _count_modes(few, REACH * omega)
         self._squares, self._vectors = squares, vectors
         phi, natural = vectors[:, :count], np.sqrt(np.maximum(squares[:count], 0))
         bending = phi.T @ self._all.bending @ phi
