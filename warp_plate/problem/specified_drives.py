@@ -152,10 +152,10 @@ class Tone:
         blocks = []
         for index, rest in enumerate(self.requirements.rests):
             if rest.allowance.measure == "mean":
-                blocks.append((index, self.mean_factor(rest.region)[None]))
+                blocks.append(self.mean_factor(rest.region)[None])
             else:
-                blocks.append((index, self._rows_of(("rest", index), rest.region)[:, None]))
-        return blocks
+                blocks.append(self._rows_of(("rest", index), rest.region)[:, None])
+        return list(enumerate(blocks))
 
     def allowed_for(self, level: float) -> np.ndarray:
         """Return what is allowed of the (rests,) for a multiple of the wanted levels, which relative levels follow."""
@@ -238,7 +238,7 @@ class Tone:
         levels that it reaches there; its points are shared."""
         tone = copy(self)  # with what is computed already
         for index, aim in enumerate(self.requirements.aims):
-            if self.is_fixed(aim):
+            if self.fixed_phase(aim) is not None:
                 motion = (self._rows_of(("aim", index), aim.region) @ drive).mean()
                 tone.rotation = float(-np.angle(motion) - aim.level.phase)
                 break
@@ -256,7 +256,7 @@ class Tone:
     def binding(self, result: LeastScale) -> list[tuple[str, float]]:
         """Return what the proof of a program of this tone alone rests on, in words, with its part of the proof."""
         named, place = [], 0
-        for index, aim in sorted(enumerate(self.requirements.aims), key=lambda row: not self.is_fixed(row[1])):
+        for index, aim in sorted(enumerate(self.requirements.aims), key=lambda row: self.fixed_phase(row[1]) is None):
             points = self.points.get(("aim", index), np.empty((0, 2)))
             count = 1 if aim.level.measure == "mean" else len(points)
             part = result.wanted[place : place + count]
@@ -272,9 +272,9 @@ class Tone:
         parts = result.allowed[0].tolist() if result.allowed else []
         return named + list(zip([actuator.name for actuator in self.plate.scene.actuators], parts, strict=False))
 
-    def is_fixed(self, aim: Aim) -> bool:
-        """Return whether a level is wanted at all points at one phase."""
-        return aim.level.measure == "weakest" and aim.level.phase != "free"
+    def fixed_phase(self, aim: Aim) -> float | None:
+        """Return the phase lag [rad] at which a level is wanted at all points, if there is one."""
+        return None if aim.level.measure == "mean" or (phase := self._phase(aim)) == "free" else phase
 
     def extremes(self, drive: np.ndarray) -> list[RegionLevels]:
         """Return the peak accelerations in all regions under a drive."""
@@ -288,31 +288,32 @@ class Tone:
 
     def reached(self, drive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the levels under a drive over those wanted (aims,), and over those allowed (rests,)."""
-        in_aims, in_rests = self._per_region(lambda measure, region: self._measured(measure, region, drive))
+        in_aims, in_rests = self._per_region(lambda measure, region, _: self._measured(measure, region, drive))
         return in_aims / self.wanted, in_rests / self.allowed
 
-    def _per_region(self, function: Callable[[str, Region], float | list[float]]) -> Ratios:
-        """Return a function of measure and region for all (aims,) and (rests,)."""
-        aims = [function(aim.level.measure, aim.region) for aim in self.requirements.aims]
-        rests = [function(rest.allowance.measure, rest.region) for rest in self.requirements.rests]
+    def _per_region(self, function: Callable[[str, Region, float | None], float | list[float]]) -> Ratios:
+        """Return a function of measure, region and fixed phase, or None, for all (aims,) and (rests,)."""
+        aims = [function(aim.level.measure, aim.region, self.fixed_phase(aim)) for aim in self.requirements.aims]
+        rests = [function(rest.allowance.measure, rest.region, None) for rest in self.requirements.rests]
         return np.array(aims), np.array(rests)
 
     def errors(self, other: Tone, drive: np.ndarray, caution: float) -> tuple[Ratios, Ratios]:
         """Return the least and the largest levels under a drive, over those reached: of the (aims,) and (rests,), if
-        accelerations may be off by ``caution`` times their changes to another solution and a part of the largest."""
+        accelerations, or their parts at a fixed phase, may be off by ``caution`` times their changes to another
+        solution and a part of the largest."""
 
-        def ends(measure: str, region: Region) -> list[float]:
+        def ends(measure: str, region: Region, phase: float | None) -> list[float]:
             values = self._sampled(region, drive)
             changes = np.abs(other.rows(region.samples) @ drive - values)
             changes = caution * (changes + ELSEWHERE * changes.max()) + ROUNDING * np.abs(values).max()
-            sizes = [np.abs(values) + sign * changes for sign in (0, -1, 1)]
+            size = np.abs(values) if phase is None else (np.exp(1j * phase) * values).real
+            sizes = [size + sign * changes for sign in (0, -1, 1)]
             if measure == "mean":
                 middle, change = (float(np.sqrt(np.mean(part**2))) for part in (sizes[0], changes))
                 others = [middle - change, middle + change]
             else:
                 middle, *others = (float(part.max() if measure == "worst" else part.min()) for part in sizes)
-            reached = self._measured(measure, region, drive)
-            return [max(1 + (end - middle) / reached, 0.0) for end in others]
+            return [max(1 + (end - middle) / self._measured(measure, region, drive), 0.0) for end in others]
 
         (low_aims, high_aims), (low_rests, high_rests) = (part.reshape(-1, 2).T for part in self._per_region(ends))
         return (low_aims, low_rests), (high_aims, high_rests)

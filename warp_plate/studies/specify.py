@@ -301,7 +301,7 @@ def _least_level(tone: Tone, in_aims: np.ndarray, levels: Ratios, in_phase: floa
 
     Levels that are wanted at a phase count by their part at this phase, which is ``in_phase`` times the wanted one.
     """
-    least = np.where([tone.is_fixed(aim) for aim in tone.requirements.aims], in_phase, levels[0])
+    least = np.where([tone.fixed_phase(aim) is not None for aim in tone.requirements.aims], in_phase, levels[0])
     return max(float((least + levels[0] * (in_aims - 1)).min()), 0.0)
 
 
