@@ -11,7 +11,8 @@ import pytest
 
 from support.commands import error_of, output_of
 from support.scenes import scene_of
-from warp_plate import Scene, load_result
+from warp_plate import Scene, SceneError, load_result
+from warp_plate.solve.devices import cache_errors
 
 QUICK = ("--device", "cpu", "--no-pictures", "--no-estimate", "--json")
 
@@ -29,6 +30,18 @@ def test_a_cache_that_cannot_be_made(write_scene):
     assert "cannot keep compiled kernels" in line
     assert "WARP_CACHE_PATH" in line
     assert str(Path("panel.toml").resolve()) in line
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems take only UTF-8")
+def test_a_cache_whose_name_is_not_utf8(write_scene, tmp_path):
+    write_scene(damping=88.5)
+    line = error_of(simulate(WARP_CACHE_PATH=os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9")))
+    assert "cannot keep compiled kernels: 'utf-8' codec can't encode" in line
+
+
+def test_a_lost_file_of_the_cache_is_named():
+    with pytest.raises(SceneError, match=r"cannot keep compiled kernels: a\.meta was not found"), cache_errors():
+        raise FileNotFoundError("a.meta was not found")  # as Warp does
 
 
 @pytest.mark.slow

@@ -1,14 +1,17 @@
 """What workers get: blocks of plates between their limits, sent as their numbers."""
 
 import pickle
+import threading
+from concurrent.futures import Future
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
+from support.inline_pool import InlinePool
 from warp_plate import PlateSolver, Scene
 from warp_plate.cluster.evaluator import block_size
-from warp_plate.cluster.pool import BLOCK_NODE_STEPS, WorkerPool, WorkersGone
+from warp_plate.cluster.pool import BLOCK_NODE_STEPS, Task, WorkerPool, WorkersGone, run_tasks
 from warp_plate.cluster.tasks import Evaluation, SolverSpec, make_solver
 from warp_plate.plate.designs import Designs
 
@@ -51,17 +54,40 @@ def test_a_worker_keeps_a_solver_of_its_own_device_and_threads(scene, monkeypatc
 
 def test_a_minute_passes_until_no_worker_is_left(monkeypatch):
     """For the first one, and whenever all are lost."""
-    client, now = Mock(status="running", nthreads=dict), 0.0
+    client, now = Mock(status="running", **{"sync.return_value": {}}), 0.0
     monkeypatch.setattr("warp_plate.cluster.pool.time", Mock(monotonic=lambda: now))
     pool = WorkerPool(client, "--cluster tcp://far:8786")
     for start in (0.0, 1000.0):
         now = start
         if start:
-            client.nthreads = lambda: {"worker": 2}
+            client.sync.return_value = {"worker": 2}
             assert pool.worker_count() == 2
-            client.nthreads = dict
+            client.sync.return_value = {}
         now = start + 59
         assert pool.worker_count() == 0
         now = start + 61
         with pytest.raises(WorkersGone, match="has had no worker for a minute"):
             pool.worker_count()
+
+
+class Deserted(InlinePool):
+    """A worker that is lost with its task."""
+
+    counts = iter([1])
+
+    def worker_count(self):
+        if count := next(self.counts, 0):
+            return count
+        raise WorkersGone("no worker is left: of a test")
+
+    def submit(self, function, argument):
+        future = Future()
+        late = threading.Timer(3.0, lambda: future.cancelled() or future.set_result(None))  # if nobody notices
+        late.daemon = True
+        late.start()
+        return future
+
+
+def test_workers_that_are_lost_with_all_tasks_are_not_waited_for():
+    with pytest.raises(WorkersGone, match="of a test"):
+        list(run_tasks(Deserted(), [Task(abs, 1)]))

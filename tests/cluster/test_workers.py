@@ -164,6 +164,49 @@ def test_workers_that_cannot_start_are_one_line(monkeypatch):
         dask.config.refresh()
 
 
+@POSIX
+@pytest.mark.parametrize("ends_workers", [False, True])
+def test_sigterm_waits_until_workers_have_started(ends_workers, monkeypatch):
+    """Dask prints tracebacks if it is interrupted meanwhile; a signal to all processes ends its workers as well."""
+    started = []
+
+    def start_cluster(*given, **options):
+        os.kill(os.getpid(), signal.SIGTERM)
+        started.append(options)
+        if ends_workers:
+            raise RuntimeError("Nanny failed to start.")
+
+    monkeypatch.setattr(distributed, "SpecCluster", start_cluster)
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt), open_pool("cpu", None):
+            pass
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert len(started) == 1
+
+
+TRACKED = """
+from warp_plate.cluster.opening import interrupts_blocked
+
+with interrupts_blocked():
+    print(flush=True)
+input()
+"""
+
+
+@POSIX
+def test_a_closed_terminal_leaves_pythons_tracker_of_semaphores():
+    """If that ends before the command, it prints tracebacks."""
+    program = start_program("-c", TRACKED, stdin=subprocess.PIPE)
+    program.stdout.readline()
+    (tracker,) = psutil.Process(program.pid).children()
+    tracker.send_signal(signal.SIGHUP)
+    time.sleep(0.3)
+    assert tracker.status() != psutil.STATUS_ZOMBIE
+    assert program.communicate("\n", timeout=60) == ("", "")
+
+
 def test_a_low_limit_of_open_files_is_refused(monkeypatch):
     limits = pytest.importorskip("resource")
     monkeypatch.setattr(limits, "getrlimit", lambda kind: (20, 20))
@@ -409,7 +452,8 @@ def start(*words):
 
 @pytest.mark.slow
 @POSIX
-def test_a_scheduler_that_goes_away_leaves_a_checkpoint(tmp_path, scene):
+@pytest.mark.parametrize("lost", ["scheduler killed", "scheduler stopped", "worker killed"])
+def test_a_scheduler_that_goes_away_leaves_a_checkpoint(lost, tmp_path, scene):
     """A search with the scheduler's file continues in this process, to the same result."""
     panel, file = small_search(scene, iterations=400), tmp_path / "scheduler.json"
     scheduler = start("distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", str(file))
@@ -420,7 +464,8 @@ def test_a_scheduler_that_goes_away_leaves_a_checkpoint(tmp_path, scene):
 
     def after(done, total, best):
         if done == 5:
-            scheduler.kill()
+            victim = worker if "worker" in lost else scheduler
+            victim.send_signal(signal.SIGSTOP if "stopped" in lost else signal.SIGKILL)
 
     try:
         checkpoints = CheckpointFile(path, np.inf)

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from warp_plate.cluster.pool import WorkerPool
 from warp_plate.cluster.tasks import DEVICE_VARIABLE
-from warp_plate.interrupts import TERMINAL_SIGNALS
+from warp_plate.interrupts import TERMINAL_SIGNALS, check_interrupt, deferred_interrupts
 from warp_plate.scene.errors import SceneError
 from warp_plate.solve.devices import find_device
 
@@ -132,9 +132,10 @@ def _start_workers(devices: Sequence[str]) -> WorkerPool:
         }
         workers[number] = {"cls": Nanny, "options": options}
     try:
-        with interrupts_blocked():
+        with deferred_interrupts(), interrupts_blocked():
             cluster = SpecCluster(workers, scheduler, security=security, silence_logs=logging.CRITICAL)
     except Exception as error:  # Dask raises that of its worker, of whatever kind
+        check_interrupt()  # a SIGTERM to all processes ended that worker
         raise SceneError(f"{name}: workers cannot start: {_first_line(error)}") from None
     return WorkerPool(_connect(name, cluster), name, cluster=cluster)
 
@@ -182,9 +183,10 @@ def interrupts_blocked() -> Iterator[None]:
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
-    resource_tracker.ensure_running()  # unblocks SIGINT if the first process of a program starts it
     before = signal.pthread_sigmask(signal.SIG_BLOCK, TERMINAL_SIGNALS)
     try:
+        resource_tracker.ensure_running()  # unblocks SIGINT if the first process of a program starts it
+        signal.pthread_sigmask(signal.SIG_BLOCK, TERMINAL_SIGNALS)
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)

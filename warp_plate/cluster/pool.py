@@ -25,8 +25,9 @@ BLOCK_NODE_STEPS = {"cpu": (1e8, 8e8), "cuda": (1.65e9, 2.64e10)}
 ATTEMPTS = 3
 # Tasks queued for each worker, so that it need not wait for the next one.
 TASKS_PER_WORKER = 2
-# Seconds between checks for Ctrl-C, between counts of the workers, and to wait for a worker to join.
-POLL_SECONDS, COUNT_SECONDS, JOIN_SECONDS = 0.2, 2.0, 60.0
+# Seconds between checks for Ctrl-C, between counts of the workers, for the scheduler to give their number, and to wait
+# for a worker to join.
+POLL_SECONDS, COUNT_SECONDS, ANSWER_SECONDS, JOIN_SECONDS = 0.2, 2.0, 5.0, 60.0
 
 
 class WorkersGone(SceneError):
@@ -72,7 +73,8 @@ class WorkerPool:
         if self._count:
             self._seen, self._most = now, max(self._most, self._count)
         elif self._client.status == "closed" or now - self._seen > self.join_seconds:
-            raise WorkersGone(f"{self._name}: the scheduler is gone, or has had no worker for a minute")
+            ended = "; workers end where warp-plate is not installed"
+            raise WorkersGone(f"{self._name}: the scheduler is gone, or has had no worker for a minute{ended}")
         return self._count
 
     def submit(self, function: Callable[[Any], Any], argument: Any) -> Future[Any]:
@@ -92,9 +94,11 @@ class WorkerPool:
             self._cluster.close()
 
     def _count_threads(self) -> int:
-        with suppress(OSError):
-            if self._client.status == "running":
-                return sum(self._client.nthreads().values())
+        client = self._client
+        with suppress(OSError):  # TimeoutError among them
+            if client.status == "running" and client.scheduler is not None:
+                count = client.sync(client.scheduler.ncores, workers=None, callback_timeout=ANSWER_SECONDS)
+                return sum(count.values())
         return 0
 
 
@@ -139,7 +143,8 @@ def run_tasks(pool: WorkerPool, tasks: Iterable[Task]) -> Iterator[tuple[Task, O
     waiting, running, done = deque(tasks), dict[Future[Any], Task](), 0
     try:
         while waiting or running:
-            while waiting and len(running) < pool.worker_count() * TASKS_PER_WORKER:
+            most = pool.worker_count() * TASKS_PER_WORKER  # counted also while all tasks wait at workers that are lost
+            while waiting and len(running) < most:
                 # A task that failed before runs alone, so that no other fails with it.
                 if running and any(task.attempts for task in (waiting[0], *running.values())):
                     break

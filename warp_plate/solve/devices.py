@@ -178,10 +178,11 @@ def cache_errors() -> Iterator[None]:
     """Name the cache, and how to choose another, in errors of its files."""
     try:
         yield
-    except OSError as error:
-        folder = wp.config.kernel_cache_dir or error.filename
+    except (OSError, UnicodeEncodeError) as error:  # the latter of folders whose name is not UTF-8
+        reason = getattr(error, "strerror", None) or error
+        folder = wp.config.kernel_cache_dir or getattr(error, "filename", None) or "the working folder"
         raise SceneError(
-            f"{folder}: cannot keep compiled kernels: {error.strerror}; WARP_CACHE_PATH can name another folder"
+            f"{folder}: cannot keep compiled kernels: {reason}; WARP_CACHE_PATH can name another folder"
         ) from None
 
 
