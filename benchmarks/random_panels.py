@@ -11,6 +11,7 @@ from error_bars.scenes import random_scene
 
 from warp_plate import Scene
 from warp_plate.designing.panel import FreePanel, gridded
+from warp_plate.modal.assemble import make_galerkin
 from warp_plate.modal.sensitivity.adjoint import EnergyAdjoint
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.plate.designs import scene_phasors
@@ -92,7 +93,7 @@ def with_limits(scene: Scene, rng: np.random.Generator) -> Scene:
 
 
 def energy_of(panel: FreePanel, scene: Scene) -> float:
-    adjoint = EnergyAdjoint(panel._functions.galerkin(scene))
+    adjoint = EnergyAdjoint(make_galerkin(scene, panel._functions.of_scene(scene)))
     phasors = scene_phasors(scene)
     z = np.concatenate([phasors.real, -phasors.imag])
     return float(z @ adjoint["target"] @ z)

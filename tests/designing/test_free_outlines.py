@@ -76,6 +76,26 @@ def test_slopes_of_patches_at_the_edge_of_the_plate_are_those_of_differences(pat
     assert error_at_end(panel, np.array([end, 0.4]), 1e-4) <= 1e-7
 
 
+@pytest.mark.parametrize("free", [{"area[0]": [0.11, 0.125]}, {"disc[2]": [0.008, 0.02]}], ids=["area", "disc"])
+def test_slopes_by_shapes_of_attachments_are_those_of_differences(free):
+    key, ends = next(iter(free.items()))
+    oscillator = {**OSCILLATOR, "area": None, "disc": (0.13, 0.11, 0.01)} if "disc" in key else OSCILLATOR
+    design = {"free": {f"effects.oscillators[0].{key}": ends}}
+    panel = panel_of(effects={"oscillators": [oscillator], "damping": {"viscous": 60.0}}, design=design)
+    errors, sizes = errors_of_slopes(panel, np.array([0.4]), np.ones(1), 1e-3, "smooth")
+    assert (errors <= 1e-5 * sizes).all()
+
+
+def test_slopes_by_places_of_layers_are_free_of_rounding(monkeypatch):
+    """Rounding is the larger, the smaller the step of differences."""
+    layer = {"area": (0.02, 0.12, 0.05, 0.08), "thickness": 1e-4, "young_modulus": 2e9, "density": 1800.0}
+    effects, design = {"layers": [layer]}, {"places": {"effects.layers[0]": [0.02, 0.18, 0.03, 0.17]}}
+    panel, numbers = panel_of(effects={**effects, "damping": {"viscous": 60.0}}, design=design), np.array([0.4, 0.3])
+    slopes = panel.evaluate(numbers).slopes
+    monkeypatch.setattr("warp_plate.designing.panel.STEP", 1e-5)
+    assert panel.evaluate(numbers).slopes == pytest.approx(slopes, rel=0, abs=2e-7 * np.abs(slopes).max())
+
+
 @pytest.mark.parametrize("share", [0.0, 5e-5, 0.3, 1.0])
 def test_stencils_stay_in_the_range_and_are_exact_for_polynomials(share):
     coefficients = np.arange(1.0, 6.0)

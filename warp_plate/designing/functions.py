@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from warp_plate.modal.air import Shapes, Waves
-from warp_plate.modal.assemble import Galerkin, make_galerkin, make_space
+from warp_plate.modal.assemble import make_space
 from warp_plate.modal.radiation import FarField, air_of
 from warp_plate.modal.sensitivity.adjoint import AirBeside
 from warp_plate.modal.spaces.integrals import mean_wave_frequency
@@ -57,17 +57,17 @@ class PanelFunctions:
         """Least interval between knots [m]."""
         return min(float(np.diff(along.breaks).min()) for along in self.space.along)
 
-    def galerkin(self, scene: Scene, near: FunctionSpace | None = None) -> Galerkin:
-        """Return the matrices of a panel, over functions that turn least from those of ``near``, of almost the same
-        shape; Unlike: these are of other kinds."""
+    def of_scene(self, scene: Scene, near: FunctionSpace | None = None) -> TensorSplines | TrimmedSplines:
+        """Return the functions of a panel, which turn least from those of ``near``, of almost the same shape; Unlike:
+        these are of other kinds."""
         own, like = self.space, self.space if near is None else near
         x, y = (splines.scaled(length) for splines, length in zip(own.along, scene.plate.size, strict=True))
         if not isinstance(like, TrimmedSplines):
-            return make_galerkin(scene, TensorSplines(scene, own.intervals, (x, y)))
+            return TensorSplines(scene, own.intervals, (x, y))
         if not self._shaped or shape_of(like.scene) == shape_of(scene):
-            return make_galerkin(scene, TrimmedSplines(scene, own.intervals, fixed=like))
+            return TrimmedSplines(scene, own.intervals, fixed=like)
         followed = None if near is None else like
-        return make_galerkin(scene, TrimmedSplines(scene, own.intervals, along=(x, y), rank=RANK, near=followed))
+        return TrimmedSplines(scene, own.intervals, along=(x, y), rank=RANK, near=followed)
 
     def air(self, frequency: float) -> AirBeside:
         """Return the air beside the functions at a frequency [Hz]; see :mod:`warp_plate.modal.air`."""

@@ -1,8 +1,8 @@
 """Changes of what a panel can do with the numbers of its scene, from slopes by its matrices.
 
 The matrices are linear in the coefficients of the plate's terms and in its fields. What two scenes differ in is
-therefore multiplied by slopes by these, which are computed once, and no matrix is assembled for a number. Only where
-layers move or the outline changes are the matrices themselves differenced.
+therefore multiplied by slopes by these, which are computed once, and no matrix is assembled for a number; where layers
+move, fields over another rule are. Only where the outline or a patch changes are the matrices themselves differenced.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import scipy
 
 from warp_plate.designing.functions import shape_of
 from warp_plate.effects.effect import Attachment, Edge, Effect, Patch, Term, attachments
-from warp_plate.modal.assemble import Galerkin, patch_means, unit_loads
+from warp_plate.modal.assemble import Galerkin, make_galerkin, patch_means, unit_loads
 from warp_plate.modal.coils import coil_numbers
 from warp_plate.modal.sensitivity.fields import FieldSlopes
 from warp_plate.modal.sensitivity.forms import PlateMatrices, plate_matrices
@@ -43,15 +43,19 @@ class PanelSlopes:
 class NumberSlopes:
     """Changes of numbers that have slopes by a panel."""
 
-    def __init__(self, galerkin: Galerkin, make: Callable[[Scene], Galerkin], slopes: Sequence[PanelSlopes]) -> None:
-        """Prepare the slopes; ``make`` returns the matrices of another scene over the same functions."""
+    def __init__(
+        self, galerkin: Galerkin, space_of: Callable[[Scene], SplineProducts], slopes: Sequence[PanelSlopes]
+    ) -> None:
+        """Prepare the slopes; ``space_of`` returns the same functions over the panel of another scene."""
         assert isinstance(galerkin.space, SplineProducts)
-        self._galerkin, self._space, self._make, self._slopes = galerkin, galerkin.space, make, slopes
-        space = galerkin.space
-        self._by_mass, by_target = (
+        self._galerkin, self._space, self._space_of, self._slopes = galerkin, galerkin.space, space_of, slopes
+        self._by_mass, self._by_target = (
             np.array([getattr(one, name) for one in slopes]) for name in ("by_mass", "by_target")
         )
-        self.of_fields = FieldSlopes(space, [one.matrices for one in slopes], self._by_mass, by_target)
+        self.of_fields = self._fields_over(galerkin.space)
+
+    def _fields_over(self, space: SplineProducts) -> FieldSlopes:
+        return FieldSlopes(space, [one.matrices for one in self._slopes], self._by_mass, self._by_target)
 
     @property
     def count(self) -> int:
@@ -134,35 +138,38 @@ class NumberSlopes:
         on either side functions of the outline are of other kinds."""
         unlike = None
         for points, weights in stencils(share, step):
-            scenes = [self.scene if point == share else scene_at(point) for point in points.tolist()]
-            pairs = [(scene, weight) for scene, weight in zip(scenes, weights.tolist(), strict=True) if weight]
-            middle = next((scene for scene, _ in pairs if scene is self.scene), pairs[0][0])
+            pairs = [(point, weight) for point, weight in zip(points.tolist(), weights, strict=True) if weight]
             try:
-                changes = [weight * self.between(scene, middle) for scene, weight in pairs if scene is not middle]
+                changes = [weight * self.change(scene_at(point)) for point, weight in pairs if point != share]
                 return np.sum(changes, axis=0)
             except Unlike as error:
                 unlike = error
         assert unlike is not None
         raise unlike
 
-    def between(self, after: Scene, before: Scene) -> np.ndarray:
-        """Return the changes (numbers,) between two scenes; Unlike: functions of the outline are of other kinds."""
-        if _shapes(after.layers) != _shapes(before.layers) or shape_of(after) != shape_of(before):
-            one, other = (self._galerkin if scene is self.scene else self._make(scene) for scene in (after, before))
-            matrices, target = plate_matrices(one) - plate_matrices(other), self.scene.target
-            mass = panel_mass(one) - panel_mass(other)
-            of_target = one.space.region_mass(target) - other.space.region_mass(target)
-            changes = [by.matrices.product(matrices) + by.by_target * of_target for by in self._slopes]
-            return np.array(changes) + self._by_mass * mass
-        changes = _numbers(attachments(after.terms)) - _numbers(attachments(before.terms))
-        terms = (self._attached * changes).sum(axis=(1, 2)) + self._of_terms(after, before)
-        section, coils = self._of_section(after, before), self._of_coils(after, before)
-        return terms + section + coils + self._of_loads(after, before)
+    def change(self, after: Scene) -> np.ndarray:
+        """Return the changes (numbers,) to another scene; Unlike: functions of the outline are of other kinds."""
+        before = self.scene
+        both = attachments(after.terms), self._galerkin.attachments
+        patches = [_shapes(attachment.region for attachment in attached) for attached in both]
+        if shape_of(after) != shape_of(before) or patches[0] != patches[1]:
+            galerkin = make_galerkin(after, self._space_of(after))
+            matrices, target = plate_matrices(galerkin) - self._matrices, before.target
+            mass = panel_mass(galerkin) - panel_mass(self._galerkin)
+            of_target = galerkin.space.region_mass(target) - self._space.region_mass(target)
+            changes = [by.matrices.product(matrices) for by in self._slopes]
+            return np.array(changes) + self._by_target * of_target + self._by_mass * mass
+        terms = (self._attached * (_numbers(both[0]) - _numbers(both[1]))).sum(axis=(1, 2))
+        return terms + self._of_terms(after) + self._of_section(after) + self._of_coils(after) + self._of_loads(after)
 
-    def _of_terms(self, after: Scene, before: Scene) -> np.ndarray:
+    @cached_property
+    def _matrices(self) -> PlateMatrices:
+        return plate_matrices(self._galerkin)
+
+    def _of_terms(self, after: Scene) -> np.ndarray:
         """Return the changes with the terms but those in the fields of bending and of the mass per area."""
         total = np.zeros(len(self._slopes))
-        for term, other in zip(after.terms, before.terms, strict=True):
+        for term, other in zip(after.terms, self.scene.terms, strict=True):
             if isinstance(term.place, Patch) or term.multiple_of or term.role == "mass":
                 continue
             if change := term.coefficient - other.coefficient:
@@ -180,17 +187,28 @@ class NumberSlopes:
         matrix = space.scatter(values)
         return [float(matrix.multiply(getattr(by.matrices, role)[:count, :count]).sum()) for by in self._slopes]
 
-    def _of_section(self, after: Scene, before: Scene) -> np.ndarray:
-        one, other = laminate_of(after), laminate_of(before)
-        return np.zeros(len(self._slopes)) if _alike(one, other) else self.of_fields.change(one, other)
+    def _of_section(self, after: Scene) -> np.ndarray:
+        """Return the changes with fields; layers that move have points of their own, where functions are the same."""
+        laminate, before = laminate_of(after), self._space.laminate
+        if _alike(laminate, before):
+            return np.zeros(len(self._slopes))
+        moved = _shapes(laminate.layers) != _shapes(before.layers)
+        fields = self._fields_over(self._space_of(after)) if moved else self.of_fields
+        return fields.total(laminate) - self._section_total
 
-    def _of_coils(self, after: Scene, before: Scene) -> np.ndarray:
+    @cached_property
+    def _section_total(self) -> np.ndarray:
+        return self.of_fields.total(self._space.laminate)
+
+    def _of_coils(self, after: Scene) -> np.ndarray:
+        before = self.scene
         omega = self.scene.drive.angular_frequency
         numbers = coil_numbers(after, omega) - coil_numbers(before, omega)
         changes = [np.vdot(by.matrices.coils, numbers).real for by in self._slopes]
         return np.array(changes) + self._by_mass * (coil_mass(after) - coil_mass(before))
 
-    def _of_loads(self, after: Scene, before: Scene) -> np.ndarray:
+    def _of_loads(self, after: Scene) -> np.ndarray:
+        before = self.scene
         if not after.piezo and _shapes(after.actuators) == _shapes(before.actuators):
             return np.zeros(len(self._slopes))
         one, other = (unit_loads(replace(self._galerkin, scene=scene)) for scene in (after, before))

@@ -21,6 +21,7 @@ from warp_plate.designing.mode_names import NamedModes
 from warp_plate.designing.numbers import STEP, NumberSlopes, PanelSlopes, panel_mass
 from warp_plate.designing.objectives import check_steady, judge, largest, limits, shown, uses_sound
 from warp_plate.designing.thickness import ThicknessMap
+from warp_plate.modal.assemble import make_galerkin
 from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.sensitivity.adjoint import EnergyAdjoint, check_differentiable
 from warp_plate.modal.sensitivity.forms import PlateForms, PlateMatrices
@@ -216,7 +217,8 @@ class FreePanel:
 
     def _adjoint(self, numbers: np.ndarray, case: Mapping[str, float]) -> EnergyAdjoint:
         """Return the motion of a panel, with its matrices."""
-        galerkin = self._functions.galerkin(self.scene_at(numbers, case))
+        scene = self.scene_at(numbers, case)
+        galerkin = make_galerkin(scene, self._functions.of_scene(scene))
         air = self._functions.air(case[TONE]) if self._loaded else None
         return EnergyAdjoint(galerkin, steady=self.design.steady, air=air)
 
@@ -237,7 +239,7 @@ class FreePanel:
             by = [PanelSlopes(adjoint.slopes(one.phasors, one.weights), by_target=one.by_target) for one in judged]
             by += [PanelSlopes(by_matrices, by_mass) for _, by_matrices, by_mass in of_panel]
             galerkin = adjoint.plate.galerkin
-            of = NumberSlopes(galerkin, partial(self._functions.galerkin, near=galerkin.space), by)
+            of = NumberSlopes(galerkin, partial(self._functions.of_scene, near=galerkin.space), by)
             first, *others = self._by_numbers(of, numbers, case)
             slopes.append(first)
             by_limit += others

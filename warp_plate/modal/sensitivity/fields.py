@@ -100,11 +100,11 @@ class FieldSlopes:
             slopes = {MASS: share * (of_mass + self._by_target) * rule.weights}
             yield _Part(rule, slopes, index - 1 if index else None)
 
-    def change(self, after: Laminate, before: Laminate) -> np.ndarray:
-        """Return the changes (numbers,) between two plates with layers of the same shapes."""
+    def total(self, laminate: Laminate) -> np.ndarray:
+        """Return the sums (numbers,) of slopes times the fields of a plate with layers of the same shapes."""
         total = np.zeros(len(self._slopes))
         for part in self._parts:
-            fields = part.fields(after) - part.fields(before)
+            fields = part.fields(laminate)
             total += sum((fields[index] * slopes).sum(axis=(1, 2)) for index, slopes in part.slopes.items())
         return total
 
