@@ -87,6 +87,14 @@ def test_every_option_with_values_that_it_does_not_take(name, option, folder_of_
         assert files() == before
 
 
+@pytest.mark.parametrize(
+    "line",
+    ["explore paper --port", "export a.h5 --to drive-wav --rate", *(f"render a.h5 --{n}" for n in ("frames", "modes"))],
+)
+def test_numbers_that_are_not_whole_are_not_rounded(line, command):
+    assert "'2.5' is not an integer" in refused(command(*line.split(), "2.5"))
+
+
 @pytest.mark.parametrize("name", ["localize", "sweep", "simulate", "modes", "effects", "accuracy"])
 def test_every_command_with_what_is_no_scene(name, folder_of_files, command):
     for odd in ("", ".", "file", "wrong.toml", "junk.h5", "folder.h5", "a\0b", "[red]", "\x1b[31m", "\ud800", LONG):

@@ -27,7 +27,7 @@ class PageOptions:
 
     web: options.Switch = False
     host: str = "127.0.0.1"
-    port: Annotated[int, Parameter(validator=Number(gte=0, lte=65535))] = 8080
+    port: Annotated[options.Integer, Parameter(validator=Number(gte=0, lte=65535))] = 8080
 
 
 def explore(

@@ -37,7 +37,7 @@ class SignalOptions:
         encoding: drive-wav: float32 (default), pcm16 or pcm24.
     """
 
-    rate: int | None = None
+    rate: options.Integer | None = None
     duration: float | None = None
     full_scale: float | None = None
     encoding: Literal["float32", "pcm16", "pcm24"] | None = None

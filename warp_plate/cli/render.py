@@ -45,7 +45,7 @@ class FrameOptions:
     case: Annotated[list[str] | None, Parameter(negative="")] = None
     start: float | None = None
     end: float | None = None
-    frames: Annotated[int | None, Parameter(validator=Number(gte=2))] = None
+    frames: Annotated[options.Integer | None, Parameter(validator=Number(gte=2))] = None
     device: str | None = None
 
 
@@ -63,7 +63,7 @@ class PlaybackOptions:
     """
 
     field: Literal["displacement", "velocity", "energy", "rms-velocity", "level", "phase"] = "displacement"
-    modes: Annotated[int, Parameter(validator=Number(gte=0, lte=6))] = 0
+    modes: Annotated[options.Integer, Parameter(validator=Number(gte=0, lte=6))] = 0
     rate: float | None = None
     heights: float | None = None
 
@@ -98,7 +98,7 @@ class PictureOptions:
 
     plan: options.Switch = False
     time: float | None = None
-    width: Annotated[int, Parameter(validator=Number(gte=120, lte=4000))] = 560
+    width: Annotated[options.Integer, Parameter(validator=Number(gte=120, lte=4000))] = 560
 
 
 def view(
