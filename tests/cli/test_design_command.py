@@ -112,3 +112,10 @@ def test_starts_are_kept_until_the_panel_is_written(command, tmp_path, monkeypat
     monkeypatch.setattr("warp_plate.designing.design._climb", None)
     output_of(command(*line))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.thickness.csv", "a.toml"]
+
+
+def test_a_first_start_that_is_interrupted_is_not_continued(command, tmp_path, monkeypatch):
+    monkeypatch.setattr("warp_plate.designing.design._climb", Mock(side_effect=KeyboardInterrupt))
+    line = ("design", "paper", *CHANGES, "--no-check", "--no-pictures", "--out", tmp_path / "a.toml")
+    status, _, error = command(*line)
+    assert (status, error) == (130, "warp-plate: interrupted\n")

@@ -71,11 +71,15 @@ def design(
         from warp_plate.viz.plots.cutter import check_drawing
 
         check_drawing()
+
+    def continues() -> str:
+        return "; the same command continues" * beside[UNFINISHED].exists()
+
     with output.scene_errors(scene), output.progress_bar("designs", shown=not files.json) as show:
         try:
             panel = warp_plate.design(loaded, show, beside[UNFINISHED], check)
         except KeyboardInterrupt:
-            raise KeyboardInterrupt("; the same command continues" * beside[UNFINISHED].exists()) from None
+            raise KeyboardInterrupt(continues()) from None
     saves = {}
     designed = panel.scene
     if panel.improved and panel.thickness is not None and loaded.design is not None and loaded.design.thickness:
@@ -99,7 +103,7 @@ def design(
         beside[UNFINISHED].unlink(missing_ok=True)
     output.report(files.json, _as_json, _print, scene, panel, written=written)
     if panel.interrupted:
-        raise KeyboardInterrupt(f" after {len(panel.history)} starts; the same command continues")
+        raise KeyboardInterrupt(continues())
 
 
 def _draw(panel: DesignedPanel, target: Path) -> output.Drawn:
