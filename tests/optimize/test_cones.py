@@ -97,3 +97,11 @@ def test_what_the_solver_gives_up_is_no_scale(near):
         result = least_scale_of_squares(np.empty((0, 3)), [1e-18 * rows[:4]], blocks, True)
         assert (result.scale, result.bound) == (np.inf, 0.0)
         assert np.isnan(result.drive).all()
+
+
+def test_a_start_without_a_drive_at_its_phases_is_given_up():
+    """Its amplitudes were returned, which sixty rounds of added points did not change."""
+    start, rest = np.ones(1, dtype=complex), [Block(np.ones((1, 1, 1), dtype=complex), True)]
+    for size, reached in ((0.5, False), (2.0, True)):
+        result = least_scale_of_squares(np.empty((0, 1)), [np.array([[size + 0j]])], rest, start=start)
+        assert (result.start is not None) == np.isfinite(result.scale) == reached

@@ -216,7 +216,7 @@ def _ascend(
         rows = [_along(factor @ best.drive, factor) for factor in squares]
         following = least_scale(np.vstack([wanted, *rows]), blocks, actuators_scaled)
         if not following.scale < best.scale * (1 - GAIN):
-            return following if following.scale < best.scale else best
+            return min(following, best, key=lambda end: end.scale)  # without a drive if there is none at these phases
         best = following
     return best
 
