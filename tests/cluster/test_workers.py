@@ -445,6 +445,19 @@ def test_no_scheduler_is_one_line(tmp_path):
     assert dask.config.get("scheduler", None) is None  # Dask's other users in this process keep theirs
 
 
+@pytest.mark.slow
+@POSIX
+def test_a_silent_server_is_waited_for_until_ctrl_c():
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
+        process = start_program("-m", "warp_plate", "localize", "paper", "--cluster", address)
+        silent.settimeout(60)
+        with silent.accept()[0]:
+            process.send_signal(signal.SIGINT)
+            assert process.communicate(timeout=60) == ("", "warp-plate: interrupted\n")
+    assert process.returncode == 130
+
+
 def start(*words):
     """Start a program of Dask's, as ``dask scheduler`` and ``dask worker`` are."""
     return start_program("-m", *words, "--host", "127.0.0.1", stdout=None, stderr=subprocess.DEVNULL)
