@@ -40,6 +40,8 @@ SUPERSAMPLING = 1.25
 MOST_COLUMNS, FONT_SIZE, ROW_HEIGHT, KEY_WIDTH = 6, 20, 480, 180
 # Part of the largest displacement below which a plate hardly moves.
 AT_REST = 0.1
+# Difference of displacements, over the largest, of cases that are drawn as one.
+ALIKE = 1e-6
 # Height of a plate's picture over its width; least duration of an MP4, which repeats its frames [s].
 ASPECT, LEAST_DURATION = 0.78, 6.0
 # In hundredths of a second, in which GIF counts; most viewers slow down shorter frames.
@@ -88,6 +90,10 @@ def draw_surfaces(result: Result, path: str | Path, colours: ColourOptions = DEF
     if not result.times.size:
         raise ValueError("the result holds no displacement: record.times of its scene is empty")
     cases, scene = ordered_cases(result), result.scene
+    first, *others = cases.values()
+    slightest = ALIKE * np.nan_to_num(np.abs(first.displacement)).max()
+    if others and all(np.allclose(one.displacement, first.displacement, 0, slightest, True) for one in others):
+        cases = {"all drives": first}
     times = result.times.size
     shown = np.linspace(0, times - 1, min(times, MOST_COLUMNS)).round().astype(int).tolist()
     if not scene.record.times:

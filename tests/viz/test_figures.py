@@ -90,6 +90,16 @@ def test_a_time_when_all_plates_are_at_rest_is_not_drawn(paper_run, drawing, tmp
     assert pixels(tmp_path / "two.png").shape[1] == pytest.approx(1600, abs=50)
 
 
+def test_drives_that_are_alike_are_drawn_once(paper_run, drawing, tmp_path):
+    case = paper_run.cases["best"]
+    other = replace(case, displacement=(1 + 1e-9) * case.displacement)
+    viz.draw_surfaces(replace(paper_run, cases={"equal": case, "best": other}), tmp_path / "one.png")
+    one = pixels(tmp_path / "one.png").shape[0]
+    further = replace(case, displacement=1.01 * case.displacement)
+    viz.draw_surfaces(replace(paper_run, cases={"equal": case, "best": further}), tmp_path / "two.png")
+    assert pixels(tmp_path / "two.png").shape[0] == pytest.approx(2 * one, abs=30)
+
+
 def test_the_best_never_falls_and_infinite_means_are_gaps(paper_run):
     """Beside the bound, the drives that need no search and the published factor, of results that have them."""
     from matplotlib.figure import Figure

@@ -106,8 +106,13 @@ def test_the_largest_responses_are_coloured_and_natural_frequencies_explained(dr
 
 
 def test_one_input_has_panels_of_magnitude_and_phase_alone(drawn):
-    """Localization and mean square velocity compare inputs."""
-    found = frf(scene_of(damping=20.0), [(0.02, 0.05)], [(0.07, 0.11), (0.1, 0.1)], (50.0, 300.0))
+    """Localization and mean square velocity compare inputs. Long titles take two lines."""
+    found = frf(
+        scene_of(damping=20.0).replace("title", "A long title " * 12),
+        [(0.02, 0.05)],
+        [(0.07, 0.11), (0.1, 0.1)],
+        (50.0, 300.0),
+    )
     figure, texts = drawn(draw_frequency_response, found)
     assert [axes.get_ylabel() for axes in figure.axes] == ["mobility [(m/s)/N]", "phase [°]"]
     assert "(20, 50) mm → (70, 110) mm" in texts

@@ -58,7 +58,7 @@ def draw_designed(panel: DesignedPanel, path: str | Path) -> None:
             handles.append(Patch(color=ADDED, label="layer or oscillator"))
         plans.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=7)
         _draw_course(panel, course.subplots())
-        fig.suptitle(panel.original.title or "Designed panel", fontsize=10)
+        fig.suptitle(panel.original.title or "Designed panel", fontsize=10, wrap=True)
 
 
 def _limits(panel: DesignedPanel) -> tuple[float, float] | None:

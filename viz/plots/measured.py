@@ -36,7 +36,7 @@ def draw_measured(found: MeasuredDrives, path: str | Path) -> None:
         low, high = (100 * end for end in found.localized.interval)
         words = f"{100 * found.localized.factor:.1f} % in the target at {found.frequency:.5g} Hz"
         words += f", true {low:.1f} to {high:.1f} %"
-        fig.suptitle(f"{found.scene.title or 'Measured panel'}: {words}", fontsize=11)
+        fig.suptitle(f"{found.scene.title or 'Measured panel'}: {words}", fontsize=11, wrap=True)
 
 
 def _draw_field(found: MeasuredDrives, axes: Axes) -> None:
@@ -138,4 +138,4 @@ def draw_verified(verified: Verification, scene: Scene, path: str | Path) -> Non
         low, high = (100 * end for end in verified.interval)
         factor, promise = 100 * verified.localization_factor, 100 * verified.promised_factor
         words = f"{factor:.1f} % measured ({low:.1f} to {high:.1f} %), {promise:.1f} % predicted"
-        fig.suptitle(f"{scene.title or verified.case}\nlocalization factor {words}", fontsize=11)
+        fig.suptitle(f"{scene.title or verified.case}\nlocalization factor {words}", fontsize=11, wrap=True)

@@ -89,7 +89,7 @@ def draw_frequency_response(response: FrequencyResponse, path: str | Path) -> No
             _add_legend(others[1], len(names))
         _add_legend(magnitude, len(drawn), marked=response.natural_frequencies.size > 0)
         what = "coils" if of_coils else "the plate"
-        fig.suptitle(response.title or f"{response.quantity} of {what}", fontsize=10)
+        fig.suptitle(response.title or f"{response.quantity} of {what}", fontsize=10, wrap=True)
         fig.align_ylabels()
 
 
@@ -219,7 +219,7 @@ def draw_response_fit(fitted: ResponseFit, path: str | Path) -> None:
         for axes in rows[-1]:
             axes.set_xlabel("frequency [Hz]")
         more = f", the first {count} of {len(fitted.responses)}" if len(fitted.responses) > count else ""
-        fig.suptitle(f"{fitted.scene.title or 'Frequency responses'}{more}", fontsize=10)
+        fig.suptitle(f"{fitted.scene.title or 'Frequency responses'}{more}", fontsize=10, wrap=True)
         fig.legend(*rows[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8)
 
 
@@ -254,7 +254,7 @@ def draw_mode_fit(fitted: ModeFit, path: str | Path, mac: np.ndarray | None = No
         errors.grid(True, axis="y", color=GRID, linewidth=0.4, alpha=0.4)
         if mac is not None:
             _draw_mac(fig, others[0], mac, fitted.numbers)
-        fig.suptitle(fitted.scene.title or "Natural frequencies", fontsize=10)
+        fig.suptitle(fitted.scene.title or "Natural frequencies", fontsize=10, wrap=True)
 
 
 def _draw_mac(fig: Figure, axes: Axes, mac: np.ndarray, numbers: np.ndarray) -> None:
@@ -294,7 +294,7 @@ def draw_focus(result: FocusResult, path: str | Path, colours: ColourOptions = D
         rows[-1][1].set_xlabel("time [ms]")
         rows[-1][2].set_xlabel("time [ms]")
         fig.legend(*rows[0][2].get_legend_handles_labels(), loc="outside lower right", ncols=4, fontsize=8)
-        fig.suptitle(result.scene.title or "focus", fontsize=10)
+        fig.suptitle(result.scene.title or "focus", fontsize=10, wrap=True)
 
 
 def _draw_plate(axes: Axes, result: FocusResult, field: np.ndarray, scale: DrawingScale) -> None:

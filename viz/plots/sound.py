@@ -57,7 +57,7 @@ def draw_sound(sound: Sound, path: str | Path) -> None:
         for axes in panels[:-1]:
             axes.tick_params(labelbottom=False)
         _draw_directivity(sound, fig.add_subplot(grid[:, 1], projection="polar"))
-        fig.suptitle(sound.title or "Sound of the plate", fontsize=10)
+        fig.suptitle(sound.title or "Sound of the plate", fontsize=10, wrap=True)
         fig.align_ylabels(panels)
 
 

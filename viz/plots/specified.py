@@ -49,7 +49,7 @@ def draw_specified(answer: SpecifiedDrive, path: str | Path) -> None:
             of = f"all {cases}" if met == cases else f"{met} of {cases}"
             words = f"one drive at {answer.robust_frequency:.5g} Hz meets {of} cases of the tolerances"
             colour = MET if met == cases else MISSED
-        fig.suptitle(f"{answer.scene.title or 'Specification'}: {words}", fontsize=11, color=colour)
+        fig.suptitle(f"{answer.scene.title or 'Specification'}: {words}", fontsize=11, color=colour, wrap=True)
 
 
 def _draw_map(answer: SpecifiedDrive, axes: Axes) -> None:
