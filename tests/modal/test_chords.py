@@ -61,6 +61,14 @@ def test_areas_of_discs_that_touch_the_edge_but_for_rounding(place):
     assert areas == pytest.approx([math.pi * 0.3**2] * 3, rel=1e-8)
 
 
+@pytest.mark.parametrize("apart", [0.0, 1e-9, 1e-6, 1e-4])
+def test_areas_of_discs_whose_middle_is_near_a_knot(apart):
+    """The crossing of the knot is then near the lowest point, but not at it."""
+    plate = make_outline({"outline": straight([(0, 0), (2, 0), (2, 2), (0, 2)], "free", "outline")})
+    chords = make_chords(plate, LOCAL, (8, 9), curves=[disc(LOCAL[0].breaks[3] + apart, 1.0, 0.06)])
+    assert chords.weights.sum() == pytest.approx(math.pi * 0.06**2, rel=1e-9)
+
+
 @pytest.mark.parametrize("block", [2**14, 7])
 def test_forms_are_sums_over_the_points(block):
     """Also where not all segments are in one block."""

@@ -31,6 +31,8 @@ Square = tuple[float, float, float]  # Middle x, y and half of a side [m]
 GRADED = (0.15, 0.0225, 0.003375)
 # Ordinates nearer to each other than this part of the height are one.
 SAME = 1e-12
+# An extreme ordinate nearer to a cell than this part of its height counts, and on its side but for rounding [m].
+NEAR, ROUNDING = 0.1, 1e-14
 # Segments of several fields that are multiplied at once.
 BLOCK = 256
 # Slope of the end of an arc that counts as extreme.
@@ -237,7 +239,8 @@ def make_chords(
         edges = [(group, part) for group, parts in enumerate(groups) for part in parts if part.low < middle < part.high]
         if {group for group, _ in edges} != set(range(len(groups))):
             continue
-        part, share = _towards(s_y, w_y, *np.isin([low, high], extremes))
+        below, above = (gaps[gaps >= -ROUNDING].clip(0) / (high - low) for gaps in (low - extremes, extremes - high))
+        part, share = _towards(s_y, w_y, below.min(initial=1.0), above.min(initial=1.0))
         y = low + (high - low) * part
         ends = np.array([part.across(y) for _, part in edges])
         order = np.argsort(ends[:, y.size // 2], kind="stable")
@@ -313,8 +316,6 @@ def _cuts(
     arcs = [(piece, end) for piece in pieces for end in (0.0, 1.0) if isinstance(piece, Arc)]
     level = [piece.points(end)[1] for piece, end in arcs if abs(piece.tangents(end)[1]) < LEVEL * piece.length]
     extremes = np.concatenate([extremes, level])
-    inside = np.clip(extremes, low, high)  # where rounding puts a place of contact beyond an end, it is there
-    extremes = np.where(np.abs(inside - extremes) <= SAME * size, inside, extremes)
     graded = [extremes + sign * part * interval for part in GRADED for sign in (-1, 1)]
     met = [place for first, parts in enumerate(groups) for others in groups[first + 1 :]
            for one in parts for two in others for place in _meetings(one, two)]  # fmt: skip
@@ -331,15 +332,18 @@ def _cuts(
     return ordinates, extremes
 
 
-def _towards(s: np.ndarray, weights: np.ndarray, low: bool, high: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return Gauss's rule from 0 to 1, in the square root of the distance from ends that are extreme."""
-    if low and high:
+def _towards(s: np.ndarray, weights: np.ndarray, below: float, above: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return Gauss's rule from 0 to 1, in the square root of the distance from an extreme ordinate that is near, a part
+    ``below`` 0 or ``above`` 1, or of those from both ends where these are extreme."""
+    if max(below, above) == 0:
         return s * s * (3 - 2 * s), 6 * s * (1 - s) * weights
-    if low:
-        return s * s, 2 * s * weights
-    if high:
-        return 1 - (1 - s) ** 2, 2 * (1 - s) * weights
-    return s, weights
+    near = min(below, above)
+    if near > NEAR:
+        return s, weights
+    first, last = math.sqrt(near), math.sqrt(1 + near)
+    root = first + (last - first) * (s if below < above else 1 - s)
+    part, share = root**2 - near, 2 * (last - first) * root * weights
+    return part if below < above else 1 - part, share
 
 
 def _meetings(one: Monotone, two: Monotone) -> list[float]:
