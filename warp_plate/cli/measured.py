@@ -177,8 +177,8 @@ def _print_levels(found: MeasuredDrives, console: Console) -> None:
     effort, least = f"{100 * levels.effort:.3g} % of the largest drives", f"{100 * levels.effort_bound:.3g} %"
     effort = f"the least effort is {effort}, proved to be at least {least}"
     if math.isinf(levels.effort):
-        none = math.isinf(levels.effort_bound)
-        effort = "none of any size does" if none else f"one would take at least {least} of the largest drives"
+        least = "a million times" if levels.effort_bound > 1e6 else f"{least} of"
+        effort = f"one would take at least {least} the largest drives"
     console.print(f"At {levels.frequency:.6g} Hz {met} the levels; {effort}.")
     if math.isfinite(levels.contrast_db):
         console.print(
