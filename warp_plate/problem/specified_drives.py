@@ -59,6 +59,9 @@ class Tone:
     rotation: float = 0.0  # phase lag [rad] of the targets' motion whose phase is 0
     reach: float = 1.0  # multiple of the wanted levels that programs ask for; relative levels follow
     points: dict[Key, np.ndarray] = field(default_factory=dict)  # points of aims and rests in programs
+    # Rows (points, actuators) of points of programs, and (samples, actuators) of regions by their identity.
+    _known: dict[Key, np.ndarray] = field(default_factory=dict, init=False)
+    _samples: dict[int, np.ndarray] = field(default_factory=dict, init=False)
 
     @cached_property
     def accelerations(self) -> np.ndarray:
@@ -172,11 +175,6 @@ class Tone:
             self._known[key] = more if rows is None else np.concatenate([rows, more])
         return self._known[key]
 
-    @cached_property
-    def _known(self) -> dict[Key, np.ndarray]:
-        """Rows (points, actuators) of points of programs."""
-        return {}
-
     def essential_points(self, result: LeastScale) -> dict[Key, np.ndarray]:
         """Return the points of programs, of those elsewhere only what a result for scaled levels there depends on."""
         points = dict(self.points)
@@ -228,20 +226,17 @@ class Tone:
             self._samples[id(region)] = self.rows(region.samples)
         return np.asarray(self._samples[id(region)] @ drive)
 
-    @cached_property
-    def _samples(self) -> dict[int, np.ndarray]:
-        """Rows (samples, actuators) of regions by their identity."""
-        return {}
-
     def rotated(self, drive: np.ndarray) -> Tone:
         """Return the tone with the rotation at which a drive moves the first target that has a phase, and with the
         levels that it reaches there; its points are shared."""
-        tone = copy(self)  # with what is computed already
+        rotation = self.rotation
         for index, aim in enumerate(self.requirements.aims):
             if self.fixed_phase(aim) is not None:
                 motion = (self._rows_of(("aim", index), aim.region) @ drive).mean()
-                tone.rotation = float(-np.angle(motion) - aim.level.phase)
+                rotation = float(-np.angle(motion) - aim.level.phase)
                 break
+        tone = copy(self)  # with what is computed already
+        tone.rotation = rotation
         if self.requirements.rests and self.requirements.relative.all():
             tone.reach = max(1.0, min(map(partial(tone._reached, drive), range(len(self.wanted)))))
         return tone

@@ -61,10 +61,14 @@ def drive_for_cases(
         tones.append(replace(tone, plate=plate, requirements=make_requirements(plate), points={}))
 
     def at(frequency: float, some: Sequence[Tone] = tones) -> list[Tone]:
-        return [replace(one, frequency=frequency, points={}) for one in some]
+        return [replace(one, frequency=frequency, points=dict(one.points)) for one in some]
 
     def rough(frequency: float, drive: np.ndarray) -> tuple[float, np.ndarray]:
-        return _drive_for_all(at(frequency), scaled, drive, FEW_ROTATIONS)
+        tried = at(frequency)
+        result = _drive_for_all(tried, scaled, drive, FEW_ROTATIONS)
+        for one, before in zip(tried, tones, strict=True):
+            before.points = one.points  # of the next frequency most are the same
+        return result
 
     nominal_frequency, nominal = starts[0]
     tried, places = [rough(*start) for start in starts], np.array([frequency for frequency, _ in starts])
