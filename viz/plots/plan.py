@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_plate.effects.effect import attachments
+from warp_plate.plate.designs import patch_ends
 from warp_plate.plate.shapes import outlines
 from warp_plate.result.motion import Motion
 from warp_plate.scene.errors import printable
@@ -192,7 +193,7 @@ def draw_actuators(axes: Axes, scene: Scene, length: float = LENGTH) -> None:
     for actuator in scene.actuators:
         draw_outline(axes, scene, actuator, INK)
     parts = (*scene.actuators, *scene.targets)
-    names, boxes = [shortened(part.name) for part in parts], np.array([part.box for part in parts]).reshape(-1, 2, 2)
+    names, boxes = [shortened(part.name) for part in parts], patch_ends(parts)
     plate = np.array([(0.0, side) for side in scene.plate.size])
     letter = 0.6 * NAME_SIZE / 72 / length * max(scene.plate.size)
     middles = place_names(names, boxes, plate, letter)

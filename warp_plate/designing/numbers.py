@@ -138,9 +138,10 @@ class NumberSlopes:
         on either side functions of the outline are of other kinds."""
         unlike = None
         for points, weights in stencils(share, step):
-            pairs = [(point, weight) for point, weight in zip(points.tolist(), weights, strict=True) if weight]
+            others = points != share  # there is no change
+            pairs = zip(points[others].tolist(), weights[others], strict=True)
             try:
-                changes = [weight * self.change(scene_at(point)) for point, weight in pairs if point != share]
+                changes = [weight * self.change(scene_at(point)) for point, weight in pairs]
                 return np.sum(changes, axis=0)
             except Unlike as error:
                 unlike = error
@@ -201,8 +202,7 @@ class NumberSlopes:
         return self.of_fields.total(self._space.laminate)
 
     def _of_coils(self, after: Scene) -> np.ndarray:
-        before = self.scene
-        omega = self.scene.drive.angular_frequency
+        before, omega = self.scene, self.scene.drive.angular_frequency
         numbers = coil_numbers(after, omega) - coil_numbers(before, omega)
         changes = [np.vdot(by.matrices.coils, numbers).real for by in self._slopes]
         return np.array(changes) + self._by_mass * (coil_mass(after) - coil_mass(before))

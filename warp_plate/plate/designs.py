@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies, plate_harmonic, waves_apart
-from warp_plate.scene.actuator import Actuator
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import SMALLEST, Area
 from warp_plate.scene.model import Scene
+from warp_plate.scene.target import PlateRegion
 
 # Part of the plate's side by which rounding may take an actuator over the border of its area.
 SLACK = 1e-9
@@ -248,6 +248,6 @@ def scene_phasors(scene: Scene) -> np.ndarray:
     return phasors
 
 
-def patch_ends(actuators: Sequence[Actuator]) -> np.ndarray:
-    """Return (actuators, 2, 2) ends along x and along y of the actuators' patches [m]."""
-    return np.array([actuator.box for actuator in actuators]).reshape(-1, 2, 2)
+def patch_ends(patches: Sequence[PlateRegion]) -> np.ndarray:
+    """Return (patches, 2, 2) ends along x and along y of actuators' patches or other regions [m]."""
+    return np.array([patch.box for patch in patches]).reshape(-1, 2, 2)

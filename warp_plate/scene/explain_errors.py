@@ -138,6 +138,7 @@ def _required_shape(annotation: Any, key: str, context: Mapping[str, str]) -> st
 
 
 def suggestion(name: str, table: Any) -> str:
+    """Return what follows "unknown key": names of keys of the table that may have been meant."""
     if is_table(table) and table.__name__ == "Plate" and _OUTLINE.search(name):
         return "; write size = [length along x, length along y] (metres), or another shape in [plate.outline]"
     if close := _closest(name, table):

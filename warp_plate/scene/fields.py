@@ -132,8 +132,6 @@ class Table(BaseModel, metaclass=_Documented):
                 key = f"{_place(type(self))}{name}"
                 if name not in type(self).model_fields:
                     raise SceneError(f"{key}: unknown key{suggestion(name, type(self))}") from None
-                if name not in type(self).model_fields:
-                    raise SceneError(f"{key}: unknown key{suggestion(name, type(self))}") from None
                 shown = toml_text(value) if isinstance(value, float | int | str) else "..."
                 use = f'scene.replace("{key}", {shown}) returns a changed scene'
                 raise SceneError(f"{key}: a scene is not changed by assignment; {use}") from None
