@@ -9,7 +9,8 @@ import shapely
 from support.scenes import scene_of
 from warp_plate import Scene
 from warp_plate.modal.modes import solve_modes
-from warp_plate.problem.worst_points import make_region
+from warp_plate.problem.worst_points import make_region, shape_of
+from warp_plate.scene.target import Target
 
 SIZE = (0.3, 0.2)
 WAVE = 0.05  # m; with 24 samples a wave
@@ -69,3 +70,13 @@ def test_regions_end_at_the_outline():
     values = plate.space.at_points(region.samples)
     ones = np.linalg.lstsq(values, np.ones(len(values)))[0]
     assert ones @ (region.mean_matrix @ ones) == pytest.approx(1, rel=1e-4)
+
+
+@pytest.mark.parametrize("shape", [{"disc": (0.15, 0.1, 0.05)}, {"ellipse": (0.15, 0.1, 0.05, 0.02, 0.4)}])
+def test_polygons_lie_inside_and_around_a_round_target(shape):
+    target = Target(**shape)
+    inside, around = (shape_of("target", target, side) for side in (-1, 1))
+    circle = shapely.Polygon(target.flattened(20000))
+    assert circle.buffer(1e-9).contains(inside)
+    assert around.buffer(1e-9).contains(circle)
+    assert inside.area == pytest.approx(around.area, rel=1e-4)

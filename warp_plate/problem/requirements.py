@@ -8,22 +8,20 @@ from functools import cached_property
 
 import numpy as np
 import shapely
-import shapely.affinity
 
 from warp_plate.modal.coils import CoilMotion
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.radiation import Radiation, pressure_rows
-from warp_plate.problem.worst_points import CORNERS, Region, make_region, shape_of
+from warp_plate.problem.worst_points import Region, make_region, shape_of
 from warp_plate.quantities.sound_levels import POWER_REFERENCE, PRESSURE_REFERENCE, a_weight
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.specification import Allowance, Level, Specification
 
 # Samples along a bending wave, along the longer side of the plate, and along a side of a target, at least.
 PER_WAVE, PER_PLATE, PER_TARGET = 24, 80, 9
-QUARTER = 64  # corners of a quarter of the rounded corners of a guard
-# Factors by which the polygon inside a disc contains the disc, or has its area.
-AROUND = 1 / math.cos(math.pi / CORNERS)
-OF_EQUAL_AREA = (math.sin(2 * math.pi / CORNERS) * CORNERS / (2 * math.pi)) ** -0.5
+# Distance [of the longer side] by which outlines may be off where their mean is only shown.
+SHOWN = 1e-4
+QUARTER = 256  # corners of a quarter of the rounded corners of a guard
 
 
 @dataclass(frozen=True)
@@ -89,27 +87,24 @@ def make_requirements(plate: ModalPlate) -> Requirements:
     assert specification is not None
     longer = max(scene.plate.size)
     spacing = min(longer / PER_PLATE, _wavelength(plate) / PER_WAVE)
-    shapes = {key: shape_of(key, target) for key, target in keys.items()}
     names = {row.name: f"targets[{index}]" for index, row in enumerate(scene.targets)}
     labels = {key: name for name, key in names.items()} | {"target": "target"}
     aims, aimed = [], []
     for level in specification.levels:
         key = next(iter(keys)) if level.target is None else names[level.target]
-        x0, y0, x1, y1 = shapes[key].bounds
+        around = shape_of(key, keys[key], 1)
+        x0, y0, x1, y1 = around.bounds
         fine = min(spacing, max(x1 - x0, y1 - y0) / PER_TARGET)
-        shape = shapes[key]
-        if keys[key].disc is not None:
-            wider = AROUND if level.measure == "weakest" else OF_EQUAL_AREA
-            shape = shapely.affinity.scale(shape, wider, wider)
-        aims.append(Aim(labels[key], level, make_region(plate, shape, fine, PER_TARGET)))
-        aimed.append(shapes[key])
+        aims.append(Aim(labels[key], level, make_region(plate, around, fine, PER_TARGET, keys[key])))
+        aimed.append(shape_of(key, keys[key], -1))
     guarded, rests = guarded_shape(aimed, specification.guard), []
     for index, allowance in enumerate(specification.allowances):
         x0, x1, y0, y1 = allowance.area or (0.0, scene.plate.size[0], 0.0, scene.plate.size[1])
         shape = shapely.difference(shapely.box(x0, y0, x1, y1), guarded)
         if shape.is_empty and allowance.area is not None:
             raise SceneError(f"specification.elsewhere[{index}].area: nothing of it is outside targets and their guard")
-        rests.append(Rest(allowance.place, allowance, make_region(plate, shape, spacing)))
+        coarser = 0.0 if allowance.measure == "mean" else SHOWN * longer
+        rests.append(Rest(allowance.place, allowance, make_region(plate, shape, spacing, coarser=coarser)))
     return Requirements(specification, tuple(aims), tuple(rests), plate)
 
 

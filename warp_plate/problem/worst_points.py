@@ -7,9 +7,11 @@ quadratic function through the nearest of them, or of four points along an outli
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -22,11 +24,13 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.target import Target
 
-# Corners of a disc or of a quarter of a rounded corner.
-CORNERS = 256
+# Corners of a full turn of a round outline.
+CORNERS = 1024
 # Maxima that are returned: the FEWEST highest samples at least, and up to MOST that lie below the highest one by at
 # most what a sample may miss of its maximum (24 samples a wave: 1 - cos(2π/48) along each axis).
 FEWEST, MISSED, MOST = 12, 0.03, 200
+# Turn [rad] at a corner that is a sample; those of round outlines are not.
+SHARP = 0.05
 # Width of a seam [of the longer side] within which points count as those of a region.
 SEAM = 1e-9
 # Largest turn [rad] of a side of the polygon that stands for a plate with an outline.
@@ -45,12 +49,58 @@ FINE = np.stack(np.meshgrid(np.arange(-6, 7) / 3, np.arange(-6, 7) / 3), axis=-1
 REACH = 8.0
 
 
-def shape_of(key: str, target: Target) -> shapely.Geometry:
-    """Return the shape of a target [m]; SceneError, naming its ``key``, if it is a mask."""
+def shape_of(key: str, target: Target, side: Literal[-1, 0, 1] = 0) -> shapely.Geometry:
+    """Return the polygon [m] of a target: inside its curve (``side`` -1), around it (1), or near it (0).
+
+    Raises:
+        SceneError: The target is a mask; names its ``key``.
+    """
     corners = target.corners(CORNERS)
     if corners is None:
         raise SceneError(f"{key}.mask: a specification takes an area, a disc or a polygon")
-    return shapely.Polygon(corners)
+    half_axes = target.ellipse[2:4] if target.ellipse else ()
+    radius = max(target.disc[2] if target.disc else 0.0, target.corner_radius or 0.0, *half_axes)
+    sagitta = radius * (math.pi / CORNERS) ** 2 / 2  # by which a side may be off its arc
+    return shapely.buffer(shapely.Polygon(corners), side * sagitta, join_style="mitre")
+
+
+@dataclass(frozen=True)
+class Line:
+    """A closed line with its samples, fewer than its corners where it is round."""
+
+    corners: np.ndarray  # (corners, 2) [m]
+    places: np.ndarray  # (samples,) rising lengths along it [m] of the samples
+
+    def at(self, lengths: np.ndarray) -> np.ndarray:
+        """Return the points (..., 2) at lengths along the line (...) [m]."""
+        ends = self._ends
+        closed = np.concatenate([self.corners, self.corners[:1]])
+        return np.stack([np.interp(lengths % ends[-1], ends, closed[:, axis]) for axis in (0, 1)], axis=-1)
+
+    @cached_property
+    def samples(self) -> np.ndarray:
+        """(samples, 2) points [m]."""
+        return self.at(self.places)
+
+    @cached_property
+    def stride(self) -> float:
+        """Largest length between samples [m]."""
+        return float(np.diff(self.places, append=self._ends[-1]).max())
+
+    @cached_property
+    def _ends(self) -> np.ndarray:
+        """(corners + 1,) lengths along the line at its corners, and its whole length [m]."""
+        return _lengths(self.corners)
+
+
+def make_line(corners: np.ndarray, spacing: float) -> Line:
+    """Return a closed line with samples at its sharp corners, and between them at most ``spacing`` [m] apart."""
+    sides = np.diff(corners, axis=0, append=corners[:1]) @ (1, 1j)
+    turns = np.abs(np.angle(sides / np.roll(sides, 1)))
+    ends = _lengths(corners)
+    marks = np.unique(np.concatenate([[0.0], ends[:-1][turns > SHARP], ends[-1:]]))
+    parts = [np.linspace(low, high, math.ceil((high - low) / spacing), endpoint=False) for low, high in pairwise(marks)]
+    return Line(corners, np.concatenate(parts))
 
 
 @dataclass(frozen=True)
@@ -58,29 +108,33 @@ class Region:
     """A part of the plate with its samples."""
 
     shape: shapely.Geometry  # its part on the plate [m], wider by the seam
-    uncut: shapely.Geometry  # its part in the box around the plate [m], wider by the seam
+    uncut: shapely.Geometry  # its part in the box around the plate [m], wider by the seam, for means
     plate: ModalPlate  # the plate
     x: np.ndarray  # (nx,) [m]
     y: np.ndarray  # (ny,) [m]
     inside: np.ndarray  # (ny, nx) true for grid points of the region
-    lines: tuple[np.ndarray, ...]  # (points, 2) samples along its closed outlines [m], corners included
+    lines: tuple[Line, ...]  # its outlines
+    target: Target | None = None  # the target, whose mean has no polygon in the place of its arcs
 
     @cached_property
     def samples(self) -> np.ndarray:
         """(samples, 2) points [m]: those of the grid, then those of the lines."""
-        return np.concatenate([self._grid[self.inside], *self.lines])
+        return np.concatenate([self._grid[self.inside], *(line.samples for line in self.lines)])
 
     @cached_property
     def mean_matrix(self) -> Matrix:
         """(unknowns, unknowns) matrix of the mean square over the region, by mass."""
-        outlines = []
+        space = self.plate.space
+        if self.target is not None:
+            return Matrix(space.region_matrix(self.target) / space.region_mass(self.target))
+        matrices, masses = [], []
         for polygon in shapely.get_parts(self.uncut):
             for sign, ring in ((1, polygon.exterior), *((-1, ring) for ring in polygon.interiors)):
                 corners = tuple(map(tuple, shapely.get_coordinates(ring)[:-1]))
                 target = Target.model_construct(area=None, disc=None, mask=None, polygon=corners)
-                outlines.append(sign * self.plate.space.region_matrix(target))
-        density = self.plate.space.density(self.x, self.y)[self.inside].mean()
-        return Matrix(sum(outlines[1:], start=outlines[0]) / (density * self.shape.area))
+                matrices.append(sign * space.region_matrix(target))
+                masses.append(sign * space.region_mass(target))
+        return Matrix(sum(matrices[1:], start=matrices[0]) / sum(masses))
 
     @cached_property
     def _grid(self) -> np.ndarray:
@@ -95,7 +149,7 @@ class Region:
                 maxima between samples (default: they stay).
             fewest: Number of the highest maxima that are returned at least.
         """
-        parts = _split_like(levels, [self._grid[self.inside], *self.lines])
+        parts = _split_like(levels, [self._grid[self.inside], *(line.places for line in self.lines)])
         maxima = [self._grid_maxima(parts[0]), *map(_line_maxima, parts[1:])]
         heights = np.concatenate([part[at] for part, at in zip(parts, maxima, strict=True)])
         order = np.argsort(-heights, kind="stable")
@@ -105,7 +159,7 @@ class Region:
         chosen = [at[own] for at, own in zip(maxima, _split_like(highest, maxima), strict=True)]
         grid, on_lines = self._grid[self.inside][chosen[0]], list(zip(self.lines, chosen[1:], strict=True))
         if values is None:
-            return np.concatenate([grid, *(line[at] for line, at in on_lines)])
+            return np.concatenate([grid, *(line.samples[at] for line, at in on_lines)])
         return self._climb(self._maxima_around(grid, values), on_lines, values)
 
     def _grid_maxima(self, levels: np.ndarray) -> np.ndarray:
@@ -125,18 +179,14 @@ class Region:
         found = np.concatenate([points[~maxima.any(axis=1)], around[maxima]])
         return found[np.unique(np.round(found / max(self.plate.scene.plate.size), 9), axis=0, return_index=True)[1]]
 
-    def _climb(
-        self, points: np.ndarray, on_lines: Sequence[tuple[np.ndarray, np.ndarray]], values: Values
-    ) -> np.ndarray:
+    def _climb(self, points: np.ndarray, on_lines: Sequence[tuple[Line, np.ndarray]], values: Values) -> np.ndarray:
         """Return the maxima (points, 2) near points of the grid, and near samples of lines, given by their indices."""
         steps, rows = np.array([_spacing(self.x), _spacing(self.y)]) / 4, np.arange(len(points))
-        ends = [_lengths(line) for line, _ in on_lines]
-        places = [end[at] for end, (_, at) in zip(ends, on_lines, strict=True)]
-        strides = [np.diff(end).max() / 4 for end in ends]
+        places, strides = [line.places[at] for line, at in on_lines], [line.stride / 4 for line, _ in on_lines]
         for _ in range(ROUNDS):
             around = np.clip(points[:, None] + AROUND * steps, (0.0, 0.0), self.plate.scene.plate.size)
             ways = [place[:, None] + ALONG * stride for place, stride in zip(places, strides, strict=True)]
-            on = [_on_line(line, end, way) for (line, _), end, way in zip(on_lines, ends, ways, strict=True)]
+            on = [line.at(way) for (line, _), way in zip(on_lines, ways, strict=True)]
             everywhere = [part.reshape(-1, 2) for part in (around, *on)]
             levels, *others = _split_like(values(np.concatenate(everywhere)), everywhere)
             levels = self._within(around, levels)
@@ -148,8 +198,7 @@ class Region:
             highest = [other.reshape(-1, len(ALONG)).argmax(axis=1) for other in others]
             places = [way[np.arange(len(at)), at] for way, at in zip(ways, highest, strict=True)]
             strides = [stride / SHRINKING for stride in strides]
-        lines = [_on_line(line, end, place) for (line, _), end, place in zip(on_lines, ends, places, strict=True)]
-        return np.concatenate([points, *lines])
+        return np.concatenate([points, *(line.at(place) for (line, _), place in zip(on_lines, places, strict=True))])
 
     def _within(self, points: np.ndarray, levels: np.ndarray) -> np.ndarray:
         """Return levels (n, m) at points (n, m, 2), -∞ outside the region."""
@@ -193,12 +242,6 @@ def _lengths(line: np.ndarray) -> np.ndarray:
     return np.concatenate([[0.0], np.hypot(*np.diff(line, axis=0, append=line[:1]).T).cumsum()])
 
 
-def _on_line(line: np.ndarray, lengths: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Return the points (..., 2) of a closed line at lengths along it (...) [m]."""
-    closed = np.concatenate([line, line[:1]])
-    return np.stack([np.interp(place % lengths[-1], lengths, closed[:, axis]) for axis in (0, 1)], axis=-1)
-
-
 def _spacing(positions: np.ndarray) -> float:
     return float(positions[1] - positions[0]) if len(positions) > 1 else 0.0
 
@@ -212,8 +255,18 @@ def _plate_shape(scene: Scene) -> shapely.Geometry:
     return shapely.buffer(shapely.Polygon(shell, holes), -hidden, join_style="mitre")
 
 
-def make_region(plate: ModalPlate, shape: shapely.Geometry, spacing: float, fewest: int = 2) -> Region:
+def make_region(
+    plate: ModalPlate,
+    shape: shapely.Geometry,
+    spacing: float,
+    fewest: int = 2,
+    target: Target | None = None,
+    coarser: float = 0.0,
+) -> Region:
     """Return a region with samples at most ``spacing`` [m] apart, at least ``fewest`` along each side of its box.
+
+    The ``target`` is the region itself, where its shape only approximates it. Means may be over a shape whose sides are
+    off by ``coarser`` [m], which takes less time.
 
     Raises:
         SceneError: The region is empty.
@@ -234,11 +287,11 @@ def make_region(plate: ModalPlate, shape: shapely.Geometry, spacing: float, fewe
             continue
         for ring in (polygon.exterior, *polygon.interiors):
             step = min(spacing, ring.length / (4 * fewest))
-            lines.append(shapely.get_coordinates(shapely.segmentize(ring, step))[:-1])
-    seamed, uncut = (shapely.buffer(part, SEAM * max(size)) for part in (shape, uncut))
+            lines.append(make_line(shapely.get_coordinates(ring)[:-1], step))
+    seamed, uncut = (shapely.buffer(part, SEAM * max(size)) for part in (shape, shapely.simplify(uncut, coarser)))
     shapely.prepare(seamed)
     inside = shapely.contains_xy(seamed, *np.meshgrid(x, y))
-    return Region(seamed, uncut, plate, x, y, inside, tuple(lines))
+    return Region(seamed, uncut, plate, x, y, inside, tuple(lines), target)
 
 
 def in_units(unit: float, acceleration: np.ndarray) -> np.ndarray:

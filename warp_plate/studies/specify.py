@@ -194,7 +194,7 @@ def _answer(
         pareto_contrasts=np.array([contrast_of(tone, one.scale, nearest, level) for level, one in pareto]),
         pareto_efforts=np.array(efforts),
         field_db=_field(tone, drive),
-        guard=[line for rest in rests for line in rest.region.lines],
+        guard=[line.samples for rest in rests for line in rest.region.lines],
         scatter=(),
         robust_frequency=math.nan,
         robust_drive=np.full(len(limits), np.nan),
