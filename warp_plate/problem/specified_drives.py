@@ -210,7 +210,7 @@ class Tone:
     def _add(self, key: Key, region: Region, drive: np.ndarray, measure: Values, limit: float, slack: float) -> bool:
         """Add the points of a region where a measure of the acceleration passes a limit."""
         peaks = self._peaks(region, drive, measure, slack < COARSE)
-        beyond = peaks[measure(self.rows(peaks) @ drive) > limit + slack * max(1.0, limit)]
+        beyond = peaks[measure(self.rows(peaks) @ drive) > limit + slack * (limit or 1.0)]
         self.points[key] = np.concatenate([self.points[key], beyond])
         return len(beyond) > 0
 
