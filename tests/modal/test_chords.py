@@ -86,3 +86,15 @@ def test_forms_are_sums_over_the_points(block):
     assert total == pytest.approx((chords.weights * field * xx * yy).sum(), rel=1e-11)
     integrals = chords.integrals(field, x=2)
     assert (integrals * u).sum() == pytest.approx((chords.weights * field * xx).sum(), rel=1e-11)
+
+
+@pytest.mark.parametrize("beyond", [-1e-9, 1e-9, 0.5])
+def test_integrals_about_a_place_next_to_a_knot(beyond):
+    """∫ dA/r over a rectangle of sides a and b, with a corner at the place, is a asinh b/a + b asinh a/b."""
+    sizes = 0.2 * np.array([0.3, 0.09, 0.0225, 0.005, 0.001, 1e-4])
+    x, y = 1.02, LOCAL[1].breaks[3] - sizes[2] * (1 + beyond)
+    plate = make_outline({"outline": straight([(0, 0), (2, 0), (2, 2), (0, 2)], "free", "outline")})
+    chords = make_chords(plate, LOCAL, (6, 7), near=[(x, y, size) for size in sizes])
+    corners = [(a, b) for a in (x, 2 - x) for b in (y, 2 - y)]
+    expected = sum(a * math.asinh(b / a) + b * math.asinh(a / b) for a, b in corners)
+    assert (chords.weights / np.hypot(chords.x - x, chords.y - y)).sum() == pytest.approx(expected, rel=3e-6)

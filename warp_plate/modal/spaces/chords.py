@@ -35,6 +35,9 @@ SAME = 1e-12
 NEAR, ROUNDING = 0.1, 1e-14
 # Segments of several fields that are multiplied at once.
 BLOCK = 256
+# Cells that a square enlarged so many times meets are cut at its sides: those behind a knot would else be wide beside
+# their distance from its middle.
+ENLARGED = 3.0
 # Slope of the end of an arc that counts as extreme.
 LEVEL = 1e-9
 # Samples in which two curves are searched for a crossing, and halvings that find it.
@@ -273,7 +276,8 @@ def _cells(
     cells = np.array([[-math.inf, math.inf, low, high] for low, high in pairwise(ordinates.tolist())])
     for x, y, size in sorted(near, key=lambda square: -square[2]):
         square = np.array([x - size, x + size, y - size, y + size])
-        met = (cells[:, ::2] < square[1::2]).all(axis=1) & (cells[:, 1::2] > square[::2]).all(axis=1)
+        about = np.array([x, x, y, y]) + ENLARGED * size * np.array([-1, 1, -1, 1])
+        met = (cells[:, ::2] < about[1::2]).all(axis=1) & (cells[:, 1::2] > about[::2]).all(axis=1)
         parts = [
             [*across, *up]
             for cell in cells[met]
