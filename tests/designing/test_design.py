@@ -225,6 +225,15 @@ def test_slopes_know_the_stiffest_motions(random):
     assert (errors <= 2e-8 * sizes).all()
 
 
+def test_rounding_of_rigid_motions_does_not_refuse_maps_of_narrow_plates(random):
+    design = {"thickness": {"range": [2.5e-4, 7.5e-4], "length_scale": 0.4}}
+    narrow = designed_scene(design, size=(0.4, 0.01)).model_dump(mode="json", exclude_none=True)
+    plate, edges = {**MATERIAL, "outline": {"rectangle": (0.4, 0.01)}}, {"outline": "free"}
+    panel = FreePanel(wpl.Scene.model_validate({**narrow, "plate": plate, "edges": edges}))
+    bounds = [panel.evaluate(panel.draw(random), sloped=False).least for _ in range(4)]
+    assert (np.array(bounds) > 0).all()
+
+
 LIMITS = {"mass": 0.03, "energy_target": 1e-9, "gap": [200.0, 330.0]}
 
 

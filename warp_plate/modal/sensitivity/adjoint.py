@@ -87,7 +87,7 @@ class EnergyAdjoint(PlateForms):
 
     Args:
         galerkin: Matrices of the plate.
-        of_plate: The same as dense arrays.
+        of_plate: Dense arrays in their place, of any plate over the space, without bending energies from curvatures.
         steady: Take the steady state, whatever the scene's window.
         air: Air beside the plate, of scenes with ``[effects.air]`` and for the sound.
 
@@ -110,7 +110,7 @@ class EnergyAdjoint(PlateForms):
         lowest = mean_wave_frequency(galerkin.space.laminate) / max(scene.plate.size) ** 2
         unknowns = galerkin.mass.shape[0]
         scale = (2 * math.pi * lowest) ** 2
-        squares, vectors = solve_eigenproblem(galerkin, unknowns, scale, improve=False, flexible=0.0)
+        squares, vectors = solve_eigenproblem(galerkin, unknowns, scale, improve=of_plate is None, flexible=0.0)
         few = squares[: np.searchsorted(squares, (squares[0] + scale) / FLEXIBLE)]
         count = squares.size if steady else _count_modes(few, REACH * omega)
         self._squares, self._vectors = squares, vectors
