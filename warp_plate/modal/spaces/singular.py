@@ -1,9 +1,9 @@
 """Functions that are added to splines where the motion of a plate is singular.
 
 Each is a product of two functions, in polar coordinates about a place or in Cartesian ones along a line: r² log r at
-the point of a force; r^α F(θ) at a corner (M. L. Williams, J. Appl. Mech. 19, 1952, pp. 526-528) and at the end of a
-line support; |s|³ p(t) across a line support, where the shear force jumps; and the terms of Laurent's series of
-biharmonic functions about a round hole. They are those of an isotropic plate.
+the point of a force; r^α F(θ) at a corner (M. L. Williams, J. Appl. Mech. 19, 1952, pp. 526-528); biharmonic functions
+about a line support, across which the shear force jumps; and the terms of Laurent's series of biharmonic functions
+about a round hole. They are those of an isotropic plate.
 """
 
 from __future__ import annotations
