@@ -72,6 +72,20 @@ def test_regions_end_at_the_outline():
     assert ones @ (region.mean_matrix @ ones) == pytest.approx(1, rel=1e-4)
 
 
+def test_the_zero_in_a_narrow_valley_is_found(region, random):
+    """Across the valley the field rises a thousand times faster than along."""
+    for _ in range(20):
+        angle, zero = random.uniform(0, math.pi), random.uniform((0.08, 0.08), (0.22, 0.12))
+        turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+
+        def field(points, turn=turn, zero=zero):
+            along, across = turn @ (points - zero).T / WAVE
+            return np.sin(across + along**2 / 2) + 1e-3j * np.sin(along)
+
+        start = zero + 0.2 * WAVE * turn[0] + 0.01 * WAVE * turn[1]
+        assert np.hypot(*(region.dips(start[None], field)[0] - zero)) < 1e-6
+
+
 @pytest.mark.parametrize("shape", [{"disc": (0.15, 0.1, 0.05)}, {"ellipse": (0.15, 0.1, 0.05, 0.02, 0.4)}])
 def test_polygons_lie_inside_and_around_a_round_target(shape):
     target = Target(**shape)

@@ -32,8 +32,7 @@ Scaled = Literal["elsewhere", "actuators", "actuators alone"]
 TOLERANCE, OF_EFFORT, COARSE, ROUNDS = 1e-8, 1e-6, 1e-4, 60
 # Relative gain of a scale by a new search that is worth more rounds, most of such searches, and their steps at first.
 GAIN, SEARCHES, FEW_STEPS, FEW_ROUNDS = 1e-5, 3, 1, 8
-# Growth of the scale by added points from which on a search begins anew, with these points: a zero of a target's motion
-# that such points chase through it makes drives ever stronger.
+# Growth of the scale from which on a search begins anew: points that chase a zero through a target make it ever larger.
 CHASED = 1.3
 # Programs ask for this much more than the specification, so that their rounding does not violate it.
 MARGIN = 2e-8
@@ -209,16 +208,21 @@ class Tone:
 
     def _add(self, key: Key, region: Region, drive: np.ndarray, measure: Values, limit: float, slack: float) -> bool:
         """Add the points of a region where a measure of the acceleration passes a limit."""
-        peaks = self._peaks(region, drive, measure, slack < COARSE)
-        beyond = peaks[measure(self.rows(peaks) @ drive) > limit + slack * (limit or 1.0)]
-        self.points[key] = np.concatenate([self.points[key], beyond])
-        return len(beyond) > 0
+        between, most = slack < COARSE, limit + slack * (limit or 1.0)
+        for dips in (False, True) if between and key[0] == "aim" and self.requirements.phases_free else (False,):
+            peaks = self._peaks(region, drive, measure, between, dips)
+            beyond = peaks[measure(self.rows(peaks) @ drive) > most]
+            if len(beyond):  # the phase next to a zero is of more use than at it
+                self.points[key] = np.concatenate([self.points[key], beyond])
+                return True
+        return False
 
-    def _peaks(self, region: Region, drive: np.ndarray, measure: Values, between: bool = True) -> np.ndarray:
-        """Return points (points, 2) [m] where a measure of the acceleration under a drive is largest."""
+    def _peaks(self, region: Region, drive: np.ndarray, measure: Values, between: bool, dips: bool) -> np.ndarray:
+        """Return points (n, 2) [m] where a measure of the acceleration is largest, or with ``dips`` it is smallest."""
         levels, whole = measure(self._sampled(region, drive)), (self._coefficients @ drive)[:, None]
         values = (lambda points: measure(self._at_points(whole, points)[:, 0])) if between else None
-        return region.peaks(levels, values, max(FEWEST, len(self.largest)))
+        peaks = region.peaks(levels, values, max(FEWEST, len(self.largest)))
+        return np.concatenate([peaks, region.dips(peaks, partial(self._at_points, whole))]) if dips else peaks
 
     def _sampled(self, region: Region, drive: np.ndarray) -> np.ndarray:
         """Return the (samples,) complex accelerations [m/s²] of a region under a drive."""
@@ -246,7 +250,8 @@ class Tone:
         aim = self.requirements.aims[index]
         if aim.level.measure == "mean":
             return self._mean(aim.region, drive) / float(self.wanted[index])
-        return 1 - float(shortfall(self.wanted[index], self._phase(aim), self._sampled(aim.region, drive)).max())
+        motion, phase = self._sampled(aim.region, drive) / self.wanted[index], self._phase(aim)
+        return float((np.abs(motion) if phase == "free" else (np.exp(1j * phase) * motion).real).min())
 
     def binding(self, result: LeastScale) -> list[tuple[str, float]]:
         """Return what the proof of a program of this tone alone rests on, in words, with its part of the proof."""
@@ -332,7 +337,8 @@ class Tone:
 
     def _end(self, region: Region, drive: np.ndarray, sign: float) -> tuple[float, tuple[float, ...]]:
         """Return the largest or, with a negative sign, the smallest acceleration of a region, and its point."""
-        peaks = self._peaks(region, drive, partial(in_units, sign))
+        measure: Values = partial(in_units, 1.0) if sign > 0 else partial(shortfall, 1.0, "free")
+        peaks = self._peaks(region, drive, measure, True, sign < 0)
         sizes = np.abs(self.rows(peaks) @ drive)
         at = int(np.argmax(sign * sizes))
         return float(sizes[at]), tuple(peaks[at].tolist())
@@ -350,12 +356,11 @@ def solve_together(
 
     Args:
         tones: Tones with the same actuators.
-        scaled: What is scaled. The bound holds for each tone's ``rotation``, which does not matter to one tone alone.
+        scaled: What is scaled; the bound holds for each tone's ``rotation``, which does not matter to one tone alone.
         level: Multiple of the wanted levels.
         between: Let the drive keep its scale between the samples of the regions too, not only roughly at these.
         start: Drive (actuators,) to start from if the problem is not convex.
-        searches: Largest number of searches from the relaxation if the problem is not convex; 0 for none, without a
-            bound.
+        searches: Most searches from the relaxation if the problem is not convex; 0 for none, without a bound.
     """
     refined, settled, done, drive, first = False, False, 0, start, math.inf
     best: LeastScale | None = None

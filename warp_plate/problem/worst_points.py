@@ -45,6 +45,9 @@ NEAREST = [7 + 5 * i + j - 1 for i in range(3) for j in range(3)]  # rows of ARO
 MIDDLE = len(AROUND) // 2
 # Steps of the finer grid around a sample, three to a spacing of samples.
 FINE = np.stack(np.meshgrid(np.arange(-6, 7) / 3, np.arange(-6, 7) / 3), axis=-1)
+# Steps of Gauss and Newton: their differences and largest length [spacings], the part of the trace that keeps them
+# finite, and the parts of a step that are tried.
+DIFFERENCE, STRIDE, LEVEL, FRACTIONS = 1e-3, 2.0, 1e-12, np.array([0.0, 0.03, 0.1, 0.3, 1.0])
 # Largest distance of a summit from the middle of its nine points [steps].
 REACH = 8.0
 
@@ -200,6 +203,23 @@ class Region:
             strides = [stride / SHRINKING for stride in strides]
         return np.concatenate([points, *(line.at(place) for (line, _), place in zip(on_lines, places, strict=True))])
 
+    def dips(self, points: np.ndarray, field: Values) -> np.ndarray:
+        """Return the points (n, 2) [m] where a complex field is smallest that steps of Gauss and Newton reach from
+        points (n, 2) of the region: zeros, and the lowest points of narrow valleys of its size."""
+        spacing, rows = np.array([_spacing(self.x), _spacing(self.y)]), np.arange(len(points))
+        stencil = np.vstack([np.zeros(2), np.diag(spacing), -np.diag(spacing)]) * DIFFERENCE
+        for _ in range(ROUNDS):
+            here, *around = field((points[:, None] + stencil).reshape(-1, 2)).reshape(len(points), -1).T
+            slopes = np.stack([around[0] - around[2], around[1] - around[3]], axis=1) / (2 * DIFFERENCE)  # of a spacing
+            normal, gradient = (slopes[:, :, None].conj() * slopes[:, None]).real, (slopes.conj() * here[:, None]).real
+            normal += (LEVEL * np.trace(normal, axis1=1, axis2=2) + np.finfo(float).tiny)[:, None, None] * np.eye(2)
+            steps = np.linalg.solve(normal, gradient[:, :, None])[:, :, 0]
+            steps *= spacing / np.maximum(1.0, np.abs(steps).max(axis=1, keepdims=True) / STRIDE)
+            trials = points[:, None] - FRACTIONS[:, None] * steps[:, None]
+            sizes = np.abs(field(trials.reshape(-1, 2)))
+            points = trials[rows, self._within(trials, -sizes).argmax(axis=1)]
+        return points
+
     def _within(self, points: np.ndarray, levels: np.ndarray) -> np.ndarray:
         """Return levels (n, m) at points (n, m, 2), -∞ outside the region."""
         within = shapely.contains_xy(self.shape, *points.reshape(-1, 2).T).reshape(points.shape[:2])
@@ -300,7 +320,10 @@ def in_units(unit: float, acceleration: np.ndarray) -> np.ndarray:
 
 
 def shortfall(unit: float, phase: float | Literal["free"], acceleration: np.ndarray) -> np.ndarray:
-    """Return by how much complex accelerations at a phase lag [rad] fall short of a unit [m/s²]."""
+    """Return by how much complex accelerations at a phase lag [rad] fall short of a unit [m/s²].
+
+    At a free phase this is half of how much their squares do, a smooth function where the acceleration is zero.
+    """
     if phase == "free":
-        return np.asarray(1 - np.abs(acceleration) / unit)
+        return np.asarray((1 - np.abs(acceleration / unit) ** 2) / 2)
     return np.asarray(1 - (np.exp(1j * phase) * acceleration).real / unit)

@@ -149,6 +149,8 @@ def _answer(
     result = tone.solve(scaled, start=start) if rests else whole
     if not math.isfinite(result.scale) and whole.scale <= 1:
         result = tone.solve(scaled, start=whole.drive)
+        if not math.isfinite(result.scale):  # the search ended without a drive, but there is this one
+            result = replace(result, drive=whole.drive, scale=float(tone.reached(whole.drive)[1].max()))
     binding, reached = tone.binding(result), math.isfinite(result.scale)
     limits = tone.largest * scene.unit_drives
     feasible = reached and result.scale <= 1 + NOTHING and tone.is_met(result.drive, VIOLATION)
