@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 # Longer side of the plate [inch]; lowest level of the map [dB]; colours.
 LENGTH, LOWEST = 5.0, -40.0
+LEAST_SPAN = 1.0  # of an axis of contrasts [dB]
 MET, MISSED, LIMIT = "#1b7837", "#b2182b", "#b2182b"
 DRIVE = "#3182bd"
 # Marker of the drive for the nominal scene, beside that for all cases of the tolerances.
@@ -111,6 +112,12 @@ def _draw_spectrum(answer: SpecifiedDrive, axes: Axes) -> None:
     else:
         axes.plot(x, 100 * answer.efforts, color="#08519c", linewidth=1.4)
         axes.set(yscale="log", ylabel="limits needed [%]")
+    if answer.scatter:
+        axes.axvline(answer.robust_frequency, color=DRIVE, linewidth=0.9, linestyle="--")
+        axes.annotate(
+            "for all cases", (answer.robust_frequency, 1.0), (0, 2), ("data", "axes fraction"), "offset points",
+            ha="center", fontsize=8, color=DRIVE,
+        )  # fmt: skip
     axes.set(xlim=x[[0, -1]], xlabel="frequency [Hz]")
 
 
@@ -120,6 +127,9 @@ def _draw_pareto(answer: SpecifiedDrive, axes: Axes) -> None:
     x, curve = answer.pareto_levels, {"linewidth": 1.4, "marker": ".", "markersize": 4}
     axes.plot(x, answer.pareto_contrasts, color=contrast, **curve)
     _draw_allowed(answer, axes)
+    low, high = axes.get_ylim()
+    if high - low < LEAST_SPAN:  # the noise of a constant
+        axes.set_ylim((low + high - LEAST_SPAN) / 2, (low + high + LEAST_SPAN) / 2)
     axes.axvline(1.0, color=INK, linewidth=0.8, linestyle=":")
     axes.set(xscale="log", xlabel="level in the target over that wanted")
     axes.set_ylabel(f"least contrast [dB]\nat {answer.frequency:.5g} Hz", color=contrast)

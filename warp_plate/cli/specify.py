@@ -20,6 +20,7 @@ BEST = ".best.toml"
 MOST_CASES = 12
 # Least gain [dB] of a limit twice as large, at first, that is printed.
 LEAST_GAIN = 0.01
+NOTHING = 1e-12  # over the least level wanted: the motion of a nodal point or a held edge
 MEASURES = ("weakest", "mean", "worst")
 
 
@@ -93,7 +94,9 @@ def _level_as_json(answer: SpecifiedDrive, row: RegionLevels) -> dict[str, objec
 def _decibels(answer: SpecifiedDrive, row: RegionLevels) -> dict[str, float]:
     """Return the levels of a region over the least level that is wanted."""
     levels = {measure: getattr(row, measure) / answer.least_wanted for measure in MEASURES}
-    return {f"{measure}_db": 20 * math.log10(level) if level > 0 else -math.inf for measure, level in levels.items()}
+    return {
+        f"{measure}_db": 20 * math.log10(level) if level > NOTHING else -math.inf for measure, level in levels.items()
+    }
 
 
 def _print(source: str, answer: SpecifiedDrive, console: Console) -> None:
@@ -116,7 +119,8 @@ def _print(source: str, answer: SpecifiedDrive, console: Console) -> None:
         [row.requirement, f"{row.wanted:.4g}", f"{row.reached:.4g}", row.unit, f"{round(row.margin_db, 2) + 0.0:+.2f}"]
         for row in answer.margins
     ]
-    output.print_rows(console, ["requirement", "limit", "reached", "unit", "margin (dB)"], rows, "")
+    requirement = f"requirement at {answer.frequency:.6g} Hz" if answer.scatter else "requirement"
+    output.print_rows(console, [requirement, "limit", "reached", "unit", "margin (dB)"], rows, "")
     if math.isfinite(answer.contrast_db):
         low, high = answer.interval
         digits = 3 if high - low > 0.01 else 5
@@ -148,7 +152,11 @@ def _print_levels(answer: SpecifiedDrive, console: Console) -> None:
             levels = [getattr(row, measure) * part for measure in MEASURES]
             cells = [f"{value * unit:.4g}" for unit in (1 / STANDARD_GRAVITY, micrometres) for value in levels]
             rows.append([row.name, kind, *cells, *(decibels if kind == "peak" else [""] * len(decibels))])
-    headings = ["levels", "", *(f"{measure} ({unit})" for unit in ("g", "µm", "dB") for measure in MEASURES)]
+    headings = [
+        f"levels at {answer.frequency:.6g} Hz",
+        "",
+        *(f"{measure} ({unit})" for unit in ("g", "µm", "dB") for measure in MEASURES),
+    ]
     output.print_rows(console, headings, rows, "", texts=2)
     if (beyond := answer.where_elsewhere) is not None:
         console.print(f"{beyond}\n")

@@ -295,7 +295,9 @@ def make_region(
     uncut = shapely.intersection(shape, shapely.box(0.0, 0.0, *size))
     shape = shapely.intersection(uncut, _plate_shape(plate.scene)) if plate.scene.plate.outline else uncut
     if shape.is_empty or shape.area <= 0:
-        raise SceneError("specification.guard: leaves nothing of the plate outside the targets; write a narrower one")
+        raise SceneError(
+            "specification.guard: leaves nothing of the plate outside the targets; write a narrower one [m]"
+        )
     x0, y0, x1, y1 = shape.bounds
     x, y = (
         np.linspace(low, high, max(fewest, int(np.ceil((high - low) / spacing)) + 1))

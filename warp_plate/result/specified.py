@@ -187,6 +187,20 @@ class SpecifiedDrive:
             for row in self.margins
             if row.requirement not in self.peaks
         ]
+        if math.isfinite(self.contrast_db):
+            lines.append(f"contrast: {self.contrast_db:.2f} dB, of no drive less than {self.bound_db:.2f} dB")
+        if self.scatter:
+            robust = zip(self.robust_peaks.items(), self.robust_phases.values(), self.units, strict=True)
+            lines.append(f"one drive for all cases, at {self.robust_frequency:.6g} Hz:")
+            lines += [
+                f"{name}: {peak:.4g} {unit}, phase lag {math.degrees(phase):.1f}°"
+                for (name, peak), phase, unit in robust
+            ]
+            lines += [
+                f"{', '.join(f'{key} × {factor:g}' for key, factor in case.changes.items())}: level "
+                f"{case.robust_level:.3f}, contrast {case.robust_db:.2f} dB, {'met' if case.met else 'not met'}"
+                for case in self.scatter
+            ]
         return printable("\n".join([self.verdict, *lines, *(f"! {line}" for line in self.warnings)]))
 
     def __repr__(self) -> str:

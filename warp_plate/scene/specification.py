@@ -25,6 +25,13 @@ from warp_plate.scene.sound import PressureLimit, SoundLevel
 STANDARD_GRAVITY = 9.80665  # m/s²
 # Keys of a level, and the power of the angular frequency by which their peak becomes an acceleration [m/s²].
 LEVEL_KEYS = {"acceleration_g": 0, "acceleration": 0, "velocity": 1, "displacement": 2}
+# Factor and unit in which each is shown.
+SHOWN_AS = {
+    "acceleration_g": (1, "g"),
+    "acceleration": (1, "m/s²"),
+    "velocity": (1e3, "mm/s"),
+    "displacement": (1e6, "µm"),
+}
 MOST_TOLERANCES = 4
 _IS_WORD = Discriminator(lambda value: "word" if isinstance(value, str) else "number")
 
@@ -49,16 +56,25 @@ class _Motion(Table):
     def peak_acceleration(self, frequency: float) -> float:
         """Return the level as the peak of an acceleration [m/s²] at a frequency [Hz]."""
         (key,) = self._given()
+        return float(getattr(self, key) * self._unit_peak(frequency))
+
+    def shown(self, peak: float, frequency: float) -> tuple[float, str]:
+        """Return the peak of an acceleration [m/s²] at a frequency [Hz] in the unit of the level, and this unit."""
+        (key,) = self._given()
+        factor, unit = SHOWN_AS[key]
+        return factor * peak / self._unit_peak(frequency), f"{unit} {'rms' if self.rms else 'peak'}"
+
+    def _unit_peak(self, frequency: float) -> float:
+        """Return the peak of the acceleration [m/s²] at a frequency [Hz] of a level of one unit of its key."""
+        (key,) = self._given()
         unit = STANDARD_GRAVITY if key == "acceleration_g" else 1.0
-        peak = getattr(self, key) * unit * (2 * math.pi * frequency) ** LEVEL_KEYS[key]
-        return float(peak * (math.sqrt(2) if self.rms else 1.0))
+        return float(unit * (2 * math.pi * frequency) ** LEVEL_KEYS[key] * (math.sqrt(2) if self.rms else 1.0))
 
     @property
     def text(self) -> str:
         """The level with its unit, for people."""
         (key,) = self._given()
-        units = {"acceleration_g": (1, "g"), "acceleration": (1, "m/s²"), "velocity": (1e3, "mm/s")}
-        factor, unit = units.get(key, (1e6, "µm"))
+        factor, unit = SHOWN_AS[key]
         return f"{factor * getattr(self, key):g} {unit} {'rms' if self.rms else 'peak'}"
 
 
@@ -97,6 +113,12 @@ class Allowance(_Motion):
     @property
     def text(self) -> str:
         return super().text if self.relative_db is None else f"{self.relative_db:g} dB"
+
+    def shown_over(self, peak: float, frequency: float, lowest: float) -> tuple[float, str]:
+        """Return what :meth:`shown` does, or if the level is relative, dB over the ``lowest`` of the targets [m/s²]."""
+        if self.relative_db is None:
+            return self.shown(peak, frequency)
+        return 20 * math.log10(max(peak, 1e-300) / lowest), "dB"
 
     @property
     def place(self) -> str:
@@ -193,7 +215,11 @@ class Specification(Table):
         actuators."""
         for index, level in enumerate(self.levels):
             if level.target is not None and level.target not in targets:
-                there = f"the targets are {', '.join(targets)}" if targets else "there are no [[targets]]"
+                there = (
+                    f"the targets are {', '.join(targets)}"
+                    if targets
+                    else "there are no [[targets]]; leave this key out"
+                )
                 raise ValueError(f"specification.level[{index}].target: {level.target!r}: {there}")
         for index, allowance in enumerate(self.allowances):
             if allowance.area is not None:

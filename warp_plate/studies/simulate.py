@@ -111,7 +111,9 @@ def optional_part(seconds: dict[str, float], name: str) -> Iterator[None]:
 def phasors_from_file(name: str, scene: Scene) -> np.ndarray:
     """Return the phasors (actuators,) of the best drive in a result file, in the unit of the scene's drives."""
     if not name.endswith(".h5"):
-        raise SceneError(f"--drive {name}: must be scene, equal, single or a result file (.h5)")
+        raise SceneError(
+            f"--drive {name}: must be scene, equal, single or a result file (.h5); a .toml file is a scene of its own"
+        )
     result, unit = load_result(Path(name)), scene.drive_unit
     phasors = result.main_case.phasors
     if phasors.size != len(scene.actuators):

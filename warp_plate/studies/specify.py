@@ -114,6 +114,10 @@ def _notes(scene: Scene, specification: Specification, frequency: float) -> list
     notes = []
     if isinstance(specification.frequency, tuple) and not specification.band and frequency in specification.frequency:
         notes.append(f"the best frequency, {frequency:g} Hz, is an end of the range; a wider one may be better")
+    for index, level in enumerate(specification.levels):
+        if level.phase != "free" and abs(level.phase) > 2 * math.pi:
+            row = f"[{index}]" if isinstance(specification.level, tuple) else ""
+            notes.append(f"specification.level{row}.phase = {level.phase:g} is over a turn; phases are in radians")
     if (key := scene.nonperiodic_key) is not None:
         notes.append(f"{key} is not used: levels are those of steady motion, all actuators at one frequency")
     return notes
@@ -170,7 +174,10 @@ def _answer(
     others = [(one, scale) for one, scale in zip(tones, scales, strict=True) if one.frequency != tone.frequency]
     proofs = (scale.bound > 1 and _excludes(one, scaled, error) for one, scale in others)
     in_band = tone.requirements.specification.band
-    obstacles = [] if feasible else _obstacles(tone, binding, excluded, contrast, effort, whole)
+    least, at = effort.scale, tone.frequency
+    if not (feasible or in_band):
+        least, at = _least_effort(rough, least, [one for one, _ in others])
+    obstacles = [] if feasible else _obstacles(tone, binding, excluded, contrast, (least, at), whole)
     answer = SpecifiedDrive(
         scene=scene,
         feasible=feasible,
@@ -185,7 +192,7 @@ def _answer(
         bound_db=bound if reached else math.nan,
         allowed_db=contrast_of(tone, 1.0, nearest) if rests and tone.requirements.relative[nearest] else math.nan,
         interval=_interval(tone, ends, levels, in_phase),
-        effort=effort.scale,
+        effort=least,
         largest_level=1 / whole.scale,
         obstacles=obstacles,
         gains=_gains(result, limits) if rests and reached else np.full(len(limits), np.nan),
@@ -260,15 +267,29 @@ def _effort(tone: Tone, level: float, effort: float) -> float:
     return tone.solve("actuators", level, between=False, searches=0).scale
 
 
+def _least_effort(rough: Tone, effort: float, others: Sequence[Tone]) -> tuple[float, float]:
+    """Return the least multiple of the limits that meets the specification, and its frequency [Hz]; at the frequency
+    of the first tone it is ``effort``."""
+    efforts = [one.solve("actuators", between=False, searches=0).scale for one in others]
+    best = int(np.argmin(efforts)) if efforts else -1
+    if best < 0 or not efforts[best] < effort:
+        return effort, rough.frequency
+    other = refined(others[best], {others[best].frequency}, FINER).solve("actuators").scale
+    return (other, others[best].frequency) if other < effort else (effort, rough.frequency)
+
+
 def _margins(tone: Tone, drive: np.ndarray, levels: Ratios, limits: np.ndarray) -> list[Margin]:
     in_aims, in_rests = (part.tolist() for part in levels)
     margins = []
     for aim, wanted, ratio in zip(tone.requirements.aims, tone.wanted.tolist(), in_aims, strict=True):
         name = f"{aim.name}, {aim.level.measure} point".replace("mean point", "mean")
-        margins.append(Margin(name, wanted, wanted * ratio, "m/s²", decibels(ratio)))
+        (limit, unit), (value, _) = (aim.level.shown(peak, tone.frequency) for peak in (wanted, wanted * ratio))
+        margins.append(Margin(name, limit, value, unit, decibels(ratio)))
     for rest, allowed, ratio in zip(tone.requirements.rests, tone.allowed.tolist(), in_rests, strict=True):
         name = f"{rest.name}, {rest.allowance.measure} point".replace("mean point", "mean")
-        margins.append(Margin(name, allowed, allowed * ratio, "m/s²", -decibels(ratio)))
+        at = (tone.frequency, float(tone.wanted.min()))
+        (limit, unit), (value, _) = (rest.allowance.shown_over(peak, *at) for peak in (allowed, allowed * ratio))
+        margins.append(Margin(name, limit, value, unit, -decibels(ratio)))
     scene, parts = tone.plate.scene, np.abs(drive).tolist()
     for actuator, limit, part, unit in zip(scene.actuators, limits.tolist(), parts, scene.limit_units, strict=True):
         margins.append(Margin(actuator.name, limit, limit * part, unit, -decibels(part)))
@@ -329,10 +350,11 @@ def _obstacles(
     binding: Sequence[tuple[str, float]],
     excluded: bool,
     contrast: float,
-    effort: LeastScale,
+    effort: tuple[float, float],
     whole: LeastScale,
 ) -> list[str]:
-    """Return sentences on what excludes each other, if it is ``excluded`` that a drive exists, and what would do."""
+    """Return sentences on what excludes each other, if it is ``excluded`` that a drive exists, and what would do: an
+    ``effort`` in multiples of the limits and its frequency [Hz]."""
     total = sum(part for _, part in binding) or 1.0
     scene, limits = tone.plate.scene, tone.largest * tone.plate.scene.unit_drives
     shown = zip(scene.actuators, limits, scene.limit_units, strict=True)
@@ -344,12 +366,16 @@ def _obstacles(
     if named:
         proved = "exclude each other" if excluded else "were not met together"
         sentences.append(f"{', '.join(named[:-1])} and {named[-1]} {proved}")
-    if math.isfinite(effort.scale):
+    scale, frequency = effort
+    if math.isfinite(scale):
         alike = len(set(scene.limit_units)) == 1
-        largest = f", {effort.scale * limits.max():.3g} {scene.limit_units[0]}" if alike else ""
-        sentences.append(f"{effort.scale:.3g} times the limits would do at {tone.frequency:.5g} Hz{largest}")
+        largest = f", {scale * limits.max():.3g} {scene.limit_units[0]}" if alike else ""
+        sentences.append(f"{scale:.3g} times the limits would do at {frequency:.5g} Hz{largest}")
     elif math.isfinite(contrast):
         sentences.append(f"larger limits alone do not help; the contrast is {contrast:.2f} dB")
+    specification = tone.requirements.specification
+    if specification.guard == 0 and any(rest.allowance.measure == "worst" for rest in tone.requirements.rests):
+        sentences.append("points right beside a target move as it does: write a specification.guard around it")
     if tone.requirements.rests and math.isnan(contrast):
         sentences.append(f"the limits allow {1 / whole.scale:.3g} of the wanted level")
     return sentences
