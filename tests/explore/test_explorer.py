@@ -266,7 +266,7 @@ def test_a_search_is_watched(explored_panel, model):
             seen[swarm.best.size] = swarm
         time.sleep(0.002)
     model.wait()
-    last = model.swarm()
+    last, largest = model.swarm(), max(model.settings.magnitude)
     assert len(seen) > 5
     assert (last.best.size, last.iterations) == (15, 15)
     assert np.all(np.diff(last.best) >= 0)
@@ -277,6 +277,9 @@ def test_a_search_is_watched(explored_panel, model):
     assert model.read().localization_factor == pytest.approx(last.best[-1], rel=1e-12)
     history = localize(explored_panel, device="cpu", evaluator="modal", estimate=False).history["best"]
     np.testing.assert_allclose(last.best, history, rtol=1e-6)
+    model.choose("exact")
+    model.wait()
+    assert max(model.settings.magnitude) == pytest.approx(largest)
     # A search ends when a slider is moved: what it finds after that is not taken.
     model.choose("found", seconds=0.02)
     until(lambda: model.swarm() is not None)

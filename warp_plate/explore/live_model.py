@@ -263,7 +263,7 @@ class LiveModel:
         with self._changed:
             snapshot = self.swarm()
             if snapshot is not None and snapshot is not self._followed and snapshot.best_phasors is not None:
-                self._drive_by(self._scale * snapshot.best_phasors)
+                self._drive_by(self._scale * snapshot.best_phasors / np.abs(snapshot.best_phasors).max())
             self._followed = snapshot
 
     def _end_search(self) -> None:
