@@ -38,6 +38,8 @@ from warp_plate.plate.designs import scene_phasors
 
 # Steps of the differences, as parts of the range of a number.
 STEPS = (8e-2, 4e-2, 2e-2, 1e-2, 5e-3, 2e-3, 1e-3)
+# Norm of slopes below which there are none: limits that do not depend on what is free.
+LEAST = 1e-9
 # Where these do not tell, polynomials of a degree through so many values within distances average rounding.
 DEGREE, POINTS, DISTANCES = 11, 36, (2e-2, 6e-3, 2e-3, 6e-4)
 
@@ -68,7 +70,7 @@ def slopes_of(number: int) -> tuple[int, str, list[tuple[str, float]]]:
                 ends[fine] + (ends[fine] - ends[rough]) / ((rough / fine) ** 2 - 1)
                 for rough, fine in pairwise(STEPS)
             ])  # fmt: skip
-            scale = np.maximum(sizes, 1e-300)
+            scale = np.maximum(sizes, LEAST)
             off = np.abs(richardson - every @ direction) / scale
             for distance in DISTANCES if off.min(axis=0).max() > 5e-7 else ():
                 fitted = _fitted(panel, numbers, direction, distance)

@@ -28,6 +28,15 @@ def outlined(holes=()):
 
 SHAPES = {
     "size": {"design": {"free": {"plate.size[0]": [0.19, 0.22]}, "limits": {"mass": 0.03}}},
+    "strip": {
+        "plate": {**MATERIAL, "size": (0.031, 0.29)},
+        "edges": {"left": "free", "bottom": "clamped", "right": "supported", "top": {"translation": 640.0}},
+        "target": {"area": (0.005, 0.02, 0.2, 0.27)},
+        "actuators": [{"name": str(y), "area": (0.004, 0.02, y, y + 0.03)} for y in (0.03, 0.1, 0.15)],
+        "drive": {"frequency": 300.0},
+        "grid": {"modal_density": 0.7},
+        "design": {"free": {"plate.size[0]": [0.031, 0.034]}},
+    },
     "disc": {**HELD_DISC, "design": {"free": {"radius": [0.095, 0.11], "plate.thickness": [4e-4, 6e-4]}}},
     "support": {
         "supports": [{"point": (0.13, 0.12)}],

@@ -25,6 +25,9 @@ DENSITY = 0.7
 # Energy of functions of a free outline that depend on the others: more than for one outline, so that what is left out
 # turns slowly with it.
 RANK = 1e-10
+# Steps of differences by the shape of a panel, against rounding: by the outline, whose functions turn with it, as a
+# part of the least interval between knots; by a side of a rectangle, whose functions only stretch, as a part of it.
+TURNED, STRETCHED = 7e-4, 2e-3
 
 
 class PanelFunctions:
@@ -52,10 +55,11 @@ class PanelFunctions:
         assert isinstance(space, TensorSplines | TrimmedSplines)
         return space
 
-    @property
-    def least_interval(self) -> float:
-        """Least interval between knots [m]."""
-        return min(float(np.diff(along.breaks).min()) for along in self.space.along)
+    def shape_step(self, length: float) -> float:
+        """Return the step [m] of differences by a number of the shape of a panel, about a length [m]."""
+        if isinstance(self.space, TensorSplines):
+            return STRETCHED * length
+        return TURNED * min(float(np.diff(along.breaks).min()) for along in self.space.along)
 
     def of_scene(self, scene: Scene, near: FunctionSpace | None = None) -> TensorSplines | TrimmedSplines:
         """Return the functions of a panel, which turn least from those of ``near``, of almost the same shape; Unlike:

@@ -43,9 +43,6 @@ MARGIN, ENERGY_MARGIN = 2e-3, 1e-2
 # Natural frequencies on either side of the gap that count, steepness of their aggregate, and the part of the gap's ends
 # up to which a motion is rigid.
 NEAR, STEEPNESS, STILL = 6, 500.0, 1e-3
-# Step of differences by the shape of a panel, as a part of the least interval between knots: wide, for rounding turns
-# the functions of an outline.
-SHAPE_STEP = 7e-4
 # Numbers of attachments with slopes of their own.
 ATTACHED_NUMBERS = ("mass", "stiffness", "damping")
 # Numbers of actuators that are no part of the panel.
@@ -314,7 +311,7 @@ class FreePanel:
                 return self._with_map(self._with_numbers(one, case), numbers)
 
             shape = place is None and any(map(_is_shape, linked_keys(self.scene, self._keys[index])))
-            step = SHAPE_STEP * self._functions.least_interval / width[index] if shape else STEP
+            step = self._functions.shape_step(self._low[index]) / width[index] if shape else STEP
             slopes[:, self._mapped + index] = of.along(scene_at, share, step)
         return slopes
 
