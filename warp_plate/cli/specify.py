@@ -101,18 +101,20 @@ def _decibels(answer: SpecifiedDrive, row: RegionLevels) -> dict[str, float]:
 
 def _print(source: str, answer: SpecifiedDrive, console: Console) -> None:
     console.print(f"{answer.scene.title or source}: {answer.verdict}\n")
-    unit = answer.unit
+    mixed = len(set(answer.units)) > 1
+    unit = "" if mixed else f" ({answer.unit})"
     drives = [(answer.peaks, answer.phases)]
-    headings = ["actuator", f"limit ({unit})", f"peak ({unit})", "phase lag (°)"]
+    headings = ["actuator", f"limit{unit}", f"peak{unit}", "phase lag (°)"]
     if answer.scatter:
         drives.append((answer.robust_peaks, answer.robust_phases))
-        headings[2] = f"at {answer.frequency:.6g} Hz: peak ({unit})"
-        headings += [f"for all cases, at {answer.robust_frequency:.6g} Hz: peak ({unit})", "phase lag (°)"]
+        headings[2] = f"at {answer.frequency:.6g} Hz: peak{unit}"
+        headings += [f"for all cases, at {answer.robust_frequency:.6g} Hz: peak{unit}", "phase lag (°)"]
     rows = []
-    for name, limit in zip(answer.peaks, answer.limits.tolist(), strict=True):
-        rows.append([name, f"{limit:.4g}"])
+    for name, limit, own in zip(answer.peaks, answer.limits.tolist(), answer.units, strict=True):
+        after = f" {own}" if mixed else ""
+        rows.append([name, f"{limit:.4g}{after}"])
         for peaks, phases in drives:
-            rows[-1] += [f"{peaks[name]:.4g}", f"{math.degrees(phases[name]):.1f}"]
+            rows[-1] += [f"{peaks[name]:.4g}{after}", f"{math.degrees(phases[name]):.1f}"]
     output.print_rows(console, headings, rows, "")
     _print_levels(answer, console)
     rows = [
