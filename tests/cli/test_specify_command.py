@@ -43,16 +43,16 @@ def test_drives_of_several_units_have_their_own(command, tmp_path):
     coil = {"name": "coil", "kind": "coil", "model": "DAEX25FHE-4", "disc": (0.05, 0.03, 0.0125), "voltage": 2.0}
     path = tmp_path / "mixed.toml"
     path.write_text(scene.with_tables(actuators=[*scene.model_dump()["actuators"][1:], coil]).to_toml())
-    printed = output_of(command("specify", str(path), "--no-pictures"))
+    printed = output_of(command("specify", str(path), "--no-pictures", "--out", str(tmp_path / "mixed.json")))
     assert re.search(r"coil +2 V +0?\.?[0-9e.-]+ V ", printed)
     assert re.search(r"A2 +0\.5 N +0\.[0-9]+ N ", printed)
     assert re.search(r"target, weakest point +1 +1(\.0+)? +g peak", printed)
 
 
-def test_what_would_do_is_that_of_the_best_frequency(command):
+def test_what_would_do_is_that_of_the_best_frequency(command, tmp_path):
     """Resonance alone reaches the level with 0.05 N, but takes more for the contrast than 250 Hz does."""
     changes = ("--set=specification.limits.force=0.05", "--set=grid.modal_density=0.6")
-    printed = output_of(command("specify", "console", *changes, "--no-pictures"))
+    printed = output_of(command("specify", "console", *changes, "--no-pictures", "--out", str(tmp_path / "low.json")))
     assert "1.46 times the limits would do at 250 Hz, 0.0732 N" in " ".join(printed.split())
 
 
