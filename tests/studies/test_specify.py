@@ -164,6 +164,24 @@ def test_what_cannot_be_is_proved_and_explained():
     assert "larger limits alone do not help" in answer.obstacles[1]
 
 
+@pytest.mark.parametrize(("area", "advised"), [(None, True), ([0.0, 0.02, 0.0, 0.02], False)])
+def test_a_guard_is_advised_where_levels_hold_right_beside_the_target(area, advised):
+    keys = ["specification.frequency=250.0", "specification.guard=0.0", "specification.limits.force=0.001", COARSE]
+    scene = Scene.load("console", keys if area is None else [*keys, f"specification.elsewhere.area={area}"])
+    answer = warp_plate.specify(scene)
+    assert not answer.feasible
+    assert any("write a specification.guard" in line for line in answer.warnings) == advised
+
+
+def test_the_weakest_point_does_not_depend_on_the_size_of_the_motion():
+    scene = Scene.load("console", ["specification.frequency=250.0", COARSE])
+    plate = solve_modes(scene, 250)
+    tone = Tone(plate, make_requirements(plate), 250, np.ones(6))
+    drive = np.exp(1j * np.arange(6))
+    weak, strong = (tone.extremes(size * drive)[1] for size in (1e-9, 1.0))
+    assert weak.weakest == pytest.approx(1e-9 * strong.weakest, rel=1e-6)
+
+
 def test_small_limits_name_what_would_do():
     keys = ["specification.limits.force=0.05", "specification.frequency=250.0", COARSE]
     answer = warp_plate.specify(Scene.load("console", keys), tolerances=False)

@@ -21,7 +21,7 @@ from warp_plate.scene.specification import Allowance, Level, Specification
 PER_WAVE, PER_PLATE, PER_TARGET = 24, 80, 9
 # Distance [of the longer side] by which outlines may be off where their mean is only shown.
 SHOWN = 1e-4
-QUARTER = 256  # corners of a quarter of the rounded corners of a guard
+QUARTER = 256  # sides of a quarter turn of a guard
 
 
 @dataclass(frozen=True)

@@ -65,7 +65,8 @@ class Tone:
     @cached_property
     def accelerations(self) -> np.ndarray:
         """(modes, actuators) modal accelerations [√kg·m/s²] of the actuators' largest drives."""
-        plate, omega, forces = self.plate, self._omega, self.plate.actuator_forces() * self.largest
+        plate, omega = self.plate, 2 * math.pi * self.frequency
+        forces = plate.actuator_forces() * self.largest
         if plate.proportional or plate.coils is not None or plate.air is not None:
             amplitudes = -(omega**2) * plate.respond_to_drives(np.array([[self.frequency]]), forces[None])[0]
             if not np.isfinite(amplitudes).all():
@@ -75,10 +76,6 @@ class Tone:
         # One solution takes less time than the poles of all modes.
         stiffness = np.diag(plate.angular_frequencies**2 - omega**2) + 1j * (omega * plate.damping + plate.hysteretic)
         return np.asarray(-(omega**2) * np.linalg.solve(stiffness, forces))
-
-    @property
-    def _omega(self) -> float:
-        return 2 * math.pi * self.frequency
 
     @cached_property
     def _coefficients(self) -> np.ndarray:
@@ -209,10 +206,11 @@ class Tone:
     def _add(self, key: Key, region: Region, drive: np.ndarray, measure: Values, limit: float, slack: float) -> bool:
         """Add the points of a region where a measure of the acceleration passes a limit."""
         between, most = slack < COARSE, limit + slack * (limit or 1.0)
-        for dips in (False, True) if between and key[0] == "aim" and self.requirements.phases_free else (False,):
+        free = between and key[0] == "aim" and self._phase(self.requirements.aims[key[1]]) == "free"
+        for dips in (False, True) if free else (False,):
             peaks = self._peaks(region, drive, measure, between, dips)
             beyond = peaks[measure(self.rows(peaks) @ drive) > most]
-            if len(beyond):  # the phase next to a zero is of more use than at it
+            if len(beyond):  # zeros only where nothing else falls short: at a zero the motion has no phase
                 self.points[key] = np.concatenate([self.points[key], beyond])
                 return True
         return False
@@ -337,7 +335,8 @@ class Tone:
 
     def _end(self, region: Region, drive: np.ndarray, sign: float) -> tuple[float, tuple[float, ...]]:
         """Return the largest or, with a negative sign, the smallest acceleration of a region, and its point."""
-        measure: Values = partial(in_units, 1.0) if sign > 0 else partial(shortfall, 1.0, "free")
+        unit = float(np.abs(self._sampled(region, drive)).max()) or 1.0
+        measure: Values = partial(in_units, unit) if sign > 0 else partial(shortfall, unit, "free")
         peaks = self._peaks(region, drive, measure, True, sign < 0)
         sizes = np.abs(self.rows(peaks) @ drive)
         at = int(np.argmax(sign * sizes))

@@ -45,9 +45,9 @@ NEAREST = [7 + 5 * i + j - 1 for i in range(3) for j in range(3)]  # rows of ARO
 MIDDLE = len(AROUND) // 2
 # Steps of the finer grid around a sample, three to a spacing of samples.
 FINE = np.stack(np.meshgrid(np.arange(-6, 7) / 3, np.arange(-6, 7) / 3), axis=-1)
-# Steps of Gauss and Newton: their differences and largest length [spacings], the part of the trace that keeps them
-# finite, and the parts of a step that are tried.
-DIFFERENCE, STRIDE, LEVEL, FRACTIONS = 1e-3, 2.0, 1e-12, np.array([0.0, 0.03, 0.1, 0.3, 1.0])
+# Steps of Gauss and Newton: their differences and largest length [spacings], the part of the trace that is added to the
+# diagonal, and the parts of a step that are tried.
+DIFFERENCE, STRIDE, DAMPING, FRACTIONS = 1e-3, 2.0, 1e-12, np.array([0.0, 0.03, 0.1, 0.3, 1.0])
 # Largest distance of a summit from the middle of its nine points [steps].
 REACH = 8.0
 
@@ -99,7 +99,7 @@ class Line:
 def make_line(corners: np.ndarray, spacing: float) -> Line:
     """Return a closed line with samples at its sharp corners, and between them at most ``spacing`` [m] apart."""
     sides = np.diff(corners, axis=0, append=corners[:1]) @ (1, 1j)
-    turns = np.abs(np.angle(sides / np.roll(sides, 1)))
+    turns = np.abs(np.angle(sides * np.roll(sides, 1).conj()))
     ends = _lengths(corners)
     marks = np.unique(np.concatenate([[0.0], ends[:-1][turns > SHARP], ends[-1:]]))
     parts = [np.linspace(low, high, math.ceil((high - low) / spacing), endpoint=False) for low, high in pairwise(marks)]
@@ -111,7 +111,7 @@ class Region:
     """A part of the plate with its samples."""
 
     shape: shapely.Geometry  # its part on the plate [m], wider by the seam
-    uncut: shapely.Geometry  # its part in the box around the plate [m], wider by the seam, for means
+    uncut: shapely.Geometry  # its part in the box around the plate [m], wider by the seam; for means
     plate: ModalPlate  # the plate
     x: np.ndarray  # (nx,) [m]
     y: np.ndarray  # (ny,) [m]
@@ -178,7 +178,7 @@ class Region:
         levels = self._within(around, values(around.reshape(-1, 2))).reshape(-1, *FINE.shape[:2])
         maxima = _exceeds_neighbours(levels) & np.isfinite(levels)
         maxima[:, [0, -1]] = maxima[:, :, [0, -1]] = False  # there the next points are not known
-        maxima = maxima.reshape(len(points), -1)
+        maxima = maxima.reshape(-1, FINE.size // 2)
         found = np.concatenate([points[~maxima.any(axis=1)], around[maxima]])
         return found[np.unique(np.round(found / max(self.plate.scene.plate.size), 9), axis=0, return_index=True)[1]]
 
@@ -212,7 +212,7 @@ class Region:
             here, *around = field((points[:, None] + stencil).reshape(-1, 2)).reshape(len(points), -1).T
             slopes = np.stack([around[0] - around[2], around[1] - around[3]], axis=1) / (2 * DIFFERENCE)  # of a spacing
             normal, gradient = (slopes[:, :, None].conj() * slopes[:, None]).real, (slopes.conj() * here[:, None]).real
-            normal += (LEVEL * np.trace(normal, axis1=1, axis2=2) + np.finfo(float).tiny)[:, None, None] * np.eye(2)
+            normal += (DAMPING * np.trace(normal, axis1=1, axis2=2) + np.finfo(float).tiny)[:, None, None] * np.eye(2)
             steps = np.linalg.solve(normal, gradient[:, :, None])[:, :, 0]
             steps *= spacing / np.maximum(1.0, np.abs(steps).max(axis=1, keepdims=True) / STRIDE)
             trials = points[:, None] - FRACTIONS[:, None] * steps[:, None]

@@ -188,8 +188,10 @@ class SpecifiedDrive:
             if row.requirement not in self.peaks
         ]
         if math.isfinite(self.contrast_db):
-            lines.append(f"contrast: {self.contrast_db:.2f} dB, of no drive less than {self.bound_db:.2f} dB")
+            least = f"no drive within the limits has less than {self.bound_db:.2f} dB"
+            lines.append(f"contrast: {self.contrast_db:.2f} dB; {least}")
         if self.scatter:
+            compared = math.isfinite(self.contrast_db)
             robust = zip(self.robust_peaks.items(), self.robust_phases.values(), self.units, strict=True)
             lines.append(f"one drive for all cases, at {self.robust_frequency:.6g} Hz:")
             lines += [
@@ -198,7 +200,8 @@ class SpecifiedDrive:
             ]
             lines += [
                 f"{', '.join(f'{key} × {factor:g}' for key, factor in case.changes.items())}: level "
-                f"{case.robust_level:.3f}, contrast {case.robust_db:.2f} dB, {'met' if case.met else 'not met'}"
+                f"{case.robust_level:.3f}, {f'contrast {case.robust_db:.2f} dB, ' if compared else ''}"
+                f"{'met' if case.met else 'not met'}"
                 for case in self.scatter
             ]
         return printable("\n".join([self.verdict, *lines, *(f"! {line}" for line in self.warnings)]))

@@ -115,7 +115,7 @@ class Allowance(_Motion):
         return super().text if self.relative_db is None else f"{self.relative_db:g} dB"
 
     def shown_over(self, peak: float, frequency: float, lowest: float) -> tuple[float, str]:
-        """Return what :meth:`shown` does, or if the level is relative, dB over the ``lowest`` of the targets [m/s²]."""
+        """Return what :meth:`shown` does, or if the level is relative, dB over the ``lowest`` one wanted [m/s²]."""
         if self.relative_db is None:
             return self.shown(peak, frequency)
         return 20 * math.log10(max(peak, 1e-300) / lowest), "dB"

@@ -174,10 +174,10 @@ def _answer(
     others = [(one, scale) for one, scale in zip(tones, scales, strict=True) if one.frequency != tone.frequency]
     proofs = (scale.bound > 1 and _excludes(one, scaled, error) for one, scale in others)
     in_band = tone.requirements.specification.band
-    least, at = effort.scale, tone.frequency
-    if not (feasible or in_band):
-        least, at = _least_effort(rough, least, [one for one, _ in others])
-    obstacles = [] if feasible else _obstacles(tone, binding, excluded, contrast, (least, at), whole)
+    least = effort.scale, tone.frequency
+    if rests and not (feasible or in_band):
+        least = _least_effort(least, [one for one, _ in others])
+    obstacles = [] if feasible else _obstacles(tone, binding, excluded, contrast, least, whole)
     answer = SpecifiedDrive(
         scene=scene,
         feasible=feasible,
@@ -192,10 +192,10 @@ def _answer(
         bound_db=bound if reached else math.nan,
         allowed_db=contrast_of(tone, 1.0, nearest) if rests and tone.requirements.relative[nearest] else math.nan,
         interval=_interval(tone, ends, levels, in_phase),
-        effort=least,
+        effort=effort.scale,
         largest_level=1 / whole.scale,
         obstacles=obstacles,
-        gains=_gains(result, limits) if rests and reached else np.full(len(limits), np.nan),
+        gains=_gains(result, limits) if rests and reached and result.allowed else np.full(len(limits), np.nan),
         frequencies=np.array([one.frequency for one in tones]),
         contrasts=np.array([contrast_of(tone, one.scale, nearest) for one in scales]),
         efforts=np.array([math.nan if rests else one.scale for one in scales]),
@@ -203,7 +203,7 @@ def _answer(
         pareto_contrasts=np.array([contrast_of(tone, one.scale, nearest, level) for level, one in pareto]),
         pareto_efforts=np.array(efforts),
         field_db=_field(tone, drive),
-        guard=[line.samples for rest in rests for line in rest.region.lines],
+        guard=[line.corners for rest in rests for line in rest.region.lines],
         scatter=(),
         robust_frequency=math.nan,
         robust_drive=np.full(len(limits), np.nan),
@@ -267,15 +267,14 @@ def _effort(tone: Tone, level: float, effort: float) -> float:
     return tone.solve("actuators", level, between=False, searches=0).scale
 
 
-def _least_effort(rough: Tone, effort: float, others: Sequence[Tone]) -> tuple[float, float]:
-    """Return the least multiple of the limits that meets the specification, and its frequency [Hz]; at the frequency
-    of the first tone it is ``effort``."""
+def _least_effort(known: tuple[float, float], others: Sequence[Tone]) -> tuple[float, float]:
+    """Return the least multiple of the limits that meets the specification, and its frequency [Hz], of the ``known``
+    one and those of other tones."""
     efforts = [one.solve("actuators", between=False, searches=0).scale for one in others]
-    best = int(np.argmin(efforts)) if efforts else -1
-    if best < 0 or not efforts[best] < effort:
-        return effort, rough.frequency
-    other = refined(others[best], {others[best].frequency}, FINER).solve("actuators").scale
-    return (other, others[best].frequency) if other < effort else (effort, rough.frequency)
+    if min(efforts, default=math.inf) >= known[0]:
+        return known
+    best = others[int(np.argmin(efforts))]
+    return min(known, (refined(best, {best.frequency}, FINER).solve("actuators").scale, best.frequency))
 
 
 def _margins(tone: Tone, drive: np.ndarray, levels: Ratios, limits: np.ndarray) -> list[Margin]:
@@ -373,12 +372,22 @@ def _obstacles(
         sentences.append(f"{scale:.3g} times the limits would do at {frequency:.5g} Hz{largest}")
     elif math.isfinite(contrast):
         sentences.append(f"larger limits alone do not help; the contrast is {contrast:.2f} dB")
-    specification = tone.requirements.specification
-    if specification.guard == 0 and any(rest.allowance.measure == "worst" for rest in tone.requirements.rests):
+    if _are_neighbours(tone):
         sentences.append("points right beside a target move as it does: write a specification.guard around it")
     if tone.requirements.rests and math.isnan(contrast):
         sentences.append(f"the limits allow {1 / whole.scale:.3g} of the wanted level")
     return sentences
+
+
+def _are_neighbours(tone: Tone) -> bool:
+    """Return whether points right beside a target may move less than the target must."""
+    requirements = tone.requirements
+    return any(
+        rest.allowance.measure == "worst" and allowed < wanted and rest.region.shape.intersects(aim.region.shape)
+        for rest, allowed in zip(requirements.rests, tone.allowed, strict=True)
+        for aim, wanted in zip(requirements.aims, tone.wanted, strict=True)
+        if aim.level.measure == "weakest"
+    )
 
 
 def _field(tone: Tone, drive: np.ndarray) -> np.ndarray:

@@ -35,8 +35,8 @@ SAME = 1e-12
 NEAR, ROUNDING = 0.1, 1e-14
 # Segments of several fields that are multiplied at once.
 BLOCK = 256
-# Cells that a square enlarged so many times meets are cut at its sides: those behind a knot would else be wide beside
-# their distance from its middle.
+# Cells that meet a square enlarged so many times are cut at its sides too: those behind a knot would otherwise be wide
+# compared with their distance from its middle.
 ENLARGED = 3.0
 # Slope of the end of an arc that counts as extreme.
 LEVEL = 1e-9
