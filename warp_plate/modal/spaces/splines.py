@@ -75,10 +75,10 @@ class Splines:
     def values_by_pieces(self, x: np.ndarray) -> np.ndarray:
         """Return :meth:`values` (functions, points), in less time for few points."""
         interval = np.clip(np.searchsorted(self.breaks, x, side="right") - 1, 0, self.breaks.size - 2)
-        pieces, beyond = self._pieces[:, :, interval], x - self.breaks[interval]
-        values = pieces[0]
-        for piece in pieces[1:]:
-            values = values * beyond + piece
+        beyond, values = x - self.breaks[interval], np.take(self._pieces[0], interval, axis=1)
+        for piece in self._pieces[1:]:
+            values *= beyond
+            values += np.take(piece, interval, axis=1)
         return np.asarray(values)
 
     @property
