@@ -16,6 +16,12 @@ SIZE = (0.3, 0.2)
 WAVE = 0.05  # m; with 24 samples a wave
 
 
+def draw_frame(random):
+    """Return a point [m] and the rows of a rotation by a random angle."""
+    angle, point = random.uniform(0, math.pi), random.uniform((0.08, 0.08), (0.22, 0.12))
+    return point, np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+
+
 @pytest.fixture(scope="module")
 def region():
     plate = solve_modes(scene_of(size=SIZE, modal_density=0.5), 100.0)
@@ -43,8 +49,7 @@ def test_the_highest_of_many_equal_maxima_is_found(region, random, sign):
 def test_the_summit_of_an_oblique_ridge_is_found(region, random):
     """Its height falls thirty times faster across than along."""
     for _ in range(20):
-        angle, summit = random.uniform(0, math.pi), random.uniform((0.08, 0.08), (0.22, 0.12))
-        turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+        summit, turn = draw_frame(random)
 
         def values(points, turn=turn, summit=summit):
             along, across = turn @ (points - summit).T / WAVE
@@ -75,8 +80,7 @@ def test_regions_end_at_the_outline():
 def test_the_zero_in_a_narrow_valley_is_found(region, random):
     """Across the valley the field rises a thousand times faster than along."""
     for _ in range(20):
-        angle, zero = random.uniform(0, math.pi), random.uniform((0.08, 0.08), (0.22, 0.12))
-        turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+        zero, turn = draw_frame(random)
 
         def field(points, turn=turn, zero=zero):
             along, across = turn @ (points - zero).T / WAVE
