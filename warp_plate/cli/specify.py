@@ -179,10 +179,9 @@ def _print_tolerances(answer: SpecifiedDrive, console: Console) -> None:
     worst = sorted(answer.scatter, key=lambda case: (case.met, -case.robust_db))[:MOST_CASES]
     rows = []
     for case in worst:
-        changes = ", ".join(f"{key} × {factor:g}" for key, factor in case.changes.items())
         levels = [f"{case.nominal_level:.3f}", f"{case.nominal_db:.2f}", f"{case.robust_level:.3f}"]
         best = output.number_text(case.best_db, ".2f")
-        rows.append([changes, *levels, f"{case.robust_db:.2f}", "yes" if case.met else "no", best])
+        rows.append([case.text, *levels, f"{case.robust_db:.2f}", "yes" if case.met else "no", best])
     headings = ["case", "nominal drive: level", "contrast (dB)", "one drive for all: level", "contrast (dB)", "met"]
     title = f"Tolerances (levels over those wanted), one drive for all at {answer.robust_frequency:.6g} Hz"
     output.print_rows(console, [*headings, "retuned (dB)"], rows, "", title=title)

@@ -46,6 +46,11 @@ class Scatter:
     best_db: float  # contrast of the best drive for this case alone [dB]
     met: bool  # true if the one drive for all cases meets the specification in this case
 
+    @property
+    def text(self) -> str:
+        """The changes, for people."""
+        return ", ".join(f"{key} × {factor:g}" for key, factor in self.changes.items())
+
 
 @dataclass(frozen=True, eq=False)
 class SpecifiedDrive:
@@ -199,9 +204,8 @@ class SpecifiedDrive:
                 for (name, peak), phase, unit in robust
             ]
             lines += [
-                f"{', '.join(f'{key} × {factor:g}' for key, factor in case.changes.items())}: level "
-                f"{case.robust_level:.3f}, {f'contrast {case.robust_db:.2f} dB, ' if compared else ''}"
-                f"{'met' if case.met else 'not met'}"
+                f"{case.text}: level {case.robust_level:.3f}, "
+                f"{f'contrast {case.robust_db:.2f} dB, ' if compared else ''}{'met' if case.met else 'not met'}"
                 for case in self.scatter
             ]
         return printable("\n".join([self.verdict, *lines, *(f"! {line}" for line in self.warnings)]))
