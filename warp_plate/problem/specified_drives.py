@@ -140,21 +140,13 @@ class Tone:
                 squares += list(rows[:, None])
             else:
                 wanted.append(np.exp(1j * phase) * rows)
-        rests = [] if scaled == "actuators alone" else self._rests()
-        units = self.allowed_for(level)
-        blocks = [Block(rows / (units[index] * (1 - MARGIN)), scaled == "elsewhere") for index, rows in rests]
+        units, blocks = self.allowed_for(level) * (1 - MARGIN), []
+        for index, rest in enumerate(self.requirements.rests if scaled != "actuators alone" else ()):
+            mean = rest.allowance.measure == "mean"
+            rows = self.mean_factor(rest.region)[None] if mean else self._rows_of(("rest", index), rest.region)[:, None]
+            blocks.append(Block(rows / units[index], scaled == "elsewhere"))
         blocks += [Block(one.factor[None] / math.sqrt(one.limit), scaled != "elsewhere") for one in self.limited]
         return np.concatenate(wanted), squares, blocks
-
-    def _rests(self) -> list[tuple[int, np.ndarray]]:
-        """Return the rows (blocks, rows, actuators) of each rest, with its index."""
-        blocks = []
-        for index, rest in enumerate(self.requirements.rests):
-            if rest.allowance.measure == "mean":
-                blocks.append(self.mean_factor(rest.region)[None])
-            else:
-                blocks.append(self._rows_of(("rest", index), rest.region)[:, None])
-        return list(enumerate(blocks))
 
     def allowed_for(self, level: float) -> np.ndarray:
         """Return what is allowed of the (rests,) for a multiple of the wanted levels, which relative levels follow."""
@@ -206,21 +198,24 @@ class Tone:
     def _add(self, key: Key, region: Region, drive: np.ndarray, measure: Values, limit: float, slack: float) -> bool:
         """Add the points of a region where a measure of the acceleration passes a limit."""
         between, most = slack < COARSE, limit + slack * (limit or 1.0)
-        free = between and key[0] == "aim" and self._phase(self.requirements.aims[key[1]]) == "free"
-        for dips in (False, True) if free else (False,):
-            peaks = self._peaks(region, drive, measure, between, dips)
-            beyond = peaks[measure(self.rows(peaks) @ drive) > most]
-            if len(beyond):  # zeros only where nothing else falls short: at a zero the motion has no phase
-                self.points[key] = np.concatenate([self.points[key], beyond])
-                return True
-        return False
+        peaks = self._peaks(region, drive, measure, between)
+        beyond = peaks[measure(self.rows(peaks) @ drive) > most]
+        free = key[0] == "aim" and self._phase(self.requirements.aims[key[1]]) == "free"
+        if between and free and not len(beyond):  # only then, for at a zero the motion has no phase
+            dips = self._dips(region, drive, peaks)
+            beyond = dips[measure(self.rows(dips) @ drive) > most]
+        self.points[key] = np.concatenate([self.points[key], beyond])
+        return len(beyond) > 0
 
-    def _peaks(self, region: Region, drive: np.ndarray, measure: Values, between: bool, dips: bool) -> np.ndarray:
-        """Return points (n, 2) [m] where a measure of the acceleration is largest, or with ``dips`` it is smallest."""
+    def _peaks(self, region: Region, drive: np.ndarray, measure: Values, between: bool = True) -> np.ndarray:
+        """Return points (points, 2) [m] where a measure of the acceleration under a drive is largest."""
         levels, whole = measure(self._sampled(region, drive)), (self._coefficients @ drive)[:, None]
         values = (lambda points: measure(self._at_points(whole, points)[:, 0])) if between else None
-        peaks = region.peaks(levels, values, max(FEWEST, len(self.largest)))
-        return np.concatenate([peaks, region.dips(peaks, partial(self._at_points, whole))]) if dips else peaks
+        return region.peaks(levels, values, max(FEWEST, len(self.largest)))
+
+    def _dips(self, region: Region, drive: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Return points (n, 2) [m] near others where the acceleration under a drive is smallest."""
+        return region.dips(points, partial(self._at_points, (self._coefficients @ drive)[:, None]))
 
     def _sampled(self, region: Region, drive: np.ndarray) -> np.ndarray:
         """Return the (samples,) complex accelerations [m/s²] of a region under a drive."""
@@ -337,7 +332,9 @@ class Tone:
         """Return the largest or, with a negative sign, the smallest acceleration of a region, and its point."""
         unit = float(np.abs(self._sampled(region, drive)).max()) or 1.0
         measure: Values = partial(in_units, unit) if sign > 0 else partial(shortfall, unit, "free")
-        peaks = self._peaks(region, drive, measure, True, sign < 0)
+        peaks = self._peaks(region, drive, measure)
+        if sign < 0:
+            peaks = np.concatenate([peaks, self._dips(region, drive, peaks)])
         sizes = np.abs(self.rows(peaks) @ drive)
         at = int(np.argmax(sign * sizes))
         return float(sizes[at]), tuple(peaks[at].tolist())
