@@ -244,7 +244,7 @@ def test_sweeps_of_all_shapes(drawn, tmp_path, what, vary, samples):
     maps = len(vary) == 2
     assert count(picture, REFUSED_GREY if maps else REFUSED_TICK) > (100 if maps else 2)
     if (what, vary) == ("modes", PAIR):
-        draw_sweep(random_sweep(vary, what, samples), tmp_path / "grey.png", "gray")
+        draw_sweep(random_sweep(vary, what, samples), tmp_path / "grey.png", colormap="gray")
         assert np.ptp(pixels(tmp_path / "grey.png"), axis=2).max() < 12 < np.ptp(picture, axis=2).max()
     if (what, vary) == ("check", LINE):
         assert [axes.get_ylabel() for axes in figure.axes] == ["time step [s]", "resolution"]

@@ -36,12 +36,12 @@ PACKAGE, MODEL = "http://schemas.openxmlformats.org/package/2006", "http://schem
 ADDED = "#d8b365"
 
 
-def draw_designed(panel: DesignedPanel, path: str | Path) -> None:
+def draw_designed(panel: DesignedPanel, *paths: str | Path) -> None:
     """Draw both panels, with their maps of thickness, and the best value of each start."""
     from matplotlib.patches import Patch
 
     width, height = drawn_size(panel.scene, LENGTH)
-    with figure(path, (2 * width + 2.2, height + COURSE + 1.4), font_size=9) as fig:
+    with figure(paths, (2 * width + 2.2, height + COURSE + 1.4), font_size=9) as fig:
         plans, course = fig.subfigures(2, 1, height_ratios=[height + 0.9, COURSE])
         axes = plans.subplots(1, 2, sharey=True, gridspec_kw={"wspace": 0.06})
         pairs = (panel.original, panel.original_thickness), (panel.scene, panel.thickness)

@@ -28,9 +28,13 @@ STYLE = {"axes.linewidth": 0.8, "legend.frameon": False, "svg.hashsalt": "warp-p
 
 @contextmanager
 def figure(
-    path: str | Path, size: tuple[float, float] | None = None, font_size: float = 9, dpi: float = 200, box: bool = False
+    paths: str | Path | Sequence[str | Path],
+    size: tuple[float, float] | None = None,
+    font_size: float = 9,
+    dpi: float = 200,
+    box: bool = False,
 ) -> Iterator[Figure]:
-    """Yield an empty figure, and save it on leaving in the format of the path's ending, PNG, SVG or PDF.
+    """Yield an empty figure, and save it on leaving in the format of each path's ending, PNG, SVG or PDF.
 
     The size is in inches; ``box`` draws all four sides of every axes instead of the left and lower one.
     """
@@ -40,16 +44,21 @@ def figure(
     from matplotlib.text import Text
 
     with rc_context({**STYLE, "font.size": font_size, "axes.spines.top": box, "axes.spines.right": box}):
-        fig = Figure(figsize=size, layout="constrained")
+        fig = Figure(figsize=size, dpi=dpi, layout="constrained")
         FigureCanvasAgg(fig)
         yield fig
         for text in fig.findobj(Text):  # names and titles may hold control characters and "$"
             text.set_text(printable(text.get_text()))
             if "$" in text.get_text():
                 text.set_parse_math(False)
-        # A PNG is compressed in half the time to a third more.
-        options = {"pil_kwargs": {"compress_level": 2}} if Path(path).suffix == ".png" else {}
-        fig.savefig(path, dpi=dpi, **options)
+        engine = fig.get_layout_engine()
+        assert engine is not None
+        engine.execute(fig)
+        fig.set_layout_engine(None)  # or each file would be drawn twice
+        for path in [paths] if isinstance(paths, str | Path) else paths:
+            # A PNG is compressed in half the time to a third more.
+            options = {"pil_kwargs": {"compress_level": 2}} if Path(path).suffix == ".png" else {}
+            fig.savefig(path, **options)
 
 
 def add_panels(figure: FigureBase, count: int, columns: int, **options: Any) -> list[Axes]:
@@ -61,20 +70,19 @@ def add_panels(figure: FigureBase, count: int, columns: int, **options: Any) -> 
 
 
 def save_plots(
-    draw: Callable[[Path], object], path: Path, endings: Sequence[str] = (".png", ".svg")
+    draw: Callable[..., object], path: Path, endings: Sequence[str] = (".png", ".svg")
 ) -> tuple[list[Path], str | None]:
-    """Draw a plot beside ``path`` with each ending; return the files, and why some are missing or None."""
+    """Draw a plot beside ``path`` with each ending, by a function of the paths; return the files, and why they are
+    missing or None."""
     if (problem := missing_plots()) is not None:
         return [], problem
-    written = []
+    targets = [path.with_suffix(ending) for ending in endings]
     try:
-        for target in map(path.with_suffix, endings):
-            with atomic_paths(target) as (temporary,):
-                draw(temporary)
-            written.append(target)
+        with atomic_paths(*targets) as temporaries:
+            draw(*temporaries)
     except (ValueError, OSError, DrawingUnavailable) as error:
-        return written, f"no plot: {error}"
-    return written, None
+        return [], f"no plot: {error}"
+    return targets, None
 
 
 def with_unit(label: str, unit: str) -> str:

@@ -24,9 +24,9 @@ LEAST = -40.0
 BEST, ROBUST, TARGET = "#08519c", "#d94801", "#b2182b"
 
 
-def draw_measured(found: MeasuredDrives, path: str | Path) -> None:
+def draw_measured(found: MeasuredDrives, *paths: str | Path) -> None:
     """Draw the drives of a measured panel."""
-    with figure(path, (9.0, 6.6)) as fig:
+    with figure(paths, (9.0, 6.6)) as fig:
         fig.set_layout_engine("constrained", w_pad=0.12)  # or else labels beside the field of fixed shape are cut off
         (field, drive), (curve, spectrum) = fig.subplots(2, 2, width_ratios=[1.25, 1], height_ratios=[1.15, 1])
         _draw_field(found, field)

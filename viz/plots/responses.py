@@ -198,11 +198,11 @@ def _add_legend(axes: Axes, count: int, marked: bool = False) -> None:
     axes.legend(handles=handles, fontsize=7.5, title=more, title_fontsize=7.5, **place).set_in_layout(True)
 
 
-def draw_response_fit(fitted: ResponseFit, path: str | Path) -> None:
+def draw_response_fit(fitted: ResponseFit, *paths: str | Path) -> None:
     """Draw magnitude, phase and, where it was measured, coherence of the first responses, a column for each."""
     count, coherence = min(len(fitted.responses), MOST_RESPONSES), fitted.measured.coherence
     heights = [2.2, 1] if coherence is None else [2.2, 1, 0.7]
-    with figure(path, (max(4.6, 2.9 * count), 1.2 + 1.3 * sum(heights))) as fig:
+    with figure(paths, (max(4.6, 2.9 * count), 1.2 + 1.3 * sum(heights))) as fig:
         rows = fig.subplots(len(heights), count, sharex=True, sharey="row", squeeze=False, height_ratios=heights)
         for index, column in enumerate(rows.T):
             _draw_response(fitted, index, column)
@@ -239,10 +239,10 @@ def _draw_response(fitted: ResponseFit, index: int, column: np.ndarray) -> None:
         axes.grid(True, color=GRID, linewidth=0.4, alpha=0.4)
 
 
-def draw_mode_fit(fitted: ModeFit, path: str | Path, mac: np.ndarray | None = None) -> None:
+def draw_mode_fit(fitted: ModeFit, *paths: str | Path, mac: np.ndarray | None = None) -> None:
     """Draw the errors of natural frequencies and, where shapes were measured, the MAC (measured, fitted)."""
     count = len(fitted.numbers)
-    with figure(path, (4.6 if mac is None else 8.6, 3.6)) as fig:
+    with figure(paths, (4.6 if mac is None else 8.6, 3.6)) as fig:
         errors, *others = fig.subplots(1, 1 if mac is None else 2, squeeze=False)[0]
         places = np.arange(count)
         errors.bar(places, 100 * fitted.errors, color=FITTED, width=0.7)

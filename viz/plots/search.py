@@ -169,13 +169,13 @@ def _write_target(axes: Axes, scene: Scene) -> None:
         axes.set_title(f"search for target {targets[0].name}, the first of {len(targets)}", fontsize=9, wrap=True)
 
 
-def draw_accuracy(record: Mapping[str, Any], path: str | Path) -> None:
+def draw_accuracy(record: Mapping[str, Any], *paths: str | Path) -> None:
     """Plot the object that ``warp-plate accuracy --json`` prints."""
     rows = [row for row in record["rows"] if row["status"] == "ok" and row["error"]]
     if not rows:
         raise ValueError("nothing was measured")
     front = [record["rows"][index] for index in record["front"]]
-    with figure(path, (7.0, 5.2)) as fig:
+    with figure(paths, (7.0, 5.2)) as fig:
         axes = fig.subplots()
         axes.set(xscale="log", yscale="log", xmargin=0.12)  # grids are written to the left of their marks
         look = {"drawstyle": "steps-post", "color": FRONT_COLOUR, "linewidth": 4.5, "solid_capstyle": "round"}

@@ -26,13 +26,13 @@ DRIVE = "#3182bd"
 NOMINAL = {"color": INK, "marker": "x", "markersize": 5, "linestyle": "none"}
 
 
-def draw_specified(answer: SpecifiedDrive, path: str | Path) -> None:
+def draw_specified(answer: SpecifiedDrive, *paths: str | Path) -> None:
     """Draw the answer to a specification."""
     width, height = drawn_size(answer.scene, LENGTH)
     spectrum, pareto = len(answer.frequencies) > 1, answer.pareto_levels.size > 0
     plots = ((_draw_spectrum, spectrum), (_draw_pareto, pareto), (_draw_cases, len(answer.scatter) > 0))
     lower = [draw for draw, shown in plots if shown]
-    with figure(path, (max(width + 2.8, 7.2), height + 1.2 + 2.2 * bool(lower)), font_size=9) as fig:
+    with figure(paths, (max(width + 2.8, 7.2), height + 1.2 + 2.2 * bool(lower)), font_size=9) as fig:
         rows = fig.subfigures(1 + bool(lower), 1, height_ratios=[height + 1.0, 2.2][: 1 + bool(lower)], squeeze=False)
         field, drive = rows[0, 0].subplots(1, 2, width_ratios=[width, 1.9])
         _draw_map(answer, field)

@@ -32,7 +32,7 @@ CONSTANT = 1e-6
 MARKERS = (("o", 3), ("o", 6), ("x", 4), ("+", 6), ("s", 5), ("D", 7), ("^", 5), ("v", 6))
 
 
-def draw_sweep(sweep: Sweep, path: str | Path, colormap: str | None = None) -> None:
+def draw_sweep(sweep: Sweep, *paths: str | Path, colormap: str | None = None) -> None:
     """Draw the outputs of a sweep, with refused points in grey.
 
     Over one key all outputs are lines, over two each output is a map in this colour map (default: viridis); over more,
@@ -40,7 +40,7 @@ def draw_sweep(sweep: Sweep, path: str | Path, colormap: str | None = None) -> N
     """
     keys, sampled = len(sweep.plan.keys), sweep.plan.sampled
     maps = keys == 2 and not sampled
-    with figure(path, box=maps) as fig:
+    with figure(paths, box=maps) as fig:
         if maps:
             _draw_maps(fig, sweep, colormap or CMAP)
         else:
