@@ -220,7 +220,10 @@ class Tone:
     def _sampled(self, region: Region, drive: np.ndarray) -> np.ndarray:
         """Return the (samples,) complex accelerations [m/s²] of a region under a drive."""
         if id(region) not in self._samples:
-            self._samples[id(region)] = self.rows(region.samples)
+            parts = np.stack([self._coefficients.T.real, self._coefficients.T.imag])
+            real, imaginary = self.plate.space.on_grid(parts, region.x, region.y)[..., region.inside]
+            on_lines = self.rows(region.samples[real.shape[1] :])
+            self._samples[id(region)] = np.concatenate([(real + 1j * imaginary).T, on_lines])
         return np.asarray(self._samples[id(region)] @ drive)
 
     def rotated(self, drive: np.ndarray) -> Tone:

@@ -39,10 +39,12 @@ Values = Callable[[np.ndarray], np.ndarray]
 NEIGHBOURS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
 # Rounds of steps, the factor by which each reduces them, and the steps along a line and around a point.
 ROUNDS, SHRINKING = 7, 4.0
-ALONG = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
-AROUND = np.array([(i, j) for i in ALONG for j in ALONG])
-NEAREST = [7 + 5 * i + j - 1 for i in range(3) for j in range(3)]  # rows of AROUND
-MIDDLE = len(AROUND) // 2
+ALONG = np.array([0.0, -1.0, 1.0, -2.0, 2.0])[:, None]
+AROUND = np.array([(i, j) for i in ALONG.ravel() for j in ALONG.ravel()])
+NEAREST = [5 * i + j for i in (1, 0, 2) for j in (1, 0, 2)]  # rows of AROUND
+# Gain of a round, relative to the largest value, below which a search ends, and rounds before any does, also one that
+# is too low.
+CONVERGED, SURELY = 1e-12, 2
 # Steps of the finer grid around a sample, three to a spacing of samples.
 FINE = np.stack(np.meshgrid(np.arange(-6, 7) / 3, np.arange(-6, 7) / 3), axis=-1)
 # Steps of Gauss and Newton: their differences and largest length [spacings], the part of the trace that is added to the
@@ -75,15 +77,16 @@ class Line:
     places: np.ndarray  # (samples,) rising lengths along it [m] of the samples
 
     def at(self, lengths: np.ndarray) -> np.ndarray:
-        """Return the points (..., 2) at lengths along the line (...) [m]."""
+        """Return the points (..., 2) at lengths along the line (..., 1) [m]."""
         ends = self._ends
         closed = np.concatenate([self.corners, self.corners[:1]])
-        return np.stack([np.interp(lengths % ends[-1], ends, closed[:, axis]) for axis in (0, 1)], axis=-1)
+        along = lengths[..., 0] % ends[-1]
+        return np.stack([np.interp(along, ends, closed[:, axis]) for axis in (0, 1)], axis=-1)
 
     @cached_property
     def samples(self) -> np.ndarray:
         """(samples, 2) points [m]."""
-        return self.at(self.places)
+        return self.at(self.places[:, None])
 
     @cached_property
     def stride(self) -> float:
@@ -104,6 +107,30 @@ def make_line(corners: np.ndarray, spacing: float) -> Line:
     marks = np.unique(np.concatenate([[0.0], ends[:-1][turns > SHARP], ends[-1:]]))
     parts = [np.linspace(low, high, math.ceil((high - low) / spacing), endpoint=False) for low, high in pairwise(marks)]
     return Line(corners, np.concatenate(parts))
+
+
+@dataclass
+class Starts:
+    """Places from which maxima are sought: points (places, 2) [m], or lengths along a line (places, 1) [m]."""
+
+    places: np.ndarray
+    steps: np.ndarray | float  # [m]
+    stencil: np.ndarray  # (n, 1 or 2) places that are tried [steps], the middle first
+    at: Callable[[np.ndarray], np.ndarray]  # the points (..., 2) [m] at places (..., 1 or 2)
+    summits: Callable[[np.ndarray], np.ndarray]  # (places, 1 or 2) [steps], from values (places, n) on the stencil
+
+    def top(self, levels: np.ndarray) -> np.ndarray:
+        """Return the (places, 1, 1 or 2) summits near the places, from values (places, n) on the stencil."""
+        return (self.places + self.summits(levels) * self.steps)[:, None]
+
+    def move(self, trials: np.ndarray, levels: np.ndarray, gain: float, lowest: float) -> np.ndarray:
+        """Move to the best of trials (places, m, 1 or 2) by their levels (places, m), and reduce the steps. Leave out
+        the places that gain less than ``gain`` or are below ``lowest``, and return their points (n, 2) [m]."""
+        best, rows = levels.argmax(axis=1), np.arange(len(levels))
+        highest, places = levels[rows, best], trials[rows, best]
+        ended = (highest < levels[:, 0] + gain) | (highest < lowest)
+        self.places, self.steps = places[~ended], self.steps / SHRINKING
+        return self.at(places[ended])
 
 
 @dataclass(frozen=True)
@@ -156,14 +183,15 @@ class Region:
         maxima = [self._grid_maxima(parts[0]), *map(_line_maxima, parts[1:])]
         heights = np.concatenate([part[at] for part, at in zip(parts, maxima, strict=True)])
         order = np.argsort(-heights, kind="stable")
-        near = heights.max() - MISSED * np.abs(levels).max()
+        unit = float(np.abs(levels).max())
+        near = heights.max() - MISSED * unit
         highest = np.zeros(len(order), dtype=bool)
         highest[order[: np.clip(np.count_nonzero(heights >= near), fewest, max(fewest, MOST))]] = True
         chosen = [at[own] for at, own in zip(maxima, _split_like(highest, maxima), strict=True)]
         grid, on_lines = self._grid[self.inside][chosen[0]], list(zip(self.lines, chosen[1:], strict=True))
         if values is None:
             return np.concatenate([grid, *(line.samples[at] for line, at in on_lines)])
-        return self._climb(self._maxima_around(grid, values), on_lines, values)
+        return self._climb(self._maxima_around(grid, values), on_lines, values, unit)
 
     def _grid_maxima(self, levels: np.ndarray) -> np.ndarray:
         """Return the indices of grid points inside that no neighbour exceeds."""
@@ -182,26 +210,44 @@ class Region:
         found = np.concatenate([points[~maxima.any(axis=1)], around[maxima]])
         return found[np.unique(np.round(found / max(self.plate.scene.plate.size), 9), axis=0, return_index=True)[1]]
 
-    def _climb(self, points: np.ndarray, on_lines: Sequence[tuple[Line, np.ndarray]], values: Values) -> np.ndarray:
-        """Return the maxima (points, 2) near points of the grid, and near samples of lines, given by their indices."""
-        steps, rows = np.array([_spacing(self.x), _spacing(self.y)]) / 4, np.arange(len(points))
-        places, strides = [line.places[at] for line, at in on_lines], [line.stride / 4 for line, _ in on_lines]
-        for _ in range(ROUNDS):
-            around = np.clip(points[:, None] + AROUND * steps, (0.0, 0.0), self.plate.scene.plate.size)
-            ways = [place[:, None] + ALONG * stride for place, stride in zip(places, strides, strict=True)]
-            on = [line.at(way) for (line, _), way in zip(on_lines, ways, strict=True)]
-            everywhere = [part.reshape(-1, 2) for part in (around, *on)]
-            levels, *others = _split_like(values(np.concatenate(everywhere)), everywhere)
-            levels = self._within(around, levels)
-            summits = points[:, None] + _quadratic_summits(levels[:, NEAREST])[:, None] * steps
-            around = np.concatenate([points[:, None], around, summits], axis=1)
-            of_summits = self._within(summits, values(summits[:, 0]))
-            best = np.concatenate([levels[:, MIDDLE, None], levels, of_summits], axis=1).argmax(axis=1)
-            points, steps = around[rows, best], steps / SHRINKING
-            highest = [other.reshape(-1, len(ALONG)).argmax(axis=1) for other in others]
-            places = [way[np.arange(len(at)), at] for way, at in zip(ways, highest, strict=True)]
-            strides = [stride / SHRINKING for stride in strides]
-        return np.concatenate([points, *(line.at(place) for (line, _), place in zip(on_lines, places, strict=True))])
+    def _climb(
+        self, points: np.ndarray, on_lines: Sequence[tuple[Line, np.ndarray]], values: Values, unit: float
+    ) -> np.ndarray:
+        """Return the maxima (points, 2) near points of the grid, and near samples of lines, given by their indices, of
+        values whose size is a unit."""
+        spacing = np.array([_spacing(self.x), _spacing(self.y)])
+        starts = [
+            Starts(points, spacing / 4, AROUND, self._on_plate, _quadratic_summits),
+            *(
+                Starts(line.places[at, None], line.stride / 4, ALONG, line.at, _parabolic_summits)
+                for line, at in on_lines
+            ),
+        ]
+
+        def levels_at(trials: Sequence[np.ndarray]) -> list[np.ndarray]:
+            on = [start.at(trial) for start, trial in zip(starts, trials, strict=True)]
+            flat = np.concatenate([part.reshape(-1, 2) for part in on])
+            levels = _split_like(self._within(flat[None], values(flat))[0], [part[..., 0].ravel() for part in on])
+            return [level.reshape(part.shape[:2]) for level, part in zip(levels, on, strict=True)]
+
+        ended, highest = [], -math.inf
+        for number in range(ROUNDS):
+            trials = [start.places[:, None] + start.stencil * start.steps for start in starts]
+            levels = levels_at(trials)
+            tops = [start.top(level) for start, level in zip(starts, levels, strict=True)]
+            of_tops = levels_at(tops)
+            highest = max(highest, *(part.max(initial=-math.inf) for part in (*levels, *of_tops)))
+            ends = (CONVERGED * unit, highest - MISSED * unit) if number >= SURELY else (0.0, -math.inf)
+            for start, *parts in zip(starts, trials, tops, levels, of_tops, strict=True):
+                both = (np.concatenate(pair, axis=1) for pair in (parts[:2], parts[2:]))
+                ended.append(start.move(*both, *ends))
+            if not any(len(start.places) for start in starts):
+                break
+        return np.concatenate([*ended, *(start.at(start.places) for start in starts)])
+
+    def _on_plate(self, points: np.ndarray) -> np.ndarray:
+        """Return the points (..., 2) [m] of the plate's box next to others."""
+        return np.clip(points, (0.0, 0.0), self.plate.scene.plate.size)
 
     def dips(self, points: np.ndarray, field: Values) -> np.ndarray:
         """Return the points (n, 2) [m] where a complex field is smallest that steps of Gauss and Newton reach from
@@ -235,9 +281,9 @@ def _exceeds_neighbours(levels: np.ndarray) -> np.ndarray:
 
 
 def _quadratic_summits(levels: np.ndarray) -> np.ndarray:
-    """Return the (points, 2) summits [steps] of the quadratic functions through values (points, 9) at NEAREST, at
+    """Return the (points, 2) summits [steps] of the quadratic functions through values (points, 25) at AROUND, at
     most REACH away; 0 where there is none."""
-    (sw, w, nw, s, middle, n, se, e, ne), summits = levels.T, np.zeros((len(levels), 2))
+    sw, w, nw, s, middle, n, se, e, ne = levels[:, NEAREST].T
     with np.errstate(invalid="ignore", divide="ignore"):
         (x, y), (xx, yy) = ((e - w) / 2, (n - s) / 2), (e + w - 2 * middle, n + s - 2 * middle)
         xy = (ne - nw - se + sw) / 4
@@ -245,6 +291,16 @@ def _quadratic_summits(levels: np.ndarray) -> np.ndarray:
         summits *= np.minimum(1.0, REACH / np.abs(summits).max(axis=1, keepdims=True))
         curved = (xx < 0) & (xx * yy > xy**2) & np.isfinite(summits).all(axis=1)
     return np.where(curved[:, None], summits, 0.0)
+
+
+def _parabolic_summits(levels: np.ndarray) -> np.ndarray:
+    """Return the (points, 1) summits [steps] of the parabolas through values (points, 5) at ALONG, at most REACH away;
+    0 where there is none."""
+    middle, before, after = levels[:, :3].T
+    bend = before + after - 2 * middle
+    with np.errstate(invalid="ignore", divide="ignore"):
+        summits = np.clip((before - after) / (2 * bend), -REACH, REACH)
+    return np.where((bend < 0) & np.isfinite(summits), summits, 0.0)[:, None]
 
 
 def _split_like(values: np.ndarray, parts: Sequence[np.ndarray]) -> list[np.ndarray]:

@@ -71,18 +71,19 @@ def drive_for_cases(
         return result
 
     nominal_frequency, nominal = starts[0]
-    tried, places = [rough(*start) for start in starts], np.array([frequency for frequency, _ in starts])
-    chosen = min(range(len(tried)), key=lambda k: tried[k][0])
-    frequency, (least, robust) = float(places[chosen]), tried[chosen]
+    tries, places = [rough(*start) for start in starts], np.array([frequency for frequency, _ in starts])
+    chosen = min(range(len(tries)), key=lambda k: tries[k][0])
+    frequency, (least, robust) = float(places[chosen]), tries[chosen]
     if chosen:
         place, value, _ = minimum_near(lambda x: rough(x, robust)[0], places[1:], chosen - 1, 1e-3, ROBUST_TRIED)
         frequency = place if value < least else frequency
-    robust = _drive_for_all(at(frequency), scaled, robust)[1]
-    finer = [refined(one, {nominal_frequency, frequency}, FINER) for one in tones]
-    last = solve_together(_rotated(at(frequency, finer), robust), scaled, start=robust, searches=0)
+    tried = at(frequency)
+    robust = _drive_for_all(tried, scaled, robust)[1]
+    finer = [refined(one, {nominal_frequency, frequency}, FINER) for one in tried]
+    last = solve_together(_rotated(finer, robust), scaled, start=robust, searches=0)
     robust = last.drive if math.isfinite(last.scale) else robust
     rows = []
-    for before, one, case in zip(at(nominal_frequency, finer), at(frequency, finer), factors, strict=True):
+    for before, one, case in zip(at(nominal_frequency, finer), finer, factors, strict=True):
         nominal_level, nominal_db = _level_and_contrast(before, before.reached(nominal))
         robust_levels = one.reached(robust)
         robust_level, robust_db = _level_and_contrast(one, robust_levels)

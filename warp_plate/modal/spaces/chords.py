@@ -63,6 +63,10 @@ class LocalSplines:
             slopes = np.concatenate([slopes, np.zeros((*slopes.shape[:2], count - slopes.shape[2]))], axis=2)
             self._powers.append(slopes / half[:, None, None])
         self._middle, self._half = middle, half
+        coefficients = (legendre.leg2poly(row)[::-1] for row in np.eye(count))  # highest power first
+        monomials = np.stack([np.pad(row, (count - row.size, 0)) for row in coefficients])
+        # (degree + 1, degree + 1, intervals) splines that are not zero in powers of s, by derivative
+        self._monomials = [np.ascontiguousarray((powers @ monomials).T) for powers in self._powers]
 
     def interval(self, x: np.ndarray) -> np.ndarray:
         """Return the interval that holds each point."""
@@ -77,9 +81,13 @@ class LocalSplines:
     def dense(self, x: np.ndarray, derivative: int = 0) -> np.ndarray:
         """Return (points, functions) values."""
         interval = self.interval(x)
+        s = (x - self._middle[interval]) / self._half[interval]
+        local, *others = np.take(self._monomials[derivative], interval, axis=2)
+        for part in others:
+            local *= s
+            local += part
         values = np.zeros((x.size, self.splines.functions))
-        columns = self.first[interval][:, None] + np.arange(self.splines.degree + 1)
-        np.put_along_axis(values, columns, self.local(interval, x[:, None], derivative)[:, 0], axis=1)
+        values[np.arange(x.size), self.first[interval] + np.arange(len(local))[:, None]] = local
         return values
 
 

@@ -213,12 +213,17 @@ class SplineProducts(FunctionSpace, ABC):
         """Return the mass [kg] of the part of a rectangle or target on the plate, without what is attached."""
         target = region if isinstance(region, Target) else Target.model_construct(area=region)
         rule, share = self.region_rule(target)
-        (density,) = rule.sampled(lambda x, y: self.integrals.fields_at(x, y)[-1:])
-        mass = float((rule.weights * share * density).sum())
+        mass = float((rule.weights * share * self._density_on(rule)).sum())
         for layer, (chords, part) in zip(self.laminate.shaped_layers, self.layer_rules(target), strict=True):
             *_, added = self._added(layer, chords)
             mass += float((chords.weights * part * added.values).sum())
         return mass
+
+    def _density_on(self, rule: Integrals | Chords) -> np.ndarray | float:
+        """Return the mass per area [kg/m²] at the points of a rule, a number where it is the same at all."""
+        if not self.laminate.varied:
+            return float(self.integrals.fields()[-1])
+        return rule.sampled(lambda x, y: self.integrals.fields_at(x, y)[-1:])[0]
 
     def _section(self, axis: int) -> list[float]:
         """Return where the fields of the section are not smooth along x (0) or y (1) [m]."""

@@ -72,15 +72,6 @@ class Splines:
         powers = range(self.degree, -1, -1)
         return np.stack([self.values(self.breaks[:-1], power) / math.factorial(power) for power in powers])
 
-    def values_by_pieces(self, x: np.ndarray) -> np.ndarray:
-        """Return :meth:`values` (functions, points), in less time for few points."""
-        interval = np.clip(np.searchsorted(self.breaks, x, side="right") - 1, 0, self.breaks.size - 2)
-        beyond, values = x - self.breaks[interval], np.take(self._pieces[0], interval, axis=1)
-        for piece in self._pieces[1:]:
-            values *= beyond
-            values += np.take(piece, interval, axis=1)
-        return np.asarray(values)
-
     @property
     def integral_pieces(self) -> np.ndarray:
         """(intervals, functions, degree + 2) integrals from the low end in powers of x − break, highest first."""

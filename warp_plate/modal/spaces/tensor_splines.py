@@ -119,10 +119,14 @@ class TensorSplines(SplineProducts):
         return _products(self.along[1].values(y), self.along[0].values(x))
 
     def sums_at_points(self, coefficients: np.ndarray, points: np.ndarray) -> np.ndarray:
-        x, y = np.asarray(points, dtype=float).reshape(-1, 2).T
-        tables = coefficients.reshape(-1, *self.shape)
-        along_x = (tables.reshape(-1, self.shape[1]) @ self.along[0].values_by_pieces(x)).reshape(*tables.shape[:2], -1)
-        return np.asarray((along_x * self.along[1].values_by_pieces(y)).sum(axis=1))
+        # Many points share an ordinate: those of small grids and of lines.
+        sides = (np.unique(side, return_inverse=True) for side in np.asarray(points, dtype=float).reshape(-1, 2).T)
+        (x, at_x), (y, at_y) = sides
+        used_x, used_y = map(_used, self.along)
+        along_x = coefficients.reshape(-1, self.shape[1]) @ self._whole[1][0].dense(x)[:, used_x].T
+        along_y = self._whole[1][1].dense(y)[:, used_y].T
+        along_x = np.take(along_x.reshape(-1, self.shape[0], x.size), at_x, axis=2)
+        return np.einsum("nyp,yp->np", along_x, np.take(along_y, at_y, axis=1))
 
     def on_grid(self, coefficients: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         tables = coefficients.reshape(*coefficients.shape[:-1], *self.shape)
@@ -161,8 +165,7 @@ class TensorSplines(SplineProducts):
             values = region_values(self.laminate, self.along, target, within)
         else:
             chords = self._chords(curves_of(target, within))
-            (density,) = chords.sampled(lambda x, y: self.integrals.fields_at(x, y)[-1:])
-            values = self._form_on(chords, density, DISPLACEMENT)
+            values = self._form_on(chords, self._density_on(chords), DISPLACEMENT)
         return self.scatter(sum(self._layer_masses(target, within), start=values))
 
     def region_rule(self, target: Target) -> tuple[Integrals | Chords, np.ndarray | float]:
