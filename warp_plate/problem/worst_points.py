@@ -239,8 +239,8 @@ class Region:
             highest = max(highest, *(part.max(initial=-math.inf) for part in (*levels, *of_tops)))
             ends = (CONVERGED * unit, highest - MISSED * unit) if number >= SURELY else (0.0, -math.inf)
             for start, *parts in zip(starts, trials, tops, levels, of_tops, strict=True):
-                both = (np.concatenate(pair, axis=1) for pair in (parts[:2], parts[2:]))
-                ended.append(start.move(*both, *ends))
+                tried, reached = (np.concatenate(pair, axis=1) for pair in (parts[:2], parts[2:]))
+                ended.append(start.move(tried, reached, *ends))
             if not any(len(start.places) for start in starts):
                 break
         return np.concatenate([*ended, *(start.at(start.places) for start in starts)])
