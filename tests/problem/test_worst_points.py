@@ -9,7 +9,7 @@ import shapely
 from support.scenes import scene_of
 from warp_plate import Scene
 from warp_plate.modal.modes import solve_modes
-from warp_plate.problem.worst_points import make_region, shape_of
+from warp_plate.problem.worst_points import Search, make_region, shape_of
 from warp_plate.scene.target import Target
 
 SIZE = (0.3, 0.2)
@@ -60,7 +60,7 @@ def test_the_summit_of_an_oblique_ridge_is_found(region, random):
 
 def test_a_field_without_maxima_has_few_peaks(region):
     flat = np.ones(len(region.samples))
-    assert len(region.peaks(flat)) <= 200
+    assert len(region.peaks(flat, lambda points: np.ones(len(points)), Search.SAMPLES)) <= 200
 
 
 def test_regions_end_at_the_outline():
@@ -98,3 +98,32 @@ def test_polygons_lie_inside_and_around_a_round_target(shape):
     assert circle.buffer(1e-9).contains(inside)
     assert around.buffer(1e-9).contains(circle)
     assert inside.area == pytest.approx(around.area, rel=1e-4)
+
+
+def test_the_higher_of_two_maxima_of_a_flat_ridge_is_found(region, random):
+    """They are a spacing of samples and a half apart, and differ by 2e-5; the dip between them is as shallow."""
+    for _ in range(20):
+        summit, turn = draw_frame(random)
+        apart = 1.5 * WAVE / 24
+
+        def values(points, turn=turn, summit=summit, apart=apart):
+            along, across = turn @ (points - summit).T
+            level = along / apart  # maxima at 0 and about 1
+            flat = -2e-4 * (level * (level - 1)) ** 2 + 2e-5 * level
+            return np.cos(2 * math.pi * across / WAVE) + np.where(np.abs(level) < 3, flat, -7e-3)
+
+        steps = np.linspace(0.9, 1.3, 4001)
+        highest = 1 + (-2e-4 * (steps * (steps - 1)) ** 2 + 2e-5 * steps).max()
+        assert values(region.peaks(values(region.samples), values)).max() == pytest.approx(highest, abs=1e-9)
+
+
+def test_a_far_maximum_along_an_oblique_ridge_is_reached(region, random):
+    """Samples see it two spacings beside the place where they are highest."""
+    for _ in range(20):
+        summit, turn = draw_frame(random)
+
+        def values(points, turn=turn, summit=summit):
+            along, across = turn @ (points - summit).T / WAVE
+            return np.cos(2 * math.pi * across) - 1e-3 * along**2 + 1e-4 * along**3
+
+        assert values(region.peaks(values(region.samples), values)).max() == pytest.approx(1, abs=1e-9)

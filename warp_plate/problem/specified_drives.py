@@ -20,7 +20,7 @@ import numpy as np
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.optimize.cones import STEPS, Block, LeastScale, least_scale_of_squares
 from warp_plate.problem.requirements import Aim, Limited, Requirements, hermitian_factor, limited_quantities
-from warp_plate.problem.worst_points import FEWEST, Region, Values, in_units, shortfall
+from warp_plate.problem.worst_points import FEWEST, Region, Search, Values, in_units, shortfall
 from warp_plate.result.specified import RegionLevels
 from warp_plate.scene.errors import SceneError
 
@@ -92,8 +92,8 @@ class Tone:
         return np.asarray(real + 1j * imaginary)
 
     def field(self, drive: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return the (ny, nx) complex acceleration [m/s²] under a drive on the grid of x and y [m]."""
-        whole = self._coefficients @ drive
+        """Return (..., ny, nx) complex accelerations [m/s²] under drives (actuators, ...) on a grid of x, y [m]."""
+        whole = (self._coefficients @ drive).T
         real, imaginary = self.plate.space.on_grid(np.stack([whole.real, whole.imag]), x, y)
         return np.asarray(real + 1j * imaginary)
 
@@ -179,51 +179,52 @@ class Tone:
             self.points[key] = region.samples[:: max(1, len(region.samples) // first)]
         return self.points[key]
 
-    def add_points(self, result: LeastScale, scaled: Scaled, level: float, between: bool) -> bool:
-        """Add samples, or points between them, at which a drive falls short or passes its scale; return whether there
-        are any."""
+    def add_points(self, result: LeastScale, scaled: Scaled, level: float, search: Search) -> bool:
+        """Add points at which a drive falls short or passes its scale; return whether there are any."""
         added, scale, level = False, result.scale if scaled == "elsewhere" else 1.0, level * self.reach
         fine = OF_EFFORT if scaled == "actuators" and self.requirements.rests else TOLERANCE
-        slack = fine if between else COARSE
+        slack = COARSE if search == Search.SAMPLES else fine
         for index, aim in enumerate(self.requirements.aims):
             if aim.level.measure == "weakest":
                 measure = partial(shortfall, level * self.wanted[index], self._phase(aim))
-                added |= self._add(("aim", index), aim.region, result.drive, measure, 0.0, slack)
+                added |= self._add(("aim", index), aim.region, result.drive, measure, 0.0, slack, search)
         for index, rest in enumerate(self.requirements.rests if scaled != "actuators alone" else ()):
             if rest.allowance.measure == "worst":
                 measure = partial(in_units, float(self.allowed_for(level)[index] * (1 - MARGIN)))
-                added |= self._add(("rest", index), rest.region, result.drive, measure, scale, slack)
+                added |= self._add(("rest", index), rest.region, result.drive, measure, scale, slack, search)
         return added
 
-    def _add(self, key: Key, region: Region, drive: np.ndarray, measure: Values, limit: float, slack: float) -> bool:
+    def _add(
+        self, key: Key, region: Region, drive: np.ndarray, measure: Values, limit: float, slack: float, search: Search
+    ) -> bool:
         """Add the points of a region where a measure of the acceleration passes a limit."""
-        between, most = slack < COARSE, limit + slack * (limit or 1.0)
-        peaks = self._peaks(region, drive, measure, between)
+        peaks, most = self._peaks(region, drive, measure, search), limit + slack * (limit or 1.0)
         beyond = peaks[measure(self.rows(peaks) @ drive) > most]
         free = key[0] == "aim" and self._phase(self.requirements.aims[key[1]]) == "free"
-        if between and free and not len(beyond):  # only then, for at a zero the motion has no phase
+        if search == Search.THOROUGH and free and not len(beyond):  # only then, for at a zero the motion has no phase
             dips = self._dips(region, drive, peaks)
             beyond = dips[measure(self.rows(dips) @ drive) > most]
         self.points[key] = np.concatenate([self.points[key], beyond])
         return len(beyond) > 0
 
-    def _peaks(self, region: Region, drive: np.ndarray, measure: Values, between: bool = True) -> np.ndarray:
+    def _peaks(self, region: Region, drive: np.ndarray, measure: Values, search: Search) -> np.ndarray:
         """Return points (points, 2) [m] where a measure of the acceleration under a drive is largest."""
-        levels, whole = measure(self._sampled(region, drive)), (self._coefficients @ drive)[:, None]
-        values = (lambda points: measure(self._at_points(whole, points)[:, 0])) if between else None
-        return region.peaks(levels, values, max(FEWEST, len(self.largest)))
+        levels, fewest = measure(self._sampled(region, drive)), max(FEWEST, len(self.largest))
+        return region.peaks(levels, lambda points: measure(self._motion(drive, points)), search, fewest)
 
     def _dips(self, region: Region, drive: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Return points (n, 2) [m] near others where the acceleration under a drive is smallest."""
-        return region.dips(points, partial(self._at_points, (self._coefficients @ drive)[:, None]))
+        return region.dips(points, partial(self._motion, drive))
+
+    def _motion(self, drive: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Return the (points,) complex accelerations [m/s²] under a drive at points (points, 2) [m]."""
+        return self._at_points((self._coefficients @ drive)[:, None], points)[:, 0]
 
     def _sampled(self, region: Region, drive: np.ndarray) -> np.ndarray:
         """Return the (samples,) complex accelerations [m/s²] of a region under a drive."""
         if id(region) not in self._samples:
-            parts = np.stack([self._coefficients.T.real, self._coefficients.T.imag])
-            real, imaginary = self.plate.space.on_grid(parts, region.x, region.y)[..., region.inside]
-            on_lines = self.rows(region.samples[real.shape[1] :])
-            self._samples[id(region)] = np.concatenate([(real + 1j * imaginary).T, on_lines])
+            inside = self.field(np.eye(len(self.largest)), region.x, region.y)[:, region.inside].T
+            self._samples[id(region)] = np.concatenate([inside, self.rows(region.samples[len(inside) :])])
         return np.asarray(self._samples[id(region)] @ drive)
 
     def rotated(self, drive: np.ndarray) -> Tone:
@@ -324,9 +325,8 @@ class Tone:
         return bool((np.concatenate(parts) <= 1 + tolerance).all())
 
     def _measured(self, measure: str, region: Region, drive: np.ndarray) -> float:
-        if measure == "mean":
-            return self._mean(region, drive)
-        return self._end(region, drive, 1.0 if measure == "worst" else -1.0)[0]
+        sign = 1.0 if measure == "worst" else -1.0
+        return self._mean(region, drive) if measure == "mean" else self._end(region, drive, sign)[0]
 
     def _mean(self, region: Region, drive: np.ndarray) -> float:
         return float(np.linalg.norm(self.mean_factor(region) @ drive))
@@ -335,7 +335,7 @@ class Tone:
         """Return the largest or, with a negative sign, the smallest acceleration of a region, and its point."""
         unit = float(np.abs(self._sampled(region, drive)).max()) or 1.0
         measure: Values = partial(in_units, unit) if sign > 0 else partial(shortfall, unit, "free")
-        peaks = self._peaks(region, drive, measure)
+        peaks = self._peaks(region, drive, measure, Search.THOROUGH)
         if sign < 0:
             peaks = np.concatenate([peaks, self._dips(region, drive, peaks)])
         sizes = np.abs(self.rows(peaks) @ drive)
@@ -361,15 +361,14 @@ def solve_together(
         start: Drive (actuators,) to start from if the problem is not convex.
         searches: Most searches from the relaxation if the problem is not convex; 0 for none, without a bound.
     """
-    refined, settled, done, drive, first = False, False, 0, start, math.inf
+    search, settled, done, drive, first = Search.SAMPLES, False, 0, start, math.inf
     best: LeastScale | None = None
     for number in range(ROUNDS):
         parts = [tone.program(scaled, level) for tone in tones]
         wanted = np.concatenate([part[0] for part in parts])
         squares, blocks = [item for part in parts for item in part[1]], [item for part in parts for item in part[2]]
         program = partial(least_scale_of_squares, wanted, squares, blocks, scaled != "elsewhere")
-        if not squares:
-            drive = None  # programs that are convex need no start
+        drive = drive if squares else None  # programs that are convex need no start
         result = program(drive, STEPS if settled or number >= FEW_ROUNDS else FEW_STEPS)
         if result.start is None:
             if drive is None or done >= searches:
@@ -381,9 +380,11 @@ def solve_together(
         elif searches and result.scale > CHASED * first:
             drive = None  # others may lose less by the added points
             continue
-        added = [tone.add_points(result, scaled, level, refined) for tone in tones]
-        if between and not refined and not any(added):
-            refined, added = True, [tone.add_points(result, scaled, level, True) for tone in tones]
+        added = [tone.add_points(result, scaled, level, search) for tone in tones]
+        while between and not any(added) and search < Search.THOROUGH:
+            search = Search(search + 1)
+            added = [tone.add_points(result, scaled, level, search) for tone in tones]
+        search = min(search, Search.QUICK)
         if not any(added) and (settled or drive is None):
             if drive is None or not searches:
                 return result

@@ -1,8 +1,7 @@
 """Points of a region of the plate at which a field is largest, between the points of any grid.
 
 A region is sampled inside and along its outlines. Around each sample that exceeds its neighbours a finer grid shows
-whether there are several maxima. From each the search steps to the best of 24 points around it or the summit of the
-quadratic function through the nearest of them, or of four points along an outline, and reduces its steps.
+whether there are several maxima, from which climbers (``optimize.climbers``) move to the maxima between samples.
 """
 
 from __future__ import annotations
@@ -10,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from functools import cached_property
 from itertools import pairwise
 from typing import Literal
@@ -19,6 +19,17 @@ import shapely
 
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.spaces.space import Matrix
+from warp_plate.optimize.climbers import (
+    ALONG,
+    AROUND,
+    FEW_SHRINKS,
+    SHRINKS,
+    Climbers,
+    bends,
+    climb,
+    parabolic_summits,
+    quadratic_summits,
+)
 from warp_plate.outline.pieces import Arc
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -37,21 +48,16 @@ SEAM = 1e-9
 TURN = 2e-3
 Values = Callable[[np.ndarray], np.ndarray]
 NEIGHBOURS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
-# Rounds of steps, the factor by which each reduces them, and the steps along a line and around a point.
-ROUNDS, SHRINKING = 7, 4.0
-ALONG = np.array([0.0, -1.0, 1.0, -2.0, 2.0])[:, None]
-AROUND = np.array([(i, j) for i in ALONG.ravel() for j in ALONG.ravel()])
-NEAREST = [5 * i + j for i in (1, 0, 2) for j in (1, 0, 2)]  # rows of AROUND
-# Gain of a round, relative to the largest value, below which a search ends, and rounds before any does, also one that
-# is too low.
-CONVERGED, SURELY = 1e-12, 2
 # Steps of the finer grid around a sample, three to a spacing of samples.
 FINE = np.stack(np.meshgrid(np.arange(-6, 7) / 3, np.arange(-6, 7) / 3), axis=-1)
-# Steps of Gauss and Newton: their differences and largest length [spacings], the part of the trace that is added to the
-# diagonal, and the parts of a step that are tried.
-DIFFERENCE, STRIDE, DAMPING, FRACTIONS = 1e-3, 2.0, 1e-12, np.array([0.0, 0.03, 0.1, 0.3, 1.0])
-# Largest distance of a summit from the middle of its nine points [steps].
-REACH = 8.0
+# Steps of Gauss and Newton: their number, differences and largest length [spacings], the part of the trace that is
+# added to the diagonal, and the parts of a step that are tried.
+DIP_STEPS, DIFFERENCE, STRIDE, DAMPING, FRACTIONS = 7, 1e-3, 2.0, 1e-12, np.array([0.0, 0.03, 0.1, 0.3, 1.0])
+# Gain of a round, relative to the largest value, below which a search ends that meets no corners, as on lines.
+CONVERGED = 1e-12
+# How much lower than the highest the maxima may be that others are sought beside, how much lower the field there, and
+# how far away [spacings].
+RIDGE, FALLEN, BESIDE = 1e-3, 1e-2, np.array([-3.0, -1.5, 1.5, 3.0])[:, None]
 
 
 def shape_of(key: str, target: Target, side: Literal[-1, 0, 1] = 0) -> shapely.Geometry:
@@ -67,6 +73,12 @@ def shape_of(key: str, target: Target, side: Literal[-1, 0, 1] = 0) -> shapely.G
     radius = max(target.disc[2] if target.disc else 0.0, target.corner_radius or 0.0, *half_axes)
     sagitta = radius * (math.pi / CORNERS) ** 2 / 2  # by which a side may be off its arc
     return shapely.buffer(shapely.Polygon(corners), side * sagitta, join_style="mitre")
+
+
+class Search(IntEnum):
+    """How maxima are sought: among samples, between them, or there with the last steps and along ridges too."""
+
+    SAMPLES, QUICK, THOROUGH = range(3)
 
 
 @dataclass(frozen=True)
@@ -109,30 +121,6 @@ def make_line(corners: np.ndarray, spacing: float) -> Line:
     return Line(corners, np.concatenate(parts))
 
 
-@dataclass
-class Starts:
-    """Places from which maxima are sought: points (places, 2) [m], or lengths along a line (places, 1) [m]."""
-
-    places: np.ndarray
-    steps: np.ndarray | float  # [m]
-    stencil: np.ndarray  # (n, 1 or 2) places that are tried [steps], the middle first
-    at: Callable[[np.ndarray], np.ndarray]  # the points (..., 2) [m] at places (..., 1 or 2)
-    summits: Callable[[np.ndarray], np.ndarray]  # (places, 1 or 2) [steps], from values (places, n) on the stencil
-
-    def top(self, levels: np.ndarray) -> np.ndarray:
-        """Return the (places, 1, 1 or 2) summits near the places, from values (places, n) on the stencil."""
-        return (self.places + self.summits(levels) * self.steps)[:, None]
-
-    def move(self, trials: np.ndarray, levels: np.ndarray, gain: float, lowest: float) -> np.ndarray:
-        """Move to the best of trials (places, m, 1 or 2) by their levels (places, m), and reduce the steps. Leave out
-        the places that gain less than ``gain`` or are below ``lowest``, and return their points (n, 2) [m]."""
-        best, rows = levels.argmax(axis=1), np.arange(len(levels))
-        highest, places = levels[rows, best], trials[rows, best]
-        ended = (highest < levels[:, 0] + gain) | (highest < lowest)
-        self.places, self.steps = places[~ended], self.steps / SHRINKING
-        return self.at(places[ended])
-
-
 @dataclass(frozen=True)
 class Region:
     """A part of the plate with its samples."""
@@ -170,13 +158,16 @@ class Region:
     def _grid(self) -> np.ndarray:
         return np.stack(np.meshgrid(self.x, self.y), axis=-1)
 
-    def peaks(self, levels: np.ndarray, values: Values | None = None, fewest: int = FEWEST) -> np.ndarray:
+    def peaks(
+        self, levels: np.ndarray, values: Values, search: Search = Search.THOROUGH, fewest: int = FEWEST
+    ) -> np.ndarray:
         """Return points (points, 2) [m] of the largest maxima of a field, in any order: all that may be the largest.
 
         Args:
             levels: (samples,) field at the samples, at which it is compared with the neighbours.
-            values: Function from points (points, 2) [m] to the field (points,), by which the points are moved to the
-                maxima between samples (default: they stay).
+            values: Function from points (points, 2) [m] to the field (points,), by which points are moved to the maxima
+                between samples.
+            search: How they are sought.
             fewest: Number of the highest maxima that are returned at least.
         """
         parts = _split_like(levels, [self._grid[self.inside], *(line.places for line in self.lines)])
@@ -189,9 +180,32 @@ class Region:
         highest[order[: np.clip(np.count_nonzero(heights >= near), fewest, max(fewest, MOST))]] = True
         chosen = [at[own] for at, own in zip(maxima, _split_like(highest, maxima), strict=True)]
         grid, on_lines = self._grid[self.inside][chosen[0]], list(zip(self.lines, chosen[1:], strict=True))
-        if values is None:
+        if search == Search.SAMPLES:
             return np.concatenate([grid, *(line.samples[at] for line, at in on_lines)])
-        return self._climb(self._maxima_around(grid, values), on_lines, values, unit)
+        climbers = [self._climbers(self._maxima_around(grid, values), unit)]
+        for line, at in on_lines:
+            climbers.append(Climbers(line.places[at, None], line.stride / 4, ALONG, line.at, parabolic_summits))
+        levels_at, missed = (lambda points: self._within(points[None], values(points))[0]), MISSED * unit
+        points = climb(climbers, levels_at, missed, SHRINKS if search == Search.THOROUGH else FEW_SHRINKS)
+        if search == Search.THOROUGH and len(ridges := self._along_ridges(points, levels_at, unit)):
+            points = np.concatenate([points, climb([self._climbers(ridges, unit)], levels_at, missed)])
+        return points
+
+    def _climbers(self, points: np.ndarray, unit: float) -> Climbers:
+        steps = np.array([_spacing(self.x), _spacing(self.y)]) / 4
+        return Climbers(points, steps, AROUND, self._on_plate, quadratic_summits, CONVERGED * unit)
+
+    def _along_ridges(self, points: np.ndarray, levels_at: Values, unit: float) -> np.ndarray:
+        """Return points (n, 2) [m] beside the highest of maxima (m, 2), on ridges where a field falls little."""
+        heights, spacing = levels_at(points), max(_spacing(self.x), _spacing(self.y))
+        points, lowest = points[heights >= heights.max() - RIDGE * unit], heights.max() - FALLEN * unit
+        around = self._on_plate(points[:, None] + AROUND * spacing / 4).reshape(-1, 2)
+        levels = levels_at(around).reshape(-1, len(AROUND))
+        within = np.isfinite(levels).all(axis=1)
+        points, (*_, xx, yy, xy) = points[within], bends(levels[within])
+        ridges = np.linalg.eigh(np.array([[xx, xy], [xy, yy]]).T)[1][:, :, -1]
+        starts = self._on_plate(points[:, None] + BESIDE * spacing * ridges[:, None]).reshape(-1, 2)
+        return starts[levels_at(starts) >= lowest]
 
     def _grid_maxima(self, levels: np.ndarray) -> np.ndarray:
         """Return the indices of grid points inside that no neighbour exceeds."""
@@ -210,41 +224,6 @@ class Region:
         found = np.concatenate([points[~maxima.any(axis=1)], around[maxima]])
         return found[np.unique(np.round(found / max(self.plate.scene.plate.size), 9), axis=0, return_index=True)[1]]
 
-    def _climb(
-        self, points: np.ndarray, on_lines: Sequence[tuple[Line, np.ndarray]], values: Values, unit: float
-    ) -> np.ndarray:
-        """Return the maxima (points, 2) near points of the grid, and near samples of lines, given by their indices, of
-        values whose size is a unit."""
-        spacing = np.array([_spacing(self.x), _spacing(self.y)])
-        starts = [
-            Starts(points, spacing / 4, AROUND, self._on_plate, _quadratic_summits),
-            *(
-                Starts(line.places[at, None], line.stride / 4, ALONG, line.at, _parabolic_summits)
-                for line, at in on_lines
-            ),
-        ]
-
-        def levels_at(trials: Sequence[np.ndarray]) -> list[np.ndarray]:
-            on = [start.at(trial) for start, trial in zip(starts, trials, strict=True)]
-            flat = np.concatenate([part.reshape(-1, 2) for part in on])
-            levels = _split_like(self._within(flat[None], values(flat))[0], [part[..., 0].ravel() for part in on])
-            return [level.reshape(part.shape[:2]) for level, part in zip(levels, on, strict=True)]
-
-        ended, highest = [], -math.inf
-        for number in range(ROUNDS):
-            trials = [start.places[:, None] + start.stencil * start.steps for start in starts]
-            levels = levels_at(trials)
-            tops = [start.top(level) for start, level in zip(starts, levels, strict=True)]
-            of_tops = levels_at(tops)
-            highest = max(highest, *(part.max(initial=-math.inf) for part in (*levels, *of_tops)))
-            ends = (CONVERGED * unit, highest - MISSED * unit) if number >= SURELY else (0.0, -math.inf)
-            for start, *parts in zip(starts, trials, tops, levels, of_tops, strict=True):
-                tried, reached = (np.concatenate(pair, axis=1) for pair in (parts[:2], parts[2:]))
-                ended.append(start.move(tried, reached, *ends))
-            if not any(len(start.places) for start in starts):
-                break
-        return np.concatenate([*ended, *(start.at(start.places) for start in starts)])
-
     def _on_plate(self, points: np.ndarray) -> np.ndarray:
         """Return the points (..., 2) [m] of the plate's box next to others."""
         return np.clip(points, (0.0, 0.0), self.plate.scene.plate.size)
@@ -254,7 +233,7 @@ class Region:
         points (n, 2) of the region: zeros, and the lowest points of narrow valleys of its size."""
         spacing, rows = np.array([_spacing(self.x), _spacing(self.y)]), np.arange(len(points))
         stencil = np.vstack([np.zeros(2), np.diag(spacing), -np.diag(spacing)]) * DIFFERENCE
-        for _ in range(ROUNDS):
+        for _ in range(DIP_STEPS):
             here, *around = field((points[:, None] + stencil).reshape(-1, 2)).reshape(len(points), -1).T
             slopes = np.stack([around[0] - around[2], around[1] - around[3]], axis=1) / (2 * DIFFERENCE)  # of a spacing
             normal, gradient = (slopes[:, :, None].conj() * slopes[:, None]).real, (slopes.conj() * here[:, None]).real
@@ -278,29 +257,6 @@ def _exceeds_neighbours(levels: np.ndarray) -> np.ndarray:
     rows, columns = levels.shape[-2:]
     neighbours = [around[..., 1 + i : 1 + i + rows, 1 + j : 1 + j + columns] for i, j in NEIGHBOURS]
     return np.asarray(levels >= np.max(neighbours, axis=0))
-
-
-def _quadratic_summits(levels: np.ndarray) -> np.ndarray:
-    """Return the (points, 2) summits [steps] of the quadratic functions through values (points, 25) at AROUND, at
-    most REACH away; 0 where there is none."""
-    sw, w, nw, s, middle, n, se, e, ne = levels[:, NEAREST].T
-    with np.errstate(invalid="ignore", divide="ignore"):
-        (x, y), (xx, yy) = ((e - w) / 2, (n - s) / 2), (e + w - 2 * middle, n + s - 2 * middle)
-        xy = (ne - nw - se + sw) / 4
-        summits = np.stack([xy * y - yy * x, xy * x - xx * y], axis=1) / (xx * yy - xy**2)[:, None]
-        summits *= np.minimum(1.0, REACH / np.abs(summits).max(axis=1, keepdims=True))
-        curved = (xx < 0) & (xx * yy > xy**2) & np.isfinite(summits).all(axis=1)
-    return np.where(curved[:, None], summits, 0.0)
-
-
-def _parabolic_summits(levels: np.ndarray) -> np.ndarray:
-    """Return the (points, 1) summits [steps] of the parabolas through values (points, 5) at ALONG, at most REACH away;
-    0 where there is none."""
-    middle, before, after = levels[:, :3].T
-    bend = before + after - 2 * middle
-    with np.errstate(invalid="ignore", divide="ignore"):
-        summits = np.clip((before - after) / (2 * bend), -REACH, REACH)
-    return np.where((bend < 0) & np.isfinite(summits), summits, 0.0)[:, None]
 
 
 def _split_like(values: np.ndarray, parts: Sequence[np.ndarray]) -> list[np.ndarray]:

@@ -125,7 +125,7 @@ class TensorSplines(SplineProducts):
         used_x, used_y = map(_used, self.along)
         along_x = coefficients.reshape(-1, self.shape[1]) @ self._whole[1][0].dense(x)[:, used_x].T
         along_y = self._whole[1][1].dense(y)[:, used_y].T
-        along_x = np.take(along_x.reshape(-1, self.shape[0], x.size), at_x, axis=2)
+        along_x = np.take(along_x.reshape(len(coefficients), self.shape[0], x.size), at_x, axis=2)
         return np.einsum("nyp,yp->np", along_x, np.take(along_y, at_y, axis=1))
 
     def on_grid(self, coefficients: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
