@@ -9,7 +9,7 @@ import shapely
 from support.scenes import scene_of
 from warp_plate import Scene
 from warp_plate.modal.modes import solve_modes
-from warp_plate.problem.worst_points import Search, make_region, shape_of
+from warp_plate.problem.worst_points import Care, make_region, shape_of
 from warp_plate.scene.target import Target
 
 SIZE = (0.3, 0.2)
@@ -60,7 +60,7 @@ def test_the_summit_of_an_oblique_ridge_is_found(region, random):
 
 def test_a_field_without_maxima_has_few_peaks(region):
     flat = np.ones(len(region.samples))
-    assert len(region.peaks(flat, lambda points: np.ones(len(points)), Search.SAMPLES)) <= 200
+    assert len(region.peaks(flat, lambda points: np.ones(len(points)), Care.SAMPLES)) <= 200
 
 
 def test_regions_end_at_the_outline():

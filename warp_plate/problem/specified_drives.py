@@ -20,7 +20,7 @@ import numpy as np
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.optimize.cones import STEPS, Block, LeastScale, least_scale_of_squares
 from warp_plate.problem.requirements import Aim, Limited, Requirements, hermitian_factor, limited_quantities
-from warp_plate.problem.worst_points import FEWEST, Region, Search, Values, in_units, shortfall
+from warp_plate.problem.worst_points import FEWEST, Care, Region, Values, in_units, shortfall
 from warp_plate.result.specified import RegionLevels
 from warp_plate.scene.errors import SceneError
 
@@ -179,38 +179,38 @@ class Tone:
             self.points[key] = region.samples[:: max(1, len(region.samples) // first)]
         return self.points[key]
 
-    def add_points(self, result: LeastScale, scaled: Scaled, level: float, search: Search) -> bool:
+    def add_points(self, result: LeastScale, scaled: Scaled, level: float, care: Care) -> bool:
         """Add points at which a drive falls short or passes its scale; return whether there are any."""
         added, scale, level = False, result.scale if scaled == "elsewhere" else 1.0, level * self.reach
         fine = OF_EFFORT if scaled == "actuators" and self.requirements.rests else TOLERANCE
-        slack = COARSE if search == Search.SAMPLES else fine
+        slack = COARSE if care == Care.SAMPLES else fine
         for index, aim in enumerate(self.requirements.aims):
             if aim.level.measure == "weakest":
                 measure = partial(shortfall, level * self.wanted[index], self._phase(aim))
-                added |= self._add(("aim", index), aim.region, result.drive, measure, 0.0, slack, search)
+                added |= self._add(("aim", index), aim.region, result.drive, measure, 0.0, slack, care)
         for index, rest in enumerate(self.requirements.rests if scaled != "actuators alone" else ()):
             if rest.allowance.measure == "worst":
                 measure = partial(in_units, float(self.allowed_for(level)[index] * (1 - MARGIN)))
-                added |= self._add(("rest", index), rest.region, result.drive, measure, scale, slack, search)
+                added |= self._add(("rest", index), rest.region, result.drive, measure, scale, slack, care)
         return added
 
     def _add(
-        self, key: Key, region: Region, drive: np.ndarray, measure: Values, limit: float, slack: float, search: Search
+        self, key: Key, region: Region, drive: np.ndarray, measure: Values, limit: float, slack: float, care: Care
     ) -> bool:
         """Add the points of a region where a measure of the acceleration passes a limit."""
-        peaks, most = self._peaks(region, drive, measure, search), limit + slack * (limit or 1.0)
+        peaks, most = self._peaks(region, drive, measure, care), limit + slack * (limit or 1.0)
         beyond = peaks[measure(self.rows(peaks) @ drive) > most]
         free = key[0] == "aim" and self._phase(self.requirements.aims[key[1]]) == "free"
-        if search == Search.THOROUGH and free and not len(beyond):  # only then, for at a zero the motion has no phase
+        if care == Care.THOROUGH and free and not len(beyond):  # only then, for at a zero the motion has no phase
             dips = self._dips(region, drive, peaks)
             beyond = dips[measure(self.rows(dips) @ drive) > most]
         self.points[key] = np.concatenate([self.points[key], beyond])
         return len(beyond) > 0
 
-    def _peaks(self, region: Region, drive: np.ndarray, measure: Values, search: Search) -> np.ndarray:
+    def _peaks(self, region: Region, drive: np.ndarray, measure: Values, care: Care) -> np.ndarray:
         """Return points (points, 2) [m] where a measure of the acceleration under a drive is largest."""
         levels, fewest = measure(self._sampled(region, drive)), max(FEWEST, len(self.largest))
-        return region.peaks(levels, lambda points: measure(self._motion(drive, points)), search, fewest)
+        return region.peaks(levels, lambda points: measure(self._motion(drive, points)), care, fewest)
 
     def _dips(self, region: Region, drive: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Return points (n, 2) [m] near others where the acceleration under a drive is smallest."""
@@ -335,7 +335,7 @@ class Tone:
         """Return the largest or, with a negative sign, the smallest acceleration of a region, and its point."""
         unit = float(np.abs(self._sampled(region, drive)).max()) or 1.0
         measure: Values = partial(in_units, unit) if sign > 0 else partial(shortfall, unit, "free")
-        peaks = self._peaks(region, drive, measure, Search.THOROUGH)
+        peaks = self._peaks(region, drive, measure, Care.THOROUGH)
         if sign < 0:
             peaks = np.concatenate([peaks, self._dips(region, drive, peaks)])
         sizes = np.abs(self.rows(peaks) @ drive)
@@ -361,7 +361,7 @@ def solve_together(
         start: Drive (actuators,) to start from if the problem is not convex.
         searches: Most searches from the relaxation if the problem is not convex; 0 for none, without a bound.
     """
-    search, settled, done, drive, first = Search.SAMPLES, False, 0, start, math.inf
+    care, settled, done, drive, first = Care.SAMPLES, False, 0, start, math.inf
     best: LeastScale | None = None
     for number in range(ROUNDS):
         parts = [tone.program(scaled, level) for tone in tones]
@@ -380,11 +380,11 @@ def solve_together(
         elif searches and result.scale > CHASED * first:
             drive = None  # others may lose less by the added points
             continue
-        added = [tone.add_points(result, scaled, level, search) for tone in tones]
-        while between and not any(added) and search < Search.THOROUGH:
-            search = Search(search + 1)
-            added = [tone.add_points(result, scaled, level, search) for tone in tones]
-        search = min(search, Search.QUICK)
+        added = [tone.add_points(result, scaled, level, care) for tone in tones]
+        while between and not any(added) and care < Care.THOROUGH:
+            care = Care(care + 1)
+            added = [tone.add_points(result, scaled, level, care) for tone in tones]
+        care = min(care, Care.QUICK)
         if not any(added) and (settled or drive is None):
             if drive is None or not searches:
                 return result

@@ -75,7 +75,7 @@ def shape_of(key: str, target: Target, side: Literal[-1, 0, 1] = 0) -> shapely.G
     return shapely.buffer(shapely.Polygon(corners), side * sagitta, join_style="mitre")
 
 
-class Search(IntEnum):
+class Care(IntEnum):
     """How maxima are sought: among samples, between them, or there with the last steps and along ridges too."""
 
     SAMPLES, QUICK, THOROUGH = range(3)
@@ -158,16 +158,14 @@ class Region:
     def _grid(self) -> np.ndarray:
         return np.stack(np.meshgrid(self.x, self.y), axis=-1)
 
-    def peaks(
-        self, levels: np.ndarray, values: Values, search: Search = Search.THOROUGH, fewest: int = FEWEST
-    ) -> np.ndarray:
+    def peaks(self, levels: np.ndarray, values: Values, care: Care = Care.THOROUGH, fewest: int = FEWEST) -> np.ndarray:
         """Return points (points, 2) [m] of the largest maxima of a field, in any order: all that may be the largest.
 
         Args:
             levels: (samples,) field at the samples, at which it is compared with the neighbours.
             values: Function from points (points, 2) [m] to the field (points,), by which points are moved to the maxima
                 between samples.
-            search: How they are sought.
+            care: How they are sought.
             fewest: Number of the highest maxima that are returned at least.
         """
         parts = _split_like(levels, [self._grid[self.inside], *(line.places for line in self.lines)])
@@ -180,14 +178,14 @@ class Region:
         highest[order[: np.clip(np.count_nonzero(heights >= near), fewest, max(fewest, MOST))]] = True
         chosen = [at[own] for at, own in zip(maxima, _split_like(highest, maxima), strict=True)]
         grid, on_lines = self._grid[self.inside][chosen[0]], list(zip(self.lines, chosen[1:], strict=True))
-        if search == Search.SAMPLES:
+        if care == Care.SAMPLES:
             return np.concatenate([grid, *(line.samples[at] for line, at in on_lines)])
         climbers = [self._climbers(self._maxima_around(grid, values), unit)]
         for line, at in on_lines:
             climbers.append(Climbers(line.places[at, None], line.stride / 4, ALONG, line.at, parabolic_summits))
         levels_at, missed = (lambda points: self._within(points[None], values(points))[0]), MISSED * unit
-        points = climb(climbers, levels_at, missed, SHRINKS if search == Search.THOROUGH else FEW_SHRINKS)
-        if search == Search.THOROUGH and len(ridges := self._along_ridges(points, levels_at, unit)):
+        points = climb(climbers, levels_at, missed, SHRINKS if care == Care.THOROUGH else FEW_SHRINKS)
+        if care == Care.THOROUGH and len(ridges := self._along_ridges(points, levels_at, unit)):
             points = np.concatenate([points, climb([self._climbers(ridges, unit)], levels_at, missed)])
         return points
 
