@@ -38,6 +38,8 @@ from warp_plate.plate.designs import scene_phasors
 
 # Steps of the differences, as parts of the range of a number.
 STEPS = (8e-2, 4e-2, 2e-2, 1e-2, 5e-3, 2e-3, 1e-3)
+# Steps where bounds nearly repeat: their slopes change within such distances.
+FINE_STEPS = (1e-4, 5e-5, 2e-5, 1e-5)
 # Norm of slopes below which there are none: limits that do not depend on what is free.
 LEAST = 1e-9
 # Where these do not tell, polynomials of a degree through so many values within distances average rounding.
@@ -75,6 +77,9 @@ def slopes_of(number: int) -> tuple[int, str, list[tuple[str, float]]]:
             for distance in DISTANCES if off.min(axis=0).max() > 5e-7 else ():
                 fitted = _fitted(panel, numbers, direction, distance)
                 off = np.vstack([off, np.abs(fitted - every @ direction) / scale])
+            for step in FINE_STEPS if off.min(axis=0).max() > 5e-7 else ():
+                slopes = _difference(panel, numbers, direction, step)
+                off = np.vstack([off, np.abs(slopes - every @ direction) / scale])
             labels = ["value", *(f"limit {index}" for index in range(len(value.excess)))]
             errors += [(f"{name}: {label}", float(error)) for label, error in zip(labels, off.min(axis=0), strict=True)]
         return number, "plain" if not value.excess.size else "limited", errors

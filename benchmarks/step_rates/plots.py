@@ -20,7 +20,7 @@ MARKERS = {"plain": "o", "order4": "D", "free": "^", "stretching": "v"}
 BYTES_PER_NODE_STEP = 16
 
 
-def draw_bench(record: Mapping[str, Any], path: str | Path) -> None:
+def draw_bench(record: Mapping[str, Any], *paths: str | Path) -> None:
     """Plot the object that ``bench.py --json`` prints.
 
     Left: over the number of plates, for the size with most measurements and its first kind. Right: over the nodes per
@@ -29,7 +29,7 @@ def draw_bench(record: Mapping[str, Any], path: str | Path) -> None:
     rows = [row for row in record["rows"] if row["status"] == "measured"]
     if not rows:
         raise ValueError("nothing was measured")
-    with figure(path, (9, 3.6)) as made:
+    with figure(paths, (9, 3.6)) as made:
         left, right = made.subplots(1, 2, sharey=True)
         size = commonest_size(rows)
         devices = sorted({row["device"] for row in rows})

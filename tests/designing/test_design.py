@@ -1,6 +1,7 @@
 """Designed panels: maps within their limits, slopes against differences, and searches that never make a panel worse."""
 
 import json
+from contextlib import nullcontext
 from itertools import pairwise
 from unittest.mock import Mock
 
@@ -375,3 +376,15 @@ def test_what_cannot_be_designed_is_refused(design, message):
     effects = {"oscillators": [OSCILLATOR], "material_damping": {"time": 1e-6}}
     with pytest.raises((wpl.SceneError, ValueError), match=message):
         wpl.design(designed_scene(design, effects=effects))
+
+
+@pytest.mark.parametrize("effects", [{}, {"damping": {"viscous": 60.0}}])
+def test_power_is_no_effort_where_drives_need_none(effects):
+    """Of a plate without damping and three drives: one of them is a coil, which alone takes energy from it."""
+    actuators = [COILS[0], DISCS[1], {"name": "2", "disc": (0.1, 0.06, 0.012)}]
+    design = {"free": {"plate.thickness": [4e-4, 6e-4]}, "objective": "velocity", "effort": "power", "steady": True}
+    base = scene_of(modal_density=0.6, window=(0.03, 0.04)).model_dump(include={"target", "window", "drive", "grid"})
+    tables = {**base, **ROUND, "actuators": actuators, "effects": effects, "design": design}
+    panel = FreePanel(wpl.Scene.model_validate(tables))
+    with nullcontext() if effects else pytest.raises(wpl.SceneError, match='effort = "power": some drives move'):
+        assert np.isfinite(panel.evaluate(panel.start()).smooth)

@@ -375,8 +375,9 @@ def test_layers_and_oscillators_move_with_the_plate():
     assert answer.feasible
     x, y, field = fields(answer)
     away = distance(answer.scene.target.area, x, y)
-    assert field[away == 0].real.min() > GRAVITY * (1 - 1e-6)
-    assert 20 * math.log10(np.abs(field[away >= 0.06]).max() / GRAVITY) < answer.contrast_db + 1e-5
+    least = field[away == 0].real.min()  # more than wanted, by the numerical error
+    assert least > GRAVITY * (1 - 1e-6)
+    assert 20 * math.log10(np.abs(field[away >= 0.06]).max() / least) < answer.contrast_db + 1e-5
     assert np.diff(answer.interval) < 0.5
 
 

@@ -20,7 +20,7 @@ from warp_plate.quantities.sound_levels import POWER_REFERENCE
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fit import Design, DesignLimits
 from warp_plate.scene.model import Scene
-from warp_plate.solve.response import largest_ratio
+from warp_plate.solve.response import largest_ratio, unit_energy_basis
 
 # Form of each quantity: of root mean squares over the mass of the target, of others, and of efforts.
 AMPLITUDES = {"velocity": "target", "displacement": "displacement", "acceleration": "acceleration"}
@@ -54,6 +54,11 @@ def judge(design: Design, forms: PlateForms) -> Judged:
     name, phasors = FORMS[objective], scene_phasors(forms.scene)
     if effort is not None:
         of_effort = np.eye(len(forms[name])) if effort == "drive" else forms[effort]
+        if _is_unlimited(of_effort, forms[name]):
+            raise SceneError(
+                f'design.effort = "{effort}": some drives move the target without any, so that nothing limits them; '
+                'write damping, fewer actuators, or effort = "drive"'
+            )
         phasors = largest(np.stack([of_effort, forms[name]]))[1]
     size = _of(forms[name], phasors)
     if not size > 0:
@@ -133,6 +138,15 @@ def largest(both: np.ndarray) -> tuple[float, np.ndarray]:
 def target_mass(forms: PlateForms) -> float:
     """Return the mass of the target [kg]."""
     return forms.plate.space.region_mass(forms.scene.target)
+
+
+def _is_unlimited(effort: np.ndarray, moved: np.ndarray) -> bool:
+    """Return whether some drives have a part in a form (2M, 2M) of motion, and none in one of an effort."""
+    of_effort, of_motion = float(np.trace(effort)), float(np.trace(moved))
+    if not (of_effort > 0 and of_motion > 0):
+        return of_motion > 0
+    ranks = [unit_energy_basis(form).any(axis=0).sum() for form in (effort, effort / of_effort + moved / of_motion)]
+    return bool(ranks[0] < ranks[1])
 
 
 def _of(form: np.ndarray, phasors: np.ndarray) -> float:
