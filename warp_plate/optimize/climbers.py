@@ -59,8 +59,9 @@ class Climbers:
         best, rows = levels.argmax(axis=1), np.arange(len(levels))
         highest, places = levels[rows, best], trials[rows, best]
         far = (np.abs(places - self.places) > 1.5 * self.steps).any(axis=1)
-        arrived = (self.shrunk >= SURELY) & (highest < levels[:, 0] + self.least) | (self.shrunk + 1 >= shrinks)
-        ended = (arrived & ~far) | (highest < lowest)
+        within = np.isfinite(levels).all(axis=1)  # at an edge, shorter steps may gain
+        arrived = (self.shrunk >= SURELY) & within & (highest < levels[:, 0] + self.least)
+        ended = ((arrived | (self.shrunk + 1 >= shrinks)) & ~far) | (highest < lowest)
         self.places, self.shrunk = places[~ended], (self.shrunk + ~far)[~ended]
         return self.at(places[ended])
 
