@@ -87,7 +87,22 @@ def test_the_zero_in_a_narrow_valley_is_found(region, random):
             return np.sin(across + along**2 / 2) + 1e-3j * np.sin(along)
 
         start = zero + 0.2 * WAVE * turn[0] + 0.01 * WAVE * turn[1]
-        assert np.hypot(*(region.dips(start[None], field)[0] - zero)) < 1e-6
+        assert np.hypot(*(region.dips(start[None], field, np.ones(len(region.samples)))[0] - zero)) < 1e-6
+
+
+def test_zeros_far_along_a_valley_are_found(region, random):
+    """They are half a wave apart; samples, at other distances from the bottom of the valley, do not see them."""
+    for _ in range(20):
+        zero, turn = draw_frame(random)
+
+        def field(points, turn=turn, zero=zero):
+            along, across = 2 * math.pi * turn @ (points - zero).T / WAVE
+            return np.sin(across) + 0.02j * np.sin(along)
+
+        found = region.dips(np.empty((0, 2)), field, field(region.samples))
+        places = zero + np.arange(-1, 2)[:, None] * WAVE / 2 * turn[0]
+        places = places[shapely.contains_xy(shapely.box(0.013, 0.013, 0.287, 0.187), *places.T)]
+        assert (np.linalg.norm(found[:, None] - places, axis=2).min(axis=0) < 1e-6).all()
 
 
 @pytest.mark.parametrize("shape", [{"disc": (0.15, 0.1, 0.05)}, {"ellipse": (0.15, 0.1, 0.05, 0.02, 0.4)}])

@@ -214,7 +214,7 @@ class Tone:
 
     def _dips(self, region: Region, drive: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Return points (n, 2) [m] near others where the acceleration under a drive is smallest."""
-        return region.dips(points, partial(self._motion, drive))
+        return region.dips(points, partial(self._motion, drive), self._sampled(region, drive))
 
     def _motion(self, drive: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Return the (points,) complex accelerations [m/s²] under a drive at points (points, 2) [m]."""

@@ -226,9 +226,11 @@ class Region:
         """Return the points (..., 2) [m] of the plate's box next to others."""
         return np.clip(points, (0.0, 0.0), self.plate.scene.plate.size)
 
-    def dips(self, points: np.ndarray, field: Values) -> np.ndarray:
+    def dips(self, points: np.ndarray, field: Values, sampled: np.ndarray) -> np.ndarray:
         """Return the points (n, 2) [m] where a complex field is smallest that steps of Gauss and Newton reach from
-        points (n, 2) of the region: zeros, and the lowest points of narrow valleys of its size."""
+        points (m, 2) of the region, and from cells between the samples (samples,) of the field around which its phase
+        turns: zeros, and the lowest points of narrow valleys of its size."""
+        points = np.concatenate([points, self._vortices(sampled)])
         spacing, rows = np.array([_spacing(self.x), _spacing(self.y)]), np.arange(len(points))
         stencil = np.vstack([np.zeros(2), np.diag(spacing), -np.diag(spacing)]) * DIFFERENCE
         for _ in range(DIP_STEPS):
@@ -242,6 +244,15 @@ class Region:
             sizes = np.abs(field(trials.reshape(-1, 2)))
             points = trials[rows, self._within(trials, -sizes).argmax(axis=1)]
         return points
+
+    def _vortices(self, sampled: np.ndarray) -> np.ndarray:
+        """Return the middles (n, 2) [m] of the cells between samples of a complex field that hold a zero."""
+        grid = np.full(self.inside.shape, np.nan, dtype=complex)
+        grid[self.inside] = sampled[: np.count_nonzero(self.inside)]
+        corners = [grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]]
+        turns = sum(np.angle(after * before.conj()) for before, after in pairwise([*corners, corners[0]]))
+        rows, columns = np.nonzero(np.abs(turns) > math.pi)
+        return (self._grid[rows, columns] + self._grid[rows + 1, columns + 1]) / 2
 
     def _within(self, points: np.ndarray, levels: np.ndarray) -> np.ndarray:
         """Return levels (n, m) at points (n, m, 2), -∞ outside the region."""
